@@ -1,0 +1,47 @@
+# Everything runs in .venv, which holds exactly what requirements.lock names.
+# Another Python: make test PYTHON=python3.10. More arguments: make test ARGS="-k lidar".
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help venv demo test lint bench clean
+
+PYTHON ?= python3
+ARGS ?=
+
+BIN := .venv/bin
+STAMP := .venv/.installed
+PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
+
+help: ## show this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-7s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+
+venv: $(STAMP) ## install everything into .venv (the other targets do so when it is needed)
+
+demo: $(STAMP) ## watch a trained rover drive
+	$(BIN)/rover-rl demo $(ARGS)
+
+# One thread a worker: the workers share the cores already.
+test: $(STAMP) ## run the tests
+	OMP_NUM_THREADS=$${OMP_NUM_THREADS:-1} $(BIN)/python -m pytest -n 2 $(ARGS)
+
+lint: $(STAMP) ## check style, format and types
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
+bench: $(STAMP) ## measure the speed of rollouts
+	$(BIN)/python benchmarks/rollout.py $(ARGS)
+
+clean: ## remove caches and build products; .venv and runs/ stay
+	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage htmlcov
+	find rover_rl tests benchmarks -name __pycache__ -prune -exec rm -rf {} +
+
+$(STAMP): requirements.lock pyproject.toml
+	@$(PYTHON) -c '' || { echo "error: cannot run '$(PYTHON)'; name a Python 3.10 to 3.13: make PYTHON=python3.11" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' || { echo "error: rover_rl needs Python 3.10 to 3.13, and '$(PYTHON)' is $$($(PYTHON) -c 'import platform; print(platform.python_version())'); name another one: make PYTHON=python3.11" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info >= (3, 12))' || echo "note: PyBullet has wheels for Python 3.10 and 3.11; here it is compiled, which takes a C++ compiler and some minutes"
+	@echo "Installing into .venv; the first time takes a minute or two"
+	@$(PYTHON) -m venv .venv
+	@$(PIP) install -r requirements.lock
+	@$(PIP) install --no-deps --no-build-isolation -e .
+	@touch $@

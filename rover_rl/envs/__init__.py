@@ -1,0 +1,23 @@
+"""The task: batched torch on any device. Knows no backend."""
+
+from __future__ import annotations
+
+from rover_rl.envs.control import HeadingController, HeadingGains
+from rover_rl.envs.make import add_reward, make_env
+from rover_rl.envs.rewards import RewardComponent, RewardConfig, TotalReward, contract_reward
+from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.task import Phase, TaskConfig
+
+__all__ = [
+    "HeadingController",
+    "HeadingGains",
+    "Phase",
+    "RewardComponent",
+    "RewardConfig",
+    "RoverEnv",
+    "TaskConfig",
+    "TotalReward",
+    "add_reward",
+    "contract_reward",
+    "make_env",
+]

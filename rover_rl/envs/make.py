@@ -1,0 +1,51 @@
+"""make_env: the environment with a reward."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from torchrl.envs import Compose, EnvBase, TransformedEnv
+from torchrl.envs.transforms import Transform
+
+from rover_rl.envs.rewards import RewardComponent, RewardConfig, TotalReward, contract_reward
+from rover_rl.envs.rover import RoverEnv
+
+
+def make_env(*args: Any, reward: str | RewardConfig | Sequence[RewardComponent] = "contract", **kwargs: Any) -> EnvBase:
+    """A :class:`RoverEnv` with the contract's reward, or yours.
+
+    Args:
+        *args: of :class:`RoverEnv`.
+        reward: ``"contract"``; ``"task"`` for the bare 1 a goal; a :class:`RewardConfig` with other numbers; or the
+            components themselves, for example ``[*contract_reward(), TiltPenalty()]``.
+        **kwargs: of :class:`RoverEnv`.
+
+    Raises:
+        ValueError: for another reward, and as :class:`RoverEnv`.
+
+    Example:
+        >>> env = make_env(world_n="maze", num_envs=4, seed=0)
+        >>> env.rollout(5)["next", "reward_components", "progress"].shape
+        torch.Size([4, 5, 1])
+    """
+    components = _components(reward)
+    return add_reward(RoverEnv(*args, **kwargs), components)
+
+
+def add_reward(env: EnvBase, reward: str | RewardConfig | Sequence[RewardComponent] = "contract") -> EnvBase:
+    """``env`` with a reward on top; see :func:`make_env`."""
+    components = _components(reward)
+    return TransformedEnv(env, Compose(*components, TotalReward())) if components else env
+
+
+def _components(reward: str | RewardConfig | Sequence[RewardComponent]) -> list[Transform]:
+    if isinstance(reward, RewardConfig):
+        return contract_reward(reward)
+    if not isinstance(reward, str):
+        return list(reward)
+    if reward not in ("contract", "task"):
+        raise ValueError(
+            f"unknown reward {reward!r}; use 'contract', 'task', a RewardConfig or a list of RewardComponents"
+        )
+    return contract_reward() if reward == "contract" else []

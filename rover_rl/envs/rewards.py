@@ -1,0 +1,284 @@
+"""The contract's reward: one transform per component, and their sum.
+
+A component is active where its rule decides the step (``outcome["phase"]``), so that the sum is exactly the contract's
+``task_reward``. Drop one, weigh it otherwise or add your own by choosing the transforms; see :func:`rover_rl.make_env`.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.envs.transforms import Transform
+
+from rover_rl.envs.task import Phase
+
+
+@dataclass(frozen=True)
+class RewardConfig:
+    """The numbers of the contract's reward.
+
+    Args:
+        goal_reward: for reaching a goal.
+        distance_delta_scale: reward for each metre gained on the target.
+        final_reward_multiplier: on top of that, and of the idle penalty.
+        idle_penalty: in place of the distance reward where too little is gained or the rover faces away.
+        min_progress: the distance reward needs more change than this, m.
+        min_alignment: and a heading alignment above this.
+        velocity_scale: reward for each m/s forward.
+        turn_scale: reward for each rad/s of turning, either way.
+        collision_penalty: for each step with something too near.
+        stuck_penalty: for not having moved.
+        general_penalty: for a flip or a jam.
+        flip_grace_steps: a flip costs nothing up to this step of the episode.
+        out_of_bounds_penalty: for leaving the world's bounds (the contract's ``too_far_away_penilty``).
+    """
+
+    goal_reward: float = 100.0
+    distance_delta_scale: float = 0.3
+    final_reward_multiplier: float = 1.5
+    idle_penalty: float = -0.03
+    min_progress: float = 0.001
+    min_alignment: float = 0.0
+    velocity_scale: float = 0.0025
+    turn_scale: float = -0.0015
+    collision_penalty: float = -0.5
+    stuck_penalty: float = -25.0
+    general_penalty: float = -20.0
+    flip_grace_steps: int = 500
+    out_of_bounds_penalty: float = -10.0
+
+
+class RewardComponent(Transform):
+    """One component of the reward, written to ``("reward_components", name)``.
+
+    Subclasses give a :attr:`name`, the :attr:`phases` in which they are active (none given: in every step), and
+    :meth:`value`.
+
+    Example:
+        >>> class TiltPenalty(RewardComponent):
+        ...     name = "tilt"
+        ...     def value(self, outcome, observation):
+        ...         return -0.1 * observation["imu"][:, :2].abs().sum(-1, keepdim=True)
+    """
+
+    name: ClassVar[str]
+    phases: ClassVar[tuple[Phase, ...]] = ()
+
+    @abstractmethod
+    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
+        """The component on every row, ``[N, 1]``, where it is active.
+
+        Args:
+            outcome: what happened in the step.
+            observation: the whole step's result, the observation in it.
+        """
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        outcome = next_tensordict.get("outcome")
+        value = self.value(outcome, next_tensordict) * self._active(outcome.get("phase"))
+        components = next_tensordict.get("reward_components", None)
+        if components is None:
+            components = TensorDict._new_unsafe(
+                {}, batch_size=next_tensordict.batch_size, device=next_tensordict.device
+            )
+            next_tensordict.set("reward_components", components)
+        components.set(self.name, value)
+        return next_tensordict
+
+    def _active(self, phase: Tensor) -> Tensor:
+        if not self.phases:
+            return phase != Phase.NONE
+        active = phase == self.phases[0]
+        for other in self.phases[1:]:
+            active = active | (phase == other)
+        return active
+
+    def transform_reward_spec(self, reward_spec: TensorSpec) -> TensorSpec:
+        """Adds the component to the reward spec."""
+        parent = self.parent
+        components = reward_spec.get("reward_components", None)
+        if components is None:
+            components = Composite(shape=parent.batch_size, device=parent.device)
+        components[self.name] = Unbounded(shape=(*parent.batch_size, 1), device=parent.device)
+        reward_spec["reward_components"] = components
+        return reward_spec
+
+
+class GoalReward(RewardComponent):
+    """``goal_reward`` for reaching a goal."""
+
+    name = "goal"
+    phases = (Phase.GOAL,)
+
+    def __init__(self, goal_reward: float = RewardConfig.goal_reward) -> None:
+        super().__init__()
+        self.goal_reward = goal_reward
+
+    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
+        """The reward itself, on every row."""
+        return torch.full_like(outcome.get("progress"), self.goal_reward)
+
+
+class ProgressReward(RewardComponent):
+    """Metres gained on the target, or the idle penalty where too little is gained or the rover faces away."""
+
+    name = "progress"
+    phases = (Phase.DENSE,)
+
+    def __init__(
+        self,
+        distance_delta_scale: float = RewardConfig.distance_delta_scale,
+        final_reward_multiplier: float = RewardConfig.final_reward_multiplier,
+        idle_penalty: float = RewardConfig.idle_penalty,
+        min_progress: float = RewardConfig.min_progress,
+        min_alignment: float = RewardConfig.min_alignment,
+    ) -> None:
+        super().__init__()
+        self.scale = distance_delta_scale * final_reward_multiplier
+        self.idle = idle_penalty * final_reward_multiplier
+        self.min_progress = min_progress
+        self.min_alignment = min_alignment
+
+    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
+        """``multiplier * (scale * progress or idle penalty)``."""
+        progress = outcome.get("progress")
+        counts = (progress.abs() > self.min_progress) & (outcome.get("alignment") > self.min_alignment)
+        return torch.where(counts, progress * self.scale, self.idle)
+
+
+class VelocityBonus(RewardComponent):
+    """``velocity_scale`` for each m/s forward, by wheel odometry."""
+
+    name = "velocity"
+    phases = (Phase.DENSE,)
+
+    def __init__(self, velocity_scale: float = RewardConfig.velocity_scale) -> None:
+        super().__init__()
+        self.velocity_scale = velocity_scale
+
+    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
+        """``scale * v``."""
+        return outcome.get("linear_velocity") * self.velocity_scale
+
+
+class TurnPenalty(RewardComponent):
+    """``turn_scale`` for each rad/s of turning, by wheel odometry."""
+
+    name = "turn"
+    phases = (Phase.DENSE,)
+
+    def __init__(self, turn_scale: float = RewardConfig.turn_scale) -> None:
+        super().__init__()
+        self.turn_scale = turn_scale
+
+    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
+        """``scale * |w|``."""
+        return outcome.get("angular_velocity").abs() * self.turn_scale
+
+
+class CollisionPenalty(RewardComponent):
+    """A penalty for each step with a lidar reading below the collision threshold."""
+
+    name = "collision"
+    phases = (Phase.COLLISION,)
+
+    def __init__(self, collision_penalty: float = RewardConfig.collision_penalty) -> None:
+        super().__init__()
+        self.collision_penalty = collision_penalty
+
+    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
+        """The penalty itself, on every row."""
+        return torch.full_like(outcome.get("progress"), self.collision_penalty)
+
+
+class StuckPenalty(RewardComponent):
+    """A penalty for an episode that ends because the rover has not moved."""
+
+    name = "stuck"
+    phases = (Phase.STUCK,)
+
+    def __init__(self, stuck_penalty: float = RewardConfig.stuck_penalty) -> None:
+        super().__init__()
+        self.stuck_penalty = stuck_penalty
+
+    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
+        """The penalty itself, on every row."""
+        return torch.full_like(outcome.get("progress"), self.stuck_penalty)
+
+
+class GeneralPenalty(RewardComponent):
+    """A penalty for an episode that ends in a jam, or in a flip that comes after ``flip_grace_steps``."""
+
+    name = "general"
+    phases = (Phase.FLIP, Phase.JAM)
+
+    def __init__(
+        self,
+        general_penalty: float = RewardConfig.general_penalty,
+        flip_grace_steps: int = RewardConfig.flip_grace_steps,
+    ) -> None:
+        super().__init__()
+        self.general_penalty = general_penalty
+        self.flip_grace_steps = flip_grace_steps
+
+    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
+        """The penalty, or 0 for an early flip."""
+        forgiven = (outcome.get("phase") == Phase.FLIP) & (outcome.get("steps") <= self.flip_grace_steps)
+        return torch.full_like(outcome.get("progress"), self.general_penalty).masked_fill(forgiven, 0.0)
+
+
+class OutOfBoundsPenalty(RewardComponent):
+    """A penalty for an episode that ends because the rover left the world's bounds."""
+
+    name = "out_of_bounds"
+    phases = (Phase.OUT_OF_BOUNDS,)
+
+    def __init__(self, out_of_bounds_penalty: float = RewardConfig.out_of_bounds_penalty) -> None:
+        super().__init__()
+        self.out_of_bounds_penalty = out_of_bounds_penalty
+
+    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
+        """The penalty itself, on every row."""
+        return torch.full_like(outcome.get("progress"), self.out_of_bounds_penalty)
+
+
+class TotalReward(Transform):
+    """Writes the sum of all reward components into ``reward``; comes after them."""
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        components = next_tensordict.get("reward_components", None)
+        if components is None:
+            raise RuntimeError("TotalReward found no reward components; append it after at least one RewardComponent")
+        next_tensordict.set("reward", torch.cat(list(components.values()), -1).sum(-1, keepdim=True))
+        return next_tensordict
+
+
+def contract_reward(config: RewardConfig | None = None) -> list[Transform]:
+    """The contract's reward as transforms, one a component, without their sum.
+
+    Args:
+        config: its numbers.
+
+    Example:
+        >>> [component.name for component in contract_reward()]
+        ['goal', 'progress', 'velocity', 'turn', 'collision', 'stuck', 'general', 'out_of_bounds']
+    """
+    c = config or RewardConfig()
+    return [
+        GoalReward(c.goal_reward),
+        ProgressReward(
+            c.distance_delta_scale, c.final_reward_multiplier, c.idle_penalty, c.min_progress, c.min_alignment
+        ),
+        VelocityBonus(c.velocity_scale),
+        TurnPenalty(c.turn_scale),
+        CollisionPenalty(c.collision_penalty),
+        StuckPenalty(c.stuck_penalty),
+        GeneralPenalty(c.general_penalty, c.flip_grace_steps),
+        OutOfBoundsPenalty(c.out_of_bounds_penalty),
+    ]

@@ -1,0 +1,68 @@
+"""Random draws without a generator: a counter-based hash per row.
+
+A draw is a function of (row seed, episode, stream, draw) alone, computed in int64: the same on every device, whatever the
+batch size, the order of the draws or what other rows do. The hash is the finaliser of SplitMix64 (Steele, Lea and Flood,
+"Fast splittable pseudorandom number generators", OOPSLA 2014) over a Weyl sequence.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def _signed(value: int) -> int:
+    return value - (1 << 64) if value >= 1 << 63 else value
+
+
+_GOLDEN = _signed(0x9E3779B97F4A7C15)
+_MIX_1 = _signed(0xBF58476D1CE4E5B9)
+_MIX_2 = _signed(0x94D049BB133111EB)
+_EPISODE = _signed(0xD1342543DE82EF95)
+_STREAM = _signed(0xDA942042E4DD58B5)
+_DRAW = _signed(0xAEF17502108EF2D9)
+
+
+def row_keys(seed: int, num_envs: int, device: torch.device) -> Tensor:
+    """Keys of rows seeded ``seed, seed + 1, ...``: int64 ``[N, 1]``."""
+    first = _signed(seed % (1 << 64))
+    return _mix(first + torch.arange(num_envs, dtype=torch.int64, device=device))[:, None]
+
+
+def episode_keys(rows: Tensor, episode: Tensor) -> Tensor:
+    """Keys of the rows' present episodes, from :func:`row_keys` and episode numbers: int64 ``[N, 1]`` all."""
+    return _mix(rows + episode * _EPISODE)
+
+
+def random_bits(keys: Tensor, stream: int, draw: Tensor | int, count: int) -> Tensor:
+    """``count`` independent hashes of 64 bits a row: int64 ``[N, count]``.
+
+    Args:
+        keys: of the episodes, ``[N, 1]``.
+        stream: which use the draw is for, so that uses do not share numbers.
+        draw: number of the draw within the stream, ``[N, 1]`` or one for all.
+        count: hashes a row.
+    """
+    lane = torch.arange(1, count + 1, dtype=torch.int64, device=keys.device) * _GOLDEN
+    return _mix(keys + (draw * _DRAW + _signed(stream * _STREAM % (1 << 64))) + lane)
+
+
+def to_index(bits: Tensor, size: Tensor) -> Tensor:
+    """Uniform integers in ``[0, size)`` from the upper 32 bits; ``size`` below 2^31, int64."""
+    return (_shift(bits, 32) * size) >> 32
+
+
+def to_unit(bits: Tensor) -> Tensor:
+    """Uniform numbers in [0, 1) in steps of 2^-24 from the lower 24 bits: float32."""
+    return (bits & 0xFFFFFF).to(torch.float32) * 2.0**-24
+
+
+def _shift(bits: Tensor, places: int) -> Tensor:
+    """Logical shift to the right: torch's own keeps the sign."""
+    return (bits >> places) & ((1 << (64 - places)) - 1)
+
+
+def _mix(x: Tensor) -> Tensor:
+    x = (x ^ _shift(x, 30)) * _MIX_1
+    x = (x ^ _shift(x, 27)) * _MIX_2
+    return x ^ _shift(x, 31)

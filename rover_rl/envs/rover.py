@@ -1,0 +1,410 @@
+"""RoverEnv: point navigation on rough ground, batched, for TorchRL."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.envs import EnvBase
+
+from rover_rl.envs import specs
+from rover_rl.envs.control import HeadingController, HeadingGains
+from rover_rl.envs.lidar import LidarPooling
+from rover_rl.envs.placement import Placement
+from rover_rl.envs.rng import episode_keys, row_keys
+from rover_rl.envs.task import (
+    EVENTS,
+    Phase,
+    PositionHistory,
+    TaskConfig,
+    TaskState,
+    heading_alignment,
+    judge,
+    pack_outcome,
+    target_info,
+)
+from rover_rl.sims import RoverState, Simulator, make_simulator
+from rover_rl.sims.base import View
+from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.rotations import quaternion_to_euler
+from rover_rl.sims.worlds import World, get_world
+
+
+class RoverEnv(EnvBase):
+    """A batch of rovers that navigate to points, with lidar, IMU, odometry and pose.
+
+    The bare task: its reward is 1 for each goal reached. :func:`rover_rl.make_env` adds the contract's reward.
+
+    Observation (float32, clipped to the contract's bounds): ``lidar [N, lidar_points]`` (m), ``pose [N, 3]`` (m),
+    ``imu [N, 3]`` (pitch, roll, yaw; rad), ``target [N, 2]`` (distance in m, relative angle in rad), ``velocities [N, 2]``
+    (wheel odometry; m/s, rad/s). ``action [N, 2]``: forward speed in [-1, 1] m/s and heading offset in [-pi, pi] rad;
+    finite actions outside are clipped. ``outcome`` says what happened in the step: see :mod:`rover_rl.envs.task`.
+
+    ``reset(start=..., goal=...)`` takes poses ``[N, 3]`` (x, y in m, yaw in rad) and goals ``[N, 2]`` (m); the bare
+    environment also takes them as entries of the reset tensordict, which transforms would drop.
+
+    Row ``i`` of a batch seeded ``s`` is, to the last bit, the single environment seeded ``s + i``.
+
+    Args:
+        size: dimensions of the camera buffer, reserved for vision as in the original.
+        length: steps after which an episode is truncated.
+        scan_topic, imu_topic, cmd_vel_topic, camera_topic: ROS 2 topics, for a backend that drives a live rover.
+        world_n: a world's name (``"inspect"``, ``"moon"``, ``"maze"``, or ``"maze:7"`` for another seed), a
+            :class:`~rover_rl.sims.worlds.World`, or a list of them, each for an equal block of rows.
+        connection_check_timeout: seconds to wait for a live rover's first scan.
+        lidar_points: readings that the policy sees, each the nearest of its segment of the scan.
+        max_lidar_range: the lidar's readings are clipped to this, m.
+        num_envs: rovers in the batch.
+        backend: what moves them; ``"bullet"``.
+        robot: a robot's name or a :class:`~rover_rl.sims.robots.Robot`.
+        lidar_beams: beams of a raw scan.
+        seed: of the first row; ``None`` draws one.
+        device: where the task's tensors live; ``None`` is the CPU.
+        end_on_goal: whether reaching the goal ends the episode, instead of a new goal being set.
+        task: thresholds of the task.
+        heading_gains: of the heading PID.
+
+    Raises:
+        ValueError: for an unknown world, backend or robot, fewer beams than points, or a number out of its range.
+
+    Example:
+        >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0)
+        >>> env.rollout(3)["lidar"].shape
+        torch.Size([2, 3, 32])
+    """
+
+    batch_locked = True
+
+    def __init__(
+        self,
+        size: tuple[int, int] = (64, 64),
+        length: int = 2000,
+        scan_topic: str = "/scan",
+        imu_topic: str = "/imu/data",
+        cmd_vel_topic: str = "/cmd_vel",
+        camera_topic: str = "/camera/image_raw",
+        world_n: str | World | Sequence[str | World] = "inspect",
+        connection_check_timeout: float = 30,
+        lidar_points: int = 32,
+        max_lidar_range: float = 12.0,
+        *,
+        num_envs: int = 1,
+        backend: str = "bullet",
+        robot: str | Robot = "rover_zero",
+        lidar_beams: int = 128,
+        seed: int | None = None,
+        device: torch.device | str | None = None,
+        end_on_goal: bool = False,
+        task: TaskConfig | None = None,
+        heading_gains: HeadingGains | None = None,
+    ) -> None:
+        _require_count("num_envs", num_envs)
+        _require_count("length", length)
+        super().__init__(device=device, batch_size=torch.Size([num_envs]))
+        self._tensor_device = torch.device("cpu") if self.device is None else self.device
+        self.size = size
+        self.length = length
+        self.num_envs = num_envs
+        self.topics = {"scan": scan_topic, "imu": imu_topic, "cmd_vel": cmd_vel_topic, "camera": camera_topic}
+        self.connection_check_timeout = connection_check_timeout
+        self.end_on_goal = end_on_goal
+        self.task = task or TaskConfig()
+        self.robot = get_robot(robot)
+        self.worlds = _assign_rows(world_n, num_envs)
+        self.lidar = LidarPooling(lidar_beams, lidar_points, max_lidar_range, self._tensor_device)
+        self.simulator: Simulator = make_simulator(
+            backend, worlds=self.worlds, robot=self.robot, lidar_beams=lidar_beams
+        )
+        self.placement = Placement(self.worlds, self.robot, self.task.min_goal_distance, self._tensor_device)
+        self.controller = HeadingController(num_envs, heading_gains, self._tensor_device)
+        self._make_specs()
+        self._history = PositionHistory(num_envs, self.task.stuck_window, self._tensor_device)
+        self._task_state = TaskState.zeros(num_envs, self._tensor_device)
+        self._started = False
+        self.is_closed = False
+        self.set_seed(secrets.randbits(31) if seed is None else seed)
+
+    @property
+    def goal(self) -> Tensor:
+        """Where each row's goal is, ``[N, 2]``, m."""
+        return self._task_state.goal.clone()
+
+    @property
+    def rover_state(self) -> RoverState:
+        """What the simulator last told of every rover, unclipped."""
+        self._require_started("rover_state")
+        return self._rover
+
+    def render(self, row: int = 0, view: View = "chase", width: int = 640, height: int = 480) -> Tensor:
+        """A picture of one rover and its goal, from behind (``"chase"``) or above (``"top"``): uint8 ``[height, width, 3]``."""
+        self._require_started("render")
+        if not 0 <= row < self.num_envs:
+            raise ValueError(f"row must be between 0 and {self.num_envs - 1}, got {row}")
+        return self.simulator.render(row, view, width, height, self._task_state.goal[row])
+
+    def close(self, *, raise_if_closed: bool = False) -> None:
+        """Closes the simulator; may be called again."""
+        self.simulator.close()
+        super().close(raise_if_closed=raise_if_closed)
+
+    def to(self, device: torch.device | str) -> RoverEnv:
+        """Stays where it is: the task's device is chosen at construction.
+
+        Raises:
+            ValueError: for another device than the one the task lives on.
+        """
+        if torch.device(device) != self._tensor_device:
+            raise ValueError(f"the task lives on {self._tensor_device}; build RoverEnv(device={str(device)!r}) instead")
+        return self
+
+    def _make_specs(self) -> None:
+        rows, device = self.num_envs, self.device
+        self.observation_spec = specs.observation_spec(self.lidar.points, self.lidar.max_range, rows, device)
+        self.action_spec = specs.bounded_spec(specs.ACTION, rows, device)
+        self.reward_spec = specs.reward_spec(rows, device)
+        self.full_done_spec = specs.done_spec(rows, device)
+        bounds = specs.observation_bounds(self.lidar.points, self.lidar.max_range)
+        self._clip = {
+            key: tuple(torch.tensor(side, device=self._tensor_device) for side in (bounds[key].low, bounds[key].high))
+            for key in ("pose", "target", "velocities")
+        }
+        self._action_clip = tuple(
+            torch.tensor(side, device=self._tensor_device) for side in (specs.ACTION.low, specs.ACTION.high)
+        )
+
+    def _set_seed(self, seed: int | None) -> None:
+        self._row_keys = row_keys(secrets.randbits(31) if seed is None else seed, self.num_envs, self._tensor_device)
+        self._episode = torch.zeros_like(self._row_keys)
+        self._keys = self._row_keys
+
+    def _reset(
+        self,
+        tensordict: TensorDictBase | None = None,
+        *,
+        start: Tensor | None = None,
+        goal: Tensor | None = None,
+        **_: Any,
+    ) -> TensorDictBase:
+        self._require_open("reset")
+        mask = self._reset_mask(tensordict)
+        start = self._given("start", start, tensordict, 3)
+        goal = self._given("goal", goal, tensordict, 2)
+        self._episode = self._episode + mask
+        self._keys = torch.where(mask, episode_keys(self._row_keys, self._episode), self._keys)
+
+        poses = self.placement.draw_start(self._keys) if start is None else start
+        device = self.simulator.device
+        self._receive(self.simulator.reset(mask.squeeze(-1).to(device), poses.to(device)))
+        self.controller.reset(mask)
+        self._set_targets(mask, goal)
+        self._started = True
+        zeros = torch.zeros(self.num_envs, len(EVENTS), dtype=torch.bool, device=self._tensor_device)
+        self._outcome = self._pack_outcome(
+            zeros, phase=torch.full_like(self._keys, Phase.NONE), progress=torch.zeros_like(self._yaw)
+        )
+        done = torch.zeros_like(mask)
+        # Fresh tensors for all rows: EnvBase keeps what the rows that were not reset had.
+        return self._pack(
+            self._observation(), outcome=self._outcome, done=done, terminated=done.clone(), truncated=done.clone()
+        )
+
+    def _set_targets(self, mask: Tensor, goal: Tensor | None) -> None:
+        """Sets the goals of freshly reset rows, and their counters to zero."""
+        none = torch.zeros_like(self._keys)
+        if goal is None:
+            goal = self.placement.draw_goal(self._keys, none, self._position)
+        fresh = TaskState(
+            goal=goal,
+            target=target_info(self._position, self._yaw, goal),
+            goals=none + 1,
+            collision_steps=none,
+            steps=none,
+            total_steps=self._task_state.total_steps,
+        )
+        self._task_state = fresh.merge(mask, self._task_state)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        self._require_open("step")
+        self._require_started("step")
+        active = tensordict.get("_step", None)
+        active = None if active is None else active.reshape(self.num_envs, 1)
+        action, invalid = self._checked(tensordict.get("action"))
+
+        heading = self._yaw + action[:, 1:]
+        turn = self.controller(heading, self._yaw, self._rover.dt, active)
+        command = torch.cat((action[:, :1], turn), -1).masked_fill(invalid, 0.0)
+        device = self.simulator.device
+        rows = None if active is None else active.squeeze(-1).to(device)
+        self._receive(self.simulator.step(command.to(device), rows))
+
+        self._advance(invalid, active)
+        reached = self._outcome.get("goal_reached")
+        terminated = self._outcome.get("phase") < Phase.GOAL
+        if self.end_on_goal:
+            terminated = terminated | reached
+        truncated = (self._task_state.steps >= self.length) & ~terminated
+        reward = reached.to(torch.float32)
+        if active is not None:
+            terminated = torch.where(active, terminated, self._terminated)
+            truncated = torch.where(active, truncated, self._truncated)
+            reward = reward * active
+        self._terminated, self._truncated = terminated, truncated
+        return self._pack(
+            self._observation(),
+            outcome=self._outcome,
+            reward=reward,
+            done=terminated | truncated,
+            terminated=terminated,
+            truncated=truncated,
+        )
+
+    def _receive(self, rover: RoverState) -> None:
+        """Takes in a state of the simulator, and what is derived from it."""
+        if rover.device is not None and rover.device != self._tensor_device:
+            rover = rover.to(self._tensor_device)
+        self._rover = rover
+        self._euler = quaternion_to_euler(rover.orientation)
+        self._yaw = self._euler[:, 2:]
+        self._position = rover.position[:, :2]
+        self._readings = self.lidar(rover.ranges)
+
+    def _advance(self, invalid: Tensor, active: Tensor | None) -> None:
+        """Judges the step that the simulator has just made: the outcome, the next targets and the counters."""
+        before = self._task_state
+        nearest = self._readings.amin(-1, keepdim=True)
+        steps = before.steps + 1
+        collision = nearest < self.task.collision_threshold
+        collision_steps = (before.collision_steps + 1) * collision
+        target = target_info(self._position, self._yaw, before.goal)
+        events, phase = judge(
+            position=self._position,
+            tilt=self._euler[:, :2],
+            nearest=nearest,
+            distance=target[:, :1],
+            displacement=self._history.displacement(self._position, steps, active),
+            collision_steps=collision_steps,
+            invalid=invalid,
+            bounds=(self.placement.bounds_low, self.placement.bounds_high),
+            config=self.task,
+        )
+        after = TaskState(
+            goal=before.goal,
+            target=target,
+            goals=before.goals,
+            collision_steps=collision_steps,
+            steps=steps,
+            total_steps=before.total_steps + 1,
+        )
+        progress, alignment = before.target[:, :1] - target[:, :1], heading_alignment(target[:, 1:])
+        if not self.end_on_goal:
+            after = self._next_goals(after, phase == Phase.GOAL)
+        if active is None:
+            self._task_state = after
+            self._outcome = self._pack_outcome(events, phase=phase, progress=progress, alignment=alignment)
+        else:
+            self._task_state = after.merge(active, before)
+            new = self._pack_outcome(events, phase=phase, progress=progress, alignment=alignment)
+            self._outcome = new.where(active.squeeze(-1), self._outcome)
+            self._outcome.set("phase", phase.masked_fill(~active, Phase.NONE))
+
+    def _next_goals(self, state: TaskState, reached: Tensor) -> TaskState:
+        """Gives the rows that reached their goal a new one, from which progress counts anew."""
+        # On the host a look is cheap and mostly spares the rest; on an accelerator it would wait for the device.
+        if reached.device.type == "cpu" and not reached.any():
+            return state
+        drawn = self.placement.draw_goal(self._keys, state.goals, self._position)
+        goal = torch.where(reached, drawn, state.goal)
+        return replace(
+            state, goal=goal, target=target_info(self._position, self._yaw, goal), goals=state.goals + reached
+        )
+
+    def _pack_outcome(
+        self, events: Tensor, *, phase: Tensor, progress: Tensor, alignment: Tensor | None = None
+    ) -> TensorDict:
+        if alignment is None:
+            alignment = heading_alignment(self._task_state.target[:, 1:])
+        return pack_outcome(
+            events,
+            phase=phase,
+            progress=progress,
+            alignment=alignment,
+            linear_velocity=self._rover.linear_velocity,
+            angular_velocity=self._rover.angular_velocity,
+            steps=self._task_state.steps,
+            total_steps=self._task_state.total_steps,
+        )
+
+    def _observation(self) -> dict[str, Tensor]:
+        velocities = torch.cat((self._rover.linear_velocity, self._rover.angular_velocity), -1)
+        roll, pitch, yaw = self._euler.split(1, -1)
+        return {
+            "lidar": self._readings,
+            "pose": torch.clamp(self._rover.position, *self._clip["pose"]),
+            "imu": torch.cat((pitch, roll, yaw), -1),
+            "target": torch.clamp(self._task_state.target, *self._clip["target"]),
+            "velocities": torch.clamp(velocities, *self._clip["velocities"]),
+        }
+
+    def _pack(self, observation: dict[str, Tensor], **entries: Any) -> TensorDict:
+        return TensorDict._new_unsafe({**observation, **entries}, batch_size=self.batch_size, device=self.device)
+
+    def _checked(self, action: Tensor) -> tuple[Tensor, Tensor]:
+        """The action clipped to its bounds, and which rows (bool ``[N, 1]``) were not finite.
+
+        On the host those raise; on an accelerator they are flagged, because looking would wait for the device.
+        """
+        if action.shape != (self.num_envs, 2):
+            raise ValueError(f"action must have shape {(self.num_envs, 2)}, got {tuple(action.shape)}")
+        invalid = ~torch.isfinite(action).all(-1, keepdim=True)
+        if action.device.type == "cpu" and invalid.any():
+            rows = invalid.squeeze(-1).nonzero().squeeze(-1).tolist()
+            raise ValueError(f"action must be finite numbers, got NaN or infinity in rows {rows}")
+        return torch.clamp(action, *self._action_clip), invalid
+
+    def _reset_mask(self, tensordict: TensorDictBase | None) -> Tensor:
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        if mask is None:
+            return torch.ones(self.num_envs, 1, dtype=torch.bool, device=self._tensor_device)
+        return mask.reshape(self.num_envs, 1)
+
+    def _given(
+        self, key: str, value: Tensor | None, tensordict: TensorDictBase | None, width: int
+    ) -> Tensor | None:
+        """A start or goal that the caller gives, checked."""
+        if value is None and tensordict is not None:
+            value = tensordict.get(key, None)
+        if value is None:
+            return None
+        value = torch.as_tensor(value, dtype=torch.float32, device=self._tensor_device)
+        if value.shape != (self.num_envs, width) or not torch.isfinite(value).all():
+            raise ValueError(
+                f"{key} must be finite numbers of shape {(self.num_envs, width)}, got shape {tuple(value.shape)}"
+            )
+        return value
+
+    def _require_open(self, what: str) -> None:
+        if self.is_closed:
+            raise RuntimeError(f"{what}() was called on a closed RoverEnv; make a new one")
+
+    def _require_started(self, what: str) -> None:
+        if not self._started:
+            raise RuntimeError(f"{what} needs a running episode; call reset() first")
+
+
+def _assign_rows(world_n: str | World | Sequence[str | World], num_envs: int) -> list[World]:
+    """The world of each row: the given ones in equal blocks."""
+    names = [world_n] if isinstance(world_n, (str, World)) else list(world_n)
+    if not 1 <= len(names) <= num_envs:
+        raise ValueError(f"world_n must give between 1 and num_envs={num_envs} worlds, got {len(names)}")
+    worlds = [get_world(name) for name in names]
+    return [worlds[row * len(worlds) // num_envs] for row in range(num_envs)]
+
+
+def _require_count(name: str, value: int) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+        raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}")

@@ -1,0 +1,117 @@
+"""Pictures of a rover in its world, by Bullet's software renderer: no display and no GPU needed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rover_rl.sims.base import View
+from rover_rl.sims.bullet.geometry import terrain_strips
+from rover_rl.sims.bullet.library import pybullet
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.worlds import World
+
+_GROUND = (0.62, 0.56, 0.48, 1.0)
+_OBSTACLE = (0.45, 0.52, 0.60, 1.0)
+_GOAL = (0.10, 0.75, 0.25, 1.0)
+
+
+class Renderer:
+    """A client of its own with what can be seen: the physics carries no pictures along.
+
+    Args:
+        world: what is around the rover.
+        robot: the rover.
+    """
+
+    def __init__(self, world: World, robot: Robot) -> None:
+        self.client = pybullet.connect(pybullet.DIRECT)
+        self._world = world
+        self._add_scenery()
+        self._rover = pybullet.loadURDF(str(robot.urdf), physicsClientId=self.client)
+        info = pybullet.getDynamicsInfo(self._rover, -1, physicsClientId=self.client)
+        self._inertial = info[3], info[4]
+        post = pybullet.createVisualShape(
+            pybullet.GEOM_CYLINDER, radius=0.08, length=1.2, rgbaColor=_GOAL, physicsClientId=self.client
+        )
+        self._goal = pybullet.createMultiBody(0, -1, post, physicsClientId=self.client)
+
+    def picture(
+        self,
+        position: np.ndarray,
+        orientation: np.ndarray,
+        view: View,
+        width: int,
+        height: int,
+        goal: list[float] | None,
+    ) -> Tensor:
+        """What a camera behind (``"chase"``) or high above (``"top"``) the rover sees: uint8 ``[height, width, 3]``.
+
+        Raises:
+            ValueError: for another view.
+        """
+        if view not in ("chase", "top"):
+            raise ValueError(f"unknown view {view!r}; use 'chase' or 'top'")
+        self._pose(position, orientation, goal)
+        eye, target, up = _camera(position, orientation, view)
+        _, _, rgba, _, _ = pybullet.getCameraImage(
+            width,
+            height,
+            pybullet.computeViewMatrix(eye, target, up),
+            pybullet.computeProjectionMatrixFOV(60, width / height, 0.05, 60),
+            lightDirection=(-3, 2, 6),
+            shadow=1,
+            renderer=pybullet.ER_TINY_RENDERER,
+            physicsClientId=self.client,
+        )
+        pixels = np.asarray(rgba, dtype=np.uint8).reshape(height, width, 4)[:, :, :3]
+        return torch.from_numpy(pixels.copy())
+
+    def _pose(self, position: np.ndarray, orientation: np.ndarray, goal: list[float] | None) -> None:
+        center = pybullet.multiplyTransforms(position.tolist(), orientation.tolist(), *self._inertial)
+        pybullet.resetBasePositionAndOrientation(self._rover, *center, physicsClientId=self.client)
+        below = (0.0, 0.0, -1e3)
+        place = below
+        if goal is not None:
+            ground = self._world.height_at(torch.tensor(goal, dtype=torch.float64)).item()
+            place = (goal[0], goal[1], ground + 0.6)
+        pybullet.resetBasePositionAndOrientation(self._goal, place, (0, 0, 0, 1), physicsClientId=self.client)
+
+    def _add_scenery(self) -> None:
+        terrain = self._world.terrain
+        for strip in terrain_strips(terrain):
+            self._add_mesh(*terrain.mesh(strip), colour=_GROUND)
+        for obstacle in self._world.obstacles:
+            # Corners of their own for every face give the flat shading of a solid with edges.
+            corners = obstacle.vertices[obstacle.faces.flatten()]
+            self._add_mesh(corners, torch.arange(len(corners)).reshape(-1, 3), colour=_OBSTACLE)
+
+    def _add_mesh(self, vertices: Tensor, faces: Tensor, colour: tuple[float, float, float, float]) -> None:
+        a, b, c = (vertices[faces[:, k]] for k in range(3))
+        flat = torch.linalg.cross(b - a, c - a)
+        normals = torch.zeros_like(vertices)
+        for k in range(3):
+            normals.index_add_(0, faces[:, k], flat)
+        normals = normals / normals.norm(dim=-1, keepdim=True)
+        shape = pybullet.createVisualShape(
+            pybullet.GEOM_MESH,
+            vertices=vertices.tolist(),
+            indices=faces.flatten().tolist(),
+            normals=normals.tolist(),
+            rgbaColor=colour,
+            physicsClientId=self.client,
+        )
+        pybullet.createMultiBody(0, -1, shape, physicsClientId=self.client)
+
+
+def _camera(position: np.ndarray, orientation: np.ndarray, view: View) -> tuple[list[float], list[float], list[float]]:
+    """Eye, target and up direction of the camera."""
+    if view == "top":
+        return (position + (0, 0, 12)).tolist(), position.tolist(), [0, 1, 0]
+    yaw = pybullet.getEulerFromQuaternion(orientation.tolist())[2]
+    behind = np.array((-2.2 * math.cos(yaw), -2.2 * math.sin(yaw), 1.3))
+    ahead = np.array((0.8 * math.cos(yaw), 0.8 * math.sin(yaw), 0.15))
+    return (position + behind).tolist(), (position + ahead).tolist(), [0, 0, 1]

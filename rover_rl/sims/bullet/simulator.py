@@ -1,0 +1,154 @@
+"""The Bullet backend: batched rovers in one or several worlds behind the :class:`Simulator` seam."""
+
+from __future__ import annotations
+
+import math
+import weakref
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rover_rl.sims.base import RoverState, View
+from rover_rl.sims.bullet.library import pybullet
+from rover_rl.sims.bullet.lidar import Lidar
+from rover_rl.sims.bullet.physics import RoverPhysics
+from rover_rl.sims.bullet.render import Renderer
+from rover_rl.sims.bullet.settings import BulletSettings
+from rover_rl.sims.drive import ramp, wheel_odometry, wheel_speeds
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.rotations import matrix_to_quaternion
+from rover_rl.sims.worlds import World, rest_on_ground
+
+
+class BulletSimulator:
+    """Rovers in PyBullet: one pair of clients a world, one for the physics of its rovers and one for their lidar rays.
+
+    Args:
+        worlds: the world of each rover. Rovers of the same world share its clients, and do not notice.
+        robot: the rover.
+        lidar_beams: beams of a scan, spread evenly over the full turn from straight ahead counter-clockwise.
+        settings: of the physics.
+    """
+
+    def __init__(
+        self,
+        worlds: Sequence[World],
+        robot: Robot,
+        lidar_beams: int,
+        settings: BulletSettings | None = None,
+    ) -> None:
+        self.num_envs = len(worlds)
+        self.device = torch.device("cpu")
+        self.ray_angles = torch.arange(lidar_beams, dtype=torch.float32) * (2 * math.pi / lidar_beams)
+        self.settings = settings or BulletSettings()
+        self._worlds = tuple(worlds)
+        self._robot = robot
+        self._renderers: dict[int, Renderer] = {}
+        self._clients: list[int] = []
+        self._finalizer = weakref.finalize(self, _disconnect, self._clients)
+        angles = np.arange(lidar_beams) * (2 * math.pi / lidar_beams)
+        self._places: list[_Place] = []
+        for world in dict.fromkeys(worlds):
+            rows = np.flatnonzero([w is world for w in worlds])
+            physics = RoverPhysics(world, robot, len(rows), self.settings)
+            self._clients.append(physics.client)
+            lidar = Lidar(world, robot, angles)
+            self._clients.append(lidar.client)
+            self._places.append(_Place(world, rows, physics, lidar))
+
+        count = self.num_envs
+        self._position = np.zeros((count, 3))
+        self._orientation = np.tile((0.0, 0.0, 0.0, 1.0), (count, 1))
+        self._speeds = np.zeros((count, 2))
+        self._ranges = np.full((count, lidar_beams), np.inf)
+        self._twist = torch.zeros(count, 2)
+        self._stamp = torch.zeros(count, 1, dtype=torch.float64)
+        self.reset(torch.ones(count, dtype=torch.bool), torch.zeros(count, 3))
+
+    def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
+        """Puts the rovers of ``mask`` on the ground at ``poses``: see :meth:`Simulator.reset`."""
+        for place in self._places:
+            local = np.flatnonzero(mask.numpy()[place.rows])
+            if not len(local):
+                continue
+            rows = place.rows[local]
+            position, rotation = rest_on_ground(place.world, self._robot, poses[torch.from_numpy(rows)])
+            place.physics.place(local.tolist(), position.numpy(), matrix_to_quaternion(rotation).numpy())
+            self._read(place, local)
+        self._twist = torch.where(mask[:, None], torch.zeros_like(self._twist), self._twist)
+        return self.state()
+
+    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
+        """Drives one control step of ``substeps`` physics steps: see :meth:`Simulator.step`."""
+        dt = self.settings.control_dt
+        twist = ramp(self._twist, commands, self._robot, dt)
+        # The motors hold the mean of the ramp, so that the way driven is that of the limited acceleration.
+        speeds = wheel_speeds((self._twist + twist) / 2, self._robot).tolist()
+        if active is None:
+            self._twist = twist
+            self._stamp = self._stamp + dt
+        else:
+            self._twist = torch.where(active[:, None], twist, self._twist)
+            self._stamp = torch.where(active[:, None], self._stamp + dt, self._stamp)
+        for place in self._places:
+            held = [] if active is None else np.flatnonzero(~active.numpy()[place.rows]).tolist()
+            place.physics.step([speeds[row] for row in place.rows.tolist()], held)
+            self._read(place, place.all if not held else np.setdiff1d(place.all, held))
+        return self.state()
+
+    def state(self) -> RoverState:
+        """The present state, in tensors of its own."""
+        speeds = torch.from_numpy(self._speeds).float()
+        linear, angular = wheel_odometry(speeds[:, :1], speeds[:, 1:], self._robot)
+        return RoverState.pack(
+            position=torch.from_numpy(self._position).float(),
+            orientation=torch.from_numpy(self._orientation).float(),
+            linear_velocity=linear,
+            angular_velocity=angular,
+            ranges=torch.from_numpy(self._ranges).float(),
+            dt=torch.full((self.num_envs, 1), self.settings.control_dt),
+            stamp=self._stamp,
+        )
+
+    def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
+        """A picture by Bullet's own software renderer: see :meth:`Simulator.render`."""
+        index = next(k for k, place in enumerate(self._places) if row in place.rows)
+        if index not in self._renderers:
+            self._renderers[index] = Renderer(self._places[index].world, self._robot)
+            self._clients.append(self._renderers[index].client)
+        return self._renderers[index].picture(
+            self._position[row], self._orientation[row], view, width, height, None if goal is None else goal.tolist()
+        )
+
+    def close(self) -> None:
+        """Disconnects every client; may be called again."""
+        self._finalizer()
+
+    def _read(self, place: _Place, local: np.ndarray) -> None:
+        """Reads rovers of one place and scans for them; ``local`` counts within the place."""
+        if not len(local):
+            return
+        rows = place.rows[local]
+        position, orientation, speeds = place.physics.read(local.tolist())
+        self._position[rows], self._orientation[rows], self._speeds[rows] = position, orientation, speeds
+        self._ranges[rows] = place.lidar.scan(position, orientation)
+
+
+class _Place:
+    """One world with its clients, and the rows of the batch that are in it."""
+
+    def __init__(self, world: World, rows: np.ndarray, physics: RoverPhysics, lidar: Lidar) -> None:
+        self.world = world
+        self.rows = rows
+        self.all = np.arange(len(rows))
+        self.physics = physics
+        self.lidar = lidar
+
+
+def _disconnect(clients: list[int]) -> None:
+    while clients:
+        client = clients.pop()
+        if pybullet.isConnected(client):
+            pybullet.disconnect(client)

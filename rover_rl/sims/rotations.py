@@ -1,0 +1,71 @@
+"""Rotations: quaternions (x, y, z, w), matrices and Euler angles, batched in torch.
+
+Rows never influence one another to the last bit: :func:`torch.atan2` rounds differently in its vectorised body and in the
+tail of a contiguous tensor, so :func:`angle_of` feeds it strided columns, for which it has one path.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+
+def angle_of(vectors: Tensor) -> Tensor:
+    """Angle of ``vectors [..., 2]`` from the x axis: ``[...]``, rad, in [-pi, pi]."""
+    vectors = vectors.contiguous()
+    return torch.atan2(vectors[..., 1], vectors[..., 0])
+
+
+def wrap_angle(angle: Tensor) -> Tensor:
+    """``angle`` (rad) brought into (-pi, pi], as ``atan2(sin(angle), cos(angle))``."""
+    return math.pi - torch.remainder(math.pi - angle, 2 * math.pi)
+
+
+def quaternion_to_euler(quaternion: Tensor) -> Tensor:
+    """Roll, pitch, yaw (rad, ``[..., 3]``) of unit quaternions ``[..., 4]``, as transforms3d's ``quat2euler(axes='sxyz')``."""
+    y, w = quaternion[..., 1:2], quaternion[..., 3:4]
+    xz = quaternion[..., 0:3:2]
+    zx = xz.flip(-1)
+    # Half the sine and cosine parts of roll (first) and yaw (second).
+    sines = torch.addcmul(w * xz, y, zx)
+    cosines = 0.5 - torch.addcmul(xz * xz, y, y)
+    roll_yaw = angle_of(torch.stack((cosines, sines), -1))
+    half_sine = torch.addcmul(w * y, zx[..., :1], xz[..., :1], value=-1)
+    pitch = torch.asin((2 * half_sine).clamp(-1, 1))
+    return torch.cat((roll_yaw[..., :1], pitch, roll_yaw[..., 1:]), -1)
+
+
+def matrix_to_quaternion(matrix: Tensor) -> Tensor:
+    """Unit quaternions ``[..., 4]`` (w >= 0) of rotation matrices ``[..., 3, 3]``."""
+    m = matrix
+    trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
+    squares = torch.stack([1 + 2 * m[..., k, k] - trace for k in range(3)] + [1 + trace], -1)
+    # Each candidate is the quaternion times one of its own components; the largest is the safe one to divide by.
+    xy, xz, yz = (m[..., i, j] + m[..., j, i] for i, j in ((0, 1), (0, 2), (1, 2)))
+    xw, yw, zw = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    xx, yy, zz, ww = squares.unbind(-1)
+    candidates = torch.stack(
+        [torch.stack(row, -1) for row in ((xx, xy, xz, xw), (xy, yy, yz, yw), (xz, yz, zz, zw), (xw, yw, zw, ww))],
+        -2,
+    )
+    best = squares.argmax(-1)[..., None, None].expand(*squares.shape[:-1], 1, 4)
+    quaternion = candidates.gather(-2, best).squeeze(-2)
+    quaternion = quaternion / quaternion.norm(dim=-1, keepdim=True)
+    return torch.where(quaternion[..., 3:] < 0, -quaternion, quaternion)
+
+
+def quaternion_product(a: Tensor, b: Tensor) -> Tensor:
+    """The rotation ``b`` followed by ``a``, both ``[..., 4]``."""
+    ax, ay, az, aw = a.unbind(-1)
+    bx, by, bz, bw = b.unbind(-1)
+    return torch.stack(
+        (
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+            aw * bw - ax * bx - ay * by - az * bz,
+        ),
+        -1,
+    )

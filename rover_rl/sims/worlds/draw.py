@@ -1,0 +1,143 @@
+"""Maps of worlds, with Matplotlib's object interface: they need no display."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import LightSource, LinearSegmentedColormap, ListedColormap, Normalize, to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.worlds.free_space import FreeSpace, free_space, overlap
+from rover_rl.sims.worlds.world import Area, World
+
+MARGIN = 3.0
+"""Metres shown around the bounds."""
+GROUND = LinearSegmentedColormap.from_list("ground", ["#4d4038", "#86694f", "#b8946a", "#d9c094", "#f1e6cb"])
+LEVEL = "#e6dcc3"
+OBSTACLE, OBSTACLE_EDGE = "#39424e", "#161a20"
+FREE, SPAWN, GOAL, BOUNDS = "#2a9d8f", "#1d4ed8", "#f97316", "#b91c1c"
+
+
+def draw_world(world: World, robot: Robot, path: str | Path | None = None, ax: Axes | None = None) -> Figure:
+    """Draws a world as a map: ground, obstacles, free space, and the areas of the task.
+
+    Args:
+        world: the place.
+        robot: the rover that the free space is for.
+        path: where to save the figure; the suffix decides on the format.
+        ax: axes to draw on; ``None`` makes a new figure.
+
+    Returns:
+        The figure.
+    """
+    view = overlap(_grown(world.bounds, MARGIN), _grown(world.terrain.extent, 0.5))
+    if ax is None:
+        width, height = (high - low for low, high in view)
+        ax = Figure(figsize=(5.2 * width / height + 1.6, 6.4), layout="constrained").add_subplot()
+    figure: Any = ax.figure
+    colors = draw_map(ax, world, view)
+    if colors is not None:
+        figure.colorbar(colors, ax=ax, label="elevation (m)", shrink=0.75, pad=0.02, extend="both")
+    _draw_free_space(ax, free_space(world, robot))
+    _outline(ax, world.bounds, edgecolor=BOUNDS, linestyle=(0, (6, 4)), linewidth=1.4)
+    _outline(ax, world.spawn_range, edgecolor=SPAWN, linewidth=2.2)
+    # Dashes, so that both areas show where they coincide.
+    _outline(ax, world.goal_range, edgecolor=GOAL, linestyle=(0, (3, 3)), linewidth=2.2)
+    ax.set_title(f"{world.name}: where {robot.name} can drive")
+    ax.legend(
+        handles=_legend(world, view),
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.09),
+        ncols=3,
+        frameon=False,
+        handlelength=1.8,
+        columnspacing=1.4,
+    )
+    if path is not None:
+        figure.savefig(path, dpi=150)
+    return figure
+
+
+def _grown(area: Area, margin: float) -> Area:
+    (x_low, x_high), (y_low, y_high) = area
+    return (x_low - margin, x_high + margin), (y_low - margin, y_high + margin)
+
+
+def draw_map(ax: Axes, world: World, area: Area | None = None) -> ScalarMappable | None:
+    """Draws ground and obstacles only, as the base of other figures.
+
+    Args:
+        ax: axes to draw on; their limits become those of ``area``.
+        world: the place.
+        area: ``((x_low, x_high), (y_low, y_high))`` in metres to show; ``None`` shows the terrain.
+
+    Returns:
+        Elevation (m) to colour, for a colour bar; ``None`` where the ground is level.
+    """
+    area = area or world.terrain.extent
+    shown = overlap(area, world.terrain.extent)
+    elevation = None
+    if world.terrain.is_flat:
+        (x, right), (y, top) = shown
+        ax.add_patch(Rectangle((x, y), right - x, top - y, facecolor=LEVEL, zorder=0))
+    else:
+        elevation = _draw_ground(ax, world, shown)
+    outlines = [obstacle.footprint.numpy() for obstacle in world.obstacles]
+    ax.add_collection(
+        PolyCollection(outlines, facecolor=OBSTACLE, edgecolor=OBSTACLE_EDGE, linewidth=0.6, zorder=3)
+    )
+    ax.set(xlim=area[0], ylim=area[1], aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    return elevation
+
+
+def _draw_ground(ax: Axes, world: World, area: Area) -> ScalarMappable:
+    """Elevation in colour, with light from the north-west."""
+    step = world.terrain.cell / 2
+    x, y = (torch.arange(low + step / 2, high, step, dtype=torch.float64) for low, high in area)
+    grid_y, grid_x = torch.meshgrid(y, x, indexing="ij")
+    heights = world.height_at(torch.stack((grid_x, grid_y), -1)).numpy()
+    # Without the few extremes, a pit in a corner does not wash out the rest.
+    norm = Normalize(*np.quantile(heights, (0.02, 0.98)))
+    light = LightSource(azdeg=315, altdeg=45)
+    # A row's index grows with y, as Matplotlib expects of the light only for an image that starts at the top.
+    image = light.shade(heights[::-1], GROUND, blend_mode="soft", vert_exag=2.5, dx=step, dy=step, norm=norm)
+    extent = (*area[0], *area[1])
+    ax.imshow(image, extent=extent, interpolation="bilinear", zorder=0)
+    return ScalarMappable(norm, GROUND)
+
+
+def _draw_free_space(ax: Axes, free: FreeSpace) -> None:
+    rows, columns = free.passable.shape
+    left, bottom = (centre - free.cell / 2 for centre in free.origin)
+    extent = (left, left + columns * free.cell, bottom, bottom + rows * free.cell)
+    passable = free.passable.numpy()
+    tint = ListedColormap([FREE])
+    ax.imshow(np.ma.masked_equal(passable, False), tint, alpha=0.12, origin="lower", extent=extent, zorder=1)
+    ax.contour(passable, levels=[0.5], colors=FREE, linewidths=0.8, origin="lower", extent=extent, zorder=2)
+
+
+def _outline(ax: Axes, area: Area, **style: Any) -> None:
+    (x, right), (y, top) = area
+    ax.add_patch(Rectangle((x, y), right - x, top - y, fill=False, zorder=4, **style))
+
+
+def _legend(world: World, view: Area) -> list[Patch | Line2D]:
+    visible = overlap(world.bounds, view) == world.bounds
+    return [
+        Patch(facecolor=OBSTACLE, edgecolor=OBSTACLE_EDGE, label="obstacle"),
+        Patch(facecolor=to_rgba(FREE, 0.2), edgecolor=FREE, label="free"),
+        Line2D([], [], color=SPAWN, linewidth=2.2, label="spawn area"),
+        Line2D([], [], color=GOAL, linewidth=2.2, linestyle=(0, (2, 1)), label="goal area"),
+        Line2D(
+            [], [], color=BOUNDS, linestyle="--", label="bounds" if visible else "bounds (beyond the map)"
+        ),
+    ]

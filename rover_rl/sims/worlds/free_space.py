@@ -1,0 +1,279 @@
+"""Where a rover can be, start and go: a grid of free cells of a world for one robot."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import torch
+from scipy.ndimage import label
+from torch import Tensor
+
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.worlds.obstacles import Obstacle
+from rover_rl.sims.worlds.placement import ground_frame
+from rover_rl.sims.worlds.world import Area, World
+
+HEADINGS = 64
+"""Bins of headings: bin k covers yaw from ``-pi + 2 pi k / 64`` to ``-pi + 2 pi (k + 1) / 64``."""
+CELL = 0.1
+"""Side of a cell in metres."""
+MAX_SLOPE = math.radians(25)
+"""Steeper ground is not passable."""
+MAX_TILT = math.radians(20)
+"""A rover does not start with a greater tilt."""
+SIGHT = 0.4
+"""Metres around the lidar that are free of obstacles where a rover starts: no reading is closer."""
+GROUND_SIGHT = 0.45
+"""Metres around the lidar within which its tilted scan does not meet the ground where a rover starts."""
+NEAR_GROUND = 0.5
+"""Obstacles count for a rover up to this height above the ground, and this far below it, in metres."""
+MIN_GOAL_DISTANCE = 1.0
+"""From each place of the task there is a goal at least this far away, in metres."""
+REACH = 1.0
+"""Metres beyond which the distance to an obstacle is not worth knowing exactly."""
+TILT_MARGIN = 0.02
+"""Metres that the lidar may move sideways because the ground tilts the rover differently within a cell."""
+CHUNK = 512
+"""Cells whose headings are checked at once; bounds the memory to some 100 MB."""
+
+
+@dataclass(frozen=True, eq=False)
+class FreeSpace:
+    """The free cells of a world. Made by :func:`free_space`.
+
+    All spawn and goal cells hang together: every goal can be reached from every start. A place is drawn as
+    the centre of a cell plus up to half a ``cell`` either way in x and in y, and a heading from anywhere in
+    its bin.
+
+    Attributes:
+        cell: side of a cell in metres.
+        origin: x, y of the centre of ``passable[0, 0]`` in metres.
+        passable: bool ``[rows, columns]``, row = y: the rover's centre may be anywhere in this cell.
+        spawn_cells: centres ``[S, 2]`` (m, float64) of the cells in which a rover may start.
+        spawn_headings: int64 ``[S, HEADINGS]``: the bins allowed in each, ascending, then the first one
+            repeated.
+        spawn_heading_counts: int64 ``[S]``: how many headings that is, 1 or more.
+        goal_cells: centres ``[G, 2]`` (m, float64) of the cells in which goals may lie.
+        goal_extremes: ``[16, 2]``: the goal cells farthest out in 16 directions (m, float64). From wherever a
+            rover starts, and from every goal, one of them is at least 1 m away.
+    """
+
+    cell: float
+    origin: tuple[float, float]
+    passable: Tensor
+    spawn_cells: Tensor
+    spawn_headings: Tensor
+    spawn_heading_counts: Tensor
+    goal_cells: Tensor
+    goal_extremes: Tensor
+
+    def contains(self, xy: Tensor) -> Tensor:
+        """Whether the rover's centre may be at points ``xy [..., 2]`` (m): bool ``[...]``."""
+        passable = self.passable.to(xy.device)
+        limits = torch.tensor(passable.shape[::-1], device=xy.device)
+        index = ((xy - torch.tensor(self.origin, dtype=xy.dtype, device=xy.device)) / self.cell + 0.5).floor()
+        inside = ((index >= 0) & (index < limits)).all(-1)
+        column, row = torch.where(inside[..., None], index, 0.0).long().unbind(-1)
+        return inside & passable[row, column]
+
+
+def free_space(world: World, robot: Robot) -> FreeSpace:
+    """Where a rover can be, start and go. Computed once for each world object and robot.
+
+    Raises:
+        ValueError: if no place to start or no goal is left, or all goals lie within 1 m.
+    """
+    known = _known.setdefault(world, {})
+    if robot not in known:
+        known[robot] = _compute(world, robot)
+    return known[robot]
+
+
+_known: WeakKeyDictionary[World, dict[Robot, FreeSpace]] = WeakKeyDictionary()
+
+
+def _compute(world: World, robot: Robot) -> FreeSpace:
+    grid = _Grid(overlap(world.bounds, world.terrain.extent))
+    clearance = _clearance(world, grid, limit=robot.radius + SIGHT + REACH)
+    passable = _passable(world, robot, grid, clearance)
+    goal, spawn = (passable & grid.within(area) for area in (world.goal_range, world.spawn_range))
+    # The connected part with the most goals; a rover that starts anywhere else could not reach them.
+    parts, count = label(passable)
+    part = parts == np.bincount(parts[goal], minlength=count + 1).argmax()
+    goal_cells, spawn_cells = grid.centres[goal & part], grid.centres[spawn & part]
+    _check_any(world, robot, "goal", goal_cells)
+
+    allowed = torch.cat(
+        [_headings(world, robot, grid, clearance, cells) for cells in spawn_cells.split(CHUNK)]
+    )
+    any_heading = allowed.any(1)
+    spawn_cells, allowed = spawn_cells[any_heading], allowed[any_heading]
+    _check_any(world, robot, "spawn", spawn_cells)
+    return FreeSpace(
+        cell=grid.cell,
+        origin=grid.origin,
+        passable=torch.from_numpy(passable),
+        spawn_cells=spawn_cells,
+        spawn_headings=_allowed_first(allowed),
+        spawn_heading_counts=allowed.sum(1),
+        goal_cells=goal_cells,
+        goal_extremes=_extremes(world, goal_cells, spawn_cells, grid.cell),
+    )
+
+
+def _check_any(world: World, robot: Robot, kind: str, cells: Tensor) -> None:
+    if len(cells) == 0:
+        area = getattr(world, f"{kind}_range")
+        raise ValueError(
+            f"world {world.name!r} has no free {kind} cell for {robot.name!r} in {kind}_range {area}"
+        )
+
+
+def _allowed_first(allowed: Tensor) -> Tensor:
+    """Indices of the true entries in each row of ``allowed [S, HEADINGS]``, then the first one repeated."""
+    order = allowed.long().argsort(dim=1, descending=True, stable=True)
+    return torch.where(torch.arange(allowed.shape[1]) < allowed.sum(1, keepdim=True), order, order[:, :1])
+
+
+def _extremes(world: World, goal_cells: Tensor, spawn_cells: Tensor, cell: float) -> Tensor:
+    """The goal cells farthest out in 16 directions: ``[16, 2]`` (m)."""
+    turn = 2 * math.pi * torch.arange(16, dtype=torch.float64) / 16
+    extremes = goal_cells[(goal_cells @ torch.stack((turn.cos(), turn.sin()))).argmax(0)]
+    farthest = torch.cdist(torch.cat((spawn_cells, goal_cells)), extremes).amax(1)
+    if farthest.min() < MIN_GOAL_DISTANCE + cell:
+        raise ValueError(
+            f"the goal cells of world {world.name!r} lie so close together that from some places none is "
+            f"{MIN_GOAL_DISTANCE} m away; goal_range is {world.goal_range}"
+        )
+    return extremes
+
+
+def overlap(a: Area, b: Area) -> Area:
+    """The area that two areas share; empty (low >= high) where they are apart."""
+    x, y = ((max(p[0], q[0]), min(p[1], q[1])) for p, q in zip(a, b, strict=True))
+    return x, y
+
+
+class _Grid:
+    """Square cells that tile an area, rows along y; at least two each way, as interpolation needs."""
+
+    def __init__(self, area: Area) -> None:
+        self.cell = CELL
+        self.area = area
+        self.x, self.y = (self._axis(*ends) for ends in area)
+        self.origin = (float(self.x[0]), float(self.y[0]))
+        self.centres = torch.from_numpy(np.stack(np.meshgrid(self.x, self.y), -1))
+        self.half_diagonal = self.cell / math.sqrt(2)
+
+    def _axis(self, low: float, high: float) -> np.ndarray:
+        count = max(2, math.floor((high - low) / self.cell + 1e-6))
+        return low + self.cell * (np.arange(count) + 0.5)
+
+    def within(self, area: Area) -> np.ndarray:
+        """Which cells lie in ``area`` as a whole: bool ``[rows, columns]``."""
+        half = self.cell / 2 - 1e-6
+        (x_low, x_high), (y_low, y_high) = area
+        in_x = (self.x - half >= x_low) & (self.x + half <= x_high)
+        in_y = (self.y - half >= y_low) & (self.y + half <= y_high)
+        return in_y[:, None] & in_x
+
+    def window(self, low: Tensor, high: Tensor) -> tuple[slice, slice]:
+        """Rows and columns of the cells whose centres lie between two corners ``[2]`` (m)."""
+        rows = slice(*np.searchsorted(self.y, (low[1], high[1])))
+        columns = slice(*np.searchsorted(self.x, (low[0], high[0])))
+        return rows, columns
+
+
+def _clearance(world: World, grid: _Grid, limit: float) -> Tensor:
+    """Distance (m) of each cell's centre to the nearest obstacle seen from above: ``[rows, columns]``.
+
+    It is 0 inside of one. Obstacles farther than ``limit`` are not looked at.
+    """
+    clearance = torch.full(grid.centres.shape[:2], limit, dtype=torch.float64)
+    for obstacle in world.obstacles:
+        outline = obstacle.footprint
+        if _near_ground(world, obstacle, outline):
+            window = grid.window(outline.amin(0) - limit, outline.amax(0) + limit)
+            clearance[window] = clearance[window].minimum(distance_to_polygon(grid.centres[window], outline))
+    return clearance
+
+
+def _near_ground(world: World, obstacle: Obstacle, outline: Tensor) -> bool:
+    """Whether some of the obstacle may be at a rover's height, judged by the box around it to be safe."""
+    low, high = outline.amin(0), outline.amax(0)
+    steps = min(200, math.ceil(float((high - low).max()) / world.terrain.cell) * 2 + 1)
+    share = torch.linspace(0, 1, steps, dtype=torch.float64)
+    ground = world.height_at(low + (high - low) * torch.cartesian_prod(share, share))
+    bottom, top = obstacle.vertices[:, 2].aminmax()
+    return bool(bottom <= ground.max() + NEAR_GROUND and top >= ground.min() - NEAR_GROUND)
+
+
+def distance_to_polygon(points: Tensor, polygon: Tensor) -> Tensor:
+    """Distance of ``points [..., 2]`` to a convex ``polygon [K, 2]``, 0 inside it: ``[...]``.
+
+    The polygon runs counter-clockwise.
+    """
+    edges = polygon.roll(-1, 0) - polygon
+    offsets = points[..., None, :] - polygon
+    along = ((offsets * edges).sum(-1) / (edges**2).sum(-1)).clamp(0, 1)
+    distance = (offsets - along[..., None] * edges).norm(dim=-1).amin(-1)
+    inside = (edges[:, 0] * offsets[..., 1] - edges[:, 1] * offsets[..., 0] >= 0).all(-1)
+    return distance.masked_fill(inside, 0.0)
+
+
+def _passable(world: World, robot: Robot, grid: _Grid, clearance: Tensor) -> np.ndarray:
+    """Cells where the rover's disc is free and the ground not too steep: bool ``[rows, columns]``."""
+    free = clearance.numpy() >= robot.radius + grid.half_diagonal
+    gentle = world.normal_at(grid.centres)[..., 2].numpy() >= math.cos(MAX_SLOPE)
+    x, y = ((low + robot.radius, high - robot.radius) for low, high in grid.area)
+    return free & gentle & grid.within((x, y))
+
+
+def _headings(world: World, robot: Robot, grid: _Grid, clearance: Tensor, cells: Tensor) -> Tensor:
+    """Which headings are good to start with in cells around ``cells [S, 2]``: bool ``[S, HEADINGS]``.
+
+    A bin is good if its two ends are; the margins cover the way between them and the whole of the cell.
+    """
+    yaws = torch.arange(HEADINGS, dtype=torch.float64) * (2 * math.pi / HEADINGS) - math.pi
+    poses = torch.cat((cells.repeat_interleave(HEADINGS, 0), yaws.repeat(len(cells))[:, None]), -1)
+    height, rotation = ground_frame(world, robot, poses)
+    lidar = torch.tensor(robot.lidar_position, dtype=torch.float64)
+    upright = rotation[:, 2, 2] >= math.cos(MAX_TILT)
+
+    half_bin = float(lidar[:2].norm()) * math.pi / HEADINGS
+    margin = grid.half_diagonal + half_bin + TILT_MARGIN
+    seen_from = poses[:, :2] + (rotation @ lidar)[:, :2]
+    clear = _interpolate(grid, clearance, seen_from) >= SIGHT + margin
+
+    # The scan's plane stays above the ground wherever the lidar, leaning any way, has it within GROUND_SIGHT.
+    reach = GROUND_SIGHT + float(lidar[:2].norm() + lidar[2] * math.sin(MAX_TILT)) + grid.half_diagonal
+    around = _disc(reach)
+    ground = world.height_at(cells[:, None] + around)
+    up = rotation[:, :, 2]
+    plane = (height + lidar[2] / up[:, 2])[:, None] - (up[:, :2] / up[:, 2:]) @ around.T
+    above = (plane.reshape(len(cells), HEADINGS, -1) > ground[:, None] + 0.02).all(-1)
+
+    good = (upright & clear).reshape(len(cells), HEADINGS) & above
+    return good & good.roll(-1, 1)
+
+
+def _disc(radius: float) -> Tensor:
+    """Points on four rings that fill a disc around the origin: ``[128, 2]`` (m)."""
+    angle = 2 * math.pi * torch.arange(32, dtype=torch.float64) / 32
+    ring = torch.stack((angle.cos(), angle.sin()), -1)
+    return (radius * torch.arange(1, 5)[:, None, None] / 4 * ring).reshape(-1, 2)
+
+
+def _interpolate(grid: _Grid, values: Tensor, xy: Tensor) -> Tensor:
+    """A field ``[rows, columns]`` known at the cells' centres, bilinear at points ``[N, 2]``: ``[N]``."""
+    rows, columns = values.shape
+    u = ((xy[:, 0] - grid.origin[0]) / grid.cell).clamp(0, columns - 1)
+    v = ((xy[:, 1] - grid.origin[1]) / grid.cell).clamp(0, rows - 1)
+    i, j = u.long().clamp(max=columns - 2), v.long().clamp(max=rows - 2)
+    u, v = u - i, v - j
+    lower = (1 - u) * values[j, i] + u * values[j, i + 1]
+    upper = (1 - u) * values[j + 1, i] + u * values[j + 1, i + 1]
+    return (1 - v) * lower + v * upper

@@ -1,0 +1,81 @@
+"""How a rover rests on the ground: its pose in space from a planar pose."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.worlds.world import World
+
+CLEARANCE = 5e-4
+"""Gap in metres left between the lowest wheel and the ground, so that nothing starts in penetration."""
+
+
+def rest_on_ground(world: World, robot: Robot, poses: Tensor) -> tuple[Tensor, Tensor]:
+    """Where the base frame is when the rover stands on the ground at planar poses.
+
+    The rover takes the plane through the ground below its wheels and is lifted until no wheel is below the
+    ground.
+
+    Args:
+        world: the place.
+        robot: the rover.
+        poses: ``[N, 3]``: x, y (m) and yaw (rad).
+
+    Returns:
+        The base frame's position ``[N, 3]`` (m) and its rotation matrix ``[N, 3, 3]`` (columns: forward,
+        left, up), in float64: a batch's numbers do not depend on its size.
+    """
+    poses = poses.double()
+    height, rotation = ground_frame(world, robot, poses)
+    position = torch.cat((poses[:, :2], height[:, None]), -1)
+    rims = position[:, None] + (rotation[:, None] @ _rims(robot, poses.device)[..., None]).squeeze(-1)
+    gaps = rims[..., 2] - world.height_at(rims[..., :2])
+    position[:, 2] += CLEARANCE - gaps.min(-1).values
+    return position, rotation
+
+
+def ground_frame(world: World, robot: Robot, poses: Tensor) -> tuple[Tensor, Tensor]:
+    """The plane through the ground below the wheels at planar poses ``[N, 3]`` (x, y in m, yaw in rad).
+
+    Returns:
+        Its height ``[N]`` (m) at x, y, and the rotation ``[N, 3, 3]`` of a rover that stands on it (columns:
+        forward, left, up), in the dtype of ``poses``.
+    """
+    wheels = torch.tensor(robot.wheel_positions, dtype=poses.dtype, device=poses.device)
+    xy, yaw = poses[:, :2], poses[:, 2]
+    ahead = torch.stack((yaw.cos(), yaw.sin()), -1)
+    left = torch.stack((-yaw.sin(), yaw.cos()), -1)
+    below = xy[:, None] + wheels[:, :1] * ahead[:, None] + wheels[:, 1:2] * left[:, None]
+    heights = world.height_at(below)
+    # Least squares: the wheels' x and y are uncorrelated, so that each slope is a regression of its own.
+    middle = wheels[:, :2].mean(0)
+    arm = wheels[:, :2] - middle
+    slopes = (heights[..., None] * arm).sum(1) / (arm**2).sum(0)
+    up = torch.cat((-slopes[:, :1] * ahead - slopes[:, 1:] * left, torch.ones_like(slopes[:, :1])), -1)
+    up = up / up.norm(dim=-1, keepdim=True)
+    forward = torch.cat((ahead, slopes[:, :1]), -1)
+    forward = forward - (forward * up).sum(-1, keepdim=True) * up
+    forward = forward / forward.norm(dim=-1, keepdim=True)
+    rotation = torch.stack((forward, torch.linalg.cross(up, forward), up), -1)
+    return heights.mean(1) - (slopes * middle).sum(-1), rotation
+
+
+def _rims(robot: Robot, device: torch.device) -> Tensor:
+    """Points on the lower half of the wheels' rims in the base frame: ``[P, 3]``."""
+    angle = torch.linspace(-1.2, 1.2, 13, dtype=torch.float64, device=device)
+    across = torch.tensor(
+        (-robot.wheel_width / 2, 0.0, robot.wheel_width / 2), dtype=torch.float64, device=device
+    )
+    arc = robot.wheel_radius * torch.stack((angle.sin(), -angle.cos()), -1)
+    rim = torch.stack(
+        (
+            arc[:, None, 0].expand(-1, 3),
+            across.expand(angle.numel(), 3),
+            arc[:, None, 1].expand(-1, 3),
+        ),
+        -1,
+    ).reshape(-1, 3)
+    hubs = torch.tensor(robot.wheel_positions, dtype=torch.float64, device=device)
+    return (hubs[:, None] + rim).reshape(-1, 3)

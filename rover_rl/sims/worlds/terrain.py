@@ -1,0 +1,133 @@
+"""The ground: heights on a regular grid, triangulated exactly as Bullet triangulates a heightfield."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Terrain:
+    """Ground heights on a regular grid.
+
+    Each cell is cut into two triangles along the diagonal from ``(i + 1, j)`` to ``(i, j + 1)``, as Bullet
+    does it; heights and normals are those of the triangles (bilinear heights are off by centimetres). Outside
+    the grid the nearest edge continues.
+
+    Args:
+        heights: heights in metres, ``[rows, columns]``, row ``j`` at ``y = origin[1] + j * cell`` and column
+            ``i`` at ``x = origin[0] + i * cell``. Anything that :func:`torch.as_tensor` takes, a NumPy array
+            for example.
+        cell: spacing of the grid in metres.
+        origin: ``(x, y)`` of ``heights[0, 0]`` in metres; ``None`` centres the grid on the origin.
+
+    Raises:
+        ValueError: for heights that are not a finite 2D grid of at least 2 x 2, or a cell that is not
+            positive.
+
+    Example:
+        >>> ramp = Terrain([[0.0, 1.0], [0.0, 1.0]], cell=10.0, origin=(0.0, 0.0))
+        >>> ramp.height_at(torch.tensor([[5.0, 2.0]]))
+        tensor([0.5000])
+    """
+
+    heights: Tensor
+    cell: float
+    origin: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        heights = torch.as_tensor(self.heights, dtype=torch.float32).contiguous()
+        if heights.ndim != 2 or min(heights.shape) < 2:
+            raise ValueError(
+                f"heights must be a grid of at least 2 x 2 values, got shape {tuple(heights.shape)}"
+            )
+        if not torch.isfinite(heights).all():
+            raise ValueError("heights must be finite numbers (metres), got NaN or infinity")
+        if not self.cell > 0:
+            raise ValueError(f"cell must be a positive length in metres, got {self.cell}")
+        rows, columns = heights.shape
+        origin = self.origin or (-(columns - 1) * self.cell / 2, -(rows - 1) * self.cell / 2)
+        object.__setattr__(self, "heights", heights)
+        object.__setattr__(self, "origin", (float(origin[0]), float(origin[1])))
+
+    @classmethod
+    def flat(cls, size: tuple[float, float] = (20.0, 20.0), height: float = 0.0) -> Terrain:
+        """Level ground around the origin, of ``size`` (x, y) metres.
+
+        Raises:
+            ValueError: for sides that are not positive multiples of 0.1 m.
+        """
+        tenths = [round(10 * side) for side in size]
+        if min(tenths) <= 0 or not all(
+            math.isclose(10 * side, n) for side, n in zip(size, tenths, strict=True)
+        ):
+            raise ValueError(f"the sides of flat ground must be positive multiples of 0.1 m, got {size}")
+        # The largest square that tiles the ground.
+        square = math.gcd(*tenths)
+        columns, rows = (n // square + 1 for n in tenths)
+        return cls(torch.full((rows, columns), float(height)), cell=square / 10)
+
+    @cached_property
+    def is_flat(self) -> bool:
+        """Whether all heights are equal, so that a simulator may use a plane."""
+        return bool((self.heights == self.heights[0, 0]).all())
+
+    @property
+    def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """``((x_low, x_high), (y_low, y_high))`` in metres."""
+        x, y = self.origin  # type: ignore[misc]
+        rows, columns = self.heights.shape
+        return (x, x + (columns - 1) * self.cell), (y, y + (rows - 1) * self.cell)
+
+    def height_at(self, xy: Tensor) -> Tensor:
+        """Height of the ground (m) at points ``xy [..., 2]``: ``[...]``, dtype and device as ``xy``."""
+        return self._plane_at(xy)[0]
+
+    def normal_at(self, xy: Tensor) -> Tensor:
+        """Unit normal of the triangle at points ``xy [..., 2]``: ``[..., 3]``, pointing up."""
+        _, slope_x, slope_y = self._plane_at(xy)
+        normal = torch.stack((-slope_x, -slope_y, torch.ones_like(slope_x)), -1)
+        return normal / normal.norm(dim=-1, keepdim=True)
+
+    def _plane_at(self, xy: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Height and slopes (dz/dx, dz/dy) of the triangle under each point."""
+        heights = self.heights.to(device=xy.device, dtype=xy.dtype)
+        rows, columns = heights.shape
+        x, y = self.origin  # type: ignore[misc]
+        u = ((xy[..., 0] - x) / self.cell).clamp(0, columns - 1)
+        v = ((xy[..., 1] - y) / self.cell).clamp(0, rows - 1)
+        # The lower limit is for NaN, which has no integer: its height is NaN, and no index runs off the grid.
+        i = u.long().clamp(0, columns - 2)
+        j = v.long().clamp(0, rows - 2)
+        u, v = u - i, v - j
+        h00, h10 = heights[j, i], heights[j, i + 1]
+        h01, h11 = heights[j + 1, i], heights[j + 1, i + 1]
+        upper = u + v > 1
+        rise_x = torch.where(upper, h11 - h01, h10 - h00)
+        rise_y = torch.where(upper, h11 - h10, h01 - h00)
+        height = torch.where(upper, h11 - (1 - u) * rise_x - (1 - v) * rise_y, h00 + u * rise_x + v * rise_y)
+        return height, rise_x / self.cell, rise_y / self.cell
+
+    def mesh(self, rows: slice = slice(None)) -> tuple[Tensor, Tensor]:
+        """The triangles: vertices ``[V, 3]`` (m, float64), indices ``[F, 3]``, counter-clockwise from above.
+
+        Args:
+            rows: which rows of the grid, to cut a large terrain into strips.
+        """
+        heights = self.heights[rows].double()
+        n_rows, n_columns = heights.shape
+        x, y = self.origin  # type: ignore[misc]
+        first = range(self.heights.shape[0])[rows][0]
+        ys = y + self.cell * torch.arange(first, first + n_rows, dtype=torch.float64)
+        xs = x + self.cell * torch.arange(n_columns, dtype=torch.float64)
+        grid_y, grid_x = torch.meshgrid(ys, xs, indexing="ij")
+        vertices = torch.stack((grid_x, grid_y, heights), -1).reshape(-1, 3)
+        index = torch.arange(n_rows * n_columns).reshape(n_rows, n_columns)
+        a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+        lower = torch.stack((a, b, c), -1).reshape(-1, 3)
+        upper = torch.stack((b, d, c), -1).reshape(-1, 3)
+        return vertices, torch.cat((lower, upper))
