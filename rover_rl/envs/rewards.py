@@ -71,8 +71,8 @@ class RewardComponent(Transform):
     phases: ClassVar[tuple[Phase, ...]] = ()
 
     @abstractmethod
-    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
-        """The component on every row, ``[N, 1]``, where it is active.
+    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor | float:
+        """The component where it is active: one number for all rows, or one a row, ``[N, 1]``.
 
         Args:
             outcome: what happened in the step.
@@ -81,7 +81,7 @@ class RewardComponent(Transform):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         outcome = next_tensordict.get("outcome")
-        value = self.value(outcome, next_tensordict) * self._active(outcome.get("phase"))
+        value = torch.where(self._active(outcome.get("phase")), self.value(outcome, next_tensordict), 0.0)
         components = next_tensordict.get("reward_components", None)
         if components is None:
             components = TensorDict._new_unsafe(
@@ -120,9 +120,9 @@ class GoalReward(RewardComponent):
         super().__init__()
         self.goal_reward = goal_reward
 
-    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
-        """The reward itself, on every row."""
-        return torch.full_like(outcome.get("progress"), self.goal_reward)
+    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> float:
+        """The reward itself."""
+        return self.goal_reward
 
 
 class ProgressReward(RewardComponent):
@@ -192,9 +192,9 @@ class CollisionPenalty(RewardComponent):
         super().__init__()
         self.collision_penalty = collision_penalty
 
-    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
-        """The penalty itself, on every row."""
-        return torch.full_like(outcome.get("progress"), self.collision_penalty)
+    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> float:
+        """The penalty itself."""
+        return self.collision_penalty
 
 
 class StuckPenalty(RewardComponent):
@@ -207,9 +207,9 @@ class StuckPenalty(RewardComponent):
         super().__init__()
         self.stuck_penalty = stuck_penalty
 
-    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
-        """The penalty itself, on every row."""
-        return torch.full_like(outcome.get("progress"), self.stuck_penalty)
+    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> float:
+        """The penalty itself."""
+        return self.stuck_penalty
 
 
 class GeneralPenalty(RewardComponent):
@@ -230,7 +230,7 @@ class GeneralPenalty(RewardComponent):
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
         """The penalty, or 0 for an early flip."""
         forgiven = (outcome.get("phase") == Phase.FLIP) & (outcome.get("steps") <= self.flip_grace_steps)
-        return torch.full_like(outcome.get("progress"), self.general_penalty).masked_fill(forgiven, 0.0)
+        return torch.where(forgiven, 0.0, self.general_penalty)
 
 
 class OutOfBoundsPenalty(RewardComponent):
@@ -243,9 +243,9 @@ class OutOfBoundsPenalty(RewardComponent):
         super().__init__()
         self.out_of_bounds_penalty = out_of_bounds_penalty
 
-    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
-        """The penalty itself, on every row."""
-        return torch.full_like(outcome.get("progress"), self.out_of_bounds_penalty)
+    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> float:
+        """The penalty itself."""
+        return self.out_of_bounds_penalty
 
 
 class TotalReward(Transform):

@@ -35,6 +35,34 @@ from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.worlds import World, get_world
 
 
+class _Now:
+    """The environment's state between two steps; a plain object, as EnvBase is a module and slow to assign to.
+
+    Attributes:
+        rover: what the simulator last told.
+        euler: roll, pitch, yaw, ``[N, 3]``, rad.
+        yaw: ``[N, 1]``, rad.
+        position: ``[N, 2]``, m.
+        readings: the pooled scan, ``[N, lidar_points]``, m.
+        task: what the task remembers.
+        outcome: what happened in the last step.
+        terminated, truncated: whether it ended the episode, bool ``[N, 1]``.
+    """
+
+    rover: RoverState
+    euler: Tensor
+    yaw: Tensor
+    position: Tensor
+    readings: Tensor
+    task: TaskState
+    outcome: TensorDict
+    terminated: Tensor
+    truncated: Tensor
+
+    def __init__(self, task: TaskState) -> None:
+        self.task = task
+
+
 class RoverEnv(EnvBase):
     """A batch of rovers that navigate to points, with lidar, IMU, odometry and pose.
 
@@ -124,7 +152,7 @@ class RoverEnv(EnvBase):
         self.controller = HeadingController(num_envs, heading_gains, self._tensor_device)
         self._make_specs()
         self._history = PositionHistory(num_envs, self.task.stuck_window, self._tensor_device)
-        self._task_state = TaskState.zeros(num_envs, self._tensor_device)
+        self._now = _Now(task=TaskState.zeros(num_envs, self._tensor_device))
         self._started = False
         self.is_closed = False
         self.set_seed(secrets.randbits(31) if seed is None else seed)
@@ -132,20 +160,20 @@ class RoverEnv(EnvBase):
     @property
     def goal(self) -> Tensor:
         """Where each row's goal is, ``[N, 2]``, m."""
-        return self._task_state.goal.clone()
+        return self._now.task.goal.clone()
 
     @property
     def rover_state(self) -> RoverState:
         """What the simulator last told of every rover, unclipped."""
         self._require_started("rover_state")
-        return self._rover
+        return self._now.rover
 
     def render(self, row: int = 0, view: View = "chase", width: int = 640, height: int = 480) -> Tensor:
         """A picture of one rover and its goal, from behind (``"chase"``) or above (``"top"``): uint8 ``[height, width, 3]``."""
         self._require_started("render")
         if not 0 <= row < self.num_envs:
             raise ValueError(f"row must be between 0 and {self.num_envs - 1}, got {row}")
-        return self.simulator.render(row, view, width, height, self._task_state.goal[row])
+        return self.simulator.render(row, view, width, height, self._now.task.goal[row])
 
     def close(self, *, raise_if_closed: bool = False) -> None:
         """Closes the simulator; may be called again."""
@@ -204,29 +232,33 @@ class RoverEnv(EnvBase):
         self._set_targets(mask, goal)
         self._started = True
         zeros = torch.zeros(self.num_envs, len(EVENTS), dtype=torch.bool, device=self._tensor_device)
-        self._outcome = self._pack_outcome(
-            zeros, phase=torch.full_like(self._keys, Phase.NONE), progress=torch.zeros_like(self._yaw)
+        self._now.outcome = self._pack_outcome(
+            zeros,
+            phase=torch.full_like(self._keys, Phase.NONE),
+            progress=torch.zeros_like(self._now.yaw),
+            alignment=heading_alignment(self._now.task.target[:, 1:]),
         )
         done = torch.zeros_like(mask)
+        self._now.terminated = self._now.truncated = done
         # Fresh tensors for all rows: EnvBase keeps what the rows that were not reset had.
         return self._pack(
-            self._observation(), outcome=self._outcome, done=done, terminated=done.clone(), truncated=done.clone()
+            self._observation(), outcome=self._now.outcome, done=done, terminated=done.clone(), truncated=done.clone()
         )
 
     def _set_targets(self, mask: Tensor, goal: Tensor | None) -> None:
         """Sets the goals of freshly reset rows, and their counters to zero."""
         none = torch.zeros_like(self._keys)
         if goal is None:
-            goal = self.placement.draw_goal(self._keys, none, self._position)
+            goal = self.placement.draw_goal(self._keys, none, self._now.position)
         fresh = TaskState(
             goal=goal,
-            target=target_info(self._position, self._yaw, goal),
+            target=target_info(self._now.position, self._now.yaw, goal),
             goals=none + 1,
             collision_steps=none,
             steps=none,
-            total_steps=self._task_state.total_steps,
+            total_steps=self._now.task.total_steps,
         )
-        self._task_state = fresh.merge(mask, self._task_state)
+        self._now.task = fresh.merge(mask, self._now.task)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         self._require_open("step")
@@ -235,28 +267,28 @@ class RoverEnv(EnvBase):
         active = None if active is None else active.reshape(self.num_envs, 1)
         action, invalid = self._checked(tensordict.get("action"))
 
-        heading = self._yaw + action[:, 1:]
-        turn = self.controller(heading, self._yaw, self._rover.dt, active)
+        heading = self._now.yaw + action[:, 1:]
+        turn = self.controller(heading, self._now.yaw, self._now.rover.dt, active)
         command = torch.cat((action[:, :1], turn), -1).masked_fill(invalid, 0.0)
         device = self.simulator.device
         rows = None if active is None else active.squeeze(-1).to(device)
         self._receive(self.simulator.step(command.to(device), rows))
 
         self._advance(invalid, active)
-        reached = self._outcome.get("goal_reached")
-        terminated = self._outcome.get("phase") < Phase.GOAL
+        reached = self._now.outcome.get("goal_reached")
+        terminated = self._now.outcome.get("phase") < Phase.GOAL
         if self.end_on_goal:
             terminated = terminated | reached
-        truncated = (self._task_state.steps >= self.length) & ~terminated
+        truncated = (self._now.task.steps >= self.length) & ~terminated
         reward = reached.to(torch.float32)
         if active is not None:
-            terminated = torch.where(active, terminated, self._terminated)
-            truncated = torch.where(active, truncated, self._truncated)
+            terminated = torch.where(active, terminated, self._now.terminated)
+            truncated = torch.where(active, truncated, self._now.truncated)
             reward = reward * active
-        self._terminated, self._truncated = terminated, truncated
+        self._now.terminated, self._now.truncated = terminated, truncated
         return self._pack(
             self._observation(),
-            outcome=self._outcome,
+            outcome=self._now.outcome,
             reward=reward,
             done=terminated | truncated,
             terminated=terminated,
@@ -267,26 +299,25 @@ class RoverEnv(EnvBase):
         """Takes in a state of the simulator, and what is derived from it."""
         if rover.device is not None and rover.device != self._tensor_device:
             rover = rover.to(self._tensor_device)
-        self._rover = rover
-        self._euler = quaternion_to_euler(rover.orientation)
-        self._yaw = self._euler[:, 2:]
-        self._position = rover.position[:, :2]
-        self._readings = self.lidar(rover.ranges)
+        now = self._now
+        now.rover = rover
+        now.euler = quaternion_to_euler(rover.orientation)
+        now.yaw = now.euler[:, 2:]
+        now.position = rover.position[:, :2]
+        now.readings = self.lidar(rover.ranges)
 
     def _advance(self, invalid: Tensor, active: Tensor | None) -> None:
         """Judges the step that the simulator has just made: the outcome, the next targets and the counters."""
-        before = self._task_state
-        nearest = self._readings.amin(-1, keepdim=True)
+        now, before = self._now, self._now.task
+        nearest = now.readings.amin(-1, keepdim=True)
         steps = before.steps + 1
-        collision = nearest < self.task.collision_threshold
-        collision_steps = (before.collision_steps + 1) * collision
-        target = target_info(self._position, self._yaw, before.goal)
+        collision_steps = (before.collision_steps + 1) * (nearest < self.task.collision_threshold)
+        target = target_info(now.position, now.yaw, before.goal)
         events, phase = judge(
-            position=self._position,
-            tilt=self._euler[:, :2],
-            nearest=nearest,
+            position=now.position,
+            tilt=now.euler[:, :2],
             distance=target[:, :1],
-            displacement=self._history.displacement(self._position, steps, active),
+            displacement=self._history.displacement(now.position, steps, active),
             collision_steps=collision_steps,
             invalid=invalid,
             bounds=(self.placement.bounds_low, self.placement.bounds_high),
@@ -300,53 +331,52 @@ class RoverEnv(EnvBase):
             steps=steps,
             total_steps=before.total_steps + 1,
         )
-        progress, alignment = before.target[:, :1] - target[:, :1], heading_alignment(target[:, 1:])
         if not self.end_on_goal:
             after = self._next_goals(after, phase == Phase.GOAL)
-        if active is None:
-            self._task_state = after
-            self._outcome = self._pack_outcome(events, phase=phase, progress=progress, alignment=alignment)
-        else:
-            self._task_state = after.merge(active, before)
-            new = self._pack_outcome(events, phase=phase, progress=progress, alignment=alignment)
-            self._outcome = new.where(active.squeeze(-1), self._outcome)
-            self._outcome.set("phase", phase.masked_fill(~active, Phase.NONE))
+        now.task = after if active is None else after.merge(active, before)
+        outcome = self._pack_outcome(
+            events,
+            phase=phase,
+            progress=before.target[:, :1] - target[:, :1],
+            alignment=heading_alignment(target[:, 1:]),
+        )
+        if active is not None:
+            outcome = outcome.where(active.squeeze(-1), now.outcome)
+            outcome.set("phase", phase.masked_fill(~active, Phase.NONE))
+        now.outcome = outcome
 
     def _next_goals(self, state: TaskState, reached: Tensor) -> TaskState:
         """Gives the rows that reached their goal a new one, from which progress counts anew."""
         # On the host a look is cheap and mostly spares the rest; on an accelerator it would wait for the device.
         if reached.device.type == "cpu" and not reached.any():
             return state
-        drawn = self.placement.draw_goal(self._keys, state.goals, self._position)
+        drawn = self.placement.draw_goal(self._keys, state.goals, self._now.position)
         goal = torch.where(reached, drawn, state.goal)
         return replace(
-            state, goal=goal, target=target_info(self._position, self._yaw, goal), goals=state.goals + reached
+            state, goal=goal, target=target_info(self._now.position, self._now.yaw, goal), goals=state.goals + reached
         )
 
-    def _pack_outcome(
-        self, events: Tensor, *, phase: Tensor, progress: Tensor, alignment: Tensor | None = None
-    ) -> TensorDict:
-        if alignment is None:
-            alignment = heading_alignment(self._task_state.target[:, 1:])
+    def _pack_outcome(self, events: Tensor, *, phase: Tensor, progress: Tensor, alignment: Tensor) -> TensorDict:
+        now = self._now
         return pack_outcome(
             events,
             phase=phase,
             progress=progress,
             alignment=alignment,
-            linear_velocity=self._rover.linear_velocity,
-            angular_velocity=self._rover.angular_velocity,
-            steps=self._task_state.steps,
-            total_steps=self._task_state.total_steps,
+            linear_velocity=now.rover.linear_velocity,
+            angular_velocity=now.rover.angular_velocity,
+            steps=now.task.steps,
+            total_steps=now.task.total_steps,
         )
 
     def _observation(self) -> dict[str, Tensor]:
-        velocities = torch.cat((self._rover.linear_velocity, self._rover.angular_velocity), -1)
-        roll, pitch, yaw = self._euler.split(1, -1)
+        velocities = torch.cat((self._now.rover.linear_velocity, self._now.rover.angular_velocity), -1)
+        roll, pitch, yaw = self._now.euler.split(1, -1)
         return {
-            "lidar": self._readings,
-            "pose": torch.clamp(self._rover.position, *self._clip["pose"]),
+            "lidar": self._now.readings,
+            "pose": torch.clamp(self._now.rover.position, *self._clip["pose"]),
             "imu": torch.cat((pitch, roll, yaw), -1),
-            "target": torch.clamp(self._task_state.target, *self._clip["target"]),
+            "target": torch.clamp(self._now.task.target, *self._clip["target"]),
             "velocities": torch.clamp(velocities, *self._clip["velocities"]),
         }
 

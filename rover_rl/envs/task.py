@@ -156,7 +156,6 @@ def judge(
     *,
     position: Tensor,
     tilt: Tensor,
-    nearest: Tensor,
     distance: Tensor,
     displacement: Tensor,
     collision_steps: Tensor,
@@ -169,7 +168,6 @@ def judge(
     Args:
         position: ``[N, 2]``, m.
         tilt: roll and pitch, ``[N, 2]``, rad.
-        nearest: the lidar's lowest reading, ``[N, 1]``, m.
         distance: to the goal, ``[N, 1]``, m.
         displacement: over the stuck window, ``[N, 1]``, m.
         collision_steps: steps in a row in collision, this one included, ``[N, 1]``.
@@ -193,9 +191,8 @@ def judge(
         -1,
     )
     goal = (distance < config.success_distance) & ~endings.any(-1, keepdim=True)
-    events = torch.cat((endings, goal, nearest < config.collision_threshold), -1)
-    otherwise = torch.ones_like(goal)
-    phase = torch.cat((events, otherwise), -1).to(torch.uint8).argmax(-1, keepdim=True)
+    events = torch.cat((endings, goal, collision_steps > 0), -1)
+    phase = torch.nn.functional.pad(events, (0, 1), value=True).to(torch.uint8).argmax(-1, keepdim=True)
     return events, phase
 
 

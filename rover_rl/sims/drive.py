@@ -8,31 +8,38 @@ from torch import Tensor
 from rover_rl.sims.robots import Robot
 
 
-def ramp(current: Tensor, command: Tensor, robot: Robot, dt: float) -> Tensor:
-    """The twist after ``dt`` seconds on the way from ``current`` to ``command`` within the acceleration limits.
+class DifferentialDrive:
+    """Kinematics and acceleration limits of a robot's drive; holds no state.
 
     Args:
-        current: twist that the drive asks for now, ``[N, 2]`` (m/s, rad/s).
-        command: twist wanted, ``[N, 2]``.
-        robot: gives the limits.
-        dt: duration in seconds.
+        robot: gives wheel radius, wheel separation and limits.
+        dt: time between two commands, s.
+        device: where commands are.
     """
-    limits = current.new_tensor((robot.max_linear_acceleration * dt, robot.max_angular_acceleration * dt))
-    return current + torch.clamp(command - current, -limits, limits)
 
+    def __init__(self, robot: Robot, dt: float, device: torch.device | str | None = None) -> None:
+        self._limit = dt * torch.tensor(
+            (robot.max_linear_acceleration, robot.max_angular_acceleration), device=device
+        )
+        half = robot.wheel_separation / 2
+        self._left_right = torch.tensor((-half, half), device=device) / robot.wheel_radius
+        self._inverse_radius = torch.tensor(1 / robot.wheel_radius, device=device)
+        self._linear = robot.wheel_radius / 2
+        self._angular = robot.wheel_radius / robot.wheel_separation
 
-def wheel_speeds(twist: Tensor, robot: Robot) -> Tensor:
-    """Speeds of the left and right wheels in rad/s, ``[N, 2]``, that drive ``twist`` ``[N, 2]`` (m/s, rad/s) without slip."""
-    half = robot.wheel_separation / 2
-    spread = twist.new_tensor((-half, half))
-    return (twist[:, :1] + twist[:, 1:] * spread) / robot.wheel_radius
+    def ramp(self, current: Tensor, command: Tensor) -> Tensor:
+        """The twist (m/s, rad/s; ``[N, 2]``) after ``dt`` on the way from ``current`` to ``command`` within the limits."""
+        return current + torch.clamp(command - current, -self._limit, self._limit)
 
+    def wheel_speeds(self, twist: Tensor) -> Tensor:
+        """Speeds of the left and right wheels (rad/s, ``[N, 2]``) that drive ``twist`` without slip."""
+        return torch.addcmul(twist[:, :1] * self._inverse_radius, twist[:, 1:], self._left_right)
 
-def wheel_odometry(left: Tensor, right: Tensor, robot: Robot) -> tuple[Tensor, Tensor]:
-    """What a differential drive reports from its wheels' speeds (rad/s): forward speed (m/s) and yaw rate (rad/s).
+    def odometry(self, wheel_speeds: Tensor) -> tuple[Tensor, Tensor]:
+        """What a differential drive reports from its wheels' speeds ``[N, 2]``: forward speed and yaw rate, ``[N, 1]`` each.
 
-    ``v = r (wR + wL) / 2`` and ``w = r (wR - wL) / separation``: the wheels' motion, not the body's, which differs
-    when they slip.
-    """
-    radius = robot.wheel_radius
-    return radius * (right + left) / 2, radius * (right - left) / robot.wheel_separation
+        ``v = r (wR + wL) / 2`` (m/s) and ``w = r (wR - wL) / separation`` (rad/s): the wheels' motion, not the body's,
+        which differs when they slip.
+        """
+        left, right = wheel_speeds[:, :1], wheel_speeds[:, 1:]
+        return self._linear * (right + left), self._angular * (right - left)

@@ -2,10 +2,27 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
+
+import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
+from torch import Tensor
 
 from rover_rl.sims.bullet.library import pybullet
-from rover_rl.sims.worlds import Terrain, World
+from rover_rl.sims.worlds import Obstacle, Terrain, World
+
+GROUND_TURN = math.pi / 8
+"""The ground's frame is turned by this about the vertical, rad, for the sake of :data:`FRICTION_AXES`."""
+
+FRICTION_AXES = ((1, 1, 1), (1, -1, 1))
+"""Scales of the friction directions in the ground's frame, in turn from one physics step to the next.
+
+Bullet bounds friction by a square along the world's axes: grip is up to sqrt(2) higher along its diagonals, and a
+skid-steer's yaw rate depends on where it faces. Mirrored in a frame turned by 22.5 degrees, the square is turned by 45;
+the mean of the two is an octagon, which is round within 8 %.
+"""
 
 MESH_CELLS = 60_000
 """Cells in one strip of a terrain's mesh: Bullet takes at most 524,288 indices a mesh."""
@@ -26,21 +43,35 @@ def add_mesh_bodies(client: int, world: World) -> None:
         faces = torch.cat([o.faces + offset for o, offset in zip(world.obstacles, offsets[:-1], strict=True)])
         meshes.append((torch.cat([o.vertices for o in world.obstacles]), faces))
     for vertices, faces in meshes:
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_MESH,
-            vertices=vertices.tolist(),
-            indices=faces.flatten().tolist(),
-            flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
-            physicsClientId=client,
+        pybullet.createMultiBody(0, _mesh_shape(client, vertices.numpy(), faces), physicsClientId=client)
+
+
+def add_ground(client: int, terrain: Terrain) -> list[int]:
+    """Adds the ground that wheels touch, as a plane or triangle meshes in a frame turned by :data:`GROUND_TURN`."""
+    turn = Rotation.from_euler("z", GROUND_TURN)
+    if terrain.is_flat:
+        shapes = [pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)]
+        height = terrain.heights[0, 0].item()
+    else:
+        # Not as a heightfield, which would stand along the axes of its body's frame.
+        shapes = []
+        for strip in terrain_strips(terrain):
+            vertices, faces = terrain.mesh(strip)
+            shapes.append(_mesh_shape(client, turn.inv().apply(vertices.numpy()), faces))
+        height = 0.0
+    return [
+        pybullet.createMultiBody(
+            0, shape, basePosition=(0, 0, height), baseOrientation=turn.as_quat().tolist(), physicsClientId=client
         )
-        pybullet.createMultiBody(0, shape, physicsClientId=client)
+        for shape in shapes
+    ]
 
 
-def add_contact_bodies(client: int, world: World) -> list[int]:
-    """Adds the ground as a plane or heightfield and every obstacle as a convex hull: what wheels touch."""
-    bodies = [_add_ground(client, world.terrain)]
-    for obstacle in world.obstacles:
-        # Corners relative to the body keep Bullet's float32 vertices precise far from the origin.
+def add_obstacles(client: int, obstacles: Iterable[Obstacle]) -> list[int]:
+    """Adds every obstacle that the rover touches as a convex hull."""
+    bodies = []
+    for obstacle in obstacles:
+        # Corners relative to the body keep their precision far from the origin.
         center = obstacle.vertices.mean(0)
         shape = pybullet.createCollisionShape(
             pybullet.GEOM_MESH, vertices=(obstacle.vertices - center).tolist(), physicsClientId=client
@@ -49,23 +80,11 @@ def add_contact_bodies(client: int, world: World) -> list[int]:
     return bodies
 
 
-def _add_ground(client: int, terrain: Terrain) -> int:
-    (x_low, x_high), (y_low, y_high) = terrain.extent
-    low, high = terrain.heights.min().item(), terrain.heights.max().item()
-    # Bullet centres a heightfield on its bounding box.
-    center = ((x_low + x_high) / 2, (y_low + y_high) / 2, (low + high) / 2)
-    if terrain.is_flat:
-        shape = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
-    else:
-        rows, columns = terrain.heights.shape
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_HEIGHTFIELD,
-            meshScale=[terrain.cell, terrain.cell, 1],
-            heightfieldData=terrain.heights.flatten().tolist(),
-            numHeightfieldRows=columns,
-            numHeightfieldColumns=rows,
-            physicsClientId=client,
-        )
-    ground = pybullet.createMultiBody(0, shape, physicsClientId=client)
-    pybullet.resetBasePositionAndOrientation(ground, center, [0, 0, 0, 1], physicsClientId=client)
-    return ground
+def _mesh_shape(client: int, vertices: np.ndarray, faces: Tensor) -> int:
+    return pybullet.createCollisionShape(
+        pybullet.GEOM_MESH,
+        vertices=vertices.tolist(),
+        indices=faces.flatten().tolist(),
+        flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
+        physicsClientId=client,
+    )

@@ -3,17 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from rover_rl.sims.bullet.geometry import add_contact_bodies
+from rover_rl.sims.bullet.geometry import FRICTION_AXES, add_ground, add_obstacles
 from rover_rl.sims.bullet.library import pybullet
 from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
+_CONJUGATE = np.array((-1.0, -1.0, -1.0, 1.0))
+
 _STATIC, _ROVERS = 1, 2
 """Collision groups: rovers touch the world and pass through one another."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Where rovers are and how their wheels turn: float64 arrays of ``k`` rows.
+
+    Attributes:
+        position: of the base frame, ``[k, 3]``, m.
+        orientation: of the base frame, ``[k, 4]``, quaternion (x, y, z, w).
+        rotation: the same as a matrix, ``[k, 3, 3]``; columns are forward, left, up.
+        wheel_speeds: mean of the left and of the right wheels, ``[k, 2]``, rad/s.
+    """
+
+    position: np.ndarray
+    orientation: np.ndarray
+    rotation: np.ndarray
+    wheel_speeds: np.ndarray
 
 
 class RoverPhysics:
@@ -31,13 +51,14 @@ class RoverPhysics:
             fixedTimeStep=settings.substep,
             numSolverIterations=settings.solver_iterations,
             solverResidualThreshold=settings.solver_residual,
-            # Bullet's implicit cone makes a skid-steer's yaw rate depend on where it faces.
+            # Bullet's implicit cone turns friction away from the slip, and halves a skid-steer's yaw rate.
             enableConeFriction=0,
             # Contacts in the same order in every run and in every company.
             deterministicOverlappingPairs=1,
             physicsClientId=client,
         )
-        for body in add_contact_bodies(client, world):
+        self._ground = add_ground(client, world.terrain)
+        for body in (*self._ground, *add_obstacles(client, world.obstacles)):
             pybullet.changeDynamics(body, -1, lateralFriction=settings.friction, physicsClientId=client)
             pybullet.setCollisionFilterGroupMask(body, -1, _STATIC, _ROVERS, physicsClientId=client)
         self._bodies = [self._load(robot) for _ in range(count)]
@@ -78,12 +99,13 @@ class RoverPhysics:
 
     def place(self, rows: Sequence[int], positions: np.ndarray, orientations: np.ndarray) -> None:
         """Puts rovers at rest at poses of their base frames: ``positions [k, 3]``, quaternions ``orientations [k, 4]``."""
-        inertial = _quaternion_product(orientations, self._inertial_orientation)
-        centers = positions + _rotate(orientations, self._inertial_position)
+        inertial = _times(orientations, self._inertial_orientation)
+        centers = positions + (_matrix(orientations) * self._inertial_position).sum(-1)
         still = [0.0] * len(self._wheels)
         for row, center, orientation in zip(rows, centers.tolist(), inertial.tolist(), strict=True):
             self._restore(row, center, orientation, [0, 0, 0], [0, 0, 0], still, still)
             self._drive(row, still)
+            self._forget_contacts(row)
 
     def step(self, speeds: list[list[float]], held: Sequence[int] = ()) -> None:
         """Steps the world through one control step.
@@ -93,30 +115,41 @@ class RoverPhysics:
             held: rows for which no time passes: they are put back to where they were.
         """
         left, right = self._sides
+        client = self.client
         before = [self._snapshot(row) for row in held]
         for row, (left_speed, right_speed) in enumerate(speeds):
             self._drive(row, [left_speed] * left + [right_speed] * right)
-        for _ in range(self._settings.substeps):
-            pybullet.stepSimulation(physicsClientId=self.client)
+        for substep in range(self._settings.substeps):
+            axes = FRICTION_AXES[substep % 2]
+            for ground in self._ground:
+                pybullet.changeDynamics(ground, -1, anisotropicFriction=axes, physicsClientId=client)
+            pybullet.stepSimulation(physicsClientId=client)
         for row, snapshot in zip(held, before, strict=True):
             self._restore(row, *snapshot)
 
-    def read(self, rows: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Base positions ``[k, 3]``, orientations ``[k, 4]`` and wheel speeds ``[k, 2]`` (left, right; rad/s) of rows."""
-        poses, speeds = [], []
+    def read(self, rows: Sequence[int]) -> Reading:
+        """Reads the rovers of ``rows``."""
+        poses: list[float] = []
+        speeds: list[float] = []
+        client, wheels = self.client, self._wheels
         for row in rows:
-            position, orientation = pybullet.getBasePositionAndOrientation(
-                self._bodies[row], physicsClientId=self.client
-            )
-            poses.append(position + orientation)
-            joints = pybullet.getJointStates(self._bodies[row], self._wheels, physicsClientId=self.client)
-            speeds.append([joint[1] for joint in joints])
-        pose = np.array(poses)
-        orientation = _quaternion_product(pose[:, 3:], self._inertial_orientation * (-1, -1, -1, 1))
-        position = pose[:, :3] - _rotate(orientation, self._inertial_position)
-        wheel = np.array(speeds)
+            body = self._bodies[row]
+            # Keyword arguments cost more than the calls; these are by position, the client last.
+            position, orientation = pybullet.getBasePositionAndOrientation(body, client)
+            poses += position
+            poses += orientation
+            speeds += [joint[1] for joint in pybullet.getJointStates(body, wheels, client)]
+        pose = np.array(poses).reshape(-1, 7)
+        wheel = np.array(speeds).reshape(len(pose), -1)
+        orientation = _times(pose[:, 3:], self._inertial_orientation * _CONJUGATE)
+        rotation = _matrix(orientation)
         left = self._sides[0]
-        return position, orientation, np.stack((wheel[:, :left].mean(1), wheel[:, left:].mean(1)), 1)
+        return Reading(
+            position=pose[:, :3] - (rotation * self._inertial_position).sum(-1),
+            orientation=orientation,
+            rotation=rotation,
+            wheel_speeds=np.stack((wheel[:, :left].mean(1), wheel[:, left:].mean(1)), 1),
+        )
 
     def contacts(self, row: int) -> int:
         """How many points of the rover's body, wheels aside, touch the world."""
@@ -131,6 +164,13 @@ class RoverPhysics:
             forces=self._forces,
             physicsClientId=self.client,
         )
+
+    def _forget_contacts(self, row: int) -> None:
+        """Drops the contacts of the row's last episode, which Bullet would keep where the new pose is near them."""
+        body, client = self._bodies[row], self.client
+        for link in range(-1, pybullet.getNumJoints(body, physicsClientId=client)):
+            # Setting the filter, even to what it is, makes Bullet find the link's overlapping pairs anew.
+            pybullet.setCollisionFilterGroupMask(body, link, _ROVERS, _STATIC, physicsClientId=client)
 
     def _snapshot(self, row: int) -> tuple:
         body, client = self._bodies[row], self.client
@@ -150,16 +190,22 @@ class RoverPhysics:
             pybullet.resetJointState(body, wheel, angle, speed, physicsClientId=client)
 
 
-def _quaternion_product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """``a`` ``[k, 4]`` times one quaternion ``b`` ``[4]``, (x, y, z, w)."""
+def _times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Quaternions ``a`` ``[k, 4]`` times one quaternion ``b`` ``[4]``, (x, y, z, w)."""
     x, y, z, w = b
-    # Right multiplication by b is linear in a.
+    # Multiplication by b from the right is linear in a.
     matrix = np.array([[w, z, -y, x], [-z, w, x, y], [y, -x, w, z], [-x, -y, -z, w]])
     return (a[:, None, :] * matrix).sum(-1)
 
 
-def _rotate(quaternions: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """One vector ``[3]`` turned by quaternions ``[k, 4]``: ``[k, 3]``."""
-    axis, scalar = quaternions[:, :3], quaternions[:, 3:]
-    twice = 2 * np.cross(axis, vector)
-    return vector + scalar * twice + np.cross(axis, twice)
+def _matrix(quaternions: np.ndarray) -> np.ndarray:
+    """Rotation matrices ``[k, 3, 3]`` of unit quaternions ``[k, 4]``."""
+    products = 2 * quaternions[:, :, None] * quaternions[:, None, :]
+    xx, yy, zz = products[:, 0, 0], products[:, 1, 1], products[:, 2, 2]
+    xy, xz, yz = products[:, 0, 1], products[:, 0, 2], products[:, 1, 2]
+    xw, yw, zw = products[:, 0, 3], products[:, 1, 3], products[:, 2, 3]
+    matrix = np.empty((len(quaternions), 3, 3))
+    matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 0, 2] = 1 - yy - zz, xy - zw, xz + yw
+    matrix[:, 1, 0], matrix[:, 1, 1], matrix[:, 1, 2] = xy + zw, 1 - xx - zz, yz - xw
+    matrix[:, 2, 0], matrix[:, 2, 1], matrix[:, 2, 2] = xz - yw, yz + xw, 1 - xx - yy
+    return matrix

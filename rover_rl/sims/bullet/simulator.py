@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import weakref
 from collections.abc import Sequence
+from itertools import groupby
 
 import numpy as np
 import torch
@@ -16,7 +17,7 @@ from rover_rl.sims.bullet.lidar import Lidar
 from rover_rl.sims.bullet.physics import RoverPhysics
 from rover_rl.sims.bullet.render import Renderer
 from rover_rl.sims.bullet.settings import BulletSettings
-from rover_rl.sims.drive import ramp, wheel_odometry, wheel_speeds
+from rover_rl.sims.drive import DifferentialDrive
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import matrix_to_quaternion
 from rover_rl.sims.worlds import World, rest_on_ground
@@ -26,7 +27,7 @@ class BulletSimulator:
     """Rovers in PyBullet: one pair of clients a world, one for the physics of its rovers and one for their lidar rays.
 
     Args:
-        worlds: the world of each rover. Rovers of the same world share its clients, and do not notice.
+        worlds: the world of each rover. Neighbours in the same world share its clients, and do not notice.
         robot: the rover.
         lidar_beams: beams of a scan, spread evenly over the full turn from straight ahead counter-clockwise.
         settings: of the physics.
@@ -43,15 +44,16 @@ class BulletSimulator:
         self.device = torch.device("cpu")
         self.ray_angles = torch.arange(lidar_beams, dtype=torch.float32) * (2 * math.pi / lidar_beams)
         self.settings = settings or BulletSettings()
-        self._worlds = tuple(worlds)
         self._robot = robot
+        self._drive = DifferentialDrive(robot, self.settings.control_dt)
+        self._dt = torch.full((self.num_envs, 1), self.settings.control_dt)
         self._renderers: dict[int, Renderer] = {}
         self._clients: list[int] = []
         self._finalizer = weakref.finalize(self, _disconnect, self._clients)
         angles = np.arange(lidar_beams) * (2 * math.pi / lidar_beams)
         self._places: list[_Place] = []
-        for world in dict.fromkeys(worlds):
-            rows = np.flatnonzero([w is world for w in worlds])
+        for world, block in groupby(range(self.num_envs), key=worlds.__getitem__):
+            rows = np.array(list(block))
             physics = RoverPhysics(world, robot, len(rows), self.settings)
             self._clients.append(physics.client)
             lidar = Lidar(world, robot, angles)
@@ -82,33 +84,30 @@ class BulletSimulator:
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         """Drives one control step of ``substeps`` physics steps: see :meth:`Simulator.step`."""
-        dt = self.settings.control_dt
-        twist = ramp(self._twist, commands, self._robot, dt)
+        twist = self._drive.ramp(self._twist, commands)
         # The motors hold the mean of the ramp, so that the way driven is that of the limited acceleration.
-        speeds = wheel_speeds((self._twist + twist) / 2, self._robot).tolist()
-        if active is None:
-            self._twist = twist
-            self._stamp = self._stamp + dt
-        else:
-            self._twist = torch.where(active[:, None], twist, self._twist)
-            self._stamp = torch.where(active[:, None], self._stamp + dt, self._stamp)
+        speeds = self._drive.wheel_speeds((self._twist + twist) * 0.5).tolist()
+        stamp = self._stamp + self.settings.control_dt
+        if active is not None:
+            twist = torch.where(active[:, None], twist, self._twist)
+            stamp = torch.where(active[:, None], stamp, self._stamp)
+        self._twist, self._stamp = twist, stamp
         for place in self._places:
             held = [] if active is None else np.flatnonzero(~active.numpy()[place.rows]).tolist()
-            place.physics.step([speeds[row] for row in place.rows.tolist()], held)
+            place.physics.step(speeds[place.block], held)
             self._read(place, place.all if not held else np.setdiff1d(place.all, held))
         return self.state()
 
     def state(self) -> RoverState:
         """The present state, in tensors of its own."""
-        speeds = torch.from_numpy(self._speeds).float()
-        linear, angular = wheel_odometry(speeds[:, :1], speeds[:, 1:], self._robot)
+        linear, angular = self._drive.odometry(torch.from_numpy(self._speeds).float())
         return RoverState.pack(
             position=torch.from_numpy(self._position).float(),
             orientation=torch.from_numpy(self._orientation).float(),
             linear_velocity=linear,
             angular_velocity=angular,
             ranges=torch.from_numpy(self._ranges).float(),
-            dt=torch.full((self.num_envs, 1), self.settings.control_dt),
+            dt=self._dt,
             stamp=self._stamp,
         )
 
@@ -130,18 +129,21 @@ class BulletSimulator:
         """Reads rovers of one place and scans for them; ``local`` counts within the place."""
         if not len(local):
             return
-        rows = place.rows[local]
-        position, orientation, speeds = place.physics.read(local.tolist())
-        self._position[rows], self._orientation[rows], self._speeds[rows] = position, orientation, speeds
-        self._ranges[rows] = place.lidar.scan(position, orientation)
+        reading = place.physics.read(local.tolist())
+        rows = place.block if len(local) == len(place.all) else place.rows[local]
+        self._position[rows] = reading.position
+        self._orientation[rows] = reading.orientation
+        self._speeds[rows] = reading.wheel_speeds
+        self._ranges[rows] = place.lidar.scan(reading.position, reading.rotation)
 
 
 class _Place:
-    """One world with its clients, and the rows of the batch that are in it."""
+    """One world with its clients, and the rows of the batch that are in it: a block of neighbours."""
 
     def __init__(self, world: World, rows: np.ndarray, physics: RoverPhysics, lidar: Lidar) -> None:
         self.world = world
         self.rows = rows
+        self.block = slice(int(rows[0]), int(rows[-1]) + 1)
         self.all = np.arange(len(rows))
         self.physics = physics
         self.lidar = lidar

@@ -140,8 +140,7 @@ def _allowed_first(allowed: Tensor) -> Tensor:
 
 def _extremes(world: World, goal_cells: Tensor, spawn_cells: Tensor, cell: float) -> Tensor:
     """The goal cells farthest out in 16 directions: ``[16, 2]`` (m)."""
-    turn = 2 * math.pi * torch.arange(16, dtype=torch.float64) / 16
-    extremes = goal_cells[(goal_cells @ torch.stack((turn.cos(), turn.sin()))).argmax(0)]
+    extremes = goal_cells[(goal_cells @ _ring(16).T).argmax(0)]
     farthest = torch.cdist(torch.cat((spawn_cells, goal_cells)), extremes).amax(1)
     if farthest.min() < MIN_GOAL_DISTANCE + cell:
         raise ValueError(
@@ -227,7 +226,10 @@ def distance_to_polygon(points: Tensor, polygon: Tensor) -> Tensor:
 def _passable(world: World, robot: Robot, grid: _Grid, clearance: Tensor) -> np.ndarray:
     """Cells where the rover's disc is free and the ground not too steep: bool ``[rows, columns]``."""
     free = clearance.numpy() >= robot.radius + grid.half_diagonal
-    gentle = world.normal_at(grid.centres)[..., 2].numpy() >= math.cos(MAX_SLOPE)
+    # Around each cell, between the directions in which the ground's triangles have their edges.
+    around = _ring(8, start=math.pi / 8) * grid.half_diagonal
+    steepest = torch.stack([world.normal_at(grid.centres + offset)[..., 2] for offset in around]).amin(0)
+    gentle = steepest.numpy() >= math.cos(MAX_SLOPE)
     x, y = ((low + robot.radius, high - robot.radius) for low, high in grid.area)
     return free & gentle & grid.within((x, y))
 
@@ -250,21 +252,20 @@ def _headings(world: World, robot: Robot, grid: _Grid, clearance: Tensor, cells:
 
     # The scan's plane stays above the ground wherever the lidar, leaning any way, has it within GROUND_SIGHT.
     reach = GROUND_SIGHT + float(lidar[:2].norm() + lidar[2] * math.sin(MAX_TILT)) + grid.half_diagonal
-    around = _disc(reach)
+    around = (reach / 4 * torch.arange(1, 5)[:, None, None] * _ring(32)).reshape(-1, 2)
     ground = world.height_at(cells[:, None] + around)
     up = rotation[:, :, 2]
     plane = (height + lidar[2] / up[:, 2])[:, None] - (up[:, :2] / up[:, 2:]) @ around.T
-    above = (plane.reshape(len(cells), HEADINGS, -1) > ground[:, None] + 0.02).all(-1)
+    above = (plane.reshape(len(cells), HEADINGS, len(around)) > ground[:, None] + 0.02).all(-1)
 
     good = (upright & clear).reshape(len(cells), HEADINGS) & above
     return good & good.roll(-1, 1)
 
 
-def _disc(radius: float) -> Tensor:
-    """Points on four rings that fill a disc around the origin: ``[128, 2]`` (m)."""
-    angle = 2 * math.pi * torch.arange(32, dtype=torch.float64) / 32
-    ring = torch.stack((angle.cos(), angle.sin()), -1)
-    return (radius * torch.arange(1, 5)[:, None, None] / 4 * ring).reshape(-1, 2)
+def _ring(count: int, start: float = 0.0) -> Tensor:
+    """Unit vectors, evenly turned from the angle ``start`` (rad): ``[count, 2]``."""
+    angle = start + 2 * math.pi * torch.arange(count, dtype=torch.float64) / count
+    return torch.stack((angle.cos(), angle.sin()), -1)
 
 
 def _interpolate(grid: _Grid, values: Tensor, xy: Tensor) -> Tensor:

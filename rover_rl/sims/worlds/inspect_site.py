@@ -33,7 +33,7 @@ WALLS = (
 )
 WALL_SIZE = (1.8, 0.3)
 SHOWN, SUNK = 0.5, 0.3
-"""Metres that walls and panel fronts rise above the highest ground below them, so that the lidar sees them, and
+"""Metres that walls and panel fronts rise over the highest ground below them, for the lidar to see them, and
 reach under the lowest."""
 
 

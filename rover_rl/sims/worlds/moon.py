@@ -21,11 +21,14 @@ FALL = 3.0
 FAR, NEAR = (-20.0, 20.0), (-4.5, 4.5)
 CRATERS = (((FAR, 14), (1.5, 4.5), (0.12, 0.26)), ((NEAR, 3), (0.9, 1.5), (0.10, 0.16)))
 """Craters: where and how many, radius (m), and depth in radii. Those of the task area can be climbed."""
-BOULDERS = ((FAR, 40), (NEAR, 9))
-BOULDER_RADIUS = (0.5, 0.85)
-"""Metres. Smaller rocks would stay below the lidar, which looks 0.32 m above the ground."""
+BOULDERS = ((NEAR, 9), (FAR, 40))
+"""Boulders: where, and how many at most."""
+RADIUS = (0.5, 0.85)
+"""Of a boulder, in metres. Smaller rocks would stay below the lidar, which looks 0.32 m above the ground."""
 GAP = 1.2
 """Metres left free between two boulders."""
+TRIES = 400
+"""Places tried for the boulders of an area."""
 
 
 def moon(seed: int = 0) -> World:
@@ -82,16 +85,14 @@ def _crater(distance: np.ndarray) -> np.ndarray:
 
 
 def _boulders(rng: np.random.Generator, terrain: Terrain) -> list[Obstacle]:
+    """Boulders at random places that keep their distance, as many of them as find one."""
     placed: list[tuple[float, float, float]] = []
-    boulders = []
     for area, count in BOULDERS:
-        wanted = len(placed) + count
-        while len(placed) < wanted:
-            x, y, radius = *rng.uniform(*area, 2), rng.uniform(*BOULDER_RADIUS)
-            if any(math.hypot(x - u, y - v) < radius + other + GAP for u, v, other in placed):
-                continue
-            placed.append((x, y, radius))
-            ground = float(terrain.height_at(torch.tensor([x, y], dtype=torch.float64)))
-            # The middle a quarter of the radius over the ground: sunk, yet high enough for the lidar.
-            boulders.append(boulder((x, y, ground + 0.25 * radius), radius, rng))
-    return boulders
+        full = len(placed) + count
+        for x, y, radius in np.column_stack((rng.uniform(*area, (TRIES, 2)), rng.uniform(*RADIUS, TRIES))):
+            apart = all(math.hypot(x - u, y - v) >= radius + other + GAP for u, v, other in placed)
+            if apart and len(placed) < full:
+                placed.append((float(x), float(y), float(radius)))
+    ground = terrain.height_at(torch.tensor(placed, dtype=torch.float64)[:, :2])
+    # The middle a quarter of the radius over the ground: sunk, yet high enough for the lidar.
+    return [boulder((x, y, z + r / 4), r, rng) for (x, y, r), z in zip(placed, ground.tolist(), strict=True)]

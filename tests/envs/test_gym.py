@@ -1,0 +1,528 @@
+from __future__ import annotations
+
+import inspect
+import math
+import warnings
+from types import SimpleNamespace as Message
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import RecordEpisodeStatistics, RecordVideo
+from torchrl.envs import CatTensors, TransformedEnv
+
+from rover_rl import GymWrapper, RewardConfig, TaskConfig, contract_reward, make_env
+from rover_rl import RoverEnv as BatchedRoverEnv
+from rover_rl.envs.gym import RoverEnv
+
+ENDINGS = ("flipped", "jammed", "out_of_bounds", "stuck", "invalid_action")
+
+
+@pytest.fixture(scope="module")
+def shared():
+    """One environment for the tests that only look, or that begin with a reset."""
+    env = RoverEnv(world_n="maze", seed=0, render_mode="rgb_array")
+    yield env
+    env.close()
+
+
+@pytest.fixture
+def env(shared):
+    shared.reset(seed=0)
+    return shared
+
+
+def make(**kwargs) -> RoverEnv:
+    return RoverEnv(world_n="maze", seed=0, **kwargs)
+
+
+def rollout(env, seed, steps):
+    rng = np.random.default_rng(1)
+    trace = [env.reset(seed=seed)]
+    for _ in range(steps):
+        trace.append(env.step(rng.uniform((-1, -math.pi), (1, math.pi)).astype(np.float32)))
+        if trace[-1][2] or trace[-1][3]:
+            trace.append(env.reset())
+    return trace
+
+
+def assert_same(a, b):
+    np.testing.assert_equal(a, b)  # dictionaries, tuples and arrays, bit for bit
+
+
+# The constructor and the spaces
+
+
+def test_the_constructor_is_the_contracts():
+    parameters = list(inspect.signature(RoverEnv).parameters.values())
+    assert [(p.name, p.default) for p in parameters[:10]] == [
+        ("size", (64, 64)),
+        ("length", 2000),
+        ("scan_topic", "/scan"),
+        ("imu_topic", "/imu/data"),
+        ("cmd_vel_topic", "/cmd_vel"),
+        ("camera_topic", "/camera/image_raw"),
+        ("world_n", "inspect"),
+        ("connection_check_timeout", 30),
+        ("lidar_points", 32),
+        ("max_lidar_range", 12.0),
+    ]
+    assert all(p.kind is p.POSITIONAL_OR_KEYWORD for p in parameters[:10])
+    assert all(p.kind is p.KEYWORD_ONLY for p in parameters[10:])
+
+
+def test_the_spaces_are_the_contracts(shared):
+    pi = np.pi
+    bounds = {
+        "lidar": (np.zeros(32), np.full(32, 12.0)),
+        "pose": ([-30.0, -30.0, -10.0], [30.0, 30.0, 10.0]),
+        "imu": ([-pi] * 3, [pi] * 3),
+        "target": ([0, -pi], [100, pi]),
+        "velocities": ([-10.0, -10.0], [10.0, 10.0]),
+    }
+    boxes = {
+        key: gymnasium.spaces.Box(np.float32(low), np.float32(high), dtype=np.float32)
+        for key, (low, high) in bounds.items()
+    }
+    assert shared.observation_space == gymnasium.spaces.Dict(boxes)
+    assert shared.action_space == gymnasium.spaces.Box(
+        np.float32([-1, -pi]), np.float32([1, pi]), dtype=np.float32
+    )
+
+
+@pytest.mark.parametrize("render_mode", [None, "rgb_array"])
+@pytest.mark.filterwarnings("ignore:.*we recommend using a symmetric and normalized space.*")
+def test_gymnasium_check_env(render_mode):
+    env = gymnasium.make("rover_rl/Rover-v0", world_n="maze", render_mode=render_mode)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*normalized space.*")
+        check_env(env.unwrapped, skip_render_check=render_mode is None)
+    env.close()
+
+
+# Reset and step
+
+
+def test_a_seed_reproduces_everything():
+    env = make(length=7)
+    first = rollout(env, 5, 30)
+    assert_same(rollout(env, 5, 30), first)
+    env.close()
+
+
+def test_without_a_seed_reset_goes_on_to_another_episode(env):
+    first, _ = env.reset(seed=3)
+    second, info = env.reset()
+    assert info == {}
+    assert (first["pose"] != second["pose"]).any()
+
+
+def test_a_seed_is_that_of_the_batched_environment(env):
+    observation, _ = env.reset(seed=11)
+    batched = BatchedRoverEnv(world_n="maze", num_envs=3, seed=10)
+    expected = batched.reset()
+    batched.close()
+    for key, value in observation.items():
+        np.testing.assert_array_equal(value, expected[key][1])
+
+
+def test_reset_takes_start_and_goal(env):
+    observation, _ = env.reset(options={"start": (1.0, 2.0, 0.5), "goal": (3.0, 2.0)})
+    np.testing.assert_allclose(observation["pose"][:2], (1, 2), atol=1e-5)
+    np.testing.assert_allclose(observation["imu"][2], 0.5, atol=1e-5)
+    np.testing.assert_allclose(observation["target"], (2.0, -0.5), atol=1e-5)
+    assert (env.target_positions_x, env.target_positions_y) == (3.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [({"strat": (0, 0, 0)}, "strat.*use 'start' and 'goal'"), ({"start": (0, 0)}, "start must be"),
+     ({"goal": (math.nan, 0)}, "goal must be")],
+)  # fmt: skip
+def test_other_options_are_refused(env, options, message):
+    with pytest.raises(ValueError, match=message):
+        env.reset(options=options)
+
+
+def test_step_returns_what_gymnasium_asks_for(env):
+    observation, reward, terminated, truncated, info = env.step([1.0, 0.0])
+    assert observation in env.observation_space
+    assert type(reward) is float
+    assert (terminated, truncated) == (False, False)
+    assert (info["steps"], info["total_steps"], info["reward"]) == (1, 1, reward)
+    assert all(type(value) in (int, float, bool) for value in info.values())
+
+
+def test_observations_are_the_receivers_own(env):
+    for call in (lambda: env.reset(seed=0)[0], lambda: env.step([0.5, 0.1])[0], env.get_observation):
+        observation = call()
+        kept = env.get_observation()
+        for value in observation.values():
+            value[:] = 77
+        assert_same(env.get_observation(), kept)
+
+
+def test_the_action_is_not_kept(env):
+    action = np.float32([0.3, 0.2])
+    env.step(action)
+    action[:] = math.nan
+    env.step([0.3, 0.2])
+
+
+@pytest.mark.parametrize("action", [[1.0], [[1.0, 0.0]], 1.0])
+def test_a_wrong_shape_is_refused(env, action):
+    with pytest.raises(ValueError, match=r"action must have shape \(2,\)"):
+        env.step(action)
+
+
+def test_nan_is_refused(env):
+    with pytest.raises(ValueError, match="finite"):
+        env.step([math.nan, 0.0])
+
+
+def test_step_needs_a_reset():
+    env = make()
+    with pytest.raises(RuntimeError, match="reset"):
+        env.step([0.0, 0.0])
+    with pytest.raises(RuntimeError, match="reset"):
+        env.get_observation()
+    with pytest.raises(RuntimeError, match="reset"):
+        env.is_robot_flipped()
+    assert env.task_reward() == 0.0
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("time_limit", "flags"), [("terminated", (True, False)), ("truncated", (False, True))]
+)
+def test_the_time_limit_is_what_was_asked_for(time_limit, flags):
+    env = make(length=3, time_limit=time_limit)
+    env.reset()
+    steps = [env.step([0.0, 0.0]) for _ in range(3)]
+    assert [step[2:4] for step in steps] == [(False, False), (False, False), flags]
+    assert {"steps", "total_steps", "reward"} <= steps[-1][4].keys()
+    env.close()
+
+
+def test_a_goal_pays_and_the_episode_goes_on(env):
+    env.reset(options={"start": (0.0, 0.0, 0.0), "goal": (0.6, 0.0)})
+    for _ in range(20):
+        observation, reward, terminated, _, info = env.step([1.0, 0.0])
+        if info["goal_reached"]:
+            break
+    assert reward == 100.0
+    assert not terminated
+    assert info["goals"] == 1
+    assert info["is_success"]
+    assert observation["target"][0] >= 0.5
+    assert env.step([0.0, 0.0])[4]["is_success"]
+
+
+def test_an_ending_goal_is_a_success():
+    env = make(end_on_goal=True)
+    env.reset(options={"start": (0.0, 0.0, 0.0), "goal": (0.6, 0.0)})
+    ended = False
+    while not ended:
+        _, reward, ended, _, info = env.step([1.0, 0.0])
+    assert reward == 100.0
+    assert info["is_success"]
+    assert info["steps"] < 20
+    env.close()
+
+
+def test_total_steps_go_on_over_episodes():
+    env = make(length=3)
+    for episode in range(3):
+        env.reset()
+        for step in range(3):
+            _, _, _, _, info = env.step([0.0, 0.0])
+            assert info["total_steps"] == env.total_steps == 3 * episode + step + 1
+            assert info["steps"] == env._step == step + 1
+    env.close()
+
+
+# The contract's methods
+
+
+def test_get_observation_is_that_of_the_step(env):
+    observation, _ = env.reset(seed=1)
+    assert_same(env.get_observation(), observation)
+    observation, *_ = env.step([0.4, 0.1])
+    assert_same(env.get_observation(), observation)
+
+
+def test_get_target_info_is_distance_and_angle(env):
+    env.reset(options={"start": (0.0, 0.0, 1.0), "goal": (0.0, 2.0)})
+    np.testing.assert_allclose(env.get_target_info(), (2.0, math.pi / 2 - 1.0), atol=1e-5)
+
+
+def test_task_reward_is_that_of_the_step_and_asking_changes_nothing(env):
+    assert env.task_reward() == 0.0
+    other = rollout(env, 2, 5)
+    rng = np.random.default_rng(1)
+    env.reset(seed=2)
+    for _, reward, *_ in other[1:]:
+        env.step(rng.uniform((-1, -math.pi), (1, math.pi)).astype(np.float32))
+        goal = env.target_positions_x
+        assert env.task_reward() == env.task_reward() == reward
+        assert env.target_positions_x == goal
+
+
+@pytest.mark.parametrize(
+    ("roll", "pitch", "expected"),
+    [
+        (1.5, 0.0, "roll_left"),
+        (-1.5, 0.0, "roll_right"),
+        (0.0, -1.5, "pitch_forward"),
+        (0.0, 1.5, "pitch_backward"),
+        (1.4, 0.0, False),
+        (0.0, -1.4, False),
+    ],
+)
+def test_flips_are_named(env, monkeypatch, roll, pitch, expected):
+    orientation = torch.tensor(
+        [[math.sin(roll / 2), math.sin(pitch / 2), 0.0, math.cos((abs(roll) + abs(pitch)) / 2)]]
+    )
+    monkeypatch.setattr(BatchedRoverEnv, "rover_state", Message(orientation=orientation))
+    assert env.current_roll == pytest.approx(roll, abs=1e-5)
+    assert env.current_pitch == pytest.approx(pitch, abs=1e-5)
+    assert env.is_robot_flipped() == expected
+
+
+def test_the_flip_threshold_is_the_tasks(monkeypatch):
+    env = make(task=TaskConfig(flip_threshold=0.2))
+    env.reset()
+    orientation = torch.tensor([[math.sin(0.15), 0.0, 0.0, math.cos(0.15)]])
+    monkeypatch.setattr(BatchedRoverEnv, "rover_state", Message(orientation=orientation))
+    assert env.is_robot_flipped() == "roll_left"
+    env.close()
+
+
+def test_heading_controller_is_the_contracts_pid(env):
+    def pid(desired, current, last=0.0):
+        error = math.atan2(math.sin(desired - current), math.cos(desired - current))
+        return max(-7.0, min(7.0, 2.0 * error + 0.1 * (error - last) / 0.05))
+
+    for desired, current in [(0.3, 0.0), (-0.2, 0.1), (3.0, -3.0), (math.pi, 0.0), (0.0, 0.0)]:
+        assert env.heading_controller(desired, current) == pytest.approx(pid(desired, current), abs=1e-4)
+    env.step([0.0, 0.2])
+    assert env.heading_controller(0.5, 0.0) == pytest.approx(pid(0.5, 0.0, last=0.2), abs=1e-4)
+    assert type(env.heading_controller(np.float32(0.1), 0)) is float
+
+
+def test_asking_the_heading_controller_disturbs_nothing(env):
+    expected = rollout(env, 4, 10)
+    rng = np.random.default_rng(1)
+    trace = [env.reset(seed=4)]
+    for _ in range(10):
+        env.heading_controller(1.0, -1.0)
+        trace.append(env.step(rng.uniform((-1, -math.pi), (1, math.pi)).astype(np.float32)))
+    assert_same(trace, expected)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "outside"), [(0, 0, False), (30, 0, False), (30.1, 0, True), (0, -30.1, True), (-31, 0, True)]
+)
+def test_too_far_away_is_outside_of_the_worlds_bounds(env, monkeypatch, x, y, outside):
+    monkeypatch.setattr(BatchedRoverEnv, "rover_state", Message(position=torch.tensor([[x, y, 0.0]])))
+    assert env.too_far_away() is outside
+
+
+def test_render_is_a_picture(env):
+    picture = env.render()
+    assert picture.shape == (480, 640, 3)
+    assert picture.dtype == np.uint8
+    assert picture.std() > 0
+
+
+def test_the_camera_can_be_above(env):
+    other = make(render_mode="rgb_array", camera="top")
+    other.reset(seed=0)
+    assert (other.render() != env.render()).any()
+    other.close()
+
+
+def test_without_a_render_mode_render_does_nothing():
+    env = make()
+    env.reset()
+    assert env.render() is None
+    env.close()
+
+
+def test_close_may_be_called_again_and_use_after_it_raises():
+    env = make(render_mode="rgb_array")
+    env.reset()
+    env.close()
+    env.close()
+    for use in (env.reset, env.render, lambda: env.step([0.0, 0.0])):
+        with pytest.raises(RuntimeError, match="closed"):
+            use()
+
+
+def test_attributes_have_the_originals_names(env):
+    expected = {
+        "size": (64, 64),
+        "length": 2000,
+        "_length": 2000,
+        "world_n": "maze",
+        "lidar_points": 32,
+        "max_lidar_range": 12.0,
+        "rand_x_range": (-4, 4),
+        "rand_y_range": (-4, 4),
+        "rand_goal_x_range": (-4, 4),
+        "rand_goal_y_range": (-4, 4),
+        "too_far_away_low_x": -30,
+        "too_far_away_high_x": 30,
+        "too_far_away_low_y": -30,
+        "too_far_away_high_y": 30,
+        "too_far_away_penilty": -10.0,
+        "stuck_penilty": -25.0,
+        "general_penility": -20.0,
+        "collision_penalty": -0.5,
+        "goal_reward": 100.0,
+        "distance_delta_scale": 0.3,
+        "final_reward_multiplier": 1.5,
+        "success_distance": 0.5,
+        "collision_threshold": 0.3,
+        "collision_window": 15,
+        "stuck_window": 600,
+        "stuck_threshold": 0.001,
+    }
+    assert {name: getattr(env, name) for name in expected} == expected
+
+
+def test_state_has_the_originals_names(env):
+    observation, *_ = env.step([0.6, 0.3])
+    np.testing.assert_array_equal(env.lidar_data, observation["lidar"])
+    np.testing.assert_array_equal(env.rover_position, observation["pose"])
+    np.testing.assert_array_equal(
+        np.float32([env.current_pitch, env.current_roll, env.current_yaw]), observation["imu"]
+    )
+    np.testing.assert_array_equal(
+        np.float32([env.current_linear_velocity, env.current_angular_velocity]), observation["velocities"]
+    )
+
+
+CALLBACKS = {
+    "lidar": ("lidar_callback", Message(ranges=[1.0, 2.0])),
+    "imu": ("imu_callback", Message(orientation=Message(x=0.0, y=0.0, z=0.0, w=2.0))),
+    "pose": ("pose_array_callback", Message(poses=[Message(position=Message(x=1.0, y=2.0, z=3.0))])),
+    "odom": (
+        "odom_callback",
+        Message(twist=Message(twist=Message(linear=Message(x=0.5), angular=Message(z=0.25)))),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", CALLBACKS)
+def test_callbacks_are_refused_where_the_backend_makes_its_own_data(env, kind):
+    name, msg = CALLBACKS[kind]
+    with pytest.raises(RuntimeError, match="makes its own sensor data; callbacks are for backend='ros2'"):
+        getattr(env, name)(msg)
+
+
+def test_callbacks_hand_over_to_a_live_backend(env, monkeypatch):
+    received = {}
+    monkeypatch.setattr(env.base_env.simulator, "receive", received.__setitem__, raising=False)
+    for name, msg in CALLBACKS.values():
+        getattr(env, name)(msg)
+    assert received.keys() == CALLBACKS.keys()
+    assert received["lidar"].tolist() == [1, 2]
+    assert received["imu"].tolist() == [0, 0, 0]
+    assert received["pose"].tolist() == [1, 2, 3]
+    assert received["odom"] == (0.5, 0.25)
+
+
+# What may be wrapped, and with which reward
+
+
+def test_it_is_for_one_rover():
+    batched = BatchedRoverEnv(world_n="maze", num_envs=2)
+    with pytest.raises(ValueError, match="num_envs=2; use GymVectorWrapper"):
+        GymWrapper(batched)
+    batched.close()
+
+
+def test_it_is_for_rovers():
+    with pytest.raises(TypeError, match=r"rover_rl\.RoverEnv.* is needed; got object"):
+        GymWrapper(object())
+
+
+def rewards_of(wrapper):
+    return [wrapper.reset(seed=0)] and [wrapper.step([0.8, 0.4])[1] for _ in range(4)]
+
+
+def test_wrapping_make_env_is_the_same_as_wrapping_the_bare_environment(env):
+    expected = rewards_of(env)
+    wrapped = GymWrapper(make_env(world_n="maze"))
+    assert rewards_of(wrapped) == expected
+    with pytest.raises(AttributeError, match="bare RoverEnv"):
+        wrapped.stuck_penilty  # noqa: B018
+    wrapped.close()
+
+
+def test_the_reward_may_be_chosen(env):
+    contract = rewards_of(env)
+    task = make(reward="task")
+    assert rewards_of(task) == [0.0] * 4
+    task.close()
+    config = RewardConfig(idle_penalty=-1.0, min_progress=1e9, velocity_scale=0.0, turn_scale=0.0)
+    configured = make(reward=config)
+    assert rewards_of(configured) == [-1.5] * 4 != contract
+    assert configured.distance_delta_scale == 0.3
+    configured.close()
+    listed = make(reward=contract_reward())
+    assert rewards_of(listed) == contract
+    listed.close()
+
+
+def test_a_second_reward_is_refused():
+    inner = make_env(world_n="maze")
+    with pytest.raises(ValueError, match="has its reward already"):
+        GymWrapper(inner, reward="contract")
+    inner.close()
+
+
+def test_a_transform_must_leave_the_observation():
+    inner = TransformedEnv(BatchedRoverEnv(world_n="maze"), CatTensors(["imu", "target"], "vector"))
+    with pytest.raises(ValueError, match="lacks \\['imu', 'target'\\]"):
+        GymWrapper(inner)
+    inner.close()
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("time_limit", "never"), ("render_mode", "human"), ("camera", "left")]
+)
+def test_unknown_options_are_refused(option, value):
+    with pytest.raises(ValueError, match=f"{option} must be one of .* got '{value}'"):
+        make(**{option: value})
+
+
+# With Gymnasium's own tools
+
+
+def test_gymnasium_make_makes_it():
+    env = gymnasium.make("rover_rl/Rover-v0", world_n="maze", length=4)
+    assert isinstance(env.unwrapped, RoverEnv)
+    env = RecordEpisodeStatistics(env)
+    env.reset(seed=0)
+    for _ in range(4):
+        _, _, terminated, _, info = env.step(env.action_space.sample())
+    assert terminated
+    assert info["episode"]["l"] == 4
+    env.close()
+
+
+def test_record_video_records_it(tmp_path):
+    pytest.importorskip("moviepy")
+    env = gymnasium.make("rover_rl/Rover-v0", world_n="maze", length=2, render_mode="rgb_array")
+    assert env.metadata["render_fps"] == 20
+    env = RecordVideo(env, str(tmp_path / "films"), episode_trigger=lambda episode: True, disable_logger=True)
+    env.reset(seed=0)
+    for _ in range(2):
+        env.step(env.action_space.sample())
+    env.close()
+    assert [path.suffix for path in (tmp_path / "films").glob("*.mp4")] == [".mp4"]

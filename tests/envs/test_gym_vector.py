@@ -1,0 +1,316 @@
+from __future__ import annotations
+
+import math
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
+from torchrl.envs import RewardSum
+
+from rover_rl import GymVectorWrapper, TaskConfig, make_env
+from rover_rl import RoverEnv as BatchedRoverEnv
+from rover_rl.envs.gym import RoverEnv
+
+ROWS = 3
+# Goals that end episodes, at different times in different rows; and a time limit that ends them together.
+ENDING_APART = {"length": 12, "end_on_goal": True, "task": TaskConfig(success_distance=2.5)}
+ENDING_TOGETHER = {"length": 3}
+
+
+def native(mode=AutoresetMode.NEXT_STEP, rows=ROWS, time_limit="terminated", **kwargs) -> GymVectorWrapper:
+    env = BatchedRoverEnv(world_n="maze", num_envs=rows, seed=0, **kwargs)
+    return GymVectorWrapper(env, autoreset_mode=mode, time_limit=time_limit)
+
+
+def one_by_one(mode, time_limit="terminated", **kwargs) -> SyncVectorEnv:
+    def make():
+        return RoverEnv(world_n="maze", seed=0, time_limit=time_limit, **kwargs)
+
+    return SyncVectorEnv([make] * ROWS, autoreset_mode=mode)
+
+
+@pytest.fixture(scope="module")
+def shared():
+    envs = native(length=5)
+    yield envs
+    envs.close()
+
+
+@pytest.fixture
+def envs(shared):
+    shared.reset(seed=0)
+    return shared
+
+
+def actions(rng) -> np.ndarray:
+    return rng.uniform((-1, -math.pi), (1, math.pi), (ROWS, 2)).astype(np.float32)
+
+
+def trace(envs, seed, steps):
+    rng = np.random.default_rng(seed)
+    results = [envs.reset(seed=seed)]
+    for _ in range(steps):
+        results.append(envs.step(actions(rng)))
+        ended = results[-1][2] | results[-1][3]
+        if envs.metadata["autoreset_mode"] is AutoresetMode.DISABLED and ended.any():
+            results.append(envs.reset(options={"reset_mask": ended}))
+    return results
+
+
+def endings(results) -> np.ndarray:
+    return np.array([result[2] | result[3] for result in results if len(result) == 5])
+
+
+def assert_same(a, b):
+    """Equal to the last bit, in shape and in type."""
+    assert type(a) is type(b)
+    if isinstance(a, dict):
+        assert a.keys() == b.keys()
+        for key in a:
+            assert_same(a[key], b[key])
+    elif isinstance(a, (tuple, list)):
+        assert len(a) == len(b)
+        for x, y in zip(a, b, strict=True):
+            assert_same(x, y)
+    elif isinstance(a, np.ndarray) and a.dtype == object:
+        assert_same(list(a), list(b))
+    elif isinstance(a, np.ndarray):
+        assert (a.dtype, a.shape) == (b.dtype, b.shape)
+        np.testing.assert_array_equal(a, b)
+    else:
+        assert a == b
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode), ids=lambda mode: mode.name)
+@pytest.mark.parametrize("settings", [ENDING_APART, ENDING_TOGETHER], ids=["apart", "together"])
+def test_it_is_what_gymnasium_makes_of_single_rovers(mode, settings):
+    """Every observation, reward, flag and info, over several endings and a second seed."""
+    time_limit = "truncated" if mode is AutoresetMode.SAME_STEP else "terminated"
+    batch, single = native(mode, time_limit=time_limit, **settings), one_by_one(mode, time_limit, **settings)
+    for seed in (7, 100):
+        ours, theirs = trace(batch, seed, 30), trace(single, seed, 30)
+        assert_same(ours, theirs)
+        ended = endings(ours)
+        assert (ended.sum(0) >= 2).all()
+        assert (ended.any(1) & ~ended.all(1)).any() == (settings is ENDING_APART)
+    batch.close()
+    single.close()
+
+
+def test_the_spaces_are_batches_of_the_single_ones(shared):
+    single = RoverEnv(world_n="maze")
+    assert shared.single_observation_space == single.observation_space
+    assert shared.single_action_space == single.action_space
+    assert shared.observation_space["lidar"].shape == (ROWS, 32)
+    assert shared.action_space.shape == (ROWS, 2)
+    assert shared.num_envs == ROWS
+    single.close()
+
+
+def test_observations_lie_in_the_space(envs):
+    assert envs.reset(seed=0)[0] in envs.observation_space
+    assert envs.step(envs.action_space.sample())[0] in envs.observation_space
+
+
+def test_the_default_is_next_step(shared):
+    assert shared.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+
+
+def test_a_mode_may_be_named():
+    envs = native("SameStep", length=5)
+    assert envs.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    envs.close()
+
+
+def test_next_step_ignores_the_action_of_a_row_that_begins_anew(envs):
+    for _ in range(5):
+        _, _, terminated, *_ = envs.step(np.zeros((ROWS, 2)))
+    assert terminated.all()
+    observation, reward, terminated, truncated, infos = envs.step(np.full((ROWS, 2), np.nan))
+    assert not reward.any()
+    assert not (terminated | truncated).any()
+    assert infos == {}
+    assert (observation["velocities"] == 0).all()
+    assert envs.step(np.zeros((ROWS, 2)))[4]["steps"].tolist() == [1] * ROWS
+
+
+def test_same_step_tells_the_last_observation():
+    envs = native(AutoresetMode.SAME_STEP, length=2)
+    envs.reset(seed=0)
+    envs.step(np.full((ROWS, 2), 0.5))
+    observation, _, terminated, _, infos = envs.step(np.full((ROWS, 2), 0.5))
+    assert terminated.all()
+    for row in range(ROWS):
+        assert infos["final_obs"][row] in envs.single_observation_space
+        assert (infos["final_obs"][row]["pose"] != observation["pose"][row]).any()
+    assert infos["_final_obs"].all()
+    assert infos["final_info"]["steps"].tolist() == [2] * ROWS
+    assert "steps" not in infos
+    envs.close()
+
+
+def test_disabled_wants_ended_rows_reset():
+    envs = native(AutoresetMode.DISABLED, length=2)
+    envs.reset(seed=0)
+    for _ in range(2):
+        envs.step(np.zeros((ROWS, 2)))
+    with pytest.raises(RuntimeError, match=r"rows \[0, 1, 2\] have ended"):
+        envs.step(np.zeros((ROWS, 2)))
+    envs.reset(options={"reset_mask": np.array([True, True, False])})
+    with pytest.raises(RuntimeError, match=r"rows \[2\] have ended"):
+        envs.step(np.zeros((ROWS, 2)))
+    envs.close()
+
+
+def test_a_partial_reset_touches_no_other_row(envs):
+    before = envs.step(np.full((ROWS, 2), 0.5))[0]
+    after, _ = envs.reset(options={"reset_mask": np.array([False, True, False])})
+    for key in before:
+        np.testing.assert_array_equal(before[key][[0, 2]], after[key][[0, 2]])
+    assert (before["pose"][1] != after["pose"][1]).any()
+
+
+@pytest.mark.parametrize("mask", [np.zeros(ROWS, bool), np.ones(ROWS), np.ones(ROWS + 1, bool)])
+def test_a_bad_mask_is_refused(envs, mask):
+    with pytest.raises(ValueError, match="reset_mask must be 3 bools"):
+        envs.reset(options={"reset_mask": mask})
+
+
+def test_the_options_are_not_changed(envs):
+    options = {"reset_mask": np.array([True, False, False])}
+    envs.reset(options=options)
+    assert options.keys() == {"reset_mask"}
+
+
+def test_reset_takes_starts_and_goals(envs):
+    start = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 0.5], [0.0, 0.0, 1.0]])
+    observation, _ = envs.reset(options={"start": start, "goal": start[:, :2] + (2.0, 0.0)})
+    np.testing.assert_allclose(observation["pose"][:, :2], start[:, :2], atol=1e-5)
+    np.testing.assert_allclose(observation["target"][:, 0], 2.0, atol=1e-5)
+
+
+def test_other_options_are_refused(envs):
+    with pytest.raises(ValueError, match="strat"):
+        envs.reset(options={"strat": 0})
+
+
+def test_seeds_may_be_listed(envs):
+    assert_same(envs.reset(seed=[4, 5, 6]), envs.reset(seed=4))
+    envs.reset(seed=[None] * ROWS)
+
+
+@pytest.mark.parametrize("seeds", [[4, 5], [4, 6, 8], [None, 1, 2], []])
+def test_other_seeds_are_refused(envs, seeds):
+    with pytest.raises(ValueError, match="seeds must be 3 numbers that count on"):
+        envs.reset(seed=seeds)
+
+
+def test_a_seed_for_some_rows_is_refused(envs):
+    with pytest.raises(ValueError, match="a seed is for all rows"):
+        envs.reset(seed=1, options={"reset_mask": np.array([True, False, False])})
+
+
+@pytest.mark.parametrize("shape", [(ROWS,), (ROWS + 1, 2), (2, ROWS)])
+def test_a_wrong_shape_is_refused(envs, shape):
+    with pytest.raises(ValueError, match=r"actions must have shape \(3, 2\)"):
+        envs.step(np.zeros(shape))
+
+
+def test_step_needs_a_reset():
+    envs = native()
+    with pytest.raises(RuntimeError, match="reset"):
+        envs.step(np.zeros((ROWS, 2)))
+    with pytest.raises(RuntimeError, match="reset"):
+        envs.reset(options={"reset_mask": np.array([True, False, False])})
+    envs.close()
+
+
+def test_everything_is_the_receivers_own(envs):
+    first = envs.step(np.full((ROWS, 2), 0.3))
+    kept = envs._batch.observation()
+    for value in (*first[0].values(), *first[1:4], *first[4].values()):
+        value[...] = 1
+    assert_same(envs._batch.observation(), kept)
+    assert envs.step(np.full((ROWS, 2), 0.3))[4]["steps"].tolist() == [2] * ROWS
+
+
+def test_transforms_with_a_memory_are_reset_by_row():
+    """A sum over the episode, kept by TorchRL, against one made here."""
+    inner = make_env(world_n="maze", num_envs=ROWS, **ENDING_APART)
+    inner.append_transform(RewardSum(in_keys=["reward"], out_keys=["sum"]))
+    envs = GymVectorWrapper(inner, autoreset_mode="SameStep")
+    envs.reset(seed=7)
+    rng = np.random.default_rng(0)
+    total, ended_once = np.zeros(ROWS), False
+    for _ in range(30):
+        _, reward, terminated, truncated, _ = envs.step(actions(rng))
+        ended = terminated | truncated
+        total = np.where(ended, 0.0, total + reward)
+        ended_once |= bool(ended.any())
+        np.testing.assert_allclose(envs._batch._root["sum"][:, 0], total, rtol=1e-4, atol=1e-5)
+    assert ended_once
+    envs.close()
+
+
+def test_one_row_will_do():
+    envs = native(rows=1, length=2)
+    for _ in range(2):
+        envs.reset(seed=0)
+        flags = [bool(envs.step(np.zeros((1, 2)))[2][0]) for _ in range(5)]
+        assert flags == [False, True, False, False, True]
+    envs.close()
+
+
+def test_render_gives_a_picture_a_row():
+    envs = GymVectorWrapper(BatchedRoverEnv(world_n="maze", num_envs=2), render_mode="rgb_array")
+    envs.reset(seed=0)
+    pictures = envs.render()
+    assert [picture.shape for picture in pictures] == [(480, 640, 3)] * 2
+    assert (pictures[0] != pictures[1]).any()
+    envs.close()
+
+
+def test_without_a_render_mode_render_does_nothing(envs):
+    assert envs.render() is None
+
+
+def test_close_may_be_called_again_and_use_after_it_raises():
+    envs = native()
+    envs.reset()
+    envs.close()
+    envs.close()
+    assert envs.closed
+    with pytest.raises(RuntimeError, match="closed"):
+        envs.step(np.zeros((ROWS, 2)))
+    with pytest.raises(RuntimeError, match="closed"):
+        envs.reset()
+
+
+def test_make_vec_makes_it():
+    envs = gymnasium.make_vec(
+        "rover_rl/Rover-v0",
+        num_envs=4,
+        vectorization_mode="vector_entry_point",
+        world_n="maze",
+        length=3,
+        time_limit="truncated",
+        autoreset_mode="SameStep",
+    )
+    assert isinstance(envs, GymVectorWrapper)
+    assert envs.spec.id == "rover_rl/Rover-v0"
+    statistics = RecordEpisodeStatistics(envs)
+    statistics.reset(seed=0)
+    for _ in range(3):
+        _, _, terminated, truncated, infos = statistics.step(envs.action_space.sample())
+    assert truncated.all()
+    assert not terminated.any()
+    assert infos["episode"]["l"].tolist() == [3] * 4
+    envs.close()
+
+
+def test_make_vec_takes_single_rovers_too():
+    envs = gymnasium.make_vec("rover_rl/Rover-v0", num_envs=2, vectorization_mode="sync", world_n="maze")
+    assert envs.reset(seed=0)[0]["lidar"].shape == (2, 32)
+    envs.close()

@@ -1,0 +1,191 @@
+from __future__ import annotations
+
+import importlib
+import sys
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize, VecVideoRecorder
+
+from rover_rl import RoverEnv as BatchedRoverEnv
+from rover_rl.envs.gym import RoverEnv
+from rover_rl.envs.sb3 import SB3VecEnv
+
+ROWS = 3
+
+
+def make(rows: int = ROWS, length: int = 5, time_limit: str = "truncated", **kwargs) -> SB3VecEnv:
+    env = BatchedRoverEnv(world_n="maze", num_envs=rows, length=length, seed=0)
+    return SB3VecEnv(env, time_limit=time_limit, **kwargs)
+
+
+@pytest.fixture(scope="module")
+def shared():
+    envs = make()
+    yield envs
+    envs.close()
+
+
+@pytest.mark.filterwarnings("ignore:.*symmetric and normalized.*")
+def test_sb3_check_env():
+    env = RoverEnv(world_n="maze")
+    check_env(env)
+    env.close()
+
+
+def test_it_is_what_sb3_makes_of_single_rovers(shared):
+    """Observations, rewards and dones, and what is told of an ending, over several of them."""
+
+    def single():
+        return RoverEnv(world_n="maze", length=5, time_limit="truncated")
+
+    single_envs = DummyVecEnv([single] * ROWS)
+    rng = np.random.default_rng(0)
+    for envs in (shared, single_envs):
+        envs.seed(7)
+    np.testing.assert_equal(shared.reset(), dict(single_envs.reset()))
+    for _ in range(17):
+        actions = rng.uniform(-1, 1, (ROWS, 2)).astype(np.float32)
+        ours, theirs = shared.step(actions), single_envs.step(actions)
+        np.testing.assert_equal(ours[0], dict(theirs[0]))
+        for a, b in zip(ours[1:3], theirs[1:3], strict=True):
+            assert a.dtype == b.dtype
+            np.testing.assert_array_equal(a, b)
+        for row, (info, expected) in enumerate(zip(ours[3], theirs[3], strict=True)):
+            np.testing.assert_equal(info, expected if ours[2][row] else {})
+    single_envs.close()
+
+
+def test_a_time_limit_is_told(shared):
+    shared.reset()
+    for _ in range(5):
+        _, _, dones, infos = shared.step(np.zeros((ROWS, 2)))
+    assert dones.all()
+    assert all(info["TimeLimit.truncated"] for info in infos)
+    assert all(info["terminal_observation"] in shared.observation_space for info in infos)
+
+
+def test_the_contracts_time_limit_may_be_had():
+    envs = make(length=1, time_limit="terminated")
+    envs.reset()
+    _, _, dones, infos = envs.step(np.zeros((ROWS, 2)))
+    assert dones.all()
+    assert not any(info["TimeLimit.truncated"] for info in infos)
+    envs.close()
+
+
+def test_episodes_are_counted_by_vec_monitor(shared):
+    monitored = VecMonitor(shared, info_keywords=("is_success",))
+    monitored.reset()
+    total = np.zeros(ROWS)
+    for _ in range(5):
+        _, rewards, _, infos = monitored.step(np.full((ROWS, 2), 0.3))
+        total += rewards
+    for row in range(ROWS):
+        assert infos[row]["episode"]["l"] == 5
+        assert infos[row]["episode"]["r"] == pytest.approx(total[row], rel=1e-5)
+        assert infos[row]["episode"]["is_success"] in (True, False)
+
+
+def test_a_seed_holds_for_one_reset(shared):
+    shared.seed(3)
+    first = shared.reset()
+    second = shared.reset()
+    shared.seed(3)
+    np.testing.assert_equal(shared.reset(), first)
+    assert (first["pose"] != second["pose"]).any()
+
+
+def test_options_hold_for_one_reset(shared):
+    shared.set_options({"start": (0.0, 0.0, 0.5), "goal": (2.0, 0.0)})
+    observation = shared.reset()
+    np.testing.assert_allclose(observation["target"], [(2.0, -0.5)] * ROWS, atol=1e-5)
+    assert (shared.reset()["target"][:, 0] != 2.0).any()
+
+
+def test_options_are_for_all_rows(shared):
+    shared.set_options([{"goal": (2.0, 0.0)}, {}, {}])
+    with pytest.raises(ValueError, match="every row must have the same options"):
+        shared.reset()
+    shared.set_options()
+
+
+def test_attributes_are_those_of_the_batched_environment(shared):
+    assert shared.get_attr("length") == [5] * ROWS
+    assert shared.get_attr("length", indices=1) == [5]
+    assert shared.has_attr("task")
+    assert not shared.has_attr("no_such_thing")
+    shared.set_attr("size", (1, 1))
+    assert shared.base_env.size == (1, 1)
+    assert shared.env_method("extra_repr") == [shared.base_env.extra_repr()] * ROWS
+    assert shared.env_is_wrapped(object) == [False] * ROWS
+
+
+def test_rows_share_one_environment(shared):
+    with pytest.raises(ValueError, match="share one RoverEnv"):
+        shared.set_attr("size", (1, 1), indices=[0])
+    with pytest.raises(ValueError, match="share one RoverEnv"):
+        shared.env_method("extra_repr", indices=0)
+
+
+def test_step_wait_needs_actions():
+    envs = make()
+    envs.reset()
+    with pytest.raises(RuntimeError, match="step_async"):
+        envs.step_wait()
+    envs.close()
+
+
+def test_close_may_be_called_again_and_use_after_it_raises():
+    envs = make()
+    envs.reset()
+    envs.close()
+    envs.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        envs.step(np.zeros((ROWS, 2)))
+
+
+def test_render_tiles_the_rows(tmp_path):
+    envs = make(rows=2, render_mode="rgb_array")
+    envs.reset()
+    assert envs.render().shape == (480 * 2, 640, 3)
+    envs.close()
+
+
+def test_vec_video_recorder_records_it(tmp_path):
+    pytest.importorskip("moviepy")
+    envs = make(rows=1, render_mode="rgb_array")
+    recorder = VecVideoRecorder(envs, str(tmp_path), lambda step: step == 0, video_length=2)
+    assert recorder.frames_per_sec == 20
+    recorder.reset()
+    for _ in range(3):
+        recorder.step(np.zeros((1, 2)))
+    recorder.close()
+    assert list(tmp_path.glob("*.mp4"))
+
+
+def test_ppo_learns_on_one_rover():
+    env = RoverEnv(world_n="maze", length=20)
+    PPO("MultiInputPolicy", env, n_steps=64, batch_size=64, n_epochs=1, device="cpu").learn(128)
+    env.close()
+
+
+def test_ppo_learns_on_the_batch():
+    envs = VecNormalize(VecMonitor(make(rows=8, length=20)))
+    model = PPO("MultiInputPolicy", envs, n_steps=32, batch_size=128, n_epochs=1, device="cpu", seed=0)
+    model.learn(512)
+    assert model.num_timesteps == 512
+    assert [info["l"] for info in model.ep_info_buffer][-1] <= 20
+    envs.close()
+
+
+def test_a_missing_library_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
+    monkeypatch.delitem(sys.modules, "rover_rl.envs.sb3")
+    with pytest.raises(ImportError, match=r"pip install \"rover_rl\[sb3\]\""):
+        importlib.import_module("rover_rl.envs.sb3")

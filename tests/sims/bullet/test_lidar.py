@@ -1,0 +1,114 @@
+"""The lidar of the Bullet backend, against distances computed by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from rover_rl.sims import make_simulator
+from rover_rl.sims.bullet.lidar import RAYS_PER_CALL
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.worlds import Terrain, World, box, cylinder
+
+ROVER = get_robot("rover_zero")
+MOUNT = ROVER.lidar_position[0]
+
+
+def room(width: float, depth: float, height: float = 6.0) -> list:
+    """Four walls around the origin; inner size ``width`` (x) by ``depth`` (y)."""
+    return [
+        box((side * (width / 2 + 0.5), 0, height / 2 - 2), (1, depth + 2, height)) for side in (-1, 1)
+    ] + [box((0, side * (depth / 2 + 0.5), height / 2 - 2), (width + 2, 1, height)) for side in (-1, 1)]
+
+
+def scan(world: World, pose: tuple[float, float, float], beams: int = 64) -> torch.Tensor:
+    simulator = make_simulator("bullet", worlds=[world], robot=ROVER, lidar_beams=beams)
+    return simulator.reset(torch.ones(1, dtype=torch.bool), torch.tensor([pose])).ranges[0]
+
+
+def to_walls(x: float, y: float, angles: np.ndarray, width: float, depth: float) -> np.ndarray:
+    """Distance from a point to the walls of a room in the plane."""
+    with np.errstate(divide="ignore"):
+        along_x = np.where(np.cos(angles) > 0, width / 2 - x, -width / 2 - x) / np.cos(angles)
+        along_y = np.where(np.sin(angles) > 0, depth / 2 - y, -depth / 2 - y) / np.sin(angles)
+    return np.minimum(np.abs(along_x), np.abs(along_y))
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.5, math.pi / 2])
+@pytest.mark.parametrize("beams", [7, 64, 640])
+def test_ranges_in_a_room_are_those_computed_by_hand(yaw, beams):
+    world = World("room", Terrain.flat((30, 30)), room(8, 6))
+    x, y = 0.9 + MOUNT * math.cos(yaw), -0.4 + MOUNT * math.sin(yaw)
+    angles = yaw + 2 * math.pi * np.arange(beams) / beams
+    expected = to_walls(x, y, angles, 8, 6)
+    np.testing.assert_allclose(scan(world, (0.9, -0.4, yaw), beams).numpy(), expected, atol=0.01)
+
+
+@pytest.mark.parametrize("tilt", [5.0, 12.0])
+@pytest.mark.parametrize("yaw", [0.0, math.pi])
+def test_a_tilted_scan_reaches_further_by_its_slope(tilt, yaw):
+    """On a slope along x, beams ahead and behind meet upright walls at d / cos(tilt), beams aside as on level ground."""
+    count, cell = 121, 0.25
+    rise = math.tan(math.radians(tilt)) * (torch.arange(count) * cell - 15)
+    world = World("ramp", Terrain(rise.expand(count, -1), cell), room(8, 6, height=12))
+    ranges = scan(world, (0.0, 0.0, yaw), 4)
+    cos, sin = math.cos(math.radians(tilt)), math.sin(math.radians(tilt))
+    # The lidar in the plane of the slope: MOUNT ahead along it, and 0.321 m less the wheels' play above it.
+    up = ROVER.lidar_position[2] - 0.003 + 0.0005
+    x = math.cos(yaw) * MOUNT * cos - up * sin
+    expected = [(4 - x) / cos, 3.0, (4 + x) / cos, 3.0]
+    if yaw:
+        expected = [expected[2], expected[1], expected[0], expected[3]]
+    torch.testing.assert_close(ranges, torch.tensor(expected), atol=0.01, rtol=0)
+
+
+def test_beam_0_points_forward_and_beams_go_counter_clockwise():
+    world = World("posts", Terrain.flat((30, 30)), [cylinder((0, 3, 0.5), 0.2, 1.0)])
+    ranges = scan(world, (0.0, 0.0, math.pi / 2), 4)
+    assert ranges[0] == pytest.approx(3 - 0.2 - MOUNT, abs=0.01)
+    assert torch.isinf(ranges[1:]).all()
+    ranges = scan(world, (-MOUNT, 0.0, 0.0), 4)
+    assert ranges[1] == pytest.approx(2.8, abs=0.01)
+
+
+def test_nothing_in_reach_is_infinite():
+    assert torch.isinf(scan(World("plain", Terrain.flat((60, 60))), (0.0, 0.0, 0.0))).all()
+
+
+def test_a_wall_beyond_the_range_is_not_seen():
+    world = World("far", Terrain.flat((60, 60)), [box((ROVER.lidar_range + MOUNT + 0.55, 0, 1), (1, 4, 2))])
+    assert torch.isinf(scan(world, (0.0, 0.0, 0.0))).all()
+    assert scan(world, (0.1, 0.0, 0.0))[0] == pytest.approx(11.95, abs=0.01)
+
+
+def test_a_scan_from_inside_something_reads_zero():
+    world = World("block", Terrain.flat((30, 30)), [box((0, 0, 1), (2, 2, 2))])
+    assert (scan(world, (0.0, 0.0, 0.0)) == 0).all()
+    assert (scan(world, (-1.3, 0.0, 0.0))[1:] > 0).any()
+
+
+def test_rovers_are_invisible_to_one_another():
+    world = World("plain", Terrain.flat((60, 60)))
+    simulator = make_simulator("bullet", worlds=[world] * 2, robot=ROVER, lidar_beams=32)
+    state = simulator.reset(torch.ones(2, dtype=torch.bool), torch.tensor([[0.0, 0, 0], [1.0, 0, math.pi]]))
+    assert torch.isinf(state.ranges).all()
+
+
+def test_scans_of_more_rays_than_one_call_takes_agree_with_single_ones():
+    world = World("room", Terrain.flat((30, 30)), room(8, 6))
+    rovers = RAYS_PER_CALL // 640 + 40
+    poses = torch.stack([torch.linspace(-2, 2, rovers), torch.zeros(rovers), torch.linspace(-3, 3, rovers)], 1)
+    simulator = make_simulator("bullet", worlds=[world] * rovers, robot=ROVER, lidar_beams=640)
+    ranges = simulator.reset(torch.ones(rovers, dtype=torch.bool), poses).ranges
+    assert torch.equal(ranges[-1], scan(world, tuple(poses[-1].tolist()), 640))
+    assert torch.equal(ranges[0], scan(world, tuple(poses[0].tolist()), 640))
+
+
+def test_terrain_is_seen_where_it_stands_in_the_way():
+    heights = torch.zeros(81, 81)
+    heights[:, 52:] = 3.0  # a step up between x = 2.75 and x = 3
+    ranges = scan(World("step", Terrain(heights, 0.25)), (0.0, 0.0, 0.0), 4)
+    assert 2.75 - MOUNT < ranges[0] < 2.85 - MOUNT

@@ -1,0 +1,248 @@
+"""Free cells, checked by other means than those that found them."""
+
+from __future__ import annotations
+
+import gc
+import math
+import weakref
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import label
+
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.worlds import Terrain, World, box, cylinder, free_space, get_world, rest_on_ground
+from rover_rl.sims.worlds.free_space import HEADINGS, distance_to_polygon
+
+ROVER = get_robot("rover_zero")
+NAMES = ["inspect", "moon", "maze", "maze:1"]
+
+
+def distances(world: World, xy: np.ndarray) -> np.ndarray:
+    """Distance (m) of points ``[N, 2]`` to the nearest footprint, by sampling the outlines densely."""
+    nearest = np.full(len(xy), np.inf)
+    for obstacle in world.obstacles:
+        outline = obstacle.footprint.numpy()
+        ends = np.roll(outline, -1, 0)
+        share = np.linspace(0, 1, 400)[:, None, None]
+        samples = (outline + share * (ends - outline)).reshape(-1, 2)
+        close = (np.abs(xy - outline.mean(0)) < np.ptp(outline, 0) / 2 + 1.5).all(1)
+        if close.any():
+            gaps = np.linalg.norm(xy[close, None] - samples, axis=-1).min(1)
+            nearest[close] = np.minimum(nearest[close], gaps)
+    return nearest
+
+
+def in_an_outline(world: World, xy: np.ndarray) -> np.ndarray:
+    """Which points lie in some footprint, by the winding of its corners."""
+    found = np.zeros(len(xy), dtype=bool)
+    for obstacle in world.obstacles:
+        outline = obstacle.footprint.numpy()
+        angles = np.arctan2(*(outline[None] - xy[:, None]).transpose(2, 0, 1)[::-1])
+        turns = np.diff(np.concatenate((angles, angles[:, :1]), 1), axis=1)
+        turns = (turns + math.pi) % (2 * math.pi) - math.pi
+        found |= np.abs(turns.sum(1)) > 1
+    return found
+
+
+def drawn(
+    cells: torch.Tensor, cell: float, count: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Places drawn as an episode draws them, and which cells they come from."""
+    index = rng.integers(len(cells), size=count)
+    return cells.numpy()[index] + rng.uniform(-cell / 2, cell / 2, (count, 2)), index
+
+
+def cell_index(free, xy: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
+    column, row = ((xy - torch.tensor(free.origin)) / free.cell).round().long().T.numpy()
+    return row, column
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_spawn_and_goal_cells_are_one_connected_part_of_the_free_cells(name):
+    free = free_space(get_world(name), ROVER)
+    parts, _ = label(free.passable.numpy())
+    of_goals, of_spawns = (parts[cell_index(free, cells)] for cells in (free.goal_cells, free.spawn_cells))
+    assert of_goals.min() > 0
+    assert {*of_goals, *of_spawns} == {of_goals[0]}
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("kind", ["spawn", "goal"])
+def test_places_are_in_range_and_the_rovers_disc_is_free(name, kind):
+    world = get_world(name)
+    free = free_space(world, ROVER)
+    xy, _ = drawn(getattr(free, f"{kind}_cells"), free.cell, 400, np.random.default_rng(0))
+    low, high = np.array(getattr(world, f"{kind}_range")).T
+    assert (xy >= low - 1e-5).all()
+    assert (xy <= high + 1e-5).all()
+    assert not in_an_outline(world, xy).any()
+    assert distances(world, xy).min() >= ROVER.radius - 1e-3
+    assert free.contains(torch.from_numpy(xy)).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_passable_cells_keep_within_the_bounds_and_off_steep_ground(name):
+    world = get_world(name)
+    free = free_space(world, ROVER)
+    row, column = free.passable.nonzero().unbind(1)
+    centres = torch.stack((column, row), 1).double() * free.cell + torch.tensor(
+        free.origin, dtype=torch.float64
+    )
+    for axis, ends in enumerate(world.bounds):
+        extent = world.terrain.extent[axis]
+        low, high = max(ends[0], extent[0]), min(ends[1], extent[1])
+        assert centres[:, axis].min() - free.cell / 2 >= low + ROVER.radius - 1e-5
+        assert centres[:, axis].max() + free.cell / 2 <= high - ROVER.radius + 1e-5
+    nudged = centres + torch.from_numpy(np.random.default_rng(0).uniform(-1e-4, 1e-4, centres.shape))
+    assert world.normal_at(nudged)[:, 2].min() >= math.cos(math.radians(25)) - 1e-9
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_headings_are_listed_first_and_then_repeated(name):
+    free = free_space(get_world(name), ROVER)
+    counts = free.spawn_heading_counts
+    assert free.spawn_headings.shape == (len(free.spawn_cells), HEADINGS)
+    assert counts.min() >= 1
+    assert counts.max() <= HEADINGS
+    assert free.spawn_headings.dtype == counts.dtype == torch.int64
+    slot = torch.arange(HEADINGS)
+    listed = slot < counts[:, None]
+    ascending = free.spawn_headings.diff(dim=1) > 0
+    assert ascending[listed[:, 1:]].all()
+    assert (free.spawn_headings == free.spawn_headings[:, :1])[~listed].all()
+
+
+def lidar_poses(world: World, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Position ``[N, 3]`` and rotation ``[N, 3, 3]`` of the lidars of rovers at the start of episodes."""
+    free = free_space(world, ROVER)
+    rng = np.random.default_rng(2)
+    xy, index = drawn(free.spawn_cells, free.cell, count, rng)
+    slot = (rng.random(count) * free.spawn_heading_counts.numpy()[index]).astype(int)
+    bins = free.spawn_headings.numpy()[index, slot]
+    yaw = -math.pi + 2 * math.pi * (bins + rng.random(count)) / HEADINGS
+    position, rotation = rest_on_ground(world, ROVER, torch.from_numpy(np.column_stack((xy, yaw))))
+    return position + rotation @ torch.tensor(ROVER.lidar_position, dtype=torch.float64), rotation
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_rover_starts_upright_with_nothing_close_to_its_lidar(name):
+    world = get_world(name)
+    lidar, rotation = lidar_poses(world, 600)
+    assert rotation[:, 2, 2].min() >= math.cos(math.radians(21))
+    assert not in_an_outline(world, lidar[:, :2].numpy()).any()
+    assert distances(world, lidar[:, :2].numpy()).min() >= 0.4
+    angle = torch.arange(128, dtype=torch.float64) * 2 * math.pi / 128
+    beams = rotation[:, None, :, 0] * angle.cos()[:, None] + rotation[:, None, :, 1] * angle.sin()[:, None]
+    for reach in torch.linspace(0.02, 0.4, 20, dtype=torch.float64):
+        points = lidar[:, None] + reach * beams
+        assert (points[..., 2] > world.height_at(points[..., :2])).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_from_every_place_an_extreme_goal_is_a_metre_away(name):
+    free = free_space(get_world(name), ROVER)
+    assert free.goal_extremes.shape == (16, 2)
+    goals = {tuple(goal) for goal in free.goal_cells.tolist()}
+    assert all(tuple(extreme) in goals for extreme in free.goal_extremes.tolist())
+    places = torch.cat((free.spawn_cells, free.goal_cells))
+    assert torch.cdist(places, free.goal_extremes).amax(1).min() >= 1.0
+
+
+def test_contains_looks_up_the_cell():
+    free = free_space(get_world("maze"), ROVER)
+    row, column = (int(i) for i in free.passable.nonzero()[100])
+    centre = torch.tensor([free.origin[0] + column * free.cell, free.origin[1] + row * free.cell])
+    assert free.contains(centre)
+    assert free.contains(centre + 0.049 * torch.tensor([1.0, -1.0]))
+    outside = torch.tensor([[99.0, 0.0], [0.0, -99.0], [math.nan, 0.0], [-10.01, 0.0], [math.inf, 0.0]])
+    assert not free.contains(outside).any()
+    assert free.contains(torch.zeros(3, 4, 2)).shape == (3, 4)
+
+
+def test_it_is_computed_once_for_each_world_and_robot_and_not_kept_for_ever():
+    world = World("plain", Terrain.flat((10, 10)), [box((0, 0, 0.5), (1, 1, 1))])
+    free = free_space(world, ROVER)
+    assert free_space(world, ROVER) is free
+    gone = weakref.ref(free)
+    del world, free
+    gc.collect()
+    assert gone() is None
+
+
+def test_overhead_and_buried_obstacles_do_not_count():
+    floor = Terrain.flat((10, 10))
+    roof, pipe = box((0, 0, 2), (6, 6, 0.5)), box((0, 0, -2), (6, 6, 0.5))
+    empty = free_space(World("plain", floor), ROVER)
+    assert torch.equal(free_space(World("plain", floor, [roof, pipe]), ROVER).passable, empty.passable)
+    low_roof = box((0, 0, 0.6), (6, 6, 0.4))
+    assert not free_space(World("plain", floor, [low_roof]), ROVER).contains(torch.zeros(2))
+
+
+def test_a_pocket_that_cannot_be_left_holds_no_goal_and_no_start():
+    ring = [box((x, y, 0.5), size) for x, y, size in ((0, 1.5, (3.4, 0.4, 1)), (0, -1.5, (3.4, 0.4, 1)))]
+    ring += [box((x, 0, 0.5), (0.4, 3.4, 1)) for x in (-1.5, 1.5)]
+    free = free_space(World("ring", Terrain.flat((12, 12)), ring), ROVER)
+    assert free.contains(torch.zeros(2))
+    for cells in (free.spawn_cells, free.goal_cells):
+        assert cells.abs().amax(1).min() > 1.5
+
+
+def test_beside_a_wall_a_rover_does_not_start_facing_it():
+    free = free_space(World("wall", Terrain.flat((10, 10)), [box((0, 0, 0.5), (0.4, 6, 1))]), ROVER)
+    beside = (free.spawn_cells - torch.tensor([0.65, 0.05])).norm(dim=1).argmin()
+    bins = free.spawn_headings[beside, : free.spawn_heading_counts[beside]]
+    yaw = -math.pi + 2 * math.pi * (bins + 0.5) / HEADINGS
+    assert (yaw.cos() > -0.2).all()
+    assert (yaw.cos() > 0.9).any()
+
+
+def test_a_cliff_is_kept_out_of_the_lidars_sight():
+    heights = np.zeros((101, 101))
+    heights[:, 60:] = 2.0
+    world = World(
+        "cliff", Terrain(heights, 0.1), spawn_range=((-4, 0.9), (-4, 4)), goal_range=((-4, 0.9), (-4, 4))
+    )
+    lidar, _ = lidar_poses(world, 500)
+    # The cliff rises from x = 0.9 to 1.0.
+    assert lidar[:, 0].max() < 0.9 - 0.4
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (
+            {"obstacles": [box((0, 0, 0.5), (20, 20, 1))]},
+            "world 'plain' has no free goal cell for 'rover_zero'",
+        ),
+        (
+            {"obstacles": [box((-3, 0, 0.5), (2, 8, 1))], "spawn_range": ((-3, -2.5), (0, 1))},
+            "world 'plain' has no free spawn cell for 'rover_zero'",
+        ),
+        ({"goal_range": ((0, 0.5), (0, 0.5))}, "goal cells of world 'plain' lie so close together"),
+        ({"bounds": ((50, 60), (50, 60)), "spawn_range": ((51, 52), (51, 52))}, "no free goal cell"),
+    ],
+)
+def test_worlds_without_room_are_named(settings, message):
+    settings = {"goal_range": ((0, 3), (-3, 3)), **settings}
+    if "bounds" in settings:
+        settings["goal_range"] = settings["spawn_range"]
+    world = World("plain", Terrain.flat((10, 10)), **settings)
+    with pytest.raises(ValueError, match=message):
+        free_space(world, ROVER)
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 10**6), sides=st.integers(3, 12))
+def test_distance_to_a_polygon(seed, sides):
+    rng = np.random.default_rng(seed)
+    pillar = cylinder((*rng.uniform(-1, 1, 2), 0.5), rng.uniform(0.2, 1.0), 1.0, sides)
+    world = World("pillar", Terrain.flat((10, 10)), [pillar])
+    xy = rng.uniform(-2, 2, (50, 2))
+    expected = np.where(in_an_outline(world, xy), 0.0, distances(world, xy))
+    found = distance_to_polygon(torch.from_numpy(xy), pillar.footprint).numpy()
+    near = np.isfinite(expected)
+    assert found[near] == pytest.approx(expected[near], abs=5e-3)
