@@ -58,9 +58,8 @@ class RoverPhysics:
             physicsClientId=client,
         )
         self._ground = add_ground(client, world.terrain)
-        for body in (*self._ground, *add_obstacles(client, world.obstacles)):
-            pybullet.changeDynamics(body, -1, lateralFriction=settings.friction, physicsClientId=client)
-            pybullet.setCollisionFilterGroupMask(body, -1, _STATIC, _ROVERS, physicsClientId=client)
+        self._add_static(self._ground, settings.ground_friction)
+        self._add_static(add_obstacles(client, world.obstacles), settings.obstacle_friction)
         self._bodies = [self._load(robot) for _ in range(count)]
         self._wheels = self._find_wheels(robot)
         self._forces = [robot.wheel_torque] * len(self._wheels)
@@ -68,6 +67,11 @@ class RoverPhysics:
         info = pybullet.getDynamicsInfo(self._bodies[0], -1, physicsClientId=client)
         self._inertial_position = np.array(info[3])
         self._inertial_orientation = np.array(info[4])
+
+    def _add_static(self, bodies: Sequence[int], friction: float) -> None:
+        for body in bodies:
+            pybullet.changeDynamics(body, -1, lateralFriction=friction, physicsClientId=self.client)
+            pybullet.setCollisionFilterGroupMask(body, -1, _STATIC, _ROVERS, physicsClientId=self.client)
 
     def _load(self, robot: Robot) -> int:
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER

@@ -15,14 +15,17 @@ class BulletSettings:
         solver_iterations: at most so many iterations of the contact solver in a substep.
         solver_residual: the solver stops early below this residual. Bullet's own 1e-7 lets a standing rover creep by a
             millimetre in 30 seconds; 1e-9 holds it to a fifth of that.
-        friction: Coulomb coefficient between wheel and ground.
+        ground_friction: Coulomb coefficient between wheels and ground.
+        obstacle_friction: the same for obstacles. At 0.7 and more the wheels climb up a wall that they push against, and
+            the rover falls on its back.
     """
 
     substep: float = 0.005
     substeps: int = 10
     solver_iterations: int = 50
     solver_residual: float = 1e-9
-    friction: float = 1.0
+    ground_friction: float = 1.0
+    obstacle_friction: float = 0.5
 
     @property
     def control_dt(self) -> float:

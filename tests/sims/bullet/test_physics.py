@@ -10,7 +10,7 @@ import torch
 from rover_rl.sims import make_simulator
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.rotations import quaternion_to_euler
-from rover_rl.sims.worlds import Terrain, World
+from rover_rl.sims.worlds import Terrain, World, box
 
 ROVER = get_robot("rover_zero")
 DT = 0.05
@@ -85,7 +85,8 @@ def test_climbs_and_descends_15_degrees(heading):
     assert gained.item() == pytest.approx(40 * DT * math.sin(math.radians(15)) * math.cos(heading), abs=0.06)
 
 
-@pytest.mark.parametrize("world", [World("plane", Terrain.flat((40, 40))), slope(0)], ids=["plane", "heightfield"])
+# A thousandth of a degree makes the ground a mesh of triangles.
+@pytest.mark.parametrize("world", [World("plane", Terrain.flat((40, 40))), slope(0.001)], ids=["plane", "mesh"])
 def test_spin_rate_hardly_depends_on_heading(world):
     headings = [2 * math.pi * k / 16 for k in range(16)]
     simulator = simulate(world, [(2.0 * (k % 4) - 3, 2.0 * (k // 4) - 3, yaw) for k, yaw in enumerate(headings)])
@@ -97,7 +98,7 @@ def test_spin_rate_hardly_depends_on_heading(world):
     assert rates.mean().item() == pytest.approx(0.82, rel=0.15)
 
 
-@pytest.mark.parametrize("degrees", [0.0, 15.0])
+@pytest.mark.parametrize("degrees", [0.001, 15.0])
 def test_stands_still_for_600_steps(degrees):
     headings = [2 * math.pi * k / 8 for k in range(8)]
     simulator = simulate(slope(degrees), [(1.5 * (k % 4), 1.5 * (k // 4), yaw) for k, yaw in enumerate(headings)])
@@ -140,8 +141,6 @@ def test_rovers_pass_through_one_another(flat):
 
 
 def test_walls_stop_the_rover():
-    from rover_rl.sims.worlds import box
-
     world = World("wall", Terrain.flat((20, 20)), [box((2.0, 0.0, 0.5), (0.5, 6.0, 1.0))])
     simulator = simulate(world, [(0.0, 0.0, 0.0)])
     last = drive(simulator, [(1.0, 0.0)], 80)[-1]
