@@ -1,0 +1,1 @@
+"""Training on TorchRL, evaluation and plots."""

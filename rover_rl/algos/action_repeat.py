@@ -16,13 +16,13 @@ _GOALS = ("outcome", "goals")
 class ActionRepeat(Transform):
     """Takes each action ``repeat`` times, so that a policy decides at 20 Hz divided by ``repeat``.
 
-    A row whose episode ends within the repeat is held for the rest of it: its reward, and every reward component, is
-    the sum over the steps that it took. (TorchRL's ``FrameSkipTransform`` steps ended rows on, and tells only of the
-    last step's ``done``.)
+    A row whose episode ends within the repeat is held for the rest of it: its reward, and every reward
+    component, is the sum over the steps that it took. (TorchRL's ``FrameSkipTransform`` steps ended rows on,
+    and tells only of the last step's ``done``.)
 
-    ``outcome`` tells of the decision as a whole: the events that happened in any of its steps, the ``phase`` that
-    comes first in the order of :class:`~rover_rl.envs.Phase`, and the sum of ``progress``; the rest is as after the
-    last step. Added is ``goals``, the number of goals reached (int64 ``[N, 1]``).
+    ``outcome`` tells of the decision as a whole: the events that happened in any of its steps, the ``phase``
+    that comes first in the order of :class:`~rover_rl.envs.Phase`, and the sum of ``progress``; the rest is
+    as after the last step. Added is ``goals``, the number of goals reached (int64 ``[N, 1]``).
 
     Transforms that count decisions or sum rewards over an episode come after this one.
 
@@ -64,7 +64,7 @@ class ActionRepeat(Transform):
         return next_tensordict
 
     def _tally(self, step: TensorDictBase, active: Tensor) -> dict[NestedKey, Tensor]:
-        """What a step adds to the decision, with nothing from the rows that were not ``active`` (bool ``[N, 1]``)."""
+        """What a step adds to the decision: nothing on rows that were not ``active`` (bool ``[N, 1]``)."""
         tally = {key: step.get(key) * active for key in (*self.parent.reward_keys, ("outcome", "progress"))}
         tally |= {("outcome", event): step.get(("outcome", event)) & active for event in EVENTS}
         tally["outcome", "phase"] = step.get(("outcome", "phase"))

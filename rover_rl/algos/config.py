@@ -11,7 +11,7 @@ SECONDS_PER_STEP = 0.05
 
 @dataclass(frozen=True)
 class PPOConfig:
-    """Settings of PPO. A step is one control step of one rover (20 Hz); a decision is one action of the policy."""
+    """Settings of PPO. A step is 50 ms of one rover; a decision is one action, for some steps."""
 
     world: str = "maze"
     """World to train in: inspect, moon or maze; "maze:7" is the maze of seed 7."""
@@ -20,8 +20,8 @@ class PPOConfig:
     max_minutes: float | None = None
     """Stop after so many minutes, if that comes before total_steps."""
     seed: int = 0
-    """Of weights, actions, starts and goals. Given the number of workers, the same seed gives the same policy, unless
-    max_minutes decides when to stop."""
+    """Of weights, actions, starts and goals. The same seed gives the same policy, for the same number of
+    workers, unless max_minutes decides when to stop."""
     name: str | None = None
     """Name of the run's folder; by default a new one such as ppo-maze."""
     runs: str = "runs"
@@ -71,12 +71,14 @@ class PPOConfig:
         if self.max_minutes is not None and not self.max_minutes > 0:
             raise ValueError(f"max_minutes must be positive, got {self.max_minutes}")
         if self.num_envs % self.workers:
-            raise ValueError(f"num_envs={self.num_envs} rovers cannot be shared equally by workers={self.workers}")
+            raise ValueError(
+                f"num_envs={self.num_envs} rovers cannot be shared equally by workers={self.workers}"
+            )
         if not self.hidden or min(self.hidden) < 1:
             raise ValueError(f"hidden must name at least one layer of at least 1 unit, got {self.hidden}")
 
 
 def default_workers(num_envs: int = PPOConfig.num_envs) -> int:
-    """How many workers are fastest here: one for each core, up to 8, that the rovers can be shared by equally."""
+    """How many workers are fastest here: one for each core, up to 8, that can share the rovers equally."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(workers for workers in range(1, min(cores, 8) + 1) if num_envs % workers == 0)

@@ -17,8 +17,8 @@ OBSERVATION_KEYS = ("lidar", "imu", "target", "velocities")
 class ObservationEncoder(nn.Module):
     """Scales observations for this task, to about [-1, 1] where it matters: ``[..., lidar_points + 8]``.
 
-    Learning depends on it: scaled by the bounds of the observation space, distances of a few metres become so small
-    that a policy hardly sees them.
+    Learning depends on it: scaled by the bounds of the observation space, distances of a few metres become so
+    small that a policy hardly sees them.
     """
 
     EXTRA = 8
@@ -61,7 +61,9 @@ class EncodedNetwork(nn.Module):
         return self.body(self.encoder(*observation))
 
 
-def make_actor(action_spec: Bounded, lidar_points: int, hidden: tuple[int, ...] = (128, 128)) -> ProbabilisticActor:
+def make_actor(
+    action_spec: Bounded, lidar_points: int, hidden: tuple[int, ...] = (128, 128)
+) -> ProbabilisticActor:
     """A stochastic policy: a normal distribution squashed to the action's bounds, with a spread of its own.
 
     Args:
@@ -105,7 +107,7 @@ def make_critic(lidar_points: int, hidden: tuple[int, ...] = (128, 128)) -> Valu
 
 
 def _mlp(lidar_points: int, hidden: tuple[int, ...], outputs: int, gain: float) -> MLP:
-    """Fully connected layers with tanh between them, with orthogonal weights; ``gain`` is that of the last layer."""
+    """Fully connected layers with tanh between them and orthogonal weights, the last one's of ``gain``."""
     features = lidar_points + ObservationEncoder.EXTRA
     mlp = MLP(in_features=features, out_features=outputs, num_cells=list(hidden), activation_class=nn.Tanh)
     linear = [layer for layer in mlp if isinstance(layer, nn.Linear)]

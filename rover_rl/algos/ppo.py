@@ -1,5 +1,6 @@
-"""PPO on a batch of rovers, with TorchRL: collect decisions, estimate advantages, take some gradient steps, repeat.
+"""PPO on a batch of rovers, with TorchRL: collect decisions, estimate advantages, take gradient steps.
 
+Example:
     >>> summary = train_ppo(PPOConfig(world="maze", max_minutes=5))
     >>> summary.checkpoint
     PosixPath('runs/ppo-maze/checkpoint.pt')
@@ -17,6 +18,7 @@ from pathlib import Path
 
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.collectors import BaseCollector, Collector
 from torchrl.envs import EnvBase, RandomTruncationTransform, RewardSum, StepCounter
 from torchrl.modules import ProbabilisticActor
@@ -38,6 +40,8 @@ LIDAR_POINTS = 32
 """Readings that the policy sees, as the contract has it."""
 LEARNED_FROM = (*OBSERVATION_KEYS, "action", "action_log_prob", "advantage", "value_target")
 """Entries of a decision that a gradient step needs."""
+LOGGED = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction")
+"""What is written down of each gradient step."""
 _SAVE_EVERY = 20
 """Updates between two checkpoints."""
 
@@ -65,7 +69,7 @@ class TrainingSummary:
 
 
 def train_ppo(config: PPOConfig) -> TrainingSummary:
-    """Trains a policy, and writes ``config.json``, ``progress.csv`` and ``checkpoint.pt`` into the run's folder.
+    """Trains a policy; writes ``config.json``, ``progress.csv`` and ``checkpoint.pt`` to the run's folder.
 
     Ctrl-C stops early and keeps what was learned.
 
@@ -131,16 +135,16 @@ class Learner:
         for _ in range(self.config.epochs):
             shuffled = decisions[torch.randperm(len(decisions))]
             steps += [self._gradient_step(part) for part in shuffled.split(self.config.minibatch)]
-        means = torch.stack(steps).mean(0)
-        return {"learning_rate": learning_rate, **{key: value.item() for key, value in means.items()}}
+        means = torch.stack(steps).mean(0).tolist()
+        return {"learning_rate": learning_rate, **dict(zip(LOGGED, means, strict=True))}
 
-    def _gradient_step(self, decisions: TensorDictBase) -> TensorDictBase:
+    def _gradient_step(self, decisions: TensorDictBase) -> Tensor:
         losses = self._loss(decisions)
         self._optimizer.zero_grad()
         (losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]).backward()
         torch.nn.utils.clip_grad_norm_(self._loss.parameters(), self.config.max_grad_norm)
         self._optimizer.step()
-        return losses.select("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction").detach()
+        return torch.stack([losses[key].detach() for key in LOGGED])
 
     def checkpoint(self, steps: int) -> Checkpoint:
         """What has been learned after so many steps."""
@@ -174,6 +178,7 @@ def collecting(config: PPOConfig, actor: ProbabilisticActor) -> Iterator[BaseCol
             sync=True,
             frames_per_batch=frames,
             cat_results=0,
+            use_buffers=True,
             num_threads=torch.get_num_threads(),
             auto_register_policy_transforms=False,
         )
@@ -186,7 +191,7 @@ def collecting(config: PPOConfig, actor: ProbabilisticActor) -> Iterator[BaseCol
 def make_training_env(config: PPOConfig, worker: int = 0) -> EnvBase:
     """One worker's rovers, as the policy meets them: a step is a decision.
 
-    The first episode of each row has a random length, so that the rows do not all start over at the same time.
+    The first episode of each row has a random length, so that the rows do not all start over together.
     """
     rows = config.num_envs // config.workers
     env = make_env(

@@ -27,9 +27,10 @@ _RECENT = 10
 class BatchStatistics:
     """Counts what happened in batches of decisions that follow one another.
 
-    A goal is *tried* until it is reached, until the episode ends badly, or for 60 s, whichever comes first; after 60 s
-    the same goal counts as tried anew. The success rate is the share of tries that reached their goal, so that it
-    compares with :func:`~rover_rl.algos.evaluate.evaluate`. Tries that a time limit cuts short do not count.
+    A goal is *tried* until it is reached, until the episode ends badly, or for 60 s, whichever comes first;
+    after 60 s the same goal counts as tried anew. The success rate is the share of tries that reached their
+    goal, so that it compares with :func:`~rover_rl.algos.evaluate.evaluate`. Tries that the end of a full
+    episode cuts short do not count.
 
     Args:
         num_envs: rows of a batch.
@@ -42,7 +43,7 @@ class BatchStatistics:
         self.steps = 0
 
     def __call__(self, batch: TensorDictBase) -> dict[str, float]:
-        """Statistics of the next batch ``[N, T]``, with unscaled rewards; nan where nothing was there to count."""
+        """Statistics of the next batch ``[N, T]``, rewards unscaled; nan where there is nothing to count."""
         after = batch["next"]
         outcome = after["outcome"]
         before, self.steps = self.steps, int(outcome["total_steps"][:, -1].sum())
@@ -52,7 +53,8 @@ class BatchStatistics:
         return {
             "steps": self.steps,
             "goals_per_2000_steps": goals * EPISODE_STEPS / max(self.steps - before, 1),
-            "success_rate": reached / (reached + failed) if reached + failed else math.nan,
+            "tries": reached + failed,
+            "tries_reached": reached,
             "episodes": int(ended.sum()),
             "episode_steps": outcome["steps"][ended].float().mean().item(),
             "episode_return": after["episode_reward"][ended].mean().item(),
@@ -116,7 +118,11 @@ class ProgressLog:
         """Writes a row, of which ``steps`` is one entry; ``share`` of the training is done."""
         now = time.perf_counter()
         before = self._recent[-1]["steps"] if self._recent else 0
-        row = {"minutes": self.minutes, "steps_per_second": (row["steps"] - before) / (now - self._last), **row}
+        row = {
+            "minutes": self.minutes,
+            "steps_per_second": (row["steps"] - before) / (now - self._last),
+            **row,
+        }
         self._last = now
         self._recent = [*self._recent[1 - _RECENT :], row]
         self._append(row)
@@ -128,18 +134,24 @@ class ProgressLog:
             writer = csv.DictWriter(file, list(row))
             if new:
                 writer.writeheader()
-            writer.writerow({key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()})
+            writer.writerow(
+                {key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()}
+            )
 
     def _show(self, share: float) -> None:
         status = (
             f"{self._mean('steps_per_second'):,.0f} steps/s, "
             f"{self._mean('goals_per_2000_steps'):.1f} goals per 2,000 steps, "
-            f"success {self._mean('success_rate'):.0%}, return {self._mean('episode_return'):.0f}"
+            f"success {self._success_rate():.0%}, return {self._mean('episode_return'):.0f}"
         )
         self._bar.update(self._task, completed=share, status=status)
         if self._bar.disable and int(share * 10) > self._told:
             self._told = int(share * 10)
             self._bar.console.print(f"{share:4.0%} of training: {status}")
+
+    def _success_rate(self) -> float:
+        tries = sum(row["tries"] for row in self._recent)
+        return sum(row["tries_reached"] for row in self._recent) / tries if tries else math.nan
 
     def _mean(self, key: str) -> float:
         values = [row[key] for row in self._recent if not math.isnan(row[key])]

@@ -60,7 +60,14 @@ class Checkpoint:
             raise FileNotFoundError(f"no checkpoint at {path}")
         try:
             data = torch.load(path, map_location="cpu", weights_only=True)
-        except (pickle.UnpicklingError, zipfile.BadZipFile, RuntimeError, EOFError, ValueError, KeyError) as error:
+        except (
+            pickle.UnpicklingError,
+            zipfile.BadZipFile,
+            RuntimeError,
+            EOFError,
+            ValueError,
+            KeyError,
+        ) as error:
             raise ValueError(f"{path} is damaged, or no checkpoint of rover_rl") from error
         if not isinstance(data, dict) or data.pop("format", None) != _FORMAT:
             raise ValueError(f"{path} is no checkpoint of rover_rl")

@@ -140,8 +140,9 @@ class ProgressReward(RewardComponent):
         min_alignment: float = RewardConfig.min_alignment,
     ) -> None:
         super().__init__()
-        self.scale = distance_delta_scale * final_reward_multiplier
-        self.idle = idle_penalty * final_reward_multiplier
+        self.distance_delta_scale = distance_delta_scale
+        self.final_reward_multiplier = final_reward_multiplier
+        self.idle_penalty = idle_penalty
         self.min_progress = min_progress
         self.min_alignment = min_alignment
 
@@ -149,7 +150,8 @@ class ProgressReward(RewardComponent):
         """``multiplier * (scale * progress or idle penalty)``."""
         progress = outcome.get("progress")
         counts = (progress.abs() > self.min_progress) & (outcome.get("alignment") > self.min_alignment)
-        return torch.where(counts, progress * self.scale, self.idle)
+        multiplier = self.final_reward_multiplier
+        return torch.where(counts, progress * (multiplier * self.distance_delta_scale), multiplier * self.idle_penalty)
 
 
 class VelocityBonus(RewardComponent):

@@ -170,6 +170,7 @@ class RoverEnv(EnvBase):
 
     def render(self, row: int = 0, view: View = "chase", width: int = 640, height: int = 480) -> Tensor:
         """A picture of one rover and its goal, from behind (``"chase"``) or above (``"top"``): uint8 ``[height, width, 3]``."""
+        self._require_open("render")
         self._require_started("render")
         if not 0 <= row < self.num_envs:
             raise ValueError(f"row must be between 0 and {self.num_envs - 1}, got {row}")
@@ -230,20 +231,33 @@ class RoverEnv(EnvBase):
         self._receive(self.simulator.reset(mask.squeeze(-1).to(device), poses.to(device)))
         self.controller.reset(mask)
         self._set_targets(mask, goal)
+        self._forget_outcome(mask)
         self._started = True
-        zeros = torch.zeros(self.num_envs, len(EVENTS), dtype=torch.bool, device=self._tensor_device)
-        self._now.outcome = self._pack_outcome(
-            zeros,
-            phase=torch.full_like(self._keys, Phase.NONE),
-            progress=torch.zeros_like(self._now.yaw),
-            alignment=heading_alignment(self._now.task.target[:, 1:]),
-        )
-        done = torch.zeros_like(mask)
-        self._now.terminated = self._now.truncated = done
+        now = self._now
         # Fresh tensors for all rows: EnvBase keeps what the rows that were not reset had.
         return self._pack(
-            self._observation(), outcome=self._now.outcome, done=done, terminated=done.clone(), truncated=done.clone()
+            self._observation(),
+            outcome=now.outcome,
+            done=now.terminated | now.truncated,
+            terminated=now.terminated,
+            truncated=now.truncated,
         )
+
+    def _forget_outcome(self, mask: Tensor) -> None:
+        """Nothing has happened yet on the rows of ``mask``."""
+        now = self._now
+        nothing = self._pack_outcome(
+            torch.zeros(self.num_envs, len(EVENTS), dtype=torch.bool, device=self._tensor_device),
+            phase=torch.full_like(self._keys, Phase.NONE),
+            progress=torch.zeros_like(now.yaw),
+            alignment=heading_alignment(now.task.target[:, 1:]),
+        )
+        if self._started:
+            now.outcome = nothing.where(mask.squeeze(-1), now.outcome)
+            now.terminated, now.truncated = now.terminated & ~mask, now.truncated & ~mask
+        else:
+            now.outcome = nothing
+            now.terminated, now.truncated = torch.zeros_like(mask), torch.zeros_like(mask)
 
     def _set_targets(self, mask: Tensor, goal: Tensor | None) -> None:
         """Sets the goals of freshly reset rows, and their counters to zero."""
@@ -398,7 +412,7 @@ class RoverEnv(EnvBase):
 
     def _reset_mask(self, tensordict: TensorDictBase | None) -> Tensor:
         mask = None if tensordict is None else tensordict.get("_reset", None)
-        if mask is None:
+        if mask is None or not self._started:
             return torch.ones(self.num_envs, 1, dtype=torch.bool, device=self._tensor_device)
         return mask.reshape(self.num_envs, 1)
 

@@ -38,6 +38,8 @@ class SB3VecEnv(VecEnv):
         >>> model = PPO("MultiInputPolicy", envs, n_steps=64)
     """
 
+    metadata: dict[str, Any]
+
     def __init__(
         self,
         env: EnvBase,

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Literal, Protocol, TypeAlias, runtime_checkable
 
 import torch
-from tensordict import TensorDict, tensorclass
+from tensordict import TensorClass, TensorDict
 from torch import Tensor
 
 View: TypeAlias = Literal["chase", "top"]
 
 
-@tensorclass
-class RoverState:
+class RoverState(TensorClass):
     """What is known of every rover at one moment. Batch size ``[N]``; float32 unless said otherwise.
 
     Attributes:

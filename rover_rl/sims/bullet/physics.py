@@ -155,10 +155,6 @@ class RoverPhysics:
             wheel_speeds=np.stack((wheel[:, :left].mean(1), wheel[:, left:].mean(1)), 1),
         )
 
-    def contacts(self, row: int) -> int:
-        """How many points of the rover's body, wheels aside, touch the world."""
-        return len(pybullet.getContactPoints(self._bodies[row], linkIndexA=-1, physicsClientId=self.client))
-
     def _drive(self, row: int, speeds: list[float]) -> None:
         pybullet.setJointMotorControlArray(
             self._bodies[row],
@@ -186,7 +182,7 @@ class RoverPhysics:
             [joint[1] for joint in joints],
         )
 
-    def _restore(self, row, position, orientation, velocity, spin, angles, speeds) -> None:  # type: ignore[no-untyped-def]
+    def _restore(self, row, position, orientation, velocity, spin, angles, speeds) -> None:
         body, client = self._bodies[row], self.client
         pybullet.resetBasePositionAndOrientation(body, position, orientation, physicsClientId=client)
         pybullet.resetBaseVelocity(body, velocity, spin, physicsClientId=client)

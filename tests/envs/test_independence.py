@@ -1,0 +1,99 @@
+"""A rover's numbers do not depend on its company or on its history: bit for bit."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from rover_rl import make_env
+
+OBSERVED = ("lidar", "pose", "imu", "target", "velocities", "reward", "done", "terminated", "truncated")
+
+
+def actions(steps: int, rows: int, low: torch.Tensor, high: torch.Tensor, seed: int = 0) -> torch.Tensor:
+    """Random actions held for ten steps each, mostly forward: ``[steps, rows, 2]``."""
+    generator = torch.Generator().manual_seed(seed)
+    unit = torch.rand((steps + 9) // 10, rows, 2, generator=generator)
+    unit[..., 0] = 0.4 + 0.6 * unit[..., 0]
+    unit[..., 1] = 0.5 + (unit[..., 1] - 0.5) * 0.4
+    return (low + unit * (high - low)).repeat_interleave(10, 0)[:steps]
+
+
+def trajectory(env, steps: int, row: int, own: torch.Tensor) -> dict[str, torch.Tensor]:
+    """What ``row`` sees and gets in ``steps`` steps with its own actions ``[steps, 2]``, the others with theirs."""
+    spec = env.action_spec.space
+    others = actions(steps, env.batch_size[0], spec.low[0], spec.high[0], seed=1)
+    others[:, row] = own
+    td, seen = env.reset(), []
+    for action in others:
+        step, td = env.step_and_maybe_reset(td.set("action", action))
+        seen.append({key: step["next", key][row] for key in OBSERVED})
+    return {key: torch.stack([s[key] for s in seen]) for key in OBSERVED}
+
+
+def own_actions(env, steps: int) -> torch.Tensor:
+    spec = env.action_spec.space
+    return actions(steps, 1, spec.low[0], spec.high[0])[:, 0]
+
+
+def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
+    for key in OBSERVED:
+        assert torch.equal(a[key], b[key]), f"{key} differs first at step {(a[key] != b[key]).nonzero()[0, 0].item()}"
+
+
+@pytest.mark.parametrize(
+    ("world", "num_envs", "row", "steps"),
+    [
+        ("maze", 16, 5, 1000),
+        ("maze", 256, 200, 1000),
+        ("moon", 16, 15, 250),
+        ("inspect", 16, 0, 250),
+    ],
+)
+def test_a_rover_alone_and_in_company_are_the_same(world, num_envs, row, steps):
+    settings = {"world_n": world, "lidar_beams": 32, "length": 200}
+    alone = make_env(num_envs=1, seed=40 + row, **settings)
+    own = own_actions(alone, steps)
+    expected = trajectory(alone, steps, 0, own)
+    company = make_env(num_envs=num_envs, seed=40, **settings)
+    assert_same(trajectory(company, steps, row, own), expected)
+    # The trajectory is worth comparing: the rover moved, and episodes ended within it.
+    assert expected["pose"].std(0)[:2].max() > 0.05
+    assert expected["done"].any()
+
+
+@pytest.mark.parametrize("world", ["maze", "inspect"])
+def test_after_fifty_resets_of_itself_and_others_a_rover_is_the_same(world):
+    env = make_env(world_n=world, num_envs=8, seed=3, lidar_beams=32, length=300)
+    own = own_actions(env, 300)
+    expected = trajectory(env, 300, 2, own)
+    td = env.reset()
+    for k in range(50):
+        reset = torch.zeros(8, 1, dtype=torch.bool)
+        reset[k % 8] = reset[2] = True
+        td = env.reset(td.set("_reset", reset))
+        td = env.step(td.set("action", env.action_spec.rand()))["next"]
+    env.set_seed(3)
+    assert_same(trajectory(env, 300, 2, own), expected)
+
+
+def test_another_seed_is_another_trajectory():
+    env = make_env(world_n="maze", num_envs=2, seed=3, lidar_beams=32)
+    first = env.reset()["pose"].clone()
+    env.set_seed(4)
+    second = env.reset()["pose"]
+    assert not torch.equal(first, second)
+    assert torch.equal(first[1], second[0])
+
+
+def test_partial_resets_touch_nothing_else():
+    env = make_env(world_n="maze", num_envs=4, seed=0, lidar_beams=32)
+    td = env.rollout(5, break_when_any_done=False)[:, -1]["next"].exclude("reward", "reward_components")
+    before = td.clone()
+    reset = torch.tensor([[False], [True], [False], [False]])
+    after = env.reset(td.set("_reset", reset))
+    keep = ~reset.squeeze(-1)
+    for key in ("lidar", "pose", "imu", "target", "velocities"):
+        assert torch.equal(after[key][keep], before[key][keep])
+    assert not torch.equal(after["pose"][1], before["pose"][1])
+    assert after["outcome", "steps"].squeeze(-1).tolist() == [5, 0, 5, 5]
