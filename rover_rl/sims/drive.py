@@ -24,8 +24,9 @@ class DifferentialDrive:
         half = robot.wheel_separation / 2
         self._left_right = torch.tensor((-half, half), device=device) / robot.wheel_radius
         self._inverse_radius = torch.tensor(1 / robot.wheel_radius, device=device)
-        self._linear = robot.wheel_radius / 2
-        self._angular = robot.wheel_radius / robot.wheel_separation
+        linear, angular = robot.wheel_radius / 2, robot.wheel_radius / robot.wheel_separation
+        self._from_left = torch.tensor((linear, -angular), device=device)
+        self._from_right = torch.tensor((linear, angular), device=device)
 
     def ramp(self, current: Tensor, command: Tensor) -> Tensor:
         """The twist (m/s, rad/s; ``[N, 2]``) after ``dt`` on the way from ``current`` to ``command`` within the limits."""
@@ -35,11 +36,10 @@ class DifferentialDrive:
         """Speeds of the left and right wheels (rad/s, ``[N, 2]``) that drive ``twist`` without slip."""
         return torch.addcmul(twist[:, :1] * self._inverse_radius, twist[:, 1:], self._left_right)
 
-    def odometry(self, wheel_speeds: Tensor) -> tuple[Tensor, Tensor]:
-        """What a differential drive reports from its wheels' speeds ``[N, 2]``: forward speed and yaw rate, ``[N, 1]`` each.
+    def odometry(self, wheel_speeds: Tensor) -> Tensor:
+        """What a differential drive reports from its wheels' speeds ``[N, 2]``: forward speed and yaw rate, ``[N, 2]``.
 
         ``v = r (wR + wL) / 2`` (m/s) and ``w = r (wR - wL) / separation`` (rad/s): the wheels' motion, not the body's,
         which differs when they slip.
         """
-        left, right = wheel_speeds[:, :1], wheel_speeds[:, 1:]
-        return self._linear * (right + left), self._angular * (right - left)
+        return torch.addcmul(wheel_speeds[:, :1] * self._from_left, wheel_speeds[:, 1:], self._from_right)

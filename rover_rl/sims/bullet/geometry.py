@@ -12,6 +12,10 @@ from torch import Tensor
 
 from rover_rl.sims.bullet.library import pybullet
 from rover_rl.sims.worlds import Obstacle, Terrain, World
+from rover_rl.sims.worlds.world import Area
+
+GROUND_MARGIN = 3.0
+"""Ground beyond a world's bounds, m."""
 
 GROUND_TURN = math.pi / 8
 """The ground's frame is turned by this about the vertical, rad, for the sake of :data:`FRICTION_AXES`."""
@@ -28,16 +32,26 @@ MESH_CELLS = 60_000
 """Cells in one strip of a terrain's mesh: Bullet takes at most 524,288 indices a mesh."""
 
 
-def terrain_strips(terrain: Terrain) -> list[slice]:
-    """Cuts a terrain into strips of rows that share their border rows and are small enough for one mesh each."""
+def terrain_strips(terrain: Terrain, area: Area | None = None) -> list[tuple[slice, slice]]:
+    """Cuts a terrain into strips, as rows and columns, that are small enough for one mesh each and share their borders.
+
+    Args:
+        terrain: the ground.
+        area: what has to be covered, m; all of it by default.
+    """
     rows, columns = terrain.heights.shape
-    step = max(1, MESH_CELLS // columns)
-    return [slice(start, min(start + step + 1, rows)) for start in range(0, rows - 1, step)]
+    (x_low, x_high), (y_low, y_high) = area or terrain.extent
+    left, right = (int((x - terrain.origin[0]) // terrain.cell) for x in (x_low, x_high))
+    bottom, top = (int((y - terrain.origin[1]) // terrain.cell) for y in (y_low, y_high))
+    across = slice(max(left, 0), min(right + 2, columns))
+    bottom, top = max(bottom, 0), min(top + 1, rows - 1)
+    step = max(1, MESH_CELLS // (across.stop - across.start))
+    return [(slice(row, min(row + step, top) + 1), across) for row in range(bottom, top, step)]
 
 
 def add_mesh_bodies(client: int, world: World) -> None:
     """Adds terrain and obstacles as concave triangle meshes: what rays are cast at."""
-    meshes = [world.terrain.mesh(strip) for strip in terrain_strips(world.terrain)]
+    meshes = [world.terrain.mesh(*strip) for strip in terrain_strips(world.terrain)]
     if world.obstacles:
         offsets = torch.tensor([0] + [len(o.vertices) for o in world.obstacles]).cumsum(0)
         faces = torch.cat([o.faces + offset for o, offset in zip(world.obstacles, offsets[:-1], strict=True)])
@@ -46,8 +60,12 @@ def add_mesh_bodies(client: int, world: World) -> None:
         pybullet.createMultiBody(0, _mesh_shape(client, vertices.numpy(), faces), physicsClientId=client)
 
 
-def add_ground(client: int, terrain: Terrain) -> list[int]:
-    """Adds the ground that wheels touch, as a plane or triangle meshes in a frame turned by :data:`GROUND_TURN`."""
+def add_ground(client: int, world: World) -> list[int]:
+    """Adds the ground that wheels touch, as a plane or triangle meshes in a frame turned by :data:`GROUND_TURN`.
+
+    A mesh reaches :data:`GROUND_MARGIN` beyond the world's bounds: a rover that leaves them has ended its episode.
+    """
+    terrain = world.terrain
     turn = Rotation.from_euler("z", GROUND_TURN)
     if terrain.is_flat:
         shapes = [pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)]
@@ -55,8 +73,9 @@ def add_ground(client: int, terrain: Terrain) -> list[int]:
     else:
         # Not as a heightfield, which would stand along the axes of its body's frame.
         shapes = []
-        for strip in terrain_strips(terrain):
-            vertices, faces = terrain.mesh(strip)
+        area = tuple((low - GROUND_MARGIN, high + GROUND_MARGIN) for low, high in world.bounds)
+        for strip in terrain_strips(terrain, area):
+            vertices, faces = terrain.mesh(*strip)
             shapes.append(_mesh_shape(client, turn.inv().apply(vertices.numpy()), faces))
         height = 0.0
     return [

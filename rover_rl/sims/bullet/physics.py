@@ -13,6 +13,10 @@ from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
+ROVERS_PER_CLIENT = 64
+"""Rovers that share a Bullet client. More of them no longer fit in the processor's cache together, and cost two to three
+times as much each; company changes nothing else."""
+
 _CONJUGATE = np.array((-1.0, -1.0, -1.0, 1.0))
 
 _STATIC, _ROVERS = 1, 2
@@ -41,61 +45,41 @@ class RoverPhysics:
 
     Bullet speaks of a body's inertial frame, which sits in the centre of mass and is turned to the principal axes of
     inertia; here all poses are those of the base frame.
+
+    Args:
+        world: where they are.
+        robot: what they are.
+        count: how many.
+        settings: of the physics.
+
+    Attributes:
+        clients: the Bullet clients that the rovers are in.
     """
 
     def __init__(self, world: World, robot: Robot, count: int, settings: BulletSettings) -> None:
         self._settings = settings
-        self.client = client = pybullet.connect(pybullet.DIRECT)
-        pybullet.setGravity(0, 0, -9.81, physicsClientId=client)
-        pybullet.setPhysicsEngineParameter(
-            fixedTimeStep=settings.substep,
-            numSolverIterations=settings.solver_iterations,
-            solverResidualThreshold=settings.solver_residual,
-            # Bullet's implicit cone turns friction away from the slip, and halves a skid-steer's yaw rate.
-            enableConeFriction=0,
-            # Contacts in the same order in every run and in every company.
-            deterministicOverlappingPairs=1,
-            physicsClientId=client,
-        )
-        self._ground = add_ground(client, world.terrain)
-        self._add_static(self._ground, settings.ground_friction)
-        self._add_static(add_obstacles(client, world.obstacles), settings.obstacle_friction)
-        self._bodies = [self._load(robot) for _ in range(count)]
+        self.clients: list[int] = []
+        self._grounds: list[list[int]] = []
+        self._rovers: list[tuple[int, int]] = []
+        for first in range(0, count, ROVERS_PER_CLIENT):
+            client = _connect(settings)
+            self.clients.append(client)
+            self._grounds.append(add_ground(client, world))
+            _make_static(client, self._grounds[-1], settings.ground_friction)
+            _make_static(client, add_obstacles(client, world.obstacles), settings.obstacle_friction)
+            self._rovers += [(client, _load(client, robot)) for _ in range(first, min(first + ROVERS_PER_CLIENT, count))]
         self._wheels = self._find_wheels(robot)
         self._forces = [robot.wheel_torque] * len(self._wheels)
         self._sides = len(robot.left_wheels), len(robot.right_wheels)
-        info = pybullet.getDynamicsInfo(self._bodies[0], -1, physicsClientId=client)
+        client, body = self._rovers[0]
+        info = pybullet.getDynamicsInfo(body, -1, physicsClientId=client)
         self._inertial_position = np.array(info[3])
         self._inertial_orientation = np.array(info[4])
 
-    def _add_static(self, bodies: Sequence[int], friction: float) -> None:
-        for body in bodies:
-            pybullet.changeDynamics(body, -1, lateralFriction=friction, physicsClientId=self.client)
-            pybullet.setCollisionFilterGroupMask(body, -1, _STATIC, _ROVERS, physicsClientId=self.client)
-
-    def _load(self, robot: Robot) -> int:
-        flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER
-        body = pybullet.loadURDF(
-            str(robot.urdf), flags=flags | pybullet.URDF_IGNORE_VISUAL_SHAPES, physicsClientId=self.client
-        )
-        for link in range(-1, pybullet.getNumJoints(body, physicsClientId=self.client)):
-            pybullet.setCollisionFilterGroupMask(body, link, _ROVERS, _STATIC, physicsClientId=self.client)
-            pybullet.changeDynamics(
-                body,
-                link,
-                lateralFriction=1.0,
-                linearDamping=0.0,
-                angularDamping=0.0,
-                jointDamping=0.0,
-                activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
-                physicsClientId=self.client,
-            )
-        return body
-
     def _find_wheels(self, robot: Robot) -> list[int]:
-        body = self._bodies[0]
-        joints = range(pybullet.getNumJoints(body, physicsClientId=self.client))
-        index = {pybullet.getJointInfo(body, j, physicsClientId=self.client)[1].decode(): j for j in joints}
+        client, body = self._rovers[0]
+        joints = range(pybullet.getNumJoints(body, physicsClientId=client))
+        index = {pybullet.getJointInfo(body, j, physicsClientId=client)[1].decode(): j for j in joints}
         missing = [name for name in (*robot.left_wheels, *robot.right_wheels) if name not in index]
         if missing:
             raise ValueError(f"{robot.urdf} has no wheel joint {missing[0]!r}; its joints are {sorted(index)}")
@@ -109,7 +93,7 @@ class RoverPhysics:
         for row, center, orientation in zip(rows, centers.tolist(), inertial.tolist(), strict=True):
             self._restore(row, center, orientation, [0, 0, 0], [0, 0, 0], still, still)
             self._drive(row, still)
-            self._forget_contacts(row)
+            _forget_contacts(*self._rovers[row])
 
     def step(self, speeds: list[list[float]], held: Sequence[int] = ()) -> None:
         """Steps the world through one control step.
@@ -119,15 +103,16 @@ class RoverPhysics:
             held: rows for which no time passes: they are put back to where they were.
         """
         left, right = self._sides
-        client = self.client
         before = [self._snapshot(row) for row in held]
         for row, (left_speed, right_speed) in enumerate(speeds):
             self._drive(row, [left_speed] * left + [right_speed] * right)
-        for substep in range(self._settings.substeps):
-            axes = FRICTION_AXES[substep % 2]
-            for ground in self._ground:
-                pybullet.changeDynamics(ground, -1, anisotropicFriction=axes, physicsClientId=client)
-            pybullet.stepSimulation(physicsClientId=client)
+        for client, grounds in zip(self.clients, self._grounds, strict=True):
+            for substep in range(self._settings.substeps):
+                for ground in grounds:
+                    pybullet.changeDynamics(
+                        ground, -1, anisotropicFriction=FRICTION_AXES[substep % 2], physicsClientId=client
+                    )
+                pybullet.stepSimulation(physicsClientId=client)
         for row, snapshot in zip(held, before, strict=True):
             self._restore(row, *snapshot)
 
@@ -135,9 +120,9 @@ class RoverPhysics:
         """Reads the rovers of ``rows``."""
         poses: list[float] = []
         speeds: list[float] = []
-        client, wheels = self.client, self._wheels
+        wheels = self._wheels
         for row in rows:
-            body = self._bodies[row]
+            client, body = self._rovers[row]
             # Keyword arguments cost more than the calls; these are by position, the client last.
             position, orientation = pybullet.getBasePositionAndOrientation(body, client)
             poses += position
@@ -156,24 +141,18 @@ class RoverPhysics:
         )
 
     def _drive(self, row: int, speeds: list[float]) -> None:
+        client, body = self._rovers[row]
         pybullet.setJointMotorControlArray(
-            self._bodies[row],
+            body,
             self._wheels,
             pybullet.VELOCITY_CONTROL,
             targetVelocities=speeds,
             forces=self._forces,
-            physicsClientId=self.client,
+            physicsClientId=client,
         )
 
-    def _forget_contacts(self, row: int) -> None:
-        """Drops the contacts of the row's last episode, which Bullet would keep where the new pose is near them."""
-        body, client = self._bodies[row], self.client
-        for link in range(-1, pybullet.getNumJoints(body, physicsClientId=client)):
-            # Setting the filter, even to what it is, makes Bullet find the link's overlapping pairs anew.
-            pybullet.setCollisionFilterGroupMask(body, link, _ROVERS, _STATIC, physicsClientId=client)
-
     def _snapshot(self, row: int) -> tuple:
-        body, client = self._bodies[row], self.client
+        client, body = self._rovers[row]
         joints = pybullet.getJointStates(body, self._wheels, physicsClientId=client)
         return (
             *pybullet.getBasePositionAndOrientation(body, physicsClientId=client),
@@ -183,11 +162,58 @@ class RoverPhysics:
         )
 
     def _restore(self, row, position, orientation, velocity, spin, angles, speeds) -> None:
-        body, client = self._bodies[row], self.client
+        client, body = self._rovers[row]
         pybullet.resetBasePositionAndOrientation(body, position, orientation, physicsClientId=client)
         pybullet.resetBaseVelocity(body, velocity, spin, physicsClientId=client)
         for wheel, angle, speed in zip(self._wheels, angles, speeds, strict=True):
             pybullet.resetJointState(body, wheel, angle, speed, physicsClientId=client)
+
+
+def _connect(settings: BulletSettings) -> int:
+    client = pybullet.connect(pybullet.DIRECT)
+    pybullet.setGravity(0, 0, -9.81, physicsClientId=client)
+    pybullet.setPhysicsEngineParameter(
+        fixedTimeStep=settings.substep,
+        numSolverIterations=settings.solver_iterations,
+        solverResidualThreshold=settings.solver_residual,
+        # Bullet's implicit cone turns friction away from the slip, and halves a skid-steer's yaw rate.
+        enableConeFriction=0,
+        # Contacts in the same order in every run and in every company.
+        deterministicOverlappingPairs=1,
+        physicsClientId=client,
+    )
+    return client
+
+
+def _make_static(client: int, bodies: Sequence[int], friction: float) -> None:
+    for body in bodies:
+        pybullet.changeDynamics(body, -1, lateralFriction=friction, physicsClientId=client)
+        pybullet.setCollisionFilterGroupMask(body, -1, _STATIC, _ROVERS, physicsClientId=client)
+
+
+def _load(client: int, robot: Robot) -> int:
+    flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER
+    body = pybullet.loadURDF(str(robot.urdf), flags=flags | pybullet.URDF_IGNORE_VISUAL_SHAPES, physicsClientId=client)
+    for link in range(-1, pybullet.getNumJoints(body, physicsClientId=client)):
+        pybullet.changeDynamics(
+            body,
+            link,
+            lateralFriction=1.0,
+            linearDamping=0.0,
+            angularDamping=0.0,
+            jointDamping=0.0,
+            activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
+            physicsClientId=client,
+        )
+    _forget_contacts(client, body)
+    return body
+
+
+def _forget_contacts(client: int, body: int) -> None:
+    """Drops a rover's contacts, which Bullet would keep from before a reset where the new pose is near the old one."""
+    for link in range(-1, pybullet.getNumJoints(body, physicsClientId=client)):
+        # Setting the filter, even to what it is, makes Bullet find the link's overlapping pairs anew.
+        pybullet.setCollisionFilterGroupMask(body, link, _ROVERS, _STATIC, physicsClientId=client)
 
 
 def _times(a: np.ndarray, b: np.ndarray) -> np.ndarray:

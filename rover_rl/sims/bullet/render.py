@@ -83,7 +83,7 @@ class Renderer:
     def _add_scenery(self) -> None:
         terrain = self._world.terrain
         for strip in terrain_strips(terrain):
-            self._add_mesh(*terrain.mesh(strip), colour=_GROUND)
+            self._add_mesh(*terrain.mesh(*strip), colour=_GROUND)
         for obstacle in self._world.obstacles:
             # Corners of their own for every face give the flat shading of a solid with edges.
             corners = obstacle.vertices[obstacle.faces.flatten()]

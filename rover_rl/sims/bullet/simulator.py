@@ -55,16 +55,15 @@ class BulletSimulator:
         for world, block in groupby(range(self.num_envs), key=worlds.__getitem__):
             rows = np.array(list(block))
             physics = RoverPhysics(world, robot, len(rows), self.settings)
-            self._clients.append(physics.client)
+            self._clients.extend(physics.clients)
             lidar = Lidar(world, robot, angles)
             self._clients.append(lidar.client)
             self._places.append(_Place(world, rows, physics, lidar))
 
         count = self.num_envs
-        self._position = np.zeros((count, 3))
-        self._orientation = np.tile((0.0, 0.0, 0.0, 1.0), (count, 1))
-        self._speeds = np.zeros((count, 2))
-        self._ranges = np.full((count, lidar_beams), np.inf)
+        # Position (3), orientation (4) and wheel speeds (2) side by side, to be handed out at once.
+        self._body = np.zeros((count, 9), dtype=np.float32)
+        self._ranges = np.full((count, lidar_beams), np.inf, dtype=np.float32)
         self._twist = torch.zeros(count, 2)
         self._stamp = torch.zeros(count, 1, dtype=torch.float64)
         self.reset(torch.ones(count, dtype=torch.bool), torch.zeros(count, 3))
@@ -100,13 +99,14 @@ class BulletSimulator:
 
     def state(self) -> RoverState:
         """The present state, in tensors of its own."""
-        linear, angular = self._drive.odometry(torch.from_numpy(self._speeds).float())
+        body = torch.from_numpy(self._body.copy())
+        twist = self._drive.odometry(body[:, 7:])
         return RoverState.pack(
-            position=torch.from_numpy(self._position).float(),
-            orientation=torch.from_numpy(self._orientation).float(),
-            linear_velocity=linear,
-            angular_velocity=angular,
-            ranges=torch.from_numpy(self._ranges).float(),
+            position=body[:, :3],
+            orientation=body[:, 3:7],
+            linear_velocity=twist[:, :1],
+            angular_velocity=twist[:, 1:],
+            ranges=torch.from_numpy(self._ranges.copy()),
             dt=self._dt,
             stamp=self._stamp,
         )
@@ -117,8 +117,9 @@ class BulletSimulator:
         if index not in self._renderers:
             self._renderers[index] = Renderer(self._places[index].world, self._robot)
             self._clients.append(self._renderers[index].client)
+        pose = self._body[row].astype(float)
         return self._renderers[index].picture(
-            self._position[row], self._orientation[row], view, width, height, None if goal is None else goal.tolist()
+            pose[:3], pose[3:7], view, width, height, None if goal is None else goal.tolist()
         )
 
     def close(self) -> None:
@@ -131,9 +132,9 @@ class BulletSimulator:
             return
         reading = place.physics.read(local.tolist())
         rows = place.block if len(local) == len(place.all) else place.rows[local]
-        self._position[rows] = reading.position
-        self._orientation[rows] = reading.orientation
-        self._speeds[rows] = reading.wheel_speeds
+        self._body[rows, :3] = reading.position
+        self._body[rows, 3:7] = reading.orientation
+        self._body[rows, 7:] = reading.wheel_speeds
         self._ranges[rows] = place.lidar.scan(reading.position, reading.rotation)
 
 

@@ -112,18 +112,20 @@ class Terrain:
         height = torch.where(upper, h11 - (1 - u) * rise_x - (1 - v) * rise_y, h00 + u * rise_x + v * rise_y)
         return height, rise_x / self.cell, rise_y / self.cell
 
-    def mesh(self, rows: slice = slice(None)) -> tuple[Tensor, Tensor]:
-        """The triangles: vertices ``[V, 3]`` (m, float64), indices ``[F, 3]``, counter-clockwise from above.
+    def mesh(self, rows: slice = slice(None), columns: slice = slice(None)) -> tuple[Tensor, Tensor]:
+        """The triangles of a part of the grid.
 
         Args:
-            rows: which rows of the grid, to cut a large terrain into strips.
+            rows, columns: which part, as slices without steps; all of it by default.
+
+        Returns:
+            Vertices ``[V, 3]`` (m, float64) and indices ``[F, 3]`` (int64), counter-clockwise from above.
         """
-        heights = self.heights[rows].double()
+        heights = self.heights[rows, columns].double()
         n_rows, n_columns = heights.shape
-        x, y = self.origin  # type: ignore[misc]
-        first = range(self.heights.shape[0])[rows][0]
-        ys = y + self.cell * torch.arange(first, first + n_rows, dtype=torch.float64)
-        xs = x + self.cell * torch.arange(n_columns, dtype=torch.float64)
+        first_row, first_column = rows.indices(len(self.heights))[0], columns.indices(len(self.heights[0]))[0]
+        ys = self.origin[1] + self.cell * torch.arange(first_row, first_row + n_rows, dtype=torch.float64)
+        xs = self.origin[0] + self.cell * torch.arange(first_column, first_column + n_columns, dtype=torch.float64)
         grid_y, grid_x = torch.meshgrid(ys, xs, indexing="ij")
         vertices = torch.stack((grid_x, grid_y, heights), -1).reshape(-1, 3)
         index = torch.arange(n_rows * n_columns).reshape(n_rows, n_columns)
