@@ -114,7 +114,7 @@ class Demo:
     """Of the training."""
     num_envs: int = PPOConfig.num_envs
     """Rovers that drive at once in training."""
-    count: int = 64
+    count: int = 32
     """Episodes to evaluate on, each with one goal to be reached within 60 s."""
     runs: str = "runs"
     """Folder that the run is written into."""
@@ -134,6 +134,7 @@ class Demo:
             workers=default_workers(self.num_envs),
             runs=self.runs,
         )
+        config.check()
         episodes = draw_episodes(self.world, self.count)
         print(f"Training PPO in {self.world} for {self.minutes:g} minutes with {config.num_envs} rovers")
         summary = train_ppo(config)

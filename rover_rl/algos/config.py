@@ -55,7 +55,12 @@ class PPOConfig:
     hidden: tuple[int, ...] = (128, 128)
     """Units in each hidden layer, of the actor and of the critic."""
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
+        """Refuses settings that are out of range.
+
+        Raises:
+            ValueError: naming the setting.
+        """
         counts = ("total_steps", "num_envs", "workers", "repeat", "decisions", "epochs", "minibatch")
         for field in counts:
             if getattr(self, field) < 1:

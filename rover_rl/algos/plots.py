@@ -118,9 +118,8 @@ def _draw_panel(ax: Axes, evaluation: Evaluation, area: Area, most: int) -> None
     ax.scatter(*ends[~reached].T, zorder=7, **_MISSED)
     shown, total = len(paths), len(evaluation.paths)
     drawn = "" if shown == total else f" ({shown} of {total} drawn)"
-    ax.set_title(
-        f"{evaluation.name}: {evaluation.success_rate:.0%} reach the goal within {evaluation.seconds:g} s{drawn}"
-    )
+    share, limit = evaluation.success_rate, evaluation.seconds
+    ax.set_title(f"{evaluation.name}: {share:.0%} reach the goal within {limit:g} s{drawn}")
 
 
 _GOAL: dict[str, Any] = {"s": 90, "marker": "*", "color": "#f59e0b", "edgecolor": "black", "linewidth": 0.6}

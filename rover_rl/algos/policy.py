@@ -10,6 +10,10 @@ from torch import Tensor, nn
 from torchrl.data import Bounded
 from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 
+from rover_rl.envs.specs import ACTION, bounded_spec
+
+ACTION_SPEC = bounded_spec(ACTION, 1, None)[0]
+"""Of one rover, ``[2]``."""
 OBSERVATION_KEYS = ("lidar", "imu", "target", "velocities")
 """What networks read. The pose is left out: a policy that knows where it is learns the map, not to drive."""
 
@@ -62,22 +66,22 @@ class EncodedNetwork(nn.Module):
 
 
 def make_actor(
-    action_spec: Bounded, lidar_points: int, hidden: tuple[int, ...] = (128, 128)
+    lidar_points: int, hidden: tuple[int, ...] = (128, 128), action_spec: Bounded = ACTION_SPEC
 ) -> ProbabilisticActor:
     """A stochastic policy: a normal distribution squashed to the action's bounds, with a spread of its own.
 
     Args:
-        action_spec: of one rover, ``[2]`` (``env.action_spec_unbatched``).
         lidar_points: readings in ``lidar``.
         hidden: units of each hidden layer.
+        action_spec: of one rover, ``[2]``.
 
     Returns:
-        A module from observation to ``action [..., 2]`` and ``action_log_prob [...]``. Deterministic under
-        ``set_exploration_type(ExplorationType.DETERMINISTIC)``.
+        A module from observation to ``action [..., 2]`` and ``action_log_prob [...]``. It takes the middle of
+        the distribution, unless ``set_exploration_type(ExplorationType.RANDOM)`` holds, as in collectors.
 
     Example:
         >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0)
-        >>> actor = make_actor(env.action_spec_unbatched, env.lidar.points)
+        >>> actor = make_actor(env.lidar.points)
         >>> actor(env.reset())["action"].shape
         torch.Size([2, 2])
     """

@@ -31,7 +31,6 @@ from rover_rl.algos.policy import OBSERVATION_KEYS, make_actor, make_critic
 from rover_rl.algos.progress import BatchStatistics, ProgressLog
 from rover_rl.algos.runs import Checkpoint, new_run_folder, write_json
 from rover_rl.envs import make_env
-from rover_rl.envs.specs import ACTION, bounded_spec
 from rover_rl.sims.worlds import get_world
 
 __all__ = ["PPOConfig", "TrainingSummary", "make_training_env", "train_ppo"]
@@ -74,9 +73,10 @@ def train_ppo(config: PPOConfig) -> TrainingSummary:
     Ctrl-C stops early and keeps what was learned.
 
     Raises:
-        ValueError: for an unknown world.
+        ValueError: for an unknown world, or a setting out of range.
         FileExistsError: if there is a run of that name.
     """
+    config.check()
     get_world(config.world)
     folder = new_run_folder(config.runs, config.name, f"ppo-{config.world.replace(':', '-')}")
     write_json(folder / "config.json", asdict(config))
@@ -108,7 +108,7 @@ class Learner:
 
     def __init__(self, config: PPOConfig) -> None:
         self.config = config
-        self.actor = make_actor(bounded_spec(ACTION, 1, None)[0], LIDAR_POINTS, config.hidden)
+        self.actor = make_actor(LIDAR_POINTS, config.hidden)
         self.critic = make_critic(LIDAR_POINTS, config.hidden)
         self._advantage = GAE(
             gamma=config.gamma, lmbda=config.lmbda, value_network=self.critic, average_gae=True

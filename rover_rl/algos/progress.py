@@ -147,7 +147,7 @@ class ProgressLog:
         self._bar.update(self._task, completed=share, status=status)
         if self._bar.disable and int(share * 10) > self._told:
             self._told = int(share * 10)
-            self._bar.console.print(f"{share:4.0%} of training: {status}")
+            self._bar.console.print(f"{share:4.0%} of training: {status}", soft_wrap=True)
 
     def _success_rate(self) -> float:
         tries = sum(row["tries"] for row in self._recent)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
-import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,7 +16,6 @@ from torch import Tensor
 from torchrl.modules import ProbabilisticActor
 
 from rover_rl.algos.policy import make_actor
-from rover_rl.envs.specs import ACTION, bounded_spec
 
 _FORMAT = "rover_rl checkpoint, version 1"
 
@@ -60,24 +57,24 @@ class Checkpoint:
             raise FileNotFoundError(f"no checkpoint at {path}")
         try:
             data = torch.load(path, map_location="cpu", weights_only=True)
-        except (
-            pickle.UnpicklingError,
-            zipfile.BadZipFile,
-            RuntimeError,
-            EOFError,
-            ValueError,
-            KeyError,
-        ) as error:
+        except Exception as error:  # a damaged file can fail in any way
             raise ValueError(f"{path} is damaged, or no checkpoint of rover_rl") from error
         if not isinstance(data, dict) or data.pop("format", None) != _FORMAT:
             raise ValueError(f"{path} is no checkpoint of rover_rl")
         return cls(**data)
 
     def make_actor(self) -> ProbabilisticActor:
-        """The policy."""
+        """The policy.
+
+        Raises:
+            ValueError: if weights and settings do not belong together.
+        """
         hidden = tuple(self.config["hidden"])
-        actor = make_actor(bounded_spec(ACTION, 1, None)[0], self.lidar_points, hidden)
-        actor.load_state_dict(self.actor)
+        actor = make_actor(self.lidar_points, hidden)
+        try:
+            actor.load_state_dict(self.actor)
+        except RuntimeError as error:
+            raise ValueError(f"the checkpoint's weights do not fit hidden={hidden}") from error
         return actor
 
 

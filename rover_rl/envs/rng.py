@@ -44,7 +44,9 @@ def random_bits(keys: Tensor, stream: int, draw: Tensor | int, count: int) -> Te
         count: hashes a row.
     """
     lane = torch.arange(1, count + 1, dtype=torch.int64, device=keys.device) * _GOLDEN
-    return _mix(keys + (draw * _DRAW + _signed(stream * _STREAM % (1 << 64))) + lane)
+    offset = draw * _DRAW + _signed(stream * _STREAM % (1 << 64))
+    # Python's integers do not wrap around as the tensor's do.
+    return _mix(keys + (_signed(offset % (1 << 64)) if isinstance(offset, int) else offset) + lane)
 
 
 def to_index(bits: Tensor, size: Tensor) -> Tensor:

@@ -104,7 +104,7 @@ def test_errors_come_before_anything_is_written(tmp_path: Path) -> None:
 )
 def test_settings_out_of_range_raise(field: str, value: object) -> None:
     with pytest.raises(ValueError, match=field):
-        replace(TINY, **{field: value})
+        replace(TINY, **{field: value}).check()
 
 
 def test_default_workers_share_the_rovers_equally() -> None:

@@ -8,7 +8,6 @@ import torch
 
 from rover_rl.algos.policy import make_actor, make_critic
 from rover_rl.algos.runs import Checkpoint, new_run_folder, written_whole
-from rover_rl.envs.specs import ACTION, bounded_spec
 
 
 @pytest.fixture
@@ -18,7 +17,7 @@ def checkpoint() -> Checkpoint:
         config={"world": "maze", "hidden": (8,)},
         lidar_points=32,
         steps=100,
-        actor=make_actor(bounded_spec(ACTION, 1, None)[0], 32, (8,)).state_dict(),
+        actor=make_actor(32, (8,)).state_dict(),
         critic=make_critic(32, (8,)).state_dict(),
     )
 

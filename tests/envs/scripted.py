@@ -72,10 +72,10 @@ class ScriptedSimulator:
         now = [script[min(at, len(script) - 1)] for script, at in zip(self.scripts, self._at, strict=True)]
         beams = len(self.ray_angles)
         return RoverState.pack(
-            position=torch.tensor([(m.x, m.y, m.z) for m in now]),
-            orientation=torch.tensor([_quaternion(m.roll, m.pitch, m.yaw) for m in now]),
-            linear_velocity=torch.tensor([[m.v] for m in now]),
-            angular_velocity=torch.tensor([[m.w] for m in now]),
+            position=torch.tensor([(m.x, m.y, m.z) for m in now], dtype=torch.float32),
+            orientation=torch.tensor([_quaternion(m.roll, m.pitch, m.yaw) for m in now], dtype=torch.float32),
+            linear_velocity=torch.tensor([[m.v] for m in now], dtype=torch.float32),
+            angular_velocity=torch.tensor([[m.w] for m in now], dtype=torch.float32),
             ranges=torch.stack([torch.as_tensor(m.ranges, dtype=torch.float32).expand(beams) for m in now]),
             dt=torch.full((self.num_envs, 1), DT),
             stamp=self._stamp,

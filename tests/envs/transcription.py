@@ -144,7 +144,9 @@ def is_flipped(roll: float, pitch: float) -> bool:
 class HeadingPid:
     """The contract's ``heading_controller``, its derivative over the control step."""
 
-    def __init__(self, kp: float = KP, ki: float = KI, kd: float = KD, max_output: float = MAX_OUTPUT) -> None:
+    def __init__(
+        self, kp: float = KP, ki: float = KI, kd: float = KD, max_output: float = MAX_OUTPUT
+    ) -> None:
         self.kp, self.ki, self.kd, self.max_output = kp, ki, kd, max_output
         self.reset()
 

@@ -1,0 +1,236 @@
+"""Specs, and what they say of the environment; rewards made of other components."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torchrl.data import Composite
+from torchrl.envs import RewardSum, TransformedEnv
+from torchrl.envs.utils import check_env_specs
+
+from rover_rl import RewardComponent, RewardConfig, RoverEnv, contract_reward, make_env
+from rover_rl.envs import Phase, TotalReward, add_reward
+from rover_rl.envs.rewards import GoalReward, ProgressReward, TurnPenalty
+from rover_rl.envs.task import EVENTS
+
+NAMES = ["goal", "progress", "velocity", "turn", "collision", "stuck", "general", "out_of_bounds"]
+COMPONENTS = [("reward_components", name) for name in NAMES]
+OBSERVATION = ("lidar", "pose", "imu", "target", "velocities")
+
+
+class TiltPenalty(RewardComponent):
+    """A component of a user's own, active in every step."""
+
+    name = "tilt"
+
+    def value(self, outcome, observation):
+        return -0.1 * observation["imu"][:, :2].abs().sum(-1, keepdim=True)
+
+
+class CollisionHeat(RewardComponent):
+    """One that is active in collisions alone."""
+
+    name = "heat"
+    phases = (Phase.COLLISION,)
+
+    def value(self, outcome, observation):
+        return -2.0
+
+
+def rovers(num_envs: int = 2, **settings):
+    return make_env(world_n="maze", num_envs=num_envs, seed=0, lidar_beams=32, **settings)
+
+
+def rollout(env, steps: int = 12):
+    torch.manual_seed(0)
+    td = env.rollout(steps, break_when_any_done=False)["next"]
+    env.close()
+    return td
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Specs
+
+
+@pytest.mark.parametrize("reward", ["task", "contract"])
+@pytest.mark.parametrize("num_envs", [1, 7, 64])
+@pytest.mark.parametrize("world", ["inspect", "moon", "maze"])
+def test_the_environment_is_what_its_specs_say(world, num_envs, reward):
+    env = make_env(world_n=world, num_envs=num_envs, seed=0, lidar_beams=32, reward=reward)
+    check_env_specs(env, break_when_any_done="both")
+    env.close()
+
+
+def test_the_environment_is_what_its_specs_say_with_rows_in_several_worlds():
+    env = make_env(world_n=["maze", "moon"], num_envs=5, seed=0, lidar_beams=32)
+    check_env_specs(env, break_when_any_done="both")
+    env.close()
+
+
+def test_the_batch_is_the_rovers_and_leaves_have_a_feature_dimension():
+    env = rovers(3, reward="task")
+    assert env.batch_size == torch.Size([3])
+    assert env.batch_locked
+    for spec in (env.observation_spec, env.full_done_spec, env.full_action_spec, env.full_reward_spec):
+        assert all(leaf.shape[0] == 3 and leaf.ndim == 2 for leaf in spec.values(True, True))
+    env.close()
+
+
+def test_the_observation_spec_holds_the_contracts_five_keys_and_the_outcome():
+    env = rovers()
+    assert set(env.observation_spec.keys()) == {*OBSERVATION, "outcome"}
+    fields = {"progress", "alignment", "linear_velocity", "angular_velocity", "steps", "total_steps", "phase"}
+    assert set(env.observation_spec["outcome"].keys()) == {*EVENTS, *fields}
+    assert all(env.observation_spec["outcome", event].dtype == torch.bool for event in EVENTS)
+    env.close()
+
+
+def test_done_terminated_and_truncated_are_all_there():
+    env = rovers()
+    assert set(env.full_done_spec.keys()) == {"done", "terminated", "truncated"}
+    env.close()
+
+
+def test_the_bare_environment_has_one_reward_and_the_contracts_one_more_for_each_component():
+    bare, env = rovers(reward="task"), rovers()
+    assert isinstance(bare, RoverEnv)
+    assert bare.reward_keys == ["reward"]
+    assert isinstance(env.reward_spec, Composite)
+    assert set(env.reward_keys) == {"reward", *COMPONENTS}
+    bare.close()
+    env.close()
+
+
+def test_observations_of_a_rollout_lie_in_the_spec():
+    env = rovers(4)
+    spec = env.observation_spec
+    td = rollout(env)
+    for k in range(12):
+        assert all(spec[key].is_in(td[key][:, k]) for key in OBSERVATION)
+
+
+def test_what_a_step_hands_out_is_not_written_to_again():
+    env = rovers()
+    td = env.reset()
+    kept, copies = [], []
+    for _ in range(3):
+        td["action"] = torch.tensor([[1.0, 0.3], [0.5, -0.3]])
+        td = env.step(td)["next"]
+        kept.append(td)
+        copies.append(td.clone())
+    assert all((one == other).all() for one, other in zip(kept, copies, strict=True))
+    assert not torch.equal(kept[0]["pose"], kept[2]["pose"])
+    env.close()
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Rewards of other components
+
+
+def test_the_contracts_reward_has_its_components_in_order():
+    assert [component.name for component in contract_reward()] == NAMES
+
+
+def test_a_component_can_be_dropped():
+    kept = [component for component in contract_reward() if component.name != "progress"]
+    td = rollout(rovers(reward=kept))
+    assert set(td["reward_components"].keys()) == {*NAMES} - {"progress"}
+    torch.testing.assert_close(td["reward"], sum(td["reward_components"].values()))
+
+
+def test_a_single_component_is_the_whole_reward():
+    td = rollout(rovers(reward=[GoalReward(7.0)]))
+    assert set(td["reward_components"].keys()) == {"goal"}
+    assert torch.equal(td["reward"], 7.0 * td["outcome", "goal_reached"])
+
+
+def test_components_can_be_weighed_otherwise():
+    plain = rollout(rovers())
+    heavy = RewardConfig(distance_delta_scale=0.6, idle_penalty=-0.06, velocity_scale=0.25, turn_scale=-0.003)
+    weighed = rollout(rovers(reward=heavy))
+    assert torch.equal(plain["pose"], weighed["pose"])
+    for name, factor in (("progress", 2), ("velocity", 100), ("turn", 2)):
+        assert plain["reward_components", name].any()
+        torch.testing.assert_close(
+            weighed["reward_components", name], factor * plain["reward_components", name]
+        )
+    torch.testing.assert_close(weighed["reward"], sum(weighed["reward_components"].values()))
+
+
+@pytest.mark.parametrize(
+    ("field", "component"),
+    [
+        ("goal_reward", "goal"),
+        ("collision_penalty", "collision"),
+        ("stuck_penalty", "stuck"),
+        ("general_penalty", "general"),
+        ("flip_grace_steps", "general"),
+        ("out_of_bounds_penalty", "out_of_bounds"),
+        ("min_progress", "progress"),
+        ("min_alignment", "progress"),
+    ],
+)
+def test_each_number_of_the_reward_reaches_its_component(field, component):
+    components = {c.name: c for c in contract_reward(RewardConfig(**{field: 3}))}
+    assert getattr(components[component], field) == 3
+
+
+def test_components_of_ones_own_are_added_and_counted_in_the_total():
+    env = rovers(reward=[*contract_reward(), TiltPenalty(), CollisionHeat()])
+    check_env_specs(env, break_when_any_done="both")
+    td = rollout(env)
+    assert set(td["reward_components"].keys()) == {*NAMES, "tilt", "heat"}
+    tilt = -0.1 * td["imu"][..., :2].abs().sum(-1, keepdim=True)
+    assert tilt.any()
+    torch.testing.assert_close(td["reward_components", "tilt"], tilt)
+    assert torch.equal(td["reward_components", "heat"] != 0, td["outcome", "phase"] == Phase.COLLISION)
+    torch.testing.assert_close(td["reward"], sum(td["reward_components"].values()))
+
+
+def test_components_are_0_outside_of_their_phases():
+    td = rollout(rovers(4), 30)
+    phase, components = td["outcome", "phase"], td["reward_components"]
+    for name in ("progress", "velocity", "turn"):
+        assert not components[name][phase != Phase.DENSE].any()
+    assert not components["goal"][phase != Phase.GOAL].any()
+    assert not components["collision"][phase != Phase.COLLISION].any()
+
+
+def test_the_reward_goes_onto_an_environment_that_is_there():
+    env = add_reward(RoverEnv(world_n="maze", seed=0, lidar_beams=32), [ProgressReward(), TurnPenalty()])
+    assert set(rollout(env)["reward_components"].keys()) == {"progress", "turn"}
+
+
+def test_an_unknown_reward_raises_and_says_what_is_allowed():
+    with pytest.raises(ValueError, match="'contract', 'task'"):
+        rovers(reward="dense")
+
+
+def test_a_total_without_components_raises():
+    env = TransformedEnv(RoverEnv(world_n="maze", seed=0, lidar_beams=32), TotalReward())
+    td = env.rand_action(env.reset())
+    with pytest.raises(RuntimeError, match="RewardComponent"):
+        env.step(td)
+    env.close()
+
+
+def test_reward_sum_adds_up_each_component_over_an_episode():
+    sums = [f"episode_{name}" for name in NAMES]
+    env = TransformedEnv(
+        rovers(3), RewardSum(in_keys=[*COMPONENTS, "reward"], out_keys=[*sums, "episode_reward"])
+    )
+    td = rollout(env)
+    for key, total in zip([*COMPONENTS, "reward"], [*sums, "episode_reward"], strict=True):
+        torch.testing.assert_close(td[total], td[key].cumsum(1))
+    torch.testing.assert_close(td["episode_reward"], sum(td[total] for total in sums))
+
+
+def test_reward_sum_begins_anew_with_each_episode():
+    env = TransformedEnv(
+        rovers(2, length=4), RewardSum(in_keys=[COMPONENTS[1]], out_keys=["episode_progress"])
+    )
+    td = rollout(env, 6)
+    progress, total = td[COMPONENTS[1]], td["episode_progress"]
+    torch.testing.assert_close(total[:, 3], progress[:, :4].sum(1))
+    torch.testing.assert_close(total[:, 4], progress[:, 4])
+    torch.testing.assert_close(total[:, 5], progress[:, 4:].sum(1))
