@@ -48,7 +48,7 @@ def rollout(env, steps: int = 12):
     return td
 
 
-# ---------------------------------------------------------------------------------------------------------------------
+# -----------------------------------------------------------------------------------------------------------
 # Specs
 
 
@@ -116,14 +116,14 @@ def test_what_a_step_hands_out_is_not_written_to_again():
     for _ in range(3):
         td["action"] = torch.tensor([[1.0, 0.3], [0.5, -0.3]])
         td = env.step(td)["next"]
-        kept.append(td)
+        kept.append(td.copy())
         copies.append(td.clone())
     assert all((one == other).all() for one, other in zip(kept, copies, strict=True))
     assert not torch.equal(kept[0]["pose"], kept[2]["pose"])
     env.close()
 
 
-# ---------------------------------------------------------------------------------------------------------------------
+# -----------------------------------------------------------------------------------------------------------
 # Rewards of other components
 
 
@@ -216,8 +216,8 @@ def test_a_total_without_components_raises():
 
 def test_reward_sum_adds_up_each_component_over_an_episode():
     sums = [f"episode_{name}" for name in NAMES]
-    env = TransformedEnv(
-        rovers(3), RewardSum(in_keys=[*COMPONENTS, "reward"], out_keys=[*sums, "episode_reward"])
+    env = rovers(3).append_transform(
+        RewardSum(in_keys=[*COMPONENTS, "reward"], out_keys=[*sums, "episode_reward"])
     )
     td = rollout(env)
     for key, total in zip([*COMPONENTS, "reward"], [*sums, "episode_reward"], strict=True):
@@ -226,8 +226,8 @@ def test_reward_sum_adds_up_each_component_over_an_episode():
 
 
 def test_reward_sum_begins_anew_with_each_episode():
-    env = TransformedEnv(
-        rovers(2, length=4), RewardSum(in_keys=[COMPONENTS[1]], out_keys=["episode_progress"])
+    env = rovers(2, length=4).append_transform(
+        RewardSum(in_keys=[COMPONENTS[1]], out_keys=["episode_progress"])
     )
     td = rollout(env, 6)
     progress, total = td[COMPONENTS[1]], td["episode_progress"]

@@ -118,7 +118,7 @@ def clean(reading: float, max_range: float = MAX_LIDAR_RANGE) -> float:
 def pool(
     ranges: Sequence[float], points: int = LIDAR_POINTS, max_range: float = MAX_LIDAR_RANGE
 ) -> list[float]:
-    """The minimum of each of ``points`` runs of beams; the first ones are one longer where it does not go even."""
+    """The minimum of each of ``points`` runs of beams, the first ones longer by one if need be."""
     short, longer = divmod(len(ranges), points)
     pooled, first = [], 0
     for k in range(points):

@@ -1,0 +1,176 @@
+"""RoverEnv as its users meet it: worlds and robots of their own, starts and goals, bad input, closing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from rover_rl import RoverEnv, Terrain, World, box, make_env
+from rover_rl.sims.robots import get_robot
+
+
+@pytest.fixture(scope="module")
+def env():
+    return RoverEnv(world_n="maze", num_envs=3, seed=0, lidar_beams=32)
+
+
+def test_a_world_from_a_numpy_array_and_three_boxes():
+    heights = 0.1 * np.sin(np.linspace(0, 12, 81))[None] * np.ones((81, 1))
+    world = World("mine", Terrain(heights, 0.25), [box((x, 2.0, 0.5), (1, 1, 1.5)) for x in (-4, 0, 4)])
+    env = make_env(world_n=world, num_envs=2, seed=0, lidar_beams=32)
+    assert env.rollout(5).shape == (2, 5)
+
+
+def test_rows_of_one_batch_in_several_worlds():
+    env = RoverEnv(world_n=["inspect", "moon", "maze"], num_envs=6, seed=0, lidar_beams=32)
+    assert [world.name for world in env.worlds] == ["inspect"] * 2 + ["moon"] * 2 + ["maze"] * 2
+    pose = env.reset()["pose"]
+    assert (pose[:2, :2] < -18).all()
+    assert (pose[2:, :2].abs() <= 4).all()
+    alone = RoverEnv(world_n="maze", num_envs=1, seed=5, lidar_beams=32)
+    env.set_seed(0)
+    assert torch.equal(alone.reset()["lidar"][0], env.reset()["lidar"][5])
+
+
+def test_a_robot_of_ones_own():
+    from dataclasses import replace
+
+    slow = replace(get_robot("rover_zero"), name="slow", max_linear_acceleration=0.5)
+    env = RoverEnv(world_n="maze", robot=slow, seed=0, lidar_beams=32)
+    td = env.reset()
+    for _ in range(4):
+        td = env.step(td.set("action", torch.tensor([[1.0, 0.0]])))["next"]
+    assert 0 < td["velocities"][0, 0] < 0.12
+
+
+def test_start_and_goal_are_taken_as_arguments_and_through_transforms():
+    start = torch.tensor([[0.5, 0.5, 1.0], [-2.0, 3.0, -1.0]])
+    goal = torch.tensor([[3.0, 3.0], [1.0, -1.0]])
+    world = World("flat", Terrain.flat((20, 20)))
+    for env in (make_env(world_n=world, num_envs=2, lidar_beams=32), RoverEnv(world_n=world, num_envs=2)):
+        td = env.reset(start=start, goal=goal)
+        torch.testing.assert_close(td["pose"][:, :2], start[:, :2], atol=1e-3, rtol=0)
+        torch.testing.assert_close(td["imu"][:, 2], start[:, 2], atol=1e-3, rtol=0)
+        torch.testing.assert_close(td["target"][:, 0], (goal - start[:, :2]).norm(dim=-1), atol=1e-3, rtol=0)
+    td = env.reset(TensorDict({"start": start, "goal": goal}, batch_size=[2]))
+    torch.testing.assert_close(td["pose"][:, :2], start[:, :2], atol=1e-3, rtol=0)
+
+
+def test_end_on_goal_ends_the_episode_at_the_goal():
+    world = World("flat", Terrain.flat((20, 20)))
+    settings = {"world_n": world, "num_envs": 1, "lidar_beams": 32}
+    goal, start = torch.tensor([[1.5, 0.0]]), torch.zeros(1, 3)
+    for end in (True, False):
+        env = make_env(**settings, end_on_goal=end)
+        td = env.reset(start=start, goal=goal)
+        for _ in range(60):
+            td = env.step(td.set("action", torch.tensor([[1.0, 0.0]])))["next"]
+            if td["outcome", "goal_reached"].item():
+                break
+        assert td["reward"].item() == 100.0
+        assert td["terminated"].item() is end
+        assert (td["target"][0, 0].item() < 0.5) is end
+
+
+def test_render_is_a_picture(env):
+    env.reset()
+    assert env.render(row=2, view="top", width=40, height=30).shape == (30, 40, 3)
+    with pytest.raises(ValueError, match="row must be between 0 and 2, got 3"):
+        env.render(row=3)
+
+
+def test_seeding_reproduces_and_none_draws_anew(env):
+    env.set_seed(7)
+    first = env.reset()["pose"]
+    env.set_seed(7)
+    assert torch.equal(env.reset()["pose"], first)
+    a, b = (RoverEnv(world_n="maze", lidar_beams=32).reset()["pose"] for _ in range(2))
+    assert not torch.equal(a, b)
+
+
+def test_the_global_generators_are_left_alone(env):
+    state, numpy_state = torch.random.get_rng_state(), np.random.get_state()[1].copy()
+    td = env.reset()
+    env.step(td.set("action", torch.zeros(3, 2)))
+    assert torch.equal(torch.random.get_rng_state(), state)
+    assert (np.random.get_state()[1] == numpy_state).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"world_n": "mars"}, "unknown world 'mars'.*inspect.*maze.*moon"),
+        ({"backend": "unity"}, "unknown backend 'unity'.*bullet"),
+        ({"robot": "tank"}, "unknown robot 'tank'.*rover_zero"),
+        ({"num_envs": 0}, "num_envs must be a whole number of at least 1, got 0"),
+        ({"num_envs": 2.0}, "num_envs must be a whole number"),
+        ({"length": 0}, "length must be a whole number of at least 1, got 0"),
+        ({"lidar_beams": 16}, "lidar_beams must be at least lidar_points, got 16 beams for 32 points"),
+        ({"lidar_points": 0}, "lidar_points must be at least 1, got 0"),
+        ({"max_lidar_range": -1.0}, "max_lidar_range must be a positive number"),
+        ({"world_n": ["maze", "moon"]}, "between 1 and num_envs=1 worlds, got 2"),
+        ({"world_n": []}, "between 1 and num_envs=1 worlds, got 0"),
+    ],
+)
+def test_bad_settings_are_refused_in_words(settings, message):
+    with pytest.raises(ValueError, match=message):
+        RoverEnv(**{"world_n": "maze", **settings})
+
+
+def test_an_unknown_reward_is_refused_in_words():
+    with pytest.raises(ValueError, match="unknown reward 'dense'.*'contract', 'task'"):
+        make_env(world_n="maze", reward="dense")
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_actions_that_are_not_finite_are_refused(env, value):
+    td = env.reset()
+    action = torch.zeros(3, 2)
+    action[1, 0] = value
+    with pytest.raises(ValueError, match=r"finite numbers.*rows \[1\]"):
+        env.step(td.set("action", action))
+
+
+def test_actions_of_another_shape_are_refused(env):
+    td = env.reset()
+    with pytest.raises(ValueError, match=r"action must have shape \(3, 2\), got \(3, 3\)"):
+        env.step(td.set("action", torch.zeros(3, 3)))
+
+
+def test_starts_of_another_shape_are_refused(env):
+    with pytest.raises(ValueError, match=r"start must be finite numbers of shape \(3, 3\), got shape \(3, 2\)"):
+        env.reset(start=torch.zeros(3, 2))
+
+
+def test_stepping_before_reset_and_after_close_are_refused():
+    env = RoverEnv(world_n="maze", lidar_beams=32)
+    td = TensorDict({"action": torch.zeros(1, 2)}, batch_size=[1])
+    with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
+        env.step(td)
+    env.reset()
+    env.close()
+    env.close()
+    for call in (lambda: env.step(td), env.reset, env.render):
+        with pytest.raises(RuntimeError, match="closed RoverEnv"):
+            call()
+
+
+def test_moving_to_another_device_is_refused_in_words(env):
+    assert env.to("cpu") is env
+    with pytest.raises(ValueError, match=r"build RoverEnv\(device='cuda:0'\)"):
+        env.to("cuda:0")
+
+
+@pytest.mark.parametrize("world", ["inspect", "moon", "maze"])
+def test_fresh_rovers_stand_free_and_still(world):
+    env = RoverEnv(world_n=world, num_envs=100, seed=11, lidar_beams=32)
+    td = env.reset()
+    assert (td["lidar"] >= 0.4).all()
+    before = td["pose"].clone()
+    for _ in range(20):
+        td = env.step(td.set("action", torch.zeros(100, 2)))["next"]
+        assert not td["done"].any()
+        assert not td["outcome", "collision"].any()
+    assert (td["pose"] - before).norm(dim=-1).max() < 0.02

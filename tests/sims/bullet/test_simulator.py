@@ -1,0 +1,192 @@
+"""The Bullet backend behind the Simulator seam."""
+
+from __future__ import annotations
+
+import multiprocessing
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from rover_rl.sims import Simulator, make_simulator
+from rover_rl.sims.bullet.library import pybullet
+from rover_rl.sims.bullet.physics import ROVERS_PER_CLIENT
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.worlds import Terrain, World, box, get_world
+
+ROVER = get_robot("rover_zero")
+FLAT = World("flat", Terrain.flat((20, 20)))
+
+
+def simulator(worlds, beams=8):
+    return make_simulator("bullet", worlds=worlds, robot=ROVER, lidar_beams=beams)
+
+
+def all_rows(count):
+    return torch.ones(count, dtype=torch.bool)
+
+
+def test_it_is_a_simulator():
+    assert isinstance(simulator([FLAT]), Simulator)
+
+
+def test_state_has_the_shapes_and_units_that_the_seam_promises():
+    state = simulator([FLAT] * 3).state()
+    assert state.batch_size == (3,)
+    shapes = {
+        "position": 3,
+        "orientation": 4,
+        "linear_velocity": 1,
+        "angular_velocity": 1,
+        "ranges": 8,
+        "dt": 1,
+        "stamp": 1,
+    }
+    for name, width in shapes.items():
+        assert getattr(state, name).shape == (3, width)
+        assert getattr(state, name).dtype == (torch.float64 if name == "stamp" else torch.float32)
+    torch.testing.assert_close(state.dt, torch.full((3, 1), 0.05))
+
+
+def test_states_handed_out_are_not_written_to_again():
+    sim = simulator([FLAT])
+    first = sim.step(torch.tensor([[1.0, 0.0]]))
+    kept = first.clone()
+    for _ in range(5):
+        sim.step(torch.tensor([[1.0, 0.0]]))
+    assert (first == kept).all()
+
+
+def test_reset_touches_only_the_rows_asked_for():
+    sim = simulator([FLAT] * 3)
+    poses = torch.tensor([[0.0, 0, 0], [2.0, 0, 0], [4.0, 0, 0]])
+    sim.reset(all_rows(3), poses)
+    for _ in range(10):
+        before = sim.step(torch.tensor([[1.0, 0.5]] * 3))
+    after = sim.reset(torch.tensor([False, True, False]), poses)
+    for row in (0, 2):
+        assert torch.equal(after.position[row], before.position[row])
+        assert torch.equal(after.ranges[row], before.ranges[row])
+    assert after.position[1, 0] == pytest.approx(2.0, abs=1e-3)
+    assert after.linear_velocity[1] == 0
+
+
+def test_no_time_passes_for_rows_that_are_not_active():
+    sim = simulator([FLAT] * 2)
+    sim.reset(all_rows(2), torch.tensor([[0.0, 0, 0], [3.0, 0, 0]]))
+    for _ in range(10):
+        before = sim.step(torch.tensor([[1.0, 0.0]] * 2))
+    for _ in range(10):
+        held = sim.step(torch.tensor([[1.0, 0.0]] * 2), torch.tensor([True, False]))
+    assert torch.equal(held.position[1], before.position[1])
+    assert held.stamp[1] == before.stamp[1]
+    assert held.position[0, 0] > before.position[0, 0] + 0.4
+    after = sim.step(torch.tensor([[1.0, 0.0]] * 2))
+    # It drives on at the speed that it had.
+    assert after.position[1, 0] - before.position[1, 0] == pytest.approx(0.05, abs=0.005)
+
+
+def test_rows_may_be_in_different_worlds():
+    walled = World("walled", Terrain.flat((20, 20)), [box((3, 0, 1), (1, 10, 2))])
+    sim = simulator([FLAT, FLAT, walled])
+    state = sim.reset(all_rows(3), torch.zeros(3, 3))
+    assert torch.isinf(state.ranges[:2, 0]).all()
+    assert state.ranges[2, 0] == pytest.approx(2.5 - 0.174, abs=0.01)
+
+
+def test_a_batch_larger_than_one_client_is_the_same_rover_by_rover():
+    count = ROVERS_PER_CLIENT + 2
+    poses = torch.stack((torch.linspace(-5, 5, count), torch.zeros(count), torch.linspace(-3, 3, count)), 1)
+    many, one = simulator([FLAT] * count), simulator([FLAT])
+    many.reset(all_rows(count), poses)
+    one.reset(all_rows(1), poses[-1:])
+    for _ in range(20):
+        a = many.step(torch.tensor([[0.8, 0.7]] * count))
+        b = one.step(torch.tensor([[0.8, 0.7]]))
+    assert torch.equal(a.position[-1], b.position[0])
+    assert torch.equal(a.ranges[-1], b.ranges[0])
+
+
+def test_close_disconnects_its_clients_alone_and_may_be_called_again():
+    kept, closed = simulator([FLAT]), simulator([FLAT])
+    clients = list(closed._clients)
+    closed.close()
+    closed.close()
+    assert not any(pybullet.isConnected(client) for client in clients)
+    kept.step(torch.zeros(1, 2))
+
+
+def test_pictures_show_the_rover_from_behind_and_from_above():
+    sim = simulator([get_world("moon")])
+    for view in ("chase", "top"):
+        picture = sim.render(0, view, 64, 48, torch.tensor([1.0, 1.0]))
+        assert picture.shape == (48, 64, 3)
+        assert picture.dtype == torch.uint8
+        assert picture.float().std() > 5
+    with pytest.raises(ValueError, match="unknown view 'side'.*'chase' or 'top'"):
+        sim.render(0, "side", 64, 48)
+
+
+def test_unknown_backend_and_missing_wheels_are_refused_in_words():
+    from dataclasses import replace
+
+    with pytest.raises(ValueError, match="unknown backend 'gazebo'.*bullet"):
+        make_simulator("gazebo", worlds=[FLAT], robot=ROVER, lidar_beams=8)
+    robot = replace(ROVER, left_wheels=("front_left_wheel", "no_such_wheel"))
+    with pytest.raises(ValueError, match="no wheel joint 'no_such_wheel'"):
+        make_simulator("bullet", worlds=[FLAT], robot=robot, lidar_beams=8)
+
+
+def _drive_in_a_process(queue) -> None:
+    sim = simulator([FLAT])
+    queue.put(sim.step(torch.tensor([[1.0, 0.0]])).position[0].tolist())
+
+
+def test_works_in_a_spawned_process():
+    context = multiprocessing.get_context("spawn")
+    queue = context.Queue()
+    process = context.Process(target=_drive_in_a_process, args=(queue,))
+    process.start()
+    there = queue.get(timeout=120)
+    process.join(timeout=60)
+    assert process.exitcode == 0
+    assert there == simulator([FLAT]).step(torch.tensor([[1.0, 0.0]])).position[0].tolist()
+
+
+def test_importing_and_simulating_prints_nothing():
+    code = (
+        "import torch; from rover_rl import RoverEnv; env = RoverEnv(world_n='maze', lidar_beams=32); env.reset(); "
+        "env.close()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == ""
+    assert "pybullet" not in done.stderr
+
+
+def test_256_rovers_take_less_than_a_gigabyte_and_resets_do_not_grow():
+    code = """
+import torch
+from rover_rl import RoverEnv
+def megabytes():
+    with open("/proc/self/statm") as f:
+        return int(f.read().split()[1]) * 4096 / 1e6
+env = RoverEnv(world_n="inspect", num_envs=256, seed=0)
+zero = torch.zeros(256, 2)
+td = env.reset()
+env.step(td.set("action", zero))
+peak = megabytes()
+for k in range(5):
+    env.reset()
+warm = megabytes()
+for k in range(15):
+    env.reset()
+print(peak, megabytes() - warm)
+"""
+    if not sys.platform.startswith("linux"):
+        pytest.skip("reads the process's memory from /proc")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    peak, growth = map(float, done.stdout.split())
+    assert peak < 1000
+    # 3,840 resets: a leak of one kilobyte each would show as 4 MB.
+    assert growth < 4
