@@ -169,9 +169,7 @@ def main(args: list[str] | None = None) -> int:
         args: of the command line; ``None`` takes the process's own.
     """
     try:
-        command = tyro.cli(
-            Command, args=args, prog="rover-rl", description="Rovers that learn to drive to a goal."
-        )
+        command = tyro.cli(Command, args=args, prog="rover-rl", description="Rovers that learn to drive to a goal.")
         return command()
     except (ValueError, OSError) as error:
         print(f"rover-rl: {error}", file=sys.stderr)

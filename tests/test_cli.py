@@ -31,9 +31,7 @@ def test_unknown_worlds_are_refused_in_one_line(capsys: pytest.CaptureFixture[st
     assert failed(capsys, "demo", "--world", "mars", "--runs", tmp_path).startswith(expected)
 
 
-def test_checkpoints_that_are_none_are_refused_in_one_line(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_checkpoints_that_are_none_are_refused_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert failed(capsys, "evaluate", tmp_path / "no.pt").startswith("rover-rl: no checkpoint at")
     (tmp_path / "foreign.pt").write_text("not a checkpoint")
     assert "no checkpoint of rover_rl" in failed(capsys, "evaluate", tmp_path / "foreign.pt")

@@ -76,9 +76,7 @@ class PPOConfig:
         if self.max_minutes is not None and not self.max_minutes > 0:
             raise ValueError(f"max_minutes must be positive, got {self.max_minutes}")
         if self.num_envs % self.workers:
-            raise ValueError(
-                f"num_envs={self.num_envs} rovers cannot be shared equally by workers={self.workers}"
-            )
+            raise ValueError(f"num_envs={self.num_envs} rovers cannot be shared equally by workers={self.workers}")
         if not self.hidden or min(self.hidden) < 1:
             raise ValueError(f"hidden must name at least one layer of at least 1 unit, got {self.hidden}")
 

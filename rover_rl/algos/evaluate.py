@@ -24,6 +24,7 @@ from torchrl.envs.utils import ExplorationType, RandomPolicy, set_exploration_ty
 
 from rover_rl.algos.action_repeat import ActionRepeat
 from rover_rl.algos.config import SECONDS_PER_STEP
+from rover_rl.algos.policy import single_threaded
 from rover_rl.algos.progress import EPISODE_STEPS, TIME_LIMIT
 from rover_rl.algos.runs import write_json
 from rover_rl.envs import Phase, RoverEnv, TaskConfig
@@ -154,6 +155,7 @@ def draw_episodes(world: str | World, count: int = 64, seed: int = DEFAULT_SEED)
 
 
 @torch.no_grad()
+@single_threaded()
 def evaluate(
     policy: Policy | None,
     episodes: EpisodeSet,

@@ -127,12 +127,8 @@ _START: dict[str, Any] = {"s": 26, "color": "white", "edgecolor": "black", "line
 _REACHED: dict[str, Any] = {"s": 22, "color": REACHED, "edgecolor": "white", "linewidth": 0.5}
 _MISSED: dict[str, Any] = {"s": 36, "marker": "x", "color": MISSED, "linewidth": 1.8}
 _LEGEND = [
-    Line2D(
-        [], [], linestyle="", marker="o", color="white", markeredgecolor="black", markersize=5, label="start"
-    ),
-    Line2D(
-        [], [], linestyle="", marker="*", color="#f59e0b", markeredgecolor="black", markersize=9, label="goal"
-    ),
+    Line2D([], [], linestyle="", marker="o", color="white", markeredgecolor="black", markersize=5, label="start"),
+    Line2D([], [], linestyle="", marker="*", color="#f59e0b", markeredgecolor="black", markersize=9, label="goal"),
     Line2D([], [], color=REACHED, marker="o", markersize=4, label="reached"),
     Line2D([], [], color=MISSED, marker="x", markersize=6, label="not reached"),
 ]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import torch
 from tensordict.nn import AddStateIndependentNormalScale, TensorDictModule
@@ -119,3 +121,17 @@ def _mlp(lidar_points: int, hidden: tuple[int, ...], outputs: int, gain: float) 
         nn.init.orthogonal_(layer.weight, gain if layer is linear[-1] else math.sqrt(2))
         nn.init.zeros_(layer.bias)
     return mlp
+
+
+@contextmanager
+def single_threaded() -> Iterator[None]:
+    """Lets torch use one thread: networks this small gain nothing from more.
+
+    Where other programs use the same cores, two threads that wait for each other can be fifty times slower.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)

@@ -27,7 +27,7 @@ from torchrl.objectives.value import GAE
 
 from rover_rl.algos.action_repeat import ActionRepeat
 from rover_rl.algos.config import PPOConfig
-from rover_rl.algos.policy import OBSERVATION_KEYS, make_actor, make_critic
+from rover_rl.algos.policy import OBSERVATION_KEYS, make_actor, make_critic, single_threaded
 from rover_rl.algos.progress import BatchStatistics, ProgressLog
 from rover_rl.algos.runs import Checkpoint, new_run_folder, write_json
 from rover_rl.envs import make_env
@@ -67,6 +67,7 @@ class TrainingSummary:
         return self.folder / "checkpoint.pt"
 
 
+@single_threaded()
 def train_ppo(config: PPOConfig) -> TrainingSummary:
     """Trains a policy; writes ``config.json``, ``progress.csv`` and ``checkpoint.pt`` to the run's folder.
 
@@ -110,9 +111,7 @@ class Learner:
         self.config = config
         self.actor = make_actor(LIDAR_POINTS, config.hidden)
         self.critic = make_critic(LIDAR_POINTS, config.hidden)
-        self._advantage = GAE(
-            gamma=config.gamma, lmbda=config.lmbda, value_network=self.critic, average_gae=True
-        )
+        self._advantage = GAE(gamma=config.gamma, lmbda=config.lmbda, value_network=self.critic, average_gae=True)
         self._loss = ClipPPOLoss(
             self.actor,
             self.critic,
@@ -179,7 +178,7 @@ def collecting(config: PPOConfig, actor: ProbabilisticActor) -> Iterator[BaseCol
             frames_per_batch=frames,
             cat_results=0,
             use_buffers=True,
-            num_threads=torch.get_num_threads(),
+            num_threads=1,
             auto_register_policy_transforms=False,
         )
     try:
@@ -194,9 +193,7 @@ def make_training_env(config: PPOConfig, worker: int = 0) -> EnvBase:
     The first episode of each row has a random length, so that the rows do not all start over together.
     """
     rows = config.num_envs // config.workers
-    env = make_env(
-        world_n=config.world, lidar_points=LIDAR_POINTS, num_envs=rows, seed=config.seed + worker * rows
-    )
+    env = make_env(world_n=config.world, lidar_points=LIDAR_POINTS, num_envs=rows, seed=config.seed + worker * rows)
     longest = -(-env.length // config.repeat)
     env = env.append_transform(ActionRepeat(config.repeat))
     env = env.append_transform(RewardSum(in_keys=["reward"], out_keys=["episode_reward"]))

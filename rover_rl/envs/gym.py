@@ -82,12 +82,8 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
     ) -> None:
         rovers = base_env(env).num_envs
         if rovers != 1:
-            raise ValueError(
-                f"GymWrapper is for one rover, got num_envs={rovers}; use GymVectorWrapper for a batch"
-            )
-        self._batch = NumpyBatch(
-            env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera
-        )
+            raise ValueError(f"GymWrapper is for one rover, got num_envs={rovers}; use GymVectorWrapper for a batch")
+        self._batch = NumpyBatch(env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera)
         self.observation_space = self._batch.observation_space
         self.action_space = self._batch.action_space
         self.render_mode = render_mode
@@ -202,9 +198,7 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         # The controller replaces its memory and never writes into it: the call changes only the copy.
         controller = copy.copy(self.base_env.controller)
         dt = self.base_env.rover_state.dt
-        desired, current = (
-            torch.full_like(dt, float(heading)) for heading in (desired_heading, current_heading)
-        )
+        desired, current = (torch.full_like(dt, float(heading)) for heading in (desired_heading, current_heading))
         return controller(desired, current, dt).item()
 
     def too_far_away(self) -> bool:

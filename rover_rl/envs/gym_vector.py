@@ -60,9 +60,7 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
         camera: View = "chase",
     ) -> None:
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self._batch = NumpyBatch(
-            env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera
-        )
+        self._batch = NumpyBatch(env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera)
         self.num_envs = self._batch.num_envs
         self.single_observation_space = self._batch.observation_space
         self.single_action_space = self._batch.action_space
@@ -156,9 +154,7 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
         for row in np.flatnonzero(ended).tolist():
             final[row] = row_of(step.observation, row)
         infos = _masked(step.info, ~ended)
-        infos.update(
-            final_obs=final, _final_obs=ended, final_info=_masked(step.info, ended), _final_info=ended.copy()
-        )
+        infos.update(final_obs=final, _final_obs=ended, final_info=_masked(step.info, ended), _final_info=ended.copy())
         return self._batch.reset(ended), step.reward, step.terminated, step.truncated, infos
 
     def _reset_mask(self, mask: Any) -> Mask:
@@ -193,9 +189,7 @@ def _first_seed(seed: int | Sequence[int | None] | None, num_envs: int) -> int |
     first = seeds[0] if seeds else None
     if seeds == [None] * num_envs or (first is not None and seeds == list(range(first, first + num_envs))):
         return first
-    raise ValueError(
-        f"seeds must be {num_envs} numbers that count on (s, s + 1, ...), or all None; got {seeds}"
-    )
+    raise ValueError(f"seeds must be {num_envs} numbers that count on (s, s + 1, ...), or all None; got {seeds}")
 
 
 def _masked(info: dict[str, NDArray[Any]], rows: Mask) -> dict[str, Any]:

@@ -31,9 +31,7 @@ def _reward(get: Callable[[RewardConfig], Any], doc: str) -> property:
 
 
 def _euler(axis: int, doc: str) -> property:
-    return property(
-        lambda env: quaternion_to_euler(env.base_env.rover_state.orientation)[0, axis].item(), doc=doc
-    )
+    return property(lambda env: quaternion_to_euler(env.base_env.rover_state.orientation)[0, axis].item(), doc=doc)
 
 
 class OriginalNames:
@@ -43,9 +41,7 @@ class OriginalNames:
     length = _reads(lambda env: env.base_env.length, "Steps after which an episode ends.")
     _length = length
     lidar_points = _reads(lambda env: env.base_env.lidar.points, "Readings in the observation.")
-    max_lidar_range = _reads(
-        lambda env: env.base_env.lidar.max_range, "The lidar's readings are clipped to this, m."
-    )
+    max_lidar_range = _reads(lambda env: env.base_env.lidar.max_range, "The lidar's readings are clipped to this, m.")
 
     world_n = _world(lambda world: world.name, "The world's name.")
     rand_x_range = _world(lambda world: world.spawn_range[0], "Where episodes start in x, (low, high), m.")
@@ -58,16 +54,10 @@ class OriginalNames:
     too_far_away_high_y = _world(lambda world: world.bounds[1][1], "The world's upper bound in y, m.")
 
     success_distance = _task(lambda task: task.success_distance, "A goal is reached below this distance, m.")
-    collision_threshold = _task(
-        lambda task: task.collision_threshold, "A reading below this is a collision, m."
-    )
-    collision_window = _task(
-        lambda task: task.collision_window, "Collisions in a row beyond which it is a jam, steps."
-    )
+    collision_threshold = _task(lambda task: task.collision_threshold, "A reading below this is a collision, m.")
+    collision_window = _task(lambda task: task.collision_window, "Collisions in a row beyond which it is a jam, steps.")
     stuck_window = _task(lambda task: task.stuck_window, "Positions remembered, steps.")
-    stuck_threshold = _task(
-        lambda task: task.stuck_threshold, "Less way than this over the window is stuck, m."
-    )
+    stuck_threshold = _task(lambda task: task.stuck_threshold, "Less way than this over the window is stuck, m.")
 
     goal_reward = _reward(lambda reward: reward.goal_reward, "For reaching a goal.")
     distance_delta_scale = _reward(lambda reward: reward.distance_delta_scale, "For each metre gained.")
@@ -89,9 +79,7 @@ class OriginalNames:
     rover_position = _reads(
         lambda env: env.base_env.rover_state.position[0].numpy(force=True).copy(), "Position, float32 [3], m."
     )
-    lidar_data = _reads(
-        lambda env: env.get_observation()["lidar"], "The pooled scan, float32 [lidar_points], m."
-    )
+    lidar_data = _reads(lambda env: env.get_observation()["lidar"], "The pooled scan, float32 [lidar_points], m.")
     target_positions_x = _reads(lambda env: env.base_env.goal[0, 0].item(), "The goal's x, m.")
     target_positions_y = _reads(lambda env: env.base_env.goal[0, 1].item(), "The goal's y, m.")
 

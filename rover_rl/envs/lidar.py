@@ -10,7 +10,7 @@ class LidarPooling:
     """Cleans raw scans and keeps the minimum of each of ``points`` segments.
 
     Segments are runs of neighbouring beams, the first beginning straight ahead, as equal in size as can be: no beam is
-    dropped. ``+inf`` and NaN become ``max_range``, ``-inf`` means "too close" (REP 117) and becomes 0, and everything is
+    dropped. ``+inf`` and NaN become ``max_range``, ``-inf`` means "too close" (REP 117) and becomes 0, and all is
     clipped to ``[0, max_range]``.
 
     Args:
@@ -28,9 +28,7 @@ class LidarPooling:
         tensor([[3., 1.]])
     """
 
-    def __init__(
-        self, beams: int, points: int, max_range: float, device: torch.device | str | None = None
-    ) -> None:
+    def __init__(self, beams: int, points: int, max_range: float, device: torch.device | str | None = None) -> None:
         if points < 1:
             raise ValueError(f"lidar_points must be at least 1, got {points}")
         if beams < points:

@@ -33,9 +33,7 @@ def imu_euler(msg: Any) -> NDArray[np.float32]:
     quaternion = torch.tensor([q.x, q.y, q.z, q.w], dtype=torch.float64)
     norm = torch.linalg.vector_norm(quaternion)
     if not 0.0 < norm < float("inf"):
-        raise ValueError(
-            f"an orientation must be a finite quaternion other than zero, got {quaternion.tolist()}"
-        )
+        raise ValueError(f"an orientation must be a finite quaternion other than zero, got {quaternion.tolist()}")
     return quaternion_to_euler(quaternion / norm).numpy().astype(np.float32)
 
 

@@ -212,9 +212,7 @@ def base_env(env: EnvBase) -> RoverEnv:
     while isinstance(inner, TransformedEnv):
         inner = inner.base_env
     if not isinstance(inner, RoverEnv):
-        raise TypeError(
-            f"a rover_rl.RoverEnv, or a TransformedEnv of one, is needed; got {type(env).__name__}"
-        )
+        raise TypeError(f"a rover_rl.RoverEnv, or a TransformedEnv of one, is needed; got {type(env).__name__}")
     return inner
 
 
@@ -226,9 +224,7 @@ def row_of(observation: Observation, row: int) -> Observation:
 def _with_reward(env: EnvBase, reward: Reward | None) -> tuple[EnvBase, RewardConfig | None]:
     if isinstance(env, TransformedEnv):
         if reward is not None:
-            raise ValueError(
-                "a TransformedEnv has its reward already: leave out reward=, or give the bare RoverEnv"
-            )
+            raise ValueError("a TransformedEnv has its reward already: leave out reward=, or give the bare RoverEnv")
         return env, None
     reward = "contract" if reward is None else reward
     config = RewardConfig() if isinstance(reward, str) and reward == "contract" else reward
@@ -238,9 +234,7 @@ def _with_reward(env: EnvBase, reward: Reward | None) -> tuple[EnvBase, RewardCo
 def _observation_space(env: EnvBase) -> spaces.Dict:
     missing = [key for key in KEYS if key not in env.observation_spec]
     if missing:
-        raise ValueError(
-            f"the observation lacks {missing}, which a transform has removed; {list(KEYS)} are needed"
-        )
+        raise ValueError(f"the observation lacks {missing}, which a transform has removed; {list(KEYS)} are needed")
     return spaces.Dict({key: _box(env.observation_spec[key]) for key in KEYS})
 
 

@@ -33,9 +33,7 @@ class Placement:
         bounds_low, bounds_high: corners of each row's bounds, ``[N, 2]``, m.
     """
 
-    def __init__(
-        self, worlds: Sequence[World], robot: Robot, min_goal_distance: float, device: torch.device
-    ) -> None:
+    def __init__(self, worlds: Sequence[World], robot: Robot, min_goal_distance: float, device: torch.device) -> None:
         kinds = list(dict.fromkeys(worlds))
         spaces = [free_space(world, robot) for world in kinds]
         kind = torch.tensor([kinds.index(world) for world in worlds])

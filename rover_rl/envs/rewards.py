@@ -63,6 +63,7 @@ class RewardComponent(Transform):
     Example:
         >>> class TiltPenalty(RewardComponent):
         ...     name = "tilt"
+        ...
         ...     def value(self, outcome, observation):
         ...         return -0.1 * observation["imu"][:, :2].abs().sum(-1, keepdim=True)
     """

@@ -69,8 +69,8 @@ class RoverEnv(EnvBase):
     The bare task: its reward is 1 for each goal reached. :func:`rover_rl.make_env` adds the contract's reward.
 
     Observation (float32, clipped to the contract's bounds): ``lidar [N, lidar_points]`` (m), ``pose [N, 3]`` (m),
-    ``imu [N, 3]`` (pitch, roll, yaw; rad), ``target [N, 2]`` (distance in m, relative angle in rad), ``velocities [N, 2]``
-    (wheel odometry; m/s, rad/s). ``action [N, 2]``: forward speed in [-1, 1] m/s and heading offset in [-pi, pi] rad;
+    ``imu [N, 3]`` (pitch, roll, yaw; rad), ``target [N, 2]`` (distance in m, relative angle in rad),
+    ``velocities [N, 2]`` (wheel odometry; m/s, rad/s). ``action [N, 2]``: forward speed in [-1, 1] m/s and heading offset in [-pi, pi] rad;
     finite actions outside are clipped. ``outcome`` says what happened in the step: see :mod:`rover_rl.envs.task`.
 
     ``reset(start=..., goal=...)`` takes poses ``[N, 3]`` (x, y in m, yaw in rad) and goals ``[N, 2]`` (m); the bare
@@ -169,7 +169,7 @@ class RoverEnv(EnvBase):
         return self._now.rover
 
     def render(self, row: int = 0, view: View = "chase", width: int = 640, height: int = 480) -> Tensor:
-        """A picture of one rover and its goal, from behind (``"chase"``) or above (``"top"``): uint8 ``[height, width, 3]``."""
+        """A picture of one rover and its goal, from behind (``"chase"``) or above (``"top"``): uint8 ``[H, W, 3]``."""
         self._require_open("render")
         self._require_started("render")
         if not 0 <= row < self.num_envs:
@@ -416,9 +416,7 @@ class RoverEnv(EnvBase):
             return torch.ones(self.num_envs, 1, dtype=torch.bool, device=self._tensor_device)
         return mask.reshape(self.num_envs, 1)
 
-    def _given(
-        self, key: str, value: Tensor | None, tensordict: TensorDictBase | None, width: int
-    ) -> Tensor | None:
+    def _given(self, key: str, value: Tensor | None, tensordict: TensorDictBase | None, width: int) -> Tensor | None:
         """A start or goal that the caller gives, checked."""
         if value is None and tensordict is not None:
             value = tensordict.get(key, None)

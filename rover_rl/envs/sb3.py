@@ -49,9 +49,7 @@ class SB3VecEnv(VecEnv):
         render_mode: str | None = None,
         camera: View = "chase",
     ) -> None:
-        self._batch = NumpyBatch(
-            env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera
-        )
+        self._batch = NumpyBatch(env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera)
         self._actions: np.ndarray | None = None
         super().__init__(self._batch.num_envs, self._batch.observation_space, self._batch.action_space)
         self.metadata["render_fps"] = FRAMES_PER_SECOND
@@ -115,9 +113,7 @@ class SB3VecEnv(VecEnv):
         self._require_all(indices)
         setattr(self.base_env, attr_name, value)
 
-    def env_method(
-        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
-    ) -> list[Any]:
+    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
         """Calls a method of the batched ``RoverEnv`` once; its answer, once for each row."""
         self._require_all(indices)
         return [getattr(self.base_env, method_name)(*method_args, **method_kwargs)] * self.num_envs

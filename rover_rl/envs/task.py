@@ -1,7 +1,7 @@
 """Point navigation: target, events and phase, as pure functions of the batch.
 
-Everything here is ``[N, 1]`` or ``[N, k]``, on any device. What happened in a step is computed once, from unclipped state,
-and handed on as ``outcome``.
+Everything here is ``[N, 1]`` or ``[N, k]``, on any device. What happened in a step is computed once, from unclipped
+state, and handed on as ``outcome``.
 """
 
 from __future__ import annotations
@@ -99,9 +99,7 @@ class TaskState:
 
     def merge(self, mask: Tensor, other: TaskState) -> TaskState:
         """This state on the rows of ``mask`` (bool ``[N, 1]``), ``other`` on the rest."""
-        return TaskState(
-            **{name: torch.where(mask, value, getattr(other, name)) for name, value in vars(self).items()}
-        )
+        return TaskState(**{name: torch.where(mask, value, getattr(other, name)) for name, value in vars(self).items()})
 
 
 class PositionHistory:
@@ -148,7 +146,7 @@ def target_info(position: Tensor, yaw: Tensor, goal: Tensor) -> Tensor:
 
 
 def heading_alignment(angle: Tensor) -> Tensor:
-    """How well the rover faces its goal: 1 straight ahead, 0 at a right angle, -1 behind (the contract's ``1 - 2|a|/pi``)."""
+    """How well the rover faces its goal: 1 ahead, 0 at a right angle, -1 behind (the contract's ``1 - 2|a|/pi``)."""
     return 1 - angle.abs() * (2 / math.pi)
 
 
@@ -176,8 +174,8 @@ def judge(
         config: thresholds.
 
     Returns:
-        Events, bool ``[N, 7]`` in the order of :data:`EVENTS` (a goal counts only where nothing ended the episode), and the
-        :class:`Phase`, int64 ``[N, 1]``.
+        Events, bool ``[N, 7]`` in the order of :data:`EVENTS` (a goal counts only where nothing ended the episode), and
+        the :class:`Phase`, int64 ``[N, 1]``.
     """
     low, high = bounds
     endings = torch.cat(

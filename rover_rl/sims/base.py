@@ -57,9 +57,9 @@ class Simulator(Protocol):
     ray_angles: Tensor
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
-        """Puts the rovers of ``mask`` (bool ``[N]``) on the ground at ``poses`` (``[N, 3]``: x, y in m, yaw in rad), at rest.
+        """Puts the rovers of ``mask`` (bool ``[N]``) on the ground at ``poses`` (``[N, 3]``: x, y in m, yaw in rad).
 
-        The other rows stay as they are.
+        They are at rest then; the other rows stay as they are.
         """
         ...
 

@@ -18,9 +18,7 @@ class DifferentialDrive:
     """
 
     def __init__(self, robot: Robot, dt: float, device: torch.device | str | None = None) -> None:
-        self._limit = dt * torch.tensor(
-            (robot.max_linear_acceleration, robot.max_angular_acceleration), device=device
-        )
+        self._limit = dt * torch.tensor((robot.max_linear_acceleration, robot.max_angular_acceleration), device=device)
         half = robot.wheel_separation / 2
         self._left_right = torch.tensor((-half, half), device=device) / robot.wheel_radius
         self._inverse_radius = torch.tensor(1 / robot.wheel_radius, device=device)
@@ -29,7 +27,7 @@ class DifferentialDrive:
         self._from_right = torch.tensor((linear, angular), device=device)
 
     def ramp(self, current: Tensor, command: Tensor) -> Tensor:
-        """The twist (m/s, rad/s; ``[N, 2]``) after ``dt`` on the way from ``current`` to ``command`` within the limits."""
+        """The twist (m/s, rad/s; ``[N, 2]``) ``dt`` after ``current``, on the way to ``command`` within the limits."""
         return current + torch.clamp(command - current, -self._limit, self._limit)
 
     def wheel_speeds(self, twist: Tensor) -> Tensor:

@@ -1,7 +1,7 @@
 """Rotations: quaternions (x, y, z, w), matrices and Euler angles, batched in torch.
 
-Rows never influence one another to the last bit: :func:`torch.atan2` rounds differently in its vectorised body and in the
-tail of a contiguous tensor, so :func:`angle_of` feeds it strided columns, for which it has one path.
+Rows never influence one another to the last bit: :func:`torch.atan2` rounds differently in its vectorised body and in
+the tail of a contiguous tensor, so :func:`angle_of` feeds it strided columns, for which it has one path.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def wrap_angle(angle: Tensor) -> Tensor:
 
 
 def quaternion_to_euler(quaternion: Tensor) -> Tensor:
-    """Roll, pitch, yaw (rad, ``[..., 3]``) of unit quaternions ``[..., 4]``, as transforms3d's ``quat2euler(axes='sxyz')``."""
+    """Roll, pitch, yaw (rad, ``[..., 3]``) of quaternions ``[..., 4]``, as transforms3d's ``quat2euler(axes='sxyz')``."""
     y, w = quaternion[..., 1:2], quaternion[..., 3:4]
     xz = quaternion[..., 0:3:2]
     zx = xz.flip(-1)

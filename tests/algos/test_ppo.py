@@ -45,9 +45,7 @@ def test_the_policy_that_was_trained_can_be_evaluated(run: ppo.TrainingSummary) 
     assert len(evaluate(checkpoint.make_actor(), draw_episodes("maze", 2), seconds=1).endings) == 2
 
 
-def test_the_same_seed_gives_the_same_weights_to_the_last_bit(
-    run: ppo.TrainingSummary, tmp_path: Path
-) -> None:
+def test_the_same_seed_gives_the_same_weights_to_the_last_bit(run: ppo.TrainingSummary, tmp_path: Path) -> None:
     first = Checkpoint.load(run.checkpoint)
     again = Checkpoint.load(train_ppo(replace(TINY, runs=str(tmp_path))).checkpoint)
     other = Checkpoint.load(train_ppo(replace(TINY, runs=str(tmp_path), seed=1)).checkpoint)

@@ -194,9 +194,7 @@ def observed(td: TensorDict, row: int) -> dict[str, list[float]]:
     return {key: td[key][row].tolist() for key in OBSERVATION}
 
 
-def witness(
-    env: EnvBase, bounds: tuple, steps: int, policy, start=None, goal=None, **settings: int
-) -> Witness:
+def witness(env: EnvBase, bounds: tuple, steps: int, policy, start=None, goal=None, **settings: int) -> Witness:
     """``steps`` steps of ``policy`` with automatic resets, witnessed."""
     seen = Witness(env, bounds, **settings)
     td = env.reset(start=start, goal=goal)
@@ -222,9 +220,7 @@ def assert_same_observation(given: dict[str, list[float]], expected: dict[str, l
     for angle, right in zip(given["imu"], expected["imu"], strict=True):
         assert_same_angle(angle, right)
     assert given["target"][0] == pytest.approx(expected["target"][0], abs=1e-5)
-    assert_same_angle(
-        given["target"][1], expected["target"][1], 1e-5 + 1e-5 / max(expected["target"][0], 1e-3)
-    )
+    assert_same_angle(given["target"][1], expected["target"][1], 1e-5 + 1e-5 / max(expected["target"][0], 1e-3))
 
 
 def check_witnessed(seen: Witness) -> None:
@@ -506,9 +502,7 @@ def commands(env: EnvBase, actions: list[tuple[float, float]]) -> list[list[floa
 
 
 def test_the_linear_speed_is_commanded_as_it_is():
-    assert [v for v, _ in commands(scripted([Moment()]), [(0.7, 0.0), (-1.0, 0.0)])] == pytest.approx(
-        [0.7, -1.0]
-    )
+    assert [v for v, _ in commands(scripted([Moment()]), [(0.7, 0.0), (-1.0, 0.0)])] == pytest.approx([0.7, -1.0])
 
 
 def test_the_error_is_the_heading_offset_whatever_the_yaw():
@@ -520,9 +514,7 @@ def test_the_error_is_the_heading_offset_whatever_the_yaw():
 
 def test_the_derivative_is_the_change_of_the_error_over_0_05_s():
     sent = commands(scripted([Moment()]), [(0.0, 0.1), (0.0, 0.3), (0.0, -0.2)])
-    assert [w for _, w in sent] == pytest.approx(
-        [0.4, 0.6 + 0.1 * 0.2 / 0.05, -0.4 - 0.1 * 0.5 / 0.05], abs=1e-4
-    )
+    assert [w for _, w in sent] == pytest.approx([0.4, 0.6 + 0.1 * 0.2 / 0.05, -0.4 - 0.1 * 0.5 / 0.05], abs=1e-4)
 
 
 def test_the_yaw_rate_is_clipped_to_7_rad_s():
@@ -589,9 +581,7 @@ def test_each_reading_is_the_minimum_of_a_segment_of_neighbouring_beams_from_str
 @hypothesis.settings(max_examples=150, deadline=None)
 @hypothesis.given(data=st.data(), points=st.integers(1, 40), extra=st.integers(0, 60))
 def test_pooling_is_the_contracts_for_any_beams_and_any_readings(data, points, extra):
-    reading = st.one_of(
-        st.floats(-1, 15, width=32), st.sampled_from([math.inf, -math.inf, math.nan, 0.0, 12.0, -0.0])
-    )
+    reading = st.one_of(st.floats(-1, 15, width=32), st.sampled_from([math.inf, -math.inf, math.nan, 0.0, 12.0, -0.0]))
     scan = data.draw(st.lists(reading, min_size=points + extra, max_size=points + extra))
     pooled = LidarPooling(points + extra, points, 12.0)(torch.tensor([scan]))[0].tolist()
     assert pooled == pytest.approx(contract.pool(scan, points), abs=0)
@@ -629,9 +619,7 @@ coordinates = st.floats(-40, 40, width=32)
 def test_target_info_is_the_contracts(x, y, yaw, goal_x, goal_y):
     distance, angle = contract.target_info(x, y, yaw, (goal_x, goal_y))
     hypothesis.assume(distance > 0.1)
-    given = target_info(torch.tensor([[x, y]]), torch.tensor([[yaw]]), torch.tensor([[goal_x, goal_y]]))[
-        0
-    ].tolist()
+    given = target_info(torch.tensor([[x, y]]), torch.tensor([[yaw]]), torch.tensor([[goal_x, goal_y]]))[0].tolist()
     assert given[0] == pytest.approx(distance, abs=1e-4)
     assert_same_angle(given[1], angle, 1e-4)
 
@@ -744,26 +732,20 @@ def test_end_on_goal_ends_the_episode_at_the_goal_and_keeps_it():
 
 
 def test_progress_pays_0_3_times_1_5_a_metre_from_the_first_step_on():
-    assert rewards(play(scripted(moving(2, speed=0.04)), 2)) == pytest.approx(
-        [0.04 * 0.3 * 1.5] * 2, abs=1e-5
-    )
+    assert rewards(play(scripted(moving(2, speed=0.04)), 2)) == pytest.approx([0.04 * 0.3 * 1.5] * 2, abs=1e-5)
 
 
 def test_going_away_from_the_goal_while_facing_it_costs_as_much():
     assert rewards(play(scripted(moving(1, speed=-0.04)), 1)) == pytest.approx([-0.04 * 0.3 * 1.5], abs=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("change", "paid"), [(0.0009, False), (-0.0009, False), (0.0011, True), (-0.0011, True)]
-)
+@pytest.mark.parametrize(("change", "paid"), [(0.0009, False), (-0.0009, False), (0.0011, True), (-0.0011, True)])
 def test_a_change_of_0_001_m_or_less_costs_the_idle_penalty_times_1_5(change, paid):
     reward = play(scripted(moving(1, speed=change)), 1, goal=(2.0, 0.0))[0]["reward"].item()
     assert reward == pytest.approx(change * 0.45 if paid else -0.03 * 1.5, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("yaw", "paid"), [(0.0, True), (1.5, True), (-1.5, True), (1.6, False), (math.pi, False)]
-)
+@pytest.mark.parametrize(("yaw", "paid"), [(0.0, True), (1.5, True), (-1.5, True), (1.6, False), (math.pi, False)])
 def test_progress_counts_only_with_a_positive_heading_alignment(yaw, paid):
     reward = play(scripted(moving(1, speed=0.04, yaw=yaw)), 1)[0]["reward"].item()
     assert reward == pytest.approx(0.04 * 0.45 if paid else -0.045, abs=1e-5)
@@ -781,9 +763,7 @@ def test_the_turn_penalty_is_0_0015_for_each_rad_s_either_way(w):
     assert components["turn"].item() == pytest.approx(-0.003)
 
 
-@pytest.mark.parametrize(
-    ("reading", "collides"), [(0.3, False), (0.299, True), (-math.inf, True), (math.nan, False)]
-)
+@pytest.mark.parametrize(("reading", "collides"), [(0.3, False), (0.299, True), (-math.inf, True), (math.nan, False)])
 def test_a_reading_below_0_3_m_is_a_collision_that_costs_0_5_and_nothing_else(reading, collides):
     scan = [5.0] * 31 + [reading]
     given = play(scripted([Moment(v=1.0, w=1.0, ranges=scan)]), 1)[0]
@@ -877,9 +857,7 @@ def test_the_600_positions_of_the_stuck_window_span_599_displacements():
 
 @pytest.mark.parametrize(("moved", "stuck"), [(0.0009, True), (0.0011, False)])
 def test_stuck_is_a_displacement_below_0_001_m(moved, stuck):
-    given = play(
-        scripted([Moment(), *[Moment()] * 29, Moment(x=moved)], task=TaskConfig(stuck_window=30)), 30
-    )
+    given = play(scripted([Moment(), *[Moment()] * 29, Moment(x=moved)], task=TaskConfig(stuck_window=30)), 30)
     assert given[-1]["outcome", "stuck"].item() is stuck
 
 
@@ -998,9 +976,7 @@ def test_scripts_of_every_kind_give_what_the_transcription_says():
             ranges[rng.integers(50)] = rng.choice([math.inf, math.nan, -math.inf if near < 0.5 else 5.0])
             tilt = rng.normal(0, 0.3, 2) if rng.random() < 0.99 else rng.normal(0, 1.2, 2)
             v, w = rng.normal(0, 5, 2)
-            moments.append(
-                Moment(x, y, rng.normal(0, 5), *tilt, rng.uniform(-3.1, 3.1), v, w, ranges.tolist())
-            )
+            moments.append(Moment(x, y, rng.normal(0, 5), *tilt, rng.uniform(-3.1, 3.1), v, w, ranges.tolist()))
         return moments
 
     scripts = [script() for _ in range(rows)]
@@ -1206,9 +1182,7 @@ def test_held_rows_stand_still_in_bullet_and_then_go_on_as_if_nothing_had_happen
         assert not td["reward"][held].any()
         assert td["outcome", "phase"][held].eq(Phase.NONE).all()
         # The other rows do not notice.
-        assert (
-            td.select(*OBSERVATION, "reward")[active] == twins[k].select(*OBSERVATION, "reward")[active]
-        ).all()
+        assert (td.select(*OBSERVATION, "reward")[active] == twins[k].select(*OBSERVATION, "reward")[active]).all()
     assert td["outcome", "steps"].flatten().tolist() == [15, 10, 15, 10]
 
     # The held rows now do what their twins did, but for contacts that the solver has to find again.

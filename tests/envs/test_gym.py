@@ -87,9 +87,7 @@ def test_the_spaces_are_the_contracts(shared):
         for key, (low, high) in bounds.items()
     }
     assert shared.observation_space == gymnasium.spaces.Dict(boxes)
-    assert shared.action_space == gymnasium.spaces.Box(
-        np.float32([-1, -pi]), np.float32([1, pi]), dtype=np.float32
-    )
+    assert shared.action_space == gymnasium.spaces.Box(np.float32([-1, -pi]), np.float32([1, pi]), dtype=np.float32)
 
 
 @pytest.mark.parametrize("render_mode", [None, "rgb_array"])
@@ -195,9 +193,7 @@ def test_step_needs_a_reset():
     env.close()
 
 
-@pytest.mark.parametrize(
-    ("time_limit", "flags"), [("terminated", (True, False)), ("truncated", (False, True))]
-)
+@pytest.mark.parametrize(("time_limit", "flags"), [("terminated", (True, False)), ("truncated", (False, True))])
 def test_the_time_limit_is_what_was_asked_for(time_limit, flags):
     env = make(length=3, time_limit=time_limit)
     env.reset()
@@ -283,9 +279,7 @@ def test_task_reward_is_that_of_the_step_and_asking_changes_nothing(env):
     ],
 )
 def test_flips_are_named(env, monkeypatch, roll, pitch, expected):
-    orientation = torch.tensor(
-        [[math.sin(roll / 2), math.sin(pitch / 2), 0.0, math.cos((abs(roll) + abs(pitch)) / 2)]]
-    )
+    orientation = torch.tensor([[math.sin(roll / 2), math.sin(pitch / 2), 0.0, math.cos((abs(roll) + abs(pitch)) / 2)]])
     monkeypatch.setattr(BatchedRoverEnv, "rover_state", Message(orientation=orientation))
     assert env.current_roll == pytest.approx(roll, abs=1e-5)
     assert env.current_pitch == pytest.approx(pitch, abs=1e-5)
@@ -493,9 +487,7 @@ def test_a_transform_must_leave_the_observation():
     inner.close()
 
 
-@pytest.mark.parametrize(
-    ("option", "value"), [("time_limit", "never"), ("render_mode", "human"), ("camera", "left")]
-)
+@pytest.mark.parametrize(("option", "value"), [("time_limit", "never"), ("render_mode", "human"), ("camera", "left")])
 def test_unknown_options_are_refused(option, value):
     with pytest.raises(ValueError, match=f"{option} must be one of .* got '{value}'"):
         make(**{option: value})

@@ -151,9 +151,7 @@ def test_components_can_be_weighed_otherwise():
     assert torch.equal(plain["pose"], weighed["pose"])
     for name, factor in (("progress", 2), ("velocity", 100), ("turn", 2)):
         assert plain["reward_components", name].any()
-        torch.testing.assert_close(
-            weighed["reward_components", name], factor * plain["reward_components", name]
-        )
+        torch.testing.assert_close(weighed["reward_components", name], factor * plain["reward_components", name])
     torch.testing.assert_close(weighed["reward"], sum(weighed["reward_components"].values()))
 
 
@@ -216,9 +214,7 @@ def test_a_total_without_components_raises():
 
 def test_reward_sum_adds_up_each_component_over_an_episode():
     sums = [f"episode_{name}" for name in NAMES]
-    env = rovers(3).append_transform(
-        RewardSum(in_keys=[*COMPONENTS, "reward"], out_keys=[*sums, "episode_reward"])
-    )
+    env = rovers(3).append_transform(RewardSum(in_keys=[*COMPONENTS, "reward"], out_keys=[*sums, "episode_reward"]))
     td = rollout(env)
     for key, total in zip([*COMPONENTS, "reward"], [*sums, "episode_reward"], strict=True):
         torch.testing.assert_close(td[total], td[key].cumsum(1))
@@ -226,9 +222,7 @@ def test_reward_sum_adds_up_each_component_over_an_episode():
 
 
 def test_reward_sum_begins_anew_with_each_episode():
-    env = rovers(2, length=4).append_transform(
-        RewardSum(in_keys=[COMPONENTS[1]], out_keys=["episode_progress"])
-    )
+    env = rovers(2, length=4).append_transform(RewardSum(in_keys=[COMPONENTS[1]], out_keys=["episode_progress"]))
     td = rollout(env, 6)
     progress, total = td[COMPONENTS[1]], td["episode_progress"]
     torch.testing.assert_close(total[:, 3], progress[:, :4].sum(1))

@@ -115,9 +115,7 @@ def clean(reading: float, max_range: float = MAX_LIDAR_RANGE) -> float:
     return min(max(reading, 0.0), max_range)
 
 
-def pool(
-    ranges: Sequence[float], points: int = LIDAR_POINTS, max_range: float = MAX_LIDAR_RANGE
-) -> list[float]:
+def pool(ranges: Sequence[float], points: int = LIDAR_POINTS, max_range: float = MAX_LIDAR_RANGE) -> list[float]:
     """The minimum of each of ``points`` runs of beams, the first ones longer by one if need be."""
     short, longer = divmod(len(ranges), points)
     pooled, first = [], 0
@@ -144,9 +142,7 @@ def is_flipped(roll: float, pitch: float) -> bool:
 class HeadingPid:
     """The contract's ``heading_controller``, its derivative over the control step."""
 
-    def __init__(
-        self, kp: float = KP, ki: float = KI, kd: float = KD, max_output: float = MAX_OUTPUT
-    ) -> None:
+    def __init__(self, kp: float = KP, ki: float = KI, kd: float = KD, max_output: float = MAX_OUTPUT) -> None:
         self.kp, self.ki, self.kd, self.max_output = kp, ki, kd, max_output
         self.reset()
 

@@ -73,7 +73,8 @@ def add_ground(client: int, world: World) -> list[int]:
     else:
         # Not as a heightfield, which would stand along the axes of its body's frame.
         shapes = []
-        area = tuple((low - GROUND_MARGIN, high + GROUND_MARGIN) for low, high in world.bounds)
+        (x_low, x_high), (y_low, y_high) = world.bounds
+        area = (x_low - GROUND_MARGIN, x_high + GROUND_MARGIN), (y_low - GROUND_MARGIN, y_high + GROUND_MARGIN)
         for strip in terrain_strips(terrain, area):
             vertices, faces = terrain.mesh(*strip)
             shapes.append(_mesh_shape(client, turn.inv().apply(vertices.numpy()), faces))

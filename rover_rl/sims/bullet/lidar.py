@@ -19,8 +19,8 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
 RAYS_PER_CALL = 512
-"""Rays in one call of ``rayTestBatch``. It returns five objects a ray: few enough of them stay in the processor's cache,
-which makes reading and freeing them a fifth cheaper than at the limit of 16,383 (more return nothing, and no error)."""
+"""Rays in one call of ``rayTestBatch``. It returns ten objects a ray: few enough of them stay in the processor's
+cache, which makes reading and freeing them a fifth cheaper than at the limit of 16,383 (more return nothing, and no error)."""
 
 _CEILING_CELL = 0.1
 _fraction = itemgetter(2)
@@ -102,7 +102,7 @@ class _Ceiling:
         self._origin = np.array((xs[0], ys[0]))
         # The highest terrain point of a cell is no higher than that of the terrain's own grid cell and its neighbours.
         heights = torch.nn.functional.max_pool2d(world.terrain.heights[None, None], 3, 1, 1)[0, 0].numpy()
-        (x0, y0), cell = world.terrain.origin, world.terrain.cell  # type: ignore[misc]
+        (x0, y0), cell = world.terrain.origin, world.terrain.cell
         i = np.clip(np.rint((xs + _CEILING_CELL / 2 - x0) / cell).astype(int), 0, heights.shape[1] - 1)
         j = np.clip(np.rint((ys + _CEILING_CELL / 2 - y0) / cell).astype(int), 0, heights.shape[0] - 1)
         self._heights = heights[np.ix_(j, i)]
@@ -113,7 +113,7 @@ class _Ceiling:
             np.maximum(block, high[2], out=block)
 
     def above(self, points: np.ndarray) -> np.ndarray:
-        """Which of ``points [k, 3]`` may be inside something, because some solid in their cell is higher: bool ``[k]``."""
+        """Which of ``points [k, 3]`` may be inside something, as some solid in their cell is higher: bool ``[k]``."""
         cells = self._cells(points)
         return points[:, 2] <= self._heights[cells[:, 1], cells[:, 0]]
 

@@ -14,8 +14,8 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
 ROVERS_PER_CLIENT = 64
-"""Rovers that share a Bullet client. More of them no longer fit in the processor's cache together, and cost two to three
-times as much each; company changes nothing else."""
+"""Rovers that share a Bullet client. More of them no longer fit in the processor's cache together, and cost two to
+three times as much each; company changes nothing else."""
 
 _CONJUGATE = np.array((-1.0, -1.0, -1.0, 1.0))
 
@@ -67,7 +67,9 @@ class RoverPhysics:
             self._grounds.append(add_ground(client, world))
             _make_static(client, self._grounds[-1], settings.ground_friction)
             _make_static(client, add_obstacles(client, world.obstacles), settings.obstacle_friction)
-            self._rovers += [(client, _load(client, robot)) for _ in range(first, min(first + ROVERS_PER_CLIENT, count))]
+            self._rovers += [
+                (client, _load(client, robot)) for _ in range(first, min(first + ROVERS_PER_CLIENT, count))
+            ]
         self._wheels = self._find_wheels(robot)
         self._forces = [robot.wheel_torque] * len(self._wheels)
         self._sides = len(robot.left_wheels), len(robot.right_wheels)
@@ -86,7 +88,7 @@ class RoverPhysics:
         return [index[name] for name in (*robot.left_wheels, *robot.right_wheels)]
 
     def place(self, rows: Sequence[int], positions: np.ndarray, orientations: np.ndarray) -> None:
-        """Puts rovers at rest at poses of their base frames: ``positions [k, 3]``, quaternions ``orientations [k, 4]``."""
+        """Puts rovers at rest at poses of their base frames: ``positions [k, 3]``, ``orientations [k, 4]``."""
         inertial = _times(orientations, self._inertial_orientation)
         centers = positions + (_matrix(orientations) * self._inertial_position).sum(-1)
         still = [0.0] * len(self._wheels)

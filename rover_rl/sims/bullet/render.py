@@ -111,7 +111,7 @@ class Renderer:
 def _camera(position: np.ndarray, orientation: np.ndarray, view: View) -> tuple[list[float], list[float], list[float]]:
     """Eye, target and up direction of the camera."""
     if view == "top":
-        return (position + (0, 0, 12)).tolist(), position.tolist(), [0, 1, 0]
+        return (position + np.array((0, 0, 12))).tolist(), position.tolist(), [0, 1, 0]
     yaw = pybullet.getEulerFromQuaternion(orientation.tolist())[2]
     behind = np.array((-2.2 * math.cos(yaw), -2.2 * math.sin(yaw), 1.3))
     ahead = np.array((0.8 * math.cos(yaw), 0.8 * math.sin(yaw), 0.15))

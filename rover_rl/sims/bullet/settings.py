@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class BulletSettings:
-    """How Bullet simulates. The defaults keep a rover that stands still where it is, and turn it alike in every heading.
+    """How Bullet simulates. The defaults keep a standing rover where it is, and turn it alike in every heading.
 
     Args:
         substep: one physics step in seconds (the original's inspect world: 5 ms).
@@ -16,8 +16,8 @@ class BulletSettings:
         solver_residual: the solver stops early below this residual. Bullet's own 1e-7 lets a standing rover creep by a
             millimetre in 30 seconds; 1e-9 holds it to a fifth of that.
         ground_friction: Coulomb coefficient between wheels and ground.
-        obstacle_friction: the same for obstacles. At 0.7 and more the wheels climb up a wall that they push against, and
-            the rover falls on its back.
+        obstacle_friction: the same for obstacles. At 0.7 and more the wheels climb up a wall that they push against,
+            and the rover falls on its back.
     """
 
     substep: float = 0.005

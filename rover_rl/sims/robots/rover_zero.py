@@ -15,7 +15,7 @@ ROVER_ZERO = Robot(
     wheel_radius=0.122,
     wheel_width=0.09,
     wheel_separation=0.24,
-    # More than a wheel can bring to the ground on a grippy surface (30 N x 0.122 m), so that traction, not the motor, limits.
+    # More than a wheel can bring to the ground (30 N x 0.122 m), so that traction, not the motor, limits.
     wheel_torque=5.0,
     max_linear_acceleration=5.0,
     max_angular_acceleration=4.0,

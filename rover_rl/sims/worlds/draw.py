@@ -92,9 +92,7 @@ def draw_map(ax: Axes, world: World, area: Area | None = None) -> ScalarMappable
     else:
         elevation = _draw_ground(ax, world, shown)
     outlines = [obstacle.footprint.numpy() for obstacle in world.obstacles]
-    ax.add_collection(
-        PolyCollection(outlines, facecolor=OBSTACLE, edgecolor=OBSTACLE_EDGE, linewidth=0.6, zorder=3)
-    )
+    ax.add_collection(PolyCollection(outlines, facecolor=OBSTACLE, edgecolor=OBSTACLE_EDGE, linewidth=0.6, zorder=3))
     ax.set(xlim=area[0], ylim=area[1], aspect="equal", xlabel="x (m)", ylabel="y (m)")
     return elevation
 
@@ -137,7 +135,5 @@ def _legend(world: World, view: Area) -> list[Patch | Line2D]:
         Patch(facecolor=to_rgba(FREE, 0.2), edgecolor=FREE, label="free"),
         Line2D([], [], color=SPAWN, linewidth=2.2, label="spawn area"),
         Line2D([], [], color=GOAL, linewidth=2.2, linestyle=(0, (2, 1)), label="goal area"),
-        Line2D(
-            [], [], color=BOUNDS, linestyle="--", label="bounds" if visible else "bounds (beyond the map)"
-        ),
+        Line2D([], [], color=BOUNDS, linestyle="--", label="bounds" if visible else "bounds (beyond the map)"),
     ]

@@ -106,9 +106,7 @@ def _compute(world: World, robot: Robot) -> FreeSpace:
     goal_cells, spawn_cells = grid.centres[goal & part], grid.centres[spawn & part]
     _check_any(world, robot, "goal", goal_cells)
 
-    allowed = torch.cat(
-        [_headings(world, robot, grid, clearance, cells) for cells in spawn_cells.split(CHUNK)]
-    )
+    allowed = torch.cat([_headings(world, robot, grid, clearance, cells) for cells in spawn_cells.split(CHUNK)])
     any_heading = allowed.any(1)
     spawn_cells, allowed = spawn_cells[any_heading], allowed[any_heading]
     _check_any(world, robot, "spawn", spawn_cells)
@@ -127,9 +125,7 @@ def _compute(world: World, robot: Robot) -> FreeSpace:
 def _check_any(world: World, robot: Robot, kind: str, cells: Tensor) -> None:
     if len(cells) == 0:
         area = getattr(world, f"{kind}_range")
-        raise ValueError(
-            f"world {world.name!r} has no free {kind} cell for {robot.name!r} in {kind}_range {area}"
-        )
+        raise ValueError(f"world {world.name!r} has no free {kind} cell for {robot.name!r} in {kind}_range {area}")
 
 
 def _allowed_first(allowed: Tensor) -> Tensor:

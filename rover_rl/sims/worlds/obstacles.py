@@ -75,9 +75,7 @@ def box(
     """
     if min(size) <= 0:
         raise ValueError(f"the sides of a box must be positive lengths in metres, got {tuple(size)}")
-    corners = np.array(
-        [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
-    ) * np.asarray(size)
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * np.asarray(size)
     return Obstacle(torch.from_numpy(corners @ _rotation(roll, pitch, yaw).T + np.asarray(center)))
 
 
@@ -88,9 +86,7 @@ def cylinder(center: tuple[float, float, float], radius: float, height: float, s
         ValueError: for a radius or height that is not positive, or fewer than three sides.
     """
     if radius <= 0 or height <= 0 or sides < 3:
-        raise ValueError(
-            f"a cylinder needs radius > 0, height > 0, sides >= 3; got {radius}, {height}, {sides}"
-        )
+        raise ValueError(f"a cylinder needs radius > 0, height > 0, sides >= 3; got {radius}, {height}, {sides}")
     turn = 2 * math.pi * np.arange(sides) / sides
     ring = np.stack((radius * np.cos(turn), radius * np.sin(turn)), -1)
     lower, upper = np.full((sides, 1), -height / 2), np.full((sides, 1), height / 2)
@@ -98,9 +94,7 @@ def cylinder(center: tuple[float, float, float], radius: float, height: float, s
     return Obstacle(torch.from_numpy(points + np.asarray(center)))
 
 
-def boulder(
-    center: tuple[float, float, float], radius: float, rng: np.random.Generator, points: int = 24
-) -> Obstacle:
+def boulder(center: tuple[float, float, float], radius: float, rng: np.random.Generator, points: int = 24) -> Obstacle:
     """A rock: the hull of ``points`` points at 0.75 to 1 times ``radius`` (m) from ``rng``, a little flat.
 
     Raises:

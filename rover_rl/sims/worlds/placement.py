@@ -65,9 +65,7 @@ def ground_frame(world: World, robot: Robot, poses: Tensor) -> tuple[Tensor, Ten
 def _rims(robot: Robot, device: torch.device) -> Tensor:
     """Points on the lower half of the wheels' rims in the base frame: ``[P, 3]``."""
     angle = torch.linspace(-1.2, 1.2, 13, dtype=torch.float64, device=device)
-    across = torch.tensor(
-        (-robot.wheel_width / 2, 0.0, robot.wheel_width / 2), dtype=torch.float64, device=device
-    )
+    across = torch.tensor((-robot.wheel_width / 2, 0.0, robot.wheel_width / 2), dtype=torch.float64, device=device)
     arc = robot.wheel_radius * torch.stack((angle.sin(), -angle.cos()), -1)
     rim = torch.stack(
         (

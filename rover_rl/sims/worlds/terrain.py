@@ -37,14 +37,12 @@ class Terrain:
 
     heights: Tensor
     cell: float
-    origin: tuple[float, float] | None = None
+    origin: tuple[float, float] = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         heights = torch.as_tensor(self.heights, dtype=torch.float32).contiguous()
         if heights.ndim != 2 or min(heights.shape) < 2:
-            raise ValueError(
-                f"heights must be a grid of at least 2 x 2 values, got shape {tuple(heights.shape)}"
-            )
+            raise ValueError(f"heights must be a grid of at least 2 x 2 values, got shape {tuple(heights.shape)}")
         if not torch.isfinite(heights).all():
             raise ValueError("heights must be finite numbers (metres), got NaN or infinity")
         if not self.cell > 0:
@@ -62,9 +60,7 @@ class Terrain:
             ValueError: for sides that are not positive multiples of 0.1 m.
         """
         tenths = [round(10 * side) for side in size]
-        if min(tenths) <= 0 or not all(
-            math.isclose(10 * side, n) for side, n in zip(size, tenths, strict=True)
-        ):
+        if min(tenths) <= 0 or not all(math.isclose(10 * side, n) for side, n in zip(size, tenths, strict=True)):
             raise ValueError(f"the sides of flat ground must be positive multiples of 0.1 m, got {size}")
         # The largest square that tiles the ground.
         square = math.gcd(*tenths)
@@ -79,7 +75,7 @@ class Terrain:
     @property
     def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """``((x_low, x_high), (y_low, y_high))`` in metres."""
-        x, y = self.origin  # type: ignore[misc]
+        x, y = self.origin
         rows, columns = self.heights.shape
         return (x, x + (columns - 1) * self.cell), (y, y + (rows - 1) * self.cell)
 
@@ -97,7 +93,7 @@ class Terrain:
         """Height and slopes (dz/dx, dz/dy) of the triangle under each point."""
         heights = self.heights.to(device=xy.device, dtype=xy.dtype)
         rows, columns = heights.shape
-        x, y = self.origin  # type: ignore[misc]
+        x, y = self.origin
         u = ((xy[..., 0] - x) / self.cell).clamp(0, columns - 1)
         v = ((xy[..., 1] - y) / self.cell).clamp(0, rows - 1)
         # The lower limit is for NaN, which has no integer: its height is NaN, and no index runs off the grid.

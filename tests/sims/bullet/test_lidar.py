@@ -19,9 +19,9 @@ MOUNT = ROVER.lidar_position[0]
 
 def room(width: float, depth: float, height: float = 6.0) -> list:
     """Four walls around the origin; inner size ``width`` (x) by ``depth`` (y)."""
-    return [
-        box((side * (width / 2 + 0.5), 0, height / 2 - 2), (1, depth + 2, height)) for side in (-1, 1)
-    ] + [box((0, side * (depth / 2 + 0.5), height / 2 - 2), (width + 2, 1, height)) for side in (-1, 1)]
+    return [box((side * (width / 2 + 0.5), 0, height / 2 - 2), (1, depth + 2, height)) for side in (-1, 1)] + [
+        box((0, side * (depth / 2 + 0.5), height / 2 - 2), (width + 2, 1, height)) for side in (-1, 1)
+    ]
 
 
 def scan(world: World, pose: tuple[float, float, float], beams: int = 64) -> torch.Tensor:
@@ -50,7 +50,7 @@ def test_ranges_in_a_room_are_those_computed_by_hand(yaw, beams):
 @pytest.mark.parametrize("tilt", [5.0, 12.0])
 @pytest.mark.parametrize("yaw", [0.0, math.pi])
 def test_a_tilted_scan_reaches_further_by_its_slope(tilt, yaw):
-    """On a slope along x, beams ahead and behind meet upright walls at d / cos(tilt), beams aside as on level ground."""
+    """On a slope along x, beams ahead and behind meet upright walls at d / cos(tilt), beams aside as if level."""
     count, cell = 121, 0.25
     rise = math.tan(math.radians(tilt)) * (torch.arange(count) * cell - 15)
     world = World("ramp", Terrain(rise.expand(count, -1), cell), room(8, 6, height=12))

@@ -51,9 +51,7 @@ def test_commanded_speed_is_reached_on_flat_ground(flat):
     states = drive(simulator, [(1.0, 0.0), (1.0, 0.0), (0.5, 0.0)], 60)
     body = (states[-1].position - states[-21].position).norm(dim=-1) / (20 * DT)
     torch.testing.assert_close(body, torch.tensor([1.0, 1.0, 0.5]), atol=0.0, rtol=0.05)
-    torch.testing.assert_close(
-        states[-1].linear_velocity.squeeze(-1), torch.tensor([1.0, 1.0, 0.5]), atol=0.01, rtol=0
-    )
+    torch.testing.assert_close(states[-1].linear_velocity.squeeze(-1), torch.tensor([1.0, 1.0, 0.5]), atol=0.01, rtol=0)
 
 
 def test_stops_within_its_acceleration_limit(flat):

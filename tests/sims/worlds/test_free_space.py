@@ -48,9 +48,7 @@ def in_an_outline(world: World, xy: np.ndarray) -> np.ndarray:
     return found
 
 
-def drawn(
-    cells: torch.Tensor, cell: float, count: int, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
+def drawn(cells: torch.Tensor, cell: float, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Places drawn as an episode draws them, and which cells they come from."""
     index = rng.integers(len(cells), size=count)
     return cells.numpy()[index] + rng.uniform(-cell / 2, cell / 2, (count, 2)), index
@@ -89,9 +87,7 @@ def test_passable_cells_keep_within_the_bounds_and_off_steep_ground(name):
     world = get_world(name)
     free = free_space(world, ROVER)
     row, column = free.passable.nonzero().unbind(1)
-    centres = torch.stack((column, row), 1).double() * free.cell + torch.tensor(
-        free.origin, dtype=torch.float64
-    )
+    centres = torch.stack((column, row), 1).double() * free.cell + torch.tensor(free.origin, dtype=torch.float64)
     for axis, ends in enumerate(world.bounds):
         extent = world.terrain.extent[axis]
         low, high = max(ends[0], extent[0]), min(ends[1], extent[1])
@@ -203,9 +199,7 @@ def test_beside_a_wall_a_rover_does_not_start_facing_it():
 def test_a_cliff_is_kept_out_of_the_lidars_sight():
     heights = np.zeros((101, 101))
     heights[:, 60:] = 2.0
-    world = World(
-        "cliff", Terrain(heights, 0.1), spawn_range=((-4, 0.9), (-4, 4)), goal_range=((-4, 0.9), (-4, 4))
-    )
+    world = World("cliff", Terrain(heights, 0.1), spawn_range=((-4, 0.9), (-4, 4)), goal_range=((-4, 0.9), (-4, 4)))
     lidar, _ = lidar_poses(world, 500)
     # The cliff rises from x = 0.9 to 1.0.
     assert lidar[:, 0].max() < 0.9 - 0.4

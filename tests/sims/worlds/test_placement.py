@@ -42,9 +42,7 @@ def test_on_level_ground_the_base_frame_is_the_pose():
     y=st.floats(-5, 5),
 )
 def test_on_a_ramp_the_pose_is_that_of_the_plane(slope_x, slope_y, yaw, x, y):
-    position, rotation = rest_on_ground(
-        ramp(slope_x, slope_y), ROVER, torch.tensor([[x, y, yaw]], dtype=torch.float64)
-    )
+    position, rotation = rest_on_ground(ramp(slope_x, slope_y), ROVER, torch.tensor([[x, y, yaw]], dtype=torch.float64))
     up = np.array([-slope_x, -slope_y, 1.0]) / math.hypot(slope_x, slope_y, 1.0)
     ahead = np.array([math.cos(yaw), math.sin(yaw), slope_x * math.cos(yaw) + slope_y * math.sin(yaw)])
     assert rotation[0, :, 2].numpy() == pytest.approx(up, abs=1e-5)

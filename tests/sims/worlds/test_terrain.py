@@ -53,9 +53,7 @@ def test_any_leading_shape_and_float_dtype(dtype, shape):
 
 
 @settings(max_examples=40, deadline=None)
-@given(
-    seed=st.integers(0, 10**6), rows=st.integers(2, 6), columns=st.integers(2, 6), cell=st.floats(0.1, 3.0)
-)
+@given(seed=st.integers(0, 10**6), rows=st.integers(2, 6), columns=st.integers(2, 6), cell=st.floats(0.1, 3.0))
 def test_the_surface_is_the_mesh(seed, rows, columns, cell):
     rng = np.random.default_rng(seed)
     terrain = Terrain(rng.uniform(-2, 2, (rows, columns)), cell)
@@ -85,9 +83,7 @@ def test_strips_of_the_mesh_make_up_the_whole():
 def test_flat_ground_has_the_size_asked_for(size):
     terrain = Terrain.flat(size, height=1.5)
     (x_low, x_high), (y_low, y_high) = terrain.extent
-    assert (x_low, x_high, y_low, y_high) == pytest.approx(
-        (-size[0] / 2, size[0] / 2, -size[1] / 2, size[1] / 2)
-    )
+    assert (x_low, x_high, y_low, y_high) == pytest.approx((-size[0] / 2, size[0] / 2, -size[1] / 2, size[1] / 2))
     assert terrain.is_flat
     assert terrain.height_at(torch.zeros(2)) == 1.5
 

@@ -58,9 +58,7 @@ def test_get_world_gives_the_same_object_for_the_same_text():
     assert get_world(world) is world
 
 
-@pytest.mark.parametrize(
-    "text", ["mars", "maze:", "maze:x", "maze:-1", "maze:1.5", "", "Maze", ":1", "maze:²"]
-)
+@pytest.mark.parametrize("text", ["mars", "maze:", "maze:x", "maze:-1", "maze:1.5", "", "Maze", ":1", "maze:²"])
 def test_an_unknown_world_is_answered_with_what_is_allowed(text):
     with pytest.raises(ValueError) as error:
         get_world(text)

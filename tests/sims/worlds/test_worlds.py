@@ -56,9 +56,7 @@ def test_a_seed_gives_the_same_world_each_time(name):
     assert torch.equal(a.terrain.heights, b.terrain.heights)
     assert all(torch.equal(p.vertices, q.vertices) for p, q in zip(a.obstacles, b.obstacles, strict=True))
     same_ground = torch.equal(a.terrain.heights, other.terrain.heights)
-    same_obstacles = all(
-        torch.equal(p.vertices, q.vertices) for p, q in zip(a.obstacles, other.obstacles, strict=True)
-    )
+    same_obstacles = all(torch.equal(p.vertices, q.vertices) for p, q in zip(a.obstacles, other.obstacles, strict=True))
     assert not (same_ground and same_obstacles)
 
 
@@ -155,9 +153,7 @@ class TestMoon:
 
     def test_the_island_falls_away_at_its_edges(self):
         terrain = get_world("moon").terrain
-        edge = torch.cat(
-            (terrain.heights[0], terrain.heights[-1], terrain.heights[:, 0], terrain.heights[:, -1])
-        )
+        edge = torch.cat((terrain.heights[0], terrain.heights[-1], terrain.heights[:, 0], terrain.heights[:, -1]))
         assert edge.max() < -1.5
 
     @pytest.mark.parametrize("seed", range(4))
@@ -211,9 +207,7 @@ class TestMaze:
         )
         assert sizes.count((2, 9)) == 1
         assert set(sizes) <= {(1, 1), (1, 2), (1, 3), (1, 4), (1, 5), (2, 9)}
-        assert all(
-            (float(b.vertices[:, 2].min()), float(b.vertices[:, 2].max())) == (0.0, 1.0) for b in blocks
-        )
+        assert all((float(b.vertices[:, 2].min()), float(b.vertices[:, 2].max())) == (0.0, 1.0) for b in blocks)
 
     @pytest.mark.parametrize("seed", SEEDS)
     def test_corridors(self, seed):
