@@ -91,7 +91,7 @@ class ProgressLog:
         self._told = 0
         self._bar = Progress(
             TextColumn("training"),
-            BarColumn(),
+            BarColumn(20),
             TaskProgressColumn(),
             TimeElapsedColumn(),
             TextColumn("{task.fields[status]}"),

@@ -1,8 +1,8 @@
 """Random draws without a generator: a counter-based hash per row.
 
 A draw is a function of (row seed, episode, stream, draw) alone, computed in int64: the same on every device, whatever
-the batch size, the order of the draws or what other rows do. The hash is the finaliser of SplitMix64 (Steele, Lea, Flood,
-"Fast splittable pseudorandom number generators", OOPSLA 2014) over a Weyl sequence.
+the batch size, the order of the draws or what other rows do. The hash is the finaliser of SplitMix64 over a Weyl
+sequence (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014).
 """
 
 from __future__ import annotations

@@ -70,8 +70,9 @@ class RoverEnv(EnvBase):
 
     Observation (float32, clipped to the contract's bounds): ``lidar [N, lidar_points]`` (m), ``pose [N, 3]`` (m),
     ``imu [N, 3]`` (pitch, roll, yaw; rad), ``target [N, 2]`` (distance in m, relative angle in rad),
-    ``velocities [N, 2]`` (wheel odometry; m/s, rad/s). ``action [N, 2]``: forward speed in [-1, 1] m/s and heading offset in [-pi, pi] rad;
-    finite actions outside are clipped. ``outcome`` says what happened in the step: see :mod:`rover_rl.envs.task`.
+    ``velocities [N, 2]`` (wheel odometry; m/s, rad/s). ``action [N, 2]``: forward speed in [-1, 1] m/s
+    and heading offset in [-pi, pi] rad; finite actions outside are clipped. ``outcome`` says what happened in the step:
+    see :mod:`rover_rl.envs.task`.
 
     ``reset(start=..., goal=...)`` takes poses ``[N, 3]`` (x, y in m, yaw in rad) and goals ``[N, 2]`` (m); the bare
     environment also takes them as entries of the reset tensordict, which transforms would drop.

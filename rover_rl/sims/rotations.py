@@ -24,7 +24,7 @@ def wrap_angle(angle: Tensor) -> Tensor:
 
 
 def quaternion_to_euler(quaternion: Tensor) -> Tensor:
-    """Roll, pitch, yaw (rad, ``[..., 3]``) of quaternions ``[..., 4]``, as transforms3d's ``quat2euler(axes='sxyz')``."""
+    """Roll, pitch, yaw (rad, ``[..., 3]``) of quaternions ``[..., 4]``, as transforms3d's ``quat2euler``, 'sxyz'."""
     y, w = quaternion[..., 1:2], quaternion[..., 3:4]
     xz = quaternion[..., 0:3:2]
     zx = xz.flip(-1)

@@ -20,7 +20,8 @@ from rover_rl.sims.worlds import World
 
 RAYS_PER_CALL = 512
 """Rays in one call of ``rayTestBatch``. It returns ten objects a ray: few enough of them stay in the processor's
-cache, which makes reading and freeing them a fifth cheaper than at the limit of 16,383 (more return nothing, and no error)."""
+cache, which makes reading and freeing them a fifth cheaper than at the limit of 16,383 rays, beyond which it returns
+nothing and raises no error."""
 
 _CEILING_CELL = 0.1
 _fraction = itemgetter(2)
