@@ -45,7 +45,14 @@ def draw_learning_curve(progress: Path, path: Path, baseline: Evaluation | None 
     _draw_curve(left, steps, columns["tries_reached"], columns["tries"])
     _draw_curve(right, steps, columns["goals_per_2000_steps"], ones)
     if baseline is not None:
-        style = {"color": BASELINE, "linestyle": "--", "linewidth": 1.6, "label": f"{baseline.name} policy"}
+        style: dict[str, Any] = {
+            "color": BASELINE,
+            "linestyle": "--",
+            "linewidth": 1.8,
+            "label": f"{baseline.name} policy",
+        }
+        # Over the axis, and not cut off by it, because a level of 0 is on it.
+        style |= {"clip_on": False, "zorder": 3}
         left.axhline(baseline.success_rate, **style)
         right.axhline(baseline.goals_per_2000_steps, **style)
     left.set(ylabel="success: goals reached within 60 s", ylim=(0, 1.02))

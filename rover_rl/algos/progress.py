@@ -29,8 +29,8 @@ class BatchStatistics:
 
     A goal is *tried* until it is reached, until the episode ends badly, or for 60 s, whichever comes first;
     after 60 s the same goal counts as tried anew. The success rate is the share of tries that reached their
-    goal, so that it compares with :func:`~rover_rl.algos.evaluate.evaluate`. Tries that the end of a full
-    episode cuts short do not count.
+    goal; tries that the end of a full episode cuts short do not count. Rovers that succeed soon try more often,
+    so that this is higher than what :func:`~rover_rl.algos.evaluate.evaluate` finds.
 
     Args:
         num_envs: rows of a batch.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import secrets
 from collections.abc import Sequence
 from dataclasses import replace
@@ -437,6 +438,12 @@ class RoverEnv(EnvBase):
     def _require_started(self, what: str) -> None:
         if not self._started:
             raise RuntimeError(f"{what} needs a running episode; call reset() first")
+
+
+# EnvBase's metaclass takes any arguments, and would hide these from help() and editors.
+RoverEnv.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+    [*inspect.signature(RoverEnv.__init__).parameters.values()][1:]
+)
 
 
 def _assign_rows(world_n: str | World | Sequence[str | World], num_envs: int) -> list[World]:
