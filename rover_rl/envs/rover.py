@@ -441,7 +441,7 @@ class RoverEnv(EnvBase):
 
 
 # EnvBase's metaclass takes any arguments, and would hide these from help() and editors.
-RoverEnv.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+RoverEnv.__signature__ = inspect.Signature(
     [*inspect.signature(RoverEnv.__init__).parameters.values()][1:]
 )
 
