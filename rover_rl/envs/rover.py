@@ -441,9 +441,7 @@ class RoverEnv(EnvBase):
 
 
 # EnvBase's metaclass takes any arguments, and would hide these from help() and editors.
-RoverEnv.__signature__ = inspect.Signature(
-    [*inspect.signature(RoverEnv.__init__).parameters.values()][1:]
-)
+RoverEnv.__signature__ = inspect.Signature([*inspect.signature(RoverEnv.__init__).parameters.values()][1:])
 
 
 def _assign_rows(world_n: str | World | Sequence[str | World], num_envs: int) -> list[World]:

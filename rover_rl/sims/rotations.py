@@ -24,17 +24,26 @@ def wrap_angle(angle: Tensor) -> Tensor:
 
 
 def quaternion_to_euler(quaternion: Tensor) -> Tensor:
-    """Roll, pitch, yaw (rad, ``[..., 3]``) of quaternions ``[..., 4]``, as transforms3d's ``quat2euler``, 'sxyz'."""
-    y, w = quaternion[..., 1:2], quaternion[..., 3:4]
-    xz = quaternion[..., 0:3:2]
-    zx = xz.flip(-1)
-    # Half the sine and cosine parts of roll (first) and yaw (second).
-    sines = torch.addcmul(w * xz, y, zx)
-    cosines = 0.5 - torch.addcmul(xz * xz, y, y)
-    roll_yaw = angle_of(torch.stack((cosines, sines), -1))
-    half_sine = torch.addcmul(w * y, zx[..., :1], xz[..., :1], value=-1)
-    pitch = torch.asin((2 * half_sine).clamp(-1, 1))
-    return torch.cat((roll_yaw[..., :1], pitch, roll_yaw[..., 1:]), -1)
+    """Roll, pitch, yaw (rad, ``[..., 3]``) of unit quaternions ``[..., 4]``, as transforms3d's ``quat2euler``."""
+    products = (quaternion[..., :, None] * quaternion[..., None, :]).flatten(-2)
+    forms = _EULER if _EULER.device == quaternion.device and _EULER.dtype == quaternion.dtype else _EULER.to(quaternion)
+    sines_cosines = (products[..., None, :] * forms).sum(-1)
+    roll = angle_of(sines_cosines[..., 0:2])
+    yaw = angle_of(sines_cosines[..., 2:4])
+    pitch = torch.asin(sines_cosines[..., 4].clamp(-1, 1))
+    return torch.stack((roll, pitch, yaw), -1)
+
+
+def _euler_forms() -> Tensor:
+    """Cosine and sine parts of roll and of yaw, and the sine of pitch, as linear forms in a quaternion's products."""
+    x, y, z, w = torch.eye(4)
+    xx, yy, zz, ww = (torch.outer(a, a) for a in (x, y, z, w))
+    xy, xz, yz, xw, yw, zw = (2 * torch.outer(*pair) for pair in ((x, y), (x, z), (y, z), (x, w), (y, w), (z, w)))
+    forms = (ww - xx - yy + zz, xw + yz, ww + xx - yy - zz, zw + xy, yw - xz)
+    return torch.stack(forms).reshape(5, 16)
+
+
+_EULER = _euler_forms()
 
 
 def matrix_to_quaternion(matrix: Tensor) -> Tensor:

@@ -18,10 +18,12 @@ from rover_rl.sims.bullet.library import pybullet
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
+MAX_RAYS = 16_383
+"""Rays in one call at most: beyond that, ``rayTestBatch`` returns nothing and raises no error."""
+
 RAYS_PER_CALL = 512
-"""Rays in one call of ``rayTestBatch``. It returns ten objects a ray: few enough of them stay in the processor's
-cache, which makes reading and freeing them a fifth cheaper than at the limit of 16,383 rays, beyond which it returns
-nothing and raises no error."""
+"""Rays in one call if a scan has fewer beams. The answer is ten objects a ray: few of them stay in the processor's
+cache, which makes reading and freeing them a fifth cheaper."""
 
 _CEILING_CELL = 0.1
 _fraction = itemgetter(2)
@@ -42,10 +44,8 @@ class Lidar:
         self._world = world
         self._mount = np.array(robot.lidar_position)
         self._range = robot.lidar_range
-        self._reach_ahead = self._range * np.cos(angles)[None, :, None]
-        self._reach_left = self._range * np.sin(angles)[None, :, None]
+        self._directions = self._range * np.stack((np.cos(angles), np.sin(angles)))
         self._ceiling = _Ceiling(world)
-        self._starts = self._ends = self._aside = np.empty((0, len(angles), 3))
 
     def scan(self, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """Ranges ``[k, beams]`` (m) of rovers whose base frames are at ``position [k, 3]``, ``rotation [k, 3, 3]``.
@@ -53,9 +53,8 @@ class Lidar:
         ``inf`` where nothing is hit, 0 for all beams of a lidar that is inside something.
         """
         origins = position + (rotation * self._mount).sum(-1)
-        starts, ends = self._rays(origins, rotation[:, None, :, 0], rotation[:, None, :, 1])
-        fractions = self._cast(starts.reshape(-1, 3), ends.reshape(-1, 3))
-        ranges = np.where(fractions < 1, fractions * self._range, np.inf).reshape(len(origins), -1)
+        ranges = self._range * self._cast(origins, rotation)
+        ranges[ranges >= self._range] = np.inf
         suspects = self._ceiling.above(origins)
         if suspects.any():
             rows = np.flatnonzero(suspects)
@@ -63,34 +62,34 @@ class Lidar:
             ranges[rows[inside]] = 0.0
         return ranges
 
-    def _rays(self, origins: np.ndarray, forward: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Start and end of every ray, ``[k, beams, 3]``, in buffers that the next scan overwrites."""
-        if len(self._starts) < len(origins):
-            self._starts, self._ends, self._aside = (
-                np.empty((len(origins), self._reach_ahead.shape[1], 3)) for _ in range(3)
-            )
-        starts, ends, aside = (buffer[: len(origins)] for buffer in (self._starts, self._ends, self._aside))
-        starts[:] = origins[:, None]
-        np.multiply(self._reach_ahead, forward, out=ends)
-        np.multiply(self._reach_left, left, out=aside)
-        ends += aside
-        ends += starts
-        return starts, ends
-
-    def _cast(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        """Fraction of each ray that is free, 1 for all of it: ``[rays]``."""
-        fractions = np.empty(len(starts))
+    def _cast(self, origins: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+        """Fraction of each ray that is free, 1 for all of it: ``[k, beams]``."""
+        beams = self._directions.shape[1]
+        fractions = np.empty((len(origins), beams))
+        together = max(1, RAYS_PER_CALL // beams)
         with _collector_paused():
-            for first in range(0, len(starts), RAYS_PER_CALL):
-                part = slice(first, min(first + RAYS_PER_CALL, len(starts)))
-                count = part.stop - first
-                hits = pybullet.rayTestBatch(starts[part], ends[part], physicsClientId=self.client)
-                if len(hits) != count:
-                    raise RuntimeError(f"Bullet answered {len(hits)} of {count} lidar rays")
-                fractions[part] = np.fromiter(map(_fraction, hits), np.float64, count)
+            for first in range(0, len(origins), together):
+                part = slice(first, first + together)
+                starts, ends = self._rays(origins[part], rotation[part])
+                for ray in range(0, len(starts), MAX_RAYS):
+                    some = slice(ray, ray + MAX_RAYS)
+                    hits = pybullet.rayTestBatch(starts[some], ends[some], physicsClientId=self.client)
+                    if len(hits) != len(starts[some]):
+                        raise RuntimeError(f"Bullet answered {len(hits)} of {len(starts[some])} lidar rays")
+                    free = np.fromiter(map(_fraction, hits), np.float64, len(hits))
+                    fractions[part].reshape(-1)[some] = free
             # Freed before the collector is back, which would walk over them.
             del hits
         return fractions
+
+    def _rays(self, origins: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Start and end of every ray, ``[k * beams, 3]``."""
+        ahead, left = self._directions
+        ends = ahead[:, None] * rotation[:, None, :, 0]
+        ends += left[:, None] * rotation[:, None, :, 1]
+        ends += origins[:, None]
+        starts = np.repeat(origins, len(ahead), axis=0)
+        return starts, ends.reshape(-1, 3)
 
 
 class _Ceiling:

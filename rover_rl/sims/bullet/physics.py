@@ -228,12 +228,21 @@ def _times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def _matrix(quaternions: np.ndarray) -> np.ndarray:
     """Rotation matrices ``[k, 3, 3]`` of unit quaternions ``[k, 4]``."""
-    products = 2 * quaternions[:, :, None] * quaternions[:, None, :]
-    xx, yy, zz = products[:, 0, 0], products[:, 1, 1], products[:, 2, 2]
-    xy, xz, yz = products[:, 0, 1], products[:, 0, 2], products[:, 1, 2]
-    xw, yw, zw = products[:, 0, 3], products[:, 1, 3], products[:, 2, 3]
-    matrix = np.empty((len(quaternions), 3, 3))
-    matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 0, 2] = 1 - yy - zz, xy - zw, xz + yw
-    matrix[:, 1, 0], matrix[:, 1, 1], matrix[:, 1, 2] = xy + zw, 1 - xx - zz, yz - xw
-    matrix[:, 2, 0], matrix[:, 2, 1], matrix[:, 2, 2] = xz - yw, yz + xw, 1 - xx - yy
-    return matrix
+    products = quaternions[:, :, None] * quaternions[:, None, :]
+    return (products.reshape(-1, 1, 16) * _ROTATION).sum(-1).reshape(-1, 3, 3)
+
+
+def _rotation_forms() -> np.ndarray:
+    """Each entry of a rotation matrix, row by row, as a linear form in the products of its quaternion: ``[9, 16]``."""
+    x, y, z, w = np.eye(4)
+    xx, yy, zz, ww = (np.outer(a, a) for a in (x, y, z, w))
+    xy, xz, yz, xw, yw, zw = (2 * np.outer(*pair) for pair in ((x, y), (x, z), (y, z), (x, w), (y, w), (z, w)))
+    forms = (
+        (ww + xx - yy - zz, xy - zw, xz + yw),
+        (xy + zw, ww - xx + yy - zz, yz - xw),
+        (xz - yw, yz + xw, ww - xx - yy + zz),
+    )
+    return np.array(forms).reshape(9, 16)
+
+
+_ROTATION = _rotation_forms()
