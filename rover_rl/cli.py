@@ -126,6 +126,8 @@ class Demo:
         from rover_rl.algos.ppo import train_ppo
         from rover_rl.algos.runs import Checkpoint
 
+        # For some minutes rather than for 3 million steps: smaller and larger-stepped updates, and short episodes,
+        # so that rovers do not spend the time before the goals that are hardest to reach.
         config = PPOConfig(
             world=self.world,
             max_minutes=self.minutes,
@@ -133,6 +135,10 @@ class Demo:
             num_envs=self.num_envs,
             workers=default_workers(self.num_envs),
             runs=self.runs,
+            episode_steps=400,
+            decisions=16,
+            minibatch=256,
+            learning_rate=1e-3,
         )
         config.check()
         episodes = draw_episodes(self.world, self.count)

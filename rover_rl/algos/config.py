@@ -32,6 +32,8 @@ class PPOConfig:
     """Processes that simulate, each with an equal share of the rovers."""
     repeat: int = 4
     """Steps that each action is held for: 4 lets the policy decide at 5 Hz."""
+    episode_steps: int = 2000
+    """Steps after which an episode of training is cut short and a new one starts elsewhere."""
     decisions: int = 32
     """Decisions of each rover between two updates."""
     epochs: int = 10
@@ -61,7 +63,7 @@ class PPOConfig:
         Raises:
             ValueError: naming the setting.
         """
-        counts = ("total_steps", "num_envs", "workers", "repeat", "decisions", "epochs", "minibatch")
+        counts = ("total_steps", "num_envs", "workers", "repeat", "episode_steps", "decisions", "epochs", "minibatch")
         for field in counts:
             if getattr(self, field) < 1:
                 raise ValueError(f"{field} must be at least 1, got {getattr(self, field)}")

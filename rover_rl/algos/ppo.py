@@ -193,8 +193,14 @@ def make_training_env(config: PPOConfig, worker: int = 0) -> EnvBase:
     The first episode of each row has a random length, so that the rows do not all start over together.
     """
     rows = config.num_envs // config.workers
-    env = make_env(world_n=config.world, lidar_points=LIDAR_POINTS, num_envs=rows, seed=config.seed + worker * rows)
-    longest = -(-env.length // config.repeat)
+    env = make_env(
+        world_n=config.world,
+        length=config.episode_steps,
+        lidar_points=LIDAR_POINTS,
+        num_envs=rows,
+        seed=config.seed + worker * rows,
+    )
+    longest = -(-config.episode_steps // config.repeat)
     env = env.append_transform(ActionRepeat(config.repeat))
     env = env.append_transform(RewardSum(in_keys=["reward"], out_keys=["episode_reward"]))
     env = env.append_transform(StepCounter())
