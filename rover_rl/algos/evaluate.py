@@ -25,7 +25,7 @@ from torchrl.envs.utils import ExplorationType, RandomPolicy, set_exploration_ty
 from rover_rl.algos.action_repeat import ActionRepeat
 from rover_rl.algos.config import SECONDS_PER_STEP
 from rover_rl.algos.policy import single_threaded
-from rover_rl.algos.progress import EPISODE_STEPS, TIME_LIMIT
+from rover_rl.algos.progress import EPISODE_STEPS
 from rover_rl.algos.runs import write_json
 from rover_rl.envs import Phase, RoverEnv, TaskConfig
 from rover_rl.envs.placement import Placement
@@ -162,7 +162,7 @@ def evaluate(
     *,
     name: str | None = None,
     repeat: int = 1,
-    seconds: float = TIME_LIMIT,
+    seconds: float = 60.0,
     lidar_points: int = 32,
 ) -> Evaluation:
     """Drives every episode once, all at the same time: one goal, within a time limit.

@@ -42,7 +42,7 @@ def draw_learning_curve(progress: Path, path: Path, baseline: Evaluation | None 
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     steps, ones = columns["steps"], np.ones_like(columns["steps"])
-    _draw_curve(left, steps, columns["tries_reached"], columns["tries"])
+    _draw_curve(left, steps, columns["episodes_reached"], columns["episodes"])
     _draw_curve(right, steps, columns["goals_per_2000_steps"], ones)
     if baseline is not None:
         style: dict[str, Any] = {
@@ -55,7 +55,7 @@ def draw_learning_curve(progress: Path, path: Path, baseline: Evaluation | None 
         style |= {"clip_on": False, "zorder": 3}
         left.axhline(baseline.success_rate, **style)
         right.axhline(baseline.goals_per_2000_steps, **style)
-    left.set(ylabel="success: goals reached within 60 s", ylim=(0, 1.02))
+    left.set(ylabel="success: episodes that reach a goal", ylim=(0, 1.02))
     left.yaxis.set_major_formatter(PercentFormatter(1.0))
     right.set(ylabel="goals per episode of 2,000 steps")
     right.set_ylim(bottom=0)

@@ -41,6 +41,8 @@ LEARNED_FROM = (*OBSERVATION_KEYS, "action", "action_log_prob", "advantage", "va
 """Entries of a decision that a gradient step needs."""
 LOGGED = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction")
 """What is written down of each gradient step."""
+EPISODE_SUMS = {"reward": "episode_reward", ("reward_components", "goal"): "episode_goal_reward"}
+"""Rewards that are summed over an episode, and where the sums go."""
 _SAVE_EVERY = 20
 """Updates between two checkpoints."""
 
@@ -83,7 +85,7 @@ def train_ppo(config: PPOConfig) -> TrainingSummary:
     write_json(folder / "config.json", asdict(config))
     torch.manual_seed(config.seed)
     learner = Learner(config)
-    statistics = BatchStatistics(config.num_envs, config.repeat)
+    statistics = BatchStatistics()
     share, interrupted = 0.0, False
     with collecting(config, learner.actor) as collector, ProgressLog(folder / "progress.csv") as log:
         try:
@@ -202,7 +204,7 @@ def make_training_env(config: PPOConfig, worker: int = 0) -> EnvBase:
     )
     longest = -(-config.episode_steps // config.repeat)
     env = env.append_transform(ActionRepeat(config.repeat))
-    env = env.append_transform(RewardSum(in_keys=["reward"], out_keys=["episode_reward"]))
+    env = env.append_transform(RewardSum(list(EPISODE_SUMS), list(EPISODE_SUMS.values())))
     env = env.append_transform(StepCounter())
     return env.append_transform(RandomTruncationTransform(min_horizon=1, max_horizon=longest))
 

@@ -8,16 +8,10 @@ import time
 from pathlib import Path
 from types import TracebackType
 
-import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from tensordict import TensorDictBase
-from torch import Tensor
 
-from rover_rl.algos.config import SECONDS_PER_STEP
-
-TIME_LIMIT = 60.0
-"""Seconds in which a goal has to be reached to count as a success, in training and in evaluation."""
 EPISODE_STEPS = 2000
 """Steps of a full episode, as the contract has it."""
 _RECENT = 10
@@ -27,51 +21,30 @@ _RECENT = 10
 class BatchStatistics:
     """Counts what happened in batches of decisions that follow one another.
 
-    A goal is *tried* until it is reached, until the episode ends badly, or for 60 s, whichever comes first;
-    after 60 s the same goal counts as tried anew. The success rate is the share of tries that reached their
-    goal; tries that the end of a full episode cuts short do not count. Rovers that succeed soon try more often,
-    so that this is higher than what :func:`~rover_rl.algos.evaluate.evaluate` finds.
+    The success rate of training is the share of the episodes that ended in which at least one goal was reached, as
+    ``episodes_reached / episodes``. It is measured with exploration, and with the time limit of training.
 
-    Args:
-        num_envs: rows of a batch.
-        repeat: steps a decision.
+    Attributes:
+        steps: taken so far, all rovers together.
     """
 
-    def __init__(self, num_envs: int, repeat: int) -> None:
-        self._limit = math.ceil(TIME_LIMIT / SECONDS_PER_STEP / repeat)
-        self._tried = torch.zeros(num_envs, dtype=torch.int64)
+    def __init__(self) -> None:
         self.steps = 0
 
     def __call__(self, batch: TensorDictBase) -> dict[str, float]:
         """Statistics of the next batch ``[N, T]``, rewards unscaled; nan where there is nothing to count."""
         after = batch["next"]
-        outcome = after["outcome"]
+        outcome, ended = after["outcome"], after["done"]
         before, self.steps = self.steps, int(outcome["total_steps"][:, -1].sum())
         goals = int(outcome["goals"].sum())
-        reached, failed = self._tries(outcome["goal_reached"], after["terminated"], after["done"])
-        ended = after["done"]
         return {
             "steps": self.steps,
             "goals_per_2000_steps": goals * EPISODE_STEPS / max(self.steps - before, 1),
-            "tries": reached + failed,
-            "tries_reached": reached,
             "episodes": int(ended.sum()),
+            "episodes_reached": int((after["episode_goal_reward"][ended] > 0).sum()),
             "episode_steps": outcome["steps"][ended].float().mean().item(),
             "episode_return": after["episode_reward"][ended].mean().item(),
         }
-
-    def _tries(self, goal: Tensor, terminated: Tensor, done: Tensor) -> tuple[int, int]:
-        """How many tries reached their goal and how many failed, from flags ``[N, T, 1]``."""
-        reached = failed = 0
-        for now_goal, now_terminated, now_done in zip(
-            *(flag.squeeze(-1).unbind(1) for flag in (goal, terminated, done)), strict=True
-        ):
-            self._tried += 1
-            lost = now_terminated | (~now_goal & ~now_done & (self._tried >= self._limit))
-            reached += int(now_goal.sum())
-            failed += int(lost.sum())
-            self._tried.masked_fill_(now_goal | now_done | lost, 0)
-        return reached, failed
 
 
 class ProgressLog:
@@ -148,8 +121,8 @@ class ProgressLog:
             self._bar.console.print(f"{share:4.0%} of training: {status}", soft_wrap=True)
 
     def _success_rate(self) -> float:
-        tries = sum(row["tries"] for row in self._recent)
-        return sum(row["tries_reached"] for row in self._recent) / tries if tries else math.nan
+        episodes = sum(row["episodes"] for row in self._recent)
+        return sum(row["episodes_reached"] for row in self._recent) / episodes if episodes else math.nan
 
     def _mean(self, key: str) -> float:
         values = [row[key] for row in self._recent if not math.isnan(row[key])]

@@ -104,7 +104,7 @@ def test_results_and_pictures(driven: Evaluation, tmp_path: Path) -> None:
 
     with ProgressLog(tmp_path / "progress.csv", Console(quiet=True)) as log:
         for step in range(1, 4):
-            counts = {"tries": 2 * step - 2, "tries_reached": step - 1}
+            counts = {"episodes": 2 * step - 2, "episodes_reached": step - 1}
             log.add(0.3, {"steps": 100 * step, "goals_per_2000_steps": 1.0, "episode_return": math.nan, **counts})
     draw_learning_curve(tmp_path / "progress.csv", tmp_path / "curve.png", random)
     draw_paths([driven, random], tmp_path / "paths.png")

@@ -37,6 +37,7 @@ def test_a_missing_checkpoint_is_named(tmp_path: Path) -> None:
         Checkpoint.load(tmp_path / "nothing.pt")
 
 
+@pytest.mark.filterwarnings("ignore:Detected pickle protocol")
 def test_foreign_and_damaged_files_are_refused(checkpoint: Checkpoint, tmp_path: Path) -> None:
     whole, path = tmp_path / "whole.pt", tmp_path / "file.pt"
     checkpoint.save(whole)
