@@ -57,7 +57,7 @@ def test_train_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path)
 
     out = tmp_path / "results"
     assert main(["evaluate", str(checkpoint), "--count", "2", "--seconds", "1", "--out", str(out)]) == 0
-    assert {file.name for file in out.iterdir()} == {"evaluation.json", "paths.png"}
+    assert {file.name for file in out.iterdir()} == {"evaluation.json", "evaluation.csv", "paths.png"}
     assert "random" in capsys.readouterr().out
 
 

@@ -1,61 +1,70 @@
-"""Settings of training. Imports no torch, so that the command line can show them at once."""
+"""Settings of training, and their YAML files. Imports no torch, so that the command line can show them at once."""
 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar, get_type_hints
+
+import yaml
+
+from rover_rl.algos.files import written_whole
 
 SECONDS_PER_STEP = 0.05
 """The simulator is controlled at 20 Hz."""
+OBSERVATION_KEYS = ("lidar", "imu", "target", "velocities", "pose")
+"""Entries of an observation that a policy can read."""
 
 
 @dataclass(frozen=True)
-class PPOConfig:
-    """Settings of PPO. A step is 50 ms of one rover; a decision is one action, for some steps."""
+class TrainingConfig:
+    """Settings of every algorithm. A step is 50 ms of one rover; a decision is one action, for some steps."""
+
+    algo: ClassVar[str]
+    """Name of the algorithm."""
 
     world: str = "maze"
     """World to train in: inspect, moon or maze; "maze:7" is the maze of seed 7."""
     total_steps: int = 3_000_000
-    """Steps to train for, all rovers together."""
+    """Steps to train for, all rovers together; a decision counts as repeat steps."""
     max_minutes: float | None = None
     """Stop after so many minutes, if that comes before total_steps."""
     seed: int = 0
-    """Of weights, actions, starts and goals. The same seed gives the same policy, for the same number of
-    workers, unless max_minutes decides when to stop."""
+    """Of weights, actions, starts and goals. With one worker the same seed gives the same policy to the last bit,
+    unless max_minutes decides when to stop."""
     name: str | None = None
     """Name of the run's folder; by default a new one such as ppo-maze."""
     runs: str = "runs"
     """Folder that runs are written into."""
+    checkpoint_minutes: float = 1.0
+    """Minutes between two checkpoints, from which --resume goes on."""
+    snapshots: int = 20
+    """Policies that are kept from along the way, evenly spaced, to see later how fast it learned."""
     num_envs: int = 64
     """Rovers that drive at once."""
     workers: int = 1
     """Processes that simulate, each with an equal share of the rovers."""
     repeat: int = 4
-    """Steps that each action is held for: 4 lets the policy decide at 5 Hz."""
-    episode_steps: int = 2000
+    """Steps that each action is held for in training: 4 lets the policy decide at 5 Hz."""
+    episode_steps: int = 600
     """Steps after which an episode of training is cut short and a new one starts elsewhere."""
-    decisions: int = 32
-    """Decisions of each rover between two updates."""
-    epochs: int = 10
-    """Passes over the decisions in an update."""
-    minibatch: int = 512
-    """Decisions in a gradient step."""
-    learning_rate: float = 3e-4
-    """At the start; it falls linearly to 0 at the end."""
+    observation: tuple[str, ...] = ("lidar", "imu", "target", "velocities")
+    """What the policy reads. With "pose" it may learn its way about one map, which is of no use on another."""
+    hidden: tuple[int, ...] = (128, 128)
+    """Units in each hidden layer, of the actor and of the critic."""
     gamma: float = 0.96
     """Discount for each decision."""
-    lmbda: float = 0.95
-    """Of generalized advantage estimation, for each decision."""
-    clip: float = 0.2
-    """PPO's bound on the change of an action's probability, relative."""
-    entropy: float = 0.003
-    """Weight of the bonus for acting at random."""
+    learning_rate: float = 1e-3
+    """Of Adam."""
+    anneal: bool = True
+    """Let the learning rate fall linearly to 0 at the end."""
     reward_scale: float = 0.05
     """What the reward is multiplied by before learning."""
     max_grad_norm: float = 1.0
     """Gradients longer than this are shortened to it."""
-    hidden: tuple[int, ...] = (128, 128)
-    """Units in each hidden layer, of the actor and of the critic."""
+    mirror: bool = True
+    """Learn from each decision or, at even odds, from its mirror image: left and right are alike."""
 
     def check(self) -> None:
         """Refuses settings that are out of range.
@@ -63,27 +72,195 @@ class PPOConfig:
         Raises:
             ValueError: naming the setting.
         """
-        counts = ("total_steps", "num_envs", "workers", "repeat", "episode_steps", "decisions", "epochs", "minibatch")
-        for field in counts:
-            if getattr(self, field) < 1:
-                raise ValueError(f"{field} must be at least 1, got {getattr(self, field)}")
-        for field in ("learning_rate", "reward_scale", "max_grad_norm", "clip"):
-            if not getattr(self, field) > 0:
-                raise ValueError(f"{field} must be positive, got {getattr(self, field)}")
-        for field in ("gamma", "lmbda"):
-            if not 0 <= getattr(self, field) <= 1:
-                raise ValueError(f"{field} must be between 0 and 1, got {getattr(self, field)}")
-        if self.entropy < 0:
-            raise ValueError(f"entropy must not be negative, got {self.entropy}")
+        self._require_counts("total_steps", "num_envs", "workers", "repeat", "episode_steps")
+        self._require_positive("learning_rate", "reward_scale", "max_grad_norm", "checkpoint_minutes")
+        self._require_share("gamma")
+        if self.snapshots < 0:
+            raise ValueError(f"snapshots must not be negative, got {self.snapshots}")
         if self.max_minutes is not None and not self.max_minutes > 0:
             raise ValueError(f"max_minutes must be positive, got {self.max_minutes}")
         if self.num_envs % self.workers:
             raise ValueError(f"num_envs={self.num_envs} rovers cannot be shared equally by workers={self.workers}")
         if not self.hidden or min(self.hidden) < 1:
             raise ValueError(f"hidden must name at least one layer of at least 1 unit, got {self.hidden}")
+        unknown = [key for key in self.observation if key not in OBSERVATION_KEYS]
+        if unknown or not self.observation or len(set(self.observation)) < len(self.observation):
+            raise ValueError(f"observation must be some of {OBSERVATION_KEYS}, each once, got {self.observation}")
+
+    def _require_counts(self, *names: str) -> None:
+        for name in names:
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+
+    def _require_positive(self, *names: str) -> None:
+        for name in names:
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+
+    def _require_share(self, *names: str) -> None:
+        for name in names:
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} must be between 0 and 1, got {getattr(self, name)}")
 
 
-def default_workers(num_envs: int = PPOConfig.num_envs) -> int:
-    """How many workers are fastest here: one for each core, up to 8, that can share the rovers equally."""
+@dataclass(frozen=True)
+class PPOConfig(TrainingConfig):
+    """Settings of PPO: those of every algorithm, and its own."""
+
+    algo: ClassVar[str] = "ppo"
+
+    decisions: int = 16
+    """Decisions of each rover between two updates."""
+    epochs: int = 10
+    """Passes over the decisions in an update."""
+    minibatch: int = 256
+    """Decisions in a gradient step."""
+    lmbda: float = 0.95
+    """Of generalized advantage estimation, for each decision."""
+    clip: float = 0.2
+    """PPO's bound on the change of an action's probability, relative."""
+    entropy: float = 0.01
+    """Weight of the bonus for acting at random."""
+
+    def check(self) -> None:
+        """Refuses settings that are out of range: see :meth:`TrainingConfig.check`."""
+        super().check()
+        self._require_counts("decisions", "epochs", "minibatch")
+        self._require_positive("clip")
+        self._require_share("lmbda")
+        if self.entropy < 0:
+            raise ValueError(f"entropy must not be negative, got {self.entropy}")
+
+
+@dataclass(frozen=True)
+class SACConfig(TrainingConfig):
+    """Settings of SAC: those of every algorithm, and its own."""
+
+    algo: ClassVar[str] = "sac"
+
+    total_steps: int = 600_000
+    """Steps to train for, all rovers together; a decision counts as repeat steps."""
+    decisions: int = 1
+    """Decisions of each rover between two rounds of gradient steps."""
+    gradient_steps: int = 16
+    """Gradient steps in each round."""
+    minibatch: int = 256
+    """Decisions in a gradient step."""
+    buffer: int = 300_000
+    """Decisions that the replay buffer holds."""
+    warmup: int = 2_000
+    """Decisions before the first gradient step."""
+    tau: float = 0.005
+    """Share of the new value networks that goes into their slow copies in a gradient step."""
+    alpha: float = 0.02
+    """Weight of the entropy beside the scaled reward, at the start; it is tuned from there."""
+    target_entropy: float = -3.0
+    """Entropy that the policy's spread is tuned to, in nats for actions scaled to [-1, 1]."""
+
+    def check(self) -> None:
+        """Refuses settings that are out of range: see :meth:`TrainingConfig.check`."""
+        super().check()
+        self._require_counts("decisions", "gradient_steps", "minibatch", "buffer", "warmup")
+        self._require_positive("tau", "alpha")
+        self._require_share("tau")
+        if self.buffer < self.num_envs * self.decisions:
+            raise ValueError(
+                f"buffer={self.buffer} cannot hold the {self.num_envs * self.decisions} decisions of a round"
+            )
+
+
+CONFIGS: dict[str, type[TrainingConfig]] = {config.algo: config for config in (PPOConfig, SACConfig)}
+"""Settings by the algorithm's name."""
+_Config = TypeVar("_Config", bound=TrainingConfig)
+
+
+def plain(config: TrainingConfig) -> dict[str, Any]:
+    """Settings as plain data, the algorithm's name first."""
+    return {"algo": config.algo, **_plain(asdict(config))}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(entry) for key, entry in value.items()}
+    return list(value) if isinstance(value, tuple) else value
+
+
+def config_from(data: Any, source: str) -> TrainingConfig:
+    """Settings from plain data; what it does not name has its default.
+
+    Args:
+        data: as :func:`plain` gives it.
+        source: where it comes from, for messages.
+
+    Raises:
+        ValueError: for an algorithm or a setting that does not exist, or a value of the wrong type.
+    """
+    if not isinstance(data, dict) or data.get("algo") not in CONFIGS:
+        raise ValueError(f"{source} must name an algo, one of {sorted(CONFIGS)}")
+    kind = CONFIGS[data["algo"]]
+    hints = get_type_hints(kind)
+    known = {field.name: hints[field.name] for field in fields(kind)}
+    given = {key: value for key, value in data.items() if key != "algo"}
+    if unknown := sorted(set(given) - set(known), key=str):
+        raise ValueError(
+            f"{source} has settings that {kind.algo} does not know: {unknown}; use some of {sorted(known)}"
+        )
+    return kind(**{key: _converted(value, known[key], f"{key} in {source}") for key, value in given.items()})
+
+
+def _converted(value: Any, hint: Any, name: str) -> Any:
+    """``value`` as a field of type ``hint``, refused where it is of another type."""
+    if hint in _TUPLES and isinstance(value, list | tuple) and all(type(entry) is _TUPLES[hint] for entry in value):
+        return tuple(value)
+    if value is None and type(None) in getattr(hint, "__args__", ()):
+        return None
+    plain_type = next((kind for kind in _SCALARS if hint is kind or kind in getattr(hint, "__args__", ())), None)
+    if plain_type is float and type(value) is int:
+        return float(value)
+    if hint in _TUPLES or type(value) is not plain_type:
+        raise ValueError(f"{name} must be of type {getattr(hint, '__name__', hint)}, got {value!r}")
+    return value
+
+
+_SCALARS = (bool, int, float, str)
+_TUPLES: dict[Any, type] = {tuple[str, ...]: str, tuple[int, ...]: int}
+
+
+def write_config(path: Path, config: TrainingConfig) -> None:
+    """Writes settings as YAML."""
+    with written_whole(path) as temporary:
+        temporary.write_text(yaml.safe_dump(plain(config), sort_keys=False))
+
+
+def read_config(path: str | Path) -> TrainingConfig:
+    """Reads settings from YAML.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if it is no YAML, or as :func:`config_from`.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"no settings at {path}")
+    try:
+        data = yaml.safe_load(path.read_text())
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is no YAML: {' '.join(str(error).split())}") from error
+    return config_from(data, str(path))
+
+
+def run_config(folder: str | Path) -> TrainingConfig:
+    """Settings of the run in ``folder``, to go on with it; its folder may have been moved since.
+
+    Raises:
+        FileNotFoundError: if there is no run.
+        ValueError: if its settings cannot be read.
+    """
+    folder = Path(folder)
+    return replace(read_config(folder / "config.yaml"), runs=str(folder.parent), name=folder.name)
+
+
+def default_workers(num_envs: int) -> int:
+    """One process a core, or the most below that which share ``num_envs`` rovers equally."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(workers for workers in range(1, min(cores, 8) + 1) if num_envs % workers == 0)
+    return next(workers for workers in range(min(cores, num_envs), 0, -1) if num_envs % workers == 0)

@@ -1,94 +1,121 @@
-"""Evaluation: a policy drives a fixed set of starts and goals, beside a policy that acts at random.
+"""Evaluation: policies drive fixed episodes, or without end as in the original, and are measured side by side.
 
 Example:
-    >>> episodes = draw_episodes("maze", count=64)
-    >>> actor = Checkpoint.load("runs/ppo-maze/checkpoint.pt").make_actor()
-    >>> print_table([evaluate(actor, episodes, name="trained"), evaluate(None, episodes)])
+    >>> actor = Checkpoint.load("runs/ppo-maze").make_actor()
+    >>> episodes = stored_episodes("maze")
+    >>> print_table([evaluate(actor, episodes, name="PPO"), evaluate(None, episodes)])
 """
 
 from __future__ import annotations
 
+import csv
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import torch
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.envs.utils import ExplorationType, RandomPolicy, set_exploration_type
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from rover_rl.algos.action_repeat import ActionRepeat
+from rover_rl.algos.baselines import RandomPolicy
 from rover_rl.algos.config import SECONDS_PER_STEP
+from rover_rl.algos.episodes import DEFAULT_SEED, EpisodeSet, draw_episodes
+from rover_rl.algos.files import write_json, written_whole
+from rover_rl.algos.metrics import (
+    METRICS,
+    TIME_LIMIT,
+    Estimate,
+    Trajectory,
+    count_runs,
+    endless_metrics,
+    goal_metrics,
+)
 from rover_rl.algos.policy import single_threaded
 from rover_rl.algos.progress import EPISODE_STEPS
-from rover_rl.algos.runs import write_json
 from rover_rl.envs import Phase, RoverEnv, TaskConfig
-from rover_rl.envs.placement import Placement
-from rover_rl.envs.rng import episode_keys, row_keys
-from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import World, get_world
+
+__all__ = [
+    "ENDINGS",
+    "EndlessEvaluation",
+    "EpisodeSet",
+    "Evaluation",
+    "Policy",
+    "draw_episodes",
+    "evaluate",
+    "evaluate_endless",
+    "print_table",
+    "write_evaluation",
+]
 
 Policy: TypeAlias = Callable[[TensorDictBase], TensorDictBase]
 
 ENDINGS = {
-    Phase.GOAL: "goal",
+    Phase.INVALID_ACTION: "invalid action",
     Phase.FLIP: "flipped",
     Phase.JAM: "jammed",
     Phase.OUT_OF_BOUNDS: "out of bounds",
     Phase.STUCK: "stuck",
+    Phase.GOAL: "goal",
 }
-"""How an episode can end, by the phase of its last step; any other phase: ``"time limit"``."""
-DEFAULT_SEED = 20_000
-
-
-@dataclass(frozen=True)
-class EpisodeSet:
-    """Starts and goals to evaluate on.
-
-    Attributes:
-        world: where they lie.
-        seed: they were drawn from.
-        start: poses ``[count, 3]`` (x, y in m, yaw in rad).
-        goal: ``[count, 2]``, m.
-    """
-
-    world: World
-    seed: int
-    start: Tensor
-    goal: Tensor
+"""How an episode can end before its time, by the phase of its last step."""
+_LEAST_ROWS = 32
+"""Rows that a policy is given at least: matrix products of few rows round differently."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """How a policy fared.
+    """How a policy fared on episodes with one goal each.
 
     Attributes:
         name: of the policy.
         episodes: what it drove.
         repeat: steps that each action was held for.
         seconds: that an episode could last.
-        endings: how each episode ended: a value of :data:`ENDINGS`, or ``"time limit"``.
-        steps: each episode took, int64 ``[count]``.
-        paths: where each rover was, from start to end: ``[points, 2]`` each, m.
+        trajectories: what was recorded of each episode.
     """
 
     name: str
     episodes: EpisodeSet
     repeat: int
     seconds: float
-    endings: list[str]
-    steps: Tensor
-    paths: list[Tensor]
+    trajectories: list[Trajectory]
+
+    @property
+    def endings(self) -> list[str]:
+        """How each episode ended: ``"goal"``, ``"time limit"``, or the kind of its early ending."""
+        return [trajectory.ending for trajectory in self.trajectories]
+
+    @property
+    def steps(self) -> Tensor:
+        """Each episode took, int64 ``[count]``."""
+        return torch.tensor([len(trajectory) for trajectory in self.trajectories])
+
+    @property
+    def paths(self) -> list[Tensor]:
+        """Where each rover was, at the start and after each step: ``[T + 1, 2]`` each, m."""
+        return [trajectory.path for trajectory in self.trajectories]
 
     @property
     def reached(self) -> Tensor:
         """Which episodes reached their goal, bool ``[count]``."""
         return torch.tensor([ending == "goal" for ending in self.endings])
+
+    @cached_property
+    def metrics(self) -> dict[str, Estimate]:
+        """Everything measured, by name: see :mod:`rover_rl.algos.metrics`."""
+        return goal_metrics(self.trajectories, self.episodes.shortest, self.episodes.world)
 
     @property
     def success_rate(self) -> float:
@@ -98,64 +125,119 @@ class Evaluation:
     @property
     def interval(self) -> tuple[float, float]:
         """Where the true success rate lies, with 95 % confidence."""
-        return wilson_interval(int(self.reached.sum()), len(self.endings))
+        estimate = self.metrics["success_rate"]
+        return estimate.low, estimate.high
 
     @property
     def mean_time(self) -> float:
         """Seconds to the goal, where it was reached; nan if it never was."""
-        return self.steps[self.reached].double().mean().item() * SECONDS_PER_STEP
+        return self.metrics["mean_time_to_traverse"].value
 
     @property
     def goals_per_2000_steps(self) -> float:
         """Goals reached in as many steps as a full episode has."""
         return int(self.reached.sum()) * EPISODE_STEPS / int(self.steps.sum())
 
+    @property
+    def title(self) -> str:
+        """What was driven, for a table of it."""
+        return f"{len(self.episodes)} episodes in {self.episodes.name}: one goal within {self.seconds:g} s"
+
+    def summary(self) -> dict[str, Any]:
+        """What was driven, as plain data."""
+        episodes = self.episodes
+        shared = _summary(self.name, episodes.name, "one goal", episodes.seed, self.repeat, self.trajectories)
+        return shared | {"time_limit": self.seconds}
+
     def to_json(self) -> dict[str, Any]:
-        """Everything but the paths, as plain data."""
-        rows = zip(
-            self.episodes.start.tolist(),
-            self.episodes.goal.tolist(),
-            self.endings,
-            self.steps.tolist(),
-            strict=True,
-        )
+        """Everything but the trajectories, as plain data."""
+        episodes = self.episodes
+        columns = (episodes.start.tolist(), episodes.goal.tolist(), episodes.shortest.tolist())
+        rows = zip(*columns, self.trajectories, strict=True)
         return {
-            "policy": self.name,
-            "world": self.episodes.world.name,
-            "seed": self.episodes.seed,
-            "repeat": self.repeat,
-            "time_limit": self.seconds,
-            "count": len(self.endings),
-            "success_rate": self.success_rate,
-            "success_interval": self.interval,
-            "mean_time": None if math.isnan(self.mean_time) else self.mean_time,
-            "goals_per_2000_steps": self.goals_per_2000_steps,
-            "endings": dict(Counter(self.endings)),
+            **_results(self),
             "episodes": [
-                {"start": start, "goal": goal, "ending": ending, "seconds": steps * SECONDS_PER_STEP}
-                for start, goal, ending, steps in rows
+                {"start": start, "goal": goal, "shortest": shortest, "length": t.length, **_episode(t)}
+                for start, goal, shortest, t in rows
             ],
         }
 
 
-def draw_episodes(world: str | World, count: int = 64, seed: int = DEFAULT_SEED) -> EpisodeSet:
-    """Draws starts and goals as the environment does: the same seed gives the same ones.
+@dataclass(frozen=True)
+class EndlessEvaluation:
+    """How a policy fared where goals keep coming, as in the original's episodes.
 
-    Raises:
-        ValueError: for an unknown world, or a ``count`` below 1.
+    Attributes:
+        name: of the policy.
+        world_name: of the world as it was asked for.
+        world: where it drove.
+        seed: of the first episode.
+        repeat: steps that each action was held for.
+        jam: whether a long collision ended an episode.
+        length: steps that an episode could last.
+        trajectories: what was recorded of each episode.
     """
-    if count < 1:
-        raise ValueError(f"count must be at least 1, got {count}")
-    place, device = get_world(world), torch.device("cpu")
-    placement = Placement([place] * count, get_robot("rover_zero"), TaskConfig().min_goal_distance, device)
-    keys = episode_keys(row_keys(seed, count, device), torch.ones(count, 1, dtype=torch.int64))
-    start = placement.draw_start(keys)
-    goal = placement.draw_goal(keys, torch.zeros_like(keys), start[:, :2])
-    return EpisodeSet(place, seed, start, goal)
+
+    name: str
+    world_name: str
+    world: World
+    seed: int
+    repeat: int
+    jam: bool
+    length: int
+    trajectories: list[Trajectory]
+
+    @cached_property
+    def metrics(self) -> dict[str, Estimate]:
+        """Everything measured, by name: see :mod:`rover_rl.algos.metrics`."""
+        return endless_metrics(self.trajectories, self.world)
+
+    @property
+    def title(self) -> str:
+        """What was driven, for a table of it."""
+        count, limit = len(self.trajectories), f"{self.length:,} steps"
+        jam = "" if self.jam else ", without the jam ending"
+        return f"{count} episodes in {self.world_name}: goals without end, {limit} each{jam}"
+
+    def summary(self) -> dict[str, Any]:
+        """What was driven, as plain data."""
+        shared = _summary(self.name, self.world_name, "endless", self.seed, self.repeat, self.trajectories)
+        return shared | {"time_limit": self.length * SECONDS_PER_STEP, "jam": self.jam}
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the trajectories, as plain data."""
+        episodes = [{"goals": int(t.goal.sum()), **_episode(t)} for t in self.trajectories]
+        return {**_results(self), "episodes": episodes}
 
 
-@torch.no_grad()
-@single_threaded()
+def _summary(
+    name: str, world: str, mode: str, seed: int, repeat: int, trajectories: Sequence[Trajectory]
+) -> dict[str, Any]:
+    return {
+        "policy": name,
+        "world": world,
+        "mode": mode,
+        "seed": seed,
+        "repeat": repeat,
+        "count": len(trajectories),
+        "goals": sum(int(t.goal.sum()) for t in trajectories),
+        "collisions": sum(count_runs(t.collision) for t in trajectories),
+    }
+
+
+def _results(evaluation: Evaluation | EndlessEvaluation) -> dict[str, Any]:
+    metrics = {
+        key: {field: number if math.isfinite(number) else None for field, number in vars(estimate).items()}
+        for key, estimate in evaluation.metrics.items()
+    }
+    endings = Counter(trajectory.ending for trajectory in evaluation.trajectories)
+    return {**evaluation.summary(), "metrics": metrics, "endings": dict(endings)}
+
+
+def _episode(trajectory: Trajectory) -> dict[str, Any]:
+    return {"ending": trajectory.ending, "seconds": round(trajectory.seconds, 3)}
+
+
 def evaluate(
     policy: Policy | None,
     episodes: EpisodeSet,
@@ -163,95 +245,307 @@ def evaluate(
     name: str | None = None,
     repeat: int = 1,
     seconds: float = 60.0,
+    rows: int = 32,
     lidar_points: int = 32,
+    task: TaskConfig | None = None,
+    backend: str = "bullet",
 ) -> Evaluation:
-    """Drives every episode once, all at the same time: one goal, within a time limit.
+    """Drives every episode once: one goal, within a time limit.
+
+    An episode comes out the same to the last bit whatever ``rows`` is and whatever else is driven, for policies that
+    treat rows apart; those with matrix products are held to that by never being given few rows.
 
     Args:
-        policy: a module from observation to action, taken without exploration; ``None`` acts at random.
+        policy: a module from observation to action, taken without exploration; ``None`` acts at random. It is called
+            on 32 rows or more, of which the last may be repeated to fill up.
         episodes: to drive.
         name: of the policy, for tables and pictures.
         repeat: steps that each action is held for; 1 decides at 20 Hz.
         seconds: for each episode.
+        rows: rovers that drive at once, each the next episode when its own has ended.
         lidar_points: readings that the policy sees.
+        task: thresholds of the task.
+        backend: what moves the rovers.
 
     Raises:
-        ValueError: for a ``repeat`` or a time below one step.
+        ValueError: for ``repeat`` or ``rows`` below 1, or a time below one step.
     """
-    base = RoverEnv(
+    _require_at_least("seconds", seconds, SECONDS_PER_STEP)
+    _require_at_least("rows", rows, 1)
+    name = name or ("random" if policy is None else "policy")
+    env = RoverEnv(
         world_n=episodes.world,
-        num_envs=len(episodes.start),
+        num_envs=min(rows, len(episodes)),
         length=round(seconds / SECONDS_PER_STEP),
         lidar_points=lidar_points,
         end_on_goal=True,
         seed=episodes.seed,
+        task=task,
+        backend=backend,
     )
-    env = base.append_transform(ActionRepeat(repeat))
-    # The random policy draws from torch's generator; one that does not explore draws nothing.
-    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.random.fork_rng(devices=[]):
-        torch.manual_seed(episodes.seed)
-        rollout = env.rollout(
-            base.length,
-            policy or RandomPolicy(env.action_spec),
-            tensordict=env.reset(start=episodes.start, goal=episodes.goal),
-            auto_reset=False,
-            break_when_all_done=True,
-        )
-    env.close()
-    name = name or ("random" if policy is None else "policy")
-    outcome = rollout["next", "outcome"]
-    steps = outcome["steps"][:, -1, 0]
-    return Evaluation(
-        name=name,
-        episodes=episodes,
-        repeat=repeat,
-        seconds=seconds,
-        # Rows that have ended keep their last decision to the end of the rollout.
-        endings=[ENDINGS.get(Phase(phase), "time limit") for phase in outcome["phase"][:, -1, 0].tolist()],
-        steps=steps,
-        paths=_paths(rollout, (steps + repeat - 1) // repeat),
-    )
+    policy = policy or RandomPolicy(episodes.seed)
+    trajectories = _drive(env, policy, repeat, name, {"start": episodes.start, "goal": episodes.goal})
+    return Evaluation(name, episodes, repeat, seconds, trajectories)
 
 
-def _paths(rollout: TensorDictBase, decisions: Tensor) -> list[Tensor]:
-    """Positions at the start and after each of ``decisions [count]``, from a rollout ``[count, T]``."""
-    positions = torch.cat((rollout["pose"][:, :1, :2], rollout["next", "pose"][..., :2]), 1)
-    return [path[: count + 1] for path, count in zip(positions, decisions.tolist(), strict=True)]
+def evaluate_endless(
+    policy: Policy | None,
+    world: str | World,
+    *,
+    name: str | None = None,
+    rows: int = 32,
+    seed: int = DEFAULT_SEED,
+    jam: bool = True,
+    steps: int = EPISODE_STEPS,
+    repeat: int = 1,
+    lidar_points: int = 32,
+    task: TaskConfig | None = None,
+    backend: str = "bullet",
+) -> EndlessEvaluation:
+    """Drives the original's episodes: up to 2,000 steps, with a new goal whenever one is reached.
 
+    Args:
+        policy: as for :func:`evaluate`.
+        world: where.
+        name: of the policy.
+        rows: rovers, each of which drives one episode.
+        seed: of the first episode; episode ``i`` is that of an environment seeded ``seed + i``.
+        jam: whether a collision of more than 15 steps ends an episode, as the contract has it. In the original it never
+            does: its counter is never incremented.
+        steps: that an episode lasts at most.
+        repeat: steps that each action is held for.
+        lidar_points: readings that the policy sees.
+        task: thresholds of the task.
+        backend: what moves the rovers.
 
-def wilson_interval(successes: int, count: int, z: float = 1.96) -> tuple[float, float]:
-    """Wilson's score interval of a share: where it lies with 95 % confidence, for ``z`` of 1.96.
-
-    Example:
-        >>> [round(limit, 3) for limit in wilson_interval(9, 10)]
-        [0.596, 0.982]
+    Raises:
+        ValueError: for ``repeat``, ``rows`` or ``steps`` below 1, or an unknown world.
     """
-    share = successes / count
-    spread = z**2 / count
-    centre = share + spread / 2
-    margin = z * math.sqrt((share * (1 - share) + spread / 4) / count)
-    return max(0.0, (centre - margin) / (1 + spread)), min(1.0, (centre + margin) / (1 + spread))
+    _require_at_least("rows", rows, 1)
+    _require_at_least("steps", steps, 1)
+    name = name or ("random" if policy is None else "policy")
+    task = task or TaskConfig()
+    place = get_world(world)
+    env = RoverEnv(
+        world_n=place,
+        num_envs=rows,
+        length=steps,
+        lidar_points=lidar_points,
+        seed=seed,
+        task=task if jam else replace(task, collision_window=steps),
+        backend=backend,
+    )
+    trajectories = _drive(env, policy or RandomPolicy(seed), repeat, name)
+    world_name = world if isinstance(world, str) else place.name
+    return EndlessEvaluation(name, world_name, place, seed, repeat, jam, steps, trajectories)
 
 
-def print_table(evaluations: Sequence[Evaluation], console: Console | None = None) -> None:
-    """Prints policies beside one another."""
-    first = evaluations[0]
-    world = first.episodes.world.name
-    table = Table(title=f"{len(first.endings)} episodes in {world}: one goal within {first.seconds:g} s")
-    for heading in ("policy", "success", "95 % interval", "time to goal"):
-        table.add_column(heading, justify="left" if heading == "policy" else "right")
-    kinds = Counter(ending for evaluation in evaluations for ending in evaluation.endings if ending != "goal")
-    for kind, _ in kinds.most_common():
-        table.add_column(kind, justify="right")
-    for e in evaluations:
-        low, high = e.interval
-        time = "-" if math.isnan(e.mean_time) else f"{e.mean_time:.1f} s"
-        counts, total = Counter(e.endings), len(e.endings)
-        shares = [f"{counts[kind] / total:.0%}" for kind, _ in kinds.most_common()]
-        table.add_row(e.name, f"{e.success_rate:.1%}", f"{low:.0%} to {high:.0%}", time, *shares)
-    (console or Console()).print(table)
+@torch.no_grad()
+@single_threaded()
+def _drive(
+    env: RoverEnv, policy: Policy, repeat: int, name: str, places: Mapping[str, Tensor] | None = None
+) -> list[Trajectory]:
+    """Drives episodes, and closes the environment: a rover takes the next episode when its own has ended.
+
+    Args:
+        env: the rovers.
+        policy: decides.
+        repeat: steps that each action is held for.
+        name: of the policy, for the progress bar.
+        places: ``start [count, 3]`` and ``goal [count, 2]`` of every episode; ``None``: each rover drives one, as the
+            environment places it.
+    """
+    _require_at_least("repeat", repeat, 1)
+    places = places or {}
+    count = len(places["start"]) if places else env.num_envs
+    log = _Log(count, env.length)
+    waiting = iter(range(env.num_envs, count))
+    episode = torch.arange(env.num_envs)
+    driving = torch.ones(env.num_envs, dtype=torch.bool)
+    action = torch.zeros(env.num_envs, 2)
+
+    def placed() -> dict[str, Tensor]:
+        return {key: values[episode] for key, values in places.items()}
+
+    with closing(env), _progress_bar(name) as show, set_exploration_type(ExplorationType.DETERMINISTIC):
+        now = env.reset(**placed())
+        log.add(env, now, episode, driving)
+        while driving.any():
+            due = now["outcome", "steps"] % repeat == 0
+            action = torch.where(due, _decide(policy, now.set("episode", episode[:, None])), action)
+            now = env.step(now.set("action", action).set("_step", driving))["next"]
+            log.add(env, now, episode, driving)
+            again = driving & now["done"].squeeze(-1)
+            for row in again.nonzero().squeeze(-1).tolist():
+                log.end(now[row], int(episode[row]))
+                follower = next(waiting, None)
+                driving[row] = again[row] = follower is not None
+                episode[row] = episode[row] if follower is None else follower
+            if again.any():
+                now = env.reset(now.set("_reset", again[:, None]), **placed())
+                log.add(env, now, episode, again)
+            show(log.share)
+    return log.trajectories
 
 
-def write_evaluation(path: Path, evaluations: Sequence[Evaluation]) -> None:
-    """Writes policies' results as JSON."""
+def _decide(policy: Policy, observation: TensorDictBase) -> Tensor:
+    """The policy's action ``[N, 2]``, computed on 32 rows or more, which all round alike."""
+    rows = len(observation)
+    filled = observation[torch.arange(max(rows, _LEAST_ROWS)).clamp(max=rows - 1)]
+    return policy(filled)["action"][:rows]
+
+
+class _Log:
+    """What happens in episodes, step by step, in one tensor for all of them.
+
+    Args:
+        count: episodes.
+        length: steps of the longest.
+    """
+
+    def __init__(self, count: int, length: int) -> None:
+        # Position (3), angles (3), collision, goal.
+        self._records = torch.zeros(count, length + 1, 8)
+        self._steps = torch.zeros(count, dtype=torch.int64)
+        self._endings = [""] * count
+
+    def add(self, env: RoverEnv, now: TensorDictBase, episode: Tensor, rows: Tensor) -> None:
+        """Notes where the rovers of ``rows`` (bool ``[N]``) are, in the episode ``[N]`` that each drives."""
+        pitch, roll, yaw = now["imu"].split(1, -1)
+        outcome = now["outcome"]
+        events = (outcome["collision"], outcome["goal_reached"])
+        record = torch.cat((env.rover_state.position, roll, pitch, yaw, *events), -1)
+        steps = outcome["steps"].squeeze(-1)
+        self._records[episode[rows], steps[rows]] = record[rows]
+        self._steps[episode[rows]] = steps[rows]
+
+    def end(self, now: TensorDictBase, episode: int) -> None:
+        """Notes how an episode ended, from what its rover saw last."""
+        early = bool(now["terminated"])
+        self._endings[episode] = ENDINGS[Phase(int(now["outcome", "phase"]))] if early else TIME_LIMIT
+
+    @property
+    def share(self) -> float:
+        """Of all episodes that is done."""
+        ended = torch.tensor([bool(ending) for ending in self._endings])
+        return torch.where(ended, 1.0, self._steps / (self._records.shape[1] - 1)).mean().item()
+
+    @property
+    def trajectories(self) -> list[Trajectory]:
+        """The episodes, in order."""
+        recorded = zip(self._records, self._steps.tolist(), self._endings, strict=True)
+        return [
+            Trajectory(
+                position=record[: steps + 1, :3],
+                angles=record[: steps + 1, 3:6],
+                collision=record[1 : steps + 1, 6].bool(),
+                goal=record[1 : steps + 1, 7].bool(),
+                ending=ending,
+            )
+            for record, steps, ending in recorded
+        ]
+
+
+@contextmanager
+def _progress_bar(name: str) -> Iterator[Callable[[float], None]]:
+    """A function that shows the share done, on a terminal; nothing is left of it in the end."""
+    columns = (TextColumn(name), BarColumn(20), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, transient=True, disable=not Console().is_terminal) as progress:
+        task = progress.add_task("", total=1.0)
+        yield lambda share: progress.update(task, completed=share)
+
+
+def _require_at_least(name: str, value: float, least: float) -> None:
+    if not value >= least:
+        raise ValueError(f"{name} must be at least {least:g}, got {value}")
+
+
+def print_table(
+    evaluations: Sequence[Evaluation | EndlessEvaluation],
+    console: Console | None = None,
+    groups: Mapping[str, str] | None = None,
+) -> None:
+    """Prints policies beside one another, with a table for each world and mode, and 95 % intervals below the values.
+
+    Args:
+        evaluations: any.
+        console: to print to.
+        groups: names of policies that differ in their seed only, and what they are called together: a line below tells
+            their mean and standard deviation.
+    """
+    console = console or Console()
+    if not console.is_terminal:
+        console.width = max(console.width, 140)
+    for title in dict.fromkeys(evaluation.title for evaluation in evaluations):
+        console.print(_table(title, [e for e in evaluations if e.title == title], groups or {}))
+    measured = [METRICS[key] for key in METRICS if any(key in e.metrics for e in evaluations)]
+    legend = dict.fromkeys(f"{metric.heading}: {metric.meaning}" for metric in measured if metric.meaning)
+    console.print("; ".join(legend) + ". Below each value: where the true one lies, with 95 % confidence.", style="dim")
+
+
+def _table(title: str, evaluations: Sequence[Evaluation | EndlessEvaluation], groups: Mapping[str, str]) -> Table:
+    shown = [key for key in METRICS if key in evaluations[0].metrics and _worth_showing(key, evaluations)]
+    table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("policy", overflow="fold")
+    for key in shown:
+        table.add_column(f"{METRICS[key].heading}\n{METRICS[key].unit}", justify="right", overflow="fold")
+    for evaluation in evaluations:
+        table.add_row(escape(evaluation.name), *(_cell(key, evaluation.metrics[key]) for key in shown))
+    for group in dict.fromkeys(groups.values()):
+        members = [evaluation for evaluation in evaluations if groups.get(evaluation.name) == group]
+        if len(members) > 1:
+            cells = (_spread_cell(key, [member.metrics[key].value for member in members]) for key in shown)
+            table.add_row(f"{escape(group)}\n[dim]{len(members)} policies[/dim]", *cells)
+    return table
+
+
+def _worth_showing(key: str, evaluations: Sequence[Evaluation | EndlessEvaluation]) -> bool:
+    """A way to end that no episode took, and a metric that there was nowhere to measure, have no column."""
+    values = [evaluation.metrics[key].value for evaluation in evaluations]
+    return any(value > 0 for value in values) or not (key.startswith("ending_") or all(map(math.isnan, values)))
+
+
+def _cell(key: str, estimate: Estimate) -> str:
+    """The value and, below it, its interval."""
+    if math.isnan(estimate.value):
+        return "-"
+    if math.isnan(estimate.low):
+        return _told(key, estimate.value)
+    ends = (estimate.low, estimate.high)
+    low, high = (f"{100 * end:.0f}" if METRICS[key].unit == "%" else _told(key, end) for end in ends)
+    return f"{_told(key, estimate.value)}\n[dim]{low}–{high}[/dim]"
+
+
+def _spread_cell(key: str, values: Sequence[float]) -> str:
+    """The mean of several policies and, below it, their standard deviation; none if it is missing for one."""
+    mean, spread = torch.tensor(values).mean().item(), torch.tensor(values).std().item()
+    return "-" if math.isnan(mean) else f"{_told(key, mean)}\n[dim]± {_told(key, spread)}[/dim]"
+
+
+def _told(key: str, value: float) -> str:
+    """A value in the unit of its column."""
+    unit = METRICS[key].unit
+    if unit == "%":
+        return f"{100 * value:.1f}"
+    return f"{value:.1f}" if unit == "s" else f"{value:.2f}"
+
+
+def write_evaluation(path: Path, evaluations: Sequence[Evaluation | EndlessEvaluation]) -> None:
+    """Writes results as JSON, with every episode, and beside it as CSV, a row a policy, world and mode.
+
+    Args:
+        path: of the JSON file; the table has the same name and the suffix ``.csv``.
+        evaluations: any.
+    """
     write_json(path, [evaluation.to_json() for evaluation in evaluations])
+    rows: list[dict[str, Any]] = []
+    for evaluation in evaluations:
+        row = evaluation.summary()
+        for key, estimate in evaluation.metrics.items():
+            row |= {key: estimate.value, f"{key}_low": estimate.low, f"{key}_high": estimate.high}
+        rows.append(row)
+    columns = dict.fromkeys(key for row in rows for key in row)
+    with written_whole(path.with_suffix(".csv")) as temporary, temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(columns))
+        writer.writeheader()
+        writer.writerows(rows)

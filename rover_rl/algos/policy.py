@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import torch
-from tensordict.nn import AddStateIndependentNormalScale, TensorDictModule
+from tensordict import TensorDictBase
+from tensordict.nn import NormalParamExtractor, TensorDictModule
 from torch import Tensor, nn
 from torchrl.data import Bounded
 from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
@@ -16,63 +17,97 @@ from rover_rl.envs.specs import ACTION, bounded_spec
 
 ACTION_SPEC = bounded_spec(ACTION, 1, None)[0]
 """Of one rover, ``[2]``."""
-OBSERVATION_KEYS = ("lidar", "imu", "target", "velocities")
+DEFAULT_KEYS = ("lidar", "imu", "target", "velocities")
 """What networks read. The pose is left out: a policy that knows where it is learns the map, not to drive."""
+WAVELENGTHS = (64.0, 16.0, 4.0)
+"""Lengths in metres over which the features of a position repeat: the largest world is 64 m wide."""
 
 
 class ObservationEncoder(nn.Module):
-    """Scales observations for this task, to about [-1, 1] where it matters: ``[..., lidar_points + 8]``.
+    """Scales observations for this task, to about [-1, 1] where it matters.
 
     Learning depends on it: scaled by the bounds of the observation space, distances of a few metres become so
-    small that a policy hardly sees them.
+    small that a policy hardly sees them. The scales are constants, so that a policy needs no running statistics
+    to be used elsewhere. They are those of a driver: the logarithm of lidar ranges, since centimetres count
+    when near and not when far, sine and cosine of angles, and tilts in units of some 20 degrees.
+
+    Args:
+        keys: entries of the observation to read, some of ``lidar``, ``imu``, ``target``, ``velocities``, ``pose``.
+        lidar_points: readings in ``lidar``.
+
+    Attributes:
+        features: how many numbers the encoding has.
+
+    Example:
+        >>> encoder = ObservationEncoder(("lidar", "target"))
+        >>> encoder(torch.full((1, 32), 12.0), torch.tensor([[5.0, 0.0]])).shape
+        torch.Size([1, 37])
     """
 
-    EXTRA = 8
-    """Features beside the lidar's."""
+    def __init__(self, keys: Sequence[str] = DEFAULT_KEYS, lidar_points: int = 32) -> None:
+        super().__init__()
+        self.keys = tuple(keys)
+        sizes = {"lidar": lidar_points, "imu": 4 if "pose" in keys else 2, "target": 5, "velocities": 2}
+        sizes["pose"] = 4 * len(WAVELENGTHS) + 1
+        self.features = sum(sizes[key] for key in self.keys)
 
-    def forward(self, lidar: Tensor, imu: Tensor, target: Tensor, velocities: Tensor) -> Tensor:
-        """Features ``[..., lidar_points + 8]``, from entries of the observation (in m, rad, m/s and rad/s).
+    def forward(self, *observation: Tensor) -> Tensor:
+        """Features ``[..., features]`` from the entries that ``keys`` names, in its order (m, rad, m/s, rad/s)."""
+        parts = [getattr(self, f"_{key}")(value) for key, value in zip(self.keys, observation, strict=True)]
+        return torch.cat(parts, -1)
 
-        Args:
-            lidar: ``[..., lidar_points]``.
-            imu: pitch, roll and yaw, ``[..., 3]``; the yaw is left out, as the pose is.
-            target: distance and angle, ``[..., 2]``.
-            velocities: forward speed and yaw rate, ``[..., 2]``.
-        """
+    def _lidar(self, ranges: Tensor) -> Tensor:
+        return ranges.log1p() / 1.3 - 1
+
+    def _imu(self, angles: Tensor) -> Tensor:
+        """Pitch and roll; the yaw says something only to a policy that knows where it is."""
+        tilt, yaw = angles[..., :2] * 3, angles[..., 2:]
+        return torch.cat((tilt, yaw.sin(), yaw.cos()), -1) if "pose" in self.keys else tilt
+
+    def _target(self, target: Tensor) -> Tensor:
         distance, angle = target.split(1, -1)
+        return torch.cat((distance / 5 - 1, distance.log1p() - 1, angle.sin(), angle.cos(), angle / math.pi), -1)
+
+    def _velocities(self, velocities: Tensor) -> Tensor:
         speed, yaw_rate = velocities.split(1, -1)
-        features = (
-            lidar.log1p() / 1.3 - 1,
-            distance / 5 - 1,
-            distance.log1p() - 1,
-            angle.sin(),
-            angle.cos(),
-            imu[..., :2],
-            speed,
-            yaw_rate / 3,
-        )
-        return torch.cat(features, -1)
+        return torch.cat((speed, yaw_rate / 3), -1)
+
+    def _pose(self, position: Tensor) -> Tensor:
+        wave_numbers = 2 * math.pi / position.new_tensor(WAVELENGTHS)
+        phase = (position[..., :2, None] * wave_numbers).flatten(-2)
+        return torch.cat((phase.sin(), phase.cos(), position[..., 2:]), -1)
 
 
 class EncodedNetwork(nn.Module):
-    """The encoder, then ``body``: called with the entries that :data:`OBSERVATION_KEYS` names."""
+    """The encoder, then ``body``; what comes after the observation goes to ``body`` as it is.
 
-    def __init__(self, body: nn.Module) -> None:
+    Args:
+        encoder: of the observation.
+        body: takes the encoding, and whatever else.
+    """
+
+    def __init__(self, encoder: ObservationEncoder, body: nn.Module) -> None:
         super().__init__()
-        self.encoder = ObservationEncoder()
+        self.encoder = encoder
         self.body = body
 
-    def forward(self, *observation: Tensor) -> Tensor | tuple[Tensor, ...]:
-        """What ``body`` makes of the encoded observation."""
-        return self.body(self.encoder(*observation))
+    def forward(self, *entries: Tensor) -> Tensor | tuple[Tensor, ...]:
+        """What ``body`` makes of the encoded observation and of the rest."""
+        count = len(self.encoder.keys)
+        encoded = self.encoder(*entries[:count])
+        return self.body(torch.cat((encoded, *entries[count:]), -1))
 
 
 def make_actor(
-    lidar_points: int, hidden: tuple[int, ...] = (128, 128), action_spec: Bounded = ACTION_SPEC
+    keys: Sequence[str] = DEFAULT_KEYS,
+    lidar_points: int = 32,
+    hidden: Sequence[int] = (128, 128),
+    action_spec: Bounded = ACTION_SPEC,
 ) -> ProbabilisticActor:
-    """A stochastic policy: a normal distribution squashed to the action's bounds, with a spread of its own.
+    """A stochastic policy, the same for PPO and SAC: a normal distribution squashed to the action's bounds.
 
     Args:
+        keys: entries of the observation that it reads.
         lidar_points: readings in ``lidar``.
         hidden: units of each hidden layer.
         action_spec: of one rover, ``[2]``.
@@ -83,16 +118,16 @@ def make_actor(
 
     Example:
         >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0)
-        >>> actor = make_actor(env.lidar.points)
+        >>> actor = make_actor()
         >>> actor(env.reset())["action"].shape
         torch.Size([2, 2])
     """
-    actions = action_spec.shape[-1]
+    encoder = ObservationEncoder(keys, lidar_points)
     # Small last weights: the first actions lie around the middle of their bounds, whatever is seen.
-    body = _mlp(lidar_points, hidden, actions, gain=0.01)
-    network = EncodedNetwork(nn.Sequential(body, AddStateIndependentNormalScale(actions)))
+    body = _mlp(encoder.features, hidden, 2 * action_spec.shape[-1], gain=0.01)
+    network = EncodedNetwork(encoder, nn.Sequential(body, NormalParamExtractor(scale_mapping="biased_softplus_1.0")))
     return ProbabilisticActor(
-        TensorDictModule(network, in_keys=list(OBSERVATION_KEYS), out_keys=["loc", "scale"]),
+        TensorDictModule(network, in_keys=list(keys), out_keys=["loc", "scale"]),
         in_keys=["loc", "scale"],
         spec=action_spec,
         distribution_class=TanhNormal,
@@ -101,26 +136,82 @@ def make_actor(
     )
 
 
-def make_critic(lidar_points: int, hidden: tuple[int, ...] = (128, 128)) -> ValueOperator:
-    """A value function: a module from observation to ``state_value [..., 1]``.
+def make_critic(
+    keys: Sequence[str] = DEFAULT_KEYS, lidar_points: int = 32, hidden: Sequence[int] = (128, 128)
+) -> ValueOperator:
+    """A state-value function: from observation to ``state_value [..., 1]``. Arguments as :func:`make_actor`."""
+    encoder = ObservationEncoder(keys, lidar_points)
+    return ValueOperator(EncodedNetwork(encoder, _mlp(encoder.features, hidden, 1, gain=1.0)), in_keys=list(keys))
 
-    Args:
-        lidar_points: readings in ``lidar``.
-        hidden: units of each hidden layer.
+
+def make_action_critic(
+    keys: Sequence[str] = DEFAULT_KEYS,
+    lidar_points: int = 32,
+    hidden: Sequence[int] = (128, 128),
+    action_spec: Bounded = ACTION_SPEC,
+) -> ValueOperator:
+    """An action-value function: from observation and action to ``state_action_value [..., 1]``.
+
+    Arguments as :func:`make_actor`.
     """
-    network = EncodedNetwork(_mlp(lidar_points, hidden, 1, gain=1.0))
-    return ValueOperator(network, in_keys=list(OBSERVATION_KEYS))
+    encoder = ObservationEncoder(keys, lidar_points)
+    body = nn.Sequential(
+        _ScaleAction(encoder.features, action_spec),
+        _mlp(encoder.features + action_spec.shape[-1], hidden, 1, gain=1.0),
+    )
+    return ValueOperator(EncodedNetwork(encoder, body), in_keys=[*keys, "action"])
 
 
-def _mlp(lidar_points: int, hidden: tuple[int, ...], outputs: int, gain: float) -> MLP:
-    """Fully connected layers with tanh between them and orthogonal weights, the last one's of ``gain``."""
-    features = lidar_points + ObservationEncoder.EXTRA
-    mlp = MLP(in_features=features, out_features=outputs, num_cells=list(hidden), activation_class=nn.Tanh)
+class _ScaleAction(nn.Module):
+    """Scales the action, the last entries of its input, to [-1, 1]."""
+
+    _scale: Tensor
+
+    def __init__(self, features: int, action_spec: Bounded) -> None:
+        super().__init__()
+        scale = torch.cat((torch.ones(features), 1 / action_spec.space.high))
+        self.register_buffer("_scale", scale, persistent=False)
+
+    def forward(self, encoded: Tensor) -> Tensor:
+        return encoded * self._scale
+
+
+def _mlp(features: int, hidden: Sequence[int], outputs: int, gain: float) -> MLP:
+    """Fully connected layers with ReLU between them and orthogonal weights, the last one's of ``gain``."""
+    mlp = MLP(in_features=features, out_features=outputs, num_cells=list(hidden), activation_class=nn.ReLU)
     linear = [layer for layer in mlp if isinstance(layer, nn.Linear)]
     for layer in linear:
         nn.init.orthogonal_(layer.weight, gain if layer is linear[-1] else math.sqrt(2))
         nn.init.zeros_(layer.bias)
     return mlp
+
+
+_MIRROR = {
+    "imu": torch.tensor((1.0, -1.0, -1.0)),
+    "target": torch.tensor((1.0, -1.0)),
+    "velocities": torch.tensor((1.0, -1.0)),
+    "action": torch.tensor((1.0, -1.0)),
+}
+"""Signs of the mirror image: left and right swap, so that roll, yaw and angles turn round."""
+
+
+def mirrored(decisions: TensorDictBase, rows: Tensor) -> TensorDictBase:
+    """``decisions [N]`` with the ``rows`` (bool ``[N]``) seen in a mirror; the lidar's readings run the other way.
+
+    The readings are minima over segments of which the first begins straight ahead, so that the mirror image is
+    exact to one beam of the raw scan.
+    """
+    image = decisions.copy()
+    rows = rows[:, None]
+    for part in (image, image.get("next", None)):
+        if part is None:
+            continue
+        for key, signs in _MIRROR.items():
+            if (value := part.get(key, None)) is not None:
+                part.set(key, torch.where(rows, value * signs.to(value.device), value))
+        if (ranges := part.get("lidar", None)) is not None:
+            part.set("lidar", torch.where(rows, ranges.flip(-1), ranges))
+    return image
 
 
 @contextmanager

@@ -1,21 +1,28 @@
-"""How training goes: what is counted in each batch, the table on disk and the progress bar."""
+"""How training goes: what is counted in each batch, the table on disk, TensorBoard, and the progress bar."""
 
 from __future__ import annotations
 
 import csv
 import math
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
+import torch
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from tensordict import TensorDictBase
+
+from rover_rl.algos.files import written_whole
 
 EPISODE_STEPS = 2000
 """Steps of a full episode, as the contract has it."""
-_RECENT = 10
-"""Batches that the progress bar looks back over."""
+_RECENT_STEPS = 80_000
+"""Steps that the progress bar looks back over."""
 
 
 class BatchStatistics:
@@ -24,22 +31,28 @@ class BatchStatistics:
     The success rate of training is the share of the episodes that ended in which at least one goal was reached, as
     ``episodes_reached / episodes``. It is measured with exploration, and with the time limit of training.
 
+    Args:
+        repeat: steps a decision. A decision in which the episode ends counts in full, so that the counters of a run
+            do not depend on what happens in it.
+        steps: taken before.
+
     Attributes:
         steps: taken so far, all rovers together.
     """
 
-    def __init__(self) -> None:
-        self.steps = 0
+    def __init__(self, repeat: int, steps: int = 0) -> None:
+        self.steps = steps
+        self._repeat = repeat
 
     def __call__(self, batch: TensorDictBase) -> dict[str, float]:
         """Statistics of the next batch ``[N, T]``, rewards unscaled; nan where there is nothing to count."""
         after = batch["next"]
         outcome, ended = after["outcome"], after["done"]
-        before, self.steps = self.steps, int(outcome["total_steps"][:, -1].sum())
-        goals = int(outcome["goals"].sum())
+        taken = batch.numel() * self._repeat
+        self.steps += taken
         return {
             "steps": self.steps,
-            "goals_per_2000_steps": goals * EPISODE_STEPS / max(self.steps - before, 1),
+            "goals_per_2000_steps": int(outcome["goals"].sum()) * EPISODE_STEPS / taken,
             "episodes": int(ended.sum()),
             "episodes_reached": int((after["episode_goal_reward"][ended] > 0).sum()),
             "episode_steps": outcome["steps"][ended].float().mean().item(),
@@ -47,38 +60,86 @@ class BatchStatistics:
         }
 
 
-class ProgressLog:
-    """Appends a row a batch to a table, and shows the latest of them in a progress bar.
+class Stopwatch:
+    """Where the wall clock of a training goes.
 
-    Without a terminal, a line is printed at each tenth of the way.
+    Times of the process that trains are taken with ``with stopwatch("learning"):``. While it waits for a batch, the
+    processes that collect tell in the batch how long they worked for it, and on what (``clock``, see
+    :class:`~rover_rl.algos.step_clock.StepClock`).
+    """
+
+    def __init__(self) -> None:
+        self._started = time.perf_counter()
+        self._seconds = dict.fromkeys(("simulator", "task and rewards", "policy and collector", "gradient steps"), 0.0)
+        self._clocks = torch.zeros(0)
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the stopwatch was made."""
+        return time.perf_counter() - self._started
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        """Adds the time of the block to ``name``."""
+        started = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._seconds[name] = self._seconds.get(name, 0.0) + time.perf_counter() - started
+
+    def collected(self, batch: TensorDictBase, workers: int) -> None:
+        """Divides the time that a batch took by what the ``workers`` that share its rows worked on."""
+        clock = batch["next", "clock"]
+        last = torch.cat((clock["simulator"], clock["environment"]), -1)[:, -1]
+        now = last.unflatten(0, (workers, -1))[:, 0]
+        simulator, environment = (now - self._clocks if len(self._clocks) else now).mean(0).tolist()
+        self._clocks = now
+        self._seconds["simulator"] += simulator
+        self._seconds["task and rewards"] += environment - simulator
+        self._seconds["policy and collector"] -= environment
+
+    def shares(self) -> dict[str, float]:
+        """Share of the time since the stopwatch was made, by what it was spent on; ``other`` is the rest."""
+        shares = {name: seconds / self.elapsed for name, seconds in self._seconds.items()}
+        return shares | {"other": 1 - sum(shares.values())}
+
+
+class ProgressLog:
+    """Appends a row a batch to ``progress.csv`` and to TensorBoard, and shows the latest of them in a progress bar.
+
+    Rows of a run that is gone on with stay up to the state from which it goes on; those after it are taken again.
+    Without a terminal, a line is printed at each tenth of the way. TensorBoard's events are written where the package
+    ``tensorboard`` is installed.
 
     Args:
-        path: of the table (CSV).
+        folder: of the run.
+        updates: rows to keep of a table that is there already.
+        steps: taken by then.
         console: to print to.
     """
 
-    def __init__(self, path: Path, console: Console | None = None) -> None:
-        self._path = path
+    def __init__(self, folder: Path, updates: int = 0, steps: int = 0, console: Console | None = None) -> None:
+        self._path = folder / "progress.csv"
         self._recent: list[dict[str, float]] = []
-        self._started = self._last = time.perf_counter()
         self._told = 0
+        self._steps, self._clock = steps, time.perf_counter()
+        _keep_rows(self._path, updates)
+        self._events = _event_writer(folder / "tensorboard", steps if updates else None)
         self._bar = Progress(
             TextColumn("training"),
             BarColumn(20),
             TaskProgressColumn(),
             TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(elapsed_when_finished=False),
             TextColumn("{task.fields[status]}"),
             console=console,
             disable=not (console or Console()).is_terminal,
         )
         self._task = self._bar.add_task("", total=1.0, status="starting")
 
-    @property
-    def minutes(self) -> float:
-        """Since training began."""
-        return (time.perf_counter() - self._started) / 60
-
     def __enter__(self) -> ProgressLog:
+        self._clock = time.perf_counter()
         self._bar.start()
         return self
 
@@ -86,20 +147,24 @@ class ProgressLog:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._bar.stop()
+        if self._events is not None:
+            self._events.close()
 
     def add(self, share: float, row: dict[str, float]) -> None:
         """Writes a row, of which ``steps`` is one entry; ``share`` of the training is done."""
         now = time.perf_counter()
-        before = self._recent[-1]["steps"] if self._recent else 0
-        row = {
-            "minutes": self.minutes,
-            "steps_per_second": (row["steps"] - before) / (now - self._last),
-            **row,
-        }
-        self._last = now
-        self._recent = [*self._recent[1 - _RECENT :], row]
+        row = {**row, "steps_per_second": (row["steps"] - self._steps) / (now - self._clock)}
+        self._steps, self._clock = int(row["steps"]), now
+        self._recent = [*(r for r in self._recent if r["steps"] > row["steps"] - _RECENT_STEPS), row]
         self._append(row)
-        self._show(min(share, 1.0))
+        if self._events is not None:
+            for name, value in row.items():
+                self._events.add_scalar(name, value, self._steps)
+        self._show(share)
+
+    def say(self, text: str) -> None:
+        """Prints a line above the progress bar."""
+        self._bar.console.print(text, soft_wrap=True, highlight=False)
 
     def _append(self, row: dict[str, float]) -> None:
         new = not self._path.exists()
@@ -118,7 +183,7 @@ class ProgressLog:
         self._bar.update(self._task, completed=share, status=status)
         if self._bar.disable and int(share * 10) > self._told:
             self._told = int(share * 10)
-            self._bar.console.print(f"{share:4.0%} of training: {status}", soft_wrap=True)
+            self.say(f"{share:4.0%} of training: {status}")
 
     def _success_rate(self) -> float:
         episodes = sum(row["episodes"] for row in self._recent)
@@ -127,6 +192,28 @@ class ProgressLog:
     def _mean(self, key: str) -> float:
         values = [row[key] for row in self._recent if not math.isnan(row[key])]
         return sum(values) / len(values) if values else math.nan
+
+
+def _event_writer(folder: Path, purge_step: int | None) -> Any:
+    """TensorBoard's writer, or ``None`` without the package; events after ``purge_step`` are hidden."""
+    if find_spec("tensorboard") is None:
+        return None
+    from torch.utils.tensorboard import SummaryWriter
+
+    return SummaryWriter(str(folder), purge_step=purge_step)
+
+
+def _keep_rows(path: Path, updates: int) -> None:
+    """Leaves the first ``updates`` rows of the table, none half written."""
+    if not path.exists():
+        return
+    if not updates:
+        path.unlink()
+        return
+    with path.open(newline="") as file:
+        kept = file.readlines()[: updates + 1]
+    with written_whole(path) as temporary:
+        temporary.write_text("".join(kept), newline="")
 
 
 def read_progress(path: Path) -> dict[str, list[float]]:

@@ -1,11 +1,8 @@
-"""What a training run leaves on disk: its folder and its checkpoint."""
+"""What a training run leaves on disk: its folder, the policies in it, and the state to go on from."""
 
 from __future__ import annotations
 
-import json
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+import warnings
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -15,9 +12,12 @@ import torch
 from torch import Tensor
 from torchrl.modules import ProbabilisticActor
 
+from rover_rl.algos.config import TrainingConfig, config_from, plain
+from rover_rl.algos.files import written_whole
 from rover_rl.algos.policy import make_actor
 
-_FORMAT = "rover_rl checkpoint, version 1"
+_CHECKPOINT = "rover_rl checkpoint, version 2"
+_STATE = "rover_rl training state, version 1"
 
 
 @dataclass(frozen=True)
@@ -25,43 +25,42 @@ class Checkpoint:
     """A policy and how it came about.
 
     Attributes:
-        algorithm: that trained it, such as ``"ppo"``.
-        config: its settings, plain data.
-        lidar_points: readings that the policy sees.
-        steps: trained for, 20 Hz steps of one rover.
-        actor, critic: weights by name.
+        config: settings that it was trained with.
+        lidar_points: readings that it sees.
+        steps: it was trained for, 20 Hz steps of one rover.
+        actor: weights by name.
     """
 
-    algorithm: str
-    config: dict[str, Any]
+    config: TrainingConfig
     lidar_points: int
     steps: int
     actor: dict[str, Tensor]
-    critic: dict[str, Tensor]
+
+    @property
+    def algorithm(self) -> str:
+        """That trained it, such as ``"ppo"``."""
+        return self.config.algo
 
     def save(self, path: Path) -> None:
         """Writes the checkpoint; a file that was there stays whole until the new one is."""
-        with written_whole(path) as temporary:
-            torch.save({"format": _FORMAT, **vars(self)}, temporary)
+        _save(path, {"format": _CHECKPOINT, **vars(self), "config": plain(self.config)})
 
     @classmethod
     def load(cls, path: str | Path) -> Checkpoint:
-        """Reads a checkpoint.
+        """Reads a checkpoint, or the one of a run's folder. Nothing in the file is executed.
 
         Raises:
             FileNotFoundError: if there is none.
             ValueError: if the file is something else, or damaged.
         """
         path = Path(path)
-        if not path.is_file():
-            raise FileNotFoundError(f"no checkpoint at {path}")
+        path = path / "checkpoint.pt" if path.is_dir() else path
+        data = _load(path, _CHECKPOINT, "checkpoint")
         try:
-            data = torch.load(path, map_location="cpu", weights_only=True)
-        except Exception as error:  # a damaged file can fail in any way
-            raise ValueError(f"{path} is damaged, or no checkpoint of rover_rl") from error
-        if not isinstance(data, dict) or data.pop("format", None) != _FORMAT:
-            raise ValueError(f"{path} is no checkpoint of rover_rl")
-        return cls(**data)
+            config = config_from(data.pop("config"), str(path))
+            return cls(config=config, **data)
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"{path} is a damaged checkpoint: {error}") from error
 
     def make_actor(self) -> ProbabilisticActor:
         """The policy.
@@ -69,32 +68,47 @@ class Checkpoint:
         Raises:
             ValueError: if weights and settings do not belong together.
         """
-        hidden = tuple(self.config["hidden"])
-        actor = make_actor(self.lidar_points, hidden)
+        actor = make_actor(self.config.observation, self.lidar_points, self.config.hidden)
         try:
             actor.load_state_dict(self.actor)
         except RuntimeError as error:
-            raise ValueError(f"the checkpoint's weights do not fit hidden={hidden}") from error
+            raise ValueError(f"the checkpoint's weights do not fit hidden={self.config.hidden}") from error
         return actor
 
 
-@contextmanager
-def written_whole(path: Path) -> Iterator[Path]:
-    """A temporary path beside ``path`` to write to, moved there in the end: nobody sees half a file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # The suffix stays, because it decides on the format of pictures.
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+def save_state(path: Path, state: dict[str, Any]) -> None:
+    """Writes all that a training needs to go on; a file that was there stays whole until the new one is."""
+    _save(path, {"format": _STATE, **state})
 
 
-def write_json(path: Path, data: Any) -> None:
-    """Writes plain data as JSON."""
+def load_state(path: Path) -> dict[str, Any]:
+    """Reads what :func:`save_state` wrote. Nothing in the file is executed.
+
+    Raises:
+        FileNotFoundError: if there is none.
+        ValueError: if the file is something else, or damaged.
+    """
+    return _load(path, _STATE, "training state")
+
+
+def _save(path: Path, data: dict[str, Any]) -> None:
     with written_whole(path) as temporary:
-        temporary.write_text(json.dumps(data, indent=2) + "\n")
+        torch.save(data, temporary)
+
+
+def _load(path: Path, form: str, kind: str) -> dict[str, Any]:
+    if not path.is_file():
+        raise FileNotFoundError(f"no {kind} at {path}")
+    try:
+        with warnings.catch_warnings():
+            # A pickle that is none of torch's warns of itself before it fails.
+            warnings.simplefilter("ignore")
+            data = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # a damaged file can fail in any way
+        raise ValueError(f"{path} is damaged, or no {kind} of rover_rl") from error
+    if not isinstance(data, dict) or data.pop("format", None) != form:
+        raise ValueError(f"{path} is no {kind} of this version of rover_rl")
+    return data
 
 
 def new_run_folder(runs: str | Path, name: str | None, default: str) -> Path:
@@ -119,4 +133,4 @@ def new_run_folder(runs: str | Path, name: str | None, default: str) -> Path:
         except FileExistsError:
             continue
         return folder
-    raise FileExistsError(f"there is a run {folder} already; choose another name")
+    raise FileExistsError(f"there is a run {folder} already; choose another name, or go on with --resume {folder}")

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import sys
-from typing import Annotated
+from typing import Annotated, Any, Union
 
 import tyro
 
 from rover_rl.cli.demo import Demo
 from rover_rl.cli.evaluate import Evaluate
-from rover_rl.cli.train import INTERRUPTED, Train
+from rover_rl.cli.train import INTERRUPTED, train_defaults
 from rover_rl.cli.worlds import Worlds
 
 FAILED = 2
 """Exit code for an error of the user's."""
 
-Command = (
-    Annotated[Train, tyro.conf.subcommand("train")]
-    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
-    | Annotated[Worlds, tyro.conf.subcommand("worlds")]
-    | Annotated[Demo, tyro.conf.subcommand("demo")]
-)
+COMMANDS = {"evaluate": Evaluate, "worlds": Worlds, "demo": Demo}
+"""The commands whose options are always the same; those of ``train`` depend on the algorithm."""
 
 
 def main(args: list[str] | None = None) -> int:
@@ -30,8 +26,12 @@ def main(args: list[str] | None = None) -> int:
         args: of the command line; ``None`` takes the process's own.
     """
     try:
-        command = tyro.cli(Command, args=args, prog="rover-rl", description="Rovers that learn to drive to a goal.")
-        return command()
+        train = train_defaults(sys.argv[1:] if args is None else args)
+        kinds: list[Any] = [Annotated[type(train), tyro.conf.subcommand("train", default=train)]]
+        kinds += [Annotated[kind, tyro.conf.subcommand(name)] for name, kind in COMMANDS.items()]
+        # The kinds are known at run time only, where no type checker can follow.
+        command: Any = Union[tuple(kinds)]  # noqa: UP007
+        return tyro.cli(command, args=args, prog="rover-rl", description="Rovers that learn to drive to a goal.")()
     except (ValueError, OSError) as error:
         print(f"rover-rl: {error}", file=sys.stderr)
         return FAILED

@@ -1,52 +1,88 @@
 from __future__ import annotations
 
+import io
 import math
 from pathlib import Path
 
+import pytest
 import torch
 from rich.console import Console
 from tensordict import TensorDict
 
-from rover_rl.algos.progress import BatchStatistics, ProgressLog, read_progress
+from rover_rl.algos.progress import BatchStatistics, ProgressLog, Stopwatch, read_progress
 
 
 def test_what_happened_in_a_batch_is_counted() -> None:
-    statistics = BatchStatistics()
+    statistics = BatchStatistics(repeat=4, steps=100)
     done = torch.tensor([[False, True, False], [True, False, True]])[..., None]
     sums = torch.tensor([[0.0, 200.0, 0.0], [0.0, 0.0, 100.0]])[..., None]
     outcome = {
         "goals": torch.tensor([[1, 1, 0], [0, 0, 1]])[..., None],
         "steps": torch.tensor([[4, 8, 4], [40, 4, 6]])[..., None],
-        "total_steps": torch.tensor([[4, 8, 12], [40, 44, 46]])[..., None],
     }
     after = {"outcome": outcome, "done": done, "episode_reward": sums - 3, "episode_goal_reward": sums}
     row = statistics(TensorDict({"next": after}, batch_size=(2, 3)))
     assert row == {
-        "steps": 58,
-        "goals_per_2000_steps": 3 * 2000 / 58,
+        "steps": 124,
+        "goals_per_2000_steps": 3 * 2000 / 24,
         "episodes": 3,
         "episodes_reached": 2,
         "episode_steps": 18,
         "episode_return": 97,
     }
-    outcome["total_steps"] = outcome["total_steps"] + 8
     after["done"] = torch.zeros_like(done)
-    row = statistics(TensorDict({"next": {**after, "outcome": outcome}}, batch_size=(2, 3)))
-    assert row["steps"] == 74
-    assert row["goals_per_2000_steps"] == 3 * 2000 / 16
+    row = statistics(TensorDict({"next": after}, batch_size=(2, 3)))
+    assert row["steps"] == 148
     assert row["episodes"] == 0
     assert math.isnan(row["episode_return"])
 
 
+MEASURED = {"goals_per_2000_steps": 1.5, "episodes": 2, "episodes_reached": 1, "episode_return": math.nan}
+
+
 def test_rows_are_appended_and_read_back(tmp_path: Path) -> None:
+    with ProgressLog(tmp_path, console=Console(quiet=True)) as log:
+        log.add(0.5, {"steps": 100, **MEASURED})
+        log.add(1.0, {"steps": 200, **MEASURED})
     path = tmp_path / "progress.csv"
-    measured = {"goals_per_2000_steps": 1.5, "episodes": 2, "episodes_reached": 1, "episode_return": math.nan}
-    with ProgressLog(path, Console(quiet=True)) as log:
-        log.add(0.5, {"steps": 100, **measured})
-        log.add(1.0, {"steps": 200, **measured})
     with path.open("a") as file:
         file.write("0.1,20")
     columns = read_progress(path)
     assert columns["steps"] == [100, 200]
     assert columns["episodes"] == [2, 2]
     assert math.isnan(columns["episode_return"][0])
+    ProgressLog(tmp_path, updates=1, steps=100, console=Console(quiet=True))
+    assert read_progress(path)["steps"] == [100]
+
+
+def test_tensorboard_shows_the_same(tmp_path: Path) -> None:
+    accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    with ProgressLog(tmp_path, console=Console(quiet=True)) as log:
+        log.add(0.5, {"steps": 100, **MEASURED})
+    events = accumulator.EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    assert [(event.step, event.value) for event in events.Scalars("goals_per_2000_steps")] == [(100, 1.5)]
+
+
+def test_without_a_terminal_each_tenth_is_told(tmp_path: Path) -> None:
+    console = Console(file=io.StringIO(), width=200)
+    with ProgressLog(tmp_path, console=console) as log:
+        for step in range(1, 41):
+            log.add(step / 40, {"steps": 100 * step, **MEASURED})
+    lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert len(lines) == 10
+    assert "goals per 2,000 steps" in lines[0]
+    assert "success 50%" in lines[0]
+
+
+def test_the_time_of_a_batch_is_divided_by_what_it_went_into() -> None:
+    stopwatch = Stopwatch()
+    with stopwatch("gradient steps"):
+        pass
+    # Two workers of two rows each have worked 1 and 3 s, half of it in the simulator.
+    clock = torch.tensor([1.0, 1.0, 3.0, 3.0], dtype=torch.float64)[:, None, None].expand(4, 5, 1)
+    data = {"next": {"clock": {"simulator": clock / 2, "environment": clock}}}
+    stopwatch.collected(TensorDict(data, batch_size=(4, 5)), workers=2)
+    shares = stopwatch.shares()
+    assert shares["simulator"] == pytest.approx(shares["task and rewards"], rel=0.05)
+    assert shares["policy and collector"] == pytest.approx(-2 * shares["simulator"], rel=0.05)
+    assert sum(shares.values()) == pytest.approx(1, abs=1e-6 * abs(shares["simulator"]))

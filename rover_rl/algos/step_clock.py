@@ -1,0 +1,66 @@
+"""StepClock: where the time of a step goes, told by the process that takes it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.envs.transforms import Transform
+
+from rover_rl.sims.base import Simulator
+
+_KEY = "clock"
+
+
+class StepClock(Transform):
+    """Adds ``clock``: seconds that this process has spent so far, float64 ``[N, 1]``, the same on every row.
+
+    ``("clock", "simulator")`` in the simulator (physics and lidar), ``("clock", "environment")`` in steps of the
+    environment, the simulator's and those of the transforms before this one included. Being part of the data, they
+    come along from collectors in other processes.
+
+    Args:
+        simulator: to be timed from now on.
+    """
+
+    def __init__(self, simulator: Simulator) -> None:
+        super().__init__()
+        self._started = 0.0
+        self._seconds = torch.zeros(2, dtype=torch.float64)
+        for method in ("step", "reset"):
+            setattr(simulator, method, self._timed(getattr(simulator, method)))
+
+    def _timed(self, method: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any, **kwargs: Any) -> Any:
+            started = time.perf_counter()
+            result = method(*args, **kwargs)
+            self._seconds[0] += time.perf_counter() - started
+            return result
+
+        return call
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        self._started = time.perf_counter()
+        return tensordict
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        self._seconds[1] += time.perf_counter() - self._started
+        return self._written(next_tensordict)
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return self._written(tensordict_reset)
+
+    def _written(self, tensordict: TensorDictBase) -> TensorDictBase:
+        simulator, environment = self._seconds.expand(*tensordict.batch_size, 2).clone().split(1, -1)
+        return tensordict.set((_KEY, "simulator"), simulator).set((_KEY, "environment"), environment)
+
+    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
+        """Adds ``clock``."""
+        shape = observation_spec.shape
+        leaf = Unbounded(shape=(*shape, 1), dtype=torch.float64, device=observation_spec.device)
+        observation_spec[_KEY] = Composite(simulator=leaf, environment=leaf.clone(), shape=shape)
+        return observation_spec

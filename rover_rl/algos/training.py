@@ -1,0 +1,218 @@
+"""What every training has around its algorithm: a folder, a log, checkpoints, and an end.
+
+A :class:`TrainingRun` hands out batches until the budget is used or somebody stops it, and saves what was learned.
+The algorithms are in :mod:`rover_rl.algos.ppo` and :mod:`rover_rl.algos.sac`.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any, Protocol
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.modules import ProbabilisticActor
+
+from rover_rl.algos.collecting import LIDAR_POINTS, collecting
+from rover_rl.algos.config import TrainingConfig, write_config
+from rover_rl.algos.progress import BatchStatistics, ProgressLog, Stopwatch
+from rover_rl.algos.runs import Checkpoint, load_state, new_run_folder, save_state
+from rover_rl.sims.worlds import get_world
+
+
+class Learner(Protocol):
+    """What an algorithm brings to a :class:`TrainingRun`."""
+
+    actor: ProbabilisticActor
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that learning goes on from: plain data and tensors."""
+        ...
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Goes on from there."""
+        ...
+
+
+@dataclass(frozen=True)
+class TrainingSummary:
+    """What a training run came to.
+
+    Attributes:
+        folder: of the run.
+        steps: trained for, 20 Hz steps of one rover.
+        minutes: it took, all sessions together.
+        interrupted: whether it was stopped before its end.
+        shares: of this session's wall clock, by what it was spent on: see :class:`Stopwatch`.
+    """
+
+    folder: Path
+    steps: int
+    minutes: float
+    interrupted: bool
+    shares: dict[str, float]
+
+    @property
+    def checkpoint(self) -> Path:
+        """The trained policy."""
+        return self.folder / "checkpoint.pt"
+
+
+class TrainingRun:
+    """One training, from its start or from where it was left, to its end; a context manager.
+
+    The folder gets ``config.yaml``, ``progress.csv`` (a row a batch), ``checkpoint.pt`` (the policy),
+    ``training_state.pt`` (all that is needed to go on), ``snapshots/`` (policies from along the way) and, where
+    TensorBoard is installed, ``tensorboard/``. Files are replaced as a whole, every ``checkpoint_minutes`` and in
+    the end. Ctrl-C and SIGTERM end the run after the batch in hand; a second one ends it at once.
+
+    Args:
+        config: of the training.
+        learner: what learns.
+        folder: of a run to go on with; ``None`` begins a new one.
+
+    Raises:
+        ValueError: for an unknown world, a setting out of range, or a training state that does not fit.
+        FileExistsError: if there is a run of that name.
+
+    Example:
+        >>> learner = PPOLearner(config)
+        >>> with TrainingRun(config, learner) as run:
+        ...     for batch in run.batches(config.decisions):
+        ...         run.record(learner.update(batch, run.share, run.stopwatch))
+        >>> run.summary.checkpoint
+        PosixPath('runs/ppo-maze/checkpoint.pt')
+    """
+
+    def __init__(self, config: TrainingConfig, learner: Learner, folder: Path | None = None) -> None:
+        self.config = config
+        self.learner = learner
+        self.steps = self.updates = self._session = 0
+        self._minutes_before = self._saved_at = 0.0
+        self._stopping = False
+        if folder is None:
+            folder = new_run_folder(config.runs, config.name, f"{config.algo}-{config.world.replace(':', '-')}")
+        elif (folder / _STATE).is_file():
+            self._restore(load_state(folder / _STATE))
+        self.folder = folder
+        write_config(folder / "config.yaml", config)
+        self._updates_before = self.updates
+        self.stopwatch = Stopwatch()
+        self._statistics = BatchStatistics(config.repeat, self.steps)
+        self._log = ProgressLog(folder, self.updates, self.steps)
+
+    def _restore(self, state: dict[str, Any]) -> None:
+        """Goes on from ``state``: what was learned, the counters, and torch's random numbers."""
+        try:
+            self.steps, self.updates, self._minutes_before = state["steps"], state["updates"], state["minutes"]
+            self._session = state["session"] + 1
+            self.learner.load_state_dict(state["learner"])
+            torch.set_rng_state(state["random"])
+        except (RuntimeError, ValueError, KeyError, TypeError) as error:
+            raise ValueError("the run's training state does not fit its settings") from error
+
+    @property
+    def minutes(self) -> float:
+        """Since training began, all sessions together."""
+        return self._minutes_before + self.stopwatch.elapsed / 60
+
+    @property
+    def share(self) -> float:
+        """Share of the budget that is used: of the steps or of the time, whichever is more; at most 1."""
+        limit = self.config.max_minutes
+        return min(1.0, max(self.steps / self.config.total_steps, self.minutes / limit if limit else 0.0))
+
+    @property
+    def summary(self) -> TrainingSummary:
+        """What the run has come to so far."""
+        return TrainingSummary(self.folder, self.steps, self.minutes, self._stopping, self.stopwatch.shares())
+
+    def __enter__(self) -> TrainingRun:
+        # Only the main thread may handle signals; a training in another one is stopped by whoever runs it.
+        self._handlers = {}
+        if threading.current_thread() is threading.main_thread():
+            self._handlers = {number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)}
+        self._log.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self._log.__exit__(kind, error, trace)
+            if error is None and self.updates > self._updates_before:
+                self._save()
+        finally:
+            for number, handler in self._handlers.items():
+                signal.signal(number, handler)
+
+    def _stop(self, number: int, frame: FrameType | None) -> None:
+        if self._stopping:
+            raise KeyboardInterrupt
+        self._stopping = True
+        self._log.say(f"{signal.Signals(number).name}: stopping after this batch; once more stops at once")
+
+    def batches(self, decisions: int) -> Iterator[TensorDictBase]:
+        """Batches ``[num_envs, decisions]`` until the run is over, one at least in a new run.
+
+        Each is to be learned from and recorded.
+        """
+        if self.updates and self.share >= 1:
+            return
+        with collecting(self.config, self.learner.actor, decisions, self._session) as collector:
+            batches = iter(collector)
+            while not self.updates or (self.share < 1 and not self._stopping):
+                with self.stopwatch("policy and collector"):
+                    batch = next(batches)
+                self.stopwatch.collected(batch, self.config.workers)
+                self._counted = self._statistics(batch)
+                yield batch
+                with self.stopwatch("policy and collector"):
+                    collector.update_policy_weights_()
+
+    def record(self, learned: dict[str, float]) -> None:
+        """Writes down what happened in the batch in hand and what was ``learned`` from it; saves when it is time."""
+        before = self.share
+        self.steps, self.updates = self._statistics.steps, self.updates + 1
+        self._log.add(self.share, {"updates": self.updates, "minutes": self.minutes, **self._counted, **learned})
+        kept = self.config.snapshots
+        if int(self.share * kept) > int(before * kept):
+            self._checkpoint().save(self.folder / "snapshots" / f"{self.steps:09d}.pt")
+        if self.minutes - self._saved_at >= self.config.checkpoint_minutes:
+            self._save()
+
+    def _checkpoint(self) -> Checkpoint:
+        weights = {name: value.detach().clone() for name, value in self.learner.actor.state_dict().items()}
+        return Checkpoint(config=self.config, lidar_points=LIDAR_POINTS, steps=self.steps, actor=weights)
+
+    def _save(self) -> None:
+        self._saved_at = self.minutes
+        self._checkpoint().save(self.folder / "checkpoint.pt")
+        state = {
+            "steps": self.steps,
+            "updates": self.updates,
+            "minutes": self.minutes,
+            "session": self._session,
+            "learner": self.learner.state_dict(),
+            "random": torch.get_rng_state(),
+        }
+        save_state(self.folder / _STATE, state)
+
+
+_STATE = "training_state.pt"
+
+
+def prepare(config: TrainingConfig) -> None:
+    """Refuses settings that cannot work, and seeds torch: what comes before a learner is made.
+
+    Raises:
+        ValueError: for an unknown world, or a setting out of range.
+    """
+    config.check()
+    get_world(config.world)
+    torch.manual_seed(config.seed)

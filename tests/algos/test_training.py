@@ -1,0 +1,223 @@
+"""What PPO and SAC have in common: the folder, the end, and going on."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from rover_rl.algos import ppo, sac
+from rover_rl.algos.config import PPOConfig, SACConfig, TrainingConfig, read_config
+from rover_rl.algos.evaluate import draw_episodes, evaluate
+from rover_rl.algos.progress import read_progress
+from rover_rl.algos.runs import Checkpoint, load_state
+from rover_rl.algos.training import TrainingSummary
+
+PPO = PPOConfig(total_steps=512, num_envs=4, decisions=8, epochs=2, minibatch=16, hidden=(16,), snapshots=2)
+SAC = SACConfig(
+    total_steps=512,
+    num_envs=4,
+    decisions=2,
+    gradient_steps=2,
+    minibatch=8,
+    warmup=24,
+    buffer=64,
+    hidden=(16,),
+    snapshots=2,
+)
+BOTH = pytest.mark.parametrize("config", [PPO, SAC], ids=["ppo", "sac"])
+LEARNER = {"ppo": ppo.PPOLearner, "sac": sac.SACLearner}
+
+
+def train(config: TrainingConfig, folder: Path | None = None) -> TrainingSummary:
+    run: Callable[..., TrainingSummary] = ppo.train_ppo if isinstance(config, PPOConfig) else sac.train_sac
+    return run(config, folder)
+
+
+def table(folder: Path) -> dict[str, list[float]]:
+    return read_progress(folder / "progress.csv")
+
+
+def equal(a: Any, b: Any) -> bool:
+    """Whether two nested states are the same to the last bit."""
+    if isinstance(a, torch.Tensor):
+        return torch.equal(a, b)
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(equal(a[key], b[key]) for key in a)
+    if isinstance(a, list | tuple):
+        return len(a) == len(b) and all(map(equal, a, b))
+    return a == b
+
+
+@BOTH
+def test_a_run_leaves_its_settings_its_progress_and_its_policies(config: TrainingConfig, tmp_path: Path) -> None:
+    summary = train(replace(config, runs=str(tmp_path)))
+    folder = summary.folder
+    assert folder == tmp_path / f"{config.algo}-maze"
+    assert (summary.steps, summary.interrupted) == (512, False)
+    names = {file.name for file in folder.iterdir()}
+    assert names - {"tensorboard"} == {"config.yaml", "progress.csv", "checkpoint.pt", "training_state.pt", "snapshots"}
+    assert read_config(folder / "config.yaml") == replace(config, runs=str(tmp_path))
+    columns = table(folder)
+    taken = config.num_envs * config.decisions * config.repeat
+    assert columns["steps"] == list(range(taken, 513, taken))
+    assert columns["updates"] == list(range(1, 512 // taken + 1))
+    assert columns["learning_rate"][0] == config.learning_rate > columns["learning_rate"][-1]
+    assert sorted(file.name for file in (folder / "snapshots").iterdir()) == ["000000256.pt", "000000512.pt"]
+    assert sum(summary.shares.values()) == pytest.approx(1)
+    assert all(share >= 0 for share in summary.shares.values())
+
+
+@BOTH
+def test_the_policy_that_was_trained_can_be_evaluated(config: TrainingConfig, tmp_path: Path) -> None:
+    checkpoint = Checkpoint.load(train(replace(config, runs=str(tmp_path))).checkpoint)
+    assert (checkpoint.algorithm, checkpoint.steps) == (config.algo, 512)
+    assert len(evaluate(checkpoint.make_actor(), draw_episodes("maze", 2, 0), seconds=1).endings) == 2
+
+
+@BOTH
+def test_the_same_seed_gives_the_same_weights_to_the_last_bit(config: TrainingConfig, tmp_path: Path) -> None:
+    runs = [train(replace(config, runs=str(tmp_path), seed=seed)) for seed in (3, 3, 4)]
+    first, again, other = (load_state(run.folder / "training_state.pt")["learner"] for run in runs)
+    assert equal(first, again)
+    assert not equal(first, other)
+
+
+@BOTH
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_run_goes_on_where_it_was(
+    config: TrainingConfig, number: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = train(replace(config, runs=str(tmp_path), name="whole"))
+    learner = LEARNER[config.algo]
+    update, calls = learner.update, []
+
+    def stopped(self: Any, *args: Any) -> dict[str, float]:
+        calls.append(1)
+        if len(calls) == 2:
+            os.kill(os.getpid(), number)
+        return update(self, *args)
+
+    monkeypatch.setattr(learner, "update", stopped)
+    first = train(replace(config, runs=str(tmp_path), name="stopped"))
+    assert first.interrupted
+    assert len(table(first.folder)["updates"]) == 2
+    assert Checkpoint.load(first.checkpoint).steps == first.steps
+    second = train(replace(config, runs=str(tmp_path), name="stopped"), first.folder)
+    assert not second.interrupted
+    counters = ("updates", "steps", "gradient_steps", "learning_rate")
+    assert [table(second.folder)[key] for key in counters] == [table(whole.folder)[key] for key in counters]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@BOTH
+def test_the_learners_state_comes_back_exactly(config: TrainingConfig, tmp_path: Path) -> None:
+    folder = train(replace(config, runs=str(tmp_path))).folder
+    state = load_state(folder / "training_state.pt")
+    learner = LEARNER[config.algo](config)  # type: ignore[arg-type]
+    learner.load_state_dict(state["learner"])
+    assert equal(learner.state_dict(), state["learner"])
+    # A run that has had its budget is left as it is.
+    again = train(replace(config, runs=str(tmp_path)), folder)
+    assert again.steps == 512
+    assert equal(load_state(folder / "training_state.pt")["learner"], state["learner"])
+
+
+def test_a_full_replay_buffer_is_gone_on_with_at_the_same_place(tmp_path: Path) -> None:
+    state = load_state(train(replace(SAC, runs=str(tmp_path))).folder / "training_state.pt")
+    # 128 decisions went into 64 places.
+    assert len(state["learner"]["memory"]["action"]) == 64
+    assert state["learner"]["cursor"] == 0
+
+
+def test_a_state_of_other_settings_is_refused(tmp_path: Path) -> None:
+    folder = train(replace(PPO, runs=str(tmp_path))).folder
+    with pytest.raises(ValueError, match="training state does not fit its settings"):
+        train(replace(PPO, runs=str(tmp_path), hidden=(8,)), folder)
+
+
+def test_what_was_taken_after_the_last_state_is_taken_again(tmp_path: Path) -> None:
+    folder = train(replace(PPO, runs=str(tmp_path))).folder
+    progress = folder / "progress.csv"
+    lines = progress.read_text().splitlines()
+    # As a kill leaves it: a row that no state has, and half of another.
+    progress.write_text("\n".join([*lines, lines[-1], lines[-1][:20]]))
+    train(replace(PPO, runs=str(tmp_path), total_steps=1024), folder)
+    assert table(folder)["updates"] == list(range(1, 9))
+
+
+@pytest.mark.slow
+def test_two_workers_share_the_rovers(tmp_path: Path) -> None:
+    summary = train(replace(PPO, workers=2, runs=str(tmp_path)))
+    assert table(summary.folder)["steps"][-1] == 512
+
+
+def test_time_can_be_the_budget(tmp_path: Path) -> None:
+    summary = train(replace(PPO, total_steps=10**9, max_minutes=1e-6, runs=str(tmp_path)))
+    assert len(table(summary.folder)["steps"]) == 1
+    assert not summary.interrupted
+
+
+@BOTH
+def test_errors_come_before_anything_is_written(config: TrainingConfig, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="unknown world 'mars'"):
+        train(replace(config, world="mars", runs=str(tmp_path)))
+    with pytest.raises(ValueError, match="num_envs"):
+        train(replace(config, num_envs=0, runs=str(tmp_path)))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_a_killed_run_goes_on_without_gap_or_duplicate(tmp_path: Path) -> None:
+    """Ten times SIGKILL at any moment; after each, every file that is there can be read."""
+    folder, moments = tmp_path / "sac-maze", random.Random(0)
+    sizes = ["--num-envs", "4", "--hidden", "16", "--warmup", "24", "--minibatch", "8", "--gradient-steps", "2"]
+    begin = ["--algo", "sac", "--runs", str(tmp_path), "--total-steps", "1000000000", "--snapshots", "10000000"]
+    begin += [*sizes, "--checkpoint-minutes", "0.002"]
+    for life in range(10):
+        resumed = (folder / "config.yaml").is_file()
+        process = start(["--resume", str(folder)] if resumed else begin)
+        if life % 2:
+            # In the midst of building worlds and networks.
+            time.sleep(moments.uniform(0, 4))
+        else:
+            seen = rows(folder)
+            wait_until(lambda seen=seen: rows(folder) > seen, process)
+            time.sleep(moments.uniform(0, 1.5))
+        process.kill()
+        process.wait()
+        if (folder / "training_state.pt").is_file():
+            assert load_state(folder / "training_state.pt")["updates"] <= len(table(folder)["updates"])
+            Checkpoint.load(folder)
+    reached = load_state(folder / "training_state.pt")["steps"]
+    assert start(["--resume", str(folder), "--total-steps", str(reached + 160)]).wait() == 0
+    columns = table(folder)
+    assert columns["updates"] == list(range(1, len(columns["updates"]) + 1))
+    assert columns["steps"] == [16 * update for update in columns["updates"]]
+    assert columns["steps"][-1] == reached + 160
+    assert columns["minutes"] == sorted(columns["minutes"])
+
+
+def rows(folder: Path) -> int:
+    return len(table(folder).get("updates", ())) if (folder / "progress.csv").is_file() else 0
+
+
+def start(options: list[str]) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-c", "import sys; from rover_rl.cli import main; sys.exit(main())", "train", *options]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def wait_until(condition: Callable[[], bool], process: subprocess.Popen[bytes]) -> None:
+    while not condition():
+        assert process.poll() is None
+        time.sleep(0.05)
