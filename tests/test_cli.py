@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from rover_rl.algos.config import SACConfig, read_config
 from rover_rl.cli import main
 
 
@@ -47,18 +48,57 @@ def test_unknown_options_exit_with_2(capsys: pytest.CaptureFixture[str]) -> None
     assert stop.value.code == 2
 
 
-def test_train_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    size = ["--num-envs", "4", "--decisions", "8", "--total-steps", "128", "--epochs", "1"]
-    assert main(["train", "--algo", "ppo", "--runs", str(tmp_path), "--name", "run", *size]) == 0
-    checkpoint = tmp_path / "run" / "checkpoint.pt"
-    assert str(checkpoint) in capsys.readouterr().out
-    assert (tmp_path / "run" / "learning_curve.png").is_file()
+SIZE = ["--num-envs", "4", "--decisions", "8", "--total-steps", "128"]
+
+
+def test_train_go_on_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert main(["train", "--algo", "ppo", "--runs", str(tmp_path), "--name", "run", "--epochs", "1", *SIZE]) == 0
+    folder = tmp_path / "run"
+    told = capsys.readouterr().out
+    assert str(folder / "checkpoint.pt") in told
+    assert "Time went into: simulator" in told
+    assert (folder / "learning_curve.png").is_file()
     assert "already" in failed(capsys, "train", "--runs", tmp_path, "--name", "run")
 
+    assert main(["train", "--resume", str(folder), "--total-steps", "256"]) == 0
+    assert "after 256 steps" in capsys.readouterr().out
+
     out = tmp_path / "results"
-    assert main(["evaluate", str(checkpoint), "--count", "2", "--seconds", "1", "--out", str(out)]) == 0
-    assert {file.name for file in out.iterdir()} == {"evaluation.json", "evaluation.csv", "paths.png"}
-    assert "random" in capsys.readouterr().out
+    options = ["--count", "2", "--seconds", "1", "--no-baselines"]
+    assert main(["evaluate", str(folder), "scripted", *options, "--out", str(out)]) == 0
+    assert {file.name for file in out.iterdir()} == {"evaluation.csv", "evaluation.json", "paths.png"}
+    assert "scripted" in capsys.readouterr().out
+
+
+def test_settings_come_from_a_file_and_options_go_first(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text("algo: sac\nworld: moon\nhidden: [16]\nwarmup: 16\n")
+    runs = ["--runs", str(tmp_path), "--name", "run"]
+    assert main(["train", "--config", str(tmp_path / "mine.yaml"), *runs, *SIZE, "--gradient-steps", "1"]) == 0
+    config = read_config(tmp_path / "run" / "config.yaml")
+    assert isinstance(config, SACConfig)
+    assert (config.world, config.hidden, config.num_envs, config.gradient_steps) == ("moon", (16,), 4, 1)
+    capsys.readouterr()
+    assert "--algo is ppo" in failed(capsys, "train", "--config", tmp_path / "mine.yaml", "--algo", "ppo")
+    assert "give one of them" in failed(capsys, "train", "--config", tmp_path / "mine.yaml", "--resume", tmp_path)
+    assert "no settings at" in failed(capsys, "train", "--resume", tmp_path / "nothing")
+    assert "does not know: ['sped']" in failed(capsys, "train", "--config", written(tmp_path, "algo: ppo\nsped: 3"))
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "given.yaml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize(("algo", "own", "other"), [("ppo", "--lmbda", "--tau"), ("sac", "--tau", "--lmbda")])
+def test_help_shows_the_settings_of_the_algorithm(
+    capsys: pytest.CaptureFixture[str], algo: str, own: str, other: str
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["train", "--algo", algo, "--help"])
+    text = capsys.readouterr().out
+    assert own in text
+    assert other not in text
 
 
 def test_worlds_are_listed_and_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -119,15 +119,18 @@ class PPOConfig(TrainingConfig):
     """Of generalized advantage estimation, for each decision."""
     clip: float = 0.2
     """PPO's bound on the change of an action's probability, relative."""
-    entropy: float = 0.01
+    entropy: float = 0.003
     """Weight of the bonus for acting at random."""
+    imitation: float = 0.0
+    """Share of the training, at its start, in which the policy learns to act as the scripted driver would where it has
+    come to, and the critic what that is worth; 0 learns from the reward alone."""
 
     def check(self) -> None:
         """Refuses settings that are out of range: see :meth:`TrainingConfig.check`."""
         super().check()
         self._require_counts("decisions", "epochs", "minibatch")
         self._require_positive("clip")
-        self._require_share("lmbda")
+        self._require_share("lmbda", "imitation")
         if self.entropy < 0:
             raise ValueError(f"entropy must not be negative, got {self.entropy}")
 

@@ -25,6 +25,7 @@ from torch import Tensor
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
+from rover_rl.algos.baselines import steer
 from rover_rl.algos.collecting import LIDAR_POINTS
 from rover_rl.algos.config import PPOConfig
 from rover_rl.algos.policy import make_actor, make_critic, mirrored, single_threaded
@@ -91,23 +92,40 @@ class PPOLearner:
         with torch.no_grad():
             self._advantage(batch)
         decisions = batch.select(*self._learned_from).reshape(-1)
+        gradient_step = self._gradient_step
+        if share < self.config.imitation:
+            # DAgger: the policy drives, and the script says what it would have done there (Ross et al., 2011).
+            decisions["action"] = steer(batch["lidar"].flatten(0, 1), batch["target"].flatten(0, 1))
+            gradient_step = self._imitation_step
         steps = []
         for _ in range(self.config.epochs):
             shuffled = decisions[torch.randperm(len(decisions))]
             if self.config.mirror:
                 shuffled = mirrored(shuffled, torch.rand(len(shuffled)) < 0.5)
             with stopwatch("gradient steps"):
-                steps += [self._gradient_step(part) for part in shuffled.split(self.config.minibatch)]
+                steps += [gradient_step(part) for part in shuffled.split(self.config.minibatch)]
         means = torch.stack(steps).mean(0).tolist()
         return {"gradient_steps": len(steps), "learning_rate": learning_rate, **dict(zip(LOGGED, means, strict=True))}
 
     def _gradient_step(self, decisions: TensorDictBase) -> Tensor:
         losses = self._loss(decisions)
+        self._descend(losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"])
+        return torch.stack([losses[key].detach() for key in LOGGED])
+
+    def _imitation_step(self, decisions: TensorDictBase) -> Tensor:
+        """Makes the ``action`` of each decision likelier; ``loss_objective`` is its negative log-likelihood."""
+        losses = self._loss(decisions)
+        # Within the bounds, where a squashed normal distribution can reach.
+        action = decisions["action"] * 0.95
+        losses["loss_objective"] = -self.actor.get_dist(decisions).log_prob(action).mean()
+        self._descend(losses["loss_objective"] + losses["loss_critic"])
+        return torch.stack([losses[key].detach() for key in LOGGED])
+
+    def _descend(self, loss: Tensor) -> None:
         self._optimizer.zero_grad()
-        (losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]).backward()
+        loss.backward()
         torch.nn.utils.clip_grad_norm_(self._loss.parameters(), self.config.max_grad_norm)
         self._optimizer.step()
-        return torch.stack([losses[key].detach() for key in LOGGED])
 
     def state_dict(self) -> dict[str, Any]:
         """Weights, and the optimizer's moments."""

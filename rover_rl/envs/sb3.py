@@ -91,7 +91,8 @@ class SB3VecEnv(VecEnv):
             for row in np.flatnonzero(ended).tolist():
                 infos[row] = {key: value[row].item() for key, value in step.info.items()}
                 infos[row]["terminal_observation"] = row_of(observation, row)
-                infos[row]["TimeLimit.truncated"] = bool(step.truncated[row])
+                # As in SB3: a real ending goes before a time limit, or its value would be bootstrapped.
+                infos[row]["TimeLimit.truncated"] = bool(step.truncated[row] and not step.terminated[row])
             observation = self._batch.reset(ended)
         return observation, step.reward.astype(np.float32), ended, infos
 

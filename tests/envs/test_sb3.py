@@ -13,6 +13,7 @@ from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize, VecVideoRecorder
 
 from rover_rl import RoverEnv as BatchedRoverEnv
+from rover_rl.envs import TaskConfig
 from rover_rl.envs.gym import RoverEnv
 from rover_rl.envs.sb3 import SB3VecEnv
 
@@ -68,6 +69,16 @@ def test_a_time_limit_is_told(shared):
     assert dones.all()
     assert all(info["TimeLimit.truncated"] for info in infos)
     assert all(info["terminal_observation"] in shared.observation_space for info in infos)
+
+
+def test_an_ending_in_the_last_step_is_no_time_limit():
+    tilted = BatchedRoverEnv(world_n="moon", num_envs=ROWS, length=1, seed=0, task=TaskConfig(flip_threshold=0.0))
+    envs = SB3VecEnv(tilted, time_limit="truncated")
+    envs.reset()
+    _, _, dones, infos = envs.step(np.zeros((ROWS, 2)))
+    assert dones.all()
+    assert not any(info["TimeLimit.truncated"] for info in infos)
+    envs.close()
 
 
 def test_the_contracts_time_limit_may_be_had():

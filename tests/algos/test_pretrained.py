@@ -1,0 +1,34 @@
+from __future__ import annotations
+
+import pytest
+
+from rover_rl.algos.episodes import stored_episodes
+from rover_rl.algos.evaluate import evaluate
+from rover_rl.algos.pretrained import FOLDER, load_pretrained, pretrained_names
+
+FLOOR = {"inspect": 0.9, "moon": 0.9, "maze": 0.75}
+"""Share of the episodes below that a policy must reach; its card tells what it reaches of all of them."""
+
+
+def test_there_is_one_for_each_world_with_a_card() -> None:
+    assert {name.split("-")[0] for name in pretrained_names()} == set(FLOOR)
+    for name in pretrained_names():
+        assert (FOLDER / f"{name}.pt").stat().st_size < 500_000
+        card = (FOLDER / f"{name}.md").read_text()
+        for told in ("rover-rl train", "seed", "steps", "minutes", "SPL", "rover-rl evaluate"):
+            assert told in card
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", pretrained_names())
+def test_it_reaches_its_goals(name: str) -> None:
+    checkpoint = load_pretrained(name)
+    assert f"{checkpoint.config.world}-{checkpoint.algorithm}" == name
+    episodes = stored_episodes(checkpoint.config.world).first(24)
+    result = evaluate(checkpoint.make_actor(), episodes, name=name, seconds=40, rows=12)
+    assert result.success_rate >= FLOOR[checkpoint.config.world]
+
+
+def test_a_name_that_is_none_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"no pretrained policy 'mars-ppo'; use one of \["):
+        load_pretrained("mars-ppo")

@@ -1,0 +1,161 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from rich.console import Console
+from tensordict import TensorDict
+
+pytest.importorskip("stable_baselines3")
+
+from benchmarks import against_sb3
+from benchmarks.against_sb3 import Curve, Options, Point
+from rover_rl import make_env
+from rover_rl.algos.policy import ObservationEncoder, make_action_critic, make_actor, make_critic
+from rover_rl.envs.sb3 import SB3VecEnv
+
+
+def settings(algo: str, folder=None, **changes):
+    config = Options(algo=algo, world="maze", minutes=0.02, num_envs=2).config(folder)
+    return replace(config, workers=1, episode_steps=40, **changes)
+
+
+def batch(config) -> SB3VecEnv:
+    return SB3VecEnv(against_sb3.rovers_for_sb3(config))
+
+
+@pytest.fixture(scope="module")
+def models():
+    """SB3's algorithms with small networks of ours."""
+    made = {}
+    for algo in ("ppo", "sac"):
+        config = settings(algo, hidden=(24, 16), minibatch=32)
+        made[algo] = against_sb3.make_sb3(config, batch(config), against_sb3.WallClock(config).learning_rate)
+    return made
+
+
+def count(*modules) -> int:
+    return sum(parameter.numel() for module in modules for parameter in module.parameters())
+
+
+def test_sb3_gets_networks_of_the_same_size(models):
+    actor, value, action_value = (
+        count(make(hidden=(24, 16))) for make in (make_actor, make_critic, make_action_critic)
+    )
+    sac, ppo = models["sac"], models["ppo"]
+    assert count(sac.actor) == actor
+    assert count(sac.critic) == 2 * action_value
+    assert count(ppo.policy.mlp_extractor.value_net, ppo.policy.value_net) == value
+    # PPO's spread is one number for each action instead of an output of the network.
+    spread = 16 * 2 + 2
+    assert count(ppo.policy.mlp_extractor.policy_net, ppo.policy.action_net) == actor - spread
+    assert all(isinstance(layer, torch.nn.Linear | torch.nn.ReLU) for layer in ppo.policy.mlp_extractor.policy_net)
+
+
+def test_sb3_sees_what_ours_sees(models):
+    sac, ppo = models["sac"], models["ppo"]
+    observation = {key: torch.as_tensor(value) for key, value in ppo.env.reset().items()}
+    keys = settings("sac").observation
+    expected = ObservationEncoder(keys)(*(observation[key] for key in keys))
+    for owner in (sac.actor, sac.critic, ppo.policy):
+        assert torch.equal(owner.extract_features(observation, owner.features_extractor), expected)
+
+
+def test_a_single_rover_is_a_row_of_the_batch():
+    config = settings("sac", world="moon")
+    rows, single = batch(config), against_sb3.single_rover(config, 1)
+    rows.seed(config.seed)
+    observations, (observation, _) = rows.reset(), single.reset(seed=config.seed + 1)
+    for _ in range(3):
+        np.testing.assert_array_equal(observations["lidar"][1], observation["lidar"])
+        action = np.array([0.7, -0.2], np.float32)
+        observations, rewards, _, _ = rows.step(np.stack([action] * 2))
+        observation, reward, *_ = single.step(action)
+        assert rewards[1] == np.float32(reward)
+    rows.close()
+    single.close()
+
+
+def test_rewards_and_actions_are_scaled_and_an_action_is_held():
+    config = settings("sac")
+    rows, plain = batch(config), make_env(world_n="maze", num_envs=2, seed=config.seed)
+    rows.reset()
+    _, rewards, _, _ = rows.step(np.full((2, 2), 0.5, np.float32))
+    now, total = plain.reset(), torch.zeros(2, 1)
+    for _ in range(config.repeat):
+        now = plain.step(now.set("action", torch.tensor([[0.5, 0.5 * np.pi]] * 2)))["next"]
+        total += now["reward"]
+    np.testing.assert_allclose(rewards, config.reward_scale * total.squeeze(-1).numpy(), rtol=1e-5)
+    rows.close()
+    plain.close()
+
+
+def test_a_time_limit_is_told_to_sb3():
+    config = settings("sac")
+    rows = batch(config)
+    rows.reset()
+    ends = []
+    for _ in range(config.episode_steps // config.repeat):
+        _, _, ended, infos = rows.step(np.zeros((2, 2), np.float32))
+        ends += [info["TimeLimit.truncated"] for info, end in zip(infos, ended, strict=True) if end]
+    assert ends
+    assert all(ends)
+    rows.close()
+
+
+def test_sb3_takes_gradient_steps_and_is_stopped_by_the_clock():
+    config = settings("sac", warmup=4, minibatch=8, buffer=100, gradient_steps=1)
+    rows = batch(config)
+    with against_sb3.WallClock(config) as clock:
+        model = against_sb3.make_sb3(config, rows, clock.learning_rate)
+        before = [parameter.clone() for parameter in model.actor.parameters()]
+        model.learn(against_sb3.ENDLESS, callback=clock)
+    rows.close()
+    assert clock.share == 1
+    assert clock.learning_rate(1.0) == 0
+    assert len(clock.snapshots) == config.snapshots
+    assert clock.snapshots[-1].steps == model.num_timesteps * config.repeat
+    assert any((a != b).any() for a, b in zip(before, model.actor.parameters(), strict=True))
+
+
+def test_a_policy_of_sb3_drives_without_exploration(models):
+    for model in models.values():
+        policy = against_sb3.tensordict_policy(model.policy)
+        observation = {key: torch.as_tensor(value) for key, value in models["ppo"].env.reset().items()}
+        now = TensorDict(observation, batch_size=[2])
+        scaled, _ = model.predict({key: value.numpy() for key, value in observation.items()}, deterministic=True)
+        torch.testing.assert_close(policy(now)["action"], torch.from_numpy(scaled * np.array([1.0, np.pi], np.float32)))
+        assert torch.equal(policy(now)["action"], policy(now)["action"])
+
+
+def curve(name: str, *success: float) -> Curve:
+    return Curve(name, [Point(minute, 100 * minute, value, 0.0, 1.0) for minute, value in enumerate(success, 1)])
+
+
+def test_ours_is_compared_at_the_success_that_theirs_ends_with():
+    result = against_sb3.compare(curve("ours", 0.2, 0.6, 0.5, 0.9), curve("theirs", 0.1, 0.7, 0.4, 0.5))
+    assert (result.success, result.minutes, result.first_minutes) == (0.5, 4, 2)
+    assert (result.our_minutes, result.share) == (2, 0.5)
+
+
+def test_ours_may_never_get_there(tmp_path):
+    ours, theirs = curve("rover_rl", 0.1, 0.2), curve("SB3, our batch", 0.1, 0.3)
+    result = against_sb3.compare(ours, theirs)
+    assert (result.our_minutes, result.share) == (None, None)
+    against_sb3.draw(tmp_path / "picture.png", settings("ppo", tmp_path), 2, [ours, theirs], [result])
+    against_sb3.show(Console(), [ours, theirs])
+
+
+def test_one_command_runs_all(tmp_path, monkeypatch):
+    monkeypatch.setattr(against_sb3, "default_workers", lambda num_envs: 1)
+    monkeypatch.setattr(against_sb3, "evaluate", partial(against_sb3.evaluate, seconds=0.5))
+    against_sb3.main(Options(algo="ppo", world="maze", minutes=0.01, num_envs=2, count=2, runs=tmp_path))
+    results = json.loads((tmp_path / "against_sb3-ppo-maze" / "against_sb3.json").read_text())
+    assert [curve["name"] for curve in results["curves"]] == list(against_sb3.CONTENDERS)
+    assert all(curve["points"][-1]["steps"] > 0 for curve in results["curves"])
+    assert len(results["comparisons"]) == 2
+    assert (tmp_path / "against_sb3-ppo-maze" / "against_sb3.png").stat().st_size > 1000
