@@ -64,7 +64,7 @@ def test_train_go_on_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path:
     assert "after 256 steps" in capsys.readouterr().out
 
     out = tmp_path / "results"
-    options = ["--count", "2", "--seconds", "1", "--no-baselines"]
+    options = ["--count", "2", "--seconds", "1"]
     assert main(["evaluate", str(folder), "scripted", *options, "--out", str(out)]) == 0
     assert {file.name for file in out.iterdir()} == {"evaluation.csv", "evaluation.json", "paths.png"}
     assert "scripted" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""The command line: ``rover-rl train | evaluate | worlds | demo``. A module a command.
+"""The command line: ``rover-rl train | evaluate | film | worlds | demo``. A module a command.
 
 What a command needs is imported when it runs, so that ``--help`` comes at once.
 """

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
+from rover_rl.cli.drivers import Driver, find_driver
+
 if TYPE_CHECKING:
     from rover_rl.algos.episodes import EpisodeSet
-    from rover_rl.algos.evaluate import EndlessEvaluation, Evaluation, Policy
-
-PRETRAINED = "pretrained:"
-
+    from rover_rl.algos.evaluate import EndlessEvaluation, Evaluation
 
 @dataclass(frozen=True)
 class Evaluate:
@@ -24,7 +23,7 @@ class Evaluate:
     """
 
     policies: tyro.conf.Positional[tuple[str, ...]]
-    """Folders of runs, checkpoint files, pretrained:NAME, scripted or random."""
+    """Folders of runs, checkpoint files, pretrained:NAME; scripted and random are yardsticks."""
     world: tuple[str, ...] = ()
     """Worlds to drive in; by default the one that each policy was trained in."""
     count: int | None = None
@@ -39,8 +38,6 @@ class Evaluate:
     """Drive 32 episodes of 2,000 steps with goals without end, too, as the original does."""
     jam: bool = True
     """End those at a long collision, as the contract has it; the original never does."""
-    baselines: bool = True
-    """Drive with the scripted and the random policy, too."""
     out: Path | None = None
     """Folder to write to; by default that of the first checkpoint, or runs/evaluation."""
 
@@ -68,16 +65,16 @@ class Evaluate:
         print("Paths driven: " + ", ".join(str(picture) for picture in pictures))
         return 0
 
-    def _drivers(self) -> list[_Driver]:
+    def _drivers(self) -> list[Driver]:
         """All policies to drive with, each of a name of its own."""
         if not self.policies:
             raise ValueError("name a policy: the folder of a run, a checkpoint, pretrained:NAME, scripted or random")
-        words = dict.fromkeys((*self.policies, *(("scripted", "random") if self.baselines else ())))
-        drivers = {word: _driver(word, self.world) for word in words}
+        words = dict.fromkeys(self.policies)
+        drivers = {word: find_driver(word, self.world) for word in words}
         names = Counter(driver.name for driver in drivers.values())
         return [driver if names[driver.name] == 1 else replace(driver, name=word) for word, driver in drivers.items()]
 
-    def _episode_sets(self, drivers: list[_Driver]) -> dict[str, EpisodeSet]:
+    def _episode_sets(self, drivers: list[Driver]) -> dict[str, EpisodeSet]:
         """The episodes of each world: the stored ones, unless they have to be drawn."""
         from rover_rl.algos.episodes import DEFAULT_SEED, STORED, draw_episodes, stored_episodes
         from rover_rl.sims.worlds import WORLDS, get_world
@@ -95,71 +92,15 @@ class Evaluate:
             for world in worlds
         }
 
-    def _drive(self, driver: _Driver, episodes: EpisodeSet) -> Evaluation:
+    def _drive(self, driver: Driver, episodes: EpisodeSet) -> Evaluation:
         from rover_rl.algos.evaluate import evaluate
 
         return evaluate(driver.policy, episodes, seconds=self.seconds, **self._settings(driver))
 
-    def _drive_endlessly(self, driver: _Driver, world: str) -> EndlessEvaluation:
+    def _drive_endlessly(self, driver: Driver, world: str) -> EndlessEvaluation:
         from rover_rl.algos.evaluate import evaluate_endless
 
         return evaluate_endless(driver.policy, world, jam=self.jam, **self._settings(driver))
 
-    def _settings(self, driver: _Driver) -> dict[str, Any]:
+    def _settings(self, driver: Driver) -> dict[str, Any]:
         return {"name": driver.name, "repeat": self.repeat, "lidar_points": driver.lidar_points}
-
-
-@dataclass(frozen=True)
-class _Driver:
-    """A policy to evaluate.
-
-    Attributes:
-        name: in tables.
-        policy: itself; ``None`` acts at random.
-        worlds: to drive in; none: all that others drive in.
-        lidar_points: readings that it sees.
-        folder: of its checkpoint.
-        group: what policies are called that differ in their seed only.
-    """
-
-    name: str
-    policy: Policy | None
-    worlds: tuple[str, ...]
-    lidar_points: int = 32
-    folder: Path | None = None
-    group: str | None = None
-
-
-def _driver(word: str, worlds: tuple[str, ...]) -> _Driver:
-    """The policy that a word on the command line means.
-
-    Raises:
-        FileNotFoundError: if it names no checkpoint.
-        ValueError: if it names something else.
-    """
-    from rover_rl.algos.baselines import ScriptedPolicy
-    from rover_rl.algos.runs import Checkpoint
-
-    if word == "random":
-        return _Driver(word, None, worlds)
-    if word == "scripted":
-        return _Driver(word, ScriptedPolicy(), worlds)
-    folder = None
-    if word.startswith(PRETRAINED):
-        from rover_rl.algos.pretrained import load_pretrained
-
-        name = word.removeprefix(PRETRAINED)
-        checkpoint = load_pretrained(name)
-    else:
-        checkpoint = Checkpoint.load(word)
-        folder = Path(word) if Path(word).is_dir() else Path(word).parent
-        name = folder.resolve().name
-    trained_in = checkpoint.config.world
-    return _Driver(
-        name=name,
-        policy=checkpoint.make_actor(),
-        worlds=worlds or (trained_in,),
-        lidar_points=checkpoint.lidar_points,
-        folder=folder,
-        group=f"{checkpoint.algorithm.upper()} of {trained_in}",
-    )

@@ -9,13 +9,14 @@ import tyro
 
 from rover_rl.cli.demo import Demo
 from rover_rl.cli.evaluate import Evaluate
+from rover_rl.cli.film import Film
 from rover_rl.cli.train import INTERRUPTED, train_defaults
 from rover_rl.cli.worlds import Worlds
 
 FAILED = 2
 """Exit code for an error of the user's."""
 
-COMMANDS = {"evaluate": Evaluate, "worlds": Worlds, "demo": Demo}
+COMMANDS = {"evaluate": Evaluate, "film": Film, "worlds": Worlds, "demo": Demo}
 """The commands whose options are always the same; those of ``train`` depend on the algorithm."""
 
 

@@ -13,7 +13,7 @@ from tensordict import TensorDictBase
 
 from rover_rl import RoverEnv, World, make_env
 from rover_rl.algos.film import film
-from rover_rl.algos.views import Camera, lidar_hits
+from rover_rl.algos.views import Camera, ChaseView, Moment, lidar_hits
 from rover_rl.cli.film import Film
 from rover_rl.sims.worlds import Terrain, box
 
@@ -64,6 +64,18 @@ def test_lidar_beams_end_where_they_meet_something() -> None:
     torch.testing.assert_close(hits[:, 0], torch.full((len(hits),), 1.8), atol=0.01, rtol=0)
     assert hits[:, 1].abs().max() < 2.01
     torch.testing.assert_close(hits[:, 2], start[2].expand(len(hits)), atol=0.05, rtol=0)
+
+
+def test_a_rover_behind_a_wall_is_outlined_in_orange() -> None:
+    env = RoverEnv(world_n=WALL, seed=0)
+    env.reset(start=torch.tensor([[2.8, 0.0, 0.0]]), goal=torch.zeros(1, 2))
+    none = torch.zeros(1, dtype=torch.int64)
+    picture = ChaseView(env, 320, 240).picture(Moment(0.0, env.rover_state, env.goal, none, none, [], ("", -9.0)))
+    rendered = env.render(width=320, height=240).numpy()
+    env.close()
+    wall, rover = (pixels[142:146, 155:165].mean((0, 1)) for pixels in (rendered, picture))
+    assert wall[0] < wall[2]
+    assert rover[0] > rover[2] + 30
 
 
 @pytest.mark.parametrize(("view", "rows"), [("chase", 1), ("top", 3)])

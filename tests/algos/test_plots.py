@@ -70,6 +70,9 @@ def test_a_baseline_is_drawn_in_its_world(tmp_path: Path) -> None:
     draw_learning_curve([run], tmp_path / "with.svg", driven("scripted", ["goal"]))
     assert "scripted policy" in texts(tmp_path / "with.svg")
     assert "policy" not in texts(tmp_path / "without.svg")
+    elsewhere = write_run(tmp_path / "elsewhere", PPOConfig(world="moon"))
+    draw_learning_curve([elsewhere], tmp_path / "elsewhere.svg", driven("scripted", ["goal"]))
+    assert "policy" not in texts(tmp_path / "elsewhere.svg")
 
 
 def test_runs_that_cannot_be_drawn_are_refused(tmp_path: Path) -> None:

@@ -15,6 +15,8 @@ from typing import Any
 
 import pytest
 import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl.algos import ppo, sac
 from rover_rl.algos.config import PPOConfig, SACConfig, TrainingConfig, read_config
@@ -160,6 +162,30 @@ def test_what_was_taken_after_the_last_state_is_taken_again(tmp_path: Path) -> N
 def test_two_workers_share_the_rovers(tmp_path: Path) -> None:
     summary = train(replace(PPO, workers=2, runs=str(tmp_path)))
     assert table(summary.folder)["steps"][-1] == 512
+
+
+def test_imitation_makes_the_scripts_actions_likelier(tmp_path: Path) -> None:
+    folder = train(
+        replace(
+            PPO,
+            total_steps=2048,
+            imitation=1.0,
+            epochs=30,
+            hidden=(64,),
+            anneal=False,
+            world="moon",
+            runs=str(tmp_path),
+        )
+    ).folder
+    surprise = table(folder)["loss_objective"]
+    assert sum(surprise[-4:]) < sum(surprise[:4]) - 1
+    actor = Checkpoint.load(folder).make_actor()
+    # The goal lies to the left, with nothing in the way: the script turns left and drives.
+    lidar, imu = torch.full((1, 32), 12.0), torch.zeros(1, 3)
+    target, velocities = torch.tensor([[5.0, 0.8]]), torch.zeros(1, 2)
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        seen = TensorDict({"lidar": lidar, "imu": imu, "target": target, "velocities": velocities}, batch_size=[1])
+        assert (actor(seen)["action"] > 0.2).all()
 
 
 def test_time_can_be_the_budget(tmp_path: Path) -> None:
