@@ -15,6 +15,7 @@ from torchrl.modules import ProbabilisticActor
 
 from rover_rl.algos.action_repeat import ActionRepeat
 from rover_rl.algos.config import TrainingConfig
+from rover_rl.algos.path_reward import PathReward
 from rover_rl.algos.step_clock import StepClock
 from rover_rl.envs import make_env
 
@@ -46,6 +47,8 @@ def make_training_env(config: TrainingConfig, worker: int = 0, session: int = 0)
     )
     longest = -(-config.episode_steps // config.repeat)
     env = env.append_transform(ActionRepeat(config.repeat))
+    if config.path_reward:
+        env = env.append_transform(PathReward(env.base_env, config.path_reward))
     env = env.append_transform(RewardSum(list(EPISODE_SUMS), list(EPISODE_SUMS.values())))
     env = env.append_transform(StepCounter())
     env = env.append_transform(RandomTruncationTransform(min_horizon=1, max_horizon=longest))

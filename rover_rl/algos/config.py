@@ -59,6 +59,9 @@ class TrainingConfig:
     """Of Adam."""
     anneal: bool = True
     """Let the learning rate fall linearly to 0 at the end."""
+    path_reward: float = 0.0
+    """In training, pay this much on top of the contract's reward for each metre gained on the shortest free way to the
+    goal. It leads around the walls of a maze; 0 is the contract's reward alone."""
     reward_scale: float = 0.05
     """What the reward is multiplied by before learning."""
     max_grad_norm: float = 1.0
@@ -75,8 +78,9 @@ class TrainingConfig:
         self._require_counts("total_steps", "num_envs", "workers", "repeat", "episode_steps")
         self._require_positive("learning_rate", "reward_scale", "max_grad_norm", "checkpoint_minutes")
         self._require_share("gamma")
-        if self.snapshots < 0:
-            raise ValueError(f"snapshots must not be negative, got {self.snapshots}")
+        for name in ("snapshots", "path_reward"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
         if self.max_minutes is not None and not self.max_minutes > 0:
             raise ValueError(f"max_minutes must be positive, got {self.max_minutes}")
         if self.num_envs % self.workers:

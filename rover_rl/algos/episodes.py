@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from scipy.ndimage import distance_transform_edt
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
@@ -175,6 +176,23 @@ def shortest_paths(world: World, robot: Robot, start: Tensor, goal: Tensor) -> T
     return _Routes(world, robot).lengths(start, goal)
 
 
+def distance_fields(world: World, robot: Robot, goals: Tensor) -> Tensor:
+    """Length of the shortest path for the rover's centre to each goal, from every cell of the world's free-space grid.
+
+    Paths are those of :func:`shortest_paths` before their string is pulled, and end at the passable cell that is
+    nearest to the goal. A cell that is not passable has the value of the nearest one that is.
+
+    Args:
+        world: where.
+        robot: that has to fit.
+        goals: ``[G, 2]``, m.
+
+    Returns:
+        float32 ``[G, rows, columns]``, m, as ``free_space(world, robot).passable``.
+    """
+    return _Routes(world, robot).fields(goals)
+
+
 class _Routes:
     """Shortest paths over the passable cells of a world. Inside, lengths are in cells: centres are whole numbers."""
 
@@ -196,6 +214,17 @@ class _Routes:
         for index in np.flatnonzero(~self._visible(starts, entries) & (lengths > 0)):
             lengths[index] = self._length_around(starts[index], goals[index])
         return torch.from_numpy(lengths * self._cell).float()
+
+    def fields(self, goals: Tensor) -> Tensor:
+        """See :func:`distance_fields`."""
+        centres = (goals.double().numpy() - self._origin) / self._cell
+        nearest = ((self._points - centres[:, None]) ** 2).sum(-1).argmin(-1)
+        lengths = np.full((len(centres), *self._number.shape), math.inf, dtype=np.float32)
+        lengths[:, self._number >= 0] = dijkstra(self._graph, indices=nearest) * self._cell
+        # Cells that hang together with the goals; all others are given the value of the nearest of these.
+        known = np.isfinite(lengths).all(0)
+        rows, columns = distance_transform_edt(~known, return_distances=False, return_indices=True)
+        return torch.from_numpy(lengths[:, rows, columns])
 
     def _entries(self, points: np.ndarray, goals: np.ndarray) -> np.ndarray:
         """Where the straight line from each point to a goal meets its disc; the point itself where it is inside."""

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rover_rl.algos.episodes import EpisodeSet
     from rover_rl.algos.evaluate import EndlessEvaluation, Evaluation
 
+
 @dataclass(frozen=True)
 class Evaluate:
     """Drive fixed starts and goals with any number of policies, and measure them side by side.
