@@ -4,9 +4,7 @@ import csv
 import io
 import json
 import math
-import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 import torch
@@ -254,7 +252,7 @@ def complaint(capsys: pytest.CaptureFixture[str], *args: object) -> str:
 
 def test_the_command_drives_checkpoints_beside_baselines(capsys: pytest.CaptureFixture[str], run: Path) -> None:
     first, second = run / "run-1", run / "run-2" / "checkpoint.pt"
-    assert main(["evaluate", str(first), str(second), "--count", "2", "--seconds", "0.5"]) == 0
+    assert main(["evaluate", str(first), str(second), "scripted", "random", "--count", "2", "--seconds", "0.5"]) == 0
     assert {"evaluation.json", "evaluation.csv", "paths.png"} <= {file.name for file in first.iterdir()}
     written = json.loads((first / "evaluation.json").read_text())
     assert [entry["policy"] for entry in written] == ["run-1", "run-2", "scripted", "random"]
@@ -263,7 +261,7 @@ def test_the_command_drives_checkpoints_beside_baselines(capsys: pytest.CaptureF
 
 
 def test_the_command_drives_in_several_worlds(tmp_path: Path) -> None:
-    args = ["--world", "maze", "maze:7", "--count", "1", "--seconds", "0.5", "--seed", "5", "--no-baselines"]
+    args = ["--world", "maze", "maze:7", "--count", "1", "--seconds", "0.5", "--seed", "5"]
     assert main(["evaluate", "scripted", *args, "--out", str(tmp_path)]) == 0
     written = json.loads((tmp_path / "evaluation.json").read_text())
     assert [(entry["policy"], entry["world"], entry["seed"]) for entry in written] == [
@@ -274,16 +272,15 @@ def test_the_command_drives_in_several_worlds(tmp_path: Path) -> None:
     assert {file.name for file in tmp_path.iterdir()} == names
 
 
-def test_pretrained_policies_go_by_name(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    checkpoints = SimpleNamespace(load_pretrained=lambda name: Checkpoint.load(run / name))
-    monkeypatch.setitem(sys.modules, "rover_rl.algos.pretrained", checkpoints)
-    args = ["--count", "1", "--seconds", "0.2", "--no-baselines", "--out", str(run)]
-    assert main(["evaluate", "pretrained:run-1", *args]) == 0
-    assert json.loads((run / "evaluation.json").read_text())[0]["policy"] == "run-1"
+def test_pretrained_policies_go_by_name(tmp_path: Path) -> None:
+    args = ["--count", "1", "--seconds", "0.2", "--out", str(tmp_path)]
+    assert main(["evaluate", "pretrained:moon-sac", *args]) == 0
+    written = json.loads((tmp_path / "evaluation.json").read_text())
+    assert (written[0]["policy"], written[0]["world"]) == ("moon-sac", "moon")
 
 
 def test_policies_of_one_name_are_told_apart(run: Path) -> None:
-    args = ["--count", "1", "--seconds", "0.2", "--no-baselines", "--out", str(run)]
+    args = ["--count", "1", "--seconds", "0.2", "--out", str(run)]
     names = [str(run / "run-1"), str(run / "run-1" / "checkpoint.pt")]
     assert main(["evaluate", *names, *args]) == 0
     assert [entry["policy"] for entry in json.loads((run / "evaluation.json").read_text())] == names

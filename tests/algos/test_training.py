@@ -101,6 +101,7 @@ def test_a_stopped_run_goes_on_where_it_was(
     config: TrainingConfig, number: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = train(replace(config, runs=str(tmp_path), name="whole"))
+    handlers = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
     learner = LEARNER[config.algo]
     update, calls = learner.update, []
 
@@ -119,7 +120,7 @@ def test_a_stopped_run_goes_on_where_it_was(
     assert not second.interrupted
     counters = ("updates", "steps", "gradient_steps", "learning_rate")
     assert [table(second.folder)[key] for key in counters] == [table(whole.folder)[key] for key in counters]
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == handlers
 
 
 @BOTH
