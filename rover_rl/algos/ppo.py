@@ -4,9 +4,8 @@ Read it from the top: :func:`train_ppo` is the loop, :class:`PPOLearner` what ha
 in :mod:`rover_rl.algos.collecting`, the networks are in :mod:`rover_rl.algos.policy`, and folder, log, checkpoints and
 Ctrl-C are in :mod:`rover_rl.algos.training`.
 
-TorchRL's ``PPOTrainer`` was tried and does not serve here. Its checkpoints pickle the collector with the environments
-in it, where a run must go on from files that execute nothing; a run cannot be stopped between two batches with its
-state whole; and its optimisation steps, hooks and logger spread over several objects what is one page below.
+The loop is written out, to be read, rather than left to TorchRL's ``PPOTrainer``, which is marked experimental. The
+trainer has not been tried with this training.
 
 Example:
     >>> summary = train_ppo(PPOConfig(world="maze", max_minutes=5))

@@ -2,7 +2,8 @@
 
 Read it from the top: :func:`train_sac` is the loop, :class:`SACLearner` what happens in it. Where batches come from is
 in :mod:`rover_rl.algos.collecting`, the networks are in :mod:`rover_rl.algos.policy`, and folder, log, checkpoints and
-Ctrl-C are in :mod:`rover_rl.algos.training`. Why not TorchRL's ``SACTrainer``: see :mod:`rover_rl.algos.ppo`.
+Ctrl-C are in :mod:`rover_rl.algos.training`. On TorchRL's trainers see
+:mod:`rover_rl.algos.ppo`.
 
 Example:
     >>> summary = train_sac(SACConfig(world="moon", max_minutes=10))
