@@ -1,4 +1,4 @@
-"""Evaluation: policies drive fixed episodes, or without end as in the original, and are measured side by side.
+"""Evaluation: policies drive fixed episodes, or without end as in the original, and are measured.
 
 Example:
     >>> actor = Checkpoint.load("runs/ppo-maze").make_actor()
@@ -8,22 +8,17 @@ Example:
 
 from __future__ import annotations
 
-import csv
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import torch
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
@@ -31,9 +26,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from rover_rl.algos.baselines import RandomPolicy
 from rover_rl.algos.config import SECONDS_PER_STEP
 from rover_rl.algos.episodes import DEFAULT_SEED, EpisodeSet, draw_episodes
-from rover_rl.algos.files import write_json, written_whole
 from rover_rl.algos.metrics import (
-    METRICS,
     TIME_LIMIT,
     Estimate,
     Trajectory,
@@ -55,8 +48,6 @@ __all__ = [
     "draw_episodes",
     "evaluate",
     "evaluate_endless",
-    "print_table",
-    "write_evaluation",
 ]
 
 Policy: TypeAlias = Callable[[TensorDictBase], TensorDictBase]
@@ -458,94 +449,3 @@ def _progress_bar(name: str) -> Iterator[Callable[[float], None]]:
 def _require_at_least(name: str, value: float, least: float) -> None:
     if not value >= least:
         raise ValueError(f"{name} must be at least {least:g}, got {value}")
-
-
-def print_table(
-    evaluations: Sequence[Evaluation | EndlessEvaluation],
-    console: Console | None = None,
-    groups: Mapping[str, str] | None = None,
-) -> None:
-    """Prints policies beside one another, with a table for each world and mode, and 95 % intervals below the values.
-
-    Args:
-        evaluations: any.
-        console: to print to.
-        groups: names of policies that differ in their seed only, and what they are called together: a line below tells
-            their mean and standard deviation.
-    """
-    console = console or Console()
-    if not console.is_terminal:
-        console.width = max(console.width, 140)
-    for title in dict.fromkeys(evaluation.title for evaluation in evaluations):
-        console.print(_table(title, [e for e in evaluations if e.title == title], groups or {}))
-    measured = [METRICS[key] for key in METRICS if any(key in e.metrics for e in evaluations)]
-    legend = dict.fromkeys(f"{metric.heading}: {metric.meaning}" for metric in measured if metric.meaning)
-    console.print("; ".join(legend) + ". Below each value: where the true one lies, with 95 % confidence.", style="dim")
-
-
-def _table(title: str, evaluations: Sequence[Evaluation | EndlessEvaluation], groups: Mapping[str, str]) -> Table:
-    shown = [key for key in METRICS if key in evaluations[0].metrics and _worth_showing(key, evaluations)]
-    table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    table.add_column("policy", overflow="fold")
-    for key in shown:
-        table.add_column(f"{METRICS[key].heading}\n{METRICS[key].unit}", justify="right", overflow="fold")
-    for evaluation in evaluations:
-        table.add_row(escape(evaluation.name), *(_cell(key, evaluation.metrics[key]) for key in shown))
-    for group in dict.fromkeys(groups.values()):
-        members = [evaluation for evaluation in evaluations if groups.get(evaluation.name) == group]
-        if len(members) > 1:
-            cells = (_spread_cell(key, [member.metrics[key].value for member in members]) for key in shown)
-            table.add_row(f"{escape(group)}\n[dim]{len(members)} policies[/dim]", *cells)
-    return table
-
-
-def _worth_showing(key: str, evaluations: Sequence[Evaluation | EndlessEvaluation]) -> bool:
-    """A way to end that no episode took, and a metric that there was nowhere to measure, have no column."""
-    values = [evaluation.metrics[key].value for evaluation in evaluations]
-    return any(value > 0 for value in values) or not (key.startswith("ending_") or all(map(math.isnan, values)))
-
-
-def _cell(key: str, estimate: Estimate) -> str:
-    """The value and, below it, its interval."""
-    if math.isnan(estimate.value):
-        return "-"
-    if math.isnan(estimate.low):
-        return _told(key, estimate.value)
-    ends = (estimate.low, estimate.high)
-    low, high = (f"{100 * end:.0f}" if METRICS[key].unit == "%" else _told(key, end) for end in ends)
-    return f"{_told(key, estimate.value)}\n[dim]{low}–{high}[/dim]"
-
-
-def _spread_cell(key: str, values: Sequence[float]) -> str:
-    """The mean of several policies and, below it, their standard deviation; none if it is missing for one."""
-    mean, spread = torch.tensor(values).mean().item(), torch.tensor(values).std().item()
-    return "-" if math.isnan(mean) else f"{_told(key, mean)}\n[dim]± {_told(key, spread)}[/dim]"
-
-
-def _told(key: str, value: float) -> str:
-    """A value in the unit of its column."""
-    unit = METRICS[key].unit
-    if unit == "%":
-        return f"{100 * value:.1f}"
-    return f"{value:.1f}" if unit == "s" else f"{value:.2f}"
-
-
-def write_evaluation(path: Path, evaluations: Sequence[Evaluation | EndlessEvaluation]) -> None:
-    """Writes results as JSON, with every episode, and beside it as CSV, a row a policy, world and mode.
-
-    Args:
-        path: of the JSON file; the table has the same name and the suffix ``.csv``.
-        evaluations: any.
-    """
-    write_json(path, [evaluation.to_json() for evaluation in evaluations])
-    rows: list[dict[str, Any]] = []
-    for evaluation in evaluations:
-        row = evaluation.summary()
-        for key, estimate in evaluation.metrics.items():
-            row |= {key: estimate.value, f"{key}_low": estimate.low, f"{key}_high": estimate.high}
-        rows.append(row)
-    columns = dict.fromkeys(key for row in rows for key in row)
-    with written_whole(path.with_suffix(".csv")) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(columns))
-        writer.writeheader()
-        writer.writerows(rows)

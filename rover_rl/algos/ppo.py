@@ -29,7 +29,7 @@ from rover_rl.algos.collecting import LIDAR_POINTS
 from rover_rl.algos.config import PPOConfig
 from rover_rl.algos.policy import make_actor, make_critic, mirrored, single_threaded
 from rover_rl.algos.progress import Stopwatch
-from rover_rl.algos.training import TrainingRun, TrainingSummary, prepare
+from rover_rl.algos.training import TrainingRun, TrainingSummary, prepare, set_learning_rate
 
 __all__ = ["PPOConfig", "PPOLearner", "train_ppo"]
 
@@ -84,9 +84,7 @@ class PPOLearner:
             share: of the training that is done.
             stopwatch: takes the time of the gradient steps.
         """
-        learning_rate = self.config.learning_rate * (1 - share if self.config.anneal else 1.0)
-        for group in self._optimizer.param_groups:
-            group["lr"] = learning_rate
+        learning_rate = set_learning_rate(self._optimizer, self.config, share)
         batch["next", "reward"] *= self.config.reward_scale
         with torch.no_grad():
             self._advantage(batch)

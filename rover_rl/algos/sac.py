@@ -27,7 +27,7 @@ from rover_rl.algos.collecting import LIDAR_POINTS
 from rover_rl.algos.config import SACConfig
 from rover_rl.algos.policy import ACTION_SPEC, make_action_critic, make_actor, mirrored, single_threaded
 from rover_rl.algos.progress import Stopwatch
-from rover_rl.algos.training import TrainingRun, TrainingSummary, prepare
+from rover_rl.algos.training import TrainingRun, TrainingSummary, prepare, set_learning_rate
 
 __all__ = ["SACConfig", "SACLearner", "train_sac"]
 
@@ -97,9 +97,7 @@ class SACLearner:
             share: of the training that is done.
             stopwatch: takes the time of the gradient steps.
         """
-        learning_rate = self.config.learning_rate * (1 - share if self.config.anneal else 1.0)
-        for group in self._optimizer.param_groups:
-            group["lr"] = learning_rate
+        learning_rate = set_learning_rate(self._optimizer, self.config, share)
         count = self.config.gradient_steps if len(self._memory) >= self.config.warmup else 0
         with stopwatch("gradient steps"):
             steps = [self._gradient_step(self._memory.sample()) for _ in range(count)]

@@ -216,3 +216,11 @@ def prepare(config: TrainingConfig) -> None:
     config.check()
     get_world(config.world)
     torch.manual_seed(config.seed)
+
+
+def set_learning_rate(optimizer: torch.optim.Optimizer, config: TrainingConfig, share: float) -> float:
+    """Gives the optimizer the learning rate that belongs to the ``share`` of the training done; returns it."""
+    learning_rate = config.learning_rate * (1 - share if config.anneal else 1.0)
+    for group in optimizer.param_groups:
+        group["lr"] = learning_rate
+    return learning_rate

@@ -28,9 +28,10 @@ class Demo:
     def __call__(self) -> int:
         """Trains, evaluates, draws, and says where the pictures are."""
         from rover_rl.algos.episodes import draw_episodes
-        from rover_rl.algos.evaluate import evaluate, print_table, write_evaluation
+        from rover_rl.algos.evaluate import evaluate
         from rover_rl.algos.plots import draw_learning_curve, draw_paths
         from rover_rl.algos.ppo import train_ppo
+        from rover_rl.algos.report import print_table, write_evaluation
         from rover_rl.algos.runs import Checkpoint
 
         config = PPOConfig(

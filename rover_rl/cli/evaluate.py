@@ -44,8 +44,8 @@ class Evaluate:
 
     def __call__(self) -> int:
         """Evaluates, and says where the results are."""
-        from rover_rl.algos.evaluate import print_table, write_evaluation
         from rover_rl.algos.plots import draw_paths
+        from rover_rl.algos.report import print_table, write_evaluation
 
         drivers = self._drivers()
         sets = self._episode_sets(drivers)

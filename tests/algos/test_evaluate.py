@@ -17,9 +17,10 @@ from rover_rl.algos.action_repeat import ActionRepeat
 from rover_rl.algos.baselines import ScriptedPolicy
 from rover_rl.algos.config import PPOConfig
 from rover_rl.algos.episodes import EpisodeSet, draw_episodes
-from rover_rl.algos.evaluate import Evaluation, Policy, evaluate, evaluate_endless, print_table, write_evaluation
+from rover_rl.algos.evaluate import Evaluation, Policy, evaluate, evaluate_endless
 from rover_rl.algos.plots import draw_paths
 from rover_rl.algos.policy import make_actor
+from rover_rl.algos.report import print_table, write_evaluation
 from rover_rl.algos.runs import Checkpoint
 from rover_rl.cli import main
 from rover_rl.envs import RoverEnv
