@@ -61,7 +61,7 @@ from rover_rl.algos.episodes import EpisodeSet, stored_episodes
 from rover_rl.algos.evaluate import Policy, evaluate
 from rover_rl.algos.files import write_json, written_whole
 from rover_rl.algos.plots import BLUE, GREEN, ORANGE
-from rover_rl.algos.policy import ACTION_SPEC, ObservationEncoder, single_threaded
+from rover_rl.algos.policy import ObservationEncoder, action_spec, single_threaded
 from rover_rl.algos.ppo import train_ppo
 from rover_rl.algos.progress import read_progress
 from rover_rl.algos.runs import Checkpoint, new_run_folder
@@ -179,7 +179,7 @@ def make_sb3(config: TrainingConfig, envs: VecEnv, learning_rate: Callable[[floa
             "net_arch": list(config.hidden),
             "activation_fn": nn.ReLU,
             "features_extractor_class": RoverFeatures,
-            "features_extractor_kwargs": {"keys": config.observation},
+            "features_extractor_kwargs": {"keys": config.observation, "north_up": config.north_up},
         },
     }
     if isinstance(config, PPOConfig):
@@ -208,8 +208,8 @@ def make_sb3(config: TrainingConfig, envs: VecEnv, learning_rate: Callable[[floa
 class RoverFeatures(BaseFeaturesExtractor):
     """Our input scaling, for SB3's networks."""
 
-    def __init__(self, observation_space: spaces.Dict, keys: tuple[str, ...]) -> None:
-        encoder = ObservationEncoder(keys)
+    def __init__(self, observation_space: spaces.Dict, keys: tuple[str, ...], north_up: bool) -> None:
+        encoder = ObservationEncoder(keys, observation_space["lidar"].shape[0], north_up)
         super().__init__(observation_space, encoder.features)
         self._encoder = encoder
 
@@ -264,19 +264,23 @@ class WallClock(BaseCallback):
         marks = int(share * self._config.snapshots)
         if marks > self._marks:
             self._marks = marks
-            self.snapshots.append(Snapshot(self.minutes, steps, tensordict_policy(deepcopy(self.model.policy))))
+            self.snapshots.append(
+                Snapshot(self.minutes, steps, tensordict_policy(deepcopy(self.model.policy), self._config.reverse))
+            )
             self._bar.console.print(f"{share:4.0%} of training: {steps:,} steps", highlight=False)
         self._bar.update(self._task, completed=share, status=f"{steps:,} steps")
         return share < 1
 
 
-def tensordict_policy(policy: BasePolicy) -> Policy:
+def tensordict_policy(policy: BasePolicy, reverse: bool) -> Policy:
     """A policy of SB3 as one that our evaluation drives with; it knows no exploration."""
+    bounds = action_spec(reverse).space
+    middle, half = (bounds.high + bounds.low) / 2, (bounds.high - bounds.low) / 2
 
     def act(now: TensorDictBase) -> TensorDictBase:
         observation = {key: now[key].numpy() for key in policy.observation_space}
         action, _ = policy.predict(observation, deterministic=True)
-        return now.set("action", torch.from_numpy(action) * ACTION_SPEC.space.high)
+        return now.set("action", middle + half * torch.from_numpy(action))
 
     return act
 

@@ -78,9 +78,7 @@ def steer(lidar: Tensor, target: Tensor) -> Tensor:
     """What a careful driver without a map or memory does.
 
     It drives at the goal where the lane there is free as far as the goal or 1.6 m; elsewhere it takes the best of 64
-    directions: free, rather towards the goal, and rather ahead than not. It steers with twice that angle, and goes
-    slower the more it has to turn, and the nearer the lane ahead is blocked. Right before something, it backs off while
-    it turns.
+    directions: free, rather towards the goal, and rather ahead than not. See :func:`drive` for how it goes there.
 
     Args:
         lidar: ``[N, points]``, m.
@@ -96,9 +94,25 @@ def steer(lidar: Tensor, target: Tensor) -> Tensor:
     blocked = (1 - free / distance.clamp(0.1, LOOK_AHEAD)).clamp(min=0)
     merit = (directions - bearing).cos() + PERSISTENCE * directions.cos() - 4 * blocked
     best = directions.gather(-1, merit.argmax(-1, keepdim=True))
-    angle = wrap_angle(torch.where(blocked[:, -1:] > 0, best, bearing))
+    return drive(torch.where(blocked[:, -1:] > 0, best, bearing), lidar)
 
-    speed = angle.cos().clamp(min=0) * ((free[:, :1] - STOP) / (LOOK_AHEAD / 2)).clamp(0, 1)
+
+def drive(direction: Tensor, lidar: Tensor) -> Tensor:
+    """How a careful driver goes in a direction.
+
+    It steers with twice the angle, and goes slower the more it has to turn, and the nearer the lane ahead is blocked.
+    Right before something, it backs off while it turns.
+
+    Args:
+        direction: relative to the rover's heading, ``[N, 1]``, rad.
+        lidar: ``[N, points]``, m.
+
+    Returns:
+        Action ``[N, 2]``: forward speed (m/s) and heading offset (rad).
+    """
+    angle = wrap_angle(direction)
+    free = _free_lane(lidar, torch.zeros_like(angle))
+    speed = angle.cos().clamp(min=0) * ((free - STOP) / (LOOK_AHEAD / 2)).clamp(0, 1)
     quarter = lidar.shape[-1] // 4
     front = torch.cat((lidar[:, :quarter], lidar[:, -quarter:]), -1).amin(-1, keepdim=True)
     behind = lidar[:, quarter + quarter // 2 : -quarter - quarter // 2].amin(-1, keepdim=True)

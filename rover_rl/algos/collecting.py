@@ -10,14 +10,17 @@ from functools import partial
 
 import torch
 from torchrl.collectors import BaseCollector, Collector
-from torchrl.envs import EnvBase, RandomTruncationTransform, RewardSum, StepCounter
+from torchrl.data import TensorSpec
+from torchrl.envs import EnvBase, RandomTruncationTransform, RewardSum, StepCounter, Transform
 from torchrl.modules import ProbabilisticActor
 
 from rover_rl.algos.action_repeat import ActionRepeat
 from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.path_reward import PathReward
+from rover_rl.algos.policy import FORWARD
 from rover_rl.algos.step_clock import StepClock
 from rover_rl.envs import make_env
+from rover_rl.envs.specs import bounded_spec
 
 LIDAR_POINTS = 32
 """Readings that the policy sees, as the contract has it."""
@@ -45,6 +48,8 @@ def make_training_env(config: TrainingConfig, worker: int = 0, session: int = 0)
         num_envs=rows,
         seed=config.seed + worker * rows + session * _SESSION_SEEDS,
     )
+    if not config.reverse:
+        env = env.append_transform(ForwardOnly())
     longest = -(-config.episode_steps // config.repeat)
     env = env.append_transform(ActionRepeat(config.repeat))
     if config.path_reward:
@@ -53,6 +58,15 @@ def make_training_env(config: TrainingConfig, worker: int = 0, session: int = 0)
     env = env.append_transform(StepCounter())
     env = env.append_transform(RandomTruncationTransform(min_horizon=1, max_horizon=longest))
     return env.append_transform(StepClock(env.base_env.simulator))
+
+
+class ForwardOnly(Transform):
+    """Narrows the action spec to actions that do not drive backwards."""
+
+    def transform_action_spec(self, action_spec: TensorSpec) -> TensorSpec:
+        """Speeds from 0 on."""
+        action_spec["action"] = bounded_spec(FORWARD, len(action_spec["action"].space.low), action_spec.device)
+        return action_spec
 
 
 @contextmanager

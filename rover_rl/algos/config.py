@@ -51,8 +51,15 @@ class TrainingConfig:
     """Steps after which an episode of training is cut short and a new one starts elsewhere."""
     observation: tuple[str, ...] = ("lidar", "imu", "target", "velocities")
     """What the policy reads. With "pose" it may learn its way about one map, which is of no use on another."""
+    north_up: bool = False
+    """Let the policy also see lidar and target as on a map, turned by the IMU's yaw. It can recognise the places of one
+    map by it without knowing its pose. Needs mirror off."""
     hidden: tuple[int, ...] = (128, 128)
     """Units in each hidden layer, of the actor and of the critic."""
+    reverse: bool = False
+    """Let the policy drive backwards. One that may tends to go to and fro before walls."""
+    spread: float = 0.6
+    """Largest standard deviation of an action, before it is squashed to its bounds."""
     gamma: float = 0.96
     """Discount for each decision."""
     learning_rate: float = 1e-3
@@ -76,7 +83,7 @@ class TrainingConfig:
             ValueError: naming the setting.
         """
         self._require_counts("total_steps", "num_envs", "workers", "repeat", "episode_steps")
-        self._require_positive("learning_rate", "reward_scale", "max_grad_norm", "checkpoint_minutes")
+        self._require_positive("learning_rate", "reward_scale", "max_grad_norm", "checkpoint_minutes", "spread")
         self._require_share("gamma")
         for name in ("snapshots", "path_reward"):
             if getattr(self, name) < 0:
@@ -90,6 +97,10 @@ class TrainingConfig:
         unknown = [key for key in self.observation if key not in OBSERVATION_KEYS]
         if unknown or not self.observation or len(set(self.observation)) < len(self.observation):
             raise ValueError(f"observation must be some of {OBSERVATION_KEYS}, each once, got {self.observation}")
+        if self.north_up and not {"lidar", "imu", "target"} <= set(self.observation):
+            raise ValueError(f"north_up needs lidar, imu and target in observation, got {self.observation}")
+        if self.mirror and (self.north_up or "pose" in self.observation):
+            raise ValueError("mirror cannot be had with north_up or pose in observation: a map is not its mirror image")
 
     def _require_counts(self, *names: str) -> None:
         for name in names:
@@ -126,8 +137,8 @@ class PPOConfig(TrainingConfig):
     entropy: float = 0.003
     """Weight of the bonus for acting at random."""
     imitation: float = 0.0
-    """Share of the training, at its start, in which the policy learns to act as the scripted driver would where it has
-    come to, and the critic what that is worth; 0 learns from the reward alone."""
+    """Share of the training, at its start, in which the policy learns to act as a guide with map and pose would where
+    it has come to, and the critic what that is worth; 0 learns from the reward alone."""
 
     def check(self) -> None:
         """Refuses settings that are out of range: see :meth:`TrainingConfig.check`."""

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import torch
 from tensordict import TensorDictBase
-from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
-from rover_rl.algos.episodes import distance_fields
+from rover_rl.algos.guide import Guide
 from rover_rl.envs import RoverEnv
-from rover_rl.sims.worlds import free_space
-
-ANCHORS = 0.5
-"""Metres between the places that stand for the goals around them."""
 
 
 class PathReward(Transform):
@@ -25,8 +19,8 @@ class PathReward(Transform):
     the world's map, which the policy does not need to.
 
     It comes after :class:`~rover_rl.algos.action_repeat.ActionRepeat`. Decisions in which a goal is reached get
-    nothing. Added is ``path_length``, the way that is left, float32 ``[N, 1]``, m: that to the nearest of places 0.5 m
-    apart that stand for the goals around them.
+    nothing. Added is ``path_length``, the way that is left, float32 ``[N, 1]``, m: see
+    :meth:`~rover_rl.algos.guide.Guide.path_length`.
 
     Args:
         env: whose rovers drive, all in one world.
@@ -41,31 +35,17 @@ class PathReward(Transform):
         world = env.worlds[0]
         if any(other is not world for other in env.worlds):
             raise ValueError("path_reward needs all rovers in one world")
-        space = free_space(world, env.robot)
-        blocks = torch.unique((space.goal_cells / ANCHORS).round(), dim=0) * ANCHORS
-        self._anchors = space.goal_cells[torch.cdist(blocks, space.goal_cells).argmin(-1)].float()
-        self._fields = distance_fields(world, env.robot, self._anchors)
-        self._origin, self._cell = torch.tensor(space.origin), space.cell
+        self._guide = Guide(world, env.robot)
         self._weight = weight
 
-    def _path_length(self, observation: TensorDictBase) -> Tensor:
-        position = observation["pose"][:, :2]
-        distance, angle = observation["target"].split(1, -1)
-        bearing = angle + observation["imu"][:, 2:]
-        goal = position + distance * torch.cat((bearing.cos(), bearing.sin()), -1)
-        anchor = torch.cdist(goal, self._anchors).argmin(-1)
-        rows, columns = self._fields.shape[1:]
-        column, row = ((position - self._origin) / self._cell).round().long().unbind(-1)
-        return self._fields[anchor, row.clamp(0, rows - 1), column.clamp(0, columns - 1)][:, None]
-
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        now = self._path_length(next_tensordict)
+        now = self._guide.path_length(next_tensordict)
         gained = (tensordict["path_length"] - now).masked_fill(next_tensordict["outcome", "goals"] > 0, 0.0)
         next_tensordict.set("reward", next_tensordict["reward"] + self._weight * gained)
         return next_tensordict.set("path_length", now)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return tensordict_reset.set("path_length", self._path_length(tensordict_reset))
+        return tensordict_reset.set("path_length", self._guide.path_length(tensordict_reset))
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Adds ``path_length``."""

@@ -8,19 +8,24 @@ from contextlib import contextmanager
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import NormalParamExtractor, TensorDictModule
+from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.data import Bounded
 from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 
-from rover_rl.envs.specs import ACTION, bounded_spec
+from rover_rl.envs.specs import ACTION, Bounds, bounded_spec
 
-ACTION_SPEC = bounded_spec(ACTION, 1, None)[0]
-"""Of one rover, ``[2]``."""
+FORWARD = Bounds(low=(0.0, ACTION.low[1]), high=ACTION.high)
+"""Actions that do not drive backwards."""
 DEFAULT_KEYS = ("lidar", "imu", "target", "velocities")
 """What networks read. The pose is left out: a policy that knows where it is learns the map, not to drive."""
 WAVELENGTHS = (64.0, 16.0, 4.0)
 """Lengths in metres over which the features of a position repeat: the largest world is 64 m wide."""
+
+
+def action_spec(reverse: bool = False) -> Bounded:
+    """Actions of one rover, ``[2]``: the contract's, or those of them that do not drive backwards."""
+    return bounded_spec(ACTION if reverse else FORWARD, 1, None)[0]
 
 
 class ObservationEncoder(nn.Module):
@@ -34,9 +39,14 @@ class ObservationEncoder(nn.Module):
     Args:
         keys: entries of the observation to read, some of ``lidar``, ``imu``, ``target``, ``velocities``, ``pose``.
         lidar_points: readings in ``lidar``.
+        north_up: whether lidar and target are also seen as on a map: turned by the yaw, so that they stay as they are
+            when the rover turns on the spot. Needs ``lidar``, ``imu`` and ``target``.
 
     Attributes:
         features: how many numbers the encoding has.
+
+    Raises:
+        ValueError: for ``north_up`` without what it needs.
 
     Example:
         >>> encoder = ObservationEncoder(("lidar", "target"))
@@ -44,25 +54,42 @@ class ObservationEncoder(nn.Module):
         torch.Size([1, 37])
     """
 
-    def __init__(self, keys: Sequence[str] = DEFAULT_KEYS, lidar_points: int = 32) -> None:
+    def __init__(self, keys: Sequence[str] = DEFAULT_KEYS, lidar_points: int = 32, north_up: bool = False) -> None:
         super().__init__()
         self.keys = tuple(keys)
-        sizes = {"lidar": lidar_points, "imu": 4 if "pose" in keys else 2, "target": 5, "velocities": 2}
+        if north_up and not {"lidar", "imu", "target"} <= set(keys):
+            raise ValueError(f"north_up needs lidar, imu and target, got {self.keys}")
+        self._north_up, self._sees_yaw = north_up, north_up or "pose" in keys
+        sizes = {"lidar": lidar_points, "imu": 4 if self._sees_yaw else 2, "target": 5, "velocities": 2}
         sizes["pose"] = 4 * len(WAVELENGTHS) + 1
-        self.features = sum(sizes[key] for key in self.keys)
+        self.features = sum(sizes[key] for key in self.keys) + (lidar_points + 4 if north_up else 0)
 
     def forward(self, *observation: Tensor) -> Tensor:
         """Features ``[..., features]`` from the entries that ``keys`` names, in its order (m, rad, m/s, rad/s)."""
-        parts = [getattr(self, f"_{key}")(value) for key, value in zip(self.keys, observation, strict=True)]
+        entries = dict(zip(self.keys, observation, strict=True))
+        parts = [getattr(self, f"_{key}")(value) for key, value in entries.items()]
+        if self._north_up:
+            parts.append(self._as_on_a_map(entries["lidar"], entries["imu"][..., 2:], entries["target"]))
         return torch.cat(parts, -1)
+
+    def _as_on_a_map(self, ranges: Tensor, yaw: Tensor, target: Tensor) -> Tensor:
+        points = ranges.shape[-1]
+        turned = (torch.arange(points, device=yaw.device) - yaw * (points / (2 * math.pi))) % points
+        before = turned.floor()
+        index = before.long() % points
+        near, far = ranges.gather(-1, index), ranges.gather(-1, (index + 1) % points)
+        ranges = torch.lerp(near, far, turned - before)
+        distance, angle = target.split(1, -1)
+        direction = torch.cat(((angle + yaw).sin(), (angle + yaw).cos()), -1)
+        return torch.cat((self._lidar(ranges), direction, direction * distance / 4), -1)
 
     def _lidar(self, ranges: Tensor) -> Tensor:
         return ranges.log1p() / 1.3 - 1
 
     def _imu(self, angles: Tensor) -> Tensor:
-        """Pitch and roll; the yaw says something only to a policy that knows where it is."""
+        """Pitch and roll; the yaw says something only to a policy that knows the map."""
         tilt, yaw = angles[..., :2] * 3, angles[..., 2:]
-        return torch.cat((tilt, yaw.sin(), yaw.cos()), -1) if "pose" in self.keys else tilt
+        return torch.cat((tilt, yaw.sin(), yaw.cos()), -1) if self._sees_yaw else tilt
 
     def _target(self, target: Tensor) -> Tensor:
         distance, angle = target.split(1, -1)
@@ -99,18 +126,18 @@ class EncodedNetwork(nn.Module):
 
 
 def make_actor(
-    keys: Sequence[str] = DEFAULT_KEYS,
-    lidar_points: int = 32,
+    encoder: ObservationEncoder | None = None,
     hidden: Sequence[int] = (128, 128),
-    action_spec: Bounded = ACTION_SPEC,
+    reverse: bool = False,
+    spread: float = 0.6,
 ) -> ProbabilisticActor:
     """A stochastic policy, the same for PPO and SAC: a normal distribution squashed to the action's bounds.
 
     Args:
-        keys: entries of the observation that it reads.
-        lidar_points: readings in ``lidar``.
+        encoder: of the observation; ``None``: one of the default entries.
         hidden: units of each hidden layer.
-        action_spec: of one rover, ``[2]``.
+        reverse: whether it may drive backwards.
+        spread: largest standard deviation of the normal distribution.
 
     Returns:
         A module from observation to ``action [..., 2]`` and ``action_log_prob [...]``. It takes the middle of
@@ -122,58 +149,77 @@ def make_actor(
         >>> actor(env.reset())["action"].shape
         torch.Size([2, 2])
     """
-    encoder = ObservationEncoder(keys, lidar_points)
+    encoder, spec = encoder or ObservationEncoder(), action_spec(reverse)
     # Small last weights: the first actions lie around the middle of their bounds, whatever is seen.
-    body = _mlp(encoder.features, hidden, 2 * action_spec.shape[-1], gain=0.01)
-    network = EncodedNetwork(encoder, nn.Sequential(body, NormalParamExtractor(scale_mapping="biased_softplus_1.0")))
+    body = _mlp(encoder.features, hidden, 2 * spec.shape[-1], gain=0.01)
+    network = EncodedNetwork(encoder, nn.Sequential(body, NormalParameters(spread)))
     return ProbabilisticActor(
-        TensorDictModule(network, in_keys=list(keys), out_keys=["loc", "scale"]),
+        TensorDictModule(network, in_keys=list(encoder.keys), out_keys=["loc", "scale"]),
         in_keys=["loc", "scale"],
-        spec=action_spec,
+        spec=spec,
         distribution_class=TanhNormal,
-        distribution_kwargs={"low": action_spec.space.low, "high": action_spec.space.high},
+        distribution_kwargs={"low": spec.space.low, "high": spec.space.high},
         return_log_prob=True,
     )
 
 
-def make_critic(
-    keys: Sequence[str] = DEFAULT_KEYS, lidar_points: int = 32, hidden: Sequence[int] = (128, 128)
-) -> ValueOperator:
+class NormalParameters(nn.Module):
+    """Splits its input into a normal distribution's mean, and its standard deviation between ``LEAST`` and ``most``.
+
+    With no bound above, the standard deviation grows where the mean matters little, as before a wall, and the policy
+    comes to rely on chance to get away from there: without exploration it stays.
+
+    Args:
+        most: largest standard deviation.
+    """
+
+    LEAST = 0.02
+
+    def __init__(self, most: float) -> None:
+        super().__init__()
+        self.most = most
+
+    def forward(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and standard deviation ``[..., n]`` from ``[..., 2 n]``."""
+        loc, scale = parameters.chunk(2, -1)
+        return loc, self.LEAST + (self.most - self.LEAST) * scale.sigmoid()
+
+
+def make_critic(encoder: ObservationEncoder | None = None, hidden: Sequence[int] = (128, 128)) -> ValueOperator:
     """A state-value function: from observation to ``state_value [..., 1]``. Arguments as :func:`make_actor`."""
-    encoder = ObservationEncoder(keys, lidar_points)
-    return ValueOperator(EncodedNetwork(encoder, _mlp(encoder.features, hidden, 1, gain=1.0)), in_keys=list(keys))
+    encoder = encoder or ObservationEncoder()
+    return ValueOperator(EncodedNetwork(encoder, _mlp(encoder.features, hidden, 1, gain=1.0)), in_keys=[*encoder.keys])
 
 
 def make_action_critic(
-    keys: Sequence[str] = DEFAULT_KEYS,
-    lidar_points: int = 32,
-    hidden: Sequence[int] = (128, 128),
-    action_spec: Bounded = ACTION_SPEC,
+    encoder: ObservationEncoder | None = None, hidden: Sequence[int] = (128, 128), reverse: bool = False
 ) -> ValueOperator:
     """An action-value function: from observation and action to ``state_action_value [..., 1]``.
 
     Arguments as :func:`make_actor`.
     """
-    encoder = ObservationEncoder(keys, lidar_points)
+    encoder, spec = encoder or ObservationEncoder(), action_spec(reverse)
     body = nn.Sequential(
-        _ScaleAction(encoder.features, action_spec),
-        _mlp(encoder.features + action_spec.shape[-1], hidden, 1, gain=1.0),
+        _ScaleAction(encoder.features, spec),
+        _mlp(encoder.features + spec.shape[-1], hidden, 1, gain=1.0),
     )
-    return ValueOperator(EncodedNetwork(encoder, body), in_keys=[*keys, "action"])
+    return ValueOperator(EncodedNetwork(encoder, body), in_keys=[*encoder.keys, "action"])
 
 
 class _ScaleAction(nn.Module):
     """Scales the action, the last entries of its input, to [-1, 1]."""
 
+    _middle: Tensor
     _scale: Tensor
 
-    def __init__(self, features: int, action_spec: Bounded) -> None:
+    def __init__(self, features: int, spec: Bounded) -> None:
         super().__init__()
-        scale = torch.cat((torch.ones(features), 1 / action_spec.space.high))
-        self.register_buffer("_scale", scale, persistent=False)
+        middle, half = (spec.space.high + spec.space.low) / 2, (spec.space.high - spec.space.low) / 2
+        self.register_buffer("_middle", torch.cat((torch.zeros(features), middle)), persistent=False)
+        self.register_buffer("_scale", torch.cat((torch.ones(features), 1 / half)), persistent=False)
 
     def forward(self, encoded: Tensor) -> Tensor:
-        return encoded * self._scale
+        return (encoded - self._middle) * self._scale
 
 
 def _mlp(features: int, hidden: Sequence[int], outputs: int, gain: float) -> MLP:

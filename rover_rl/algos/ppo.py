@@ -24,12 +24,14 @@ from torch import Tensor
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from rover_rl.algos.baselines import steer
 from rover_rl.algos.collecting import LIDAR_POINTS
 from rover_rl.algos.config import PPOConfig
-from rover_rl.algos.policy import make_actor, make_critic, mirrored, single_threaded
+from rover_rl.algos.guide import Guide
+from rover_rl.algos.policy import ObservationEncoder, action_spec, make_actor, make_critic, mirrored, single_threaded
 from rover_rl.algos.progress import Stopwatch
 from rover_rl.algos.training import TrainingRun, TrainingSummary, prepare, set_learning_rate
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.worlds import get_world
 
 __all__ = ["PPOConfig", "PPOLearner", "train_ppo"]
 
@@ -62,8 +64,9 @@ class PPOLearner:
 
     def __init__(self, config: PPOConfig) -> None:
         self.config = config
-        self.actor = make_actor(config.observation, LIDAR_POINTS, config.hidden)
-        self.critic = make_critic(config.observation, LIDAR_POINTS, config.hidden)
+        encoder = ObservationEncoder(config.observation, LIDAR_POINTS, config.north_up)
+        self.actor = make_actor(encoder, config.hidden, config.reverse, config.spread)
+        self.critic = make_critic(encoder, config.hidden)
         self._advantage = GAE(gamma=config.gamma, lmbda=config.lmbda, value_network=self.critic, average_gae=True)
         self._loss = ClipPPOLoss(
             self.actor,
@@ -74,6 +77,9 @@ class PPOLearner:
             loss_critic_type="l2",
         )
         self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=config.learning_rate)
+        bounds = action_spec(config.reverse).space
+        self._bounds = bounds.low, bounds.high
+        self._guide = Guide(get_world(config.world), get_robot("rover_zero")) if config.imitation else None
         self._learned_from = (*config.observation, "action", "action_log_prob", "advantage", "value_target")
 
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
@@ -90,9 +96,9 @@ class PPOLearner:
             self._advantage(batch)
         decisions = batch.select(*self._learned_from).reshape(-1)
         gradient_step = self._gradient_step
-        if share < self.config.imitation:
-            # DAgger: the policy drives, and the script says what it would have done there (Ross et al., 2011).
-            decisions["action"] = steer(batch["lidar"].flatten(0, 1), batch["target"].flatten(0, 1))
+        if self._guide and share < self.config.imitation:
+            # DAgger: the policy drives, and the guide says what it would have done there (Ross et al., 2011).
+            decisions["action"] = self._within_reach(self._guide.action(batch.flatten(0, 1)))
             gradient_step = self._imitation_step
         steps = []
         for _ in range(self.config.epochs):
@@ -112,11 +118,15 @@ class PPOLearner:
     def _imitation_step(self, decisions: TensorDictBase) -> Tensor:
         """Makes the ``action`` of each decision likelier; ``loss_objective`` is its negative log-likelihood."""
         losses = self._loss(decisions)
-        # Within the bounds, where a squashed normal distribution can reach.
-        action = decisions["action"] * 0.95
-        losses["loss_objective"] = -self.actor.get_dist(decisions).log_prob(action).mean()
+        losses["loss_objective"] = -self.actor.get_dist(decisions).log_prob(decisions["action"]).mean()
         self._descend(losses["loss_objective"] + losses["loss_critic"])
         return torch.stack([losses[key].detach() for key in LOGGED])
+
+    def _within_reach(self, action: Tensor) -> Tensor:
+        """Actions drawn in from the policy's bounds, which a squashed normal distribution does not reach."""
+        low, high = self._bounds
+        middle, half = (high + low) / 2, (high - low) / 2
+        return middle + 0.95 * torch.minimum(torch.maximum(action - middle, -half), half)
 
     def _descend(self, loss: Tensor) -> None:
         self._optimizer.zero_grad()

@@ -14,7 +14,7 @@ from torchrl.modules import ProbabilisticActor
 
 from rover_rl.algos.config import TrainingConfig, config_from, plain
 from rover_rl.algos.files import written_whole
-from rover_rl.algos.policy import make_actor
+from rover_rl.algos.policy import ObservationEncoder, make_actor
 
 _CHECKPOINT = "rover_rl checkpoint, version 2"
 _STATE = "rover_rl training state, version 1"
@@ -68,11 +68,13 @@ class Checkpoint:
         Raises:
             ValueError: if weights and settings do not belong together.
         """
-        actor = make_actor(self.config.observation, self.lidar_points, self.config.hidden)
+        config = self.config
+        encoder = ObservationEncoder(config.observation, self.lidar_points, config.north_up)
+        actor = make_actor(encoder, config.hidden, config.reverse, config.spread)
         try:
             actor.load_state_dict(self.actor)
         except RuntimeError as error:
-            raise ValueError(f"the checkpoint's weights do not fit hidden={self.config.hidden}") from error
+            raise ValueError(f"the checkpoint's weights do not fit hidden={config.hidden}") from error
         return actor
 
 

@@ -25,7 +25,14 @@ from torchrl.objectives import SACLoss, SoftUpdate
 
 from rover_rl.algos.collecting import LIDAR_POINTS
 from rover_rl.algos.config import SACConfig
-from rover_rl.algos.policy import ACTION_SPEC, make_action_critic, make_actor, mirrored, single_threaded
+from rover_rl.algos.policy import (
+    ObservationEncoder,
+    action_spec,
+    make_action_critic,
+    make_actor,
+    mirrored,
+    single_threaded,
+)
 from rover_rl.algos.progress import Stopwatch
 from rover_rl.algos.training import TrainingRun, TrainingSummary, prepare, set_learning_rate
 
@@ -61,21 +68,18 @@ class SACLearner:
 
     def __init__(self, config: SACConfig) -> None:
         self.config = config
-        networks: dict[str, Any] = {
-            "keys": config.observation,
-            "lidar_points": LIDAR_POINTS,
-            "hidden": config.hidden,
-        }
-        self.actor = make_actor(**networks)
+        encoder = ObservationEncoder(config.observation, LIDAR_POINTS, config.north_up)
+        spec = action_spec(config.reverse)
+        self.actor = make_actor(encoder, config.hidden, config.reverse, config.spread)
         self._loss = SACLoss(
             self.actor,
-            make_action_critic(**networks),
+            make_action_critic(encoder, config.hidden, config.reverse),
             num_qvalue_nets=2,
             loss_function="l2",
-            action_spec=ACTION_SPEC,
+            action_spec=spec,
             alpha_init=config.alpha,
             # TorchRL's entropy is that of actions in their own units, whose range is wider by this factor.
-            target_entropy=config.target_entropy + math.log(float(ACTION_SPEC.space.high.prod())),
+            target_entropy=config.target_entropy + math.log(float((spec.space.high - spec.space.low).prod() / 4)),
         )
         self._loss.make_value_estimator(gamma=config.gamma)
         self._slow_copies = SoftUpdate(self._loss, tau=config.tau)

@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from rover_rl.algos.config import PPOConfig, default_workers
 from rover_rl.cli.train import INTERRUPTED, told
 
+FILMED = 12.0
+"""Seconds of the film."""
+
 
 @dataclass(frozen=True)
 class Demo:
-    """Train PPO for some minutes, then drive fixed starts and goals beside a policy that acts at random."""
+    """Train PPO for some minutes, drive fixed starts and goals beside others, and film the policy of the package."""
 
     world: str = "moon"
     """World to train and drive in: inspect, moon or maze."""
@@ -26,11 +29,13 @@ class Demo:
     """Folder that the run is written into."""
 
     def __call__(self) -> int:
-        """Trains, evaluates, draws, and says where the pictures are."""
+        """Trains, evaluates, draws, films, and says where the pictures are."""
         from rover_rl.algos.episodes import draw_episodes
         from rover_rl.algos.evaluate import evaluate
+        from rover_rl.algos.film import film
         from rover_rl.algos.plots import draw_learning_curve, draw_paths
         from rover_rl.algos.ppo import train_ppo
+        from rover_rl.algos.pretrained import load_pretrained
         from rover_rl.algos.report import print_table, write_evaluation
         from rover_rl.algos.runs import Checkpoint
 
@@ -51,10 +56,20 @@ class Demo:
             return INTERRUPTED
         folder = summary.folder
         trained = evaluate(Checkpoint.load(folder).make_actor(), episodes, name="trained")
+        name = f"{self.world.split(':')[0]}-ppo"
+        expert = load_pretrained(name).make_actor()
+        pretrained = evaluate(expert, episodes, name=f"pretrained:{name}")
         random = evaluate(None, episodes)
-        print_table([trained, random])
-        write_evaluation(folder / "evaluation.json", [trained, random])
-        draw_learning_curve([folder], folder / "learning_curve.png", random)
-        draw_paths([trained, random], folder / "paths.png")
-        print(f"Learning curve: {folder / 'learning_curve.png'}\nPaths driven: {folder / 'paths.png'}")
+        print_table([trained, pretrained, random])
+        write_evaluation(folder / "evaluation.json", [trained, pretrained, random])
+        pictures = {
+            "Learning curve": folder / "learning_curve.png",
+            "Paths driven": folder / "paths.png",
+            f"Film of pretrained:{name}": folder / f"{name}.gif",
+        }
+        curve, paths, moving = pictures.values()
+        draw_learning_curve([folder], curve, random)
+        draw_paths([trained, pretrained, random], paths)
+        film(expert, moving, world=self.world, seconds=FILMED)
+        print("\n".join(f"{what}: {path}" for what, path in pictures.items()))
         return 0

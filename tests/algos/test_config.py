@@ -112,3 +112,21 @@ def test_settings_out_of_range_are_refused_by_name(config: TrainingConfig, field
 def test_default_workers_share_the_rovers_equally() -> None:
     assert default_workers(1) == 1
     assert 64 % default_workers(64) == 0
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        (PPOConfig(north_up=True), "mirror cannot be had with north_up"),
+        (SACConfig(observation=("target", "pose")), "mirror cannot be had with north_up or pose"),
+        (
+            PPOConfig(north_up=True, mirror=False, observation=("lidar", "target")),
+            "north_up needs lidar, imu and target",
+        ),
+        (PPOConfig(spread=0.0), "spread must be positive"),
+    ],
+)
+def test_what_a_policy_sees_must_go_together(config: TrainingConfig, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        config.check()
+    PPOConfig(north_up=True, mirror=False).check()

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rover_rl import World
-from rover_rl.algos.episodes import STORED, EpisodeSet, draw_episodes, shortest_paths, stored_episodes, write_episodes
+from rover_rl.algos.episodes import STORED, EpisodeSet, draw_episodes, stored_episodes, write_episodes
+from rover_rl.algos.routes import shortest_paths
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import WORLDS, Terrain, box, get_world
 

@@ -90,7 +90,7 @@ def test_what_is_recorded(driven: Evaluation) -> None:
 @pytest.mark.parametrize("kind", ["rule", "network", "random"])
 def test_an_episode_depends_neither_on_the_rows_nor_on_its_place(kind: str, rows: int) -> None:
     torch.manual_seed(0)
-    network = make_actor(lidar_points=32)
+    network = make_actor()
     policies: dict[str, Policy | None] = {"rule": straight, "network": network, "random": None}
     policy = policies[kind]
     together = evaluate(policy, MANY, seconds=1.5, rows=9)
@@ -236,7 +236,7 @@ def test_the_table_has_a_row_a_policy_and_one_for_all_seeds(driven: Evaluation) 
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
     config = PPOConfig(world="maze", hidden=(8,))
-    actor = make_actor(lidar_points=32, hidden=config.hidden)
+    actor = make_actor(hidden=config.hidden)
     checkpoint = Checkpoint(config=config, lidar_points=32, steps=0, actor=actor.state_dict())
     for seed in (1, 2):
         checkpoint.save(tmp_path / f"run-{seed}" / "checkpoint.pt")

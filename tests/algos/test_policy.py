@@ -52,20 +52,61 @@ def test_the_encoding_of_a_pose_tells_places_and_headings_apart() -> None:
 @pytest.mark.parametrize("keys", [("target",), ("lidar", "target"), ("pose", "imu", "target", "lidar", "velocities")])
 @pytest.mark.parametrize("shape", [(), (3,), (3, 5)])
 def test_networks_take_any_batch_and_any_keys(shape: tuple[int, ...], keys: tuple[str, ...]) -> None:
-    td = make_actor(keys)(observations(*shape).select(*keys))
-    td = make_action_critic(keys)(make_critic(keys)(td))
+    encoder = ObservationEncoder(keys)
+    td = make_actor(encoder)(observations(*shape).select(*keys))
+    td = make_action_critic(encoder)(make_critic(encoder)(td))
     assert td["action"].shape == (*shape, 2)
     assert td["action_log_prob"].shape == shape
     assert td["state_value"].shape == td["state_action_value"].shape == (*shape, 1)
 
 
-def test_actions_lie_within_their_bounds_and_reach_far() -> None:
+@pytest.mark.parametrize("reverse", [True, False])
+def test_actions_lie_within_their_bounds_and_reach_far(reverse: bool) -> None:
     torch.manual_seed(0)
     with set_exploration_type(ExplorationType.RANDOM):
-        action = make_actor()(observations(4000))["action"]
-    assert ((action >= LOW) & (action <= HIGH)).all()
-    assert (action.amin(0) < 0.9 * LOW).all()
+        action = make_actor(reverse=reverse, spread=2.0)(observations(4000))["action"]
+    low = LOW if reverse else LOW * torch.tensor([0.0, 1.0])
+    assert ((action >= low) & (action <= HIGH)).all()
+    assert (action.amin(0) < low + 0.1).all()
     assert (action.amax(0) > 0.9 * HIGH).all()
+
+
+def test_the_spread_of_actions_stays_below_its_bound() -> None:
+    actor, td = make_actor(spread=0.3), observations(50)
+    with torch.no_grad():
+        for weight in actor.parameters():
+            weight.mul_(100.0)
+    scale = actor(td)["scale"].detach()
+    assert scale.max().item() == pytest.approx(0.3)
+    assert 0 < scale.min() < 0.1
+
+
+def test_reverse_is_what_the_critic_scales_by() -> None:
+    torch.manual_seed(0)
+    back, forward = make_action_critic(reverse=True), make_action_critic()
+    forward.load_state_dict(back.state_dict())
+    td = observations(5).set("action", torch.full((5, 2), 0.0))
+    slow = td.clone().set("action", torch.tensor([[-1.0, 0.0]] * 5))
+    torch.testing.assert_close(forward(td)["state_action_value"], back(slow)["state_action_value"])
+
+
+def test_seen_as_on_a_map_a_turn_on_the_spot_changes_nothing() -> None:
+    encoder = ObservationEncoder(("lidar", "imu", "target"), lidar_points=8, north_up=True)
+    ranges = torch.arange(1.0, 9.0)[None]
+    for segments in range(-4, 5):
+        yaw = segments * math.pi / 4
+        seen = ranges.roll(-segments, -1), torch.tensor([[0.0, 0.0, yaw]]), torch.tensor([[3.0, 0.5 - yaw]])
+        features = encoder(*seen)
+        assert features.shape == (1, encoder.features)
+        expected = ranges.log1p() / 1.3 - 1
+        torch.testing.assert_close(features[:, -12:-4], expected, atol=1e-5, rtol=0)
+        direction = torch.tensor([[math.sin(0.5), math.cos(0.5)]])
+        torch.testing.assert_close(features[:, -4:], torch.cat((direction, direction * 3 / 4), -1), atol=1e-5, rtol=0)
+
+
+def test_a_map_needs_what_lies_on_it() -> None:
+    with pytest.raises(ValueError, match="north_up needs lidar, imu and target"):
+        ObservationEncoder(("lidar", "target"), north_up=True)
 
 
 def test_without_exploration_the_action_is_the_middle_of_the_distribution() -> None:
@@ -73,7 +114,8 @@ def test_without_exploration_the_action_is_the_middle_of_the_distribution() -> N
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         first, second = actor(td.clone())["action"], actor(td.clone())["action"]
     assert torch.equal(first, second)
-    torch.testing.assert_close(first, actor(td.clone())["loc"].tanh() * HIGH)
+    middle = torch.tensor([0.5, 0.0])
+    torch.testing.assert_close(first, middle + actor(td.clone())["loc"].tanh() * (HIGH - middle))
 
 
 def test_pose_and_yaw_are_not_seen() -> None:

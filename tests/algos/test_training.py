@@ -165,7 +165,7 @@ def test_two_workers_share_the_rovers(tmp_path: Path) -> None:
     assert table(summary.folder)["steps"][-1] == 512
 
 
-def test_imitation_makes_the_scripts_actions_likelier(tmp_path: Path) -> None:
+def test_imitation_makes_the_guides_actions_likelier(tmp_path: Path) -> None:
     folder = train(
         replace(
             PPO,
@@ -181,7 +181,7 @@ def test_imitation_makes_the_scripts_actions_likelier(tmp_path: Path) -> None:
     surprise = table(folder)["loss_objective"]
     assert sum(surprise[-4:]) < sum(surprise[:4]) - 1
     actor = Checkpoint.load(folder).make_actor()
-    # The goal lies to the left, with nothing in the way: the script turns left and drives.
+    # The goal lies to the left, with nothing in the way: the guide turns left and drives.
     lidar, imu = torch.full((1, 32), 12.0), torch.zeros(1, 3)
     target, velocities = torch.tensor([[5.0, 0.8]]), torch.zeros(1, 2)
     with set_exploration_type(ExplorationType.DETERMINISTIC):

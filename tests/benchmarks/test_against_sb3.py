@@ -87,7 +87,7 @@ def test_rewards_and_actions_are_scaled_and_an_action_is_held():
     _, rewards, _, _ = rows.step(np.full((2, 2), 0.5, np.float32))
     now, total = plain.reset(), torch.zeros(2, 1)
     for _ in range(config.repeat):
-        now = plain.step(now.set("action", torch.tensor([[0.5, 0.5 * np.pi]] * 2)))["next"]
+        now = plain.step(now.set("action", torch.tensor([[0.75, 0.5 * np.pi]] * 2)))["next"]
         total += now["reward"]
     np.testing.assert_allclose(rewards, config.reward_scale * total.squeeze(-1).numpy(), rtol=1e-5)
     rows.close()
@@ -122,13 +122,16 @@ def test_sb3_takes_gradient_steps_and_is_stopped_by_the_clock():
     assert any((a != b).any() for a, b in zip(before, model.actor.parameters(), strict=True))
 
 
-def test_a_policy_of_sb3_drives_without_exploration(models):
+@pytest.mark.parametrize(("reverse", "slowest"), [(True, -1.0), (False, 0.0)])
+def test_a_policy_of_sb3_drives_without_exploration(models, reverse, slowest):
     for model in models.values():
-        policy = against_sb3.tensordict_policy(model.policy)
+        policy = against_sb3.tensordict_policy(model.policy, reverse)
         observation = {key: torch.as_tensor(value) for key, value in models["ppo"].env.reset().items()}
         now = TensorDict(observation, batch_size=[2])
         scaled, _ = model.predict({key: value.numpy() for key, value in observation.items()}, deterministic=True)
-        torch.testing.assert_close(policy(now)["action"], torch.from_numpy(scaled * np.array([1.0, np.pi], np.float32)))
+        low, high = np.array([slowest, -np.pi], np.float32), np.array([1.0, np.pi], np.float32)
+        expected = torch.from_numpy(low + (scaled + 1) / 2 * (high - low))
+        torch.testing.assert_close(policy(now)["action"], expected)
         assert torch.equal(policy(now)["action"], policy(now)["action"])
 
 
