@@ -84,6 +84,14 @@ def test_settings_come_from_a_file_and_options_go_first(capsys: pytest.CaptureFi
     assert "does not know: ['sped']" in failed(capsys, "train", "--config", written(tmp_path, "algo: ppo\nsped: 3"))
 
 
+def test_settings_can_be_those_of_a_pretrained_policy(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    given = ["--config", "pretrained:maze-ppo", "--runs", str(tmp_path), *SIZE, "--max-minutes", "1e-6"]
+    assert main(["train", *given]) == 0
+    assert (read_config(tmp_path / "ppo-maze" / "config.yaml").world) == "maze"
+    capsys.readouterr()
+    assert "no pretrained policy 'mars-ppo'" in failed(capsys, "train", "--config", "pretrained:mars-ppo")
+
+
 def written(folder: Path, text: str) -> Path:
     path = folder / "given.yaml"
     path.write_text(text)

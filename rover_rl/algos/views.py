@@ -23,6 +23,7 @@ from torch import Tensor
 from rover_rl.algos.plots import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, draw_pale_map
 from rover_rl.envs import RoverEnv
 from rover_rl.sims.base import RoverState
+from rover_rl.sims.camera import Camera
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.worlds import World
@@ -116,9 +117,7 @@ class ChaseView:
         self._beams = LineCollection([], colors=_BEAM, linewidths=0.7)
         ax.add_collection(self._beams)
         self._hits = ax.scatter([], [], s=5, color=_BEAM, edgecolor="black", linewidth=0.3)
-        self._ghost = PolyCollection([], facecolors=to_rgba(ORANGE, 0.5), edgecolors="white")
-        ax.add_collection(self._ghost)
-        self._stage.artists += [self._image, self._beams, self._hits, self._ghost]
+        self._stage.artists += [self._image, self._beams, self._hits]
 
     def picture(self, moment: Moment) -> np.ndarray:
         """uint8 ``[height, width, 3]``."""
@@ -126,7 +125,7 @@ class ChaseView:
         scene = self._env.render(0, "chase", *self._size)
         scene[(scene == 255).all(-1)] = _SKY
         self._image.set_data(scene.numpy())
-        self._draw_over(rover, Camera(rover, self._env.worlds[0], *self._size))
+        self._draw_beams(rover)
         away = moment.goal[0] - rover.position[:2]
         bearing = math.atan2(away[1], away[0]) - quaternion_to_euler(rover.orientation)[2].item()
         arrow = _ARROWS[round(bearing / (math.pi / 4)) % 8]
@@ -139,19 +138,15 @@ class ChaseView:
         news, since = moment.news
         return self._stage.picture(caption, news if moment.seconds < since + _NEWS_SECONDS else "")
 
-    def _draw_over(self, rover: RoverState, camera: Camera) -> None:
-        """The beams, and the rover's outline where an obstacle hides it; faint is what of the beams is hidden."""
-        robot = self._env.robot
-        start, hits = lidar_hits(rover, robot, self._env.simulator.ray_angles)
-        pixels, seen = camera.see(_points(start, hits))
+    def _draw_beams(self, rover: RoverState) -> None:
+        """The beams of the lidar; faint is what obstacles hide of them."""
+        camera = Camera.on(rover.position, rover.orientation, self._env.worlds[0], "chase")
+        start, hits = lidar_hits(rover, self._env.robot, self._env.simulator.ray_angles)
+        pixels, seen = camera.see(_points(start, hits), *self._size)
         self._beams.set_segments(list(torch.stack((pixels[:, :-1], pixels[:, 1:]), 2).flatten(0, 1).numpy()))
         shown = (seen[:, :-1] & seen[:, 1:]).flatten().numpy()
         self._beams.set_color(list(np.where(shown[:, None], to_rgba(_BEAM, 0.5), to_rgba(_BEAM, 0.1))))
         self._hits.set_offsets(pixels[:, -1][seen[:, -1]].numpy())
-        # The hubs of the wheels, one after the other around the rover.
-        hubs = torch.tensor(robot.wheel_positions)[[0, 1, 3, 2]]
-        pixels, seen = camera.see(rover.position + _rotated(rover.orientation, hubs))
-        self._ghost.set_verts([] if seen.any() else [pixels.tolist()])
 
 
 _SKY = torch.tensor((214, 227, 240), dtype=torch.uint8)
@@ -184,55 +179,6 @@ def _rotated(quaternion: Tensor, vectors: Tensor) -> Tensor:
     axis, w = quaternion[:3].expand_as(vectors), quaternion[3]
     twice = 2 * torch.linalg.cross(axis, vectors)
     return vectors + w * twice + torch.linalg.cross(axis, twice)
-
-
-class Camera:
-    """Where the simulator's chase view is seen from, to draw over it: see :mod:`rover_rl.sims.bullet.render`.
-
-    Args:
-        rover: that it follows.
-        world: around it.
-        width, height: of the picture, pixels.
-    """
-
-    def __init__(self, rover: RoverState, world: World, width: int, height: int) -> None:
-        yaw = quaternion_to_euler(rover.orientation)[2].item()
-        ahead = torch.tensor((math.cos(yaw), math.sin(yaw), 0.0))
-        up = torch.tensor((0.0, 0.0, 1.0))
-        self._world = world
-        self._eye = rover.position - 2.2 * ahead + 1.3 * up
-        forward = rover.position + 0.8 * ahead + 0.15 * up - self._eye
-        forward = forward / forward.norm()
-        right = torch.tensor((math.sin(yaw), -math.cos(yaw), 0.0))
-        self._axes = torch.stack((right, torch.linalg.cross(forward, right), forward))
-        self._centre = torch.tensor((width / 2, height / 2))
-        self._focal = height / 2 / math.tan(math.radians(60 / 2))
-
-    def see(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Pixels ``[..., 2]`` (right, down) of ``points [..., 3]`` (m), and whether they are seen: bool ``[...]``.
-
-        Behind the camera pixels are nan. What an obstacle hides is not seen; the ground hides nothing here.
-        """
-        way = points - self._eye
-        beside, depth = (way @ self._axes.T).split((2, 1), -1)
-        depth = depth.masked_fill(depth < _NEAR, math.nan)
-        seen = depth.squeeze(-1) > 0
-        for obstacle in self._world.obstacles:
-            normals, offsets = obstacle.planes.to(way).split((3, 1), -1)
-            # Never -0: along a face the quotient below is to be inf inside of it, and -inf outside.
-            approach = way @ normals.T + 0.0
-            # Shares of the way at which it crosses each face, inwards or outwards.
-            crossing = -(normals @ self._eye + offsets.squeeze(-1)) / approach
-            enter = crossing.masked_fill(approach >= 0, -math.inf).amax(-1)
-            leave = crossing.masked_fill(approach < 0, math.inf).amin(-1)
-            seen &= ~((enter > 0) & (enter < leave.clamp(max=_REACHED)))
-        return self._centre + self._focal * beside / depth, seen
-
-
-_NEAR = 0.05
-"""What is nearer than this counts as behind the camera, m."""
-_REACHED = 0.98
-"""Share of the way to a point at which it is reached: it may itself lie on an obstacle."""
 
 
 class TopView:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from rover_rl.algos.config import CONFIGS, PPOConfig, SACConfig, TrainingConfig, read_config, run_config
+from rover_rl.cli.drivers import PRETRAINED
 
 if TYPE_CHECKING:
     from rover_rl.algos.training import TrainingSummary
@@ -31,7 +32,8 @@ class Train:
     algo: Literal["ppo", "sac"] = "ppo"
     """Learning algorithm. See its settings with --algo sac --help."""
     config_file: Annotated[Path | None, tyro.conf.arg(name="config")] = None
-    """Take the settings from this YAML file, such as a run's config.yaml; options given beside it go first."""
+    """Take the settings from this YAML file, such as a run's config.yaml, or those that a policy of the package was
+    trained with, as in pretrained:maze-ppo; options given beside it go first."""
     resume: Path | None = None
     """Go on with the run in this folder, with its settings; options given beside it go first."""
 
@@ -74,11 +76,24 @@ def train_defaults(args: Sequence[str]) -> Train:
     algo, file, resume = (getattr(named, name, None) for name in ("algo", "config", "resume"))
     if file is not None and resume is not None:
         raise ValueError("--config begins a new run, and --resume goes on with one: give one of them")
-    config = read_config(file) if file else run_config(resume) if resume else CONFIGS.get(algo or "ppo", PPOConfig)()
+    if file is not None:
+        config = _settings(file)
+    else:
+        config = run_config(resume) if resume else CONFIGS.get(algo or "ppo", PPOConfig)()
     if algo in CONFIGS and algo != config.algo:
         raise ValueError(f"the settings are those of {config.algo}, and --algo is {algo}")
     kind = TrainPPO if isinstance(config, PPOConfig) else TrainSAC
     return kind(config, algo=config.algo)  # type: ignore[arg-type]
+
+
+def _settings(source: str) -> TrainingConfig:
+    """From a YAML file, or those of a policy of the package."""
+    if not source.startswith(PRETRAINED):
+        return read_config(source)
+    from rover_rl.algos.pretrained import load_pretrained
+
+    config = load_pretrained(source.removeprefix(PRETRAINED)).config
+    return replace(config, runs=TrainingConfig.runs, name=None)
 
 
 def train(config: TrainingConfig, folder: Path | None = None) -> TrainingSummary:

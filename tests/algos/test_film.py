@@ -13,8 +13,9 @@ from tensordict import TensorDictBase
 
 from rover_rl import RoverEnv, World, make_env
 from rover_rl.algos.film import film
-from rover_rl.algos.views import Camera, ChaseView, Moment, lidar_hits
+from rover_rl.algos.views import lidar_hits
 from rover_rl.cli.film import Film
+from rover_rl.sims.camera import Camera
 from rover_rl.sims.worlds import Terrain, box
 
 FIELD = World("field", Terrain.flat((12.0, 12.0)))
@@ -27,6 +28,11 @@ def straight(td: TensorDictBase) -> TensorDictBase:
     return td.set("action", torch.cat((angle.cos().clamp(min=0), angle), -1))
 
 
+def chase(env: RoverEnv) -> Camera:
+    rover = env.rover_state[0]
+    return Camera.on(rover.position, rover.orientation, env.worlds[0], "chase")
+
+
 @pytest.mark.parametrize("yaw", [0.0, 2.0])
 def test_lines_are_drawn_over_what_the_simulator_renders(yaw: float) -> None:
     env = RoverEnv(world_n=FIELD, seed=0)
@@ -36,7 +42,8 @@ def test_lines_are_drawn_over_what_the_simulator_renders(yaw: float) -> None:
     post = (picture[..., 1:2] > picture[..., ::2] + 60).all(-1).nonzero()
     env.close()
     ends = torch.tensor([[*goal[0].tolist(), height] for height in (0.0, 1.2)])
-    pixels, seen = Camera(env.rover_state[0], FIELD, 320, 240).see(ends)
+    pixels, seen = chase(env).see(ends, 320, 240)
+    pixels = pixels.float()
     assert seen.all()
     # Right and down; the camera looks down on the post, so that its rims stand out a little.
     torch.testing.assert_close(pixels[:, 0], post[:, 1].float().mean().expand(2), atol=1.5, rtol=0)
@@ -47,10 +54,10 @@ def test_lines_are_drawn_over_what_the_simulator_renders(yaw: float) -> None:
 def test_the_camera_does_not_see_behind_itself_or_a_wall() -> None:
     env = RoverEnv(world_n=WALL, seed=0)
     env.reset(start=torch.zeros(1, 3))
-    camera = Camera(env.rover_state[0], WALL, 320, 240)
+    camera = chase(env)
     env.close()
     points = torch.tensor([[1.7, 0.0, 0.5], [1.8, 0.0, 0.5], [3.0, 0.0, 0.2], [3.0, 0.0, 1.5], [-5.0, 0.0, 0.5]])
-    pixels, seen = camera.see(points)
+    pixels, seen = camera.see(points, 320, 240)
     assert seen.tolist() == [True, True, False, True, False]
     assert pixels.isnan().any(-1).tolist() == [False] * 4 + [True]
 
@@ -66,16 +73,16 @@ def test_lidar_beams_end_where_they_meet_something() -> None:
     torch.testing.assert_close(hits[:, 2], start[2].expand(len(hits)), atol=0.05, rtol=0)
 
 
-def test_a_rover_behind_a_wall_is_outlined_in_orange() -> None:
+@pytest.mark.parametrize(("start", "low"), [(-2.0, True), (2.8, False), (2.6, False)])
+def test_the_camera_climbs_until_it_sees_the_rover(start: float, low: bool) -> None:
     env = RoverEnv(world_n=WALL, seed=0)
-    env.reset(start=torch.tensor([[2.8, 0.0, 0.0]]), goal=torch.zeros(1, 2))
-    none = torch.zeros(1, dtype=torch.int64)
-    picture = ChaseView(env, 320, 240).picture(Moment(0.0, env.rover_state, env.goal, none, none, [], ("", -9.0)))
-    rendered = env.render(width=320, height=240).numpy()
+    env.reset(start=torch.tensor([[start, 0.0, 0.0]]), goal=torch.zeros(1, 2))
+    camera, rover = chase(env), env.rover_state[0].position.double()
     env.close()
-    wall, rover = (pixels[142:146, 155:165].mean((0, 1)) for pixels in (rendered, picture))
-    assert wall[0] < wall[2]
-    assert rover[0] > rover[2] + 30
+    assert camera.see(rover + torch.tensor((0.0, 0.0, 0.3)), 320, 240)[1]
+    assert (camera.eye - rover).norm() == pytest.approx(2.55)
+    assert (camera.eye[2] - rover[2] < 1.4) == low
+    assert not WALL.obstacles[0].contains(camera.eye)
 
 
 @pytest.mark.parametrize(("view", "rows"), [("chase", 1), ("top", 3)])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -11,6 +9,7 @@ from torch import Tensor
 from rover_rl.sims.base import View
 from rover_rl.sims.bullet.geometry import terrain_strips
 from rover_rl.sims.bullet.library import pybullet
+from rover_rl.sims.camera import FIELD_OF_VIEW, NEAR, Camera
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
@@ -53,15 +52,13 @@ class Renderer:
         Raises:
             ValueError: for another view.
         """
-        if view not in ("chase", "top"):
-            raise ValueError(f"unknown view {view!r}; use 'chase' or 'top'")
+        camera = Camera.on(torch.from_numpy(position), torch.from_numpy(orientation), self._world, view)
         self._pose(position, orientation, goal)
-        eye, target, up = _camera(position, orientation, view)
         _, _, rgba, _, _ = pybullet.getCameraImage(
             width,
             height,
-            pybullet.computeViewMatrix(eye, target, up),
-            pybullet.computeProjectionMatrixFOV(60, width / height, 0.05, 60),
+            pybullet.computeViewMatrix(camera.eye.tolist(), camera.target.tolist(), camera.up.tolist()),
+            pybullet.computeProjectionMatrixFOV(FIELD_OF_VIEW, width / height, NEAR, 60),
             lightDirection=(-3, 2, 6),
             # Shadow maps of this renderer cover large flat ground with stripes.
             shadow=0,
@@ -106,13 +103,3 @@ class Renderer:
             physicsClientId=self.client,
         )
         pybullet.createMultiBody(0, -1, shape, physicsClientId=self.client)
-
-
-def _camera(position: np.ndarray, orientation: np.ndarray, view: View) -> tuple[list[float], list[float], list[float]]:
-    """Eye, target and up direction of the camera."""
-    if view == "top":
-        return (position + np.array((0, 0, 12))).tolist(), position.tolist(), [0, 1, 0]
-    yaw = pybullet.getEulerFromQuaternion(orientation.tolist())[2]
-    behind = np.array((-2.2 * math.cos(yaw), -2.2 * math.sin(yaw), 1.3))
-    ahead = np.array((0.8 * math.cos(yaw), 0.8 * math.sin(yaw), 0.15))
-    return (position + behind).tolist(), (position + ahead).tolist(), [0, 0, 1]
