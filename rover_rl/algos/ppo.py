@@ -4,8 +4,11 @@ Read it from the top: :func:`train_ppo` is the loop, :class:`PPOLearner` what ha
 in :mod:`rover_rl.algos.collecting`, the networks are in :mod:`rover_rl.algos.policy`, and folder, log, checkpoints and
 Ctrl-C are in :mod:`rover_rl.algos.training`.
 
-The loop is written out, to be read, rather than left to TorchRL's ``PPOTrainer``, which is marked experimental. The
-trainer has not been tried with this training.
+The loop is written out, to be read. TorchRL 0.14's ``PPOTrainer``, marked experimental, was tried: with hooks for the
+reward scale, GAE once a batch, annealing, mirror images, imitation, log and time limit it trains as well (in inspect,
+123,000 steps of one seed, 64 of 64 stored episodes, as here) and as fast. What spoke against it: Ctrl-C and SIGTERM end
+it without a checkpoint unless one adds a handler, its files leave out torch's random numbers unless asked, a fixed
+number of gradient steps an epoch skips every second epoch, and the losses it logs are means over the last epoch alone.
 
 Example:
     >>> summary = train_ppo(PPOConfig(world="maze", max_minutes=5))

@@ -2,8 +2,12 @@
 
 Read it from the top: :func:`train_sac` is the loop, :class:`SACLearner` what happens in it. Where batches come from is
 in :mod:`rover_rl.algos.collecting`, the networks are in :mod:`rover_rl.algos.policy`, and folder, log, checkpoints and
-Ctrl-C are in :mod:`rover_rl.algos.training`. On TorchRL's trainers see
-:mod:`rover_rl.algos.ppo`.
+Ctrl-C are in :mod:`rover_rl.algos.training`.
+
+TorchRL 0.14's ``SACTrainer`` was tried, too, for 102,000 steps in inspect, and learns with the same losses. Its default
+file leaves out the replay buffer; ``torchrl.checkpoint.Checkpoint`` has it, but killed between its two renames leaves no
+checkpoint in place. ``init_random_frames`` counts steps in the trainer and decisions in the collector. On stopping and
+resuming see :mod:`rover_rl.algos.ppo`.
 
 Example:
     >>> summary = train_sac(SACConfig(world="moon", max_minutes=10))

@@ -103,6 +103,7 @@ class TrainingRun:
         write_config(folder / "config.yaml", config)
         self._updates_before = self.updates
         self.stopwatch = Stopwatch()
+        self._last_snapshot = int(self.share * config.snapshots)
         self._statistics = BatchStatistics(config.repeat, self.steps)
         self._log = ProgressLog(folder, self.updates, self.steps)
 
@@ -177,11 +178,11 @@ class TrainingRun:
 
     def record(self, learned: dict[str, float]) -> None:
         """Writes down what happened in the batch in hand and what was ``learned`` from it; saves when it is time."""
-        before = self.share
         self.steps, self.updates = self._statistics.steps, self.updates + 1
         self._log.add(self.share, {"updates": self.updates, "minutes": self.minutes, **self._counted, **learned})
-        kept = self.config.snapshots
-        if int(self.share * kept) > int(before * kept):
+        due = int(self.share * self.config.snapshots)
+        if due > self._last_snapshot:
+            self._last_snapshot = due
             self._checkpoint().save(self.folder / "snapshots" / f"{self.steps:09d}.pt")
         if self.minutes - self._saved_at >= self.config.checkpoint_minutes:
             self._save()

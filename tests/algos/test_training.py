@@ -192,6 +192,7 @@ def test_imitation_makes_the_guides_actions_likelier(tmp_path: Path) -> None:
 def test_time_can_be_the_budget(tmp_path: Path) -> None:
     summary = train(replace(PPO, total_steps=10**9, max_minutes=1e-6, runs=str(tmp_path)))
     assert len(table(summary.folder)["steps"]) == 1
+    assert [file.name for file in (summary.folder / "snapshots").iterdir()] == ["000000128.pt"]
     assert not summary.interrupted
 
 
