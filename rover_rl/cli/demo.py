@@ -49,6 +49,8 @@ class Demo:
         )
         config.check()
         episodes = draw_episodes(self.world, self.count)
+        name = f"{self.world.split(':')[0]}-ppo"
+        expert = load_pretrained(name).make_actor()
         print(f"Training PPO in {self.world} for {self.minutes:g} minutes with {config.num_envs} rovers")
         summary = train_ppo(config)
         print(told(summary))
@@ -56,8 +58,6 @@ class Demo:
             return INTERRUPTED
         folder = summary.folder
         trained = evaluate(Checkpoint.load(folder).make_actor(), episodes, name="trained")
-        name = f"{self.world.split(':')[0]}-ppo"
-        expert = load_pretrained(name).make_actor()
         pretrained = evaluate(expert, episodes, name=f"pretrained:{name}")
         random = evaluate(None, episodes)
         print_table([trained, pretrained, random])
