@@ -61,7 +61,7 @@ from rover_rl.algos.episodes import EpisodeSet, stored_episodes
 from rover_rl.algos.evaluate import Policy, evaluate
 from rover_rl.algos.files import write_json, written_whole
 from rover_rl.algos.plots import BLUE, GREEN, ORANGE
-from rover_rl.algos.policy import ObservationEncoder, action_spec, single_threaded
+from rover_rl.algos.policy import ObservationEncoder, action_spec, middle_and_half, single_threaded
 from rover_rl.algos.ppo import train_ppo
 from rover_rl.algos.progress import read_progress
 from rover_rl.algos.runs import Checkpoint, new_run_folder
@@ -274,8 +274,7 @@ class WallClock(BaseCallback):
 
 def tensordict_policy(policy: BasePolicy, reverse: bool) -> Policy:
     """A policy of SB3 as one that our evaluation drives with; it knows no exploration."""
-    bounds = action_spec(reverse).space
-    middle, half = (bounds.high + bounds.low) / 2, (bounds.high - bounds.low) / 2
+    middle, half = middle_and_half(action_spec(reverse))
 
     def act(now: TensorDictBase) -> TensorDictBase:
         observation = {key: now[key].numpy() for key in policy.observation_space}

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -113,3 +114,19 @@ def test_worlds_are_listed_and_drawn(capsys: pytest.CaptureFixture[str], tmp_pat
     assert main(["worlds", "--out", str(tmp_path)]) == 0
     assert {file.name for file in tmp_path.iterdir()} == {"inspect.png", "maze.png", "moon.png"}
     assert "moon" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_the_demo_trains_and_shows_a_pretrained_policy(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rover_rl.cli.demo.FILMED", 1.0)
+    short = ["--world", "inspect", "--minutes", "1e-6", "--count", "1", "--num-envs", "4", "--runs", str(tmp_path)]
+    assert main(["demo", *short]) == 0
+    folder = tmp_path / "ppo-inspect"
+    told = capsys.readouterr().out
+    for picture in ("learning_curve.png", "paths.png", "inspect-ppo.gif"):
+        assert str(folder / picture) in told
+        assert (folder / picture).stat().st_size > 1000
+    policies = {row["policy"] for row in json.loads((folder / "evaluation.json").read_text())}
+    assert policies == {"trained", "pretrained:inspect-ppo", "random"}

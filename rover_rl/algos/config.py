@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar, get_type_hints
@@ -201,6 +202,28 @@ def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _plain(entry) for key, entry in value.items()}
     return list(value) if isinstance(value, tuple) else value
+
+
+def experiments(configs: Sequence[TrainingConfig]) -> list[str]:
+    """What the settings of each run are called: the same for runs that differ in their seed only.
+
+    That is algorithm and world, and where others have these too, what the settings do not have in common with theirs.
+
+    Example:
+        >>> experiments([PPOConfig(seed=1), PPOConfig(seed=2), SACConfig(gamma=0.9), SACConfig()])
+        ['PPO in maze', 'PPO in maze', 'SAC in maze, gamma=0.9', 'SAC in maze, gamma=0.96']
+    """
+    every = [{key: value for key, value in plain(config).items() if key not in _OF_A_RUN} for config in configs]
+    names = []
+    for own in every:
+        others = [other for other in every if (other["algo"], other["world"]) == (own["algo"], own["world"])]
+        special = [f"{key}={value}" for key, value in own.items() if any(other[key] != value for other in others)]
+        names.append(", ".join((f"{own['algo'].upper()} in {own['world']}", *special)))
+    return names
+
+
+_OF_A_RUN = ("seed", "name", "runs", "workers", "checkpoint_minutes", "snapshots")
+"""Settings that say nothing of what is learned, or how."""
 
 
 def config_from(data: Any, source: str) -> TrainingConfig:

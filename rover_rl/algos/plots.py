@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import cycle
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -26,7 +26,7 @@ from matplotlib.ticker import EngFormatter, PercentFormatter
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from rover_rl.algos.config import SECONDS_PER_STEP, TrainingConfig, run_config
+from rover_rl.algos.config import SECONDS_PER_STEP, TrainingConfig, experiments, run_config
 from rover_rl.algos.evaluate import ENDINGS, Evaluation
 from rover_rl.algos.files import written_whole
 from rover_rl.algos.metrics import TIME_LIMIT, Trajectory
@@ -47,7 +47,8 @@ _WINDOW = 1 / 12
 """Share of a run that a point of its curve looks at."""
 _NARROW = 1 / 100
 """The same for the faint line behind it."""
-_LINES = {"ppo": BLUE, "sac": RED}
+_LINES = {"ppo": (BLUE, SKY, GREEN), "sac": (RED, ORANGE, PURPLE)}
+"""Colours by algorithm, one for each of its settings in turn."""
 
 
 def draw_learning_curve(
@@ -56,7 +57,7 @@ def draw_learning_curve(
     """Draws success and goals against the steps trained for, or against the time: a row of panels for each world.
 
     Every point of a line is a ratio of sums over a window of a twelfth of the run, however many decisions its rows
-    have. Runs of one algorithm in one world are drawn as one: their mean, and the least and the most of them, up to
+    have. Runs that differ in their seed only are drawn as one: their mean, and the least and the most of them, up to
     where the shortest of them ends. A run by itself has narrower windows behind it.
 
     Args:
@@ -131,10 +132,14 @@ class _Run:
 class _Group:
     """Runs that differ in their seed at most, drawn as one line over ``against`` up to ``end``."""
 
-    algo: str
-    world: str
+    name: str
+    color: str
     runs: list[_Run]
     against: Against
+
+    @property
+    def world(self) -> str:
+        return self.runs[0].config.world
 
     @property
     def end(self) -> float:
@@ -142,14 +147,10 @@ class _Group:
         return min(run.x[self.against][-1] for run in self.runs)
 
     @property
-    def color(self) -> str:
-        return _LINES.get(self.algo, GREEN)
-
-    @property
     def label(self) -> str:
         steps, minutes = (np.mean([run.x[key][-1] for run in self.runs]) for key in ("steps", "minutes"))
         runs = "" if len(self.runs) == 1 else f"mean of {len(self.runs)} runs of "
-        return f"{self.algo.upper()} in {self.world}: {runs}{steps:,.0f} steps in {minutes:.1f} min"
+        return f"{self.name}: {runs}{steps:,.0f} steps in {minutes:.1f} min"
 
     def draw(self, ax: Axes, measure: str) -> None:
         at, width = np.linspace(0, self.end, _POINTS), self.end * _WINDOW
@@ -162,10 +163,13 @@ class _Group:
 
 
 def _grouped(runs: Sequence[_Run], against: Against) -> list[_Group]:
-    def key(run: _Run) -> tuple[str, str]:
-        return run.config.world, run.config.algo
-
-    return [_Group(algo, world, list(some), against) for (world, algo), some in groupby(sorted(runs, key=key), key)]
+    together: dict[str, list[_Run]] = {}
+    for name, run in zip(experiments([run.config for run in runs]), runs, strict=True):
+        together.setdefault(name, []).append(run)
+    colors = {algo: cycle(palette) for algo, palette in _LINES.items()}
+    return [
+        _Group(name, next(colors[together[name][0].config.algo]), together[name], against) for name in sorted(together)
+    ]
 
 
 def _finish_curves(panels: Sequence[Axes], end: float, against: Against) -> None:

@@ -28,6 +28,12 @@ def action_spec(reverse: bool = False) -> Bounded:
     return bounded_spec(ACTION if reverse else FORWARD, 1, None)[0]
 
 
+def middle_and_half(spec: Bounded) -> tuple[Tensor, Tensor]:
+    """The middle between an action's bounds, and half of what lies between them."""
+    low, high = spec.space.low, spec.space.high
+    return (high + low) / 2, (high - low) / 2
+
+
 class ObservationEncoder(nn.Module):
     """Scales observations for this task, to about [-1, 1] where it matters.
 
@@ -214,7 +220,7 @@ class _ScaleAction(nn.Module):
 
     def __init__(self, features: int, spec: Bounded) -> None:
         super().__init__()
-        middle, half = (spec.space.high + spec.space.low) / 2, (spec.space.high - spec.space.low) / 2
+        middle, half = middle_and_half(spec)
         self.register_buffer("_middle", torch.cat((torch.zeros(features), middle)), persistent=False)
         self.register_buffer("_scale", torch.cat((torch.ones(features), 1 / half)), persistent=False)
 

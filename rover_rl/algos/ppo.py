@@ -30,7 +30,15 @@ from torchrl.objectives.value import GAE
 from rover_rl.algos.collecting import LIDAR_POINTS
 from rover_rl.algos.config import PPOConfig
 from rover_rl.algos.guide import Guide
-from rover_rl.algos.policy import ObservationEncoder, action_spec, make_actor, make_critic, mirrored, single_threaded
+from rover_rl.algos.policy import (
+    ObservationEncoder,
+    action_spec,
+    make_actor,
+    make_critic,
+    middle_and_half,
+    mirrored,
+    single_threaded,
+)
 from rover_rl.algos.progress import Stopwatch
 from rover_rl.algos.training import TrainingRun, TrainingSummary, prepare, set_learning_rate
 from rover_rl.sims.robots import get_robot
@@ -80,8 +88,6 @@ class PPOLearner:
             loss_critic_type="l2",
         )
         self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=config.learning_rate)
-        bounds = action_spec(config.reverse).space
-        self._bounds = bounds.low, bounds.high
         self._guide = Guide(get_world(config.world), get_robot("rover_zero")) if config.imitation else None
         self._learned_from = (*config.observation, "action", "action_log_prob", "advantage", "value_target")
 
@@ -127,8 +133,7 @@ class PPOLearner:
 
     def _within_reach(self, action: Tensor) -> Tensor:
         """Actions drawn in from the policy's bounds, which a squashed normal distribution does not reach."""
-        low, high = self._bounds
-        middle, half = (high + low) / 2, (high - low) / 2
+        middle, half = middle_and_half(action_spec(self.config.reverse))
         return middle + 0.95 * torch.minimum(torch.maximum(action - middle, -half), half)
 
     def _descend(self, loss: Tensor) -> None:

@@ -5,9 +5,9 @@ in :mod:`rover_rl.algos.collecting`, the networks are in :mod:`rover_rl.algos.po
 Ctrl-C are in :mod:`rover_rl.algos.training`.
 
 TorchRL 0.14's ``SACTrainer`` was tried, too, for 102,000 steps in inspect, and learns with the same losses. Its default
-file leaves out the replay buffer; ``torchrl.checkpoint.Checkpoint`` has it, but killed between its two renames leaves no
-checkpoint in place. ``init_random_frames`` counts steps in the trainer and decisions in the collector. On stopping and
-resuming see :mod:`rover_rl.algos.ppo`.
+file leaves out the replay buffer; ``torchrl.checkpoint.Checkpoint`` has it, but killed between its two renames leaves
+no checkpoint in place. ``init_random_frames`` counts steps in the trainer and decisions in the collector. On stopping
+and resuming see :mod:`rover_rl.algos.ppo`.
 
 Example:
     >>> summary = train_sac(SACConfig(world="moon", max_minutes=10))
@@ -34,6 +34,7 @@ from rover_rl.algos.policy import (
     action_spec,
     make_action_critic,
     make_actor,
+    middle_and_half,
     mirrored,
     single_threaded,
 )
@@ -83,7 +84,7 @@ class SACLearner:
             action_spec=spec,
             alpha_init=config.alpha,
             # TorchRL's entropy is that of actions in their own units, whose range is wider by this factor.
-            target_entropy=config.target_entropy + math.log(float((spec.space.high - spec.space.low).prod() / 4)),
+            target_entropy=config.target_entropy + math.log(middle_and_half(spec)[1].prod().item()),
         )
         self._loss.make_value_estimator(gamma=config.gamma)
         self._slow_copies = SoftUpdate(self._loss, tau=config.tau)

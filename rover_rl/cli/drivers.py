@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from rover_rl.algos.config import TrainingConfig
     from rover_rl.algos.evaluate import Policy
 
 PRETRAINED = "pretrained:"
@@ -23,7 +24,7 @@ class Driver:
         worlds: to drive in; none: all that others drive in.
         lidar_points: readings that it sees.
         folder: of its checkpoint.
-        group: what policies are called that differ in their seed only.
+        config: it was trained with.
     """
 
     name: str
@@ -31,7 +32,7 @@ class Driver:
     worlds: tuple[str, ...]
     lidar_points: int = 32
     folder: Path | None = None
-    group: str | None = None
+    config: TrainingConfig | None = None
 
 
 def find_driver(word: str, worlds: tuple[str, ...]) -> Driver:
@@ -65,5 +66,5 @@ def find_driver(word: str, worlds: tuple[str, ...]) -> Driver:
         worlds=worlds or (trained_in,),
         lidar_points=checkpoint.lidar_points,
         folder=folder,
-        group=f"{checkpoint.algorithm.upper()} of {trained_in}",
+        config=checkpoint.config,
     )

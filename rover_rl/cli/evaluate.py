@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
+from rover_rl.algos.config import experiments
 from rover_rl.cli.drivers import Driver, find_driver
 
 if TYPE_CHECKING:
@@ -60,7 +61,8 @@ class Evaluate:
                 results += [self._drive_endlessly(driver, world) for driver in here]
             pictures.append(out / ("paths.png" if len(sets) == 1 else f"paths-{world.replace(':', '-')}.png"))
             draw_paths(driven, pictures[-1])
-        print_table(results, groups={driver.name: driver.group for driver in drivers if driver.group})
+        trained = {driver.name: driver.config for driver in drivers if driver.config}
+        print_table(results, groups=dict(zip(trained, experiments([*trained.values()]), strict=True)))
         write_evaluation(out / "evaluation.json", results)
         print(f"Results: {out / 'evaluation.json'}, evaluation.csv")
         print("Paths driven: " + ", ".join(str(picture) for picture in pictures))

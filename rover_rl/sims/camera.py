@@ -22,8 +22,8 @@ _DISTANCE = 2.55
 """Of the chase view from the rover, m."""
 _ELEVATIONS = torch.linspace(math.radians(30.5), math.radians(85), 20, dtype=torch.float64)
 """Of the chase view: it takes the first from which an obstacle does not hide the rover."""
-_TOP = 0.3
-"""Height above the rover's origin that has to be seen, m."""
+_BODY = torch.tensor([(x, y, 0.1) for x in (-0.25, 0.25) for y in (-0.25, 0.25)], dtype=torch.float64)
+"""Where the rover has to be seen, m from its origin."""
 _REACHED = 0.98
 """Share of the way to a point at which it is reached: it may itself lie on an obstacle."""
 
@@ -67,7 +67,7 @@ class Camera:
         yaw = quaternion_to_euler(orientation)[2].item()
         ahead = torch.tensor((math.cos(yaw), math.sin(yaw), 0.0), dtype=torch.float64)
         eyes = position + _DISTANCE * (_ELEVATIONS.sin()[:, None] * up - _ELEVATIONS.cos()[:, None] * ahead)
-        hidden = _hidden(world, eyes, position + _TOP * up)
+        hidden = _hidden(world, eyes[:, None], position + _BODY).any(-1)
         first = int((~hidden).long().argmax()) if not hidden.all() else -1
         return cls(eyes[first], position + 0.8 * ahead + 0.15 * up, up, world)
 

@@ -15,6 +15,7 @@ from rover_rl.algos.config import (
     TrainingConfig,
     config_from,
     default_workers,
+    experiments,
     plain,
     read_config,
     run_config,
@@ -130,3 +131,15 @@ def test_what_a_policy_sees_must_go_together(config: TrainingConfig, message: st
     with pytest.raises(ValueError, match=message):
         config.check()
     PPOConfig(north_up=True, mirror=False).check()
+
+
+def test_runs_are_called_by_what_they_do_not_have_in_common() -> None:
+    runs = [
+        PPOConfig(seed=1, name="a"),
+        PPOConfig(workers=2),
+        SACConfig(),
+        SACConfig(gamma=0.9),
+        SACConfig(world="moon"),
+    ]
+    names = ["PPO in maze", "PPO in maze", "SAC in maze, gamma=0.96", "SAC in maze, gamma=0.9", "SAC in moon"]
+    assert experiments(runs) == names

@@ -258,7 +258,7 @@ def test_the_command_drives_checkpoints_beside_baselines(capsys: pytest.CaptureF
     written = json.loads((first / "evaluation.json").read_text())
     assert [entry["policy"] for entry in written] == ["run-1", "run-2", "scripted", "random"]
     assert {(entry["world"], entry["seed"], entry["count"]) for entry in written} == {("maze", 20_000, 2)}
-    assert "PPO of maze" in capsys.readouterr().out
+    assert "PPO in maze" in capsys.readouterr().out
 
 
 def test_the_command_drives_in_several_worlds(tmp_path: Path) -> None:

@@ -79,7 +79,7 @@ def test_the_camera_climbs_until_it_sees_the_rover(start: float, low: bool) -> N
     env.reset(start=torch.tensor([[start, 0.0, 0.0]]), goal=torch.zeros(1, 2))
     camera, rover = chase(env), env.rover_state[0].position.double()
     env.close()
-    assert camera.see(rover + torch.tensor((0.0, 0.0, 0.3)), 320, 240)[1]
+    assert camera.see(rover + torch.tensor((0.0, 0.0, 0.1)), 320, 240)[1]
     assert (camera.eye - rover).norm() == pytest.approx(2.55)
     assert (camera.eye[2] - rover[2] < 1.4) == low
     assert not WALL.obstacles[0].contains(camera.eye)
