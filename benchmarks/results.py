@@ -1,0 +1,169 @@
+"""The README's table and learning curves: trains every policy of the package anew, with several seeds, and measures it.
+
+    python benchmarks/results.py --policies inspect-ppo moon-sac --seeds 0 1 2
+
+Each has the settings that the package's policy was trained with, and the whole machine to itself. Everything is in
+``runs/results/``: a run's folder for each, with ``evaluation.json`` and ``paths.png``, and for all of them
+``results.md``, ``results.json`` and ``learning_curves.png``, which are written again after each run. Started anew, it
+goes on: a run that is complete is not trained again, and one that was measured is not measured again.
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import tyro
+from torchrl.modules import ProbabilisticActor
+
+from rover_rl.algos.config import TrainingConfig, default_workers, run_config
+from rover_rl.algos.episodes import draw_episodes, stored_episodes
+from rover_rl.algos.evaluate import evaluate, evaluate_endless
+from rover_rl.algos.files import write_json, written_whole
+from rover_rl.algos.plots import draw_learning_curve, draw_paths
+from rover_rl.algos.pretrained import load_pretrained, pretrained_names
+from rover_rl.algos.progress import read_progress
+from rover_rl.algos.report import write_evaluation
+from rover_rl.algos.runs import Checkpoint
+from rover_rl.cli.train import INTERRUPTED, told, train
+
+ENOUGH = 0.9
+"""Success that a policy is asked for when it is told how many steps that took."""
+OTHER_MAZES = ("maze:1", "maze:2", "maze:3")
+"""Which a policy of the maze has never seen."""
+
+
+@dataclass
+class Options:
+    """What to train and to measure."""
+
+    policies: list[str] = field(default_factory=pretrained_names)
+    """Policies of the package to train anew."""
+    seeds: list[int] = field(default_factory=lambda: [0, 1, 2])
+    """Of weights, actions, starts and goals."""
+    minutes: float | None = None
+    """Instead of the steps and the time that the package's policies were trained for."""
+    count: int = 256
+    """Stored episodes to drive."""
+    runs: Path = Path("runs/results")
+    """Folder to write to."""
+
+
+def settings(name: str, seed: int, options: Options) -> TrainingConfig:
+    """Those of a policy of the package, with another seed."""
+    config = load_pretrained(name).config
+    config = replace(config, seed=seed, name=f"{name}-{seed}", runs=str(options.runs))
+    config = replace(config, workers=default_workers(config.num_envs))
+    return config if options.minutes is None else replace(config, max_minutes=options.minutes, total_steps=10**9)
+
+
+def trained(config: TrainingConfig, folder: Path) -> bool:
+    """Trains, or goes on with a training; whether it came to its end."""
+    begun = (folder / "config.yaml").is_file()
+    summary = train(run_config(folder) if begun else config, folder if begun else None)
+    print(told(summary))
+    return not summary.interrupted
+
+
+def measured(folder: Path, count: int) -> dict[str, Any]:
+    """What a run came to; kept in its folder."""
+    path = folder / "results.json"
+    if not path.is_file():
+        write_json(path, _measure(folder, count))
+    return json.loads(path.read_text())
+
+
+def _measure(folder: Path, count: int) -> dict[str, Any]:
+    checkpoint = Checkpoint.load(folder)
+    actor, world = checkpoint.make_actor(), checkpoint.config.world
+    driven = evaluate(actor, stored_episodes(world).first(count), name=folder.name)
+    endless = [evaluate_endless(actor, world, name=folder.name, jam=jam) for jam in (True, False)]
+    write_evaluation(folder / "evaluation.json", [driven, *endless])
+    draw_paths([driven], folder / "paths.png")
+    with_jam, without = (evaluation.metrics for evaluation in endless)
+    return {
+        "minutes": read_progress(folder / "progress.csv")["minutes"][-1],
+        "steps": checkpoint.steps,
+        f"steps to {ENOUGH:.0%}": _steps_to_enough(folder, world, count),
+        "SR": driven.success_rate,
+        "SPL": driven.metrics["spl"].value,
+        "MTT, s": driven.metrics["mean_time_to_traverse"].value,
+        "turns a goal": driven.metrics["turns_per_goal"].value,
+        **{f"failed: {ending}": share for ending, share in _failures(driven.endings).items()},
+        "goals in 2,000 steps": with_jam["goals_per_episode"].value,
+        "ended early": with_jam["ended_early"].value,
+        "goals, no jam ending": without["goals_per_episode"].value,
+        "ended early, no jam ending": without["ended_early"].value,
+        **{f"SR in {other}": _success(actor, other, count) for other in OTHER_MAZES if world == "maze"},
+    }
+
+
+def _failures(endings: list[str]) -> dict[str, float]:
+    return {kind: endings.count(kind) / len(endings) for kind in sorted(set(endings) - {"goal"})}
+
+
+def _success(actor: ProbabilisticActor, world: str, count: int) -> float:
+    return evaluate(actor, draw_episodes(world, count)).success_rate
+
+
+def _steps_to_enough(folder: Path, world: str, count: int) -> int | None:
+    """Steps after which the first snapshot reached 90 %, ``None`` if none did."""
+    episodes = stored_episodes(world).first(min(count, 128))
+    for path in sorted((folder / "snapshots").glob("*.pt")):
+        snapshot = Checkpoint.load(path)
+        if evaluate(snapshot.make_actor(), episodes, name=path.stem).success_rate >= ENOUGH:
+            return snapshot.steps
+    return None
+
+
+def table(results: dict[str, dict[str, Any]]) -> str:
+    """Markdown: a column a policy, with the mean over its seeds, and the least and the most of them."""
+    policies: dict[str, list[dict[str, Any]]] = {}
+    for name, result in results.items():
+        policies.setdefault(name.rsplit("-", 1)[0], []).append(result)
+    rows = dict.fromkeys(row for result in results.values() for row in result)
+    lines = [f"| | {' | '.join(policies)} |", "|---" * (len(policies) + 1) + "|"]
+    lines += [f"| {row} | {' | '.join(_cell(row, seeds) for seeds in policies.values())} |" for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _cell(row: str, seeds: list[dict[str, Any]]) -> str:
+    if not any(row in seed for seed in seeds):
+        return ""
+    # A kind of failure that a seed does not have is not written down.
+    values = [seed.get(row, 0.0) for seed in seeds]
+    known = [value for value in values if value is not None]
+    if not known:
+        return "never"
+    mean, least, most = map(_told, (statistics.mean(known), min(known), max(known)))
+    never = f", {len(values) - len(known)} never" if len(known) < len(values) else ""
+    return f"{mean} ({least} to {most}{never})" if len(values) > 1 else mean
+
+
+def _told(value: float) -> str:
+    return f"{value:,.0f}" if value >= 1000 else f"{value:.3g}"
+
+
+def main(options: Options) -> int:
+    """Trains, measures, and tells."""
+    results: dict[str, dict[str, Any]] = {}
+    for seed in options.seeds:
+        for name in options.policies:
+            config = settings(name, seed, options)
+            folder = options.runs / f"{name}-{seed}"
+            if not (folder / "results.json").is_file() and not trained(config, folder):
+                return INTERRUPTED
+            results[folder.name] = measured(folder, options.count)
+            write_json(options.runs / "results.json", results)
+            draw_learning_curve([options.runs / run for run in results], options.runs / "learning_curves.png")
+            with written_whole(options.runs / "results.md") as temporary:
+                temporary.write_text(table(results))
+    print(table(results))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(tyro.cli(Options, description=__doc__)))

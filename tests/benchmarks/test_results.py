@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+import json
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from benchmarks import results
+from rover_rl.algos.runs import Checkpoint
+
+
+def test_a_table_has_the_mean_the_least_and_the_most_of_the_seeds() -> None:
+    told = results.table(
+        {
+            "moon-ppo-0": {"steps": 500_000, "steps to 90%": 1000, "SR": 0.9, "failed: stuck": 0.1},
+            "moon-ppo-1": {"steps": 500_000, "steps to 90%": None, "SR": 1.0},
+            "maze-ppo-0": {"steps": 1_500_000, "steps to 90%": None, "SR": 0.5, "SR in maze:1": 0.25},
+        }
+    ).splitlines()
+    assert told[0] == "| | moon-ppo | maze-ppo |"
+    assert "| steps | 500,000 (500,000 to 500,000) | 1,500,000 |" in told
+    assert "| steps to 90% | 1,000 (1,000 to 1,000, 1 never) | never |" in told
+    assert "| SR | 0.95 (0.9 to 1) | 0.5 |" in told
+    assert "| failed: stuck | 0.05 (0 to 0.1) |  |" in told
+    assert "| SR in maze:1 |  | 0.25 |" in told
+
+
+@pytest.mark.slow
+def test_it_trains_measures_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results, "evaluate", partial(results.evaluate, seconds=1.0))
+    monkeypatch.setattr(results, "evaluate_endless", partial(results.evaluate_endless, rows=1, steps=20))
+    options = results.Options(policies=["inspect-ppo"], seeds=[3], minutes=1e-6, count=2, runs=tmp_path)
+    assert results.main(options) == 0
+    folder = tmp_path / "inspect-ppo-3"
+    assert Checkpoint.load(folder).config.seed == 3
+    told = json.loads((tmp_path / "results.json").read_text())["inspect-ppo-3"]
+    assert told["steps"] == Checkpoint.load(folder).steps > 0
+    assert told["steps to 90%"] is None
+    assert {"results.md", "learning_curves.png"} <= {file.name for file in tmp_path.iterdir()}
+    before = (folder / "checkpoint.pt").read_bytes()
+    assert results.main(options) == 0
+    assert (folder / "checkpoint.pt").read_bytes() == before
