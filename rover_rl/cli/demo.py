@@ -58,7 +58,7 @@ class Demo:
             return INTERRUPTED
         folder = summary.folder
         trained = evaluate(Checkpoint.load(folder).make_actor(), episodes, name="trained")
-        pretrained = evaluate(expert, episodes, name=f"pretrained:{name}")
+        pretrained = evaluate(expert, episodes, name="pretrained")
         random = evaluate(None, episodes)
         print_table([trained, pretrained, random])
         write_evaluation(folder / "evaluation.json", [trained, pretrained, random])
