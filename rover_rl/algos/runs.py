@@ -16,8 +16,8 @@ from rover_rl.algos.config import TrainingConfig, config_from, plain
 from rover_rl.algos.files import written_whole
 from rover_rl.algos.policy import ObservationEncoder, make_actor
 
-_CHECKPOINT = "rover_rl checkpoint, version 2"
-_STATE = "rover_rl training state, version 1"
+_CHECKPOINT = "rover_rl checkpoint, version 3"
+_STATE = "rover_rl training state, version 2"
 
 
 @dataclass(frozen=True)
