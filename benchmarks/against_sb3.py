@@ -57,6 +57,7 @@ from torchrl.envs import ActionScaling, EnvBase, RewardScaling
 from rover_rl import GymWrapper
 from rover_rl.algos.collecting import make_training_env
 from rover_rl.algos.config import CONFIGS, PPOConfig, SACConfig, TrainingConfig, default_workers, plain
+from rover_rl.algos.cores import over_cores
 from rover_rl.algos.episodes import EpisodeSet, stored_episodes
 from rover_rl.algos.evaluate import Policy, evaluate
 from rover_rl.algos.files import write_json, written_whole
@@ -86,6 +87,8 @@ class Options:
     """Rovers that drive at once."""
     count: int = 128
     """Episodes that every kept policy drives."""
+    seconds: float = 60.0
+    """Time in which a goal has to be reached."""
     mirror: bool = True
     """Let ours learn from mirror images, which SB3 does not."""
     seed: int = 0
@@ -265,23 +268,26 @@ class WallClock(BaseCallback):
         if marks > self._marks:
             self._marks = marks
             self.snapshots.append(
-                Snapshot(self.minutes, steps, tensordict_policy(deepcopy(self.model.policy), self._config.reverse))
+                Snapshot(self.minutes, steps, SB3Policy(deepcopy(self.model.policy), self._config.reverse))
             )
             self._bar.console.print(f"{share:4.0%} of training: {steps:,} steps", highlight=False)
         self._bar.update(self._task, completed=share, status=f"{steps:,} steps")
         return share < 1
 
 
-def tensordict_policy(policy: BasePolicy, reverse: bool) -> Policy:
+@dataclass(frozen=True)
+class SB3Policy:
     """A policy of SB3 as one that our evaluation drives with; it knows no exploration."""
-    middle, half = middle_and_half(action_spec(reverse))
 
-    def act(now: TensorDictBase) -> TensorDictBase:
-        observation = {key: now[key].numpy() for key in policy.observation_space}
-        action, _ = policy.predict(observation, deterministic=True)
+    policy: BasePolicy
+    reverse: bool
+
+    def __call__(self, now: TensorDictBase) -> TensorDictBase:
+        """Sets ``"action"``, float32 ``[N, 2]``."""
+        middle, half = middle_and_half(action_spec(self.reverse))
+        observation = {key: now[key].numpy() for key in self.policy.observation_space}
+        action, _ = self.policy.predict(observation, deterministic=True)
         return now.set("action", middle + half * torch.from_numpy(action))
-
-    return act
 
 
 @dataclass(frozen=True)
@@ -316,13 +322,15 @@ CONTENDERS: dict[str, Callable[[TrainingConfig], list[Snapshot]]] = {
 COLORS = dict(zip(CONTENDERS, (BLUE, ORANGE, GREEN), strict=True))
 
 
-def measure(name: str, snapshots: list[Snapshot], episodes: EpisodeSet) -> Curve:
+def measure(name: str, snapshots: list[Snapshot], episodes: EpisodeSet, seconds: float) -> Curve:
     """Drives the episodes with every snapshot."""
-    points = []
-    for snapshot in snapshots:
-        result = evaluate(snapshot.policy, episodes, name=f"{name} after {snapshot.minutes:.1f} min")
-        points.append(Point(snapshot.minutes, snapshot.steps, result.success_rate, *result.interval))
-    return Curve(name, points)
+    return Curve(name, over_cores(partial(point, episodes, seconds), snapshots, "measuring"))
+
+
+def point(episodes: EpisodeSet, seconds: float, snapshot: Snapshot) -> Point:
+    """Drives the episodes with a snapshot."""
+    result = evaluate(snapshot.policy, episodes, seconds=seconds)
+    return Point(snapshot.minutes, snapshot.steps, result.success_rate, *result.interval)
 
 
 @dataclass(frozen=True)
@@ -426,7 +434,7 @@ def main(options: Options) -> None:
     curves: list[Curve] = []
     for number, (contender, train) in enumerate(CONTENDERS.items(), 1):
         console.rule(f"{number} of {len(CONTENDERS)}: {contender}, {options.minutes:g} minutes")
-        curves.append(measure(contender, train(config), episodes))
+        curves.append(measure(contender, train(config), episodes, options.seconds))
         write(folder, config, options.count, curves)
     show(console, curves)
     console.print(f"{folder / 'against_sb3.json'} and {folder / 'against_sb3.png'}")

@@ -2,9 +2,9 @@
 
     python benchmarks/results.py --policies inspect-ppo moon-sac --seeds 0 1 2
 
-Each has the settings that the package's policy was trained with, and the whole machine to itself. Everything is in
-``runs/results/``: a run's folder for each, with ``evaluation.json`` and ``paths.png``, and for all of them
-``results.md``, ``results.json`` and ``learning_curves.png``, which are written again after each run. Started anew, it
+Each has the settings that the package's policy was trained with, and the whole machine to itself; when all are trained,
+they are measured side by side. Everything is in ``runs/results/``: a run's folder for each, with ``evaluation.json``
+and ``paths.png``, and for all of them ``results.md``, ``results.json`` and ``learning_curves.png``. Started anew, it
 goes on: a run that is complete is not trained again, and one that was measured is not measured again.
 """
 
@@ -12,16 +12,18 @@ from __future__ import annotations
 
 import json
 import statistics
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import tyro
-from torchrl.modules import ProbabilisticActor
 
 from rover_rl.algos.config import TrainingConfig, default_workers, run_config
-from rover_rl.algos.episodes import draw_episodes, stored_episodes
-from rover_rl.algos.evaluate import evaluate, evaluate_endless
+from rover_rl.algos.cores import over_cores
+from rover_rl.algos.episodes import EpisodeSet, draw_episodes, stored_episodes
+from rover_rl.algos.evaluate import EndlessEvaluation, Evaluation, evaluate, evaluate_endless
 from rover_rl.algos.files import write_json, written_whole
 from rover_rl.algos.plots import draw_learning_curve, draw_paths
 from rover_rl.algos.pretrained import load_pretrained, pretrained_names
@@ -34,6 +36,8 @@ ENOUGH = 0.9
 """Success that a policy is asked for when it is told how many steps that took."""
 OTHER_MAZES = ("maze:1", "maze:2", "maze:3")
 """Which a policy of the maze has never seen."""
+QUICK = 128
+"""Episodes that are enough for snapshots and for other mazes."""
 
 
 @dataclass
@@ -48,6 +52,10 @@ class Options:
     """Instead of the steps and the time that the package's policies were trained for."""
     count: int = 256
     """Stored episodes to drive."""
+    seconds: float = 60.0
+    """Time in which a goal has to be reached."""
+    endless: int = 32
+    """Episodes of 2,000 steps with goals without end to drive, with the jam ending and without."""
     runs: Path = Path("runs/results")
     """Folder to write to."""
 
@@ -61,60 +69,69 @@ def settings(name: str, seed: int, options: Options) -> TrainingConfig:
 
 
 def trained(config: TrainingConfig, folder: Path) -> bool:
-    """Trains, or goes on with a training; whether it came to its end."""
+    """Trains, or goes on with a training, unless it is complete; whether it came to its end."""
     begun = (folder / "config.yaml").is_file()
     summary = train(run_config(folder) if begun else config, folder if begun else None)
     print(told(summary))
     return not summary.interrupted
 
 
-def measured(folder: Path, count: int) -> dict[str, Any]:
+def measured(folder: Path, options: Options) -> dict[str, Any]:
     """What a run came to; kept in its folder."""
     path = folder / "results.json"
     if not path.is_file():
-        write_json(path, _measure(folder, count))
+        write_json(path, _measure(folder, options))
     return json.loads(path.read_text())
 
 
-def _measure(folder: Path, count: int) -> dict[str, Any]:
+def _measure(folder: Path, options: Options) -> dict[str, Any]:
     checkpoint = Checkpoint.load(folder)
     actor, world = checkpoint.make_actor(), checkpoint.config.world
-    driven = evaluate(actor, stored_episodes(world).first(count), name=folder.name)
-    endless = [evaluate_endless(actor, world, name=folder.name, jam=jam) for jam in (True, False)]
-    write_evaluation(folder / "evaluation.json", [driven, *endless])
+    drive = partial(evaluate, seconds=options.seconds)
+    driven = drive(actor, stored_episodes(world).first(options.count), name=folder.name)
+    # The original tells how many goals it reaches in inspect alone.
+    jams = (True, False) if world == "inspect" else ()
+    endless = {jam: evaluate_endless(actor, world, name=folder.name, jam=jam, rows=options.endless) for jam in jams}
+    write_evaluation(folder / "evaluation.json", [driven, *endless.values()])
     draw_paths([driven], folder / "paths.png")
-    with_jam, without = (evaluation.metrics for evaluation in endless)
+    quick = min(options.count, QUICK)
+    others = OTHER_MAZES if world == "maze" else ()
     return {
         "minutes": read_progress(folder / "progress.csv")["minutes"][-1],
         "steps": checkpoint.steps,
-        f"steps to {ENOUGH:.0%}": _steps_to_enough(folder, world, count),
+        f"steps to {ENOUGH:.0%}": _steps_to_enough(folder, stored_episodes(world).first(quick), drive),
         "SR": driven.success_rate,
         "SPL": driven.metrics["spl"].value,
         "MTT, s": driven.metrics["mean_time_to_traverse"].value,
         "turns a goal": driven.metrics["turns_per_goal"].value,
         **{f"failed: {ending}": share for ending, share in _failures(driven.endings).items()},
-        "goals in 2,000 steps": with_jam["goals_per_episode"].value,
-        "ended early": with_jam["ended_early"].value,
-        "goals, no jam ending": without["goals_per_episode"].value,
-        "ended early, no jam ending": without["ended_early"].value,
-        **{f"SR in {other}": _success(actor, other, count) for other in OTHER_MAZES if world == "maze"},
+        **{key: value for jam, evaluation in endless.items() for key, value in _endless(evaluation, jam).items()},
+        **{f"SR in {other}": drive(actor, draw_episodes(other, quick)).success_rate for other in others},
     }
+
+
+def _endless(evaluation: EndlessEvaluation, jam: bool) -> dict[str, float]:
+    metrics, kind = evaluation.metrics, "" if jam else ", no jam ending"
+    names = {"goals in 2,000 steps": "goals_per_episode", "ended early": "ended_early", "turns": "turns_per_goal"}
+    return {f"endless{kind}: {name}": metrics[key].value for name, key in names.items()}
 
 
 def _failures(endings: list[str]) -> dict[str, float]:
     return {kind: endings.count(kind) / len(endings) for kind in sorted(set(endings) - {"goal"})}
 
 
-def _success(actor: ProbabilisticActor, world: str, count: int) -> float:
-    return evaluate(actor, draw_episodes(world, count)).success_rate
+def _steps_to_enough(folder: Path, episodes: EpisodeSet, drive: Callable[..., Evaluation]) -> int | None:
+    """Steps after which the first snapshot reached 90 %, ``None`` if none did.
 
-
-def _steps_to_enough(folder: Path, world: str, count: int) -> int | None:
-    """Steps after which the first snapshot reached 90 %, ``None`` if none did."""
-    episodes = stored_episodes(world).first(min(count, 128))
+    Those from before half of the training's own episodes reached their goal are not driven: it would take long.
+    """
+    progress, before = read_progress(folder / "progress.csv"), 0
     for path in sorted((folder / "snapshots").glob("*.pt")):
         snapshot = Checkpoint.load(path)
-        if evaluate(snapshot.make_actor(), episodes, name=path.stem).success_rate >= ENOUGH:
+        rows = [row for row, steps in enumerate(progress["steps"]) if before < steps <= snapshot.steps]
+        before = snapshot.steps
+        ended, reached = (sum(progress[key][row] for row in rows) for key in ("episodes", "episodes_reached"))
+        if reached >= ended / 2 and drive(snapshot.make_actor(), episodes).success_rate >= ENOUGH:
             return snapshot.steps
     return None
 
@@ -149,18 +166,24 @@ def _told(value: float) -> str:
 
 def main(options: Options) -> int:
     """Trains, measures, and tells."""
-    results: dict[str, dict[str, Any]] = {}
+    folders = []
     for seed in options.seeds:
         for name in options.policies:
             config = settings(name, seed, options)
-            folder = options.runs / f"{name}-{seed}"
-            if not (folder / "results.json").is_file() and not trained(config, folder):
+            folders.append(options.runs / f"{name}-{seed}")
+            if not trained(config, folders[-1]):
                 return INTERRUPTED
-            results[folder.name] = measured(folder, options.count)
-            write_json(options.runs / "results.json", results)
-            draw_learning_curve([options.runs / run for run in results], options.runs / "learning_curves.png")
-            with written_whole(options.runs / "results.md") as temporary:
-                temporary.write_text(table(results))
+    draw_learning_curve(folders, options.runs / "learning_curves.png")
+    results = dict(
+        zip(
+            [folder.name for folder in folders],
+            over_cores(partial(measured, options=options), folders, "measuring"),
+            strict=True,
+        )
+    )
+    write_json(options.runs / "results.json", results)
+    with written_whole(options.runs / "results.md") as temporary:
+        temporary.write_text(table(results))
     print(table(results))
     return 0
 

@@ -1,11 +1,10 @@
 """PPO on a batch of rovers, with TorchRL's own parts on one page.
 
-    python examples/torchrl_ppo.py                    # half a million steps: some minutes
-    python examples/torchrl_ppo.py --steps 3000000    # what `rover-rl train` takes by default
+    python examples/torchrl_ppo.py    # half a million steps: some minutes
 
 Every few seconds it prints how many goals the rovers reach in 2,000 steps, the length of a full episode. Random actions
-reach next to none, and a good policy about ten. `rover-rl train` does the same in several processes, with checkpoints,
-a learning rate that falls, and mirror images of what was driven.
+reach next to none, and a good policy more than ten. `rover-rl train` does the same in several processes, with
+checkpoints, a learning rate that falls, and mirror images of what was driven.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ REPEAT = 4  # steps of 0.05 s that an action is held for: noise at 20 Hz average
 DECISIONS = 16  # of each rover between two updates
 
 
-def main(steps: int = 500_000, world: str = "maze", rovers: int = 64) -> None:
+def main(steps: int = 500_000, world: str = "moon", rovers: int = 64) -> None:
     """Trains a policy with PPO.
 
     Args:

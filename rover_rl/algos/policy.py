@@ -23,7 +23,7 @@ WAVELENGTHS = (64.0, 16.0, 4.0)
 """Lengths in metres over which the features of a position repeat: the largest world is 64 m wide."""
 
 
-def action_spec(reverse: bool = False) -> Bounded:
+def action_spec(reverse: bool = True) -> Bounded:
     """Actions of one rover, ``[2]``: the contract's, or those of them that do not drive backwards."""
     return bounded_spec(ACTION if reverse else FORWARD, 1, None)[0]
 
@@ -134,8 +134,8 @@ class EncodedNetwork(nn.Module):
 def make_actor(
     encoder: ObservationEncoder | None = None,
     hidden: Sequence[int] = (128, 128),
-    reverse: bool = False,
-    spread: float = 0.6,
+    reverse: bool = True,
+    spread: float = 2.0,
 ) -> ProbabilisticActor:
     """A stochastic policy, the same for PPO and SAC: a normal distribution squashed to the action's bounds.
 
@@ -198,7 +198,7 @@ def make_critic(encoder: ObservationEncoder | None = None, hidden: Sequence[int]
 
 
 def make_action_critic(
-    encoder: ObservationEncoder | None = None, hidden: Sequence[int] = (128, 128), reverse: bool = False
+    encoder: ObservationEncoder | None = None, hidden: Sequence[int] = (128, 128), reverse: bool = True
 ) -> ValueOperator:
     """An action-value function: from observation and action to ``state_action_value [..., 1]``.
 

@@ -11,9 +11,9 @@ it without a checkpoint unless one adds a handler, its files leave out torch's r
 number of gradient steps an epoch skips every second epoch, and the losses it logs are means over the last epoch alone.
 
 Example:
-    >>> summary = train_ppo(PPOConfig(world="maze", max_minutes=5))
+    >>> summary = train_ppo(PPOConfig(max_minutes=5))
     >>> summary.checkpoint
-    PosixPath('runs/ppo-maze/checkpoint.pt')
+    PosixPath('runs/ppo-moon/checkpoint.pt')
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ no checkpoint in place. ``init_random_frames`` counts steps in the trainer and d
 and resuming see :mod:`rover_rl.algos.ppo`.
 
 Example:
-    >>> summary = train_sac(SACConfig(world="moon", max_minutes=10))
+    >>> summary = train_sac(SACConfig(max_minutes=10))
     >>> summary.checkpoint
     PosixPath('runs/sac-moon/checkpoint.pt')
 """

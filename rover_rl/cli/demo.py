@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from rover_rl.algos.config import PPOConfig, default_workers
-from rover_rl.cli.train import INTERRUPTED, told
+from rover_rl.cli.train import INTERRUPTED, told, train
 
 FILMED = 12.0
 """Seconds of the film."""
@@ -13,7 +13,10 @@ FILMED = 12.0
 
 @dataclass(frozen=True)
 class Demo:
-    """Train PPO for some minutes, drive fixed starts and goals beside others, and film the policy of the package."""
+    """Train PPO for some minutes, drive fixed starts and goals beside others, and film the policy of the package.
+
+    The training has the settings of the package's policy for the world.
+    """
 
     world: str = "moon"
     """World to train and drive in: inspect, moon or maze."""
@@ -34,12 +37,16 @@ class Demo:
         from rover_rl.algos.evaluate import evaluate
         from rover_rl.algos.film import film
         from rover_rl.algos.plots import draw_learning_curve, draw_paths
-        from rover_rl.algos.ppo import train_ppo
         from rover_rl.algos.pretrained import load_pretrained
         from rover_rl.algos.report import print_table, write_evaluation
         from rover_rl.algos.runs import Checkpoint
 
-        config = PPOConfig(
+        episodes = draw_episodes(self.world, self.count)
+        name = f"{self.world.split(':')[0]}-ppo"
+        package = load_pretrained(name)
+        expert = package.make_actor()
+        config = replace(
+            package.config,
             world=self.world,
             max_minutes=self.minutes,
             seed=self.seed,
@@ -48,11 +55,8 @@ class Demo:
             runs=self.runs,
         )
         config.check()
-        episodes = draw_episodes(self.world, self.count)
-        name = f"{self.world.split(':')[0]}-ppo"
-        expert = load_pretrained(name).make_actor()
         print(f"Training PPO in {self.world} for {self.minutes:g} minutes with {config.num_envs} rovers")
-        summary = train_ppo(config)
+        summary = train(config)
         print(told(summary))
         if summary.interrupted:
             return INTERRUPTED

@@ -31,10 +31,7 @@ from rover_rl.sims.base import View
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
-__all__ = ["ENV_ID", "GymVectorWrapper", "GymWrapper", "RoverEnv", "make_vector_env", "register"]
-
-ENV_ID = "rover_rl/Rover-v0"
-"""Name under which Gymnasium knows the environment."""
+__all__ = ["GymVectorWrapper", "GymWrapper", "RoverEnv", "make_vector_env"]
 
 
 class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
@@ -302,13 +299,3 @@ class RoverEnv(GymWrapper):
             heading_gains=heading_gains,
         )
         super().__init__(env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera)
-
-
-def register() -> None:
-    """Makes the environment known to ``gymnasium.make`` and ``make_vec``; ``import rover_rl`` does it."""
-    if ENV_ID not in gymnasium.registry:
-        gymnasium.register(
-            id=ENV_ID,
-            entry_point="rover_rl.envs.gym:RoverEnv",
-            vector_entry_point="rover_rl.envs.gym:make_vector_env",
-        )

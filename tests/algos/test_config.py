@@ -139,7 +139,7 @@ def test_runs_are_called_by_what_they_do_not_have_in_common() -> None:
         PPOConfig(workers=2),
         SACConfig(),
         SACConfig(gamma=0.9),
-        SACConfig(world="moon"),
+        SACConfig(world="maze"),
     ]
-    names = ["PPO in maze", "PPO in maze", "SAC in maze, gamma=0.96", "SAC in maze, gamma=0.9", "SAC in moon"]
+    names = ["PPO in moon", "PPO in moon", "SAC in moon, gamma=0.96", "SAC in moon, gamma=0.9", "SAC in maze"]
     assert experiments(runs) == names

@@ -83,7 +83,7 @@ def test_the_spread_of_actions_stays_below_its_bound() -> None:
 
 def test_reverse_is_what_the_critic_scales_by() -> None:
     torch.manual_seed(0)
-    back, forward = make_action_critic(reverse=True), make_action_critic()
+    back, forward = make_action_critic(), make_action_critic(reverse=False)
     forward.load_state_dict(back.state_dict())
     td = observations(5).set("action", torch.full((5, 2), 0.0))
     slow = td.clone().set("action", torch.tensor([[-1.0, 0.0]] * 5))
@@ -110,7 +110,7 @@ def test_a_map_needs_what_lies_on_it() -> None:
 
 
 def test_without_exploration_the_action_is_the_middle_of_the_distribution() -> None:
-    actor, td = make_actor(), observations(8)
+    actor, td = make_actor(reverse=False), observations(8)
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         first, second = actor(td.clone())["action"], actor(td.clone())["action"]
     assert torch.equal(first, second)

@@ -25,8 +25,11 @@ from rover_rl.algos.progress import read_progress
 from rover_rl.algos.runs import Checkpoint, load_state
 from rover_rl.algos.training import TrainingSummary
 
-PPO = PPOConfig(total_steps=512, num_envs=4, decisions=8, epochs=2, minibatch=16, hidden=(16,), snapshots=2)
+PPO = PPOConfig(
+    world="maze", total_steps=512, num_envs=4, decisions=8, epochs=2, minibatch=16, hidden=(16,), snapshots=2
+)
 SAC = SACConfig(
+    world="maze",
     total_steps=512,
     num_envs=4,
     decisions=2,

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -87,7 +86,7 @@ def test_rewards_and_actions_are_scaled_and_an_action_is_held():
     _, rewards, _, _ = rows.step(np.full((2, 2), 0.5, np.float32))
     now, total = plain.reset(), torch.zeros(2, 1)
     for _ in range(config.repeat):
-        now = plain.step(now.set("action", torch.tensor([[0.75, 0.5 * np.pi]] * 2)))["next"]
+        now = plain.step(now.set("action", torch.tensor([[0.5, 0.5 * np.pi]] * 2)))["next"]
         total += now["reward"]
     np.testing.assert_allclose(rewards, config.reward_scale * total.squeeze(-1).numpy(), rtol=1e-5)
     rows.close()
@@ -125,7 +124,7 @@ def test_sb3_takes_gradient_steps_and_is_stopped_by_the_clock():
 @pytest.mark.parametrize(("reverse", "slowest"), [(True, -1.0), (False, 0.0)])
 def test_a_policy_of_sb3_drives_without_exploration(models, reverse, slowest):
     for model in models.values():
-        policy = against_sb3.tensordict_policy(model.policy, reverse)
+        policy = against_sb3.SB3Policy(model.policy, reverse)
         observation = {key: torch.as_tensor(value) for key, value in models["ppo"].env.reset().items()}
         now = TensorDict(observation, batch_size=[2])
         scaled, _ = model.predict({key: value.numpy() for key, value in observation.items()}, deterministic=True)
@@ -155,8 +154,7 @@ def test_ours_may_never_get_there(tmp_path):
 
 def test_one_command_runs_all(tmp_path, monkeypatch):
     monkeypatch.setattr(against_sb3, "default_workers", lambda num_envs: 1)
-    monkeypatch.setattr(against_sb3, "evaluate", partial(against_sb3.evaluate, seconds=0.5))
-    against_sb3.main(Options(algo="ppo", world="maze", minutes=0.01, num_envs=2, count=2, runs=tmp_path))
+    against_sb3.main(Options(algo="ppo", world="maze", minutes=0.01, num_envs=2, count=2, seconds=0.5, runs=tmp_path))
     results = json.loads((tmp_path / "against_sb3-ppo-maze" / "against_sb3.json").read_text())
     assert [curve["name"] for curve in results["curves"]] == list(against_sb3.CONTENDERS)
     assert all(curve["points"][-1]["steps"] > 0 for curve in results["curves"])

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -27,17 +26,19 @@ def test_a_table_has_the_mean_the_least_and_the_most_of_the_seeds() -> None:
 
 
 @pytest.mark.slow
-def test_it_trains_measures_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(results, "evaluate", partial(results.evaluate, seconds=1.0))
-    monkeypatch.setattr(results, "evaluate_endless", partial(results.evaluate_endless, rows=1, steps=20))
-    options = results.Options(policies=["inspect-ppo"], seeds=[3], minutes=1e-6, count=2, runs=tmp_path)
+def test_it_trains_measures_and_goes_on(tmp_path: Path) -> None:
+    options = results.Options(
+        policies=["inspect-ppo"], seeds=[3, 4], minutes=1e-6, count=2, seconds=1.0, endless=1, runs=tmp_path
+    )
     assert results.main(options) == 0
-    folder = tmp_path / "inspect-ppo-3"
-    assert Checkpoint.load(folder).config.seed == 3
-    told = json.loads((tmp_path / "results.json").read_text())["inspect-ppo-3"]
-    assert told["steps"] == Checkpoint.load(folder).steps > 0
-    assert told["steps to 90%"] is None
+    told = json.loads((tmp_path / "results.json").read_text())
+    assert list(told) == ["inspect-ppo-3", "inspect-ppo-4"]
+    for seed in (3, 4):
+        checkpoint = Checkpoint.load(tmp_path / f"inspect-ppo-{seed}")
+        assert checkpoint.config.seed == seed
+        assert told[f"inspect-ppo-{seed}"]["steps"] == checkpoint.steps > 0
+        assert told[f"inspect-ppo-{seed}"]["steps to 90%"] is None
     assert {"results.md", "learning_curves.png"} <= {file.name for file in tmp_path.iterdir()}
-    before = (folder / "checkpoint.pt").read_bytes()
+    before = (tmp_path / "inspect-ppo-3" / "checkpoint.pt").read_bytes()
     assert results.main(options) == 0
-    assert (folder / "checkpoint.pt").read_bytes() == before
+    assert (tmp_path / "inspect-ppo-3" / "checkpoint.pt").read_bytes() == before

@@ -1,0 +1,32 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+import rover_rl
+
+
+def test_every_public_name_is_there() -> None:
+    for name in rover_rl.__all__:
+        assert getattr(rover_rl, name) is not None
+        assert name in dir(rover_rl)
+
+
+def test_another_name_is_an_error_as_always() -> None:
+    with pytest.raises(AttributeError, match="module 'rover_rl' has no attribute 'Rover'"):
+        _ = rover_rl.Rover
+    with pytest.raises(ImportError, match="cannot import name 'Rover'"):
+        from rover_rl import Rover  # noqa: F401
+
+
+def test_help_and_registration_need_no_pytorch() -> None:
+    program = (
+        "import sys, gymnasium, rover_rl\n"
+        "from rover_rl.cli.main import main\n"
+        "assert 'rover_rl/Rover-v0' in gymnasium.registry\n"
+        "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+        "assert 'torch' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, stdout=subprocess.DEVNULL)
