@@ -1,10 +1,15 @@
 from __future__ import annotations
 
+import re
+import shlex
+
 import pytest
+import tyro
 
 from rover_rl.algos.episodes import stored_episodes
 from rover_rl.algos.evaluate import evaluate
 from rover_rl.algos.pretrained import FOLDER, load_pretrained, pretrained_names
+from rover_rl.cli.train import train_defaults
 
 FLOOR = {"inspect": 0.9, "moon": 0.9, "maze": 0.85}
 """Share of the episodes below that a policy must reach; its card tells what it reaches of all of them."""
@@ -17,6 +22,17 @@ def test_there_is_one_for_each_world_with_a_card() -> None:
         card = (FOLDER / f"{name}.md").read_text()
         for told in ("rover-rl train", "seed", "steps", "minutes", "SPL", "rover-rl evaluate"):
             assert told in card
+
+
+@pytest.mark.parametrize("name", pretrained_names())
+def test_its_card_tells_the_command_that_trained_it(name: str) -> None:
+    card = (FOLDER / f"{name}.md").read_text()
+    command = re.search(r"^    rover-rl train ((?:.*\\\n)*.*)$", card, re.MULTILINE)
+    assert command is not None
+    arguments = shlex.split(command[1].replace("\\\n", " "))
+    defaults = train_defaults(["train", *arguments])
+    told = tyro.cli(type(defaults), args=arguments, default=defaults)
+    assert told.config == load_pretrained(name).config
 
 
 @pytest.mark.slow
