@@ -30,7 +30,7 @@ from rover_rl.algos.pretrained import load_pretrained, pretrained_names
 from rover_rl.algos.progress import read_progress
 from rover_rl.algos.report import write_evaluation
 from rover_rl.algos.runs import Checkpoint
-from rover_rl.cli.train import INTERRUPTED, told, train
+from rover_rl.cli.train import INTERRUPTED, train
 
 ENOUGH = 0.9
 """Success that a policy is asked for when it is told how many steps that took."""
@@ -72,7 +72,7 @@ def trained(config: TrainingConfig, folder: Path) -> bool:
     """Trains, or goes on with a training, unless it is complete; whether it came to its end."""
     begun = (folder / "config.yaml").is_file()
     summary = train(run_config(folder) if begun else config, folder if begun else None)
-    print(told(summary))
+    print(f"{folder.name}: {summary.steps:,} steps in {summary.minutes:.1f} minutes")
     return not summary.interrupted
 
 
