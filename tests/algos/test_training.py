@@ -213,7 +213,8 @@ def test_a_killed_run_goes_on_without_gap_or_duplicate(tmp_path: Path) -> None:
     """Ten times SIGKILL at any moment; after each, every file that is there can be read."""
     folder, moments = tmp_path / "sac-maze", random.Random(0)
     sizes = ["--num-envs", "4", "--hidden", "16", "--warmup", "24", "--minibatch", "8", "--gradient-steps", "2"]
-    begin = ["--algo", "sac", "--runs", str(tmp_path), "--total-steps", "1000000000", "--snapshots", "10000000"]
+    begin = ["--algo", "sac", "--world", "maze", "--runs", str(tmp_path), "--snapshots", "10000000"]
+    begin += ["--total-steps", "1000000000"]
     begin += [*sizes, "--checkpoint-minutes", "0.002"]
     for life in range(10):
         resumed = (folder / "config.yaml").is_file()
@@ -249,6 +250,8 @@ def start(options: list[str]) -> subprocess.Popen[bytes]:
 
 
 def wait_until(condition: Callable[[], bool], process: subprocess.Popen[bytes]) -> None:
+    latest = time.monotonic() + 120
     while not condition():
         assert process.poll() is None
+        assert time.monotonic() < latest
         time.sleep(0.05)
