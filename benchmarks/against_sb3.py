@@ -56,7 +56,7 @@ from torchrl.envs import ActionScaling, EnvBase, RewardScaling
 
 from rover_rl import GymWrapper
 from rover_rl.algos.collecting import make_training_env
-from rover_rl.algos.config import CONFIGS, PPOConfig, SACConfig, TrainingConfig, default_workers, plain
+from rover_rl.algos.config import CONFIGS, ENDLESS, PPOConfig, SACConfig, TrainingConfig, default_workers, plain
 from rover_rl.algos.cores import over_cores
 from rover_rl.algos.episodes import EpisodeSet, stored_episodes
 from rover_rl.algos.evaluate import Policy, evaluate
@@ -68,9 +68,6 @@ from rover_rl.algos.progress import read_progress
 from rover_rl.algos.runs import Checkpoint, new_run_folder
 from rover_rl.algos.sac import train_sac
 from rover_rl.envs.sb3 import SB3VecEnv
-
-ENDLESS = 10**9
-"""Steps that no training here comes to: the clock ends it."""
 
 
 @dataclass
@@ -267,27 +264,22 @@ class WallClock(BaseCallback):
         marks = int(share * self._config.snapshots)
         if marks > self._marks:
             self._marks = marks
-            self.snapshots.append(
-                Snapshot(self.minutes, steps, SB3Policy(deepcopy(self.model.policy), self._config.reverse))
-            )
+            policy = policy_of_sb3(deepcopy(self.model.policy), self._config.reverse)
+            self.snapshots.append(Snapshot(self.minutes, steps, policy))
             self._bar.console.print(f"{share:4.0%} of training: {steps:,} steps", highlight=False)
         self._bar.update(self._task, completed=share, status=f"{steps:,} steps")
         return share < 1
 
 
-@dataclass(frozen=True)
-class SB3Policy:
+def policy_of_sb3(policy: BasePolicy, reverse: bool) -> Policy:
     """A policy of SB3 as one that our evaluation drives with; it knows no exploration."""
+    return partial(_act, policy, *middle_and_half(action_spec(reverse)))
 
-    policy: BasePolicy
-    reverse: bool
 
-    def __call__(self, now: TensorDictBase) -> TensorDictBase:
-        """Sets ``"action"``, float32 ``[N, 2]``."""
-        middle, half = middle_and_half(action_spec(self.reverse))
-        observation = {key: now[key].numpy() for key in self.policy.observation_space}
-        action, _ = self.policy.predict(observation, deterministic=True)
-        return now.set("action", middle + half * torch.from_numpy(action))
+def _act(policy: BasePolicy, middle: Tensor, half: Tensor, now: TensorDictBase) -> TensorDictBase:
+    observation = {key: now[key].numpy() for key in policy.observation_space}
+    action, _ = policy.predict(observation, deterministic=True)
+    return now.set("action", middle + half * torch.from_numpy(action))
 
 
 @dataclass(frozen=True)

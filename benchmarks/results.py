@@ -20,7 +20,7 @@ from typing import Any
 
 import tyro
 
-from rover_rl.algos.config import TrainingConfig, default_workers, run_config
+from rover_rl.algos.config import ENDLESS, TrainingConfig, default_workers, run_config
 from rover_rl.algos.cores import over_cores
 from rover_rl.algos.episodes import EpisodeSet, draw_episodes, stored_episodes
 from rover_rl.algos.evaluate import EndlessEvaluation, Evaluation, evaluate, evaluate_endless
@@ -65,7 +65,7 @@ def settings(name: str, seed: int, options: Options) -> TrainingConfig:
     config = load_pretrained(name).config
     config = replace(config, seed=seed, name=f"{name}-{seed}", runs=str(options.runs))
     config = replace(config, workers=default_workers(config.num_envs))
-    return config if options.minutes is None else replace(config, max_minutes=options.minutes, total_steps=10**9)
+    return config if options.minutes is None else replace(config, max_minutes=options.minutes, total_steps=ENDLESS)
 
 
 def trained(config: TrainingConfig, folder: Path) -> bool:

@@ -16,6 +16,8 @@ SECONDS_PER_STEP = 0.05
 """The simulator is controlled at 20 Hz."""
 OBSERVATION_KEYS = ("lidar", "imu", "target", "velocities", "pose")
 """Entries of an observation that a policy can read."""
+ENDLESS = 10**9
+"""Steps that no training comes to: its time ends it."""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from rover_rl.algos.config import PPOConfig, default_workers
+from rover_rl.algos.config import ENDLESS, PPOConfig, default_workers
 from rover_rl.cli.train import INTERRUPTED, told, train
 
 FILMED = 12.0
@@ -48,6 +48,7 @@ class Demo:
         config = replace(
             package.config,
             world=self.world,
+            total_steps=ENDLESS,
             max_minutes=self.minutes,
             seed=self.seed,
             num_envs=self.num_envs,

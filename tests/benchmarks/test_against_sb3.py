@@ -14,6 +14,7 @@ pytest.importorskip("stable_baselines3")
 from benchmarks import against_sb3
 from benchmarks.against_sb3 import Curve, Options, Point
 from rover_rl import make_env
+from rover_rl.algos.config import ENDLESS
 from rover_rl.algos.policy import ObservationEncoder, make_action_critic, make_actor, make_critic
 from rover_rl.envs.sb3 import SB3VecEnv
 
@@ -112,7 +113,7 @@ def test_sb3_takes_gradient_steps_and_is_stopped_by_the_clock():
     with against_sb3.WallClock(config) as clock:
         model = against_sb3.make_sb3(config, rows, clock.learning_rate)
         before = [parameter.clone() for parameter in model.actor.parameters()]
-        model.learn(against_sb3.ENDLESS, callback=clock)
+        model.learn(ENDLESS, callback=clock)
     rows.close()
     assert clock.share == 1
     assert clock.learning_rate(1.0) == 0
@@ -124,7 +125,7 @@ def test_sb3_takes_gradient_steps_and_is_stopped_by_the_clock():
 @pytest.mark.parametrize(("reverse", "slowest"), [(True, -1.0), (False, 0.0)])
 def test_a_policy_of_sb3_drives_without_exploration(models, reverse, slowest):
     for model in models.values():
-        policy = against_sb3.SB3Policy(model.policy, reverse)
+        policy = against_sb3.policy_of_sb3(model.policy, reverse)
         observation = {key: torch.as_tensor(value) for key, value in models["ppo"].env.reset().items()}
         now = TensorDict(observation, batch_size=[2])
         scaled, _ = model.predict({key: value.numpy() for key, value in observation.items()}, deterministic=True)
