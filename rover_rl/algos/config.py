@@ -161,9 +161,10 @@ class SACConfig(TrainingConfig):
 
     algo: ClassVar[str] = "sac"
 
+    total_steps: int = 400_000
     decisions: int = 1
     """Decisions of each rover between two rounds of gradient steps."""
-    gradient_steps: int = 16
+    gradient_steps: int = 32
     """Gradient steps in each round."""
     minibatch: int = 256
     """Decisions in a gradient step."""
@@ -173,8 +174,9 @@ class SACConfig(TrainingConfig):
     """Decisions before the first gradient step."""
     tau: float = 0.005
     """Share of the new value networks that goes into their slow copies in a gradient step."""
-    alpha: float = 0.02
-    """Weight of the entropy beside the scaled reward, at the start; it is tuned from there."""
+    alpha: float = 1.0
+    """Weight of the entropy beside the scaled reward, at the start; it is tuned from there. So much has the rovers try
+    everything for a while."""
     target_entropy: float = -3.0
     """Entropy that the policy's spread is tuned to, in nats for actions scaled to [-1, 1]."""
 
