@@ -19,7 +19,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl.algos import ppo, sac
-from rover_rl.algos.config import PPOConfig, SACConfig, TrainingConfig, read_config
+from rover_rl.algos.config import ENDLESS, PPOConfig, SACConfig, TrainingConfig, read_config
 from rover_rl.algos.evaluate import draw_episodes, evaluate
 from rover_rl.algos.progress import read_progress
 from rover_rl.algos.runs import Checkpoint, load_state
@@ -193,7 +193,7 @@ def test_imitation_makes_the_guides_actions_likelier(tmp_path: Path) -> None:
 
 
 def test_time_can_be_the_budget(tmp_path: Path) -> None:
-    summary = train(replace(PPO, total_steps=10**9, max_minutes=1e-6, runs=str(tmp_path)))
+    summary = train(replace(PPO, total_steps=ENDLESS, max_minutes=1e-6, runs=str(tmp_path)))
     assert len(table(summary.folder)["steps"]) == 1
     assert [file.name for file in (summary.folder / "snapshots").iterdir()] == ["000000128.pt"]
     assert not summary.interrupted
