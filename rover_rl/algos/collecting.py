@@ -57,7 +57,7 @@ def make_training_env(config: TrainingConfig, worker: int = 0, session: int = 0)
     env = env.append_transform(RewardSum(list(EPISODE_SUMS), list(EPISODE_SUMS.values())))
     env = env.append_transform(StepCounter())
     env = env.append_transform(RandomTruncationTransform(min_horizon=1, max_horizon=longest))
-    return env.append_transform(StepClock(env.base_env.simulator))
+    return env.append_transform(StepClock(env.base_env.simulator, worker))
 
 
 class ForwardOnly(Transform):
@@ -75,6 +75,9 @@ def collecting(
 ) -> Iterator[BaseCollector]:
     """A collector of batches ``[num_envs, decisions]``, in this process or in several; closed in the end.
 
+    Where the algorithm is ``asynchronous`` and there are several processes, each gives batches of its own rows
+    alone, ``[num_envs / workers, decisions]``, and goes on while they are learned from.
+
     Args:
         config: of the training.
         actor: takes the actions; :meth:`BaseCollector.update_policy_weights_` tells other processes of its weights.
@@ -82,6 +85,8 @@ def collecting(
         session: how often the run has been resumed.
     """
     frames = config.num_envs * decisions
+    if config.workers > 1 and config.asynchronous:
+        frames //= config.workers
     if config.workers == 1:
         collector = Collector(
             partial(make_training_env, config, session=session),
@@ -95,9 +100,9 @@ def collecting(
             [partial(_make_worker_env, config, worker, session) for worker in range(config.workers)],
             actor,
             num_collectors=config.workers,
-            sync=True,
+            sync=not config.asynchronous,
             frames_per_batch=frames,
-            cat_results=0,
+            cat_results=None if config.asynchronous else 0,
             use_buffers=True,
             num_threads=1,
             auto_register_policy_transforms=False,

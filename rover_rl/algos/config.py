@@ -26,6 +26,8 @@ class TrainingConfig:
 
     algo: ClassVar[str]
     """Name of the algorithm."""
+    asynchronous: ClassVar[bool]
+    """Whether it learns while other processes go on driving, since it may learn from what older policies did."""
 
     world: str = "moon"
     """World to train in: inspect, moon or maze; "maze:7" is the maze of seed 7."""
@@ -128,6 +130,7 @@ class PPOConfig(TrainingConfig):
     """Settings of PPO: those of every algorithm, and its own."""
 
     algo: ClassVar[str] = "ppo"
+    asynchronous: ClassVar[bool] = False
 
     decisions: int = 16
     """Decisions of each rover between two updates."""
@@ -160,6 +163,7 @@ class SACConfig(TrainingConfig):
     """Settings of SAC: those of every algorithm, and its own."""
 
     algo: ClassVar[str] = "sac"
+    asynchronous: ClassVar[bool] = True
 
     total_steps: int = 400_000
     decisions: int = 1

@@ -159,8 +159,17 @@ def make_actor(
     # Small last weights: the first actions lie around the middle of their bounds, whatever is seen.
     body = _mlp(encoder.features, hidden, 2 * spec.shape[-1], gain=0.01)
     network = EncodedNetwork(encoder, nn.Sequential(body, NormalParameters(spread)))
+    return _actor(network, encoder.keys, spec)
+
+
+def on_features(actor: ProbabilisticActor) -> ProbabilisticActor:
+    """The same actor, with the same weights, that reads ``features [..., n]``: the observation, encoded already."""
+    return _actor(actor[0].module.body, ("features",), actor.spec["action"])
+
+
+def _actor(network: nn.Module, keys: Sequence[str], spec: Bounded) -> ProbabilisticActor:
     return ProbabilisticActor(
-        TensorDictModule(network, in_keys=list(encoder.keys), out_keys=["loc", "scale"]),
+        TensorDictModule(network, in_keys=list(keys), out_keys=["loc", "scale"]),
         in_keys=["loc", "scale"],
         spec=spec,
         distribution_class=TanhNormal,
@@ -197,35 +206,32 @@ def make_critic(encoder: ObservationEncoder | None = None, hidden: Sequence[int]
     return ValueOperator(EncodedNetwork(encoder, _mlp(encoder.features, hidden, 1, gain=1.0)), in_keys=[*encoder.keys])
 
 
-def make_action_critic(
-    encoder: ObservationEncoder | None = None, hidden: Sequence[int] = (128, 128), reverse: bool = True
-) -> ValueOperator:
-    """An action-value function: from observation and action to ``state_action_value [..., 1]``.
+def make_action_critic(features: int, hidden: Sequence[int] = (128, 128), reverse: bool = True) -> ValueOperator:
+    """An action-value function: from ``features [..., n]`` and action to ``state_action_value [..., 1]``.
 
-    Arguments as :func:`make_actor`.
+    Args:
+        features: n, that an :class:`ObservationEncoder` makes of the observation.
+        hidden: units of each hidden layer.
+        reverse: whether actions may drive backwards.
     """
-    encoder, spec = encoder or ObservationEncoder(), action_spec(reverse)
-    body = nn.Sequential(
-        _ScaleAction(encoder.features, spec),
-        _mlp(encoder.features + spec.shape[-1], hidden, 1, gain=1.0),
-    )
-    return ValueOperator(EncodedNetwork(encoder, body), in_keys=[*encoder.keys, "action"])
+    return ValueOperator(_ActionCritic(features, hidden, action_spec(reverse)), in_keys=["features", "action"])
 
 
-class _ScaleAction(nn.Module):
-    """Scales the action, the last entries of its input, to [-1, 1]."""
+class _ActionCritic(nn.Module):
+    """Scales the action to [-1, 1], and puts it beside the features."""
 
     _middle: Tensor
-    _scale: Tensor
+    _half: Tensor
 
-    def __init__(self, features: int, spec: Bounded) -> None:
+    def __init__(self, features: int, hidden: Sequence[int], spec: Bounded) -> None:
         super().__init__()
         middle, half = middle_and_half(spec)
-        self.register_buffer("_middle", torch.cat((torch.zeros(features), middle)), persistent=False)
-        self.register_buffer("_scale", torch.cat((torch.ones(features), 1 / half)), persistent=False)
+        self.register_buffer("_middle", middle, persistent=False)
+        self.register_buffer("_half", half, persistent=False)
+        self._mlp = _mlp(features + spec.shape[-1], hidden, 1, gain=1.0)
 
-    def forward(self, encoded: Tensor) -> Tensor:
-        return (encoded - self._middle) * self._scale
+    def forward(self, features: Tensor, action: Tensor) -> Tensor:
+        return self._mlp(torch.cat((features, (action - self._middle) / self._half), -1))
 
 
 def _mlp(features: int, hidden: Sequence[int], outputs: int, gain: float) -> MLP:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
+from statistics import harmonic_mean
 from types import TracebackType
 from typing import Any
 
@@ -18,6 +19,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from tensordict import TensorDictBase
 
 from rover_rl.algos.files import written_whole
+from rover_rl.algos.step_clock import NAMES
 
 EPISODE_STEPS = 2000
 """Steps of a full episode, as the contract has it."""
@@ -63,15 +65,15 @@ class BatchStatistics:
 class Stopwatch:
     """Where the wall clock of a training goes.
 
-    Times of the process that trains are taken with ``with stopwatch("learning"):``. While it waits for a batch, the
-    processes that collect tell in the batch how long they worked for it, and on what (``clock``, see
-    :class:`~rover_rl.algos.step_clock.StepClock`).
+    Times of the process that trains are taken with ``with stopwatch("learning"):``. The processes that collect tell in
+    each batch how long they worked for it, and on what (``clock``, see :class:`~rover_rl.algos.step_clock.StepClock`):
+    that is what the time that the batch was waited for went into. What they do in the meantime costs no time.
     """
 
     def __init__(self) -> None:
         self._started = time.perf_counter()
         self._seconds = dict.fromkeys(("simulator", "task and rewards", "policy and collector", "gradient steps"), 0.0)
-        self._clocks = torch.zeros(0)
+        self._clocks: dict[float, list[float]] = {}
 
     @property
     def elapsed(self) -> float:
@@ -87,20 +89,23 @@ class Stopwatch:
         finally:
             self._seconds[name] = self._seconds.get(name, 0.0) + time.perf_counter() - started
 
-    def collected(self, batch: TensorDictBase, workers: int) -> None:
-        """Divides the time that a batch took by what the ``workers`` that share its rows worked on."""
+    def collected(self, batch: TensorDictBase, rows: int, waited: float) -> None:
+        """Divides the time that a batch was waited for (s) by what its processes, of ``rows`` rows each, worked on."""
         clock = batch["next", "clock"]
-        last = torch.cat((clock["simulator"], clock["environment"]), -1)[:, -1]
-        now = last.unflatten(0, (workers, -1))[:, 0]
-        simulator, environment = (now - self._clocks if len(self._clocks) else now).mean(0).tolist()
-        self._clocks = now
-        self._seconds["simulator"] += simulator
-        self._seconds["task and rewards"] += environment - simulator
-        self._seconds["policy and collector"] -= environment
+        worked = []
+        for worker, *now in torch.cat([clock[name] for name in NAMES], -1)[::rows, -1].tolist():
+            worked.append([new - old for new, old in zip(now, self._clocks.get(worker, (0.0, 0.0)), strict=True)])
+            self._clocks[worker] = now
+        simulator, environment = (sum(seconds) / len(worked) for seconds in zip(*worked, strict=True))
+        waited_share = min(1.0, waited / environment)
+        self._seconds["simulator"] += waited_share * simulator
+        self._seconds["task and rewards"] += waited_share * (environment - simulator)
+        self._seconds["policy and collector"] += waited - waited_share * environment
 
     def shares(self) -> dict[str, float]:
         """Share of the time since the stopwatch was made, by what it was spent on; ``other`` is the rest."""
-        shares = {name: seconds / self.elapsed for name, seconds in self._seconds.items()}
+        elapsed = self.elapsed
+        shares = {name: seconds / elapsed for name, seconds in self._seconds.items()}
         return shares | {"other": 1 - sum(shares.values())}
 
 
@@ -175,8 +180,10 @@ class ProgressLog:
             writer.writerow({key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()})
 
     def _show(self, share: float) -> None:
+        # Each row has as many steps: their mean speed is the harmonic one, and batches may come two at a time.
+        speed = harmonic_mean(row["steps_per_second"] for row in self._recent)
         status = (
-            f"{self._mean('steps_per_second'):,.0f} steps/s, "
+            f"{speed:,.0f} steps/s, "
             f"{self._mean('goals_per_2000_steps'):.1f} goals per 2,000 steps, "
             f"success {self._success_rate():.0%}, return {self._mean('episode_return'):.0f}"
         )

@@ -1,5 +1,7 @@
 """SAC on a batch of rovers, with TorchRL: drive a little, remember it, take gradient steps on what is remembered.
 
+With several workers they drive on meanwhile, with a policy that is a batch behind: SAC learns from older ones anyway.
+
 Read it from the top: :func:`train_sac` is the loop, :class:`SACLearner` what happens in it. Where batches come from is
 in :mod:`rover_rl.algos.collecting`, the networks are in :mod:`rover_rl.algos.policy`, and folder, log, checkpoints and
 Ctrl-C are in :mod:`rover_rl.algos.training`.
@@ -36,6 +38,7 @@ from rover_rl.algos.policy import (
     make_actor,
     middle_and_half,
     mirrored,
+    on_features,
     single_threaded,
 )
 from rover_rl.algos.progress import Stopwatch
@@ -73,12 +76,12 @@ class SACLearner:
 
     def __init__(self, config: SACConfig) -> None:
         self.config = config
-        encoder = ObservationEncoder(config.observation, LIDAR_POINTS, config.north_up)
+        self._encoder = ObservationEncoder(config.observation, LIDAR_POINTS, config.north_up)
         spec = action_spec(config.reverse)
-        self.actor = make_actor(encoder, config.hidden, config.reverse, config.spread)
+        self.actor = make_actor(self._encoder, config.hidden, config.reverse, config.spread)
         self._loss = SACLoss(
-            self.actor,
-            make_action_critic(encoder, config.hidden, config.reverse),
+            on_features(self.actor),
+            make_action_critic(self._encoder.features, config.hidden, config.reverse),
             num_qvalue_nets=2,
             loss_function="l2",
             action_spec=spec,
@@ -88,8 +91,9 @@ class SACLearner:
         )
         self._loss.make_value_estimator(gamma=config.gamma)
         self._slow_copies = SoftUpdate(self._loss, tau=config.tau)
-        self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=config.learning_rate)
+        self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=config.learning_rate, fused=True)
         self._memory = ReplayBuffer(storage=LazyTensorStorage(config.buffer), batch_size=config.minibatch)
+        self._due = 0.0
         after = ("reward", "done", "terminated", *config.observation)
         self._learned_from = (*config.observation, "action", *(("next", key) for key in after))
 
@@ -98,6 +102,8 @@ class SACLearner:
         decisions = batch.select(*self._learned_from).reshape(-1)
         decisions["next", "reward"] = decisions["next", "reward"] * self.config.reward_scale
         self._memory.extend(decisions)
+        if len(self._memory) >= self.config.warmup:
+            self._due += self.config.gradient_steps * len(batch) / self.config.num_envs
 
     def update(self, share: float, stopwatch: Stopwatch) -> dict[str, float]:
         """Takes gradient steps on remembered decisions; returns means over them, nan as long as it waits for more.
@@ -107,7 +113,7 @@ class SACLearner:
             stopwatch: takes the time of the gradient steps.
         """
         learning_rate = set_learning_rate(self._optimizer, self.config, share)
-        count = self.config.gradient_steps if len(self._memory) >= self.config.warmup else 0
+        count, self._due = int(self._due), self._due % 1
         with stopwatch("gradient steps"):
             steps = [self._gradient_step(self._memory.sample()) for _ in range(count)]
         means = torch.stack(steps).mean(0).tolist() if steps else [math.nan] * len(LOGGED)
@@ -116,6 +122,9 @@ class SACLearner:
     def _gradient_step(self, decisions: TensorDictBase) -> Tensor:
         if self.config.mirror:
             decisions = mirrored(decisions, torch.rand(len(decisions)) < 0.5)
+        # Once, for all networks that see them.
+        for seen in (decisions, decisions["next"]):
+            seen["features"] = self._encoder(*(seen[key] for key in self._encoder.keys))
         losses = self._loss(decisions)
         self._optimizer.zero_grad()
         (losses["loss_actor"] + losses["loss_qvalue"] + losses["loss_alpha"]).backward()

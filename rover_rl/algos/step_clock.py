@@ -14,23 +14,26 @@ from torchrl.envs.transforms import Transform
 from rover_rl.sims.base import Simulator
 
 _KEY = "clock"
+NAMES = ("worker", "simulator", "environment")
+"""What the clock tells, in this order."""
 
 
 class StepClock(Transform):
     """Adds ``clock``: seconds that this process has spent so far, float64 ``[N, 1]``, the same on every row.
 
     ``("clock", "simulator")`` in the simulator (physics and lidar), ``("clock", "environment")`` in steps of the
-    environment, the simulator's and those of the transforms before this one included. Being part of the data, they
-    come along from collectors in other processes.
+    environment, the simulator's and those of the transforms before this one included. ``("clock", "worker")`` says
+    whose they are. Being part of the data, they come along from collectors in other processes.
 
     Args:
         simulator: to be timed from now on.
+        worker: number of this process.
     """
 
-    def __init__(self, simulator: Simulator) -> None:
+    def __init__(self, simulator: Simulator, worker: int = 0) -> None:
         super().__init__()
         self._started = 0.0
-        self._seconds = torch.zeros(2, dtype=torch.float64)
+        self._told = torch.tensor((worker, 0.0, 0.0), dtype=torch.float64)
         for method in ("step", "reset"):
             setattr(simulator, method, self._timed(getattr(simulator, method)))
 
@@ -38,7 +41,7 @@ class StepClock(Transform):
         def call(*args: Any, **kwargs: Any) -> Any:
             started = time.perf_counter()
             result = method(*args, **kwargs)
-            self._seconds[0] += time.perf_counter() - started
+            self._told[1] += time.perf_counter() - started
             return result
 
         return call
@@ -48,19 +51,20 @@ class StepClock(Transform):
         return tensordict
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        self._seconds[1] += time.perf_counter() - self._started
+        self._told[2] += time.perf_counter() - self._started
         return self._written(next_tensordict)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         return self._written(tensordict_reset)
 
     def _written(self, tensordict: TensorDictBase) -> TensorDictBase:
-        simulator, environment = self._seconds.expand(*tensordict.batch_size, 2).clone().split(1, -1)
-        return tensordict.set((_KEY, "simulator"), simulator).set((_KEY, "environment"), environment)
+        for name, values in zip(NAMES, self._told.expand(*tensordict.batch_size, 3).clone().split(1, -1), strict=True):
+            tensordict.set((_KEY, name), values)
+        return tensordict
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Adds ``clock``."""
         shape = observation_spec.shape
         leaf = Unbounded(shape=(*shape, 1), dtype=torch.float64, device=observation_spec.device)
-        observation_spec[_KEY] = Composite(simulator=leaf, environment=leaf.clone(), shape=shape)
+        observation_spec[_KEY] = Composite({name: leaf.clone() for name in NAMES}, shape=shape)
         return observation_spec

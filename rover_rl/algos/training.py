@@ -159,18 +159,19 @@ class TrainingRun:
         self._log.say(f"{signal.Signals(number).name}: stopping after this batch; once more stops at once")
 
     def batches(self, decisions: int) -> Iterator[TensorDictBase]:
-        """Batches ``[num_envs, decisions]`` until the run is over, one at least in a new run.
+        """Batches until the run is over, one at least in a new run: see :func:`~rover_rl.algos.collecting.collecting`.
 
         Each is to be learned from and recorded.
         """
         if self.updates and self.share >= 1:
             return
+        rows = self.config.num_envs // self.config.workers
         with collecting(self.config, self.learner.actor, decisions, self._session) as collector:
             batches = iter(collector)
             while not self.updates or (self.share < 1 and not self._stopping):
-                with self.stopwatch("policy and collector"):
-                    batch = next(batches)
-                self.stopwatch.collected(batch, self.config.workers)
+                asked = self.stopwatch.elapsed
+                batch = next(batches)
+                self.stopwatch.collected(batch, rows, self.stopwatch.elapsed - asked)
                 self._counted = self._statistics(batch)
                 yield batch
                 with self.stopwatch("policy and collector"):

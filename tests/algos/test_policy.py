@@ -8,7 +8,14 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl import RoverEnv, Terrain, World, box
-from rover_rl.algos.policy import ObservationEncoder, make_action_critic, make_actor, make_critic, mirrored
+from rover_rl.algos.policy import (
+    ObservationEncoder,
+    make_action_critic,
+    make_actor,
+    make_critic,
+    mirrored,
+    on_features,
+)
 from rover_rl.envs.specs import ACTION, observation_bounds
 
 LOW, HIGH = torch.tensor(ACTION.low), torch.tensor(ACTION.high)
@@ -54,7 +61,8 @@ def test_the_encoding_of_a_pose_tells_places_and_headings_apart() -> None:
 def test_networks_take_any_batch_and_any_keys(shape: tuple[int, ...], keys: tuple[str, ...]) -> None:
     encoder = ObservationEncoder(keys)
     td = make_actor(encoder)(observations(*shape).select(*keys))
-    td = make_action_critic(encoder)(make_critic(encoder)(td))
+    td["features"] = encoder(*(td[key] for key in keys))
+    td = make_action_critic(encoder.features)(make_critic(encoder)(td))
     assert td["action"].shape == (*shape, 2)
     assert td["action_log_prob"].shape == shape
     assert td["state_value"].shape == td["state_action_value"].shape == (*shape, 1)
@@ -81,11 +89,20 @@ def test_the_spread_of_actions_stays_below_its_bound() -> None:
     assert 0 < scale.min() < 0.1
 
 
+def test_an_actor_acts_on_features_as_on_what_they_encode() -> None:
+    torch.manual_seed(0)
+    actor, encoder, td = make_actor(), ObservationEncoder(), observations(5)
+    encoded = TensorDict({"features": encoder(*(td[key] for key in encoder.keys))}, batch_size=5)
+    again = on_features(actor)
+    torch.testing.assert_close(again(encoded)["action"], actor(td)["action"], rtol=0, atol=0)
+    assert {id(weight) for weight in again.parameters()} == {id(weight) for weight in actor.parameters()}
+
+
 def test_reverse_is_what_the_critic_scales_by() -> None:
     torch.manual_seed(0)
-    back, forward = make_action_critic(), make_action_critic(reverse=False)
+    back, forward = make_action_critic(3), make_action_critic(3, reverse=False)
     forward.load_state_dict(back.state_dict())
-    td = observations(5).set("action", torch.full((5, 2), 0.0))
+    td = TensorDict({"features": torch.randn(5, 3), "action": torch.zeros(5, 2)}, batch_size=5)
     slow = td.clone().set("action", torch.tensor([[-1.0, 0.0]] * 5))
     torch.testing.assert_close(forward(td)["state_action_value"], back(slow)["state_action_value"])
 

@@ -74,15 +74,31 @@ def test_without_a_terminal_each_tenth_is_told(tmp_path: Path) -> None:
     assert "success 50%" in lines[0]
 
 
+def batch_of(clocks: list[tuple[float, float, float]], rows: int = 2) -> TensorDict:
+    """Five decisions of workers, by their number and what each has worked so far in simulator and environment, s."""
+    told = torch.tensor(clocks, dtype=torch.float64).repeat_interleave(rows, 0)[:, None].expand(-1, 5, -1)
+    clock = dict(zip(("worker", "simulator", "environment"), told.split(1, -1), strict=True))
+    return TensorDict({"next": {"clock": clock}}, batch_size=told.shape[:2])
+
+
 def test_the_time_of_a_batch_is_divided_by_what_it_went_into() -> None:
     stopwatch = Stopwatch()
     with stopwatch("gradient steps"):
         pass
-    # Two workers of two rows each have worked 1 and 3 s, half of it in the simulator.
-    clock = torch.tensor([1.0, 1.0, 3.0, 3.0], dtype=torch.float64)[:, None, None].expand(4, 5, 1)
-    data = {"next": {"clock": {"simulator": clock / 2, "environment": clock}}}
-    stopwatch.collected(TensorDict(data, batch_size=(4, 5)), workers=2)
+    # Two workers have worked 1 and 3 s, half of it in the simulator, and the batch was waited for 4 s.
+    stopwatch.collected(batch_of([(0, 0.5, 1.0), (1, 1.5, 3.0)]), rows=2, waited=4.0)
     shares = stopwatch.shares()
-    assert shares["simulator"] == pytest.approx(shares["task and rewards"], rel=0.05)
-    assert shares["policy and collector"] == pytest.approx(-2 * shares["simulator"], rel=0.05)
-    assert sum(shares.values()) == pytest.approx(1, abs=1e-6 * abs(shares["simulator"]))
+    assert shares["simulator"] == pytest.approx(shares["task and rewards"], rel=1e-3)
+    assert shares["policy and collector"] == pytest.approx(2 * shares["simulator"], rel=1e-3)
+    assert sum(shares.values()) == pytest.approx(1, abs=1e-6 * shares["simulator"])
+
+
+def test_what_is_done_while_nobody_waits_takes_no_time() -> None:
+    stopwatch = Stopwatch()
+    stopwatch.collected(batch_of([(1, 6.0, 8.0)]), rows=2, waited=2.0)
+    stopwatch.collected(batch_of([(0, 3.0, 4.0)]), rows=2, waited=0.0)
+    # Worker 1 worked 8 s more, 2 of them in the simulator; others know nothing of it.
+    stopwatch.collected(batch_of([(1, 8.0, 16.0)]), rows=2, waited=4.0)
+    shares = stopwatch.shares()
+    assert shares["simulator"] / shares["task and rewards"] == pytest.approx((1.5 + 1.0) / (0.5 + 3.0), rel=1e-3)
+    assert shares["policy and collector"] == pytest.approx(0.0, abs=1e-6)

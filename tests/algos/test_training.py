@@ -168,6 +168,14 @@ def test_two_workers_share_the_rovers(tmp_path: Path) -> None:
     assert table(summary.folder)["steps"][-1] == 512
 
 
+@pytest.mark.slow
+def test_sac_learns_from_one_worker_while_the_other_drives(tmp_path: Path) -> None:
+    progress = table(train(replace(SAC, workers=2, runs=str(tmp_path))).folder)
+    # Each batch is one worker's: two rovers, two decisions; and brings half of a round's gradient steps.
+    assert progress["steps"] == list(range(16, 513, 16))
+    assert progress["gradient_steps"] == [0.0] * 5 + [1.0] * 27
+
+
 def test_imitation_makes_the_guides_actions_likelier(tmp_path: Path) -> None:
     folder = train(
         replace(

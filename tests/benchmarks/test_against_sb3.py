@@ -43,9 +43,9 @@ def count(*modules) -> int:
 
 
 def test_sb3_gets_networks_of_the_same_size(models):
-    actor, value, action_value = (
-        count(make(hidden=(24, 16))) for make in (make_actor, make_critic, make_action_critic)
-    )
+    hidden = (24, 16)
+    actor, value = count(make_actor(hidden=hidden)), count(make_critic(hidden=hidden))
+    action_value = count(make_action_critic(ObservationEncoder().features, hidden))
     sac, ppo = models["sac"], models["ppo"]
     assert count(sac.actor) == actor
     assert count(sac.critic) == 2 * action_value
