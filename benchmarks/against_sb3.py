@@ -380,15 +380,16 @@ def draw(path: Path, config: TrainingConfig, count: int, curves: list[Curve], co
         label = f"{curve.name}: {curve.final.steps:,} steps, {curve.final.success:.0%} in the end"
         ax.plot(minutes, success, "o-", markersize=4, linewidth=2, color=COLORS[curve.name], label=label)
         ax.fill_between(minutes, low, high, color=COLORS[curve.name], alpha=0.15, linewidth=0)
-    for comparison in comparisons:
-        if comparison.our_minutes is not None:
-            ends = (comparison.our_minutes, comparison.minutes)
-            color = COLORS[comparison.name]
-            ax.plot(ends, [comparison.success] * 2, "|:", markersize=12, markeredgewidth=2, color=color)
-            note = f"{comparison.our_minutes:.1f} of {comparison.minutes:.1f} min: {comparison.share:.0%} of its time"
-            box = {"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1}
-            place = {"xy": (ends[0], comparison.success), "xytext": (4, -14), "textcoords": "offset points"}
-            ax.annotate(note, **place, color=color, bbox=box)
+    reached = sorted((one for one in comparisons if one.our_minutes is not None), key=lambda one: one.success)
+    for rank, comparison in enumerate(reached):
+        ends = (comparison.our_minutes, comparison.minutes)
+        color = COLORS[comparison.name]
+        ax.plot(ends, [comparison.success] * 2, "|:", markersize=12, markeredgewidth=2, color=color)
+        note = f"{comparison.our_minutes:.1f} of {comparison.minutes:.1f} min: {comparison.share:.0%} of its time"
+        box = {"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1}
+        # The lower one's below its line and the other's above, so that they do not meet where both ended alike.
+        place = {"xy": (ends[0], comparison.success), "xytext": (4, 6 if rank else -14), "textcoords": "offset points"}
+        ax.annotate(note, **place, color=color, bbox=box)
     ax.set_title(f"{config.algo.upper()} in {config.world}: {config.num_envs} rovers, {os.cpu_count()} cores")
     ax.set(xlabel="minutes of wall clock", ylabel=f"success on {count} episodes", xlim=(0, None), ylim=(0, 1))
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
