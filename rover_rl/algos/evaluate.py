@@ -37,6 +37,7 @@ from rover_rl.algos.metrics import (
 from rover_rl.algos.policy import single_threaded
 from rover_rl.algos.progress import EPISODE_STEPS
 from rover_rl.envs import Phase, RoverEnv, TaskConfig
+from rover_rl.sims import Backend
 from rover_rl.sims.worlds import World, get_world
 
 __all__ = [
@@ -239,7 +240,7 @@ def evaluate(
     rows: int = 32,
     lidar_points: int = 32,
     task: TaskConfig | None = None,
-    backend: str = "bullet",
+    backend: str | Backend = "bullet",
 ) -> Evaluation:
     """Drives every episode once: one goal, within a time limit.
 
@@ -291,7 +292,7 @@ def evaluate_endless(
     repeat: int = 1,
     lidar_points: int = 32,
     task: TaskConfig | None = None,
-    backend: str = "bullet",
+    backend: str | Backend = "bullet",
 ) -> EndlessEvaluation:
     """Drives the original's episodes: up to 2,000 steps, with a new goal whenever one is reached.
 

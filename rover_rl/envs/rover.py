@@ -29,7 +29,7 @@ from rover_rl.envs.task import (
     pack_outcome,
     target_info,
 )
-from rover_rl.sims import RoverState, Simulator, make_simulator
+from rover_rl.sims import Backend, Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.base import View
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.rotations import quaternion_to_euler
@@ -90,7 +90,8 @@ class RoverEnv(EnvBase):
         lidar_points: readings that the policy sees, each the nearest of its segment of the scan.
         max_lidar_range: the lidar's readings are clipped to this, m.
         num_envs: rovers in the batch.
-        backend: what moves them; ``"bullet"``.
+        backend: what moves them: ``"bullet"``, ``"ros2"`` (one live rover), or one's settings, for example
+            :class:`~rover_rl.sims.bullet.BulletSettings`.
         robot: a robot's name or a :class:`~rover_rl.sims.robots.Robot`.
         lidar_beams: beams of a raw scan.
         seed: of the first row; ``None`` draws one.
@@ -124,7 +125,7 @@ class RoverEnv(EnvBase):
         max_lidar_range: float = 12.0,
         *,
         num_envs: int = 1,
-        backend: str = "bullet",
+        backend: str | Backend = "bullet",
         robot: str | Robot = "rover_zero",
         lidar_beams: int = 128,
         seed: int | None = None,
@@ -140,15 +141,14 @@ class RoverEnv(EnvBase):
         self.size = size
         self.length = length
         self.num_envs = num_envs
-        self.topics = {"scan": scan_topic, "imu": imu_topic, "cmd_vel": cmd_vel_topic, "camera": camera_topic}
-        self.connection_check_timeout = connection_check_timeout
+        self.connection = Connection(scan_topic, imu_topic, cmd_vel_topic, camera_topic, connection_check_timeout)
         self.end_on_goal = end_on_goal
         self.task = task or TaskConfig()
         self.robot = get_robot(robot)
         self.worlds = _assign_rows(world_n, num_envs)
         self.lidar = LidarPooling(lidar_beams, lidar_points, max_lidar_range, self._tensor_device)
         self.simulator: Simulator = make_simulator(
-            backend, worlds=self.worlds, robot=self.robot, lidar_beams=lidar_beams
+            backend, worlds=self.worlds, robot=self.robot, lidar_beams=lidar_beams, connection=self.connection
         )
         self.placement = Placement(self.worlds, self.robot, self.task.min_goal_distance, self._tensor_device)
         self.controller = HeadingController(num_envs, heading_gains, self._tensor_device)
@@ -169,6 +169,11 @@ class RoverEnv(EnvBase):
         """What the simulator last told of every rover, unclipped."""
         self._require_started("rover_state")
         return self._now.rover
+
+    @property
+    def robot_connected(self) -> bool:
+        """Whether there is a rover to drive; of simulated ones always."""
+        return self.simulator.robot_connected
 
     def render(self, row: int = 0, view: View = "chase", width: int = 640, height: int = 480) -> Tensor:
         """A picture of one rover and its goal, from behind (``"chase"``) or above (``"top"``): uint8 ``[H, W, 3]``."""

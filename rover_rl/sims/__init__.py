@@ -1,34 +1,70 @@
-"""What moves the rover. Each backend is one implementation of :class:`rover_rl.sims.base.Simulator`."""
+"""What moves the rover. Each backend is one implementation of :class:`rover_rl.sims.base.Simulator`.
+
+``RoverState`` and ``Simulator``, which need PyTorch, are imported when they are asked for.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib import import_module
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
-from rover_rl.sims.base import RoverState, Simulator
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds import World
+from rover_rl.sims.connection import Connection
 
-BACKENDS: dict[str, str] = {"bullet": "rover_rl.sims.bullet:BulletSimulator"}
-"""Backends by name: where their class is, so that only the one asked for is imported."""
+if TYPE_CHECKING:
+    from rover_rl.sims.base import RoverState, Simulator
+    from rover_rl.sims.robots import Robot
+    from rover_rl.sims.worlds import World
+
+BACKENDS: dict[str, str] = {
+    "bullet": "rover_rl.sims.bullet:BulletSettings",
+    "ros2": "rover_rl.sims.ros2:Ros2Settings",
+}
+"""Backends by name: where the class of their settings is, so that only the one asked for is imported."""
 
 
-def make_simulator(backend: str, *, worlds: Sequence[World], robot: Robot, lidar_beams: int) -> Simulator:
-    """Builds the simulator of that name.
+class Backend(Protocol):
+    """Settings that know how to build their simulator."""
+
+    def make(
+        self, *, worlds: Sequence[World], robot: Robot, lidar_beams: int, connection: Connection | None = None
+    ) -> Simulator:
+        """The simulator: see :func:`make_simulator`."""
+        ...
+
+
+def make_simulator(
+    backend: str | Backend,
+    *,
+    worlds: Sequence[World],
+    robot: Robot,
+    lidar_beams: int,
+    connection: Connection | None = None,
+) -> Simulator:
+    """Builds a simulator.
 
     Args:
-        backend: a name in :data:`BACKENDS`.
+        backend: a name in :data:`BACKENDS`, for a backend with its default settings, or its settings.
         worlds: the world of each rover, N entries; equal ones share a simulation.
         robot: the rover.
         lidar_beams: beams of a raw scan over the full turn.
+        connection: topics of a live rover; ``None``: the contract's.
 
     Raises:
         ValueError: for an unknown backend.
     """
-    if backend not in BACKENDS:
-        raise ValueError(f"unknown backend {backend!r}; use one of {sorted(BACKENDS)}")
-    module, name = BACKENDS[backend].split(":")
-    return getattr(import_module(module), name)(worlds=worlds, robot=robot, lidar_beams=lidar_beams)
+    if isinstance(backend, str):
+        if backend not in BACKENDS:
+            raise ValueError(f"unknown backend {backend!r}; use one of {sorted(BACKENDS)}")
+        module, name = BACKENDS[backend].split(":")
+        backend = cast(Backend, getattr(import_module(module), name)())
+    return backend.make(worlds=worlds, robot=robot, lidar_beams=lidar_beams, connection=connection)
 
 
-__all__ = ["BACKENDS", "RoverState", "Simulator", "make_simulator"]
+def __getattr__(name: str) -> Any:
+    if name not in ("RoverState", "Simulator"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module("rover_rl.sims.base"), name)
+
+
+__all__ = ["BACKENDS", "Backend", "Connection", "RoverState", "Simulator", "make_simulator"]

@@ -56,6 +56,11 @@ class Simulator(Protocol):
     device: torch.device
     ray_angles: Tensor
 
+    @property
+    def robot_connected(self) -> bool:
+        """Whether there are rovers to drive: of simulated ones always."""
+        ...
+
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
         """Puts the rovers of ``mask`` (bool ``[N]``) on the ground at ``poses`` (``[N, 3]``: x, y in m, yaw in rad).
 

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims import RoverState
+from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
@@ -34,6 +35,15 @@ class Moment:
     ranges: float | Sequence[float] = 5.0
 
 
+class ScriptedBackend:
+    """Settings of the simulator below; it has none."""
+
+    def make(
+        self, *, worlds: Sequence[World], robot: Robot, lidar_beams: int, connection: Connection | None = None
+    ) -> ScriptedSimulator:
+        return ScriptedSimulator(worlds, robot, lidar_beams)
+
+
 class ScriptedSimulator:
     """Plays one list of moments a row: the first after a reset, the next after each step, the last for ever.
 
@@ -44,6 +54,8 @@ class ScriptedSimulator:
         commands: what was commanded in each step, ``[N, 2]`` each.
         poses: the poses of the last reset, ``[N, 3]``.
     """
+
+    robot_connected = True
 
     def __init__(self, worlds: Sequence[World], robot: Robot, lidar_beams: int) -> None:
         self.num_envs = len(worlds)

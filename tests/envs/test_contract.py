@@ -24,12 +24,11 @@ from rover_rl.envs.lidar import LidarPooling
 from rover_rl.envs.placement import Placement
 from rover_rl.envs.rng import episode_keys, random_bits, row_keys, to_index, to_unit
 from rover_rl.envs.task import EVENTS, Phase, PositionHistory, heading_alignment, judge, target_info
-from rover_rl.sims import BACKENDS
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.rotations import wrap_angle
 from rover_rl.sims.worlds import Terrain, get_world
 from tests.envs import transcription as contract
-from tests.envs.scripted import Moment
+from tests.envs.scripted import Moment, ScriptedBackend
 
 WORLD_NAMES = ("inspect", "moon", "maze")
 NAME_OF_PHASE = {
@@ -62,9 +61,7 @@ def meadow() -> World:
 def scripted(*scripts: list[Moment], reward: str = "contract", **settings) -> EnvBase:
     """An environment whose rovers follow ``scripts``, one a row."""
     settings = {"world_n": meadow(), "lidar_beams": 32, "seed": 0, **settings}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(BACKENDS, "scripted", "tests.envs.scripted:ScriptedSimulator")
-        env = make_env(num_envs=len(scripts), backend="scripted", reward=reward, **settings)
+    env = make_env(num_envs=len(scripts), backend=ScriptedBackend(), reward=reward, **settings)
     bare(env).simulator.scripts = scripts
     return env
 

@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rover_rl.sims.bullet.simulator import BulletSimulator
+    from rover_rl.sims.connection import Connection
+    from rover_rl.sims.robots import Robot
+    from rover_rl.sims.worlds import World
 
 
 @dataclass(frozen=True)
@@ -31,3 +39,11 @@ class BulletSettings:
     def control_dt(self) -> float:
         """Duration of a control step in seconds."""
         return self.substep * self.substeps
+
+    def make(
+        self, *, worlds: Sequence[World], robot: Robot, lidar_beams: int, connection: Connection | None = None
+    ) -> BulletSimulator:
+        """The simulator with these settings: see :func:`rover_rl.sims.make_simulator`."""
+        from rover_rl.sims.bullet.simulator import BulletSimulator
+
+        return BulletSimulator(worlds, robot, lidar_beams, self)

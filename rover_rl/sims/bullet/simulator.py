@@ -122,6 +122,11 @@ class BulletSimulator:
             pose[:3], pose[3:7], view, width, height, None if goal is None else goal.tolist()
         )
 
+    @property
+    def robot_connected(self) -> bool:
+        """Always."""
+        return True
+
     def close(self) -> None:
         """Disconnects every client; may be called again."""
         self._finalizer()
