@@ -14,7 +14,6 @@ from torchrl.envs import EnvBase
 from rover_rl.envs.control import HeadingGains
 from rover_rl.envs.gym_vector import GymVectorWrapper, make_vector_env
 from rover_rl.envs.legacy import OriginalNames
-from rover_rl.envs.messages import first_position, imu_euler, odometry_twist, scan_ranges
 from rover_rl.envs.numpy_batch import (
     FRAMES_PER_SECOND,
     NumpyBatch,
@@ -27,6 +26,7 @@ from rover_rl.envs.numpy_batch import (
 from rover_rl.envs.rewards import RewardConfig
 from rover_rl.envs.rover import RoverEnv as BatchedRoverEnv
 from rover_rl.envs.task import TaskConfig
+from rover_rl.sims import Backend
 from rover_rl.sims.base import View
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
@@ -204,35 +204,46 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         (x_low, x_high), (y_low, y_high) = self.base_env.worlds[0].bounds
         return not (x_low <= x <= x_high and y_low <= y <= y_high)
 
+    @property
+    def _robot_connected(self) -> bool:
+        """Whether there is a rover to drive, by the original's name."""
+        return self.base_env.robot_connected
+
+    def _check_robot_connection(self, timeout: float) -> bool:
+        """Waits for a live rover's first scan (s); whether it came. Simulated rovers are there."""
+        wait = getattr(self.base_env.simulator, "wait_for_robot", None)
+        return self.base_env.robot_connected if wait is None else wait(timeout)
+
     def pose_array_callback(self, msg: Any) -> None:
-        """Hands a ``geometry_msgs/PoseArray``'s first pose to a live backend; see :meth:`lidar_callback`."""
-        self._hand_over("pose", first_position(msg))
+        """Hands a ``geometry_msgs/PoseArray`` to a live backend; its first pose counts. See :meth:`lidar_callback`."""
+        self._hand_over("pose", msg)
 
     def lidar_callback(self, msg: Any) -> None:
-        """Hands a ``sensor_msgs/LaserScan`` to a live backend.
+        """Hands a ``sensor_msgs/LaserScan`` to a live backend, as if it had come over its topic.
+
+        Any object with the message's attributes will do; a malformed one is left out with a warning.
 
         Raises:
             RuntimeError: if the backend makes its own sensor data, as Bullet does.
-            ValueError: for a message without content.
         """
-        self._hand_over("lidar", scan_ranges(msg))
+        self._hand_over("scan", msg)
 
     def imu_callback(self, msg: Any) -> None:
-        """Hands a ``sensor_msgs/Imu``'s roll, pitch and yaw to a live backend; see :meth:`lidar_callback`."""
-        self._hand_over("imu", imu_euler(msg))
+        """Hands a ``sensor_msgs/Imu`` to a live backend; see :meth:`lidar_callback`."""
+        self._hand_over("imu", msg)
 
     def odom_callback(self, msg: Any) -> None:
-        """Hands a ``nav_msgs/Odometry``'s twist to a live backend; see :meth:`lidar_callback`."""
-        self._hand_over("odom", odometry_twist(msg))
+        """Hands a ``nav_msgs/Odometry`` to a live backend; see :meth:`lidar_callback`."""
+        self._hand_over("odometry", msg)
 
-    def _hand_over(self, kind: str, value: Any) -> None:
+    def _hand_over(self, kind: str, msg: Any) -> None:
         receive = getattr(self.base_env.simulator, "receive", None)
         if receive is None:
             raise RuntimeError(
                 f"{type(self.base_env.simulator).__name__}: this backend makes its own sensor data; "
                 "callbacks are for backend='ros2'"
             )
-        receive(kind, value)
+        receive(kind, msg)
 
 
 class RoverEnv(GymWrapper):
@@ -265,7 +276,7 @@ class RoverEnv(GymWrapper):
         lidar_points: int = 32,
         max_lidar_range: float = 12.0,
         *,
-        backend: str = "bullet",
+        backend: str | Backend = "bullet",
         robot: str | Robot = "rover_zero",
         lidar_beams: int = 128,
         seed: int | None = None,

@@ -401,10 +401,10 @@ def test_state_has_the_originals_names(env):
 
 
 CALLBACKS = {
-    "lidar": ("lidar_callback", Message(ranges=[1.0, 2.0])),
+    "scan": ("lidar_callback", Message(ranges=[1.0, 2.0])),
     "imu": ("imu_callback", Message(orientation=Message(x=0.0, y=0.0, z=0.0, w=2.0))),
     "pose": ("pose_array_callback", Message(poses=[Message(position=Message(x=1.0, y=2.0, z=3.0))])),
-    "odom": (
+    "odometry": (
         "odom_callback",
         Message(twist=Message(twist=Message(linear=Message(x=0.5), angular=Message(z=0.25)))),
     ),
@@ -423,11 +423,7 @@ def test_callbacks_hand_over_to_a_live_backend(env, monkeypatch):
     monkeypatch.setattr(env.base_env.simulator, "receive", received.__setitem__, raising=False)
     for name, msg in CALLBACKS.values():
         getattr(env, name)(msg)
-    assert received.keys() == CALLBACKS.keys()
-    assert received["lidar"].tolist() == [1, 2]
-    assert received["imu"].tolist() == [0, 0, 0]
-    assert received["pose"].tolist() == [1, 2, 3]
-    assert received["odom"] == (0.5, 0.25)
+    assert received == {kind: msg for kind, (_, msg) in CALLBACKS.items()}
 
 
 # What may be wrapped, and with which reward

@@ -1,0 +1,8 @@
+"""A live rover through ROS 2: real, in Gazebo, or ``rover-rl robot``."""
+
+from __future__ import annotations
+
+from rover_rl.sims.ros2.errors import PoseResetError, RobotLostError
+from rover_rl.sims.ros2.settings import Ros2Settings
+
+__all__ = ["PoseResetError", "RobotLostError", "Ros2Settings"]

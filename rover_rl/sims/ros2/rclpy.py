@@ -1,0 +1,106 @@
+"""ROS 2 by ROS 2's own client library, for those who have ROS sourced: whatever middleware it uses."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from importlib import import_module
+from typing import Any, TypeVar
+
+try:
+    import rclpy
+    from rclpy.context import Context
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+except ImportError as error:
+    raise ImportError(
+        "transport='rclpy' needs ROS 2's Python library: source ROS first (/opt/ros/.../setup.bash), with the Python "
+        "that it was built for; transport='dds' needs no ROS"
+    ) from error
+
+from rover_rl.sims.ros2.messages import Message
+from rover_rl.sims.ros2.transport import Publisher
+
+M = TypeVar("M", bound=Message)
+
+
+class RclpyTransport:
+    """A node of its own, spun in a thread: see :class:`~rover_rl.sims.ros2.transport.Transport`.
+
+    What it receives are ROS's own messages, which have the same attributes as ours.
+
+    Args:
+        node: its name.
+    """
+
+    def __init__(self, node: str) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context)
+        self._node = rclpy.create_node(node, context=self._context)
+        self._publishers: dict[str, Any] = {}
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._thread = threading.Thread(target=self._spin, name=f"{node} spins rclpy", daemon=True)
+        self._thread.start()
+        self._closed = False
+
+    def subscribe(self, topic: str, kind: type[M], receive: Callable[[M], None], *, reliable: bool = False) -> None:
+        """Calls ``receive`` with each message on ``topic``: see :meth:`Transport.subscribe`."""
+        self._node.create_subscription(_ros_type(kind), topic, receive, _quality(reliable))
+
+    def publisher(self, topic: str, kind: type[M], *, reliable: bool = False) -> Publisher[M]:
+        """A function that sends messages on ``topic``: see :meth:`Transport.publisher`."""
+        ros_type = _ros_type(kind)
+        publisher = self._node.create_publisher(ros_type, topic, _quality(reliable))
+        self._publishers[topic] = publisher
+        return lambda message: publisher.publish(_to_ros(message, ros_type()))
+
+    def subscribers(self, topic: str) -> int:
+        """How many listen to ``topic``."""
+        return self._publishers[topic].get_subscription_count()
+
+    def close(self) -> None:
+        """Ends the thread and the node; may be called again."""
+        if self._closed:
+            return
+        self._closed = True
+        self._executor.shutdown()
+        self._thread.join()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def _spin(self) -> None:
+        try:
+            self._executor.spin()
+        except ExternalShutdownException:
+            return
+
+
+def _quality(reliable: bool) -> QoSProfile:
+    return QoSProfile(
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.VOLATILE,
+        history=HistoryPolicy.KEEP_LAST,
+        depth=1 if reliable else 5,
+    )
+
+
+def _ros_type(kind: type[Message]) -> Any:
+    """ROS's class for a message of ours."""
+    package, folder, name = kind.ros_type.split("/")
+    return getattr(import_module(f"{package}.{folder}"), name)
+
+
+def _to_ros(message: Any, ros: Any) -> Any:
+    """Copies a message of ours into one of ROS's."""
+    for field in fields(message):
+        value = getattr(message, field.name)
+        if is_dataclass(value):
+            _to_ros(value, getattr(ros, field.name))
+        elif isinstance(value, list):
+            kind = _ros_type(type(value[0])) if value else None
+            setattr(ros, field.name, [_to_ros(item, kind()) for item in value] if kind else [])
+        else:
+            setattr(ros, field.name, value)
+    return ros

@@ -1,0 +1,324 @@
+"""The ROS 2 backend: one live rover behind the :class:`Simulator` seam."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+import weakref
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, TypeAlias
+
+import torch
+from torch import Tensor
+
+from rover_rl.sims.base import RoverState, View
+from rover_rl.sims.connection import Connection
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.ros2.commands import Commands
+from rover_rl.sims.ros2.errors import PoseResetError, RobotLostError
+from rover_rl.sims.ros2.inbox import Arrival, Inbox
+from rover_rl.sims.ros2.messages import Imu, LaserScan, Message, Odometry
+from rover_rl.sims.ros2.pose_reset import Target, make_placer
+from rover_rl.sims.ros2.readings import ScanAlignment, read_imu, read_scan, read_twist
+from rover_rl.sims.ros2.settings import Ros2Settings
+from rover_rl.sims.ros2.transport import Transport, make_transport
+from rover_rl.sims.ros2.whereabouts import NOWHERE, POSE_MESSAGES, UPRIGHT, Whereabouts
+from rover_rl.sims.worlds import World
+
+_log = logging.getLogger(__name__)
+
+Readers: TypeAlias = dict[str, Callable[[Any], Any]]
+"""What is read from a message, by the name that it is kept under."""
+
+CONTROL_DT = 0.05
+"""Seconds from one scan to the next where scans do not tell: 20 Hz."""
+TOO_SOON = 0.75
+"""Share of a control step before which a next scan is left out: lidars may be faster than control."""
+LONGEST_DT = 1.0
+"""A longer gap between two stamps is a clock that jumped, s."""
+WARN_EVERY = 5.0
+"""Seconds between two warnings of malformed messages on one topic."""
+AT_REST = (0.05, 0.1)
+"""Forward speed (m/s) and yaw rate (rad/s) below which a rover's wheels are at rest."""
+STILL = 0.05
+"""A rover that moves less than this in any direction while it settles is at rest, m."""
+
+
+class Ros2Simulator:
+    """A live rover: real, in Gazebo, or ``rover-rl robot``.
+
+    Messages come in a thread of the transport's; :meth:`step` sends a command, waits for the next scan, and takes the
+    newest of the rest. What is malformed is refused with a warning, and the last good value stays.
+
+    Args:
+        worlds: the world that it drives in: one, whose name is that of Gazebo's.
+        robot: what it is.
+        lidar_beams: that its scans are turned into.
+        settings: how it is reached.
+        connection: topics, and how long to wait for the first scan.
+
+    Attributes:
+        latency: of the last step, from the arrival of the scan that it answers to its command, s.
+
+    Raises:
+        ValueError: for more than one rover.
+        ImportError: if what the transport needs is not installed.
+    """
+
+    def __init__(
+        self,
+        worlds: Sequence[World],
+        robot: Robot,
+        lidar_beams: int,
+        settings: Ros2Settings | None = None,
+        connection: Connection | None = None,
+    ) -> None:
+        if len(worlds) != 1:
+            raise ValueError(f"backend 'ros2' drives one live rover, got num_envs={len(worlds)}")
+        self.settings = settings = settings or Ros2Settings()
+        connection = connection or Connection()
+        self.num_envs = 1
+        self.device = torch.device("cpu")
+        self.ray_angles = torch.arange(lidar_beams, dtype=torch.float32) * (2 * math.pi / lidar_beams)
+        self._world = worlds[0]
+        self._aligned = ScanAlignment(lidar_beams, settings.lidar_yaw)
+        self._nothing_seen = torch.full((1, lidar_beams), math.inf)
+        self._whereabouts = Whereabouts(settings.pose)
+        self._inbox = Inbox()
+        self._warned: dict[str, float] = {}
+        self._scan: Arrival | None = None
+        self._dt = CONTROL_DT
+        self.latency = 0.0
+        self._transport = make_transport(settings.transport, settings.node)
+        self._commands = Commands(self._transport, connection.cmd_vel_topic, settings.command, settings.frame_id)
+        # A program that ends in an error, or forgets to close, leaves no rover that drives on.
+        self._finalizer = weakref.finalize(self, _let_go, self._commands, self._transport)
+        self._placer = make_placer(settings, self._world.name, self._transport)
+        self._subscribe(connection)
+        self.wait_for_robot(connection.timeout)
+
+    def _subscribe(self, connection: Connection) -> None:
+        """Listens to all that is needed of the rover."""
+        settings = self.settings
+        sources: dict[str, tuple[str, type[Message], Readers]] = {
+            "imu": (connection.imu_topic, Imu, {"imu": read_imu}),
+            "odometry": (settings.odometry_topic, Odometry, {"odometry": read_twist}),
+        }
+        pose = POSE_MESSAGES[settings.pose]
+        if settings.pose == "wheels":
+            sources["odometry"][2]["pose"] = pose.read
+        else:
+            sources["pose"] = (settings.pose_topic, pose.kind, {"pose": pose.read})
+        # Last, as a rover sends it last: when it wakes a step, the rest of the same moment is there.
+        sources["scan"] = (connection.scan_topic, LaserScan, {"scan": read_scan})
+        self._readers = {kind: readers for kind, (_, _, readers) in sources.items()}
+        self._topics = {kind: topic for kind, (topic, _, _) in sources.items()}
+        receive = weakref.WeakMethod(self.receive)  # else the transport would keep the simulator alive
+        for kind, (topic, message, _) in sources.items():
+            self._transport.subscribe(topic, message, partial(_hand_over, receive, kind))
+
+    @property
+    def last_command(self) -> tuple[float, float]:
+        """What was sent last, m/s and rad/s."""
+        return self._commands.last
+
+    @property
+    def robot_connected(self) -> bool:
+        """Whether scans come in."""
+        scan = self._inbox.newest("scan")
+        return scan is not None and scan.age < self.settings.step_timeout
+
+    def wait_for_robot(self, timeout: float) -> bool:
+        """Waits for a scan (s); whether there is one. If not, warns, and everything may go on."""
+        if self.robot_connected or self._inbox.wait("scan", self._inbox.count("scan"), timeout) is not None:
+            return True
+        _log.warning(
+            "no scan on %s within %g s: no robot is connected; it may still appear", self._topics["scan"], timeout
+        )
+        return False
+
+    def receive(self, kind: str, msg: Any) -> None:
+        """Takes in a message: ``"scan"``, ``"imu"``, ``"odometry"`` or ``"pose"``.
+
+        Any object with the message's attributes will do.
+        What is malformed is left out with a warning, at most every five seconds for each kind.
+
+        Raises:
+            ValueError: for another kind, which a pose is where it comes from the wheels.
+        """
+        if kind not in self._readers:
+            raise ValueError(f"kind must be one of {sorted(self._readers)}, got {kind!r}")
+        try:
+            values = {name: read(msg) for name, read in self._readers[kind].items()}
+        except (ValueError, TypeError, AttributeError, OverflowError) as error:
+            if time.monotonic() - self._warned.get(kind, -math.inf) > WARN_EVERY:
+                self._warned[kind] = time.monotonic()
+                _log.warning("%s: left out a message: %s", self._topics[kind], error)
+            return
+        if "pose" in values:
+            values["pose"] = self._whereabouts.located(values["pose"], self._newest("imu", UPRIGHT))
+        for name, value in values.items():
+            self._inbox.put(name, value)
+
+    def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
+        """Stops the rover, puts it at ``poses`` and waits until it rests there: see :meth:`Simulator.reset`.
+
+        Without a robot there are zeros and full range, and a warning.
+
+        Raises:
+            PoseResetError: if it could not be put there in time.
+            RobotLostError: if it stopped telling about itself.
+        """
+        if not mask.any():
+            return self.state()
+        if self._inbox.newest("scan") is None:
+            _log.warning("no robot has appeared on %s yet: observations are empty", self._topics["scan"])
+            return self.state()
+        self.stop()
+        target, poses_before = self._target(poses), self._inbox.count("pose")
+        self._placer.place(target)
+        self._wait_until_at_rest(target, poses_before)
+        self._take_scan(after=self._inbox.count("scan"))
+        ground = self._world.height_at(poses[0, :2]).item()
+        there = target if self._placer.moves else None
+        self._whereabouts.begin(self._newest("pose", NOWHERE), self._newest("imu", UPRIGHT), there, ground)
+        self._dt = CONTROL_DT
+        return self.state()
+
+    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
+        """Sends a command and waits for the next scan: see :meth:`Simulator.step`.
+
+        A rover whose scans do not come is not driven, but told to stop.
+
+        Raises:
+            RobotLostError: if a topic brings nothing for ``step_timeout``; a stop was sent before.
+        """
+        if active is not None and not active.any():
+            return self.state()
+        seen = self._inbox.count("scan")
+        if self.robot_connected:
+            self._commands.send(*commands[0].tolist())
+        else:
+            self.stop()
+        self.latency = 0.0 if self._scan is None else self._scan.age
+        self._take_scan(after=seen)
+        return self.state()
+
+    def stop(self) -> None:
+        """Tells the rover to stop, more than once."""
+        self._commands.stop()
+
+    def state(self) -> RoverState:
+        """What the newest messages say; zeros and full range before there are any."""
+        twist = self._newest("odometry", torch.zeros(2))[None]
+        position, orientation = self._where()
+        scan = self._scan.value if self._scan else None
+        return RoverState.pack(
+            position=position[None],
+            orientation=orientation[None],
+            linear_velocity=twist[:, :1],
+            angular_velocity=twist[:, 1:],
+            ranges=self._aligned(scan)[None] if scan else self._nothing_seen.clone(),
+            dt=torch.full((1, 1), self._dt),
+            stamp=torch.full((1, 1), scan.stamp if scan else 0.0, dtype=torch.float64),
+        )
+
+    def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
+        """A live rover has no picture of itself.
+
+        Raises:
+            NotImplementedError: always.
+        """
+        raise NotImplementedError("backend 'ros2' has no pictures: look at the rover, or use RViz")
+
+    def close(self) -> None:
+        """Stops the rover and closes the connection; may be called again."""
+        self._finalizer()
+
+    def _newest(self, kind: str, otherwise: Any) -> Any:
+        arrival = self._inbox.newest(kind)
+        return otherwise if arrival is None else arrival.value
+
+    def _where(self) -> tuple[Tensor, Tensor]:
+        """Position ``[3]`` and orientation ``[4]`` in the world."""
+        return self._whereabouts.of(self._newest("pose", NOWHERE), self._newest("imu", UPRIGHT))
+
+    def _take_scan(self, after: int) -> None:
+        """Waits for a scan that comes after number ``after``, and not too soon; the rest must not be old then."""
+        deadline = time.monotonic() + self.settings.step_timeout
+        while True:
+            scan = self._inbox.wait("scan", after, max(0.0, deadline - time.monotonic()))
+            if scan is None:
+                raise self._lost("scan")
+            dt = scan.value.stamp - self._scan.value.stamp if self._scan else 0.0
+            if not 0.0 < dt < TOO_SOON * CONTROL_DT:
+                break
+            after = scan.number
+        self._require_news()
+        self._dt = dt if 0.0 < dt <= LONGEST_DT else CONTROL_DT
+        self._scan = scan
+
+    def _require_news(self) -> None:
+        """No topic may have been silent for long."""
+        for kind in self._topics:
+            arrival = self._inbox.newest(kind)
+            if arrival is None or arrival.age > self.settings.step_timeout:
+                raise self._lost(kind)
+
+    def _lost(self, kind: str) -> RobotLostError:
+        """Stops the rover, and says what is missing."""
+        self.stop()
+        arrival = self._inbox.newest(kind)
+        silence = "nothing has come yet" if arrival is None else f"the last message is {arrival.age:.1f} s old"
+        return RobotLostError(f"lost the robot: {self._topics[kind]} ({kind}): {silence}; it was told to stop")
+
+    def _target(self, poses: Tensor) -> Target:
+        x, y, yaw = poses[0].tolist()
+        return Target(x, y, self._world.drop_height(poses[0, :2]).item(), yaw)
+
+    def _wait_until_at_rest(self, target: Target, poses_before: int) -> None:
+        """Waits until the rover has rested for a while, where it was put if that can be seen."""
+        settings = self.settings
+        deadline = time.monotonic() + settings.reset_timeout
+        rested, anchor = time.monotonic(), self._where()[0]
+        while time.monotonic() - rested < settings.settle:
+            self._require_news()
+            position = self._where()[0]
+            # Its wheels stand still while it falls, and when it is carried.
+            at_rest = self._wheels_at_rest() and torch.dist(position, anchor) < STILL
+            if not (at_rest and self._arrived(target, poses_before)):
+                rested, anchor = time.monotonic(), position
+            if time.monotonic() > deadline:
+                x, y, z = position.tolist()
+                put = f"rest at x {target.x:.2f} m, y {target.y:.2f} m" if self._placer.moves else "come to rest"
+                raise PoseResetError(
+                    f"the rover was to {put}; after {settings.reset_timeout:g} s it is at x {x:.2f} m, y {y:.2f} m, "
+                    f"z {z:.2f} m, and its wheels are {'at rest' if self._wheels_at_rest() else 'moving'}"
+                )
+            self._inbox.wait("odometry", self._inbox.count("odometry"), timeout=settings.settle / 4)
+
+    def _wheels_at_rest(self) -> bool:
+        speed, turn = self._newest("odometry", torch.zeros(2)).abs().tolist()
+        return speed < AT_REST[0] and turn < AT_REST[1]
+
+    def _arrived(self, target: Target, poses_before: int) -> bool:
+        """Whether the rover is where it was put, by a pose that came since; whoever puts it nowhere cannot miss."""
+        if not self._placer.moves:
+            return True
+        place, fresh = self._newest("pose", NOWHERE), self._inbox.count("pose") > poses_before
+        return fresh and self._whereabouts.arrived(place, target, self.settings.pose_tolerance)
+
+
+def _let_go(commands: Commands, transport: Transport) -> None:
+    if commands.last != (0.0, 0.0):
+        commands.stop()
+    transport.close()
+
+
+def _hand_over(receive: weakref.WeakMethod[Any], kind: str, msg: Any) -> None:
+    """Gives a message to a simulator that may be gone."""
+    bound = receive()
+    if bound is not None:
+        bound(kind, msg)

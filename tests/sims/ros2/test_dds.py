@@ -1,0 +1,168 @@
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
+
+from rover_rl import RoverEnv
+from rover_rl.sims.ros2 import Ros2Settings
+from rover_rl.sims.ros2.dds import DdsTransport, domain_id, domain_settings
+from rover_rl.sims.ros2.messages import (
+    Clock,
+    Header,
+    LaserScan,
+    Time,
+    Twist,
+)
+from tests.sims.ros2.processes import until
+
+pytestmark = pytest.mark.ros2
+
+
+@pytest.fixture
+def pair(domain) -> Iterator[tuple[DdsTransport, DdsTransport]]:
+    talker, listener = DdsTransport("talker", domain), DdsTransport("listener", domain)
+    yield talker, listener
+    talker.close()
+    listener.close()
+
+
+@pytest.mark.parametrize("reliable", [False, True])
+def test_messages_arrive_as_they_were(pair, reliable):
+    talker, listener = pair
+    scan = LaserScan(Header(Time(1, 2), "lidar"), range_max=10.0, ranges=np.arange(640, dtype=np.float32))
+    received: list[LaserScan] = []
+    listener.subscribe("/scan", LaserScan, received.append)
+    publish = talker.publisher("/scan", LaserScan, reliable=reliable)
+    until(lambda: talker.subscribers("/scan"))
+    publish(scan)
+    until(lambda: received)
+    assert received[0].header == scan.header
+    assert received[0].range_max == 10.0
+    np.testing.assert_array_equal(received[0].ranges, scan.ranges)
+
+
+def test_a_receiver_that_fails_does_not_end_the_others(pair, caplog):
+    talker, listener = pair
+    received: list[Clock] = []
+
+    def fail(message: Clock) -> None:
+        raise KeyError("of the test")
+
+    listener.subscribe("/clock", Clock, fail)
+    listener.subscribe("/clock", Clock, received.append)
+    publish = talker.publisher("/clock", Clock)
+    until(lambda: talker.subscribers("/clock") == 2)
+    for second in range(3):
+        publish(Clock(Time(second)))
+        time.sleep(0.02)
+    until(lambda: len(received) == 3)
+    assert "could not take in a message" in caplog.text
+
+
+def left() -> tuple[int, int, int]:
+    """Python's threads, open files and sockets, and all threads of this process."""
+    return threading.active_count(), len(os.listdir("/proc/self/fd")), len(os.listdir("/proc/self/task"))
+
+
+def test_closing_leaves_nothing(domain):
+    def once() -> None:
+        transport = DdsTransport("once", domain)
+        transport.subscribe("/scan", LaserScan, print)
+        transport.publisher("/cmd_vel", Twist)
+        transport.close()
+        transport.close()
+
+    once()
+    before = left()
+    for _ in range(100):
+        once()
+    assert left() == before
+
+
+def test_a_closed_connection_says_so(domain):
+    transport = DdsTransport("gone", domain)
+    publish = transport.publisher("/cmd_vel", Twist)
+    transport.close()
+    with pytest.raises(RuntimeError, match="connection of gone is closed"):
+        publish(Twist())
+    with pytest.raises(RuntimeError, match="connection of gone is closed"):
+        transport.subscribe("/scan", LaserScan, print)
+
+
+def test_a_topic_has_one_type(pair):
+    talker, _ = pair
+    talker.publisher("/cmd_vel", Twist)
+    with pytest.raises(ValueError, match=r"/cmd_vel is of geometry_msgs/msg/Twist, and cannot be of"):
+        talker.subscribe("/cmd_vel", Clock, print)
+
+
+def test_a_fork_is_told_to_spawn(domain):
+    transport = DdsTransport("parent", domain)
+    child = os.fork()
+    if not child:
+        try:
+            DdsTransport("child", domain)
+        except RuntimeError as error:
+            os._exit(0 if "does not survive a fork" in str(error) else 1)
+        os._exit(2)
+    _, status = os.waitpid(child, 0)
+    transport.close()
+    assert os.waitstatus_to_exitcode(status) == 0
+
+
+@pytest.mark.parametrize("text", ["-1", "233", "five", "1.5"])
+def test_a_domain_is_a_number(text):
+    with pytest.raises(ValueError, match="ROS_DOMAIN_ID must be a whole number from 0 to 232"):
+        domain_id({"ROS_DOMAIN_ID": text})
+
+
+def test_domains_and_reach_are_chosen_as_in_ros():
+    assert domain_id({}) == domain_id({"ROS_DOMAIN_ID": " "}) == 0
+    assert domain_id({"ROS_DOMAIN_ID": "42"}) == 42
+    assert "127.0.0.1" not in domain_settings({})
+    for variables in ({"ROS_LOCALHOST_ONLY": "1"}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "localhost"}):
+        assert "127.0.0.1" in domain_settings(variables)
+    assert domain_settings({"CYCLONEDDS_URI": "file:///mine.xml"}).endswith(",file:///mine.xml")
+
+
+def test_processes_talk(domain, tmp_path):
+    program = (
+        "from rover_rl.sims.ros2.dds import DdsTransport\n"
+        "from rover_rl.sims.ros2.messages import Clock, Time\n"
+        "import time\n"
+        "publish = DdsTransport('other').publisher('/clock', Clock)\n"
+        "while True:\n    publish(Clock(Time(7)))\n    time.sleep(0.05)\n"
+    )
+    received: list[Clock] = []
+    transport = DdsTransport("this", domain)
+    transport.subscribe("/clock", Clock, received.append)
+    other = subprocess.Popen([sys.executable, "-c", program], env={**os.environ, **domain})
+    try:
+        until(lambda: received, seconds=60)
+    finally:
+        other.kill()
+        other.wait()
+        transport.close()
+    assert received[0].clock.sec == 7
+
+
+def test_a_hundred_environments_leave_nothing(in_domain):
+    def once() -> None:
+        env = RoverEnv(world_n="maze", backend=Ros2Settings(reset="none"), connection_check_timeout=0.0)
+        assert not env.robot_connected
+        env.close()
+
+    once()
+    before = left()
+    for _ in range(100):
+        once()
+    assert left() == before

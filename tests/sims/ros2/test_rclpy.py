@@ -1,0 +1,157 @@
+"""``transport="rclpy"`` against a stand-in for ROS's own library, which is on no package index."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import threading
+from dataclasses import dataclass, field
+from enum import Enum, auto
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rover_rl.sims.ros2 import messages
+from rover_rl.sims.ros2.messages import Header, LaserScan, Pose, PoseArray, Time, Twist, Vector3
+from rover_rl.sims.ros2.transport import make_transport
+
+
+class Reliability(Enum):
+    RELIABLE = auto()
+    BEST_EFFORT = auto()
+
+
+class Durability(Enum):
+    VOLATILE = auto()
+
+
+class ShutDown(Exception):
+    pass
+
+
+class Executor:
+    def __init__(self, context: Any) -> None:
+        self._stop = threading.Event()
+        context.executors.append(self)
+
+    def add_node(self, node: Any) -> None: ...
+
+    def spin(self) -> None:
+        self._stop.wait()
+        raise ShutDown
+
+    def shutdown(self) -> None:
+        self._stop.set()
+
+
+@dataclass
+class Context:
+    executors: list[Executor] = field(default_factory=list)
+    open: bool = False
+
+    def try_shutdown(self) -> None:
+        self.open = False
+
+
+class Node:
+    made: list[Node]
+
+    def __init__(self, name: str, context: Context) -> None:
+        assert context.open
+        self.name, self.context = name, context
+        self.topics: dict[str, tuple[type, Any]] = {}
+        self.sent: list[tuple[str, Any]] = []
+        self.receivers: dict[str, Any] = {}
+        Node.made.append(self)
+
+    def create_subscription(self, kind: type, topic: str, receive: Any, quality: Any) -> None:
+        self.topics[topic], self.receivers[topic] = (kind, quality), receive
+
+    def create_publisher(self, kind: type, topic: str, quality: Any) -> Any:
+        self.topics[topic] = (kind, quality)
+        return SimpleNamespace(
+            publish=lambda message: self.sent.append((topic, message)), get_subscription_count=lambda: 2
+        )
+
+    def destroy_node(self) -> None:
+        self.context.executors.clear()
+
+
+@pytest.fixture
+def ros(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ROS that is sourced; its messages are classes of its own with the same fields as ours."""
+    Node.made = []
+
+    def module(name: str, **content: Any) -> None:
+        made = ModuleType(name)
+        vars(made).update(content)
+        monkeypatch.setitem(sys.modules, name, made)
+
+    module(
+        "rclpy",
+        init=lambda context: setattr(context, "open", True),
+        create_node=lambda name, context: Node(name, context),
+    )
+    module("rclpy.context", Context=Context)
+    module("rclpy.executors", SingleThreadedExecutor=Executor, ExternalShutdownException=ShutDown)
+    module(
+        "rclpy.qos",
+        DurabilityPolicy=Durability,
+        ReliabilityPolicy=Reliability,
+        HistoryPolicy=SimpleNamespace(KEEP_LAST="keep last"),
+        QoSProfile=SimpleNamespace,
+    )
+    kinds = [kind for kind in vars(messages).values() if isinstance(kind, type) and hasattr(kind, "ros_type")]
+    for package in {kind.ros_type.split("/")[0] for kind in kinds}:
+        own = {kind.__name__: type(kind.__name__, (kind,), {}) for kind in kinds if kind.ros_type.startswith(package)}
+        module(package)
+        module(f"{package}.msg", **own)
+    monkeypatch.delitem(sys.modules, "rover_rl.sims.ros2.rclpy", raising=False)
+
+
+def test_messages_go_out_as_those_of_ros(ros):
+    transport = make_transport("rclpy", "rover")
+    transport.publisher("/cmd_vel", Twist, reliable=True)(Twist(Vector3(x=0.5)))
+    transport.publisher("/scan", LaserScan)(LaserScan(Header(Time(1, 2), "lidar"), ranges=np.ones(3, np.float32)))
+    transport.publisher("/poses", PoseArray)(PoseArray(poses=[Pose()]))
+    (node,) = Node.made
+    (_, twist), (_, scan), (_, poses) = node.sent
+    sensor_msgs, geometry_msgs = (importlib.import_module(f"{name}.msg") for name in ("sensor_msgs", "geometry_msgs"))
+    assert type(twist) is geometry_msgs.Twist
+    assert twist.linear.x == 0.5
+    assert type(scan) is sensor_msgs.LaserScan
+    assert (scan.header.stamp.sec, scan.header.frame_id, list(scan.ranges)) == (1, "lidar", [1, 1, 1])
+    assert [type(pose) for pose in poses.poses] == [geometry_msgs.Pose]
+    assert transport.subscribers("/cmd_vel") == 2
+    quality = {topic: quality for topic, (_, quality) in node.topics.items()}
+    assert (quality["/cmd_vel"].reliability, quality["/cmd_vel"].depth) == (Reliability.RELIABLE, 1)
+    assert (quality["/scan"].reliability, quality["/scan"].durability) == (Reliability.BEST_EFFORT, Durability.VOLATILE)
+    transport.close()
+
+
+def test_messages_come_in_best_effort(ros):
+    received: list[Any] = []
+    transport = make_transport("rclpy", "rover")
+    transport.subscribe("/scan", LaserScan, received.append)
+    (node,) = Node.made
+    kind, quality = node.topics["/scan"]
+    assert quality.reliability is Reliability.BEST_EFFORT
+    transport.subscribe("/rover/set_pose", PoseArray, received.append, reliable=True)
+    assert node.topics["/rover/set_pose"][1].reliability is Reliability.RELIABLE
+    node.receivers["/scan"](kind())
+    assert len(received) == 1
+    transport.close()
+    transport.close()
+    assert not node.context.open
+    assert not [thread for thread in threading.enumerate() if "spins rclpy" in thread.name]
+
+
+def test_without_ros_it_says_what_to_do(monkeypatch):
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    monkeypatch.delitem(sys.modules, "rover_rl.sims.ros2.rclpy", raising=False)
+    with pytest.raises(ImportError, match="source ROS first"):
+        make_transport("rclpy", "rover")
+    with pytest.raises(ValueError, match="unknown transport 'zenoh'"):
+        make_transport("zenoh", "rover")

@@ -1,0 +1,480 @@
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from rover_rl import RoverEnv
+from rover_rl.envs.gym import RoverEnv as GymRoverEnv
+from rover_rl.sims import make_simulator
+from rover_rl.sims.connection import Connection
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.ros2 import PoseResetError, RobotLostError, Ros2Settings
+from rover_rl.sims.ros2 import transport as transports
+from rover_rl.sims.ros2.messages import (
+    Header,
+    Imu,
+    LaserScan,
+    Odometry,
+    Point,
+    Pose,
+    PoseArray,
+    PoseStamped,
+    PoseWithCovariance,
+    Quaternion,
+    Time,
+    Twist,
+    TwistWithCovariance,
+    Vector3,
+)
+from rover_rl.sims.ros2.simulator import Ros2Simulator
+from rover_rl.sims.rotations import quaternion_to_euler
+from rover_rl.sims.worlds import get_world
+from tests.sims.ros2.processes import until
+from tests.sims.ros2.wire import Wire
+
+BEAMS = 8
+ALL = torch.ones(1, dtype=torch.bool)
+
+
+class Rover:
+    """A rover that stands, or does what it is told at once: tells about itself 100 times a second."""
+
+    def __init__(self, wire: Wire, stamp_step: float = 0.05) -> None:
+        self.wire, self.stamp_step = wire, stamp_step
+        self.x, self.y, self.yaw, self.speed, self.turn = 1.0, 2.0, 0.5, 0.0, 0.0
+        self.z = 0.1
+        self.imu_offset = self.climb = 0.0
+        self.ranges = np.full(BEAMS, 5.0, np.float32)
+        self.silent: set[str] = set()
+        self.stamp = 0.0
+        self._publish = {
+            "scan": wire.publisher("/scan", LaserScan),
+            "imu": wire.publisher("/imu/data", Imu),
+            "odometry": wire.publisher("/odometry/wheels", Odometry),
+            "pose": wire.publisher("/rover/pose_array", PoseArray),
+            "localiser": wire.publisher("/pose", PoseStamped),
+        }
+        wire.subscribe("/cmd_vel", Twist, self.obey)
+        wire.subscribe("/rover/set_pose", PoseStamped, self.put)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def obey(self, twist: Twist) -> None:
+        self.speed, self.turn = twist.linear.x, twist.angular.z
+
+    def put(self, msg: PoseStamped) -> None:
+        self.x, self.y = msg.pose.position.x, msg.pose.position.y
+        self.yaw = 2 * math.atan2(msg.pose.orientation.z, msg.pose.orientation.w)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        while not self._stop.wait(0.01):
+            self.tell()
+
+    def tell(self) -> None:
+        self.stamp += self.stamp_step
+        header = Header(Time.of(self.stamp))
+        heading = Quaternion(z=math.sin(self.yaw / 2), w=math.cos(self.yaw / 2))
+        imu_yaw = self.yaw + self.imu_offset
+        self.z += self.climb
+        pose = Pose(Point(self.x, self.y, self.z), heading)
+        messages = {
+            "imu": Imu(header, Quaternion(z=math.sin(imu_yaw / 2), w=math.cos(imu_yaw / 2))),
+            "odometry": Odometry(
+                header,
+                pose=PoseWithCovariance(pose),
+                twist=TwistWithCovariance(Twist(Vector3(x=self.speed), Vector3(z=self.turn))),
+            ),
+            "pose": PoseArray(header, [pose]),
+            "localiser": PoseStamped(header, pose),
+            "scan": LaserScan(
+                header, angle_min=-math.pi, angle_increment=2 * math.pi / len(self.ranges), ranges=self.ranges.copy()
+            ),
+        }
+        for kind, message in messages.items():
+            if kind not in self.silent:
+                self._publish[kind](message)
+
+
+@pytest.fixture
+def rover(wire: Wire) -> Iterator[Rover]:
+    rover = Rover(wire)
+    yield rover
+    rover.stop()
+
+
+def simulator(timeout: float = 2.0, **settings: Any) -> Ros2Simulator:
+    settings = {"reset": "topic", "step_timeout": 0.3, "reset_timeout": 1.0, "settle": 0.05, **settings}
+    made = make_simulator(
+        Ros2Settings(**settings),
+        worlds=[get_world("maze")],
+        robot=get_robot("rover_zero"),
+        lidar_beams=BEAMS,
+        connection=Connection(timeout=timeout),
+    )
+    assert isinstance(made, Ros2Simulator)
+    return made
+
+
+def go_on(sim: Ros2Simulator, steps: int) -> None:
+    for _ in range(steps):
+        sim.step(torch.tensor([[0.5, 0.0]]))
+
+
+def yaw_of(state) -> float:
+    return quaternion_to_euler(state.orientation)[0, 2].item()
+
+
+def test_a_step_sends_the_command_and_returns_what_comes_next(wire, rover):
+    rover.start()
+    sim = simulator()
+    sim.reset(ALL, torch.tensor([[1.0, 2.0, 0.5]]))
+    rover.ranges[0] = 1.5  # the lidar's first beam, which points forward
+    state = sim.step(torch.tensor([[0.5, -0.25]]))
+    command = wire.sent["/cmd_vel"][-1]
+    assert (command.linear.x, command.angular.z) == (0.5, -0.25)
+    assert state.position[0].tolist() == pytest.approx([1.0, 2.0, 0.1])
+    assert yaw_of(state) == pytest.approx(0.5, abs=1e-5)
+    assert state.ranges.shape == (1, BEAMS)
+    assert state.ranges[0, 0] == 1.5
+    assert sim.last_command == (0.5, -0.25)
+    assert 0 < sim.latency < 0.3
+
+
+def test_velocities_are_the_wheels(rover):
+    rover.start()
+    sim = simulator()
+    sim.reset(ALL, torch.tensor([[0.0, 0.0, 0.0]]))
+    for _ in range(3):
+        state = sim.step(torch.tensor([[0.5, -0.25]]))
+    assert (state.linear_velocity.item(), state.angular_velocity.item()) == (0.5, -0.25)
+
+
+def test_time_is_the_scans(rover):
+    rover.stamp_step = 0.02
+    rover.start()
+    sim = simulator()
+    sim.reset(ALL, torch.zeros(1, 3))
+    first, second = (sim.step(torch.zeros(1, 2)) for _ in range(2))
+    assert second.dt.item() == pytest.approx(second.stamp.item() - first.stamp.item(), abs=1e-6)
+    rover.stamp = -1000.0  # the clock has jumped
+    assert sim.step(torch.zeros(1, 2)).dt.item() == pytest.approx(0.05)
+
+
+def test_a_reset_stops_the_rover_and_puts_it_there(wire, rover):
+    rover.start()
+    sim = simulator()
+    sim.step(torch.tensor([[1.0, 1.0]]))
+    state = sim.reset(ALL, torch.tensor([[-3.0, 4.0, 2.0]]))
+    assert state.position[0, :2].tolist() == pytest.approx([-3.0, 4.0])
+    assert yaw_of(state) == pytest.approx(2.0, abs=1e-5)
+    assert (rover.speed, rover.turn) == (0.0, 0.0)
+    placed = wire.sent["/rover/set_pose"][-1].pose.position
+    assert placed.z == pytest.approx(get_world("maze").drop_height(torch.tensor([-3.0, 4.0])).item())
+
+
+def test_no_reset_leaves_it_where_it_is(rover):
+    rover.start()
+    sim = simulator(reset="none")
+    state = sim.reset(ALL, torch.tensor([[-3.0, 4.0, 2.0]]))
+    assert state.position[0, :2].tolist() == pytest.approx([1.0, 2.0])
+
+
+def test_a_rover_that_does_not_arrive_is_named(wire, rover):
+    wire.receivers["/rover/set_pose"][:] = [lambda msg: None]
+    rover.start()
+    sim = simulator(reset_timeout=0.3)
+    with pytest.raises(PoseResetError, match=r"rest at x -3.00 m, y 4.00 m; after 0.3 s it is at x 1.00 m, y 2.00 m"):
+        sim.reset(ALL, torch.tensor([[-3.0, 4.0, 2.0]]))
+
+
+def test_a_person_is_asked_and_has_all_the_time(rover, monkeypatch):
+    asked: list[str] = []
+
+    def put(text: str) -> str:
+        asked.append(text)
+        time.sleep(0.3)
+        rover.x, rover.y, rover.yaw = -3.0, 4.0, 0.0
+        return ""
+
+    monkeypatch.setattr("builtins.input", put)
+    rover.start()
+    sim = simulator(reset="manual", reset_timeout=0.25)
+    state = sim.reset(ALL, torch.tensor([[-3.0, 4.0, 0.0]]))
+    assert state.position[0, :2].tolist() == pytest.approx([-3.0, 4.0])
+    assert asked == ["Put the rover at x -3.00 m, y 4.00 m, heading 0 degrees, and press Enter: "]
+
+
+def test_without_a_person_it_says_so(rover, monkeypatch):
+    def nobody(text: str) -> str:
+        raise EOFError
+
+    monkeypatch.setattr("builtins.input", nobody)
+    rover.start()
+    with pytest.raises(PoseResetError, match="there is nobody to ask"):
+        simulator(reset="manual").reset(ALL, torch.zeros(1, 3))
+
+
+def test_a_rover_that_faces_elsewhere_has_not_arrived(wire, rover, monkeypatch):
+    rover.start()
+    monkeypatch.setattr(rover, "put", lambda msg: None)
+    wire.receivers["/rover/set_pose"][:] = [lambda msg: vars(rover).update(x=-3.0, y=4.0)]
+    with pytest.raises(PoseResetError, match=r"it is at x -3.00 m, y 4.00 m"):
+        simulator(reset_timeout=0.3).reset(ALL, torch.tensor([[-3.0, 4.0, -2.0]]))
+
+
+def test_a_rover_that_falls_is_not_at_rest(rover):
+    rover.start()
+    rover.climb = -1.0
+    with pytest.raises(PoseResetError, match=r"z -\d+\.90 m, and its wheels are at rest"):
+        simulator(reset_timeout=0.5, settle=0.2).reset(ALL, torch.tensor([[-3.0, 4.0, 0.0]]))
+
+
+def test_a_rover_that_is_lost_while_it_is_put_back_is_named(rover):
+    rover.start()
+    sim = simulator(reset_timeout=5.0)
+    rover.speed = 1.0
+    sim.step(torch.tensor([[1.0, 0.0]]))
+    rover.silent |= {"odometry", "imu", "pose", "scan"}
+    with pytest.raises(RobotLostError, match=r"the last message is 0.\d s old"):
+        sim.reset(ALL, torch.tensor([[-3.0, 4.0, 0.0]]))
+
+
+def test_wheels_alone_are_taken_to_be_where_the_episode_starts(rover, monkeypatch):
+    rover.start()
+    rover.imu_offset = 1.1
+    monkeypatch.setattr("builtins.input", lambda text: "")
+    sim = simulator(pose="wheels", reset="manual")
+    state = sim.reset(ALL, torch.tensor([[-3.0, 4.0, 2.0]]))
+    assert state.position[0, :2].tolist() == pytest.approx([-3.0, 4.0], abs=1e-5)
+    assert yaw_of(state) == pytest.approx(2.0, abs=1e-5)
+    # A metre ahead by the wheels, which believe to face 0.5 rad, is a metre ahead in the world, at 2.0 rad.
+    rover.x, rover.y = rover.x + math.cos(0.5), rover.y + math.sin(0.5)
+    rover.yaw += 0.25
+    for _ in range(3):
+        state = sim.step(torch.zeros(1, 2))
+    assert state.position[0, :2].tolist() == pytest.approx([-3.0 + math.cos(2.0), 4.0 + math.sin(2.0)], abs=1e-5)
+    assert yaw_of(state) == pytest.approx(2.25, abs=1e-5)
+
+
+def test_wheels_that_nobody_puts_back_have_a_frame_of_their_own(rover):
+    rover.start()
+    rover.imu_offset = 1.1
+    state = simulator(pose="wheels", reset="none").reset(ALL, torch.tensor([[-3.0, 4.0, 2.0]]))
+    assert state.position[0, :2].tolist() == pytest.approx([1.0, 2.0], abs=1e-5)
+    assert yaw_of(state) == pytest.approx(0.5, abs=1e-5)  # the wheels' heading, not the IMU's
+
+
+def test_a_localiser_gives_pose_and_heading(rover):
+    rover.imu_offset = -0.7
+    rover.start()
+    sim = simulator(pose="pose_stamped", pose_topic="/pose", reset="none")
+    state = sim.reset(ALL, torch.zeros(1, 3))
+    assert state.position[0, :2].tolist() == pytest.approx([1.0, 2.0])
+    assert yaw_of(state) == pytest.approx(0.5, abs=1e-5)
+
+
+def test_between_two_poses_of_a_localiser_the_imu_tells_the_heading(rover):
+    rover.imu_offset = -0.7
+    rover.start()
+    sim = simulator(pose="pose_stamped", pose_topic="/pose", reset="none")
+    sim.reset(ALL, torch.zeros(1, 3))
+    rover.silent.add("localiser")
+    go_on(sim, steps=2)
+    rover.yaw += 0.4
+    go_on(sim, steps=2)
+    assert yaw_of(sim.state()) == pytest.approx(0.9, abs=1e-5)
+
+
+def test_an_array_may_tell_the_position_alone(rover):
+    rover.start()
+    sim = simulator(reset="none")
+    rover.stop()
+    position = Point(7.0, 8.0, 0.5)
+    sim.receive("pose", PoseArray(poses=[Pose(position, Quaternion(w=0.0))]))
+    assert sim.state().position[0].tolist() == [7.0, 8.0, 0.5]
+
+
+def test_a_lidar_that_is_faster_than_control_is_waited_for(rover):
+    rover.stamp_step = 0.01
+    rover.start()
+    sim = simulator(reset="none")
+    sim.reset(ALL, torch.zeros(1, 3))
+    for _ in range(5):
+        assert sim.step(torch.zeros(1, 2)).dt.item() >= 0.0375 - 1e-6
+
+
+def test_commands_may_be_stamped(wire, rover):
+    wire.receivers["/cmd_vel"].clear()
+    rover.start()
+    sim = simulator(command="twist_stamped", reset="none")
+    sim.reset(ALL, torch.zeros(1, 3))
+    sim.step(torch.tensor([[0.5, -0.25]]))
+    sent = wire.sent["/cmd_vel"][-1]
+    assert sent.header.frame_id == "base_link"
+    assert sent.header.stamp.seconds == pytest.approx(time.time(), abs=60)
+    assert (sent.twist.linear.x, sent.twist.angular.z) == (0.5, -0.25)
+
+
+def test_without_a_robot_there_is_nothing_and_a_warning(wire, caplog):
+    sim = simulator(timeout=0.05)
+    assert "no scan on /scan within 0.05 s" in caplog.text
+    assert not sim.robot_connected
+    state = sim.reset(ALL, torch.zeros(1, 3))
+    assert "no robot has appeared" in caplog.text
+    assert torch.isposinf(state.ranges).all()
+    assert (state.position == 0).all()
+    assert state.orientation.tolist() == [[0, 0, 0, 1]]
+    with pytest.raises(RobotLostError, match=r"/scan \(scan\): nothing has come yet"):
+        sim.step(torch.tensor([[1.0, 0.0]]))
+    assert set(map(repr, wire.sent["/cmd_vel"])) == {repr(Twist())}  # nobody saw where it would have gone
+
+
+def test_a_rover_that_died_is_not_connected(rover):
+    rover.start()
+    sim = simulator()
+    assert sim.wait_for_robot(0.0)
+    rover.stop()
+    time.sleep(0.4)
+    assert not sim.wait_for_robot(0.0)
+
+
+def test_a_robot_may_appear_later(wire, rover):
+    sim = simulator(timeout=0.05)
+    rover.start()
+    assert sim.wait_for_robot(2.0)
+    assert sim.robot_connected
+    assert sim.reset(ALL, torch.tensor([[0.0, 1.0, 0.0]])).position[0, :2].tolist() == pytest.approx([0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("kind", "topic"),
+    [
+        ("scan", "/scan"),
+        ("imu", "/imu/data"),
+        ("odometry", "/odometry/wheels"),
+        ("pose", "/rover/pose_array"),
+    ],
+)
+def test_a_topic_that_falls_silent_stops_the_rover(wire, rover, kind, topic):
+    rover.start()
+    sim = simulator()
+    sim.reset(ALL, torch.tensor([[0.0, 1.0, 0.0]]))
+    sim.step(torch.tensor([[0.5, 0.0]]))
+    rover.silent.add(kind)
+    with pytest.raises(RobotLostError, match=rf"lost the robot: {topic} \({kind}\): the last message is \d.\d s old"):
+        go_on(sim, steps=100)
+    assert wire.sent["/cmd_vel"][-2:] == [Twist(), Twist()]
+
+
+def test_malformed_messages_are_refused_and_the_last_good_value_stays(rover, caplog):
+    rover.start()
+    sim = simulator()
+    sim.reset(ALL, torch.tensor([[0.0, 1.0, 0.5]]))
+    rover.stop()
+    before = sim.state()
+    bad = {
+        "scan": LaserScan(angle_increment=0.1),
+        "imu": Imu(orientation=Quaternion(w=0.0)),
+        "odometry": Odometry(twist=TwistWithCovariance(Twist(Vector3(x=math.nan)))),
+        "pose": PoseArray(),
+    }
+    for kind, message in bad.items():
+        caplog.clear()
+        sim.receive(kind, message)
+        sim.receive(kind, message)
+        assert caplog.text.count("left out a message") == 1
+    after = sim.state()
+    assert all(torch.equal(before.get(key), after.get(key)) for key in before.keys())  # noqa: SIM118
+
+
+def test_the_gymnasium_classs_callbacks_are_the_topics(wire):
+    env = GymRoverEnv(world_n="maze", backend=Ros2Settings(reset="none"), connection_check_timeout=0)
+    assert not env._robot_connected
+    assert not env._check_robot_connection(timeout=0.0)
+    env.lidar_callback(LaserScan(angle_min=-math.pi, angle_increment=math.pi / 4, ranges=np.full(8, 3.0, np.float32)))
+    env.imu_callback(Imu(orientation=Quaternion(z=2.0, w=2.0)))
+    env.odom_callback(Odometry(twist=TwistWithCovariance(Twist(Vector3(x=0.5), Vector3(z=-0.25)))))
+    env.pose_array_callback(PoseArray(poses=[Pose(Point(1.0, 2.0, 3.0))]))
+    assert env._check_robot_connection(timeout=0.0)
+    state = env.base_env.simulator.state()
+    assert yaw_of(state) == pytest.approx(math.pi / 2, abs=1e-5)
+    assert (state.linear_velocity.item(), state.angular_velocity.item()) == (0.5, -0.25)
+    assert state.position[0].tolist() == [1.0, 2.0, 3.0]
+    with pytest.raises(ValueError, match="kind must be one of"):
+        env.base_env.simulator.receive("camera", None)
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("ranges", "seen"),
+    [
+        ([-1.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0], 0.0),
+        ([math.nan, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0], 12.0),
+        ([math.inf, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0], 12.0),
+        ([-math.inf, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0], 0.0),
+        ([1.0, 2.0], 1.0),
+    ],
+)
+def test_what_a_lidar_may_say_becomes_an_observation(rover, ranges, seen):
+    rover.ranges = np.array(ranges, np.float32)
+    rover.start()
+    backend = Ros2Settings(reset="none", lidar_yaw=math.pi, settle=0.05)
+    env = RoverEnv(world_n="maze", backend=backend, lidar_beams=BEAMS, lidar_points=BEAMS)
+    lidar = env.reset()["lidar"][0]
+    assert lidar[0] == seen
+    assert ((lidar >= 0) & (lidar <= 12.0)).all()
+    env.close()
+
+
+def test_only_one_rover(wire):
+    with pytest.raises(ValueError, match="drives one live rover, got num_envs=2"):
+        make_simulator("ros2", worlds=[get_world("maze")] * 2, robot=get_robot("rover_zero"), lidar_beams=8)
+
+
+def test_closing_stops_the_rover_and_the_connection(wire, rover):
+    rover.start()
+    sim = simulator()
+    sim.step(torch.tensor([[0.5, 0.0]]))
+    sim.close()
+    sim.close()
+    assert wire.closed
+    assert wire.sent["/cmd_vel"][-1] == Twist()
+
+
+def test_a_forgotten_simulator_stops_the_rover_and_closes_its_connection(wire, rover):
+    rover.start()
+    sim = simulator()
+    sim.step(torch.tensor([[0.5, 0.0]]))
+    assert wire.sent["/cmd_vel"][-1] == Twist(Vector3(x=0.5))
+    del sim
+    until(lambda: wire.closed)  # the rover's thread may hold it for a moment
+    assert wire.sent["/cmd_vel"][-1] == Twist()
+
+
+def test_one_that_sent_nothing_says_nothing(wire):
+    simulator(timeout=0.01).close()
+    assert not wire.sent.get("/cmd_vel")
+
+
+def test_unknown_settings_are_refused():
+    with pytest.raises(ValueError, match="reset must be one of"):
+        Ros2Settings(reset="later")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="step_timeout must be positive and finite"):
+        Ros2Settings(step_timeout=0.0)
+    with pytest.raises(ValueError, match="unknown transport 'zenoh'; use one of"):
+        transports.make_transport("zenoh", "node")

@@ -1,0 +1,33 @@
+"""A transport without a network."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+
+class Wire:
+    """A transport without a network: what is published reaches who subscribed, in the thread that publishes."""
+
+    def __init__(self, node: str = "") -> None:
+        self.receivers: dict[str, list[Callable[[Any], None]]] = {}
+        self.sent: dict[str, list[Any]] = {}
+        self.closed = False
+
+    def subscribe(self, topic: str, kind: type, receive: Callable[[Any], None], *, reliable: bool = False) -> None:
+        self.receivers.setdefault(topic, []).append(receive)
+
+    def publisher(self, topic: str, kind: type, *, reliable: bool = False):
+        def publish(message: Any) -> None:
+            assert isinstance(message, kind)
+            self.sent.setdefault(topic, []).append(message)
+            for receive in self.receivers.get(topic, []):
+                receive(message)
+
+        return publish
+
+    def subscribers(self, topic: str) -> int:
+        return len(self.receivers.get(topic, []))
+
+    def close(self) -> None:
+        self.closed = True
