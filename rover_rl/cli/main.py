@@ -10,13 +10,20 @@ import tyro
 from rover_rl.cli.demo import Demo
 from rover_rl.cli.evaluate import Evaluate
 from rover_rl.cli.film import Film
+from rover_rl.cli.robot import RobotCommand
 from rover_rl.cli.train import INTERRUPTED, train_defaults
 from rover_rl.cli.worlds import Worlds
 
 FAILED = 2
 """Exit code for an error of the user's."""
 
-COMMANDS = {"evaluate": Evaluate, "film": Film, "worlds": Worlds, "demo": Demo}
+COMMANDS = {
+    "evaluate": Evaluate,
+    "film": Film,
+    "worlds": Worlds,
+    "demo": Demo,
+    "robot": RobotCommand,
+}
 """The commands whose options are always the same; those of ``train`` depend on the algorithm."""
 
 
@@ -33,7 +40,7 @@ def main(args: list[str] | None = None) -> int:
         # The kinds are known at run time only, where no type checker can follow.
         command: Any = Union[tuple(kinds)]  # noqa: UP007
         return tyro.cli(command, args=args, prog="rover-rl", description="Rovers that learn to drive to a goal.")()
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:
         print(f"rover-rl: {error}", file=sys.stderr)
         return FAILED
     except KeyboardInterrupt:

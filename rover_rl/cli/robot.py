@@ -1,0 +1,75 @@
+"""``rover-rl robot``."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from dataclasses import dataclass
+from types import FrameType
+
+from rover_rl.sims.connection import Connection
+from rover_rl.sims.ros2.settings import Ros2Settings
+
+
+@dataclass(frozen=True)
+class RobotCommand:
+    """Be a ROS 2 robot: PyBullet's rover, which publishes scan, IMU, odometry, pose array and clock, and is driven.
+
+    Drive it with backend="ros2", rover-rl drive, or any ROS 2 tool. Ctrl-C ends it.
+    """
+
+    world: str = "maze"
+    """World that it stands in: inspect, moon or maze; "maze:7" is the maze of seed 7."""
+    rate: float = 1.0
+    """Times as fast as real time."""
+    seed: int = 0
+    """Of the place where it stands at first."""
+    lidar_beams: int = 640
+    """Beams of its scans; the original's lidar has 640."""
+    scan_topic: str = Connection.scan_topic
+    """Where it publishes sensor_msgs/LaserScan."""
+    imu_topic: str = Connection.imu_topic
+    """Where it publishes sensor_msgs/Imu."""
+    cmd_vel_topic: str = Connection.cmd_vel_topic
+    """Where it takes geometry_msgs/Twist."""
+    odometry_topic: str = Ros2Settings.odometry_topic
+    """Where it publishes nav_msgs/Odometry of its wheels."""
+    pose_topic: str = Ros2Settings.pose_topic
+    """Where it publishes geometry_msgs/PoseArray."""
+    reset_topic: str = Ros2Settings.reset_topic
+    """Where it takes a geometry_msgs/PoseStamped, and is put there."""
+
+    def __call__(self) -> int:
+        """Runs until it is interrupted."""
+        from rover_rl.algos.episodes import draw_episodes
+        from rover_rl.sims import make_simulator
+        from rover_rl.sims.robots import get_robot
+        from rover_rl.sims.ros2.robot import RobotNode
+        from rover_rl.sims.ros2.transport import make_transport
+        from rover_rl.sims.worlds import get_world
+
+        stop = threading.Event()
+
+        def end(number: int, frame: FrameType | None) -> None:
+            stop.set()
+
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, end)
+        world, robot = get_world(self.world), get_robot("rover_zero")
+        start = draw_episodes(world, 1, self.seed).start[0].tolist()
+        transport = make_transport("dds", "rover_zero")
+        simulator = make_simulator("bullet", worlds=[world], robot=robot, lidar_beams=self.lidar_beams)
+        settings = Ros2Settings(
+            odometry_topic=self.odometry_topic, pose_topic=self.pose_topic, reset_topic=self.reset_topic
+        )
+        connection = Connection(self.scan_topic, self.imu_topic, self.cmd_vel_topic)
+        try:
+            node = RobotNode(simulator, transport, world, robot.lidar_range, settings, connection, tuple(start))
+            print(
+                f"A rover in {self.world} on ROS 2: scan {self.scan_topic}, commands {self.cmd_vel_topic}", flush=True
+            )
+            node.run(self.rate, stop)
+        finally:
+            transport.close()
+            simulator.close()
+        return 0

@@ -1,0 +1,209 @@
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+from torchrl.envs.utils import check_env_specs
+
+pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
+
+import rover_rl
+from rover_rl import RoverEnv
+from rover_rl.algos.episodes import stored_episodes
+from rover_rl.algos.evaluate import evaluate
+from rover_rl.algos.pretrained import load_pretrained
+from rover_rl.sims.ros2 import RobotLostError, Ros2Settings
+from rover_rl.sims.ros2.dds import DdsTransport
+from rover_rl.sims.ros2.messages import Clock, Odometry, Twist, Vector3
+from tests.envs import transcription as contract
+from tests.envs.test_contract import check_witnessed, witness
+from tests.sims.ros2 import raw_payloads
+from tests.sims.ros2.processes import start_robot, until
+from tests.sims.ros2.raw_payloads import TRUSTING
+
+pytestmark = pytest.mark.ros2
+
+OBSERVED = ("lidar", "imu", "target", "velocities", "pose")
+LIVE = Ros2Settings(reset="topic", reset_timeout=20.0, step_timeout=10.0)
+WATCHFUL = replace(LIVE, step_timeout=1.0)
+
+
+def end(robot: subprocess.Popen[str], number: int = signal.SIGTERM) -> int:
+    robot.send_signal(signal.SIGCONT)
+    robot.send_signal(number)
+    return robot.wait(20)
+
+
+@pytest.fixture
+def robot(in_domain) -> Iterator[subprocess.Popen[str]]:
+    robot = start_robot(in_domain, "--world", "maze", "--rate", "4")
+    yield robot
+    if robot.poll() is None:
+        end(robot, signal.SIGKILL)
+
+
+def live(backend: Ros2Settings = LIVE) -> RoverEnv:
+    return RoverEnv(world_n="maze", backend=backend, seed=0, connection_check_timeout=60)
+
+
+def drive(env: RoverEnv, steps: int) -> None:
+    for _ in range(steps):
+        env.step(env.rand_action())
+
+
+@pytest.fixture(scope="module")
+def real_time(domain) -> Iterator[dict[str, str]]:
+    """A robot at half of real time, so that no scan is missed, in a domain of its own, whose variables these are."""
+    own = {**domain, "ROS_DOMAIN_ID": str(int(domain["ROS_DOMAIN_ID"]) + 2)}
+    robot = start_robot({**os.environ, **own}, "--world", "maze", "--rate", "0.5")
+    yield own
+    end(robot)
+
+
+@pytest.fixture
+def with_robot(real_time, monkeypatch) -> None:
+    """This process is in the domain of that robot."""
+    for key, value in real_time.items():
+        monkeypatch.setenv(key, value)
+
+
+@pytest.mark.slow
+def test_the_environment_is_what_its_specs_say(with_robot):
+    env = rover_rl.make_env(world_n="maze", backend=LIVE, seed=0)
+    check_env_specs(env, break_when_any_done="both")
+    env.close()
+
+
+@pytest.mark.slow
+def test_gymnasium_finds_nothing_wrong(with_robot):
+    env = gymnasium.make(rover_rl.ENV_ID, world_n="maze", backend=LIVE, seed=0).unwrapped
+    env.spec.nondeterministic = True  # as everything live is
+    assert env._robot_connected
+    assert env._check_robot_connection(timeout=1.0)
+    check_env(env, skip_render_check=True)
+    env.close()
+
+
+@pytest.mark.slow
+def test_the_contract_holds(with_robot):
+    env = rover_rl.make_env(world_n="maze", backend=LIVE, seed=0, length=40)
+    rng = np.random.default_rng(0)
+
+    def wander(td, bare, k):
+        return torch.from_numpy(rng.uniform(-1, 1, (1, 2))).float() * torch.tensor([1.0, math.pi])
+
+    table = contract.WORLDS["maze"]
+    seen = witness(env, (table.too_far_away_x, table.too_far_away_y), 100, wander, length=40)
+    env.close()
+    check_witnessed(seen)
+    assert sum(verdict.truncated for verdict in seen.verdicts) == 2
+
+
+@pytest.mark.slow
+def test_a_policy_drives_it_as_it_drives_bullet(with_robot):
+    policy, episodes = load_pretrained("maze-ppo").make_actor(), stored_episodes("maze").first(2)
+    there = evaluate(policy, episodes, rows=1, backend=LIVE)
+    here = evaluate(policy, episodes)
+    assert there.endings == here.endings == ["goal"] * 2
+    for a, b in zip(there.trajectories, here.trajectories, strict=True):
+        assert a.length == pytest.approx(b.length, rel=0.25)
+
+
+@pytest.mark.slow
+def test_a_robot_that_dies_stops_and_is_named(robot):
+    env = live(WATCHFUL)
+    env.reset()
+    env.step(env.rand_action())
+    robot.kill()
+    with pytest.raises(RobotLostError, match="it was told to stop"):
+        drive(env, steps=200)
+    assert env.simulator.last_command == (0.0, 0.0)
+    assert not env.robot_connected
+    env.close()
+
+
+@pytest.mark.slow
+def test_a_robot_that_is_held_may_come_back(robot):
+    env = live(WATCHFUL)
+    env.reset()
+    robot.send_signal(signal.SIGSTOP)
+    with pytest.raises(RobotLostError):
+        drive(env, steps=200)
+    robot.send_signal(signal.SIGCONT)
+    until(lambda: env.robot_connected)
+    assert torch.isfinite(env.reset()["pose"]).all()
+    drive(env, steps=3)
+    env.close()
+
+
+@pytest.mark.slow
+def test_a_robot_may_start_after_the_environment(in_domain):
+    env = RoverEnv(world_n="maze", backend=LIVE, seed=0, connection_check_timeout=0.1)
+    assert not env.robot_connected
+    assert (env.reset()["lidar"] == 12.0).all()
+    robot = start_robot(in_domain, "--world", "maze")
+    try:
+        until(lambda: env.robot_connected)
+        assert (env.reset()["lidar"] < 12.0).any()
+        drive(env, steps=3)
+    finally:
+        env.close()
+        end(robot)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_ends_cleanly(in_domain, number):
+    assert end(start_robot(in_domain), number) == 0
+
+
+@pytest.mark.slow
+def test_it_stops_without_commands_and_keeps_time(robot, domain):
+    transport = DdsTransport("test", domain)
+    clock: list[float] = []
+    speeds: list[float] = []
+    transport.subscribe("/clock", Clock, lambda message: clock.append(message.clock.seconds))
+    transport.subscribe("/odometry/wheels", Odometry, lambda message: speeds.append(message.twist.twist.linear.x))
+    publish = transport.publisher("/cmd_vel", Twist, reliable=True)
+    until(lambda: clock and speeds and transport.subscribers("/cmd_vel"))
+    until(lambda: publish(Twist(Vector3(x=-0.5))) or speeds[-1] < -0.3)
+    until(lambda: abs(speeds[-1]) < 0.01)
+    transport.close()
+    steps = [later - earlier for earlier, later in itertools.pairwise(clock)]
+    assert steps == pytest.approx([0.05 * round(step / 0.05) for step in steps], abs=1e-6)
+
+
+@pytest.mark.slow
+def test_random_payloads_on_every_topic_do_no_harm(domain, monkeypatch):
+    number = int(domain["ROS_DOMAIN_ID"]) + 1
+    for key, value in {**domain, "ROS_DOMAIN_ID": str(number), "CYCLONEDDS_URI": TRUSTING}.items():
+        monkeypatch.setenv(key, value)
+    robot = start_robot(dict(os.environ), "--world", "maze", "--rate", "2")
+    env = live()
+    try:
+        env.reset()
+        sender = subprocess.Popen(
+            [sys.executable, raw_payloads.__file__, str(number), "1000"], stdout=subprocess.PIPE, text=True
+        )
+        while sender.poll() is None:
+            now = env.step(env.rand_action())["next"]
+            assert all(torch.isfinite(value).all() for value in now.select(*OBSERVED).values())
+        assert "sent" in sender.communicate()[0]
+        assert torch.isfinite(env.reset()["pose"]).all()
+        drive(env, steps=5)
+    finally:
+        env.close()
+        ended = end(robot)
+    assert env.simulator.last_command == (0.0, 0.0)
+    assert ended == 0
