@@ -38,7 +38,11 @@ _CHUNK = 4096
 """Poses whose outlines are held against an obstacle at once; bounds the memory to some 100 MB."""
 
 TIME_LIMIT = "time limit"
-EARLY_ENDINGS = ("flipped", "jammed", "out of bounds", "stuck", "invalid action")
+TOO_NEAR = "obstacle too near"
+"""An ending of drives with a live rover: something came nearer than was allowed."""
+STOPPED = "stopped"
+"""Another: a person ended it, or the rover was lost."""
+EARLY_ENDINGS = ("flipped", "jammed", "out of bounds", "stuck", "invalid action", TOO_NEAR, STOPPED)
 """How an episode can end before its time, other than at its goal."""
 
 

@@ -118,7 +118,7 @@ class _Routes:
         with np.errstate(divide="ignore", invalid="ignore"):
             crossings = (first[:, :, None] + lines - a[:, :, None]) / span[:, :, None]
         # Along a line of the grid there is no crossing: 0 / 0, or a division by zero.
-        crossings = np.nan_to_num(crossings, nan=1.0, posinf=1.0, neginf=1.0).clip(0, 1).reshape(len(a), -1)
+        crossings = np.nan_to_num(crossings, nan=1.0, posinf=1.0, neginf=1.0).clip(0, 1).reshape(len(a), 2 * len(lines))
         edges = np.sort(np.pad(crossings, ((0, 0), (1, 1)), constant_values=(0, 1)), axis=1)
         middle = (edges[:, 1:] + edges[:, :-1]) / 2
         free = self._is_passable(a[:, None] + middle[:, :, None] * span[:, None])

@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rover_rl.algos.config import TrainingConfig
     from rover_rl.algos.evaluate import Policy
+    from rover_rl.algos.runs import Checkpoint
 
 PRETRAINED = "pretrained:"
 """What comes before the name of a policy of the package."""
+ONNX = ".onnx"
+"""What the name of an exported policy ends with."""
 
 
 @dataclass(frozen=True)
@@ -43,28 +46,43 @@ def find_driver(word: str, worlds: tuple[str, ...]) -> Driver:
         ValueError: if it names something else.
     """
     from rover_rl.algos.baselines import ScriptedPolicy
-    from rover_rl.algos.runs import Checkpoint
 
     if word == "random":
         return Driver(word, None, worlds)
     if word == "scripted":
         return Driver(word, ScriptedPolicy(), worlds)
-    folder = None
-    if word.startswith(PRETRAINED):
-        from rover_rl.algos.pretrained import load_pretrained
+    if word.endswith(ONNX):
+        from rover_rl.algos.export import OnnxPolicy
 
-        name = word.removeprefix(PRETRAINED)
-        checkpoint = load_pretrained(name)
-    else:
-        checkpoint = Checkpoint.load(word)
-        folder = Path(word) if Path(word).is_dir() else Path(word).parent
-        name = folder.resolve().name
-    trained_in = checkpoint.config.world
+        policy = OnnxPolicy(Path(word))
+        trained_in = worlds or (policy.config.world,)
+        return Driver(Path(word).stem, policy, trained_in, policy.lidar_points, config=policy.config)
+    checkpoint, name = load_checkpoint(word)
     return Driver(
         name=name,
         policy=checkpoint.make_actor(),
-        worlds=worlds or (trained_in,),
+        worlds=worlds or (checkpoint.config.world,),
         lidar_points=checkpoint.lidar_points,
-        folder=folder,
+        folder=None if word.startswith(PRETRAINED) else _folder(word),
         config=checkpoint.config,
     )
+
+
+def load_checkpoint(word: str) -> tuple[Checkpoint, str]:
+    """The checkpoint that a word on the command line means, and what to call it.
+
+    Raises:
+        FileNotFoundError: if there is none.
+        ValueError: if it is something else.
+    """
+    from rover_rl.algos.pretrained import load_pretrained
+    from rover_rl.algos.runs import Checkpoint
+
+    if word.startswith(PRETRAINED):
+        name = word.removeprefix(PRETRAINED)
+        return load_pretrained(name), name
+    return Checkpoint.load(word), _folder(word).resolve().name
+
+
+def _folder(word: str) -> Path:
+    return Path(word) if Path(word).is_dir() else Path(word).parent

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from rover_rl.algos.episodes import EpisodeSet
     from rover_rl.algos.evaluate import EndlessEvaluation, Evaluation
 
+LOG = ".jsonl"
+"""What the name of a log of rover-rl drive ends with."""
+
 
 @dataclass(frozen=True)
 class Evaluate:
@@ -25,7 +28,8 @@ class Evaluate:
     """
 
     policies: tyro.conf.Positional[tuple[str, ...]]
-    """Folders of runs, checkpoint files, pretrained:NAME; scripted and random are yardsticks."""
+    """Folders of runs, checkpoint files, pretrained:NAME, ONNX files; scripted and random are yardsticks. A log of
+    rover-rl drive (.jsonl) is measured as it was driven."""
     world: tuple[str, ...] = ()
     """Worlds to drive in; by default the one that each policy was trained in."""
     count: int | None = None
@@ -45,9 +49,11 @@ class Evaluate:
 
     def __call__(self) -> int:
         """Evaluates, and says where the results are."""
+        from rover_rl.algos.drive_log import read_drives
         from rover_rl.algos.plots import draw_paths
         from rover_rl.algos.report import print_table, write_evaluation
 
+        logs = {Path(word): read_drives(Path(word)) for word in self.policies if word.endswith(LOG)}
         drivers = self._drivers()
         sets = self._episode_sets(drivers)
         results: list[Evaluation | EndlessEvaluation] = []
@@ -61,6 +67,11 @@ class Evaluate:
                 results += [self._drive_endlessly(driver, world) for driver in here]
             pictures.append(out / ("paths.png" if len(sets) == 1 else f"paths-{world.replace(':', '-')}.png"))
             draw_paths(driven, pictures[-1])
+        for log, drives in logs.items():
+            results += drives
+            for number, drive in enumerate(drives):
+                pictures.append(out / f"paths-{log.stem}{f'-{number}' if number else ''}.png")
+                draw_paths([drive], pictures[-1])
         trained = {driver.name: driver.config for driver in drivers if driver.config}
         print_table(results, groups=dict(zip(trained, experiments([*trained.values()]), strict=True)))
         write_evaluation(out / "evaluation.json", results)
@@ -72,7 +83,7 @@ class Evaluate:
         """All policies to drive with, each of a name of its own."""
         if not self.policies:
             raise ValueError("name a policy: the folder of a run, a checkpoint, pretrained:NAME, scripted or random")
-        words = dict.fromkeys(self.policies)
+        words = dict.fromkeys(word for word in self.policies if not word.endswith(LOG))
         drivers = {word: find_driver(word, self.world) for word in words}
         names = Counter(driver.name for driver in drivers.values())
         return [driver if names[driver.name] == 1 else replace(driver, name=word) for word, driver in drivers.items()]
@@ -83,7 +94,7 @@ class Evaluate:
         from rover_rl.sims.worlds import WORLDS, get_world
 
         worlds = dict.fromkeys(world for driver in drivers for world in driver.worlds)
-        if not worlds:
+        if not worlds and drivers:
             raise ValueError("say which --world to drive in; these policies were trained in none")
         for world in worlds:
             get_world(world)

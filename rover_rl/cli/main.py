@@ -8,7 +8,9 @@ from typing import Annotated, Any, Union
 import tyro
 
 from rover_rl.cli.demo import Demo
+from rover_rl.cli.drive import Drive
 from rover_rl.cli.evaluate import Evaluate
+from rover_rl.cli.export import Export
 from rover_rl.cli.film import Film
 from rover_rl.cli.robot import RobotCommand
 from rover_rl.cli.train import INTERRUPTED, train_defaults
@@ -23,6 +25,8 @@ COMMANDS = {
     "worlds": Worlds,
     "demo": Demo,
     "robot": RobotCommand,
+    "drive": Drive,
+    "export": Export,
 }
 """The commands whose options are always the same; those of ``train`` depend on the algorithm."""
 

@@ -1,0 +1,217 @@
+"""``rover-rl drive``."""
+
+from __future__ import annotations
+
+import csv
+import math
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING
+
+import tyro
+from rich.console import Console
+from rich.live import Live
+
+from rover_rl.sims.connection import Connection
+from rover_rl.sims.ros2.settings import Command, PoseSource, Ros2Settings, TransportName
+
+if TYPE_CHECKING:
+    from rover_rl.algos.driving import Moment
+    from rover_rl.cli.drivers import Driver
+    from rover_rl.envs import RoverEnv
+
+NOT_REACHED = 1
+"""Exit code where a goal was not reached."""
+UNLIMITED = 10**9
+"""Steps that no drive comes to: its time ends it."""
+STALE = 0.5
+"""Seconds without news from a sensor after which the rover is stopped."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Drive a live rover with a trained policy, from goal to goal, at the pace of its scans.
+
+    It is stopped at each goal, and on Ctrl-C, SIGTERM, any error, a sensor that is silent for 0.5 s, a flip, or an
+    obstacle that is too near; a process of its own stops it if this one dies.
+    """
+
+    policy: tyro.conf.Positional[str]
+    """Folder of a run, a checkpoint or ONNX file, pretrained:NAME, or scripted."""
+    goal: tuple[tuple[float, float], ...] = ()
+    """Goals to drive to, one after the other: x y, m."""
+    goals: Path | None = None
+    """File of goals, a line each: x, y."""
+    random: int = 0
+    """So many goals, drawn as in training."""
+    world: str | None = None
+    """World that the rover is in; by default the one that the policy was trained in."""
+    wait: float = 30.0
+    """Seconds to wait for the rover's first scan."""
+    clearance: float = 0.2
+    """Stop where the lidar reads less than this, m."""
+    seconds: float = 60.0
+    """Time for each goal."""
+    pose: PoseSource = "pose_array"
+    """Where the pose comes from: see Ros2Settings."""
+    pose_topic: str = Ros2Settings.pose_topic
+    """Topic of the pose."""
+    odometry_topic: str = Ros2Settings.odometry_topic
+    """Topic of the wheels' odometry."""
+    scan_topic: str = Connection.scan_topic
+    """Topic of the scan."""
+    imu_topic: str = Connection.imu_topic
+    """Topic of the IMU."""
+    cmd_vel_topic: str = Connection.cmd_vel_topic
+    """Topic of the command."""
+    stamped: bool = False
+    """Send TwistStamped instead of Twist."""
+    lidar_yaw: float = Ros2Settings.lidar_yaw
+    """Where the zero of the scan's angles points, rad; the original's lidar looks backwards."""
+    transport: TransportName = Ros2Settings.transport
+    """dds needs no ROS; rclpy is for those who have it sourced."""
+    seed: int = 0
+    """Of random goals."""
+    log: Path = Path("runs/drive.jsonl")
+    """File to add what happens to; rover-rl evaluate reads it."""
+    dry_run: bool = False
+    """Send nothing, and print what would be sent."""
+
+    def __call__(self) -> int:
+        """Drives, and says how each drive ended; 0 if every goal was reached."""
+        from rover_rl.algos.drive_log import DriveLog
+        from rover_rl.algos.driving import drive_to
+        from rover_rl.sims.ros2.watchdog import Watchdog
+
+        driver = self._driver()
+        assert driver.policy is not None
+        goals, settings = self._goals(driver.worlds[0]), self._settings()
+        endings = []
+        with ExitStack() as stack:
+            stack.enter_context(_sigterm_interrupts())
+            watchdog = None if self.dry_run else stack.enter_context(Watchdog(self.cmd_vel_topic, settings, STALE))
+            env = self._env(driver, settings)
+            stack.callback(env.close)
+            log = stack.enter_context(DriveLog(self.log, driver.worlds[0], driver.name, self.seconds))
+            show = stack.enter_context(_display(Console(), each_step=self.dry_run))
+            for number, goal in enumerate(goals, 1):
+
+                def watch(moment: Moment, label: str = f"goal {number} of {len(goals)}") -> None:
+                    if watchdog is not None:
+                        watchdog.alive()
+                    show(label, moment)
+
+                if watchdog is not None:
+                    watchdog.alive()  # from here on it stops the rover where the next sign stays away
+                ending = drive_to(
+                    env, driver.policy, goal, seconds=self.seconds, clearance=self.clearance, watch=watch, log=log
+                )
+                print(f"goal {number}, {goal[0]:.2f} {goal[1]:.2f}: {ending}", flush=True)
+                endings.append(ending)
+        print(f"Log: {self.log}; rover-rl evaluate {self.log} measures it")
+        return 0 if set(endings) == {"goal"} else NOT_REACHED
+
+    def _driver(self) -> Driver:
+        """The policy, and where it is.
+
+        Raises:
+            ValueError: if there is none to drive with, or its world is not known.
+        """
+        from rover_rl.cli.drivers import find_driver
+
+        driver = find_driver(self.policy, (self.world,) if self.world else ())
+        if driver.policy is None or not driver.worlds:
+            raise ValueError(
+                f"{self.policy} cannot drive a live rover; say which --world it is in, or name a checkpoint"
+            )
+        return driver
+
+    def _settings(self) -> Ros2Settings:
+        """How the rover is reached."""
+        command: Command = "twist_stamped" if self.stamped else "twist"
+        return Ros2Settings(
+            transport=self.transport,
+            odometry_topic=self.odometry_topic,
+            pose=self.pose,
+            pose_topic=self.pose_topic,
+            command="none" if self.dry_run else command,
+            lidar_yaw=self.lidar_yaw,
+            reset="none",
+            step_timeout=STALE,
+        )
+
+    def _env(self, driver: Driver, settings: Ros2Settings) -> RoverEnv:
+        """The live rover, as an environment without a limit of its own to the steps of a drive."""
+        from rover_rl.envs import RoverEnv
+
+        return RoverEnv(
+            length=UNLIMITED,
+            scan_topic=self.scan_topic,
+            imu_topic=self.imu_topic,
+            cmd_vel_topic=self.cmd_vel_topic,
+            connection_check_timeout=self.wait,
+            world_n=driver.worlds[0],
+            lidar_points=driver.lidar_points,
+            backend=settings,
+            end_on_goal=True,
+            seed=self.seed,
+        )
+
+    def _goals(self, world: str) -> list[tuple[float, float]]:
+        """All goals that were asked for.
+
+        Raises:
+            ValueError: if there is none, or the file holds something else.
+        """
+        goals = list(self.goal)
+        if self.goals is not None:
+            with self.goals.open(newline="") as file:
+                rows = [row for row in csv.reader(file) if row]
+            try:
+                goals += [(float(x), float(y)) for x, y in rows]
+            except ValueError as error:
+                raise ValueError(f"{self.goals} must have two numbers a line: x, y") from error
+        if self.random:
+            from rover_rl.algos.episodes import draw_episodes
+
+            goals += [(x, y) for x, y in draw_episodes(world, self.random, self.seed).goal.tolist()]
+        if not goals or not all(math.isfinite(number) for goal in goals for number in goal):
+            raise ValueError("say where to: --goal X Y, --goals FILE or --random COUNT")
+        return goals
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+@contextmanager
+def _sigterm_interrupts() -> Iterator[None]:
+    """SIGTERM ends it as Ctrl-C does."""
+    before = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def _display(console: Console, each_step: bool) -> Iterator[Callable[[str, Moment], None]]:
+    """Tells of the drive: on one line of a terminal, or in a line for each step."""
+    with Live(console=console, refresh_per_second=10, transient=True, auto_refresh=console.is_terminal) as live:
+
+        def show(label: str, moment: Moment) -> None:
+            speed, turn = moment.command
+            told = (
+                f"{label}: {moment.distance:5.2f} m to go, {moment.speed:5.2f} m/s, nearest {moment.nearest:5.2f} m, "
+                f"command {speed:5.2f} m/s {turn:5.2f} rad/s, latency {1000 * moment.latency:4.1f} ms"
+            )
+            if each_step:
+                print(told, flush=True)
+            else:
+                live.update(told)
+
+        yield show

@@ -1,0 +1,112 @@
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from rover_rl.algos import export as exporting
+from rover_rl.algos.config import PPOConfig
+from rover_rl.algos.episodes import stored_episodes
+from rover_rl.algos.evaluate import evaluate
+from rover_rl.algos.export import OnnxPolicy, export, onnx_function, program_function, random_observations
+from rover_rl.algos.pretrained import load_pretrained
+from rover_rl.cli import main
+
+needs_onnx = pytest.mark.skipif(
+    any(find_spec(name) is None for name in ("onnxscript", "onnxruntime")), reason="needs rover_rl[onnx]"
+)
+POLICY = load_pretrained("moon-ppo")
+
+
+@pytest.fixture(scope="module")
+def onnx_file(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("onnx") / "moon.onnx"
+    assert export(POLICY, path) <= exporting.TOLERANCE
+    return path
+
+
+def expected(observations: dict[str, torch.Tensor]) -> torch.Tensor:
+    return POLICY.make_actor()(TensorDict(observations, batch_size=[len(observations["lidar"])]))["loc"]
+
+
+@needs_onnx
+def test_an_onnx_policy_acts_as_the_original_without_torch(onnx_file):
+    import onnxruntime
+
+    session = onnxruntime.InferenceSession(str(onnx_file))
+    observations = random_observations(POLICY, 50)
+    low, high = np.array([-1.0, -np.pi]), np.array([1.0, np.pi])
+    for row, loc in enumerate(expected(observations).detach().numpy()):
+        (action,) = session.run(None, {key: value[row : row + 1].numpy() for key, value in observations.items()})
+        np.testing.assert_allclose(action[0], (low + high) / 2 + (high - low) / 2 * np.tanh(loc), atol=1e-4)
+    assert [entry.shape for entry in session.get_inputs()] == [[1, 32], [1, 3], [1, 2], [1, 2]]
+
+
+@needs_onnx
+def test_an_onnx_policy_drives_as_the_original(onnx_file):
+    policy = OnnxPolicy(onnx_file)
+    assert (policy.config, policy.lidar_points) == (POLICY.config, 32)
+    episodes = stored_episodes("moon").first(2)
+    ours, theirs = evaluate(POLICY.make_actor(), episodes), evaluate(policy, episodes)
+    assert ours.endings == theirs.endings == ["goal", "goal"]
+
+
+def test_a_program_acts_as_the_original(tmp_path):
+    path = tmp_path / "moon.pt2"
+    assert export(POLICY, path, "torch") <= exporting.TOLERANCE
+    act = program_function(path)
+    observation = random_observations(POLICY, 1)
+    loc = expected(observation)
+    torch.testing.assert_close(act(observation), torch.tensor([[1.0, torch.pi]]) * torch.tanh(loc))
+
+
+@needs_onnx
+def test_a_policy_that_would_act_otherwise_is_not_written(tmp_path, monkeypatch):
+    monkeypatch.setattr(exporting, "TOLERANCE", -1.0)
+    with pytest.raises(RuntimeError, match="acts otherwise"):
+        export(POLICY, tmp_path / "wrong.onnx")
+    assert not [*tmp_path.iterdir()]
+
+
+@needs_onnx
+@pytest.mark.parametrize("content", [b"", b"no onnx", b"\x08\x08"])
+def test_what_is_no_policy_is_refused(tmp_path, content):
+    path = tmp_path / "foreign.onnx"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"foreign\.onnx"):
+        OnnxPolicy(path)
+    with pytest.raises(FileNotFoundError, match="no ONNX policy at"):
+        OnnxPolicy(tmp_path / "missing.onnx")
+
+
+@needs_onnx
+def test_settings_travel_with_the_file(onnx_file):
+    import onnx
+
+    (written,) = [entry.value for entry in onnx.load(str(onnx_file)).metadata_props if entry.key == "rover_rl"]
+    assert json.loads(written)["world"] == "moon"
+
+
+@needs_onnx
+def test_the_command_exports_and_evaluates(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", "pretrained:maze-ppo"]) == 0
+    assert "maze-ppo.onnx: acts as pretrained:maze-ppo does" in capsys.readouterr().out
+    assert main(["evaluate", "maze-ppo.onnx", "--count", "2", "--out", str(tmp_path)]) == 0
+    assert [entry["policy"] for entry in json.loads((tmp_path / "evaluation.json").read_text())] == ["maze-ppo"]
+
+
+def test_missing_packages_are_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxscript", None)
+    with pytest.raises(ImportError, match=r"rover_rl\[onnx\]"):
+        export(replace(POLICY, config=PPOConfig()), tmp_path / "moon.onnx")
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(ImportError, match=r"rover_rl\[onnx\]"):
+        onnx_function(tmp_path / "moon.onnx")

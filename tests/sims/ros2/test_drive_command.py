@@ -1,0 +1,181 @@
+"""``rover-rl drive`` on ``rover-rl robot``, each in a process of its own."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
+
+from rover_rl.algos.drive_log import read_drives
+from rover_rl.algos.episodes import stored_episodes
+from rover_rl.cli import main
+from rover_rl.sims.ros2.dds import DdsTransport
+from rover_rl.sims.ros2.messages import Odometry, Point, PoseArray, Twist
+from rover_rl.sims.ros2.pose_reset import Target, TopicPlacer
+from tests.sims.ros2.processes import start, start_robot, until
+
+pytestmark = [pytest.mark.ros2, pytest.mark.slow]
+
+FAR = ("--goal", "9", "9")
+"""A goal that is not reached soon."""
+
+
+@pytest.fixture(scope="module")
+def environment(domain) -> dict[str, str]:
+    """Of processes in a domain with a robot."""
+    return {**os.environ, **domain, "ROS_DOMAIN_ID": str(int(domain["ROS_DOMAIN_ID"]) + 3)}
+
+
+@pytest.fixture(scope="module")
+def robot(environment) -> Iterator[subprocess.Popen[str]]:
+    robot = start_robot(environment, "--world", "maze")
+    yield robot
+    robot.kill()
+    robot.communicate()
+
+
+class Onlooker:
+    """Hears what is sent to the robot, how fast it is and where."""
+
+    def __init__(self, environment: dict[str, str]) -> None:
+        self.twists: list[Twist] = []
+        self.speed = 0.0
+        self.place = Point(math.inf)
+        self.transport = DdsTransport("onlooker", environment)
+        self.transport.subscribe("/cmd_vel", Twist, self.twists.append)
+        self.transport.subscribe("/odometry/wheels", Odometry, self._hear_odometry)
+        self.transport.subscribe("/rover/pose_array", PoseArray, self._hear_place)
+
+    def _hear_odometry(self, odometry: Odometry) -> None:
+        self.speed = abs(odometry.twist.twist.linear.x)
+
+    def _hear_place(self, poses: PoseArray) -> None:
+        self.place = poses.poses[0].position
+
+
+@pytest.fixture
+def onlooker(environment, robot) -> Iterator[Onlooker]:
+    """With the robot put back to where no wall is near."""
+    onlooker = Onlooker(environment)
+    x, y, yaw = stored_episodes("maze").start[0].tolist()
+    until(lambda: onlooker.place.x < math.inf)
+    TopicPlacer(onlooker.transport, "/rover/set_pose").place(Target(x, y, 0.0, yaw))
+    until(lambda: math.hypot(onlooker.place.x - x, onlooker.place.y - y) < 0.05 and onlooker.speed < 0.01)
+    onlooker.twists.clear()
+    yield onlooker
+    onlooker.transport.close()
+
+
+@pytest.fixture
+def driving(environment) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Starts ``rover-rl drive`` with arguments; whatever still drives in the end is killed."""
+    started: list[subprocess.Popen[str]] = []
+
+    def drive(*arguments: str, variables: dict[str, str] = environment) -> subprocess.Popen[str]:
+        started.append(start(variables, "drive", *arguments))
+        return started[-1]
+
+    yield drive
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def test_it_drives_and_its_log_is_measured(driving, onlooker, tmp_path):
+    log = tmp_path / "drive.jsonl"
+    goals = ("--random", "2", "--seconds", "5", "--clearance", "0")
+    drive = driving("pretrained:maze-ppo", *goals, "--log", str(log))
+    told, _ = drive.communicate(timeout=90)
+    assert drive.returncode in (0, 1), told
+    assert told.count("goal 1,") == told.count("goal 2,") == 1
+    (drives,) = read_drives(log)
+    endings = drives.endings
+    assert len(endings) == 2
+    assert (drive.returncode == 0) == (endings == ["goal", "goal"])
+    assert main(["evaluate", str(log), "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "paths-drive.png").is_file()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_the_rover(driving, onlooker, tmp_path, number):
+    drive = driving("scripted", "--world", "maze", *FAR, "--log", str(tmp_path / "drive.jsonl"))
+    until(lambda: onlooker.speed > 0.1)
+    drive.send_signal(number)
+    told, _ = drive.communicate(timeout=20)
+    assert drive.returncode == 130, told
+    assert onlooker.twists[-1] == onlooker.twists[-2] == Twist()
+    until(lambda: onlooker.speed < 0.01, seconds=5)
+
+
+def test_a_dry_run_sends_nothing(driving, onlooker, tmp_path):
+    options = ("--dry-run", "--seconds", "1", "--log", str(tmp_path / "drive.jsonl"))
+    drive = driving("scripted", "--world", "maze", *FAR, *options)
+    told, _ = drive.communicate(timeout=60)
+    assert drive.returncode == 1, told
+    assert told.count("m/s") >= 2 * 5
+    assert "goal 1, 9.00 9.00: time limit" in told
+    assert not onlooker.twists
+    assert onlooker.speed < 0.01
+
+
+def test_a_sensor_that_falls_silent_stops_it(driving, robot, onlooker, tmp_path):
+    log = tmp_path / "drive.jsonl"
+    drive = driving("scripted", "--world", "maze", *FAR, "--log", str(log))
+    until(lambda: onlooker.speed > 0.1)
+    robot.send_signal(signal.SIGSTOP)
+    try:
+        told, _ = drive.communicate(timeout=30)
+    finally:
+        robot.send_signal(signal.SIGCONT)
+    assert drive.returncode == 2, told
+    assert "rover-rl: lost the robot: " in told
+    assert read_drives(log)[0].endings == ["stopped"]
+    until(lambda: onlooker.speed < 0.01)
+
+
+def test_a_process_that_dies_leaves_a_rover_that_is_told_to_stop(driving, onlooker, tmp_path):
+    drive = driving("scripted", "--world", "maze", *FAR, "--log", str(tmp_path / "drive.jsonl"))
+    until(lambda: onlooker.speed > 0.1)
+    drive.kill()
+    drive.wait()
+    onlooker.twists.clear()
+    until(lambda: onlooker.twists.count(Twist()) > 10, seconds=5)
+    assert onlooker.twists[-1] == Twist()
+
+
+def test_without_a_robot_it_says_so(driving, tmp_path, domain):
+    alone = {**os.environ, **domain, "ROS_DOMAIN_ID": str(int(domain["ROS_DOMAIN_ID"]) + 4)}
+    drive = start(
+        alone, "drive", "scripted", "--world", "maze", *FAR, "--wait", "1", "--log", str(tmp_path / "drive.jsonl")
+    )
+    told, _ = drive.communicate(timeout=60)
+    assert drive.returncode == 2, told
+    assert "rover-rl: lost the robot: /scan (scan): nothing has come yet" in told
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("scripted", "--goal", "1", "1"), "say which --world"),
+        (("random", "--world", "maze", "--goal", "1", "1"), "cannot drive a live rover"),
+        (("scripted", "--world", "maze"), "say where to"),
+        (("scripted", "--world", "maze", "--goal", "nan", "1"), "say where to"),
+    ],
+)
+def test_what_cannot_be_is_told(arguments, said, capsys):
+    assert main(["drive", *arguments]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_file_of_goals_has_two_numbers_a_line(tmp_path: Path, capsys):
+    goals = tmp_path / "goals.csv"
+    goals.write_text("1.0, 2.0\nx, y\n")
+    assert main(["drive", "scripted", "--world", "maze", "--goals", str(goals)]) == 2
+    assert "must have two numbers a line" in capsys.readouterr().err

@@ -1,0 +1,185 @@
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+
+from rover_rl import RoverEnv
+from rover_rl.algos.baselines import ScriptedPolicy
+from rover_rl.algos.drive_log import DriveLog, read_drives
+from rover_rl.algos.driving import Moment, drive_to
+from rover_rl.algos.export import OnnxPolicy, export
+from rover_rl.algos.metrics import STOPPED, TIME_LIMIT, TOO_NEAR
+from rover_rl.algos.pretrained import load_pretrained
+from rover_rl.cli import main
+from rover_rl.sims import make_simulator
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.ros2 import Ros2Settings
+from rover_rl.sims.ros2.messages import Twist
+from rover_rl.sims.ros2.robot import RobotNode
+from rover_rl.sims.worlds import get_world
+from tests.sims.ros2.wire import Wire
+
+START = (-22.4, -24.7, 0.3)
+GOAL = (-20.4, -24.2)
+
+
+@pytest.fixture
+def robot(wire: Wire) -> Iterator[RobotNode]:
+    """A rover in inspect that steps when it is told something, or a while after."""
+    world, kind = get_world("inspect"), get_robot("rover_zero")
+    simulator = make_simulator("bullet", worlds=[world], robot=kind, lidar_beams=128)
+    node = RobotNode(simulator, wire, world, kind.lidar_range, start=START)
+    told, stop = threading.Event(), threading.Event()
+    wire.subscribe("/cmd_vel", Twist, lambda twist: told.set())
+
+    def run() -> None:
+        while not stop.is_set():
+            told.wait(0.2)
+            told.clear()
+            node.step()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    yield node
+    stop.set()
+    thread.join()
+    simulator.close()
+
+
+@pytest.fixture
+def env(robot: RobotNode) -> Iterator[RoverEnv]:
+    settings = Ros2Settings(reset="none", settle=0.05)
+    env = RoverEnv(world_n="inspect", length=10**9, backend=settings, end_on_goal=True, seed=0)
+    yield env
+    env.close()
+
+
+def stopped(wire: Wire) -> bool:
+    return wire.sent["/cmd_vel"][-3:] == [Twist()] * 3
+
+
+def test_a_drive_ends_at_its_goal_and_stops_there(env, wire, robot):
+    moments: list[Moment] = []
+    assert drive_to(env, ScriptedPolicy(), GOAL, watch=moments.append) == "goal"
+    assert stopped(wire)
+    x, y, _ = robot.pose
+    assert torch.dist(torch.tensor([x, y]), torch.tensor(GOAL)) < 0.6
+    assert moments[0].distance == pytest.approx(2.06, abs=0.1)
+    assert moments[-1].distance <= 0.5
+    assert max(moment.speed for moment in moments) > 0.3
+    assert all(moment.latency >= 0 and moment.nearest > 0 for moment in moments)
+    last = wire.sent["/cmd_vel"][-4]
+    assert moments[-1].command == (last.linear.x, last.angular.z)
+
+
+def test_an_obstacle_that_is_too_near_ends_it(env, wire):
+    assert drive_to(env, ScriptedPolicy(), GOAL, clearance=20.0) == TOO_NEAR
+    assert stopped(wire)
+
+
+def test_so_does_the_time_limit(env, wire):
+    moments: list[Moment] = []
+    assert drive_to(env, ScriptedPolicy(), GOAL, seconds=0.2, watch=moments.append) == TIME_LIMIT
+    assert stopped(wire)
+    assert [moment.seconds for moment in moments] == pytest.approx([0.05, 0.1, 0.15, 0.2])
+
+
+def test_an_error_stops_the_rover(env, wire):
+    def fail(now):
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        drive_to(env, fail, GOAL)
+    assert stopped(wire)
+
+
+def test_only_a_live_rover_is_driven():
+    env = RoverEnv(world_n="inspect")
+    with pytest.raises(ValueError, match=r"only backend 'ros2' has a live rover, got BulletSimulator"):
+        drive_to(env, ScriptedPolicy(), GOAL)
+    env.close()
+
+
+@pytest.fixture
+def log(env, tmp_path) -> Path:
+    """Of a drive that reached its goal, of one that a person ended, and of one that was cut off."""
+    path = tmp_path / "logs" / "drive.jsonl"
+
+    def interrupt(moment: Moment) -> None:
+        raise KeyboardInterrupt
+
+    with DriveLog(path, "inspect", "scripted", 60.0) as log:
+        drive_to(env, ScriptedPolicy(), GOAL, log=log)
+        with pytest.raises(KeyboardInterrupt):
+            drive_to(env, ScriptedPolicy(), (-23.0, -24.0), watch=interrupt, log=log)
+        log.begin(env.rover_state, (-23.0, -23.0))
+    return path
+
+
+def test_a_log_is_measured_as_an_evaluation(log, tmp_path, capsys):
+    (drives,) = read_drives(log)
+    assert (drives.name, drives.seconds, drives.endings) == ("scripted", 60.0, ["goal", STOPPED])
+    assert drives.success_rate == 0.5
+    assert 0.25 < drives.metrics["spl"].value <= 0.5
+    assert drives.trajectories[0].seconds > 1.5
+    assert main(["evaluate", str(log), "--out", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out" / "paths-drive.png").is_file()
+    written = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert written[0]["endings"] == {"goal": 1, STOPPED: 1}
+    assert "scripted" in capsys.readouterr().out
+
+
+def test_policies_and_worlds_in_one_log_are_kept_apart(log, env):
+    with log.open("a") as file:
+        file.write('{"position": [1.0, ')  # a line that was cut off
+    with DriveLog(log, "inspect", "other", 60.0) as more:
+        drive_to(env, ScriptedPolicy(), (-23.0, -24.0), clearance=20.0, log=more)
+    assert {drives.name: drives.endings for drives in read_drives(log)} == {
+        "scripted": ["goal", STOPPED],
+        "other": [TOO_NEAR],
+    }
+
+
+def test_times_are_those_of_the_rover(tmp_path):
+    """A lidar at 10 Hz: each step lasts two of the evaluation's."""
+    path = tmp_path / "drive.jsonl"
+    lines = [{"format": "rover_rl drive, version 1", "world": "inspect", "policy": "mine", "seconds": 60.0}]
+    lines.append({"goal": [-20.0, -24.0], "position": [-22.0, -24.0, 0.0], "angles": [0.0, 0.0, 0.0]})
+    for step in range(1, 11):
+        pose = {"position": [-22.0 + 0.1 * step, -24.0, 0.0], "angles": [0.0, 0.0, 0.0]}
+        lines.append({**pose, "collision": step == 5, "reached": False, "dt": 0.1})
+    lines.append({"ending": "stuck"})
+    path.write_text("\n".join(map(json.dumps, lines)))
+    (trajectory,) = read_drives(path)[0].trajectories
+    assert trajectory.seconds == pytest.approx(1.0)
+    assert trajectory.length == pytest.approx(1.0)
+    assert trajectory.collision.nonzero().flatten().tolist() == [9]
+
+
+@pytest.mark.parametrize("content", ["", "no log\n", '{"format": "else"}\n', "[1]\n"])
+def test_what_is_no_log_is_refused(tmp_path, content):
+    path = tmp_path / "drive.jsonl"
+    path.write_text(content)
+    with pytest.raises(ValueError, match="is no log of drives"):
+        read_drives(path)
+
+
+def test_a_log_without_a_drive_to_its_end_says_so(tmp_path):
+    path = tmp_path / "drive.jsonl"
+    with DriveLog(path, "inspect", "scripted", 60.0):
+        pass
+    with pytest.raises(ValueError, match="no drive in"):
+        read_drives(path)
+
+
+def test_an_exported_policy_drives_it(env, tmp_path):
+    pytest.importorskip("onnxscript", reason="needs rover_rl[onnx]")
+    pytest.importorskip("onnxruntime", reason="needs rover_rl[onnx]")
+    path = tmp_path / "inspect.onnx"
+    export(load_pretrained("inspect-ppo"), path)
+    assert drive_to(env, OnnxPolicy(path), GOAL) == "goal"

@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+
+import pytest
+
+pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
+
+from rover_rl.sims.ros2 import Ros2Settings
+from rover_rl.sims.ros2.dds import DdsTransport
+from rover_rl.sims.ros2.messages import Twist, TwistStamped
+from rover_rl.sims.ros2.watchdog import Watchdog
+from tests.sims.ros2.processes import until
+
+pytestmark = [pytest.mark.ros2, pytest.mark.slow]
+
+
+@pytest.fixture
+def commands(in_domain, domain) -> Iterator[list[Twist]]:
+    """What arrives at the rover."""
+    received: list[Twist] = []
+    transport = DdsTransport("rover", domain)
+    transport.subscribe("/cmd_vel", Twist, received.append)
+    yield received
+    transport.close()
+
+
+LIVE = Ros2Settings(frame_id="base")
+
+
+def give_signs(watchdog: Watchdog, count: int) -> None:
+    for _ in range(count):
+        watchdog.alive()
+
+
+def test_nothing_is_sent_while_there_are_signs_of_life(commands):
+    with Watchdog("/cmd_vel", LIVE, patience=20.0) as watchdog:
+        for _ in range(5):
+            watchdog.alive()
+            time.sleep(0.1)
+        assert not commands
+
+
+def test_silence_stops_the_rover(commands):
+    with Watchdog("/cmd_vel", LIVE, patience=0.2) as watchdog:
+        time.sleep(0.5)
+        assert not commands  # nobody has begun to drive
+        watchdog.alive()
+        until(lambda: len(commands) > 10)
+    assert all(twist == Twist() for twist in commands)
+
+
+def test_stops_may_be_stamped(in_domain, domain):
+    received: list[TwistStamped] = []
+    transport = DdsTransport("rover", domain)
+    transport.subscribe("/cmd_vel", TwistStamped, received.append)
+    with Watchdog("/cmd_vel", Ros2Settings(command="twist_stamped", frame_id="base"), patience=0.1) as watchdog:
+        watchdog.alive()
+        until(lambda: received)
+    transport.close()
+    assert received[0].header.frame_id == "base"
+    assert received[0].header.stamp.seconds == pytest.approx(time.time(), abs=600)
+
+
+def test_a_watchdog_that_is_gone_or_hangs_ends_the_drive(commands):
+    with Watchdog("/cmd_vel", LIVE, patience=100.0) as watchdog:
+        watchdog._process.send_signal(signal.SIGSTOP)
+        with pytest.raises(ChildProcessError, match="the watchdog is gone"):
+            give_signs(watchdog, 1 << 20)  # more than a pipe holds
+        watchdog._process.kill()
+        watchdog._process.wait()
+        with pytest.raises(ChildProcessError, match="the watchdog is gone"):
+            watchdog.alive()
+
+
+def test_it_ends_with_the_drive(commands):
+    with Watchdog("/cmd_vel", LIVE, patience=100.0) as watchdog:
+        watchdog.alive()
+    assert watchdog._process.poll() == 0
+    assert not commands
+
+
+def test_a_driver_that_is_killed_leaves_a_rover_that_stands(commands):
+    program = (
+        "import time\n"
+        "from rover_rl.sims.ros2 import Ros2Settings\n"
+        "from rover_rl.sims.ros2.watchdog import Watchdog\n"
+        "with Watchdog('/cmd_vel', Ros2Settings(), 100.0) as watchdog:\n"
+        "    watchdog.alive()\n"
+        "    print('driving', flush=True)\n"
+        "    time.sleep(60)\n"
+    )
+    driver = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, env=os.environ)
+    try:
+        assert driver.stdout is not None
+        assert driver.stdout.readline() == "driving\n"
+        assert not commands
+    finally:
+        driver.kill()
+        driver.communicate()
+    until(lambda: len(commands) > 10)
