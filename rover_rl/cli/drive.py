@@ -83,16 +83,16 @@ class Drive:
 
     def __call__(self) -> int:
         """Drives, and says how each drive ended; 0 if every goal was reached."""
-        from rover_rl.algos.drive_log import DriveLog
-        from rover_rl.algos.driving import drive_to
-        from rover_rl.sims.ros2.watchdog import Watchdog
-
-        driver = self._driver()
-        assert driver.policy is not None
-        goals, settings = self._goals(driver.worlds[0]), self._settings()
         endings = []
         with ExitStack() as stack:
-            stack.enter_context(_sigterm_interrupts())
+            stop_if_asked = stack.enter_context(_interruptible())
+            from rover_rl.algos.drive_log import DriveLog
+            from rover_rl.algos.driving import drive_to
+            from rover_rl.sims.ros2.watchdog import Watchdog
+
+            driver = self._driver()
+            assert driver.policy is not None
+            goals, settings = self._goals(driver.worlds[0]), self._settings()
             watchdog = None if self.dry_run else stack.enter_context(Watchdog(self.cmd_vel_topic, settings, STALE))
             env = self._env(driver, settings)
             stack.callback(env.close)
@@ -101,10 +101,12 @@ class Drive:
             for number, goal in enumerate(goals, 1):
 
                 def watch(moment: Moment, label: str = f"goal {number} of {len(goals)}") -> None:
+                    stop_if_asked()
                     if watchdog is not None:
                         watchdog.alive()
                     show(label, moment)
 
+                stop_if_asked()
                 if watchdog is not None:
                     watchdog.alive()  # from here on it stops the rover where the next sign stays away
                 ending = drive_to(
@@ -184,18 +186,29 @@ class Drive:
         return goals
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
-
-
 @contextmanager
-def _sigterm_interrupts() -> Iterator[None]:
-    """SIGTERM ends it as Ctrl-C does."""
-    before = signal.signal(signal.SIGTERM, _interrupt)
+def _interruptible() -> Iterator[Callable[[], None]]:
+    """Ctrl-C and SIGTERM end it: at once, or where the function that this gives is called.
+
+    An exception that is raised while a library calls back into Python may be lost; a rover must stop all the same.
+    """
+    asked = False
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal asked
+        asked = True
+        raise KeyboardInterrupt
+
+    def stop_if_asked() -> None:
+        if asked:
+            raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield
+        yield stop_if_asked
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager

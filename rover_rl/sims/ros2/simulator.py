@@ -261,9 +261,10 @@ class Ros2Simulator:
         self._scan = scan
 
     def _require_news(self) -> None:
-        """No topic may have been silent for long."""
+        """No topic may have been silent for long; one of which nothing has come yet is given time, too."""
+        deadline = time.monotonic() + self.settings.step_timeout
         for kind in self._topics:
-            arrival = self._inbox.newest(kind)
+            arrival = self._inbox.newest(kind) or self._inbox.wait(kind, 0, max(0.0, deadline - time.monotonic()))
             if arrival is None or arrival.age > self.settings.step_timeout:
                 raise self._lost(kind)
 

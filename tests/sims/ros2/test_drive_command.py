@@ -7,9 +7,13 @@ import os
 import signal
 import subprocess
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
+import torch
+from tensordict.nn import TensorDictModule
+from torch import Tensor
 
 pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
 
@@ -110,6 +114,28 @@ def test_a_signal_stops_the_rover(driving, onlooker, tmp_path, number):
     drive.send_signal(number)
     told, _ = drive.communicate(timeout=20)
     assert drive.returncode == 130, told
+    assert onlooker.twists[-1] == onlooker.twists[-2] == Twist()
+    until(lambda: onlooker.speed < 0.01, seconds=5)
+
+
+def test_a_signal_that_a_library_swallows_stops_the_rover_at_the_next_step(
+    environment, onlooker, tmp_path, monkeypatch
+):
+    def steer(lidar: Tensor, target: Tensor) -> Tensor:
+        if onlooker.speed > 0.1:
+            with suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+        return torch.tensor([[1.0, 0.0]])
+
+    monkeypatch.setattr(
+        "rover_rl.algos.baselines.ScriptedPolicy",
+        lambda: TensorDictModule(steer, in_keys=["lidar", "target"], out_keys=["action"]),
+    )
+    for key, value in environment.items():
+        monkeypatch.setenv(key, value)
+    before = signal.getsignal(signal.SIGINT)
+    assert main(["drive", "scripted", "--world", "maze", *FAR, "--log", str(tmp_path / "drive.jsonl")]) == 130
+    assert signal.getsignal(signal.SIGINT) is before
     assert onlooker.twists[-1] == onlooker.twists[-2] == Twist()
     until(lambda: onlooker.speed < 0.01, seconds=5)
 

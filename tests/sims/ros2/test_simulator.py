@@ -361,6 +361,22 @@ def test_a_robot_may_appear_later(wire, rover):
     assert sim.reset(ALL, torch.tensor([[0.0, 1.0, 0.0]])).position[0, :2].tolist() == pytest.approx([0.0, 1.0])
 
 
+@pytest.mark.parametrize("kind", ["imu", "odometry", "pose"])
+def test_a_topic_may_begin_later_than_the_scan(rover, kind):
+    rover.silent.add(kind)
+    rover.start()
+    sim = simulator(step_timeout=5.0)
+    threading.Timer(0.1, rover.silent.clear).start()
+    assert sim.reset(ALL, torch.tensor([[0.0, 1.0, 0.0]])).position[0, :2].tolist() == pytest.approx([0.0, 1.0])
+
+
+def test_a_topic_that_never_begins_is_named(rover):
+    rover.silent.add("imu")
+    rover.start()
+    with pytest.raises(RobotLostError, match=r"/imu/data \(imu\): nothing has come yet"):
+        simulator().reset(ALL, torch.zeros(1, 3))
+
+
 @pytest.mark.parametrize(
     ("kind", "topic"),
     [
