@@ -85,8 +85,6 @@ def collecting(
         session: how often the run has been resumed.
     """
     frames = config.num_envs * decisions
-    if config.workers > 1 and config.asynchronous:
-        frames //= config.workers
     if config.workers == 1:
         collector = Collector(
             partial(make_training_env, config, session=session),
@@ -101,7 +99,8 @@ def collecting(
             actor,
             num_collectors=config.workers,
             sync=not config.asynchronous,
-            frames_per_batch=frames,
+            # An asynchronous collector's batch is one worker's, and there is nothing to put together.
+            frames_per_batch=frames // config.workers if config.asynchronous else frames,
             cat_results=None if config.asynchronous else 0,
             use_buffers=True,
             num_threads=1,

@@ -133,7 +133,7 @@ class SACLearner:
         return torch.stack([losses[key].detach() for key in LOGGED])
 
     def state_dict(self) -> dict[str, Any]:
-        """Weights, the optimizer's moments, and the replay buffer."""
+        """Weights, the optimizer's moments, the replay buffer, and what part of a gradient step is due."""
         storage, count = self._memory.storage, len(self._memory)
         return {
             "loss": self._loss.state_dict(),
@@ -141,6 +141,7 @@ class SACLearner:
             # A copy, for a slice would be saved with all of the storage behind it.
             "memory": storage[:count].clone().flatten_keys("/").to_dict() if count else {},
             "cursor": self._memory.writer._cursor,
+            "due": self._due,
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -151,3 +152,4 @@ class SACLearner:
             count = len(state["memory"]["action"])
             self._memory.extend(TensorDict(state["memory"], batch_size=[count]).unflatten_keys("/"))
         self._memory.writer._cursor = state["cursor"]
+        self._due = state["due"]
