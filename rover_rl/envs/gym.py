@@ -252,7 +252,7 @@ class RoverEnv(GymWrapper):
     Args:
         size, length, scan_topic, imu_topic, cmd_vel_topic, camera_topic, world_n, connection_check_timeout,
             lidar_points, max_lidar_range: the contract's; see :class:`rover_rl.RoverEnv`.
-        backend, robot, lidar_beams, seed, device, end_on_goal, task, heading_gains: see
+        backend, physics, robot, lidar_beams, seed, device, end_on_goal, task, heading_gains: see
             :class:`rover_rl.RoverEnv`.
         reward, time_limit, render_mode, camera: see :class:`GymWrapper`.
 
@@ -277,6 +277,7 @@ class RoverEnv(GymWrapper):
         max_lidar_range: float = 12.0,
         *,
         backend: str | Backend = "bullet",
+        physics: str | None = None,
         robot: str | Robot = "rover_zero",
         lidar_beams: int = 128,
         seed: int | None = None,
@@ -301,6 +302,7 @@ class RoverEnv(GymWrapper):
             lidar_points,
             max_lidar_range,
             backend=backend,
+            physics=physics,
             robot=robot,
             lidar_beams=lidar_beams,
             seed=seed,

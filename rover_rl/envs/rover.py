@@ -92,6 +92,7 @@ class RoverEnv(EnvBase):
         num_envs: rovers in the batch.
         backend: what moves them: ``"bullet"``, ``"ros2"`` (one live rover), or one's settings, for example
             :class:`~rover_rl.sims.bullet.BulletSettings`.
+        physics: preset of a backend given by its name: Bullet's are ``"default"``, ``"accurate"`` and ``"fast"``.
         robot: a robot's name or a :class:`~rover_rl.sims.robots.Robot`.
         lidar_beams: beams of a raw scan.
         seed: of the first row; ``None`` draws one.
@@ -126,6 +127,7 @@ class RoverEnv(EnvBase):
         *,
         num_envs: int = 1,
         backend: str | Backend = "bullet",
+        physics: str | None = None,
         robot: str | Robot = "rover_zero",
         lidar_beams: int = 128,
         seed: int | None = None,
@@ -145,10 +147,15 @@ class RoverEnv(EnvBase):
         self.end_on_goal = end_on_goal
         self.task = task or TaskConfig()
         self.robot = get_robot(robot)
-        self.worlds = _assign_rows(world_n, num_envs)
+        self.worlds = assign_rows(world_n, num_envs)
         self.lidar = LidarPooling(lidar_beams, lidar_points, max_lidar_range, self._tensor_device)
         self.simulator: Simulator = make_simulator(
-            backend, worlds=self.worlds, robot=self.robot, lidar_beams=lidar_beams, connection=self.connection
+            backend,
+            worlds=self.worlds,
+            robot=self.robot,
+            lidar_beams=lidar_beams,
+            physics=physics,
+            connection=self.connection,
         )
         self.placement = Placement(self.worlds, self.robot, self.task.min_goal_distance, self._tensor_device)
         self.controller = HeadingController(num_envs, heading_gains, self._tensor_device)
@@ -449,7 +456,7 @@ class RoverEnv(EnvBase):
 RoverEnv.__signature__ = inspect.Signature([*inspect.signature(RoverEnv.__init__).parameters.values()][1:])
 
 
-def _assign_rows(world_n: str | World | Sequence[str | World], num_envs: int) -> list[World]:
+def assign_rows(world_n: str | World | Sequence[str | World], num_envs: int) -> list[World]:
     """The world of each row: the given ones in equal blocks."""
     names = [world_n] if isinstance(world_n, (str, World)) else list(world_n)
     if not 1 <= len(names) <= num_envs:

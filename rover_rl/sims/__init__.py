@@ -39,6 +39,7 @@ def make_simulator(
     worlds: Sequence[World],
     robot: Robot,
     lidar_beams: int,
+    physics: str | None = None,
     connection: Connection | None = None,
 ) -> Simulator:
     """Builds a simulator.
@@ -48,16 +49,22 @@ def make_simulator(
         worlds: the world of each rover, N entries; equal ones share a simulation.
         robot: the rover.
         lidar_beams: beams of a raw scan over the full turn.
+        physics: name of a preset of a backend that is given by its name; ``None``: its default settings.
         connection: topics of a live rover; ``None``: the contract's.
 
     Raises:
-        ValueError: for an unknown backend.
+        ValueError: for an unknown backend or preset.
     """
     if isinstance(backend, str):
         if backend not in BACKENDS:
             raise ValueError(f"unknown backend {backend!r}; use one of {sorted(BACKENDS)}")
         module, name = BACKENDS[backend].split(":")
-        backend = cast(Backend, getattr(import_module(module), name)())
+        settings = getattr(import_module(module), name)
+        if physics is not None and not hasattr(settings, "preset"):
+            raise ValueError(f"backend {backend!r} has no presets of physics, got physics={physics!r}")
+        backend = cast(Backend, settings() if physics is None else settings.preset(physics))
+    elif physics is not None:
+        raise ValueError(f"physics={physics!r} is for a backend given by its name; this one has settings of its own")
     return backend.make(worlds=worlds, robot=robot, lidar_beams=lidar_beams, connection=connection)
 
 

@@ -62,14 +62,11 @@ class RoverPhysics:
         self._grounds: list[list[int]] = []
         self._rovers: list[tuple[int, int]] = []
         for first in range(0, count, ROVERS_PER_CLIENT):
-            client = _connect(settings)
+            client = connect(settings)
             self.clients.append(client)
-            self._grounds.append(add_ground(client, world))
-            _make_static(client, self._grounds[-1], settings.ground_friction)
-            _make_static(client, add_obstacles(client, world.obstacles), settings.obstacle_friction)
-            self._rovers += [
-                (client, _load(client, robot)) for _ in range(first, min(first + ROVERS_PER_CLIENT, count))
-            ]
+            self._grounds.append(load_world(client, world, settings))
+            rovers = range(first, min(first + ROVERS_PER_CLIENT, count))
+            self._rovers += [(client, load_rover(client, robot, settings)) for _ in rovers]
         self._wheels = self._find_wheels(robot)
         self._forces = [robot.wheel_torque] * len(self._wheels)
         self._sides = len(robot.left_wheels), len(robot.right_wheels)
@@ -171,7 +168,8 @@ class RoverPhysics:
             pybullet.resetJointState(body, wheel, angle, speed, physicsClientId=client)
 
 
-def _connect(settings: BulletSettings) -> int:
+def connect(settings: BulletSettings) -> int:
+    """A Bullet client with these settings and gravity, and nothing in it."""
     client = pybullet.connect(pybullet.DIRECT)
     pybullet.setGravity(0, 0, -9.81, physicsClientId=client)
     pybullet.setPhysicsEngineParameter(
@@ -187,28 +185,53 @@ def _connect(settings: BulletSettings) -> int:
     return client
 
 
-def _make_static(client: int, bodies: Sequence[int], friction: float) -> None:
-    for body in bodies:
-        pybullet.changeDynamics(body, -1, lateralFriction=friction, physicsClientId=client)
+def load_world(client: int, world: World, settings: BulletSettings) -> list[int]:
+    """Adds what rovers touch of a world; returns the bodies of its ground."""
+    ground = add_ground(client, world)
+    frictions = dict.fromkeys(ground, settings.ground_friction)
+    frictions |= dict.fromkeys(add_obstacles(client, world.obstacles), settings.obstacle_friction)
+    for body, friction in frictions.items():
+        _set_contact(client, body, -1, friction, settings)
         pybullet.setCollisionFilterGroupMask(body, -1, _STATIC, _ROVERS, physicsClientId=client)
+    return ground
 
 
-def _load(client: int, robot: Robot) -> int:
+def load_rover(client: int, robot: Robot, settings: BulletSettings) -> int:
+    """Loads a rover without damping that never sleeps; returns its body.
+
+    Raises:
+        ValueError: if a link of its description has several collision shapes.
+    """
     flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER
     body = pybullet.loadURDF(str(robot.urdf), flags=flags | pybullet.URDF_IGNORE_VISUAL_SHAPES, physicsClientId=client)
     for link in range(-1, pybullet.getNumJoints(body, physicsClientId=client)):
+        # Bullet sorts contacts by link; among those of one link their order depends on the other rovers.
+        if (shapes := len(pybullet.getCollisionShapeData(body, link, physicsClientId=client))) > 1:
+            raise ValueError(f"{robot.urdf}: a link may have one collision shape, link {link} has {shapes}")
         pybullet.changeDynamics(
             body,
             link,
-            lateralFriction=1.0,
             linearDamping=0.0,
             angularDamping=0.0,
             jointDamping=0.0,
             activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
             physicsClientId=client,
         )
+        # In the same call the friction would not reach the wheels.
+        _set_contact(client, body, link, 1.0, settings)
     _forget_contacts(client, body)
     return body
+
+
+def _set_contact(client: int, body: int, link: int, friction: float, settings: BulletSettings) -> None:
+    """Gives a link its friction, which Bullet multiplies with that of what it touches."""
+    pybullet.changeDynamics(
+        body,
+        link,
+        lateralFriction=friction,
+        contactProcessingThreshold=settings.contact_threshold,
+        physicsClientId=client,
+    )
 
 
 def _forget_contacts(client: int, body: int) -> None:

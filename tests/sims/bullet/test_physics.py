@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
 from rover_rl.sims import make_simulator
+from rover_rl.sims.bullet import BulletSettings
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.worlds import Terrain, World, box
@@ -23,8 +25,8 @@ def slope(degrees: float, size: float = 40.0, cell: float = 0.25) -> World:
     return World(f"slope {degrees}", Terrain((math.tan(math.radians(degrees)) * x).expand(count, -1), cell))
 
 
-def simulate(world: World, poses: list[tuple[float, float, float]]):
-    simulator = make_simulator("bullet", worlds=[world] * len(poses), robot=ROVER, lidar_beams=1)
+def simulate(world: World, poses: list[tuple[float, float, float]], backend: str | BulletSettings = "bullet"):
+    simulator = make_simulator(backend, worlds=[world] * len(poses), robot=ROVER, lidar_beams=1)
     simulator.reset(torch.ones(len(poses), dtype=torch.bool), torch.tensor(poses))
     return simulator
 
@@ -106,6 +108,15 @@ def test_stands_still_for_600_steps(degrees):
     assert moved.max() < 0.0009
 
 
+@pytest.mark.parametrize(("friction", "holds"), [(0.20, False), (0.35, True)])
+def test_friction_is_what_the_settings_say(friction: float, holds: bool):
+    # On 15 degrees a body holds from a coefficient of tan(15 degrees) = 0.27 on.
+    simulator = simulate(slope(15), [(0.0, 0.0, 0.0)], BulletSettings(ground_friction=friction))
+    before = simulator.state().position
+    moved = (drive(simulator, [(0.0, 0.0)], 40)[-1].position - before).norm()
+    assert (moved < 0.01) == holds
+
+
 def test_stands_still_on_a_plane():
     simulator = simulate(World("plane", Terrain.flat((20, 20))), [(0.0, 0.0, 0.3)])
     first = drive(simulator, [(0.0, 0.0)], 1)[0]
@@ -161,3 +172,11 @@ def test_base_frame_is_level_on_level_ground(flat):
     euler = quaternion_to_euler(state.orientation)
     torch.testing.assert_close(euler, torch.tensor([[0.0, 0.0, 0.5]]), atol=1e-3, rtol=0)
     torch.testing.assert_close(state.position[0, :2], torch.tensor([1.0, 2.0]), atol=1e-3, rtol=0)
+
+
+def test_a_link_of_several_collision_shapes_is_refused(tmp_path, flat):
+    shape = "<collision><geometry><sphere radius='0.1'/></geometry></collision>"
+    urdf = tmp_path / "rover.urdf"
+    urdf.write_text(ROVER.urdf.read_text().replace("</link>", f"{shape}</link>", 1))
+    with pytest.raises(ValueError, match=r"rover\.urdf: a link may have one collision shape, link -1 has 2"):
+        make_simulator("bullet", worlds=[flat], robot=replace(ROVER, urdf=urdf), lidar_beams=1)
