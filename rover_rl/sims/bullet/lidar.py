@@ -18,12 +18,12 @@ from rover_rl.sims.bullet.library import pybullet
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
-MAX_RAYS = 16_383
-"""Rays in one call at most: beyond that, ``rayTestBatch`` returns nothing and raises no error."""
-
 RAYS_PER_CALL = 1024
-"""Rays in one call if a scan has fewer beams. The answer is ten objects a ray: few of them stay in the processor's
-cache, which makes reading and freeing them a fifth cheaper."""
+"""Rays in one call. The answer is ten objects a ray: few of them stay in the processor's cache, which makes reading and
+freeing them a fifth cheaper. From 16,384 rays on, ``rayTestBatch`` would return nothing and raise no error."""
+
+RAYS_AT_ONCE = 8192
+"""Rays that are worked out at once."""
 
 _CEILING_CELL = 0.1
 _fraction = itemgetter(2)
@@ -46,6 +46,9 @@ class Lidar:
         self._range = robot.lidar_range
         self._directions = self._range * np.stack((np.cos(angles), np.sin(angles)))
         self._ceiling = _Ceiling(world)
+        # Used again and again: fresh memory would be paged in anew.
+        rovers = max(1, RAYS_AT_ONCE // len(angles))
+        self._starts, self._ends = np.empty((2, rovers, len(angles), 3))
 
     def scan(self, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """Ranges ``[k, beams]`` (m) of rovers whose base frames are at ``position [k, 3]``, ``rotation [k, 3, 3]``.
@@ -64,32 +67,29 @@ class Lidar:
 
     def _cast(self, origins: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """Fraction of each ray that is free, 1 for all of it: ``[k, beams]``."""
-        beams = self._directions.shape[1]
-        fractions = np.empty((len(origins), beams))
-        together = max(1, RAYS_PER_CALL // beams)
+        fractions = np.empty((len(origins), self._directions.shape[1]))
+        rovers = len(self._starts)
         with _collector_paused():
-            for first in range(0, len(origins), together):
-                part = slice(first, first + together)
-                starts, ends = self._rays(origins[part], rotation[part])
-                for ray in range(0, len(starts), MAX_RAYS):
-                    some = slice(ray, ray + MAX_RAYS)
-                    hits = pybullet.rayTestBatch(starts[some], ends[some], physicsClientId=self.client)
-                    if len(hits) != len(starts[some]):
-                        raise RuntimeError(f"Bullet answered {len(hits)} of {len(starts[some])} lidar rays")
-                    free = np.fromiter(map(_fraction, hits), np.float64, len(hits))
-                    fractions[part].reshape(-1)[some] = free
-            # Freed before the collector is back, which would walk over them.
-            del hits
+            for first in range(0, len(origins), rovers):
+                part = slice(first, first + rovers)
+                self._cast_some(origins[part], rotation[part], fractions[part].reshape(-1))
         return fractions
 
-    def _rays(self, origins: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Start and end of every ray, ``[k * beams, 3]``."""
+    def _cast_some(self, origins: np.ndarray, rotation: np.ndarray, fractions: np.ndarray) -> None:
+        """Fills ``fractions [k * beams]`` for as many rovers as there is room for in the buffers of rays."""
+        starts, ends = self._starts[: len(origins)], self._ends[: len(origins)]
         ahead, left = self._directions
-        ends = ahead[:, None] * rotation[:, None, :, 0]
+        starts[...] = origins[:, None]
+        np.multiply(ahead[:, None], rotation[:, None, :, 0], out=ends)
         ends += left[:, None] * rotation[:, None, :, 1]
-        ends += origins[:, None]
-        starts = np.repeat(origins, len(ahead), axis=0)
-        return starts, ends.reshape(-1, 3)
+        ends += starts
+        starts, ends = starts.reshape(-1, 3), ends.reshape(-1, 3)
+        for ray in range(0, len(starts), RAYS_PER_CALL):
+            some = slice(ray, ray + RAYS_PER_CALL)
+            hits = pybullet.rayTestBatch(starts[some], ends[some], physicsClientId=self.client)
+            if len(hits) != len(starts[some]):
+                raise RuntimeError(f"Bullet answered {len(hits)} of {len(starts[some])} lidar rays")
+            fractions[some] = np.fromiter(map(_fraction, hits), np.float64, len(hits))
 
 
 class _Ceiling:
