@@ -49,7 +49,7 @@ def test_unknown_options_exit_with_2(capsys: pytest.CaptureFixture[str]) -> None
     assert stop.value.code == 2
 
 
-SIZE = ["--num-envs", "4", "--decisions", "8", "--total-steps", "128"]
+SIZE = ["--num-envs", "4", "--workers", "1", "--decisions", "8", "--total-steps", "128"]
 
 
 def test_train_go_on_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

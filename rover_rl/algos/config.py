@@ -6,7 +6,8 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar, get_type_hints
+from types import UnionType
+from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, get_args, get_origin, get_type_hints
 
 import yaml
 
@@ -16,6 +17,10 @@ SECONDS_PER_STEP = 0.05
 """The simulator is controlled at 20 Hz."""
 OBSERVATION_KEYS = ("lidar", "imu", "target", "velocities", "pose")
 """Entries of an observation that a policy can read."""
+Backend: TypeAlias = Literal["bullet", "ray"]
+"""What can make the rollouts of a training."""
+Physics: TypeAlias = Literal["default", "accurate", "fast"]
+"""Presets of the physics: :data:`rover_rl.sims.bullet.settings.PRESETS`, which needs PyTorch."""
 ENDLESS = 10**9
 """Steps that no training comes to: its time ends it."""
 
@@ -29,14 +34,15 @@ class TrainingConfig:
     asynchronous: ClassVar[bool]
     """Whether it learns while other processes go on driving, since it may learn from what older policies did."""
 
-    world: str = "moon"
-    """World to train in: inspect, moon or maze; "maze:7" is the maze of seed 7."""
+    world: str | tuple[str, ...] = "moon"
+    """World to train in: inspect, moon or maze; "maze:7" is the maze of seed 7. Of several, each gets an equal share of
+    the rovers."""
     total_steps: int = 600_000
     """Steps to train for, all rovers together; a decision counts as repeat steps."""
     max_minutes: float | None = None
     """Stop after so many minutes, if that comes before total_steps."""
     seed: int = 0
-    """Of weights, actions, starts and goals. With one worker the same seed gives the same policy to the last bit,
+    """Of weights, actions, starts and goals. With --workers 1 the same seed gives the same policy to the last bit,
     unless max_minutes decides when to stop."""
     name: str | None = None
     """Name of the run's folder; by default a new one such as ppo-maze."""
@@ -48,8 +54,14 @@ class TrainingConfig:
     """Policies that are kept from along the way, evenly spaced, to see later how fast it learned."""
     num_envs: int = 64
     """Rovers that drive at once."""
-    workers: int = 1
-    """Processes that simulate, each with an equal share of the rovers."""
+    backend: Backend = "bullet"
+    """What makes the rollouts: Bullet in processes of this machine, or Bullet on the machines of a Ray cluster (the one
+    that RAY_ADDRESS names or that runs here, else a new one on this machine; extra ray)."""
+    physics: Physics = "default"
+    """Preset of the physics: see docs/physics.md."""
+    workers: int | None = None
+    """Processes that simulate, each with an equal share of the rovers; by default as many as there are cores, or the
+    most below that which share the rovers equally."""
     repeat: int = 4
     """Steps that each action is held for in training: 4 lets the policy decide at 5 Hz."""
     episode_steps: int = 600
@@ -83,13 +95,30 @@ class TrainingConfig:
     mirror: bool = True
     """Learn from each decision or, at even odds, from its mirror image: left and right are alike."""
 
+    @property
+    def worlds(self) -> tuple[str, ...]:
+        """Names of the worlds to train in."""
+        return (self.world,) if isinstance(self.world, str) else self.world
+
+    @property
+    def processes(self) -> int:
+        """Processes that simulate."""
+        return self.workers or default_workers(self.num_envs)
+
+    @property
+    def rovers_each(self) -> int:
+        """Rovers of each process."""
+        return self.num_envs // self.processes
+
     def check(self) -> None:
         """Refuses settings that are out of range.
 
         Raises:
             ValueError: naming the setting.
         """
-        self._require_counts("total_steps", "num_envs", "workers", "repeat", "episode_steps")
+        self._require_counts("total_steps", "num_envs", "repeat", "episode_steps")
+        if self.workers is not None:
+            self._require_counts("workers")
         self._require_positive("learning_rate", "reward_scale", "max_grad_norm", "checkpoint_minutes", "spread")
         self._require_share("gamma")
         for name in ("snapshots", "path_reward"):
@@ -97,8 +126,16 @@ class TrainingConfig:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
         if self.max_minutes is not None and not self.max_minutes > 0:
             raise ValueError(f"max_minutes must be positive, got {self.max_minutes}")
-        if self.num_envs % self.workers:
+        if self.num_envs % self.processes:
             raise ValueError(f"num_envs={self.num_envs} rovers cannot be shared equally by workers={self.workers}")
+        if not 1 <= len(self.worlds) <= self.rovers_each:
+            raise ValueError(
+                f"world must name at least one world, and no more than the {self.rovers_each} rovers of a worker: "
+                f"got {self.world}"
+            )
+        for name, allowed in (("backend", get_args(Backend)), ("physics", get_args(Physics))):
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"{name} must be one of {allowed}, got {getattr(self, name)!r}")
         if not self.hidden or min(self.hidden) < 1:
             raise ValueError(f"hidden must name at least one layer of at least 1 unit, got {self.hidden}")
         unknown = [key for key in self.observation if key not in OBSERVATION_KEYS]
@@ -226,11 +263,12 @@ def experiments(configs: Sequence[TrainingConfig]) -> list[str]:
     for own in every:
         others = [other for other in every if (other["algo"], other["world"]) == (own["algo"], own["world"])]
         special = [f"{key}={value}" for key, value in own.items() if any(other[key] != value for other in others)]
-        names.append(", ".join((f"{own['algo'].upper()} in {own['world']}", *special)))
+        worlds = own["world"] if isinstance(own["world"], str) else ", ".join(own["world"])
+        names.append(", ".join((f"{own['algo'].upper()} in {worlds}", *special)))
     return names
 
 
-_OF_A_RUN = ("seed", "name", "runs", "workers", "checkpoint_minutes", "snapshots")
+_OF_A_RUN = ("seed", "name", "runs", "backend", "workers", "checkpoint_minutes", "snapshots")
 """Settings that say nothing of what is learned, or how."""
 
 
@@ -259,19 +297,16 @@ def config_from(data: Any, source: str) -> TrainingConfig:
 
 def _converted(value: Any, hint: Any, name: str) -> Any:
     """``value`` as a field of type ``hint``, refused where it is of another type."""
-    if hint in _TUPLES and isinstance(value, list | tuple) and all(type(entry) is _TUPLES[hint] for entry in value):
-        return tuple(value)
-    if value is None and type(None) in getattr(hint, "__args__", ()):
-        return None
-    plain_type = next((kind for kind in _SCALARS if hint is kind or kind in getattr(hint, "__args__", ())), None)
-    if plain_type is float and type(value) is int:
-        return float(value)
-    if hint in _TUPLES or type(value) is not plain_type:
-        raise ValueError(f"{name} must be of type {getattr(hint, '__name__', hint)}, got {value!r}")
-    return value
+    for kind in get_args(hint) if isinstance(hint, UnionType) else (hint,):
+        if kind in _TUPLES and isinstance(value, list | tuple) and all(type(entry) is _TUPLES[kind] for entry in value):
+            return tuple(value)
+        if type(value) is (str if get_origin(kind) is Literal else kind):
+            return value
+        if kind is float and type(value) is int:
+            return float(value)
+    raise ValueError(f"{name} must be of type {hint.__name__ if type(hint) is type else hint}, got {value!r}")
 
 
-_SCALARS = (bool, int, float, str)
 _TUPLES: dict[Any, type] = {tuple[str, ...]: str, tuple[int, ...]: int}
 
 
@@ -309,7 +344,13 @@ def run_config(folder: str | Path) -> TrainingConfig:
     return replace(read_config(folder / "config.yaml"), runs=str(folder.parent), name=folder.name)
 
 
-def default_workers(num_envs: int) -> int:
-    """One process a core, or the most below that which share ``num_envs`` rovers equally."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return next(workers for workers in range(min(cores, num_envs), 0, -1) if num_envs % workers == 0)
+def default_workers(num_envs: int, cores: int | None = None) -> int:
+    """One process a core, or the most below that which share ``num_envs`` rovers equally.
+
+    Args:
+        num_envs: rovers.
+        cores: to use; by default those of this machine that this process may use.
+    """
+    if cores is None:
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return next(workers for workers in range(max(1, min(cores, num_envs)), 0, -1) if num_envs % workers == 0)

@@ -241,6 +241,7 @@ def evaluate(
     lidar_points: int = 32,
     task: TaskConfig | None = None,
     backend: str | Backend = "bullet",
+    physics: str | None = None,
 ) -> Evaluation:
     """Drives every episode once: one goal, within a time limit.
 
@@ -258,6 +259,7 @@ def evaluate(
         lidar_points: readings that the policy sees.
         task: thresholds of the task.
         backend: what moves the rovers.
+        physics: preset of a backend given by its name.
 
     Raises:
         ValueError: for ``repeat`` or ``rows`` below 1, or a time below one step.
@@ -274,6 +276,7 @@ def evaluate(
         seed=episodes.seed,
         task=task,
         backend=backend,
+        physics=physics,
     )
     policy = policy or RandomPolicy(episodes.seed)
     trajectories = _drive(env, policy, repeat, name, {"start": episodes.start, "goal": episodes.goal})
@@ -293,6 +296,7 @@ def evaluate_endless(
     lidar_points: int = 32,
     task: TaskConfig | None = None,
     backend: str | Backend = "bullet",
+    physics: str | None = None,
 ) -> EndlessEvaluation:
     """Drives the original's episodes: up to 2,000 steps, with a new goal whenever one is reached.
 
@@ -309,6 +313,7 @@ def evaluate_endless(
         lidar_points: readings that the policy sees.
         task: thresholds of the task.
         backend: what moves the rovers.
+        physics: preset of a backend given by its name.
 
     Raises:
         ValueError: for ``repeat``, ``rows`` or ``steps`` below 1, or an unknown world.
@@ -326,6 +331,7 @@ def evaluate_endless(
         seed=seed,
         task=task if jam else replace(task, collision_window=steps),
         backend=backend,
+        physics=physics,
     )
     trajectories = _drive(env, policy or RandomPolicy(seed), repeat, name)
     world_name = world if isinstance(world, str) else place.name

@@ -2,14 +2,15 @@
 
 Example:
     >>> env = make_env(world_n="maze", num_envs=2, seed=0)
-    >>> guide = Guide(env.worlds[0], env.robot)
-    >>> guide.action(env.reset()).shape
+    >>> guides = Guides(env.worlds, env.robot)
+    >>> guides.action(env.reset()).shape
     torch.Size([2, 2])
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 
 import torch
 from tensordict import TensorDictBase
@@ -86,3 +87,32 @@ class Guide:
         rows, columns = self._fields.shape[1:]
         column, row = ((position - self._origin) / self._space.cell).round().long().unbind(-1)
         return self._fields[anchor, row.clamp(0, rows - 1), column.clamp(0, columns - 1)]
+
+
+class Guides:
+    """A :class:`Guide` for each world of a batch.
+
+    Args:
+        worlds: the world of each row.
+        robot: that has to fit.
+    """
+
+    def __init__(self, worlds: Sequence[World], robot: Robot) -> None:
+        places = dict.fromkeys(worlds)
+        self._guides = [Guide(world, robot) for world in places]
+        self._rows = [torch.tensor([row for row, world in enumerate(worlds) if world is place]) for place in places]
+
+    def path_length(self, observation: TensorDictBase) -> Tensor:
+        """As :meth:`Guide.path_length`, for observations ``[N, ...]``: float32 ``[N, ..., 1]``."""
+        return self._ask(Guide.path_length, observation)
+
+    def action(self, observation: TensorDictBase) -> Tensor:
+        """As :meth:`Guide.action`, for observations ``[N, ...]``: ``[N, ..., 2]``."""
+        return self._ask(Guide.action, observation)
+
+    def _ask(self, question: Callable[[Guide, TensorDictBase], Tensor], observation: TensorDictBase) -> Tensor:
+        told = []
+        for guide, rows in zip(self._guides, self._rows, strict=True):
+            some = observation[rows]
+            told.append(question(guide, some.reshape(-1)).unflatten(0, some.batch_size))
+        return torch.cat(told)[torch.cat(self._rows).argsort()]

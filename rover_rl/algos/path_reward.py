@@ -6,7 +6,7 @@ from tensordict import TensorDictBase
 from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
-from rover_rl.algos.guide import Guide
+from rover_rl.algos.guide import Guides
 from rover_rl.envs import RoverEnv
 
 
@@ -23,29 +23,23 @@ class PathReward(Transform):
     :meth:`~rover_rl.algos.guide.Guide.path_length`.
 
     Args:
-        env: whose rovers drive, all in one world.
+        env: whose rovers drive.
         weight: for each metre.
-
-    Raises:
-        ValueError: if the rovers are in several worlds.
     """
 
     def __init__(self, env: RoverEnv, weight: float) -> None:
         super().__init__()
-        world = env.worlds[0]
-        if any(other is not world for other in env.worlds):
-            raise ValueError("path_reward needs all rovers in one world")
-        self._guide = Guide(world, env.robot)
+        self._guides = Guides(env.worlds, env.robot)
         self._weight = weight
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        now = self._guide.path_length(next_tensordict)
+        now = self._guides.path_length(next_tensordict)
         gained = (tensordict["path_length"] - now).masked_fill(next_tensordict["outcome", "goals"] > 0, 0.0)
         next_tensordict.set("reward", next_tensordict["reward"] + self._weight * gained)
         return next_tensordict.set("path_length", now)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return tensordict_reset.set("path_length", self._guide.path_length(tensordict_reset))
+        return tensordict_reset.set("path_length", self._guides.path_length(tensordict_reset))
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Adds ``path_length``."""

@@ -139,7 +139,7 @@ class _Group:
 
     @property
     def world(self) -> str:
-        return self.runs[0].config.world
+        return ", ".join(self.runs[0].config.worlds)
 
     @property
     def end(self) -> float:

@@ -27,9 +27,8 @@ from torch import Tensor
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from rover_rl.algos.collecting import LIDAR_POINTS
 from rover_rl.algos.config import PPOConfig
-from rover_rl.algos.guide import Guide
+from rover_rl.algos.guide import Guides
 from rover_rl.algos.policy import (
     ObservationEncoder,
     action_spec,
@@ -41,8 +40,8 @@ from rover_rl.algos.policy import (
 )
 from rover_rl.algos.progress import Stopwatch
 from rover_rl.algos.training import TrainingRun, TrainingSummary, prepare, set_learning_rate
+from rover_rl.algos.training_env import LIDAR_POINTS, rows_in_worlds
 from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import get_world
 
 __all__ = ["PPOConfig", "PPOLearner", "train_ppo"]
 
@@ -62,7 +61,7 @@ def train_ppo(config: PPOConfig, folder: Path | None = None) -> TrainingSummary:
         ValueError: for an unknown world, or a setting out of range.
         FileExistsError: if there is a run of that name.
     """
-    prepare(config)
+    config = prepare(config)
     learner = PPOLearner(config)
     with TrainingRun(config, learner, folder) as run:
         for batch in run.batches(config.decisions):
@@ -88,7 +87,7 @@ class PPOLearner:
             loss_critic_type="l2",
         )
         self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=config.learning_rate)
-        self._guide = Guide(get_world(config.world), get_robot("rover_zero")) if config.imitation else None
+        self._guides = Guides(rows_in_worlds(config), get_robot("rover_zero")) if config.imitation else None
         self._learned_from = (*config.observation, "action", "action_log_prob", "advantage", "value_target")
 
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
@@ -105,9 +104,9 @@ class PPOLearner:
             self._advantage(batch)
         decisions = batch.select(*self._learned_from).reshape(-1)
         gradient_step = self._gradient_step
-        if self._guide and share < self.config.imitation:
+        if self._guides and share < self.config.imitation:
             # DAgger: the policy drives, and the guide says what it would have done there (Ross et al., 2011).
-            decisions["action"] = self._within_reach(self._guide.action(batch.flatten(0, 1)))
+            decisions["action"] = self._within_reach(self._guides.action(batch).flatten(0, 1))
             gradient_step = self._imitation_step
         steps = []
         for _ in range(self.config.epochs):

@@ -29,7 +29,6 @@ from torch import Tensor
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.objectives import SACLoss, SoftUpdate
 
-from rover_rl.algos.collecting import LIDAR_POINTS
 from rover_rl.algos.config import SACConfig
 from rover_rl.algos.policy import (
     ObservationEncoder,
@@ -43,6 +42,7 @@ from rover_rl.algos.policy import (
 )
 from rover_rl.algos.progress import Stopwatch
 from rover_rl.algos.training import TrainingRun, TrainingSummary, prepare, set_learning_rate
+from rover_rl.algos.training_env import LIDAR_POINTS
 
 __all__ = ["SACConfig", "SACLearner", "train_sac"]
 
@@ -62,7 +62,7 @@ def train_sac(config: SACConfig, folder: Path | None = None) -> TrainingSummary:
         ValueError: for an unknown world, or a setting out of range.
         FileExistsError: if there is a run of that name.
     """
-    prepare(config)
+    config = prepare(config)
     learner = SACLearner(config)
     with TrainingRun(config, learner, folder) as run:
         for batch in run.batches(config.decisions):

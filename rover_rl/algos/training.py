@@ -9,20 +9,24 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import torch
 from tensordict import TensorDictBase
 from torchrl.modules import ProbabilisticActor
 
-from rover_rl.algos.collecting import LIDAR_POINTS, collecting
-from rover_rl.algos.config import TrainingConfig, write_config
+from rover_rl.algos.cluster import connect
+from rover_rl.algos.collecting import WorkerError, collecting
+from rover_rl.algos.config import TrainingConfig, default_workers, write_config
 from rover_rl.algos.progress import BatchStatistics, ProgressLog, Stopwatch
 from rover_rl.algos.runs import Checkpoint, load_state, new_run_folder, save_state
+from rover_rl.algos.training_env import LIDAR_POINTS
 from rover_rl.sims.worlds import get_world
+
+_Config = TypeVar("_Config", bound=TrainingConfig)
 
 
 class Learner(Protocol):
@@ -96,7 +100,8 @@ class TrainingRun:
         self._minutes_before = self._saved_at = 0.0
         self._stopping = False
         if folder is None:
-            folder = new_run_folder(config.runs, config.name, f"{config.algo}-{config.world.replace(':', '-')}")
+            default = "-".join((config.algo, *config.worlds)).replace(":", "-")
+            folder = new_run_folder(config.runs, config.name, default)
         elif (folder / _STATE).is_file():
             self._restore(load_state(folder / _STATE))
         self.folder = folder
@@ -146,8 +151,12 @@ class TrainingRun:
     ) -> None:
         try:
             self._log.__exit__(kind, error, trace)
-            if error is None and self.updates > self._updates_before:
+            # A worker fails while its batch is waited for: what was learned before is whole.
+            failed = isinstance(error, WorkerError)
+            if (error is None or failed) and self.updates > self._updates_before:
                 self._save()
+            if failed:
+                self._log.say(f"A worker failed; to go on: rover-rl train --resume {self.folder}")
         finally:
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
@@ -165,17 +174,13 @@ class TrainingRun:
         """
         if self.updates and self.share >= 1:
             return
-        rows = self.config.num_envs // self.config.workers
-        with collecting(self.config, self.learner.actor, decisions, self._session) as collector:
-            batches = iter(collector)
+        with collecting(self.config, self.learner.actor, decisions, self._session) as batches:
             while not self.updates or (self.share < 1 and not self._stopping):
                 asked = self.stopwatch.elapsed
                 batch = next(batches)
-                self.stopwatch.collected(batch, rows, self.stopwatch.elapsed - asked)
+                self.stopwatch.collected(batch, self.config.rovers_each, self.stopwatch.elapsed - asked)
                 self._counted = self._statistics(batch)
                 yield batch
-                with self.stopwatch("policy and collector"):
-                    collector.update_policy_weights_()
 
     def record(self, learned: dict[str, float]) -> None:
         """Writes down what happened in the batch in hand and what was ``learned`` from it; saves when it is time."""
@@ -209,15 +214,28 @@ class TrainingRun:
 _STATE = "training_state.pt"
 
 
-def prepare(config: TrainingConfig) -> None:
+def prepare(config: _Config) -> _Config:
     """Refuses settings that cannot work, and seeds torch: what comes before a learner is made.
+
+    Returns:
+        The settings, with the number of workers if they left it open.
 
     Raises:
         ValueError: for an unknown world, or a setting out of range.
+        ImportError: if the backend's extra is missing.
+        ConnectionError: if there is no Ray cluster where there should be one.
     """
     config.check()
-    get_world(config.world)
+    for world in config.worlds:
+        get_world(world)
+    cores = None
+    if config.backend == "ray":
+        # Before a TrainingRun takes over SIGTERM, which Ray does, too.
+        cores = connect()
+        if (config.workers or 1) > cores:
+            raise ValueError(f"workers={config.workers} need a processor each, and the Ray cluster has {cores}")
     torch.manual_seed(config.seed)
+    return replace(config, workers=config.workers or default_workers(config.num_envs, cores))
 
 
 def set_learning_rate(optimizer: torch.optim.Optimizer, config: TrainingConfig, share: float) -> float:

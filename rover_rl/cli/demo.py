@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from rover_rl.algos.config import ENDLESS, PPOConfig, default_workers
+from rover_rl.algos.config import ENDLESS, PPOConfig
 from rover_rl.cli.train import INTERRUPTED, told, train
 
 FILMED = 12.0
@@ -52,7 +52,6 @@ class Demo:
             max_minutes=self.minutes,
             seed=self.seed,
             num_envs=self.num_envs,
-            workers=default_workers(self.num_envs),
             runs=self.runs,
         )
         config.check()

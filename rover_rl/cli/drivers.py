@@ -55,13 +55,13 @@ def find_driver(word: str, worlds: tuple[str, ...]) -> Driver:
         from rover_rl.algos.export import OnnxPolicy
 
         policy = OnnxPolicy(Path(word))
-        trained_in = worlds or (policy.config.world,)
+        trained_in = worlds or policy.config.worlds
         return Driver(Path(word).stem, policy, trained_in, policy.lidar_points, config=policy.config)
     checkpoint, name = load_checkpoint(word)
     return Driver(
         name=name,
         policy=checkpoint.make_actor(),
-        worlds=worlds or (checkpoint.config.world,),
+        worlds=worlds or checkpoint.config.worlds,
         lidar_points=checkpoint.lidar_points,
         folder=None if word.startswith(PRETRAINED) else _folder(word),
         config=checkpoint.config,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from rover_rl.algos.config import experiments
+from rover_rl.algos.config import Physics, experiments
 from rover_rl.cli.drivers import Driver, find_driver
 
 if TYPE_CHECKING:
@@ -40,6 +40,8 @@ class Evaluate:
     """Time in which a goal has to be reached."""
     repeat: int = 1
     """Steps of 50 ms that each action is held for."""
+    physics: Physics = "default"
+    """Preset of the physics to drive in: see docs/physics.md."""
     endless: bool = False
     """Drive 32 episodes of 2,000 steps with goals without end, too, as the original does."""
     jam: bool = True
@@ -117,4 +119,9 @@ class Evaluate:
         return evaluate_endless(driver.policy, world, jam=self.jam, **self._settings(driver))
 
     def _settings(self, driver: Driver) -> dict[str, Any]:
-        return {"name": driver.name, "repeat": self.repeat, "lidar_points": driver.lidar_points}
+        return {
+            "name": driver.name,
+            "repeat": self.repeat,
+            "lidar_points": driver.lidar_points,
+            "physics": self.physics,
+        }

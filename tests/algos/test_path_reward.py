@@ -69,6 +69,14 @@ def test_a_goal_that_moves_on_costs_nothing() -> None:
     pytest.fail("the goal was not reached")
 
 
-def test_rovers_in_several_worlds_are_refused() -> None:
-    with pytest.raises(ValueError, match="all rovers in one world"):
-        PathReward(RoverEnv(world_n=[WALL, "maze"], num_envs=2), 1.0)
+def test_each_rovers_way_is_that_of_its_own_world() -> None:
+    worlds = ["maze", WALL, "maze"]
+    start, goal = torch.tensor([[-3.0, 0.0, 0.0]]), torch.tensor([[-3.0, 3.0]])
+    mixed = RoverEnv(world_n=worlds, num_envs=3)
+    mixed = mixed.append_transform(PathReward(mixed, 1.0))
+    lengths = mixed.reset(start=start.expand(3, 3), goal=goal.expand(3, 2))["path_length"]
+    for row, world in enumerate(worlds):
+        alone = RoverEnv(world_n=world)
+        alone = alone.append_transform(PathReward(alone, 1.0))
+        assert torch.equal(lengths[row], alone.reset(start=start, goal=goal)["path_length"][0])
+    assert lengths[0] != lengths[1]

@@ -13,12 +13,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from rover_rl.algos import ppo, sac
+from rover_rl.algos import ppo, sac, training
+from rover_rl.algos.collecting import WorkerError
 from rover_rl.algos.config import ENDLESS, PPOConfig, SACConfig, TrainingConfig, read_config
 from rover_rl.algos.evaluate import draw_episodes, evaluate
 from rover_rl.algos.progress import read_progress
@@ -26,12 +28,21 @@ from rover_rl.algos.runs import Checkpoint, load_state
 from rover_rl.algos.training import TrainingSummary
 
 PPO = PPOConfig(
-    world="maze", total_steps=512, num_envs=4, decisions=8, epochs=2, minibatch=16, hidden=(16,), snapshots=2
+    world="maze",
+    total_steps=512,
+    num_envs=4,
+    workers=1,
+    decisions=8,
+    epochs=2,
+    minibatch=16,
+    hidden=(16,),
+    snapshots=2,
 )
 SAC = SACConfig(
     world="maze",
     total_steps=512,
     num_envs=4,
+    workers=1,
     decisions=2,
     gradient_steps=2,
     minibatch=8,
@@ -176,6 +187,55 @@ def test_sac_learns_from_one_worker_while_the_other_drives(tmp_path: Path) -> No
     assert progress["gradient_steps"] == [0.0] * 5 + [1.0] * 27
 
 
+@BOTH
+@pytest.mark.slow
+def test_a_worker_that_dies_ends_the_run_with_a_checkpoint_and_its_last_words(
+    config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    learner = LEARNER[config.algo]
+    update, calls = learner.update, []
+
+    def killing(self: Any, *args: Any) -> dict[str, float]:
+        calls.append(1)
+        if len(calls) == 3:
+            worker = next(child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline()))
+            worker.send_signal(signal.SIGSEGV)
+        return update(self, *args)
+
+    monkeypatch.setattr(learner, "update", killing)
+    with pytest.raises(WorkerError, match=r"(?s)exit code -11.*Fatal Python error: Segmentation fault"):
+        train(replace(config, workers=2, total_steps=ENDLESS, runs=str(tmp_path), name="dying"))
+    folder = tmp_path / "dying"
+    assert 3 <= load_state(folder / "training_state.pt")["updates"] == len(table(folder)["updates"])
+    monkeypatch.setattr(learner, "update", update)
+    steps = Checkpoint.load(folder).steps
+    again = train(replace(config, workers=2, total_steps=steps + 128, runs=str(tmp_path), name="dying"), folder)
+    assert again.steps == steps + 128
+    assert not [child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline())]
+
+
+@BOTH
+@pytest.mark.slow
+def test_a_workers_own_error_is_told(config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # What cannot be simulated fails where it is simulated.
+    monkeypatch.setattr(training, "get_world", lambda name: None)
+    with pytest.raises((WorkerError, ValueError), match="unknown world 'mars'"):
+        train(replace(config, world="mars", workers=2, runs=str(tmp_path)))
+
+
+@BOTH
+def test_one_policy_can_be_trained_in_several_worlds_at_once(config: TrainingConfig, tmp_path: Path) -> None:
+    summary = train(replace(config, world=("inspect", "maze"), runs=str(tmp_path)))
+    assert summary.folder.name == f"{config.algo}-inspect-maze"
+    assert read_config(summary.folder / "config.yaml").worlds == ("inspect", "maze")
+    assert Checkpoint.load(summary.checkpoint).config.worlds == ("inspect", "maze")
+
+
+def test_each_worlds_guide_is_asked_about_its_own_rovers(tmp_path: Path) -> None:
+    config = replace(PPO, world=("maze", "maze:1"), total_steps=128, imitation=1.0, path_reward=1.0, runs=str(tmp_path))
+    assert train(config).steps == 128
+
+
 def test_imitation_makes_the_guides_actions_likelier(tmp_path: Path) -> None:
     folder = train(
         replace(
@@ -220,7 +280,20 @@ def test_errors_come_before_anything_is_written(config: TrainingConfig, tmp_path
 def test_a_killed_run_goes_on_without_gap_or_duplicate(tmp_path: Path) -> None:
     """Ten times SIGKILL at any moment; after each, every file that is there can be read."""
     folder, moments = tmp_path / "sac-maze", random.Random(0)
-    sizes = ["--num-envs", "4", "--hidden", "16", "--warmup", "24", "--minibatch", "8", "--gradient-steps", "2"]
+    sizes = [
+        "--num-envs",
+        "4",
+        "--workers",
+        "1",
+        "--hidden",
+        "16",
+        "--warmup",
+        "24",
+        "--minibatch",
+        "8",
+        "--gradient-steps",
+        "2",
+    ]
     begin = ["--algo", "sac", "--world", "maze", "--runs", str(tmp_path), "--snapshots", "10000000"]
     begin += ["--total-steps", "1000000000"]
     begin += [*sizes, "--checkpoint-minutes", "0.002"]
