@@ -29,8 +29,8 @@ lint: $(STAMP) ## check style, format and types
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
-bench: $(STAMP) ## measure the speed of rollouts
-	$(BIN)/python benchmarks/rollout.py $(ARGS)
+bench: $(STAMP) ## measure the speed of rollouts and of training
+	$(BIN)/python -m benchmarks $(ARGS)
 
 clean: ## remove caches and build products; .venv and runs/ stay
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage htmlcov

@@ -55,8 +55,7 @@ from torch import Tensor, nn
 from torchrl.envs import ActionScaling, EnvBase, RewardScaling
 
 from rover_rl import GymWrapper
-from rover_rl.algos.collecting import make_training_env
-from rover_rl.algos.config import CONFIGS, ENDLESS, PPOConfig, SACConfig, TrainingConfig, default_workers, plain
+from rover_rl.algos.config import CONFIGS, ENDLESS, PPOConfig, SACConfig, TrainingConfig, plain
 from rover_rl.algos.cores import over_cores
 from rover_rl.algos.episodes import EpisodeSet, stored_episodes
 from rover_rl.algos.evaluate import Policy, evaluate
@@ -67,6 +66,7 @@ from rover_rl.algos.ppo import train_ppo
 from rover_rl.algos.progress import read_progress
 from rover_rl.algos.runs import Checkpoint, new_run_folder
 from rover_rl.algos.sac import train_sac
+from rover_rl.algos.training_env import make_training_env
 from rover_rl.envs.sb3 import SB3VecEnv
 
 
@@ -101,7 +101,6 @@ class Options:
             max_minutes=self.minutes,
             snapshots=max(1, round(self.minutes)),
             num_envs=self.num_envs,
-            workers=default_workers(self.num_envs),
             mirror=self.mirror,
             seed=self.seed,
             runs=str(folder),

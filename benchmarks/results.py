@@ -20,7 +20,7 @@ from typing import Any
 
 import tyro
 
-from rover_rl.algos.config import ENDLESS, TrainingConfig, default_workers, run_config
+from rover_rl.algos.config import ENDLESS, TrainingConfig, run_config
 from rover_rl.algos.cores import over_cores
 from rover_rl.algos.episodes import EpisodeSet, draw_episodes, stored_episodes
 from rover_rl.algos.evaluate import EndlessEvaluation, Evaluation, evaluate, evaluate_endless
@@ -30,7 +30,7 @@ from rover_rl.algos.pretrained import load_pretrained, pretrained_names
 from rover_rl.algos.progress import read_progress
 from rover_rl.algos.report import write_evaluation
 from rover_rl.algos.runs import Checkpoint
-from rover_rl.cli.train import INTERRUPTED, train
+from rover_rl.cli.train import INTERRUPTED, told, train
 
 ENOUGH = 0.9
 """Success that a policy is asked for when it is told how many steps that took."""
@@ -64,7 +64,7 @@ def settings(name: str, seed: int, options: Options) -> TrainingConfig:
     """Those of a policy of the package, with another seed."""
     config = load_pretrained(name).config
     config = replace(config, seed=seed, name=f"{name}-{seed}", runs=str(options.runs))
-    config = replace(config, workers=default_workers(config.num_envs))
+    config = replace(config, workers=None)
     return config if options.minutes is None else replace(config, max_minutes=options.minutes, total_steps=ENDLESS)
 
 
@@ -72,7 +72,7 @@ def trained(config: TrainingConfig, folder: Path) -> bool:
     """Trains, or goes on with a training, unless it is complete; whether it came to its end."""
     begun = (folder / "config.yaml").is_file()
     summary = train(run_config(folder) if begun else config, folder if begun else None)
-    print(f"{folder.name}: {summary.steps:,} steps in {summary.minutes:.1f} minutes")
+    print(f"{folder.name}: {told(summary)}", flush=True)
     return not summary.interrupted
 
 

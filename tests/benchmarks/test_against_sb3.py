@@ -153,8 +153,7 @@ def test_ours_may_never_get_there(tmp_path):
     against_sb3.show(Console(), [ours, theirs])
 
 
-def test_one_command_runs_all(tmp_path, monkeypatch):
-    monkeypatch.setattr(against_sb3, "default_workers", lambda num_envs: 1)
+def test_one_command_runs_all(tmp_path):
     against_sb3.main(Options(algo="ppo", world="maze", minutes=0.01, num_envs=2, count=2, seconds=0.5, runs=tmp_path))
     results = json.loads((tmp_path / "against_sb3-ppo-maze" / "against_sb3.json").read_text())
     assert [curve["name"] for curve in results["curves"]] == list(against_sb3.CONTENDERS)

@@ -1,0 +1,34 @@
+"""Where the time of a batched step goes, function by function: a sampled profile, as a tree and as a flame graph."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pyinstrument import Profiler
+from pyinstrument.renderers import HTMLRenderer
+from rich.text import Text
+
+from benchmarks.collecting import make_worker_env
+from benchmarks.options import Options
+from benchmarks.rollouts import rolled_out
+from rover_rl.algos.files import written_whole
+
+INTERVAL = 1e-4
+"""Seconds between two looks at the stack."""
+
+
+def measure(options: Options) -> dict[str, Any]:
+    """Profiles rollouts in one process, and writes ``breakdown.html``."""
+    env = make_worker_env(options.world, options.rovers, 128, 0)
+    env.reset()
+    with Profiler(interval=INTERVAL) as profiler:
+        rolled_out(env, options.seconds)
+    env.close()
+    with written_whole(options.out / "breakdown.html") as temporary:
+        temporary.write_text(profiler.output(HTMLRenderer()))
+    return {"rovers": options.rovers, "tree": profiler.output_text(show_all=False, timeline=False)}
+
+
+def table(result: dict[str, Any]) -> Text:
+    """For the terminal."""
+    return Text(result["tree"])

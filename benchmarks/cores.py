@@ -1,0 +1,35 @@
+"""Whether more cores are more steps: all workers beside one, with the same rovers."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from rich.table import Table
+
+from benchmarks.collecting import rollouts
+from benchmarks.options import Options
+from benchmarks.ratios import paired
+
+
+def measure(options: Options) -> dict[str, Any]:
+    """Steps per second with one worker and with all."""
+    beams = 128
+    with (
+        rollouts(options.world, options.rovers, beams, options.workers) as all_workers,
+        rollouts(options.world, options.rovers, beams, 1) as one_worker,
+    ):
+        ratio = paired(all_workers, one_worker, options.seconds, options.rounds)
+    return {"workers": options.workers, **asdict(ratio)}
+
+
+def table(result: dict[str, Any]) -> Table:
+    """For the terminal."""
+    table = Table("workers", "steps/s", "steps/s with one", "ratio", title="All cores beside one")
+    table.add_row(
+        str(result["workers"]),
+        f"{result['rate']:,.0f}",
+        f"{result['other']:,.0f}",
+        f"{result['median']:.2f} ({result['least']:.2f} to {result['most']:.2f})",
+    )
+    return table

@@ -1,0 +1,102 @@
+"""``python -m benchmarks``: every part runs, at its smallest, and tells what it measured."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+
+from benchmarks.options import Options
+from benchmarks.plain_rover import PlainRover
+from benchmarks.ratios import paired
+from rover_rl import RoverEnv
+
+SMALL = [
+    "--num-envs",
+    "1",
+    "2",
+    "--beams",
+    "32",
+    "--rovers",
+    "2",
+    "--workers",
+    "2",
+    "--processes",
+    "2",
+    "--seconds",
+    "0.05",
+    "--rounds",
+    "1",
+    "--minutes",
+    "0.005",
+    "--world",
+    "maze",
+]
+
+
+def bench(out: Path, *parts: str) -> dict:
+    command = [sys.executable, "-m", "benchmarks", *parts, *SMALL, "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return json.loads((out / "bench.json").read_text())
+
+
+@pytest.mark.slow
+def test_rollouts_cores_and_footprint(tmp_path: Path) -> None:
+    results = bench(tmp_path, "rollouts", "breakdown", "cores", "footprint")
+    assert [row["num_envs"] for row in results["rollouts"]] == [1, 2]
+    assert all(row["physics"] > 0 and row["rays"] > 0 and row["rest"] > 0 for row in results["rollouts"])
+    assert [row["all_workers"] is None for row in results["rollouts"]] == [True, False]
+    assert results["cores"]["workers"] == 2
+    assert results["cores"]["median"] > 0
+    assert [row["rovers"] for row in results["footprint"]] == [1, 2]
+    assert (tmp_path / "bench.png").stat().st_size > 1000
+    assert "<html" in (tmp_path / "breakdown.html").read_text()[:1000].lower()
+
+
+@pytest.mark.slow
+def test_peers(tmp_path: Path) -> None:
+    rows = bench(tmp_path, "peers")["peers"]
+    assert len({row["peer"] for row in rows}) == 3
+    assert all(row["rate"] > 0 and row["other"] > 0 for row in rows)
+
+
+def test_the_plain_rover_is_a_gymnasium_environment() -> None:
+    env = PlainRover("maze")
+    check_env(env, skip_render_check=True)
+    env.close()
+
+
+def test_the_plain_rover_drives_as_ours_does() -> None:
+    plain, ours = PlainRover("maze"), RoverEnv(world_n="maze", seed=0)
+    plain.reset(seed=0)
+    start = torch.tensor([[-3.0, 0.0, 0.5]])
+    td = ours.reset(start=start, goal=torch.tensor([[-3.0, 3.0]]))
+    plain.place(*start[0].tolist())
+    action = np.array([0.8, 0.3], np.float32)
+    for _ in range(20):
+        seen = plain.step(action)[0]
+        td = ours.step(td.set("action", torch.from_numpy(action)[None]))["next"]
+    np.testing.assert_allclose(seen["imu"], td["imu"][0], atol=0.03)
+    np.testing.assert_allclose(seen["velocities"], td["velocities"][0], atol=0.03)
+    np.testing.assert_allclose(seen["lidar"], td["lidar"][0], atol=0.3)
+
+
+def test_the_faster_of_two_is_told() -> None:
+    ratio = paired(lambda: 2, lambda: 1, seconds=0.01, rounds=3)
+    assert ratio.rate > ratio.other
+    assert ratio.least <= ratio.median <= ratio.most
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"), [("rovers", 0), ("rovers", 3), ("beams", (16,)), ("num_envs", ()), ("rounds", 0)]
+)
+def test_settings_out_of_range_are_refused(setting: str, value: object) -> None:
+    with pytest.raises(ValueError, match=setting):
+        Options(**{"workers": 2, setting: value})
