@@ -16,7 +16,8 @@ class Robot:
 
     Args:
         name: its name; a live simulator knows it by this.
-        urdf: path of its description. Every wheel is a continuous joint about +y.
+        urdf: path of its description. Every wheel is a continuous joint about +y, and every link has one collision
+            shape at most.
         left_wheels, right_wheels: names of the wheel joints of each side.
         wheel_positions: hub of each wheel, left then right, ``(x, y, z)``.
         wheel_radius: radius that turns speed over ground into wheel speed, and the radius of the wheel's shape.
