@@ -17,7 +17,7 @@ SECONDS_PER_STEP = 0.05
 """The simulator is controlled at 20 Hz."""
 OBSERVATION_KEYS = ("lidar", "imu", "target", "velocities", "pose")
 """Entries of an observation that a policy can read."""
-Backend: TypeAlias = Literal["bullet", "ray"]
+Backend: TypeAlias = Literal["bullet", "warp", "ray"]
 """What can make the rollouts of a training."""
 Physics: TypeAlias = Literal["default", "accurate", "fast"]
 """Presets of the physics: :data:`rover_rl.sims.bullet.settings.PRESETS`, which needs PyTorch."""
@@ -55,13 +55,14 @@ class TrainingConfig:
     num_envs: int = 64
     """Rovers that drive at once."""
     backend: Backend = "bullet"
-    """What makes the rollouts: Bullet in processes of this machine, or Bullet on the machines of a Ray cluster (the one
-    that RAY_ADDRESS names or that runs here, else a new one on this machine; extra ray)."""
+    """What makes the rollouts: Bullet in processes of this machine; Warp in threads of this one, tens of times as fast
+    (extra warp); or Bullet on the machines of a Ray cluster (the one that RAY_ADDRESS names or that runs here, else a
+    new one on this machine; extra ray)."""
     physics: Physics = "default"
-    """Preset of the physics: see docs/physics.md."""
+    """Preset of Bullet's physics: see docs/physics.md."""
     workers: int | None = None
     """Processes that simulate, each with an equal share of the rovers; by default as many as there are cores, or the
-    most below that which share the rovers equally."""
+    most below that which share the rovers equally, and 1 for Warp."""
     repeat: int = 4
     """Steps that each action is held for in training: 4 lets the policy decide at 5 Hz."""
     episode_steps: int = 600
@@ -103,7 +104,7 @@ class TrainingConfig:
     @property
     def processes(self) -> int:
         """Processes that simulate."""
-        return self.workers or default_workers(self.num_envs)
+        return self.workers or default_workers(self.num_envs, 1 if self.backend == "warp" else None)
 
     @property
     def rovers_each(self) -> int:
@@ -136,6 +137,8 @@ class TrainingConfig:
         for name, allowed in (("backend", get_args(Backend)), ("physics", get_args(Physics))):
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name} must be one of {allowed}, got {getattr(self, name)!r}")
+        if self.backend == "warp" and self.physics != "default":
+            raise ValueError(f"presets of the physics are Bullet's: backend='warp' has no physics={self.physics!r}")
         if not self.hidden or min(self.hidden) < 1:
             raise ValueError(f"hidden must name at least one layer of at least 1 unit, got {self.hidden}")
         unknown = [key for key in self.observation if key not in OBSERVATION_KEYS]
@@ -351,6 +354,10 @@ def default_workers(num_envs: int, cores: int | None = None) -> int:
         num_envs: rovers.
         cores: to use; by default those of this machine that this process may use.
     """
-    if cores is None:
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return next(workers for workers in range(max(1, min(cores, num_envs)), 0, -1) if num_envs % workers == 0)
+    most = max(1, min(usable_cores() if cores is None else cores, num_envs))
+    return next(workers for workers in range(most, 0, -1) if num_envs % workers == 0)
+
+
+def usable_cores() -> int:
+    """Cores of this machine that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -235,7 +235,8 @@ def prepare(config: _Config) -> _Config:
         if (config.workers or 1) > cores:
             raise ValueError(f"workers={config.workers} need a processor each, and the Ray cluster has {cores}")
     torch.manual_seed(config.seed)
-    return replace(config, workers=config.workers or default_workers(config.num_envs, cores))
+    processes = config.processes if cores is None else config.workers or default_workers(config.num_envs, cores)
+    return replace(config, workers=processes)
 
 
 def set_learning_rate(optimizer: torch.optim.Optimizer, config: TrainingConfig, share: float) -> float:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from torchrl.data import TensorSpec
 from torchrl.envs import EnvBase, RandomTruncationTransform, RewardSum, StepCounter, Transform
 
 from rover_rl.algos.action_repeat import ActionRepeat
-from rover_rl.algos.config import TrainingConfig
+from rover_rl.algos.config import TrainingConfig, usable_cores
 from rover_rl.algos.path_reward import PathReward
 from rover_rl.algos.policy import FORWARD
 from rover_rl.algos.step_clock import StepClock
 from rover_rl.envs import make_env
 from rover_rl.envs.rover import assign_rows
 from rover_rl.envs.specs import bounded_spec
+from rover_rl.sims.warp import WarpSettings
 from rover_rl.sims.worlds import World
 
 LIDAR_POINTS = 32
@@ -38,7 +41,7 @@ def make_training_env(config: TrainingConfig, worker: int = 0, session: int = 0)
         length=config.episode_steps,
         lidar_points=LIDAR_POINTS,
         num_envs=config.rovers_each,
-        physics=config.physics,
+        **_simulator(config),
         seed=config.seed + worker * config.rovers_each + session * SESSION_SEEDS,
     )
     if not config.reverse:
@@ -51,6 +54,13 @@ def make_training_env(config: TrainingConfig, worker: int = 0, session: int = 0)
     env = env.append_transform(StepCounter())
     env = env.append_transform(RandomTruncationTransform(min_horizon=1, max_horizon=longest))
     return env.append_transform(StepClock(env.base_env.simulator, worker))
+
+
+def _simulator(config: TrainingConfig) -> dict[str, Any]:
+    if config.backend == "warp":
+        # The processes share the cores; torch has one thread in each, which is enough for small networks.
+        return {"backend": WarpSettings(threads=max(1, usable_cores() // config.processes))}
+    return {"physics": config.physics}
 
 
 def rows_in_worlds(config: TrainingConfig) -> list[World]:

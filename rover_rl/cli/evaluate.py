@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
@@ -40,8 +40,10 @@ class Evaluate:
     """Time in which a goal has to be reached."""
     repeat: int = 1
     """Steps of 50 ms that each action is held for."""
+    backend: Literal["bullet", "warp"] = "bullet"
+    """Simulator to drive in; warp needs the extra of that name."""
     physics: Physics = "default"
-    """Preset of the physics to drive in: see docs/physics.md."""
+    """Preset of Bullet's physics to drive in: see docs/physics.md."""
     endless: bool = False
     """Drive 32 episodes of 2,000 steps with goals without end, too, as the original does."""
     jam: bool = True
@@ -123,5 +125,6 @@ class Evaluate:
             "name": driver.name,
             "repeat": self.repeat,
             "lidar_points": driver.lidar_points,
+            "backend": self.backend,
             "physics": self.physics,
         }

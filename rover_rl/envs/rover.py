@@ -90,8 +90,8 @@ class RoverEnv(EnvBase):
         lidar_points: readings that the policy sees, each the nearest of its segment of the scan.
         max_lidar_range: the lidar's readings are clipped to this, m.
         num_envs: rovers in the batch.
-        backend: what moves them: ``"bullet"``, ``"ros2"`` (one live rover), or one's settings, for example
-            :class:`~rover_rl.sims.bullet.BulletSettings`.
+        backend: what moves them: ``"bullet"``, ``"warp"`` (fast, on ``device``), ``"ros2"`` (one live rover), or one's
+            settings, for example :class:`~rover_rl.sims.bullet.BulletSettings`.
         physics: preset of a backend given by its name: Bullet's are ``"default"``, ``"accurate"`` and ``"fast"``.
         robot: a robot's name or a :class:`~rover_rl.sims.robots.Robot`.
         lidar_beams: beams of a raw scan.
@@ -156,6 +156,7 @@ class RoverEnv(EnvBase):
             lidar_beams=lidar_beams,
             physics=physics,
             connection=self.connection,
+            device=self._tensor_device,
         )
         self.placement = Placement(self.worlds, self.robot, self.task.min_goal_distance, self._tensor_device)
         self.controller = HeadingController(num_envs, heading_gains, self._tensor_device)

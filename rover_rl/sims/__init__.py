@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 from rover_rl.sims.connection import Connection
 
 if TYPE_CHECKING:
+    import torch
+
     from rover_rl.sims.base import RoverState, Simulator
     from rover_rl.sims.robots import Robot
     from rover_rl.sims.worlds import World
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 BACKENDS: dict[str, str] = {
     "bullet": "rover_rl.sims.bullet:BulletSettings",
     "ros2": "rover_rl.sims.ros2:Ros2Settings",
+    "warp": "rover_rl.sims.warp:WarpSettings",
 }
 """Backends by name: where the class of their settings is, so that only the one asked for is imported."""
 
@@ -27,7 +30,13 @@ class Backend(Protocol):
     """Settings that know how to build their simulator."""
 
     def make(
-        self, *, worlds: Sequence[World], robot: Robot, lidar_beams: int, connection: Connection | None = None
+        self,
+        *,
+        worlds: Sequence[World],
+        robot: Robot,
+        lidar_beams: int,
+        connection: Connection | None = None,
+        device: torch.device | None = None,
     ) -> Simulator:
         """The simulator: see :func:`make_simulator`."""
         ...
@@ -41,6 +50,7 @@ def make_simulator(
     lidar_beams: int,
     physics: str | None = None,
     connection: Connection | None = None,
+    device: torch.device | None = None,
 ) -> Simulator:
     """Builds a simulator.
 
@@ -51,6 +61,7 @@ def make_simulator(
         lidar_beams: beams of a raw scan over the full turn.
         physics: name of a preset of a backend that is given by its name; ``None``: its default settings.
         connection: topics of a live rover; ``None``: the contract's.
+        device: where the task's tensors are; a backend that can run there does. ``None``: the CPU.
 
     Raises:
         ValueError: for an unknown backend or preset.
@@ -65,7 +76,7 @@ def make_simulator(
         backend = cast(Backend, settings() if physics is None else settings.preset(physics))
     elif physics is not None:
         raise ValueError(f"physics={physics!r} is for a backend given by its name; this one has settings of its own")
-    return backend.make(worlds=worlds, robot=robot, lidar_beams=lidar_beams, connection=connection)
+    return backend.make(worlds=worlds, robot=robot, lidar_beams=lidar_beams, connection=connection, device=device)
 
 
 def __getattr__(name: str) -> Any:

@@ -39,7 +39,13 @@ class ScriptedBackend:
     """Settings of the simulator below; it has none."""
 
     def make(
-        self, *, worlds: Sequence[World], robot: Robot, lidar_beams: int, connection: Connection | None = None
+        self,
+        *,
+        worlds: Sequence[World],
+        robot: Robot,
+        lidar_beams: int,
+        connection: Connection | None = None,
+        device: torch.device | None = None,
     ) -> ScriptedSimulator:
         return ScriptedSimulator(worlds, robot, lidar_beams)
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 import pytest
 import torch
 
 from rover_rl import make_env
+
+needs_warp = pytest.mark.skipif(find_spec("warp") is None, reason="needs rover_rl[warp]")
 
 OBSERVED = ("lidar", "pose", "imu", "target", "velocities", "reward", "done", "terminated", "truncated")
 
@@ -42,16 +46,19 @@ def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("world", "num_envs", "row", "steps"),
+    ("backend", "world", "num_envs", "row", "steps"),
     [
-        ("maze", 16, 5, 1000),
-        ("maze", 256, 200, 1000),
-        ("moon", 16, 15, 250),
-        ("inspect", 16, 0, 250),
+        ("bullet", "maze", 16, 5, 1000),
+        ("bullet", "maze", 256, 200, 1000),
+        ("bullet", "moon", 16, 15, 250),
+        ("bullet", "inspect", 16, 0, 250),
+        pytest.param("warp", "maze", 256, 200, 1000, marks=needs_warp),
+        pytest.param("warp", "moon", 16, 15, 250, marks=needs_warp),
+        pytest.param("warp", "inspect", 33, 0, 250, marks=needs_warp),
     ],
 )
-def test_a_rover_alone_and_in_company_are_the_same(world, num_envs, row, steps):
-    settings = {"world_n": world, "lidar_beams": 32, "length": 200}
+def test_a_rover_alone_and_in_company_are_the_same(backend, world, num_envs, row, steps):
+    settings = {"backend": backend, "world_n": world, "lidar_beams": 32, "length": 200}
     alone = make_env(num_envs=1, seed=40 + row, **settings)
     own = own_actions(alone, steps)
     expected = trajectory(alone, steps, 0, own)
@@ -62,9 +69,10 @@ def test_a_rover_alone_and_in_company_are_the_same(world, num_envs, row, steps):
     assert expected["done"].any()
 
 
+@pytest.mark.parametrize("backend", ["bullet", pytest.param("warp", marks=needs_warp)])
 @pytest.mark.parametrize("world", ["maze", "inspect"])
-def test_after_fifty_resets_of_itself_and_others_a_rover_is_the_same(world):
-    env = make_env(world_n=world, num_envs=8, seed=3, lidar_beams=32, length=300)
+def test_after_fifty_resets_of_itself_and_others_a_rover_is_the_same(world, backend):
+    env = make_env(backend=backend, world_n=world, num_envs=8, seed=3, lidar_beams=32, length=300)
     own = own_actions(env, 300)
     expected = trajectory(env, 300, 2, own)
     td = env.reset()

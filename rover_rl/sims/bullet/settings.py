@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    import torch
+
     from rover_rl.sims.bullet.simulator import BulletSimulator
     from rover_rl.sims.connection import Connection
     from rover_rl.sims.robots import Robot
@@ -72,7 +74,13 @@ class BulletSettings:
         return PRESETS[name]
 
     def make(
-        self, *, worlds: Sequence[World], robot: Robot, lidar_beams: int, connection: Connection | None = None
+        self,
+        *,
+        worlds: Sequence[World],
+        robot: Robot,
+        lidar_beams: int,
+        connection: Connection | None = None,
+        device: torch.device | None = None,
     ) -> BulletSimulator:
         """The simulator with these settings: see :func:`rover_rl.sims.make_simulator`."""
         from rover_rl.sims.bullet.simulator import BulletSimulator

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
 if TYPE_CHECKING:
+    import torch
+
     from rover_rl.sims.connection import Connection
     from rover_rl.sims.robots import Robot
     from rover_rl.sims.ros2.simulator import Ros2Simulator
@@ -80,7 +82,13 @@ class Ros2Settings:
                 raise ValueError(f"{name} must be one of {allowed}, got {getattr(self, name)!r}")
 
     def make(
-        self, *, worlds: Sequence[World], robot: Robot, lidar_beams: int, connection: Connection | None = None
+        self,
+        *,
+        worlds: Sequence[World],
+        robot: Robot,
+        lidar_beams: int,
+        connection: Connection | None = None,
+        device: torch.device | None = None,
     ) -> Ros2Simulator:
         """The simulator with these settings: see :func:`rover_rl.sims.make_simulator`."""
         from rover_rl.sims.ros2.simulator import Ros2Simulator

@@ -9,11 +9,11 @@ import sys
 import pytest
 import torch
 
-from rover_rl.sims import Simulator, make_simulator
+from rover_rl.sims import make_simulator
 from rover_rl.sims.bullet.library import pybullet
 from rover_rl.sims.bullet.physics import ROVERS_PER_CLIENT
 from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain, World, box, get_world
+from rover_rl.sims.worlds import Terrain, World, get_world
 
 ROVER = get_robot("rover_zero")
 FLAT = World("flat", Terrain.flat((20, 20)))
@@ -25,74 +25,6 @@ def simulator(worlds, beams=8):
 
 def all_rows(count):
     return torch.ones(count, dtype=torch.bool)
-
-
-def test_it_is_a_simulator():
-    assert isinstance(simulator([FLAT]), Simulator)
-
-
-def test_state_has_the_shapes_and_units_that_the_seam_promises():
-    state = simulator([FLAT] * 3).state()
-    assert state.batch_size == (3,)
-    shapes = {
-        "position": 3,
-        "orientation": 4,
-        "linear_velocity": 1,
-        "angular_velocity": 1,
-        "ranges": 8,
-        "dt": 1,
-        "stamp": 1,
-    }
-    for name, width in shapes.items():
-        assert getattr(state, name).shape == (3, width)
-        assert getattr(state, name).dtype == (torch.float64 if name == "stamp" else torch.float32)
-    torch.testing.assert_close(state.dt, torch.full((3, 1), 0.05))
-
-
-def test_states_handed_out_are_not_written_to_again():
-    sim = simulator([FLAT])
-    first = sim.step(torch.tensor([[1.0, 0.0]]))
-    kept = first.clone()
-    for _ in range(5):
-        sim.step(torch.tensor([[1.0, 0.0]]))
-    assert (first == kept).all()
-
-
-def test_reset_touches_only_the_rows_asked_for():
-    sim = simulator([FLAT] * 3)
-    poses = torch.tensor([[0.0, 0, 0], [2.0, 0, 0], [4.0, 0, 0]])
-    sim.reset(all_rows(3), poses)
-    for _ in range(10):
-        before = sim.step(torch.tensor([[1.0, 0.5]] * 3))
-    after = sim.reset(torch.tensor([False, True, False]), poses)
-    for row in (0, 2):
-        assert torch.equal(after.position[row], before.position[row])
-        assert torch.equal(after.ranges[row], before.ranges[row])
-    assert after.position[1, 0] == pytest.approx(2.0, abs=1e-3)
-    assert after.linear_velocity[1] == 0
-
-
-def test_no_time_passes_for_rows_that_are_not_active():
-    sim = simulator([FLAT] * 2)
-    sim.reset(all_rows(2), torch.tensor([[0.0, 0, 0], [3.0, 0, 0]]))
-    for _ in range(10):
-        before = sim.step(torch.tensor([[1.0, 0.0]] * 2))
-    for _ in range(10):
-        held = sim.step(torch.tensor([[1.0, 0.0]] * 2), torch.tensor([True, False]))
-    assert torch.equal(held.position[1], before.position[1])
-    assert held.stamp[1] == before.stamp[1]
-    assert held.position[0, 0] > before.position[0, 0] + 0.4
-    after = sim.step(torch.tensor([[1.0, 0.0]] * 2))
-    # It drives on at the speed that it had.
-    assert after.position[1, 0] - before.position[1, 0] == pytest.approx(0.05, abs=0.005)
-
-
-def test_rows_may_be_in_different_worlds():
-    walled = World("walled", Terrain.flat((20, 20)), [box((3, 0, 1), (1, 10, 2))])
-    sim = simulator([FLAT, FLAT, walled])
-    state = sim.reset(all_rows(3), torch.zeros(3, 3))
-    assert torch.isinf(state.ranges[:2, 0]).all()
-    assert state.ranges[2, 0] == pytest.approx(2.5 - 0.174, abs=0.01)
 
 
 def test_a_batch_larger_than_one_client_is_the_same_rover_by_rover():

@@ -1,4 +1,4 @@
-"""The lidar of the Bullet backend, against distances computed by hand."""
+"""The lidar of the simulators, against distances computed by hand."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def room(width: float, depth: float, height: float = 6.0) -> list:
     ]
 
 
-def scan(world: World, pose: tuple[float, float, float], beams: int = 64) -> torch.Tensor:
-    simulator = make_simulator("bullet", worlds=[world], robot=ROVER, lidar_beams=beams)
+def scan(backend: str, world: World, pose: tuple[float, float, float], beams: int = 64) -> torch.Tensor:
+    simulator = make_simulator(backend, worlds=[world], robot=ROVER, lidar_beams=beams)
     return simulator.reset(torch.ones(1, dtype=torch.bool), torch.tensor([pose])).ranges[0]
 
 
@@ -39,22 +39,22 @@ def to_walls(x: float, y: float, angles: np.ndarray, width: float, depth: float)
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.5, math.pi / 2])
 @pytest.mark.parametrize("beams", [7, 64, 640])
-def test_ranges_in_a_room_are_those_computed_by_hand(yaw, beams):
+def test_ranges_in_a_room_are_those_computed_by_hand(backend, yaw, beams):
     world = World("room", Terrain.flat((30, 30)), room(8, 6))
     x, y = 0.9 + MOUNT * math.cos(yaw), -0.4 + MOUNT * math.sin(yaw)
     angles = yaw + 2 * math.pi * np.arange(beams) / beams
     expected = to_walls(x, y, angles, 8, 6)
-    np.testing.assert_allclose(scan(world, (0.9, -0.4, yaw), beams).numpy(), expected, atol=0.01)
+    np.testing.assert_allclose(scan(backend, world, (0.9, -0.4, yaw), beams).numpy(), expected, atol=0.01)
 
 
 @pytest.mark.parametrize("tilt", [5.0, 12.0])
 @pytest.mark.parametrize("yaw", [0.0, math.pi])
-def test_a_tilted_scan_reaches_further_by_its_slope(tilt, yaw):
+def test_a_tilted_scan_reaches_further_by_its_slope(backend, tilt, yaw):
     """On a slope along x, beams ahead and behind meet upright walls at d / cos(tilt), beams aside as if level."""
     count, cell = 121, 0.25
     rise = math.tan(math.radians(tilt)) * (torch.arange(count) * cell - 15)
     world = World("ramp", Terrain(rise.expand(count, -1), cell), room(8, 6, height=12))
-    ranges = scan(world, (0.0, 0.0, yaw), 4)
+    ranges = scan(backend, world, (0.0, 0.0, yaw), 4)
     cos, sin = math.cos(math.radians(tilt)), math.sin(math.radians(tilt))
     # The lidar in the plane of the slope: MOUNT ahead along it, and 0.321 m less the wheels' play above it.
     up = ROVER.lidar_position[2] - 0.003 + 0.0005
@@ -65,50 +65,50 @@ def test_a_tilted_scan_reaches_further_by_its_slope(tilt, yaw):
     torch.testing.assert_close(ranges, torch.tensor(expected), atol=0.01, rtol=0)
 
 
-def test_beam_0_points_forward_and_beams_go_counter_clockwise():
+def test_beam_0_points_forward_and_beams_go_counter_clockwise(backend):
     world = World("posts", Terrain.flat((30, 30)), [cylinder((0, 3, 0.5), 0.2, 1.0)])
-    ranges = scan(world, (0.0, 0.0, math.pi / 2), 4)
+    ranges = scan(backend, world, (0.0, 0.0, math.pi / 2), 4)
     assert ranges[0] == pytest.approx(3 - 0.2 - MOUNT, abs=0.01)
     assert torch.isinf(ranges[1:]).all()
-    ranges = scan(world, (-MOUNT, 0.0, 0.0), 4)
+    ranges = scan(backend, world, (-MOUNT, 0.0, 0.0), 4)
     assert ranges[1] == pytest.approx(2.8, abs=0.01)
 
 
-def test_nothing_in_reach_is_infinite():
-    assert torch.isinf(scan(World("plain", Terrain.flat((60, 60))), (0.0, 0.0, 0.0))).all()
+def test_nothing_in_reach_is_infinite(backend):
+    assert torch.isinf(scan(backend, World("plain", Terrain.flat((60, 60))), (0.0, 0.0, 0.0))).all()
 
 
-def test_a_wall_beyond_the_range_is_not_seen():
+def test_a_wall_beyond_the_range_is_not_seen(backend):
     world = World("far", Terrain.flat((60, 60)), [box((ROVER.lidar_range + MOUNT + 0.55, 0, 1), (1, 4, 2))])
-    assert torch.isinf(scan(world, (0.0, 0.0, 0.0))).all()
-    assert scan(world, (0.1, 0.0, 0.0))[0] == pytest.approx(11.95, abs=0.01)
+    assert torch.isinf(scan(backend, world, (0.0, 0.0, 0.0))).all()
+    assert scan(backend, world, (0.1, 0.0, 0.0))[0] == pytest.approx(11.95, abs=0.01)
 
 
-def test_a_scan_from_inside_something_reads_zero():
+def test_a_scan_from_inside_something_reads_zero(backend):
     world = World("block", Terrain.flat((30, 30)), [box((0, 0, 1), (2, 2, 2))])
-    assert (scan(world, (0.0, 0.0, 0.0)) == 0).all()
-    assert (scan(world, (-1.3, 0.0, 0.0))[1:] > 0).any()
+    assert (scan(backend, world, (0.0, 0.0, 0.0)) == 0).all()
+    assert (scan(backend, world, (-1.3, 0.0, 0.0))[1:] > 0).any()
 
 
-def test_rovers_are_invisible_to_one_another():
+def test_rovers_are_invisible_to_one_another(backend):
     world = World("plain", Terrain.flat((60, 60)))
-    simulator = make_simulator("bullet", worlds=[world] * 2, robot=ROVER, lidar_beams=32)
+    simulator = make_simulator(backend, worlds=[world] * 2, robot=ROVER, lidar_beams=32)
     state = simulator.reset(torch.ones(2, dtype=torch.bool), torch.tensor([[0.0, 0, 0], [1.0, 0, math.pi]]))
     assert torch.isinf(state.ranges).all()
 
 
-def test_scans_of_more_rays_than_one_call_takes_agree_with_single_ones():
+def test_scans_of_more_rays_than_one_call_takes_agree_with_single_ones(backend):
     world = World("room", Terrain.flat((30, 30)), room(8, 6))
     rovers = RAYS_PER_CALL // 640 + 40
     poses = torch.stack([torch.linspace(-2, 2, rovers), torch.zeros(rovers), torch.linspace(-3, 3, rovers)], 1)
-    simulator = make_simulator("bullet", worlds=[world] * rovers, robot=ROVER, lidar_beams=640)
+    simulator = make_simulator(backend, worlds=[world] * rovers, robot=ROVER, lidar_beams=640)
     ranges = simulator.reset(torch.ones(rovers, dtype=torch.bool), poses).ranges
-    assert torch.equal(ranges[-1], scan(world, tuple(poses[-1].tolist()), 640))
-    assert torch.equal(ranges[0], scan(world, tuple(poses[0].tolist()), 640))
+    assert torch.equal(ranges[-1], scan(backend, world, tuple(poses[-1].tolist()), 640))
+    assert torch.equal(ranges[0], scan(backend, world, tuple(poses[0].tolist()), 640))
 
 
-def test_terrain_is_seen_where_it_stands_in_the_way():
+def test_terrain_is_seen_where_it_stands_in_the_way(backend):
     heights = torch.zeros(81, 81)
     heights[:, 52:] = 3.0  # a step up between x = 2.75 and x = 3
-    ranges = scan(World("step", Terrain(heights, 0.25)), (0.0, 0.0, 0.0), 4)
+    ranges = scan(backend, World("step", Terrain(heights, 0.25)), (0.0, 0.0, 0.0), 4)
     assert 2.75 - MOUNT < ranges[0] < 2.85 - MOUNT

@@ -1,0 +1,140 @@
+"""A world and a robot as kernels take them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.warp.figures import Figures
+from rover_rl.sims.warp.kernels.types import MAX_WHEELS, Rover, Scene
+from rover_rl.sims.warp.library import wp
+from rover_rl.sims.worlds import Obstacle, World
+
+BLOCK = 2.0
+"""Side of a block of ground, m, about."""
+NEAR_CELL = 1.0
+"""Side of a cell of the grid that obstacles are found by, m."""
+
+
+def make_scene(world: World, reach: float, device: wp.Device) -> Scene:
+    """A world on a device, for rovers no part of which is farther than ``reach`` (m) from its centre of mass."""
+    scene = Scene()
+    terrain = world.terrain
+    heights = terrain.heights.numpy()
+    scene.heights = wp.array(heights, dtype=float, device=device)
+    scene.corner = wp.vec2(*terrain.origin)
+    scene.cell = terrain.cell
+    scene.block = max(1, round(BLOCK / terrain.cell))
+    scene.blocks = wp.array(_blocks(heights, scene.block), dtype=wp.vec2, device=device)
+    _add_obstacles(scene, world.obstacles, device)
+    _add_near(scene, world, reach, device)
+    return scene
+
+
+def make_rover(robot: Robot, figures: Figures, device: wp.Device) -> Rover:
+    """A robot's figures on a device.
+
+    Raises:
+        ValueError: if it has more wheels than kernels have room for.
+    """
+    if len(figures.hubs) > MAX_WHEELS:
+        raise ValueError(f"the warp backend drives at most {MAX_WHEELS} wheels, {robot.name!r} has {len(figures.hubs)}")
+    rover = Rover()
+    rover.wheels = len(figures.hubs)
+    rover.wheel_radius = robot.wheel_radius
+    rover.wheel_half_width = robot.wheel_width / 2
+    rover.wheel_inertia = figures.wheel_spin_inertia
+    rover.hubs = wp.array(figures.hubs, dtype=wp.vec3, device=device)
+    rover.box_centers = wp.array(figures.box_centers, dtype=wp.vec3, device=device)
+    rover.box_halves = wp.array(figures.box_halves, dtype=wp.vec3, device=device)
+    rover.points = wp.array(figures.points(), dtype=wp.vec3, device=device)
+    rover.reach = reach_of(robot, figures)
+    rover.lidar = wp.vec3(*robot.lidar_position)
+    rover.lidar_range = robot.lidar_range
+    return rover
+
+
+def reach_of(robot: Robot, figures: Figures) -> float:
+    """Distance (m) from the centre of mass beyond which there is nothing of the rover."""
+    center = figures.total(np.array([figures.chassis_mass]))[1][0]
+    wheel = math.hypot(robot.wheel_radius, robot.wheel_width / 2)
+    hubs = np.linalg.norm(figures.hubs - center, axis=1) + wheel
+    boxes = np.linalg.norm(np.abs(figures.box_centers - center) + figures.box_halves, axis=1)
+    return float(np.concatenate((hubs, boxes)).max())
+
+
+def _blocks(heights: np.ndarray, block: int) -> np.ndarray:
+    """Least and greatest height of each block of cells, their border included: ``[rows, columns, 2]``."""
+    starts = [np.arange(0, count - 1, block) for count in heights.shape]
+    bounds = []
+    for extreme in (np.minimum, np.maximum):
+        across = np.stack([extreme.reduce(heights[j : j + block + 1]) for j in starts[0]])
+        bounds.append(np.stack([extreme.reduce(across[:, i : i + block + 1], axis=1) for i in starts[1]], 1))
+    return np.stack(bounds, -1).astype(np.float32)
+
+
+def _add_obstacles(scene: Scene, obstacles: Iterable[Obstacle], device: wp.Device) -> None:
+    planes: list[np.ndarray] = []
+    vertices: list[np.ndarray] = []
+    polygons: list[np.ndarray] = []
+    plane_starts, vertex_starts, polygon_starts, spheres = [0], [0], [0], []
+    for obstacle in obstacles:
+        corners, faces = obstacle.vertices.numpy(), obstacle.planes.numpy()
+        center = corners.mean(0)
+        spheres.append((*center, np.linalg.norm(corners - center, axis=1).max() + 1e-4))
+        planes.extend(faces)
+        vertices.extend(corners)
+        plane_starts.append(len(planes))
+        vertex_starts.append(len(vertices))
+        for plane in faces:
+            polygons.extend(_polygon(corners, plane))
+            polygon_starts.append(len(polygons))
+    scene.planes = _vectors(planes, wp.vec4, device)
+    scene.vertices = _vectors(vertices, wp.vec3, device)
+    scene.polygons = _vectors(polygons, wp.vec3, device)
+    scene.spheres = _vectors(spheres, wp.vec4, device)
+    scene.plane_starts = wp.array(plane_starts, dtype=int, device=device)
+    scene.vertex_starts = wp.array(vertex_starts, dtype=int, device=device)
+    scene.polygon_starts = wp.array(polygon_starts, dtype=int, device=device)
+
+
+def _polygon(corners: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    """The corners on a plane, in order around it."""
+    on = corners[np.abs(corners @ plane[:3] + plane[3]) < 1e-6]
+    first = on[0] - on.mean(0)
+    second = np.cross(plane[:3], first)
+    offsets = on - on.mean(0)
+    return on[np.argsort(np.arctan2(offsets @ second, offsets @ first))]
+
+
+def _add_near(scene: Scene, world: World, reach: float, device: wp.Device) -> None:
+    """Lists the obstacles within reach of each cell of a grid over all of them."""
+    if not world.obstacles:
+        scene.near_columns = scene.near_rows = 0
+        scene.near_cell = NEAR_CELL
+        scene.near_starts = scene.near = wp.zeros(1, dtype=int, device=device)
+        return
+    lows = np.array([obstacle.vertices.min(0).values.numpy()[:2] for obstacle in world.obstacles]) - reach
+    highs = np.array([obstacle.vertices.max(0).values.numpy()[:2] for obstacle in world.obstacles]) + reach
+    # A cell more around all: whoever is outside the grid is taken to be in its outermost cells.
+    corner = lows.min(0) - NEAR_CELL
+    columns, rows = (int(n) for n in np.ceil((highs.max(0) - corner) / NEAR_CELL) + 1)
+    cells: list[list[int]] = [[] for _ in range(rows * columns)]
+    firsts, lasts = ((ends - corner) // NEAR_CELL for ends in (lows, highs))
+    for index, (first, last) in enumerate(zip(firsts.astype(int), lasts.astype(int), strict=True)):
+        for row in range(first[1], last[1] + 1):
+            for column in range(first[0], last[0] + 1):
+                cells[row * columns + column].append(index)
+    scene.near_corner = wp.vec2(*corner)
+    scene.near_cell = NEAR_CELL
+    scene.near_columns, scene.near_rows = columns, rows
+    scene.near_starts = wp.array(np.cumsum([0, *map(len, cells)]), dtype=int, device=device)
+    scene.near = wp.array([index for cell in cells for index in cell] or [0], dtype=int, device=device)
+
+
+def _vectors(rows: list, dtype: type, device: wp.Device) -> wp.array:
+    width = wp.types.type_size(dtype)
+    return wp.array(np.array(rows, dtype=np.float32).reshape(-1, width), dtype=dtype, device=device)

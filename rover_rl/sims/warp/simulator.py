@@ -1,0 +1,217 @@
+"""The Warp backend behind the :class:`Simulator` seam."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rover_rl.sims.base import RoverState, View
+from rover_rl.sims.drive import DifferentialDrive
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.rotations import matrix_to_quaternion
+from rover_rl.sims.warp.figures import read_figures
+from rover_rl.sims.warp.kernels.dynamics import drive, place
+from rover_rl.sims.warp.kernels.lidar import scan
+from rover_rl.sims.warp.kernels.types import Solver
+from rover_rl.sims.warp.library import wp
+from rover_rl.sims.warp.rows import Rows
+from rover_rl.sims.warp.scene import make_rover, make_scene
+from rover_rl.sims.warp.settings import WarpSettings
+from rover_rl.sims.worlds import World, rest_on_ground
+
+if TYPE_CHECKING:
+    from rover_rl.sims.bullet.render import Renderer
+
+ROWS_A_THREAD = 16
+"""Rovers that another thread of the CPU is worth."""
+
+
+class WarpSimulator:
+    """Rovers in Warp: a kernel for the physics of a control step and one for the lidar, a thread a rover.
+
+    Args:
+        worlds: the world of each rover. Neighbours in the same world are launched together, and do not notice.
+        robot: the rover.
+        lidar_beams: beams of a scan, spread evenly over the full turn from straight ahead counter-clockwise.
+        settings: of the physics.
+        device: where it runs and where its tensors are; ``None``: the CPU.
+
+    Raises:
+        ValueError: for a robot that the kernels have no room for, or that is not made of boxes and wheels.
+    """
+
+    def __init__(
+        self,
+        worlds: Sequence[World],
+        robot: Robot,
+        lidar_beams: int,
+        settings: WarpSettings | None = None,
+        device: torch.device | str | None = None,
+    ) -> None:
+        self.num_envs = count = len(worlds)
+        self.device = torch.device(device or "cpu")
+        self.settings = settings or WarpSettings()
+        angles = np.arange(lidar_beams) * (2 * math.pi / lidar_beams)
+        self.ray_angles = torch.tensor(angles, dtype=torch.float32, device=self.device)
+        self._robot = robot
+        self._drive = DifferentialDrive(robot, self.settings.control_dt, self.device)
+        self._dt = torch.full((count, 1), self.settings.control_dt, device=self.device)
+        self._twist = torch.zeros(count, 2, device=self.device)
+        self._stamp = torch.zeros(count, 1, dtype=torch.float64, device=self.device)
+        self._renderers: dict[World, Renderer] = {}
+
+        figures = read_figures(robot)
+        self._rows = Rows(figures, robot, count, lidar_beams, self.device)
+        self._rover = make_rover(robot, figures, self._wp_device)
+        self._worlds = [
+            (world, slice((rows := list(block))[0], rows[-1] + 1))
+            for world, block in groupby(range(count), key=worlds.__getitem__)
+        ]
+        self._poses = wp.from_torch(self._rows.poses)
+        directions = np.stack((np.cos(angles), np.sin(angles)), -1)
+        self._shards = self._record(wp.array(directions, dtype=wp.vec2, device=self._wp_device))
+        self._pool = ThreadPoolExecutor(len(self._shards) - 1) if len(self._shards) > 1 else None
+        self.reset(torch.ones(count, dtype=torch.bool, device=self.device), torch.zeros(count, 3, device=self.device))
+
+    @property
+    def _wp_device(self) -> wp.Device:
+        return wp.device_from_torch(self.device)
+
+    def _record(self, beams: wp.array) -> list[_Shard]:
+        """The launches of each thread: a part of the rovers of every world."""
+        threads = self.settings.threads or torch.get_num_threads()
+        # Launches on a GPU return at once.
+        most = 1 if self.device.type == "cuda" else max(1, self.num_envs // ROWS_A_THREAD)
+        shards = [_Shard() for _ in range(min(threads, most))]
+        solver, rovers = _solver(self.settings), self._rows.rovers
+        for world, rows in self._worlds:
+            scene = make_scene(world, self._rover.reach, self._wp_device)
+            ends = np.linspace(rows.start, rows.stop, len(shards) + 1).astype(int).tolist()
+            for shard, first, last in zip(shards, ends[:-1], ends[1:], strict=True):
+                launch = {"dim": last - first, "device": self._wp_device, "record_cmd": True}
+                if last > first:
+                    inputs = [scene, self._rover, solver, rovers, first]
+                    shard.drives.append(wp.launch(drive, inputs=inputs, **launch))
+                    shard.scans.append(wp.launch(scan, inputs=[scene, self._rover, rovers, beams, first], **launch))
+        return shards
+
+    def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
+        """Puts the rovers of ``mask`` on the ground at ``poses``: see :meth:`Simulator.reset`."""
+        for world, rows in self._worlds:
+            self._stand(world, rows, mask[rows], poses[rows])
+        self._rows.active.copy_(mask)
+        inputs = [self._rover, self._rows.rovers, self._poses]
+        wp.launch(place, dim=self.num_envs, inputs=inputs, device=self._wp_device, stream=self._stream)
+        self._launch(driving=False)
+        self._twist = torch.where(mask[:, None], torch.zeros_like(self._twist), self._twist)
+        return self.state()
+
+    def _stand(self, world: World, rows: slice, mask: Tensor, poses: Tensor) -> None:
+        """Works out how the rovers of ``mask`` stand on the ground of their world."""
+        target = self._rows.poses[rows]
+        # On the CPU the few rows of a reset are looked for; on a GPU that would wait for the device.
+        chosen = mask.nonzero().squeeze(-1) if self.device.type == "cpu" else slice(None)
+        position, rotation = rest_on_ground(world, self._robot, poses[chosen])
+        target[chosen] = torch.cat((position, matrix_to_quaternion(rotation)), -1).to(target.dtype)
+
+    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
+        """Drives one control step of ``substeps`` physics steps: see :meth:`Simulator.step`."""
+        twist = self._drive.ramp(self._twist, commands)
+        # The motors hold the mean of the ramp, so that the way driven is that of the limited acceleration.
+        self._rows.speeds.copy_(self._drive.wheel_speeds((self._twist + twist) * 0.5))
+        stamp = self._stamp + self.settings.control_dt
+        if active is None:
+            self._rows.active.fill_(True)
+        else:
+            self._rows.active.copy_(active)
+            twist = torch.where(active[:, None], twist, self._twist)
+            stamp = torch.where(active[:, None], stamp, self._stamp)
+        self._twist, self._stamp = twist, stamp
+        self._launch(driving=True)
+        return self.state()
+
+    def state(self) -> RoverState:
+        """The present state, in tensors of its own."""
+        body = self._rows.body.clone()
+        twist = self._drive.odometry(body[:, 7:])
+        return RoverState.pack(
+            position=body[:, :3],
+            orientation=body[:, 3:7],
+            linear_velocity=twist[:, :1],
+            angular_velocity=twist[:, 1:],
+            ranges=self._rows.ranges.clone(),
+            dt=self._dt,
+            stamp=self._stamp,
+        )
+
+    def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
+        """A picture by Bullet's software renderer: see :meth:`Simulator.render`."""
+        from rover_rl.sims.bullet.render import Renderer
+
+        world = next(world for world, rows in self._worlds if rows.start <= row < rows.stop)
+        if world not in self._renderers:
+            self._renderers[world] = Renderer(world, self._robot)
+        pose = self._rows.body[row].double().cpu().numpy()
+        return self._renderers[world].picture(
+            pose[:3], pose[3:7], view, width, height, None if goal is None else goal.tolist()
+        )
+
+    @property
+    def robot_connected(self) -> bool:
+        """Always."""
+        return True
+
+    def close(self) -> None:
+        """Ends its threads; may be called again."""
+        if self._pool is not None:
+            self._pool.shutdown()
+
+    @property
+    def _stream(self) -> wp.Stream | None:
+        """Torch's stream, so that kernels and tensors wait for one another."""
+        return wp.stream_from_torch() if self.device.type == "cuda" else None
+
+    def _launch(self, driving: bool) -> None:
+        """Scans for all active rovers, after a control step if they are ``driving``."""
+        stream = self._stream
+        others = [self._pool.submit(shard.launch, driving, stream) for shard in self._shards[1:]] if self._pool else []
+        self._shards[0].launch(driving, stream)
+        for other in others:
+            other.result()
+
+
+class _Shard:
+    """The recorded launches of one thread: for each world a part of its rovers."""
+
+    def __init__(self) -> None:
+        self.drives: list[wp.Launch] = []
+        self.scans: list[wp.Launch] = []
+
+    def launch(self, driving: bool, stream: wp.Stream | None) -> None:
+        for drives, scans in zip(self.drives, self.scans, strict=True):
+            if driving:
+                drives.launch(stream)
+            scans.launch(stream)
+
+
+def _solver(settings: WarpSettings) -> Solver:
+    solver = Solver()
+    solver.dt = settings.substep
+    solver.substeps = settings.substeps
+    solver.iterations = settings.solver_iterations
+    # Half of a wheel's: it has two contacts. An implicit spring and damper (R. Smith, Open Dynamics Engine, 3.8).
+    spring, damper = settings.stiffness / 2 * settings.substep, settings.damping / 2
+    solver.correction = spring / (spring + damper)
+    solver.softness = 1 / (settings.substep * (spring + damper))
+    solver.max_correction = settings.max_correction
+    solver.margin = settings.margin
+    solver.ground_friction = settings.ground_friction
+    solver.obstacle_friction = settings.obstacle_friction
+    return solver
