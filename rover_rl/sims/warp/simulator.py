@@ -151,6 +151,25 @@ class WarpSimulator:
             stamp=self._stamp,
         )
 
+    def scan_from(self, position: Tensor, orientation: Tensor) -> Tensor:
+        """What the lidars would see from other poses of their base frames; moves nothing.
+
+        Args:
+            position: ``[N, 3]``, m.
+            orientation: unit quaternions (x, y, z, w), ``[N, 4]``.
+
+        Returns:
+            Ranges ``[N, beams]``, m.
+        """
+        body, ranges = self._rows.body.clone(), self._rows.ranges.clone()
+        self._rows.body[:, :7] = torch.cat((position, orientation), -1)
+        self._rows.active.fill_(True)
+        self._launch(driving=False)
+        seen = self._rows.ranges.clone()
+        self._rows.body.copy_(body)
+        self._rows.ranges.copy_(ranges)
+        return seen
+
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """A picture by Bullet's software renderer: see :meth:`Simulator.render`."""
         from rover_rl.sims.bullet.render import Renderer

@@ -270,6 +270,7 @@ def ground_in_chassis(
     """Contacts of the ground's peaks, which are corners of its triangles, with the boxes of the chassis."""
     back = wp.transpose(body.rotation)
     columns = scene.heights.shape[1]
+    upright = wp.sign(body.rotation[2, 2])
     for box in range(rover.box_centers.shape[0]):
         center = rover.box_centers[box] - body.center
         half = rover.box_halves[box]
@@ -287,10 +288,11 @@ def ground_in_chassis(
                 local = peak - center
                 free_x = wp.abs(local[0]) - half[0]
                 free_y = wp.abs(local[1]) - half[1]
-                free_z = wp.abs(local[2]) - half[2]
+                # A peak has ground below it, so that it comes in from the side that looks down.
+                free_z = -half[2] - upright * local[2]
                 gap = wp.max(free_x, wp.max(free_y, free_z))
-                if gap < 0.0:
-                    normal = wp.vec3(0.0, 0.0, -wp.sign(local[2]))
+                if gap < 0.0 and wp.abs(local[2]) < half[2]:
+                    normal = wp.vec3(0.0, 0.0, upright)
                     if gap == free_x:
                         normal = wp.vec3(-wp.sign(local[0]), 0.0, 0.0)
                     elif gap == free_y:

@@ -1,0 +1,155 @@
+"""Warp's physics against what follows from the laws alone."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import least_squares
+
+from rover_rl.sims import make_simulator
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.rotations import quaternion_to_euler
+from rover_rl.sims.worlds import Terrain, World, box
+
+pytest.importorskip("warp", reason="needs rover_rl[warp]")
+
+import itertools
+
+from rover_rl.sims.warp import WarpSettings
+from rover_rl.sims.warp.figures import read_figures
+
+ROVER = get_robot("rover_zero")
+FIGURES = read_figures(ROVER)
+MASS, CENTER = (values[0] for values in FIGURES.total(np.array([FIGURES.chassis_mass]))[:2])
+FLAT = World("flat", Terrain.flat((60, 60)))
+DT, GRAVITY = 0.05, 9.81
+
+
+def simulate(world: World, poses: list[tuple[float, float, float]], settings: WarpSettings | None = None):
+    simulator = make_simulator(settings or WarpSettings(), worlds=[world] * len(poses), robot=ROVER, lidar_beams=1)
+    simulator.reset(torch.ones(len(poses), dtype=torch.bool), torch.tensor(poses))
+    return simulator
+
+
+def drive(simulator, command: tuple[float, float], steps: int):
+    return [simulator.step(torch.tensor([command] * simulator.num_envs)) for _ in range(steps)]
+
+
+def coulomb_motion(linear: float, angular: float) -> np.ndarray:
+    """Steady forward speed, sideways speed and yaw rate at which friction on level ground balances.
+
+    Treads press evenly along their width, and the axles as the centre of mass lies between them.
+    """
+    front, rear = (ROVER.wheel_positions[k][0] for k in (0, 1))
+    share = (CENTER[0] - rear) / (front - rear)
+    along = np.linspace(-1, 1, 17)[1::2] * ROVER.wheel_width / 2
+    points = np.array([(x - CENTER[0], y + offset) for x, y, _ in ROVER.wheel_positions for offset in along])
+    loads = np.array([share if x > 0 else 1 - share for x, _, _ in ROVER.wheel_positions for _ in along])
+    half = ROVER.wheel_separation / 2
+    treads = np.where(points[:, 1] > 0, linear - angular * half, linear + angular * half)
+
+    def unbalanced(motion: np.ndarray) -> list[float]:
+        forward, sideways, yaw = motion
+        slip = np.stack((forward - yaw * points[:, 1] - treads, sideways + yaw * points[:, 0]), -1)
+        force = -loads[:, None] * slip / np.sqrt((slip**2).sum(-1, keepdims=True) + 1e-10)
+        return [*force.sum(0), 5 * (points[:, 0] * force[:, 1] - points[:, 1] * force[:, 0]).sum()]
+
+    starts = ([linear, 0.0, share * angular] for share in (0.2, 0.4, 0.6))
+    best = min((least_squares(unbalanced, start, xtol=1e-14, ftol=1e-14) for start in starts), key=lambda r: r.cost)
+    assert best.cost < 1e-6
+    return best.x
+
+
+@pytest.mark.parametrize("command", [(0.0, 2.0), (0.0, 1.0), (0.5, 1.0), (0.3, 0.5)])
+def test_skid_steering_is_what_coulomb_friction_makes_it(command):
+    forward, _, yaw = coulomb_motion(*command)
+    simulator = simulate(FLAT, [(0.0, 0.0, 2 * math.pi * k / 8) for k in range(8)])
+    drive(simulator, command, 30)
+    states = drive(simulator, command, 21)
+    yaws = torch.stack([quaternion_to_euler(state.orientation)[:, 2] for state in states])
+    turned = (torch.remainder(yaws[1:] - yaws[:-1] + math.pi, 2 * math.pi) - math.pi).sum(0)
+    # Isotropic: every heading turns alike.
+    torch.testing.assert_close(turned, turned.mean().expand(8), rtol=0.005, atol=0)
+    assert turned.mean().item() == pytest.approx(yaw, rel=0.05)
+    way = torch.stack([b.position - a.position for a, b in itertools.pairwise(states)])
+    assert way.norm(dim=-1).sum(0).mean().item() == pytest.approx(forward, rel=0.03, abs=0.02)
+
+
+def test_locked_wheels_brake_by_friction_times_weight():
+    # Down from 1 m/s at once: the drive's own limit is above what the ground gives.
+    friction = 0.3
+    simulator = simulate(FLAT, [(0.0, 0.0, 0.4)], WarpSettings(ground_friction=friction))
+    drive(simulator, (1.0, 0.0), 60)
+    states = drive(simulator, (0.0, 0.0), 20)
+    speed = torch.stack([(b.position - a.position).norm() / DT for a, b in itertools.pairwise(states)])
+    # While all wheels slip; at first they turn faster than the body may slow down.
+    slowing = (speed[1] - speed[4]) / (3 * DT)
+    assert slowing.item() == pytest.approx(friction * GRAVITY, rel=0.02)
+
+
+def test_a_slope_holds_to_the_angle_of_friction():
+    friction = 0.5
+    for degrees, holds in (
+        (math.degrees(math.atan(friction)) - 1, True),
+        (math.degrees(math.atan(friction)) + 1, False),
+    ):
+        count = 161
+        rise = math.tan(math.radians(degrees)) * (torch.arange(count) * 0.25 - 20)
+        simulator = simulate(World("slope", Terrain(rise.expand(count, -1), 0.25)), [(0.0, 0.0, 0.0)])
+        before = simulator.state().position
+        moved = (drive(simulator, (0.0, 0.0), 40)[-1].position - before).norm().item()
+        assert (moved < 0.01) == holds
+
+
+def test_it_tips_where_its_weight_leaves_its_wheels():
+    """Standing across a slope, it falls over the lower wheels' outer edges once the centre of mass is beyond them."""
+    edge = ROVER.wheel_positions[0][1] + ROVER.wheel_width / 2
+    height = CENTER[2] - (ROVER.wheel_positions[0][2] - ROVER.wheel_radius)
+    tipping = math.degrees(math.atan2(edge, height))
+    assert 45 < tipping < 65
+    for degrees, stands in ((tipping - 2.5, True), (tipping + 2.5, False)):
+        count = 401
+        rise = math.tan(math.radians(degrees)) * (torch.arange(count) * 0.1 - 20)
+        world = World("slope", Terrain(rise[:, None].expand(-1, count), 0.1))
+        # Enough friction to tip rather than slide.
+        simulator = simulate(world, [(0.0, 0.0, 0.0)], WarpSettings(ground_friction=4.0))
+        rolls = [quaternion_to_euler(state.orientation)[0, 0].item() for state in drive(simulator, (0.0, 0.0), 30)]
+        assert (math.degrees(max(map(abs, rolls))) < degrees + 5) == stands
+
+
+def test_free_fall():
+    # Off the edge of a cliff of 3 m at 1 m/s, nothing but gravity acts until it lands.
+    heights = torch.zeros(81, 81)
+    heights[:, :40] = 3.0
+    simulator = simulate(World("cliff", Terrain(heights, 0.25)), [(-1.0, 0.0, 0.0)])
+    states = drive(simulator, (1.0, 0.0), 60)
+    centers = torch.stack([_center(state) for state in states])
+    speed = (centers[1:] - centers[:-1]) / DT
+    falling = (speed[1:, 2] - speed[:-1, 2]) / DT
+    free = falling < -9.0
+    assert free.sum() >= 5
+    assert falling[free].median().item() == pytest.approx(-GRAVITY, rel=0.01)
+
+
+def _center(state) -> torch.Tensor:
+    x, y, z, w = state.orientation[0].double()
+    vector, center = torch.stack((x, y, z)), torch.from_numpy(CENTER)
+    turned = center + 2 * torch.linalg.cross(vector, torch.linalg.cross(vector, center) + w * center)
+    return state.position[0].double() + turned
+
+
+def test_obstacles_give_their_own_friction():
+    """A rover that slides along a wall is slowed by the wall's friction."""
+    wall = box((0.0, 0.5, 0.5), (30.0, 0.4, 1.0))
+    world = World("wall", Terrain.flat((60, 60)), [wall])
+    gained = []
+    for friction in (0.0, 0.25):
+        simulator = simulate(world, [(-5.0, -0.05, 0.35)], WarpSettings(obstacle_friction=friction))
+        states = drive(simulator, (0.8, 0.6), 80)
+        gained.append((states[-1].position[0, 0] - states[0].position[0, 0]).item())
+        # Neither gets through.
+        assert states[-1].position[0, 1] < 0.3 - 0.2
+    assert gained[0] > gained[1] + 0.05
