@@ -13,7 +13,7 @@ from rover_rl.sims.warp.kernels.types import MAX_WHEELS, Rover, Scene
 from rover_rl.sims.warp.library import wp
 from rover_rl.sims.worlds import Obstacle, World
 
-BLOCK = 2.0
+BLOCK = 1.5
 """Side of a block of ground, m, about."""
 NEAR_CELL = 1.0
 """Side of a cell of the grid that obstacles are found by, m."""
@@ -80,25 +80,34 @@ def _add_obstacles(scene: Scene, obstacles: Iterable[Obstacle], device: wp.Devic
     planes: list[np.ndarray] = []
     vertices: list[np.ndarray] = []
     polygons: list[np.ndarray] = []
-    plane_starts, vertex_starts, polygon_starts, spheres = [0], [0], [0], []
+    plane_starts, vertex_starts, polygon_starts = [0], [0], [0]
+    spheres, polygon_spheres = [], []
     for obstacle in obstacles:
         corners, faces = obstacle.vertices.numpy(), obstacle.planes.numpy()
-        center = corners.mean(0)
-        spheres.append((*center, np.linalg.norm(corners - center, axis=1).max() + 1e-4))
+        spheres.append(_sphere(corners))
         planes.extend(faces)
         vertices.extend(corners)
         plane_starts.append(len(planes))
         vertex_starts.append(len(vertices))
         for plane in faces:
-            polygons.extend(_polygon(corners, plane))
+            polygon = _polygon(corners, plane)
+            polygon_spheres.append(_sphere(polygon))
+            polygons.extend(polygon)
             polygon_starts.append(len(polygons))
     scene.planes = _vectors(planes, wp.vec4, device)
     scene.vertices = _vectors(vertices, wp.vec3, device)
     scene.polygons = _vectors(polygons, wp.vec3, device)
     scene.spheres = _vectors(spheres, wp.vec4, device)
+    scene.polygon_spheres = _vectors(polygon_spheres, wp.vec4, device)
     scene.plane_starts = wp.array(plane_starts, dtype=int, device=device)
     scene.vertex_starts = wp.array(vertex_starts, dtype=int, device=device)
     scene.polygon_starts = wp.array(polygon_starts, dtype=int, device=device)
+
+
+def _sphere(points: np.ndarray) -> tuple[float, ...]:
+    """Middle and radius of a sphere around points, a little too large."""
+    center = points.mean(0)
+    return (*center, np.linalg.norm(points - center, axis=1).max() + 1e-4)
 
 
 def _polygon(corners: np.ndarray, plane: np.ndarray) -> np.ndarray:

@@ -14,6 +14,13 @@ from rover_rl.sims.warp.library import wp
 
 SLACK = 0.05
 """Beams by which the ends of a segment may lie off its direction's estimate."""
+SECTORS = 32
+"""Parts of a scan for which it is known how far they still see."""
+SECTOR_SLACK = 0.01
+NEAR = 4.0
+"""Distance (m) up to which obstacles are looked at without asking whether they are hidden."""
+LOOK_OUT = 4
+"""Rings of blocks of ground between two looks at that."""
 
 
 @wp.struct
@@ -96,12 +103,14 @@ def shorten(beams: wp.array[wp.vec2], ranges: wp.array2d[float], row: int, a: wp
         elif beam >= count:
             beam -= count
         direction = beams[beam]
-        distance = offset / (direction[0] * along[1] - direction[1] * along[0])
-        if distance > 0.0 and distance < ranges[row, beam]:
-            before = direction[0] * a[1] - direction[1] * a[0]
-            after = direction[0] * b[1] - direction[1] * b[0]
-            if before * after <= 1.0e-9:
-                ranges[row, beam] = distance
+        # The distance is offset / rate; most are divided for nothing.
+        rate = direction[0] * along[1] - direction[1] * along[0]
+        if offset * rate > 0.0:
+            if wp.abs(offset) < wp.abs(rate) * ranges[row, beam]:
+                before = direction[0] * a[1] - direction[1] * a[0]
+                after = direction[0] * b[1] - direction[1] * b[0]
+                if before * after <= 1.0e-9:
+                    ranges[row, beam] = offset / rate
 
 
 @wp.func
@@ -110,44 +119,50 @@ def cut_triangle(
     ranges: wp.array2d[float],
     row: int,
     plane: Slice,
-    a: wp.vec3,
-    b: wp.vec3,
-    c: wp.vec3,
+    x: float,
+    y: float,
+    leg: float,
+    here: float,
+    across: float,
+    along: float,
 ):
-    """Shortens the beams that meet a triangle of the ground: corners are (ahead, left, height over the plane)."""
-    up_a = a[2] > 0.0
-    up_b = b[2] > 0.0
-    up_c = c[2] > 0.0
-    if up_a == up_b and up_b == up_c:
+    """Shortens the beams that meet a triangle of the ground.
+
+    Args:
+        beams, ranges, row, plane: of the scan.
+        x, y: of its right angle, from the lidar.
+        leg: from there to its other corners, along x and along y.
+        here, across, along: heights of the three over the plane.
+    """
+    up = here > 0.0
+    up_across = across > 0.0
+    up_along = along > 0.0
+    if up == up_across and up == up_along:
         return
-    # The corner that is on its side alone comes first.
-    tip = a
-    one = b
-    two = c
-    if up_a == up_c:
-        tip = b
-        one = c
-        two = a
-    elif up_a == up_b:
-        tip = c
-        one = a
-        two = b
-    p = tip + (tip[2] / (tip[2] - one[2])) * (one - tip)
-    q = tip + (tip[2] / (tip[2] - two[2])) * (two - tip)
-    # Ground that falls away from the lidar is behind ground that rises.
-    here = (q[1] - p[1]) * p[0] - (q[0] - p[0]) * p[1]
-    there = (q[0] - p[0]) * (tip[1] - p[1]) - (q[1] - p[1]) * (tip[0] - p[0])
-    if here * there * wp.sign(tip[2]) <= 0.0:
-        shorten(beams, ranges, row, wp.vec2(p[0], p[1]), wp.vec2(q[0], q[1]))
-
-
-@wp.func
-def corner_of(plane: Slice, x: float, y: float, height: float) -> wp.vec3:
-    """(ahead, left, height over the plane) of a point of the ground; ``x`` and ``y`` count from the lidar."""
-    return wp.vec3(
-        plane.x_to[0] * x + plane.x_to[1] * y,
-        plane.y_to[0] * x + plane.y_to[1] * y,
-        height - plane.rise_x * x - plane.rise_y * y,
+    # Where the triangle's plane is above the lidar, it falls away from it, behind ground that rises.
+    if here * leg - (across - here) * x - (along - here) * y > 0.0 and leg > 0.0:
+        return
+    if here * leg - (across - here) * x - (along - here) * y < 0.0 and leg < 0.0:
+        return
+    # The cut goes through two of the three sides.
+    p = wp.vec2(x, y)
+    q = wp.vec2(x, y)
+    if up == up_across:
+        share = along / (along - across)
+        p = wp.vec2(x + leg * share, y + leg * (1.0 - share))
+    else:
+        p = wp.vec2(x + leg * here / (here - across), y)
+    if up == up_along:
+        share = along / (along - across)
+        q = wp.vec2(x + leg * share, y + leg * (1.0 - share))
+    else:
+        q = wp.vec2(x, y + leg * here / (here - along))
+    shorten(
+        beams,
+        ranges,
+        row,
+        wp.vec2(wp.dot(plane.x_to, p), wp.dot(plane.y_to, p)),
+        wp.vec2(wp.dot(plane.x_to, q), wp.dot(plane.y_to, q)),
     )
 
 
@@ -182,38 +197,113 @@ def cut_block(
             most = wp.max(wp.max(near, far), wp.max(next_near, next_far))
             if least <= 0.0 and most > 0.0:
                 x = x_first + float(i - first) * cell
-                right = corner_of(plane, x + cell, y, 0.0)
-                above = corner_of(plane, x, y + cell, 0.0)
-                right = wp.vec3(right[0], right[1], next_near)
-                above = wp.vec3(above[0], above[1], far)
-                here = corner_of(plane, x, y, 0.0)
-                there = corner_of(plane, x + cell, y + cell, 0.0)
-                cut_triangle(beams, ranges, row, plane, wp.vec3(here[0], here[1], near), right, above)
-                cut_triangle(beams, ranges, row, plane, wp.vec3(there[0], there[1], next_far), above, right)
+                cut_triangle(beams, ranges, row, plane, x, y, cell, near, next_near, far)
+                cut_triangle(beams, ranges, row, plane, x + cell, y + cell, -cell, next_far, far, next_near)
             near = next_near
             far = next_far
 
 
 @wp.func
+def look_out(ranges: wp.array2d[float], row: int, count: int, farthest: wp.array[float]) -> float:
+    """Finds how far each sector of the scan still sees, and how far the whole scan does."""
+    most = float(0.0)
+    for sector in range(SECTORS):
+        seen = float(0.0)
+        last = (sector + 1) * count // SECTORS - 1
+        # Four at once, as each would wait for the one before.
+        for beam in range(sector * count // SECTORS, last + 1, 4):
+            one = wp.max(ranges[row, beam], ranges[row, wp.min(beam + 1, last)])
+            two = wp.max(ranges[row, wp.min(beam + 2, last)], ranges[row, wp.min(beam + 3, last)])
+            seen = wp.max(seen, wp.max(one, two))
+        farthest[sector] = seen
+        most = wp.max(most, seen)
+    return most
+
+
+@wp.func
+def is_hidden(farthest: wp.array[float], plane: Slice, x: float, y: float, radius: float, distance: float) -> bool:
+    """Whether all that is ``radius`` or less around a point of the plane, and ``distance`` or more away, is hidden."""
+    ahead = plane.x_to[0] * x + plane.x_to[1] * y
+    left = plane.y_to[0] * x + plane.y_to[1] * y
+    middle = turns(ahead, left) * float(SECTORS)
+    # The arcsine is below its argument times pi / 2.
+    width = radius / wp.sqrt(ahead * ahead + left * left) * 0.25 * float(SECTORS) + SECTOR_SLACK
+    for k in range(int(wp.floor(middle - width)), int(wp.floor(middle + width)) + 1):
+        sector = (k + 2 * SECTORS) % SECTORS
+        if farthest[sector] > distance:
+            return False
+    return True
+
+
+@wp.func
 def cut_ground(scene: Scene, beams: wp.array[wp.vec2], ranges: wp.array2d[float], row: int, plane: Slice):
-    """Shortens the beams that meet the ground."""
+    """Shortens the beams that meet the ground: block by block from near to far, less those that are hidden."""
     side = scene.cell * float(scene.block)
-    left = int(wp.floor((plane.origin[0] - plane.range - scene.corner[0]) / side))
-    right = int(wp.floor((plane.origin[0] + plane.range - scene.corner[0]) / side))
-    bottom = int(wp.floor((plane.origin[1] - plane.range - scene.corner[1]) / side))
-    top = int(wp.floor((plane.origin[1] + plane.range - scene.corner[1]) / side))
+    stretch = 1.0 / wp.max(wp.abs(plane.normal[2]), 1.0e-3)
     slack = 0.5 * side * (wp.abs(plane.rise_x) + wp.abs(plane.rise_y))
-    for j in range(wp.max(bottom, 0), wp.min(top, scene.blocks.shape[0] - 1) + 1):
-        for i in range(wp.max(left, 0), wp.min(right, scene.blocks.shape[1] - 1) + 1):
-            bounds = scene.blocks[j, i]
-            x = scene.corner[0] + (float(i) + 0.5) * side - plane.origin[0]
-            y = scene.corner[1] + (float(j) + 0.5) * side - plane.origin[1]
-            height = plane.origin[2] + plane.rise_x * x + plane.rise_y * y
-            if bounds[1] >= height - slack and bounds[0] <= height + slack:
-                off_x = wp.max(wp.abs(x) - 0.5 * side, 0.0)
-                off_y = wp.max(wp.abs(y) - 0.5 * side, 0.0)
-                if off_x * off_x + off_y * off_y < plane.range * plane.range:
-                    cut_block(scene, beams, ranges, row, plane, j, i)
+    column = int(wp.floor((plane.origin[0] - scene.corner[0]) / side))
+    line = int(wp.floor((plane.origin[1] - scene.corner[1]) / side))
+    farthest = wp.zeros(shape=(SECTORS,), dtype=float)
+    most = look_out(ranges, row, beams.shape[0], farthest)
+    ring = int(0)
+    # The nearest that a ring of blocks can be is its number less one.
+    while float(ring - 1) * side < most:
+        for k in range(wp.max(8 * ring, 1)):
+            edge = k // wp.max(2 * ring, 1)
+            along = k - edge * 2 * ring
+            i = column - ring
+            j = line - ring
+            if edge == 0:
+                i = column - ring + along
+            elif edge == 1:
+                i = column + ring
+                j = line - ring + along
+            elif edge == 2:
+                i = column + ring - along
+                j = line + ring
+            else:
+                j = line + ring - along
+            if i >= 0 and j >= 0 and i < scene.blocks.shape[1] and j < scene.blocks.shape[0]:
+                bounds = scene.blocks[j, i]
+                x = scene.corner[0] + (float(i) + 0.5) * side - plane.origin[0]
+                y = scene.corner[1] + (float(j) + 0.5) * side - plane.origin[1]
+                height = plane.origin[2] + plane.rise_x * x + plane.rise_y * y
+                if bounds[1] >= height - slack and bounds[0] <= height + slack:
+                    off_x = wp.max(wp.abs(x) - 0.5 * side, 0.0)
+                    off_y = wp.max(wp.abs(y) - 0.5 * side, 0.0)
+                    distance = wp.sqrt(off_x * off_x + off_y * off_y)
+                    hidden = False
+                    if ring > 1:
+                        hidden = is_hidden(farthest, plane, x, y, 0.70710678 * side * stretch, distance)
+                    if not hidden:
+                        cut_block(scene, beams, ranges, row, plane, j, i)
+        ring += 1
+        if ring % LOOK_OUT == 0:
+            most = look_out(ranges, row, beams.shape[0], farthest)
+
+
+@wp.func
+def cut_polygon(scene: Scene, beams: wp.array[wp.vec2], ranges: wp.array2d[float], row: int, plane: Slice, face: int):
+    """Shortens the beams that meet one face of an obstacle."""
+    start = scene.polygon_starts[face]
+    end = scene.polygon_starts[face + 1]
+    last = scene.polygons[end - 1] - plane.origin
+    last_height = wp.dot(last, plane.normal)
+    found = int(0)
+    one = wp.vec2(0.0, 0.0)
+    two = wp.vec2(0.0, 0.0)
+    for k in range(start, end):
+        corner = scene.polygons[k] - plane.origin
+        height = wp.dot(corner, plane.normal)
+        if (height > 0.0) != (last_height > 0.0):
+            point = last + (last_height / (last_height - height)) * (corner - last)
+            one = two
+            two = wp.vec2(wp.dot(point, plane.ahead), wp.dot(point, plane.left))
+            found += 1
+        last = corner
+        last_height = height
+    if found == 2:
+        shorten(beams, ranges, row, one, two)
 
 
 @wp.func
@@ -223,29 +313,12 @@ def cut_obstacle(
     """Shortens the beams that meet an obstacle: a segment for each face that looks at the lidar."""
     for face in range(scene.plane_starts[obstacle], scene.plane_starts[obstacle + 1]):
         outward = scene.planes[face]
-        if (
-            outward[0] * plane.origin[0] + outward[1] * plane.origin[1] + outward[2] * plane.origin[2] + outward[3]
-            > 0.0
-        ):
-            start = scene.polygon_starts[face]
-            end = scene.polygon_starts[face + 1]
-            last = scene.polygons[end - 1] - plane.origin
-            last_height = wp.dot(last, plane.normal)
-            found = int(0)
-            one = wp.vec2(0.0, 0.0)
-            two = wp.vec2(0.0, 0.0)
-            for k in range(start, end):
-                corner = scene.polygons[k] - plane.origin
-                height = wp.dot(corner, plane.normal)
-                if (height > 0.0) != (last_height > 0.0):
-                    point = last + (last_height / (last_height - height)) * (corner - last)
-                    one = two
-                    two = wp.vec2(wp.dot(point, plane.ahead), wp.dot(point, plane.left))
-                    found += 1
-                last = corner
-                last_height = height
-            if found == 2:
-                shorten(beams, ranges, row, one, two)
+        sphere = scene.polygon_spheres[face]
+        normal = wp.vec3(outward[0], outward[1], outward[2])
+        if wp.dot(normal, plane.origin) + outward[3] > 0.0:
+            middle = wp.vec3(sphere[0], sphere[1], sphere[2]) - plane.origin
+            if wp.abs(wp.dot(middle, plane.normal)) < sphere[3]:
+                cut_polygon(scene, beams, ranges, row, plane, face)
 
 
 @wp.kernel
@@ -265,15 +338,30 @@ def scan(scene: Scene, rover: Rover, rovers: Rovers, beams: wp.array[wp.vec2], f
     inside = plane.origin[2] < ground[3]
     for beam in range(count):
         rovers.ranges[row, beam] = plane.range
+    # What is near hides what is far.
+    farthest = wp.zeros(shape=(SECTORS,), dtype=float)
+    stretch = 1.0 / wp.max(wp.abs(plane.normal[2]), 1.0e-3)
+    for far in range(2):
+        if far == 1:
+            look_out(rovers.ranges, row, count, farthest)
+        for obstacle in range(scene.spheres.shape[0]):
+            sphere = scene.spheres[obstacle]
+            offset = wp.vec3(sphere[0], sphere[1], sphere[2]) - plane.origin
+            reach = plane.range + sphere[3]
+            square = wp.length_sq(offset)
+            if square < reach * reach and wp.abs(wp.dot(offset, plane.normal)) < sphere[3]:
+                near = NEAR + sphere[3]
+                if (far == 1) == (square > near * near):
+                    hidden = False
+                    if far == 1:
+                        distance = wp.sqrt(square) - sphere[3]
+                        hidden = is_hidden(farthest, plane, offset[0], offset[1], sphere[3] * stretch, distance)
+                    elif square < sphere[3] * sphere[3]:
+                        if foremost_plane(scene, obstacle, plane.origin)[3] <= 0.0:
+                            inside = True
+                    if not hidden:
+                        cut_obstacle(scene, beams, rovers.ranges, row, plane, obstacle)
     cut_ground(scene, beams, rovers.ranges, row, plane)
-    for obstacle in range(scene.spheres.shape[0]):
-        sphere = scene.spheres[obstacle]
-        offset = wp.vec3(sphere[0], sphere[1], sphere[2]) - plane.origin
-        reach = plane.range + sphere[3]
-        if wp.length_sq(offset) < reach * reach and wp.abs(wp.dot(offset, plane.normal)) < sphere[3]:
-            if foremost_plane(scene, obstacle, plane.origin)[3] <= 0.0:
-                inside = True
-            cut_obstacle(scene, beams, rovers.ranges, row, plane, obstacle)
     for beam in range(count):
         if inside:
             rovers.ranges[row, beam] = 0.0

@@ -28,9 +28,10 @@ class Scene:
     vertices: wp.array[wp.vec3]
     vertex_starts: wp.array[int]
     spheres: wp.array[wp.vec4]
-    # The polygon of each plane: corners in order, counter-clockwise from outside.
+    # The polygon of each plane: corners in order, counter-clockwise from outside, and the sphere around them.
     polygons: wp.array[wp.vec3]
     polygon_starts: wp.array[int]
+    polygon_spheres: wp.array[wp.vec4]
     # Obstacles within reach of a rover whose centre is in a cell of this grid.
     near_corner: wp.vec2
     near_cell: float
