@@ -3,6 +3,8 @@
 - ``rollouts``: steps a second against rovers and beams, with one worker and with all, and Bullet's share of the time.
 - ``breakdown``: where the rest goes, function by function.
 - ``physics``: what each preset costs, and how far it is from steps of 1 ms.
+- ``simulators``: Warp's speed beside Bullet's, on a core and, where there is one, on a GPU.
+- ``parity``: how far the two are apart.
 - ``cores``: all workers beside one.
 - ``peers``: the same rover as people drive it today, with a process and a PyBullet client for each.
 - ``footprint``: memory and time to start.
@@ -28,7 +30,7 @@ from benchmarks.options import Options
 from benchmarks.plot import draw
 from rover_rl.algos.files import write_json
 
-Part = Literal["rollouts", "breakdown", "physics", "cores", "peers", "footprint", "training"]
+Part = Literal["rollouts", "breakdown", "physics", "simulators", "parity", "cores", "peers", "footprint", "training"]
 
 
 @dataclass(frozen=True)

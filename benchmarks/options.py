@@ -19,6 +19,10 @@ class Options:
     """Lidar beams of a rover."""
     rovers: int = 64
     """Rovers where their number is not what is varied."""
+    warp_rovers: int = 512
+    """Rovers of Warp's simulator beside Bullet's, which has ``rovers``."""
+    warp_envs: int = 4096
+    """Rovers of Warp's whole environment."""
     workers: int = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     """Processes where all cores are used."""
     processes: tuple[int, ...] = ()
@@ -33,7 +37,7 @@ class Options:
     """Folder to write to."""
 
     def __post_init__(self) -> None:
-        for name in ("rovers", "workers", "rounds"):
+        for name in ("rovers", "warp_rovers", "warp_envs", "workers", "rounds"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
         if not self.num_envs or min(self.num_envs) < 1:

@@ -17,6 +17,7 @@ from rover_rl.envs import specs
 from rover_rl.envs.control import HeadingController, HeadingGains
 from rover_rl.envs.lidar import LidarPooling
 from rover_rl.envs.placement import Placement
+from rover_rl.envs.randomization import CommandDelay, Randomization
 from rover_rl.envs.rng import episode_keys, row_keys
 from rover_rl.envs.task import (
     EVENTS,
@@ -100,6 +101,7 @@ class RoverEnv(EnvBase):
         end_on_goal: whether reaching the goal ends the episode, instead of a new goal being set.
         task: thresholds of the task.
         heading_gains: of the heading PID.
+        randomization: how rovers, sensors and delays vary; ``None``: they do not.
 
     Raises:
         ValueError: for an unknown world, backend or robot, fewer beams than points, or a number out of its range.
@@ -135,6 +137,7 @@ class RoverEnv(EnvBase):
         end_on_goal: bool = False,
         task: TaskConfig | None = None,
         heading_gains: HeadingGains | None = None,
+        randomization: Randomization | None = None,
     ) -> None:
         _require_count("num_envs", num_envs)
         _require_count("length", length)
@@ -160,12 +163,18 @@ class RoverEnv(EnvBase):
         )
         self.placement = Placement(self.worlds, self.robot, self.task.min_goal_distance, self._tensor_device)
         self.controller = HeadingController(num_envs, heading_gains, self._tensor_device)
+        self.randomization = randomization or Randomization()
+        self._delay = CommandDelay(self.randomization.latency, num_envs, self._tensor_device)
         self._make_specs()
         self._history = PositionHistory(num_envs, self.task.stuck_window, self._tensor_device)
         self._now = _Now(task=TaskState.zeros(num_envs, self._tensor_device))
         self._started = False
         self.is_closed = False
         self.set_seed(secrets.randbits(31) if seed is None else seed)
+        if self.randomization.varies_dynamics:
+            # A simulator that cannot says so at once.
+            nobody = torch.zeros(num_envs, dtype=torch.bool, device=self.simulator.device)
+            self.simulator.vary(nobody, self.randomization.draw_dynamics(self._keys))
 
     @property
     def goal(self) -> Tensor:
@@ -243,7 +252,12 @@ class RoverEnv(EnvBase):
 
         poses = self.placement.draw_start(self._keys) if start is None else start
         device = self.simulator.device
-        self._receive(self.simulator.reset(mask.squeeze(-1).to(device), poses.to(device)))
+        rows = mask.squeeze(-1).to(device)
+        if self.randomization.varies_dynamics:
+            self.simulator.vary(rows, self.randomization.draw_dynamics(self._keys.to(device)))
+        self._delay.reset(mask, self._keys)
+        steps = self._now.task.steps.masked_fill(mask, 0)
+        self._receive(self.simulator.reset(rows, poses.to(device)), steps)
         self.controller.reset(mask)
         self._set_targets(mask, goal)
         self._forget_outcome(mask)
@@ -298,10 +312,11 @@ class RoverEnv(EnvBase):
 
         heading = self._now.yaw + action[:, 1:]
         turn = self.controller(heading, self._now.yaw, self._now.rover.dt, active)
-        command = torch.cat((action[:, :1], turn), -1).masked_fill(invalid, 0.0)
+        command = self._delay(torch.cat((action[:, :1], turn), -1).masked_fill(invalid, 0.0), active)
         device = self.simulator.device
         rows = None if active is None else active.squeeze(-1).to(device)
-        self._receive(self.simulator.step(command.to(device), rows))
+        steps = self._now.task.steps + (1 if active is None else active)
+        self._receive(self.simulator.step(command.to(device), rows), steps)
 
         self._advance(invalid, active)
         reached = self._now.outcome.get("goal_reached")
@@ -324,12 +339,12 @@ class RoverEnv(EnvBase):
             truncated=truncated,
         )
 
-    def _receive(self, rover: RoverState) -> None:
-        """Takes in a state of the simulator, and what is derived from it."""
+    def _receive(self, rover: RoverState, steps: Tensor) -> None:
+        """Takes in a state of the simulator after ``steps`` of each row's episode, and what is derived from it."""
         if rover.device is not None and rover.device != self._tensor_device:
             rover = rover.to(self._tensor_device)
         now = self._now
-        now.rover = rover
+        now.rover = rover = self.randomization.sense(rover, self._keys, steps)
         now.euler = quaternion_to_euler(rover.orientation)
         now.yaw = now.euler[:, 2:]
         now.position = rover.position[:, :2]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias, runtime_checkable
 
 import torch
@@ -40,6 +41,21 @@ class RoverState(TensorClass):
         return cls._from_tensordict(TensorDict._new_unsafe(fields, batch_size=batch_size))
 
 
+@dataclass(frozen=True)
+class Dynamics:
+    """Factors of what simulated rovers are by their description, float32 ``[N]`` each.
+
+    Attributes:
+        friction: of all friction coefficients.
+        chassis_mass: of the mass and the inertia of the chassis, not of the wheels.
+        motor_torque: of the most torque that the wheels' motors give.
+    """
+
+    friction: Tensor
+    chassis_mass: Tensor
+    motor_torque: Tensor
+
+
 @runtime_checkable
 class Simulator(Protocol):
     """A batch of rovers somewhere: in a simulation, or one real rover.
@@ -65,6 +81,14 @@ class Simulator(Protocol):
         """Puts the rovers of ``mask`` (bool ``[N]``) on the ground at ``poses`` (``[N, 3]``: x, y in m, yaw in rad).
 
         They are at rest then; the other rows stay as they are.
+        """
+        ...
+
+    def vary(self, mask: Tensor, dynamics: Dynamics) -> None:
+        """Gives the rovers of ``mask`` (bool ``[N]``) these dynamics from their next reset on.
+
+        Raises:
+            ValueError: for live rovers, which are what they are.
         """
         ...
 

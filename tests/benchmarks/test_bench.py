@@ -29,6 +29,10 @@ SMALL = [
     "2",
     "--processes",
     "2",
+    "--warp-rovers",
+    "16",
+    "--warp-envs",
+    "16",
     "--seconds",
     "0.05",
     "--rounds",
@@ -58,6 +62,21 @@ def test_rollouts_cores_and_footprint(tmp_path: Path) -> None:
     assert [row["rovers"] for row in results["footprint"]] == [1, 2]
     assert (tmp_path / "bench.png").stat().st_size > 1000
     assert "<html" in (tmp_path / "breakdown.html").read_text()[:1000].lower()
+
+
+@pytest.mark.slow
+def test_warp_beside_bullet(tmp_path: Path) -> None:
+    pytest.importorskip("warp", reason="needs rover_rl[warp]")
+    results = bench(tmp_path, "simulators", "parity")
+    ratios = results["simulators"]["ratios"]
+    assert len(ratios) == 3 * 2 + 3 + 1
+    assert all(row["median"] > 0 for row in ratios)
+    assert (results["simulators"]["gpu"] is None) == (not torch.cuda.is_available())
+    scenes = results["parity"]["scenes"]
+    assert len(scenes) == 2 * 7
+    assert all(row["position_m"] >= 0 for row in scenes)
+    for spin in results["parity"]["spins"]:
+        assert spin["warp"] == pytest.approx(spin["coulomb"], rel=0.05)
 
 
 @pytest.mark.slow

@@ -68,10 +68,12 @@ class RoverPhysics:
             rovers = range(first, min(first + ROVERS_PER_CLIENT, count))
             self._rovers += [(client, load_rover(client, robot, settings)) for _ in rovers]
         self._wheels = self._find_wheels(robot)
-        self._forces = [robot.wheel_torque] * len(self._wheels)
+        self._torque = robot.wheel_torque
+        self._forces = [[self._torque] * len(self._wheels) for _ in range(count)]
         self._sides = len(robot.left_wheels), len(robot.right_wheels)
         client, body = self._rovers[0]
         info = pybullet.getDynamicsInfo(body, -1, physicsClientId=client)
+        self._mass, self._inertia = info[0], np.array(info[2])
         self._inertial_position = np.array(info[3])
         self._inertial_orientation = np.array(info[4])
 
@@ -93,6 +95,20 @@ class RoverPhysics:
             self._restore(row, center, orientation, [0, 0, 0], [0, 0, 0], still, still)
             self._drive(row, still)
             _forget_contacts(*self._rovers[row])
+
+    def vary(self, row: int, friction: float, chassis_mass: float, motor_torque: float) -> None:
+        """Multiplies what a rover is by its description with these factors."""
+        client, body = self._rovers[row]
+        for link in range(-1, pybullet.getNumJoints(body, physicsClientId=client)):
+            _set_contact(client, body, link, friction, self._settings)
+        pybullet.changeDynamics(
+            body,
+            -1,
+            mass=self._mass * chassis_mass,
+            localInertiaDiagonal=(self._inertia * chassis_mass).tolist(),
+            physicsClientId=client,
+        )
+        self._forces[row] = [self._torque * motor_torque] * len(self._wheels)
 
     def step(self, speeds: list[list[float]], held: Sequence[int] = ()) -> None:
         """Steps the world through one control step.
@@ -146,7 +162,7 @@ class RoverPhysics:
             self._wheels,
             pybullet.VELOCITY_CONTROL,
             targetVelocities=speeds,
-            forces=self._forces,
+            forces=self._forces[row],
             physicsClientId=client,
         )
 

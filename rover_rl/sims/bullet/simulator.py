@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import RoverState, View
+from rover_rl.sims.base import Dynamics, RoverState, View
 from rover_rl.sims.bullet.library import pybullet
 from rover_rl.sims.bullet.lidar import Lidar
 from rover_rl.sims.bullet.physics import RoverPhysics
@@ -80,6 +80,14 @@ class BulletSimulator:
             self._read(place, local)
         self._twist = torch.where(mask[:, None], torch.zeros_like(self._twist), self._twist)
         return self.state()
+
+    def vary(self, mask: Tensor, dynamics: Dynamics) -> None:
+        """Gives the rovers of ``mask`` these dynamics: see :meth:`Simulator.vary`."""
+        factors = torch.stack((dynamics.friction, dynamics.chassis_mass, dynamics.motor_torque), -1).double()
+        for place in self._places:
+            local = np.flatnonzero(mask.numpy()[place.rows])
+            for row, varied in zip(local.tolist(), factors[torch.from_numpy(place.rows[local])].tolist(), strict=True):
+                place.physics.vary(row, *varied)
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         """Drives one control step of ``substeps`` physics steps: see :meth:`Simulator.step`."""

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import RoverState, View
+from rover_rl.sims.base import Dynamics, RoverState, View
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2.commands import Commands
@@ -209,6 +209,10 @@ class Ros2Simulator:
     def stop(self) -> None:
         """Tells the rover to stop, more than once."""
         self._commands.stop()
+
+    def vary(self, mask: Tensor, dynamics: Dynamics) -> None:
+        """Refuses to: see :meth:`Simulator.vary`."""
+        raise ValueError("a live rover's friction, mass and motors cannot be varied; sensors and latency can")
 
     def state(self) -> RoverState:
         """What the newest messages say; zeros and full range before there are any."""

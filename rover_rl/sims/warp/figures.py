@@ -6,6 +6,8 @@ import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from rover_rl.sims.robots import Robot
 
@@ -38,22 +40,25 @@ class Figures:
     box_centers: np.ndarray
     box_halves: np.ndarray
 
-    def total(self, chassis_mass: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The whole rover, for chassis of masses ``[N]``, whose inertia is in proportion.
+    def total(self, chassis_mass: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The whole rover, for chassis of masses ``[N]`` (float64), whose inertia is in proportion.
 
         Returns:
             Mass ``[N]``, centre of mass ``[N, 3]``, and inertia about it ``[N, 3, 3]`` without that of the wheels
             about their axles, which spin by themselves.
         """
-        wheels = len(self.hubs)
-        mass = chassis_mass + wheels * self.wheel_mass
-        center = chassis_mass[:, None] * self.chassis_center + self.wheel_mass * self.hubs.sum(0)
-        center /= mass[:, None]
-        inertia = chassis_mass[:, None, None] / self.chassis_mass * self.chassis_inertia
-        inertia = inertia + _moved(chassis_mass, self.chassis_center - center)
-        turn = np.diag((self.wheel_turn_inertia, 0.0, self.wheel_turn_inertia))
-        for hub in self.hubs:
-            inertia = inertia + turn + _moved(np.full_like(chassis_mass, self.wheel_mass), hub - center)
+        device = chassis_mass.device
+        chassis_center, chassis_inertia, hubs = (
+            torch.from_numpy(values).to(device) for values in (self.chassis_center, self.chassis_inertia, self.hubs)
+        )
+        mass = chassis_mass + len(hubs) * self.wheel_mass
+        center = (chassis_mass[:, None] * chassis_center + self.wheel_mass * hubs.sum(0)) / mass[:, None]
+        inertia = chassis_mass[:, None, None] / self.chassis_mass * chassis_inertia
+        inertia = inertia + _moved(chassis_mass, chassis_center - center)
+        turn = torch.tensor((self.wheel_turn_inertia, 0.0, self.wheel_turn_inertia), dtype=mass.dtype, device=device)
+        wheel = torch.full_like(chassis_mass, self.wheel_mass)
+        for hub in hubs:
+            inertia = inertia + turn.diag() + _moved(wheel, hub - center)
         return mass, center, inertia
 
     def points(self) -> np.ndarray:
@@ -180,7 +185,7 @@ def _word(element: ET.Element, name: str) -> str:
     return word
 
 
-def _moved(mass: np.ndarray, offset: np.ndarray) -> np.ndarray:
+def _moved(mass: Tensor, offset: Tensor) -> Tensor:
     """What the parallel axis theorem adds for masses ``[N]`` at offsets ``[N, 3]``: ``[N, 3, 3]``."""
-    square = (offset**2).sum(-1)[:, None, None] * np.eye(3)
+    square = (offset**2).sum(-1)[:, None, None] * torch.eye(3, dtype=mass.dtype, device=mass.device)
     return mass[:, None, None] * (square - offset[:, :, None] * offset[:, None, :])

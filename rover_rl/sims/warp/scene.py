@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
+import torch
 
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.warp.figures import Figures
@@ -59,7 +60,7 @@ def make_rover(robot: Robot, figures: Figures, device: wp.Device) -> Rover:
 
 def reach_of(robot: Robot, figures: Figures) -> float:
     """Distance (m) from the centre of mass beyond which there is nothing of the rover."""
-    center = figures.total(np.array([figures.chassis_mass]))[1][0]
+    center = figures.total(torch.tensor([figures.chassis_mass], dtype=torch.float64))[1][0].numpy()
     wheel = math.hypot(robot.wheel_radius, robot.wheel_width / 2)
     hubs = np.linalg.norm(figures.hubs - center, axis=1) + wheel
     boxes = np.linalg.norm(np.abs(figures.box_centers - center) + figures.box_halves, axis=1)

@@ -38,7 +38,7 @@ class WarpSettings:
 
     control_dt: float = 0.05
     substeps: int = 5
-    solver_iterations: int = 3
+    solver_iterations: int = 4
     stiffness: float = 30_000.0
     damping: float = 420.0
     max_correction: float = 1.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from itertools import groupby
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import RoverState, View
+from rover_rl.sims.base import Dynamics, RoverState, View
 from rover_rl.sims.drive import DifferentialDrive
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import matrix_to_quaternion
@@ -109,7 +110,7 @@ class WarpSimulator:
         self._rows.active.copy_(mask)
         inputs = [self._rover, self._rows.rovers, self._poses]
         wp.launch(place, dim=self.num_envs, inputs=inputs, device=self._wp_device, stream=self._stream)
-        self._launch(driving=False)
+        self.launch(physics=False)
         self._twist = torch.where(mask[:, None], torch.zeros_like(self._twist), self._twist)
         return self.state()
 
@@ -120,6 +121,10 @@ class WarpSimulator:
         chosen = mask.nonzero().squeeze(-1) if self.device.type == "cpu" else slice(None)
         position, rotation = rest_on_ground(world, self._robot, poses[chosen])
         target[chosen] = torch.cat((position, matrix_to_quaternion(rotation)), -1).to(target.dtype)
+
+    def vary(self, mask: Tensor, dynamics: Dynamics) -> None:
+        """Gives the rovers of ``mask`` these dynamics: see :meth:`Simulator.vary`."""
+        self._rows.vary(mask, dynamics)
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         """Drives one control step of ``substeps`` physics steps: see :meth:`Simulator.step`."""
@@ -134,7 +139,7 @@ class WarpSimulator:
             twist = torch.where(active[:, None], twist, self._twist)
             stamp = torch.where(active[:, None], stamp, self._stamp)
         self._twist, self._stamp = twist, stamp
-        self._launch(driving=True)
+        self.launch()
         return self.state()
 
     def state(self) -> RoverState:
@@ -164,7 +169,7 @@ class WarpSimulator:
         body, ranges = self._rows.body.clone(), self._rows.ranges.clone()
         self._rows.body[:, :7] = torch.cat((position, orientation), -1)
         self._rows.active.fill_(True)
-        self._launch(driving=False)
+        self.launch(physics=False)
         seen = self._rows.ranges.clone()
         self._rows.body.copy_(body)
         self._rows.ranges.copy_(ranges)
@@ -197,11 +202,11 @@ class WarpSimulator:
         """Torch's stream, so that kernels and tensors wait for one another."""
         return wp.stream_from_torch() if self.device.type == "cuda" else None
 
-    def _launch(self, driving: bool) -> None:
-        """Scans for all active rovers, after a control step if they are ``driving``."""
-        stream = self._stream
-        others = [self._pool.submit(shard.launch, driving, stream) for shard in self._shards[1:]] if self._pool else []
-        self._shards[0].launch(driving, stream)
+    def launch(self, *, physics: bool = True, lidar: bool = True) -> None:
+        """Runs the kernels for all active rovers: a control step's physics, and the lidar."""
+        run = partial(_Shard.launch, physics=physics, lidar=lidar, stream=self._stream)
+        others = [self._pool.submit(run, shard) for shard in self._shards[1:]] if self._pool else []
+        run(self._shards[0])
         for other in others:
             other.result()
 
@@ -213,11 +218,12 @@ class _Shard:
         self.drives: list[wp.Launch] = []
         self.scans: list[wp.Launch] = []
 
-    def launch(self, driving: bool, stream: wp.Stream | None) -> None:
+    def launch(self, *, physics: bool, lidar: bool, stream: wp.Stream | None) -> None:
         for drives, scans in zip(self.drives, self.scans, strict=True):
-            if driving:
+            if physics:
                 drives.launch(stream)
-            scans.launch(stream)
+            if lidar:
+                scans.launch(stream)
 
 
 def _solver(settings: WarpSettings) -> Solver:

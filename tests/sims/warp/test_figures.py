@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from rover_rl.sims import make_simulator
 from rover_rl.sims.robots import get_robot
@@ -32,27 +33,27 @@ def test_mass_and_centre_are_those_that_bullet_reads():
     start = np.array(pybullet.getBasePositionAndOrientation(body, physicsClientId=client)[0])
     centers = [base, *(other - start + base for other in others)]
     figures = read_figures(ROVER)
-    mass, center, _ = figures.total(np.array([figures.chassis_mass]))
-    assert mass[0] == pytest.approx(sum(masses))
+    mass, center, _ = figures.total(torch.tensor([figures.chassis_mass], dtype=torch.float64))
+    assert mass[0].item() == pytest.approx(sum(masses))
     np.testing.assert_allclose(center[0], np.average(centers, axis=0, weights=masses), atol=2e-4)
     pybullet.disconnect(client)
 
 
 def test_inertia_is_that_of_all_parts_about_the_common_centre():
     figures = read_figures(ROVER)
-    _, center, inertia = figures.total(np.array([figures.chassis_mass]))
+    _, center, inertia = figures.total(torch.tensor([figures.chassis_mass], dtype=torch.float64))
     # About the vertical axis, by hand: each part's own and its mass times its distance squared.
     chassis = 0.1567 + 7.486 * ((-0.004 - center[0, 0]) ** 2)
     wheels = sum(0.005645 + 1.25 * ((x - center[0, 0]) ** 2 + y**2) for x, y, _ in ROVER.wheel_positions)
-    assert inertia[0, 2, 2] == pytest.approx(chassis + wheels)
+    assert inertia[0, 2, 2].item() == pytest.approx(float(chassis + wheels))
     np.testing.assert_allclose(inertia[0], inertia[0].T)
     assert (np.linalg.eigvalsh(inertia[0]) > 0).all()
 
 
 def test_a_heavier_chassis_moves_the_centre_of_mass_up():
     figures = read_figures(ROVER)
-    mass, center, _ = figures.total(figures.chassis_mass * np.array([1.0, 1.5]))
-    assert mass[1] - mass[0] == pytest.approx(0.5 * figures.chassis_mass)
+    mass, center, _ = figures.total(figures.chassis_mass * torch.tensor([1.0, 1.5], dtype=torch.float64))
+    assert (mass[1] - mass[0]).item() == pytest.approx(0.5 * figures.chassis_mass)
     assert center[1, 2] > center[0, 2]
 
 

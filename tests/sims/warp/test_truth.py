@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 import torch
-from scipy.optimize import least_squares
 
+from benchmarks.coulomb import steady_motion
 from rover_rl.sims import make_simulator
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.rotations import quaternion_to_euler
@@ -23,7 +22,9 @@ from rover_rl.sims.warp.figures import read_figures
 
 ROVER = get_robot("rover_zero")
 FIGURES = read_figures(ROVER)
-MASS, CENTER = (values[0] for values in FIGURES.total(np.array([FIGURES.chassis_mass]))[:2])
+MASS, CENTER = (
+    values[0].numpy() for values in FIGURES.total(torch.tensor([FIGURES.chassis_mass], dtype=torch.float64))[:2]
+)
 FLAT = World("flat", Terrain.flat((60, 60)))
 DT, GRAVITY = 0.05, 9.81
 
@@ -38,34 +39,9 @@ def drive(simulator, command: tuple[float, float], steps: int):
     return [simulator.step(torch.tensor([command] * simulator.num_envs)) for _ in range(steps)]
 
 
-def coulomb_motion(linear: float, angular: float) -> np.ndarray:
-    """Steady forward speed, sideways speed and yaw rate at which friction on level ground balances.
-
-    Treads press evenly along their width, and the axles as the centre of mass lies between them.
-    """
-    front, rear = (ROVER.wheel_positions[k][0] for k in (0, 1))
-    share = (CENTER[0] - rear) / (front - rear)
-    along = np.linspace(-1, 1, 17)[1::2] * ROVER.wheel_width / 2
-    points = np.array([(x - CENTER[0], y + offset) for x, y, _ in ROVER.wheel_positions for offset in along])
-    loads = np.array([share if x > 0 else 1 - share for x, _, _ in ROVER.wheel_positions for _ in along])
-    half = ROVER.wheel_separation / 2
-    treads = np.where(points[:, 1] > 0, linear - angular * half, linear + angular * half)
-
-    def unbalanced(motion: np.ndarray) -> list[float]:
-        forward, sideways, yaw = motion
-        slip = np.stack((forward - yaw * points[:, 1] - treads, sideways + yaw * points[:, 0]), -1)
-        force = -loads[:, None] * slip / np.sqrt((slip**2).sum(-1, keepdims=True) + 1e-10)
-        return [*force.sum(0), 5 * (points[:, 0] * force[:, 1] - points[:, 1] * force[:, 0]).sum()]
-
-    starts = ([linear, 0.0, share * angular] for share in (0.2, 0.4, 0.6))
-    best = min((least_squares(unbalanced, start, xtol=1e-14, ftol=1e-14) for start in starts), key=lambda r: r.cost)
-    assert best.cost < 1e-6
-    return best.x
-
-
 @pytest.mark.parametrize("command", [(0.0, 2.0), (0.0, 1.0), (0.5, 1.0), (0.3, 0.5)])
 def test_skid_steering_is_what_coulomb_friction_makes_it(command):
-    forward, _, yaw = coulomb_motion(*command)
+    expected = steady_motion(ROVER, CENTER[0], *command)
     simulator = simulate(FLAT, [(0.0, 0.0, 2 * math.pi * k / 8) for k in range(8)])
     drive(simulator, command, 30)
     states = drive(simulator, command, 21)
@@ -73,9 +49,9 @@ def test_skid_steering_is_what_coulomb_friction_makes_it(command):
     turned = (torch.remainder(yaws[1:] - yaws[:-1] + math.pi, 2 * math.pi) - math.pi).sum(0)
     # Isotropic: every heading turns alike.
     torch.testing.assert_close(turned, turned.mean().expand(8), rtol=0.005, atol=0)
-    assert turned.mean().item() == pytest.approx(yaw, rel=0.05)
+    assert turned.mean().item() == pytest.approx(expected.yaw, rel=0.05)
     way = torch.stack([b.position - a.position for a, b in itertools.pairwise(states)])
-    assert way.norm(dim=-1).sum(0).mean().item() == pytest.approx(forward, rel=0.03, abs=0.02)
+    assert way.norm(dim=-1).sum(0).mean().item() == pytest.approx(expected.forward, rel=0.03, abs=0.02)
 
 
 def test_locked_wheels_brake_by_friction_times_weight():
