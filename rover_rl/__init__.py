@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 if TYPE_CHECKING:
-    from rover_rl.envs import RewardComponent, RewardConfig, RoverEnv, TaskConfig, contract_reward, make_env
+    from rover_rl.envs import (
+        Randomization,
+        RewardComponent,
+        RewardConfig,
+        RoverEnv,
+        TaskConfig,
+        contract_reward,
+        make_env,
+    )
     from rover_rl.envs.gym import GymVectorWrapper, GymWrapper
     from rover_rl.sims.robots import Robot
     from rover_rl.sims.worlds import Terrain, World, box, cylinder
@@ -29,7 +37,15 @@ if ENV_ID not in gymnasium.registry:
     )
 
 _HOMES = {
-    "rover_rl.envs": ("RewardComponent", "RewardConfig", "RoverEnv", "TaskConfig", "contract_reward", "make_env"),
+    "rover_rl.envs": (
+        "Randomization",
+        "RewardComponent",
+        "RewardConfig",
+        "RoverEnv",
+        "TaskConfig",
+        "contract_reward",
+        "make_env",
+    ),
     "rover_rl.envs.gym": ("GymVectorWrapper", "GymWrapper"),
     "rover_rl.sims.robots": ("Robot",),
     "rover_rl.sims.worlds": ("Terrain", "World", "box", "cylinder"),
@@ -40,6 +56,7 @@ __all__ = [
     "ENV_ID",
     "GymVectorWrapper",
     "GymWrapper",
+    "Randomization",
     "RewardComponent",
     "RewardConfig",
     "Robot",

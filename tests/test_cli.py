@@ -71,6 +71,18 @@ def test_train_go_on_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path:
     assert "scripted" in capsys.readouterr().out
 
 
+def test_a_policy_is_trained_and_driven_in_warp(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    pytest.importorskip("warp", reason="needs rover_rl[warp]")
+    folder = tmp_path / "run"
+    given = ["train", "--backend", "warp", "--randomize", "--runs", str(tmp_path), "--name", "run", "--epochs", "1"]
+    assert main([*given, *SIZE]) == 0
+    driven = ["evaluate", str(folder), "--backend", "warp", "--count", "2", "--seconds", "1", "--out", str(tmp_path)]
+    assert main(driven) == 0
+    assert (tmp_path / "evaluation.json").is_file()
+    capsys.readouterr()
+    assert "presets of the physics are Bullet's" in failed(capsys, *given, "--physics", "fast")
+
+
 def test_settings_come_from_a_file_and_options_go_first(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text("algo: sac\nworld: moon\nhidden: [16]\nwarmup: 16\n")
     runs = ["--runs", str(tmp_path), "--name", "run"]

@@ -60,6 +60,9 @@ class TrainingConfig:
     new one on this machine; extra ray)."""
     physics: Physics = "default"
     """Preset of Bullet's physics: see docs/physics.md."""
+    randomize: bool = False
+    """Vary friction, mass, motors, latency and sensors from rover to rover and from episode to episode, as much as
+    those of a real one may be off (docs/warp.md): for policies that are to leave the simulator."""
     workers: int | None = None
     """Processes that simulate, each with an equal share of the rovers; by default as many as there are cores, or the
     most below that which share the rovers equally, and 1 for Warp."""

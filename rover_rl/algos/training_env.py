@@ -13,6 +13,7 @@ from rover_rl.algos.path_reward import PathReward
 from rover_rl.algos.policy import FORWARD
 from rover_rl.algos.step_clock import StepClock
 from rover_rl.envs import make_env
+from rover_rl.envs.randomization import Randomization
 from rover_rl.envs.rover import assign_rows
 from rover_rl.envs.specs import bounded_spec
 from rover_rl.sims.warp import WarpSettings
@@ -41,6 +42,7 @@ def make_training_env(config: TrainingConfig, worker: int = 0, session: int = 0)
         length=config.episode_steps,
         lidar_points=LIDAR_POINTS,
         num_envs=config.rovers_each,
+        randomization=Randomization.typical() if config.randomize else None,
         **_simulator(config),
         seed=config.seed + worker * config.rovers_each + session * SESSION_SEEDS,
     )

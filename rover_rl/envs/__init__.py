@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rover_rl.envs.control import HeadingController, HeadingGains
 from rover_rl.envs.make import add_reward, make_env
+from rover_rl.envs.randomization import Randomization
 from rover_rl.envs.rewards import RewardComponent, RewardConfig, TotalReward, contract_reward
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.task import Phase, TaskConfig
@@ -12,6 +13,7 @@ __all__ = [
     "HeadingController",
     "HeadingGains",
     "Phase",
+    "Randomization",
     "RewardComponent",
     "RewardConfig",
     "RoverEnv",

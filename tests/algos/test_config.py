@@ -110,6 +110,14 @@ def test_settings_out_of_range_are_refused_by_name(config: TrainingConfig, field
         replace(config, **{field: value}).check()
 
 
+def test_warp_is_in_one_process_by_default_and_has_no_presets_of_bullets() -> None:
+    assert PPOConfig(backend="warp").processes == 1
+    assert PPOConfig(backend="warp", workers=2).processes == 2
+    PPOConfig(backend="warp").check()
+    with pytest.raises(ValueError, match="presets of the physics are Bullet's"):
+        PPOConfig(backend="warp", physics="fast").check()
+
+
 def test_default_workers_share_the_rovers_equally() -> None:
     assert default_workers(1) == 1
     assert 64 % default_workers(64) == 0

@@ -231,6 +231,19 @@ def test_one_policy_can_be_trained_in_several_worlds_at_once(config: TrainingCon
     assert Checkpoint.load(summary.checkpoint).config.worlds == ("inspect", "maze")
 
 
+@BOTH
+def test_policies_can_be_trained_in_warp(config: TrainingConfig, tmp_path: Path) -> None:
+    pytest.importorskip("warp", reason="needs rover_rl[warp]")
+    config = replace(
+        config, world=("inspect", "maze"), backend="warp", workers=None, randomize=True, runs=str(tmp_path), name="warp"
+    )
+    summary = train(config)
+    assert summary.steps == 512
+    assert read_config(summary.folder / "config.yaml").workers == 1
+    again = train(replace(config, total_steps=640), summary.folder)
+    assert again.steps == 640
+
+
 def test_each_worlds_guide_is_asked_about_its_own_rovers(tmp_path: Path) -> None:
     config = replace(PPO, world=("maze", "maze:1"), total_steps=128, imitation=1.0, path_reward=1.0, runs=str(tmp_path))
     assert train(config).steps == 128
