@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from rover_rl.sims.native import native_output_silenced
+
 try:
     import warp as wp
 except ImportError as error:
@@ -10,6 +12,8 @@ except ImportError as error:
 wp.config.log_level = wp.LOG_ERROR
 # Nothing is differentiated, and gradients take a minute to compile.
 wp.config.enable_backward = False
-wp.init()
+# That there is no GPU is nothing to warn of.
+with native_output_silenced():
+    wp.init()
 
 __all__ = ["wp"]
