@@ -5,6 +5,7 @@
 - ``physics``: what each preset costs, and how far it is from steps of 1 ms.
 - ``simulators``: Warp's speed beside Bullet's, on a core and, where there is one, on a GPU.
 - ``parity``: how far the two are apart.
+- ``endurance``: whether Warp holds under ten million random steps.
 - ``cores``: all workers beside one.
 - ``peers``: the same rover as people drive it today, with a process and a PyBullet client for each.
 - ``footprint``: memory and time to start.
@@ -30,7 +31,9 @@ from benchmarks.options import Options
 from benchmarks.plot import draw
 from rover_rl.algos.files import write_json
 
-Part = Literal["rollouts", "breakdown", "physics", "simulators", "parity", "cores", "peers", "footprint", "training"]
+Part = Literal[
+    "rollouts", "breakdown", "physics", "simulators", "parity", "endurance", "cores", "peers", "footprint", "training"
+]
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,8 @@ class Options:
     """Rovers of Warp's simulator beside Bullet's, which has ``rovers``."""
     warp_envs: int = 4096
     """Rovers of Warp's whole environment."""
+    endurance: int = 10_000_000
+    """Random steps that Warp is to hold for."""
     workers: int = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     """Processes where all cores are used."""
     processes: tuple[int, ...] = ()

@@ -1,10 +1,14 @@
-"""The differential drive: from a twist command to wheel speeds, and back to wheel odometry. Batched torch."""
+"""The differential drive: from a twist command to wheel speeds, and back to wheel odometry. Batched torch.
+
+:class:`DifferentialDrive` is its kinematics, :class:`SimulatedDrive` what simulated rovers keep between two steps.
+"""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
+from rover_rl.sims.base import RoverState
 from rover_rl.sims.robots import Robot
 
 
@@ -41,3 +45,61 @@ class DifferentialDrive:
         which differs when they slip.
         """
         return torch.addcmul(wheel_speeds[:, :1] * self._from_left, wheel_speeds[:, 1:], self._from_right)
+
+
+class SimulatedDrive:
+    """The drives and clocks of a batch of simulated rovers.
+
+    Args:
+        robot: gives the drive.
+        dt: duration of a control step, s.
+        num_envs: rovers.
+        device: where commands are.
+    """
+
+    def __init__(self, robot: Robot, dt: float, num_envs: int, device: torch.device | str | None = None) -> None:
+        self._drive = DifferentialDrive(robot, dt, device)
+        self._step = dt
+        self._dt = torch.full((num_envs, 1), dt, device=device)
+        self._twist = torch.zeros(num_envs, 2, device=device)
+        self._stamp = torch.zeros(num_envs, 1, dtype=torch.float64, device=device)
+
+    def reset(self, mask: Tensor) -> None:
+        """Brings the rovers of ``mask`` (bool ``[N]``) to rest; their clocks go on."""
+        self._twist = torch.where(mask[:, None], torch.zeros_like(self._twist), self._twist)
+
+    def advance(self, commands: Tensor, active: Tensor | None) -> Tensor:
+        """Speeds that the left and right wheels are to hold in the next control step, ``[N, 2]``, rad/s.
+
+        Args:
+            commands: ``[N, 2]``: forward speed (m/s) and yaw rate (rad/s).
+            active: bool ``[N]``; for the other rows no time passes. ``None``: all are.
+        """
+        twist = self._drive.ramp(self._twist, commands)
+        # The motors hold the mean of the ramp, so that the way driven is that of the limited acceleration.
+        speeds = self._drive.wheel_speeds((self._twist + twist) * 0.5)
+        stamp = self._stamp + self._step
+        if active is not None:
+            twist = torch.where(active[:, None], twist, self._twist)
+            stamp = torch.where(active[:, None], stamp, self._stamp)
+        self._twist, self._stamp = twist, stamp
+        return speeds
+
+    def state(self, body: Tensor, ranges: Tensor) -> RoverState:
+        """The rovers' state, made of these tensors.
+
+        Args:
+            body: position (m), orientation (x, y, z, w), and mean speed of the left and the right wheels (rad/s),
+                ``[N, 9]``.
+            ranges: scans, ``[N, beams]``, m.
+        """
+        twist = self._drive.odometry(body[:, 7:])
+        return RoverState.pack(
+            position=body[:, :3],
+            orientation=body[:, 3:7],
+            linear_velocity=twist[:, :1],
+            angular_velocity=twist[:, 1:],
+            ranges=ranges,
+            dt=self._dt,
+            stamp=self._stamp,
+        )

@@ -33,6 +33,8 @@ SMALL = [
     "16",
     "--warp-envs",
     "16",
+    "--endurance",
+    "2000",
     "--seconds",
     "0.05",
     "--rounds",
@@ -67,7 +69,7 @@ def test_rollouts_cores_and_footprint(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_warp_beside_bullet(tmp_path: Path) -> None:
     pytest.importorskip("warp", reason="needs rover_rl[warp]")
-    results = bench(tmp_path, "simulators", "parity")
+    results = bench(tmp_path, "simulators", "parity", "endurance")
     ratios = results["simulators"]["ratios"]
     assert len(ratios) == 3 * 2 + 3 + 1
     assert all(row["median"] > 0 for row in ratios)
@@ -75,6 +77,7 @@ def test_warp_beside_bullet(tmp_path: Path) -> None:
     scenes = results["parity"]["scenes"]
     assert len(scenes) == 2 * 7
     assert all(row["position_m"] >= 0 for row in scenes)
+    assert all(row["broken"] == 0 and row["highest_m"] < 2.0 for row in results["endurance"])
     for spin in results["parity"]["spins"]:
         assert spin["warp"] == pytest.approx(spin["coulomb"], rel=0.05)
 

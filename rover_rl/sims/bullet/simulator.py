@@ -17,7 +17,7 @@ from rover_rl.sims.bullet.lidar import Lidar
 from rover_rl.sims.bullet.physics import RoverPhysics
 from rover_rl.sims.bullet.render import Renderer
 from rover_rl.sims.bullet.settings import BulletSettings
-from rover_rl.sims.drive import DifferentialDrive
+from rover_rl.sims.drive import SimulatedDrive
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import matrix_to_quaternion
 from rover_rl.sims.worlds import World, rest_on_ground
@@ -45,8 +45,7 @@ class BulletSimulator:
         self.ray_angles = torch.arange(lidar_beams, dtype=torch.float32) * (2 * math.pi / lidar_beams)
         self.settings = settings or BulletSettings()
         self._robot = robot
-        self._drive = DifferentialDrive(robot, self.settings.control_dt)
-        self._dt = torch.full((self.num_envs, 1), self.settings.control_dt)
+        self._drive = SimulatedDrive(robot, self.settings.control_dt, self.num_envs)
         self._renderers: dict[int, Renderer] = {}
         self._clients: list[int] = []
         self._finalizer = weakref.finalize(self, _disconnect, self._clients)
@@ -64,8 +63,6 @@ class BulletSimulator:
         # Position (3), orientation (4) and wheel speeds (2) side by side, to be handed out at once.
         self._body = np.zeros((count, 9), dtype=np.float32)
         self._ranges = np.full((count, lidar_beams), np.inf, dtype=np.float32)
-        self._twist = torch.zeros(count, 2)
-        self._stamp = torch.zeros(count, 1, dtype=torch.float64)
         self.reset(torch.ones(count, dtype=torch.bool), torch.zeros(count, 3))
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
@@ -78,7 +75,7 @@ class BulletSimulator:
             position, rotation = rest_on_ground(place.world, self._robot, poses[torch.from_numpy(rows)])
             place.physics.place(local.tolist(), position.numpy(), matrix_to_quaternion(rotation).numpy())
             self._read(place, local)
-        self._twist = torch.where(mask[:, None], torch.zeros_like(self._twist), self._twist)
+        self._drive.reset(mask)
         return self.state()
 
     def vary(self, mask: Tensor, dynamics: Dynamics) -> None:
@@ -91,14 +88,7 @@ class BulletSimulator:
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         """Drives one control step of ``substeps`` physics steps: see :meth:`Simulator.step`."""
-        twist = self._drive.ramp(self._twist, commands)
-        # The motors hold the mean of the ramp, so that the way driven is that of the limited acceleration.
-        speeds = self._drive.wheel_speeds((self._twist + twist) * 0.5).tolist()
-        stamp = self._stamp + self.settings.control_dt
-        if active is not None:
-            twist = torch.where(active[:, None], twist, self._twist)
-            stamp = torch.where(active[:, None], stamp, self._stamp)
-        self._twist, self._stamp = twist, stamp
+        speeds = self._drive.advance(commands, active).tolist()
         for place in self._places:
             held = [] if active is None else np.flatnonzero(~active.numpy()[place.rows]).tolist()
             place.physics.step(speeds[place.block], held)
@@ -107,17 +97,7 @@ class BulletSimulator:
 
     def state(self) -> RoverState:
         """The present state, in tensors of its own."""
-        body = torch.from_numpy(self._body.copy())
-        twist = self._drive.odometry(body[:, 7:])
-        return RoverState.pack(
-            position=body[:, :3],
-            orientation=body[:, 3:7],
-            linear_velocity=twist[:, :1],
-            angular_velocity=twist[:, 1:],
-            ranges=torch.from_numpy(self._ranges.copy()),
-            dt=self._dt,
-            stamp=self._stamp,
-        )
+        return self._drive.state(torch.from_numpy(self._body.copy()), torch.from_numpy(self._ranges.copy()))
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """A picture by Bullet's own software renderer: see :meth:`Simulator.render`."""

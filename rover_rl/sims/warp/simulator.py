@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.base import Dynamics, RoverState, View
-from rover_rl.sims.drive import DifferentialDrive
+from rover_rl.sims.drive import SimulatedDrive
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import matrix_to_quaternion
 from rover_rl.sims.warp.figures import read_figures
@@ -62,10 +62,7 @@ class WarpSimulator:
         angles = np.arange(lidar_beams) * (2 * math.pi / lidar_beams)
         self.ray_angles = torch.tensor(angles, dtype=torch.float32, device=self.device)
         self._robot = robot
-        self._drive = DifferentialDrive(robot, self.settings.control_dt, self.device)
-        self._dt = torch.full((count, 1), self.settings.control_dt, device=self.device)
-        self._twist = torch.zeros(count, 2, device=self.device)
-        self._stamp = torch.zeros(count, 1, dtype=torch.float64, device=self.device)
+        self._drive = SimulatedDrive(robot, self.settings.control_dt, count, self.device)
         self._renderers: dict[World, Renderer] = {}
 
         figures = read_figures(robot)
@@ -111,7 +108,7 @@ class WarpSimulator:
         inputs = [self._rover, self._rows.rovers, self._poses]
         wp.launch(place, dim=self.num_envs, inputs=inputs, device=self._wp_device, stream=self._stream)
         self.launch(physics=False)
-        self._twist = torch.where(mask[:, None], torch.zeros_like(self._twist), self._twist)
+        self._drive.reset(mask)
         return self.state()
 
     def _stand(self, world: World, rows: slice, mask: Tensor, poses: Tensor) -> None:
@@ -128,33 +125,17 @@ class WarpSimulator:
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         """Drives one control step of ``substeps`` physics steps: see :meth:`Simulator.step`."""
-        twist = self._drive.ramp(self._twist, commands)
-        # The motors hold the mean of the ramp, so that the way driven is that of the limited acceleration.
-        self._rows.speeds.copy_(self._drive.wheel_speeds((self._twist + twist) * 0.5))
-        stamp = self._stamp + self.settings.control_dt
+        self._rows.speeds.copy_(self._drive.advance(commands, active))
         if active is None:
             self._rows.active.fill_(True)
         else:
             self._rows.active.copy_(active)
-            twist = torch.where(active[:, None], twist, self._twist)
-            stamp = torch.where(active[:, None], stamp, self._stamp)
-        self._twist, self._stamp = twist, stamp
         self.launch()
         return self.state()
 
     def state(self) -> RoverState:
         """The present state, in tensors of its own."""
-        body = self._rows.body.clone()
-        twist = self._drive.odometry(body[:, 7:])
-        return RoverState.pack(
-            position=body[:, :3],
-            orientation=body[:, 3:7],
-            linear_velocity=twist[:, :1],
-            angular_velocity=twist[:, 1:],
-            ranges=self._rows.ranges.clone(),
-            dt=self._dt,
-            stamp=self._stamp,
-        )
+        return self._drive.state(self._rows.body.clone(), self._rows.ranges.clone())
 
     def scan_from(self, position: Tensor, orientation: Tensor) -> Tensor:
         """What the lidars would see from other poses of their base frames; moves nothing.

@@ -1,0 +1,50 @@
+"""Whether Warp holds: random actions by the million, and not a NaN, a rover in the air or one in the ground."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from rich.table import Table
+
+from benchmarks.options import Options
+from rover_rl import RoverEnv
+
+WORLDS = ("inspect", "moon", "maze")
+HELD = 10
+"""Steps that an action is held for."""
+
+
+def measure(options: Options) -> list[dict[str, Any]]:
+    """A row for each world, of an equal share of the steps."""
+    return [_driven(world, options.warp_envs, options.endurance // len(WORLDS)) for world in WORLDS]
+
+
+def _driven(world: str, rovers: int, total: int) -> dict[str, Any]:
+    env = RoverEnv(world_n=world, num_envs=rovers, lidar_beams=32, backend="warp", seed=0)
+    ground = env.worlds[0]
+    random = torch.Generator().manual_seed(0)
+    space, td = env.action_spec.space, env.reset()
+    steps = broken = 0
+    highest, lowest = -float("inf"), float("inf")
+    while steps < total:
+        if steps // rovers % HELD == 0:
+            action = space.low + (space.high - space.low) * torch.rand(rovers, 2, generator=random)
+        _, td = env.step_and_maybe_reset(td.set("action", action))
+        state = env.rover_state
+        above = state.position[:, 2] - ground.height_at(state.position[:, :2])
+        finite = torch.isfinite(state.position).all(-1) & torch.isfinite(state.orientation).all(-1)
+        broken += int((~finite).sum())
+        highest, lowest = max(highest, above.max().item()), min(lowest, above.min().item())
+        steps += rovers
+    env.close()
+    return {"world": world, "steps": steps, "broken": broken, "highest_m": highest, "lowest_m": lowest}
+
+
+def table(rows: list[dict[str, Any]]) -> Table:
+    """For the terminal."""
+    table = Table("world", "steps", "NaN or infinite", "highest, m", "lowest, m", title="Warp under random actions")
+    for row in rows:
+        figures = f"{row['highest_m']:.2f}", f"{row['lowest_m']:.2f}"
+        table.add_row(row["world"], f"{row['steps']:,}", str(row["broken"]), *figures)
+    return table
