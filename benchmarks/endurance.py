@@ -30,13 +30,15 @@ def _driven(world: str, rovers: int, total: int) -> dict[str, Any]:
     while steps < total:
         if steps // rovers % HELD == 0:
             action = space.low + (space.high - space.low) * torch.rand(rovers, 2, generator=random)
-        _, td = env.step_and_maybe_reset(td.set("action", action))
+        after = env.step(td.set("action", action))["next"]
+        # Before the rovers whose episode has ended start anew.
         state = env.rover_state
         above = state.position[:, 2] - ground.height_at(state.position[:, :2])
         finite = torch.isfinite(state.position).all(-1) & torch.isfinite(state.orientation).all(-1)
         broken += int((~finite).sum())
         highest, lowest = max(highest, above.max().item()), min(lowest, above.min().item())
         steps += rovers
+        td = env.maybe_reset(after)
     env.close()
     return {"world": world, "steps": steps, "broken": broken, "highest_m": highest, "lowest_m": lowest}
 

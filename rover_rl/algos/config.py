@@ -55,9 +55,9 @@ class TrainingConfig:
     num_envs: int = 64
     """Rovers that drive at once."""
     backend: Backend = "bullet"
-    """What makes the rollouts: Bullet in processes of this machine; Warp in threads of this one, tens of times as fast
-    (extra warp); or Bullet on the machines of a Ray cluster (the one that RAY_ADDRESS names or that runs here, else a
-    new one on this machine; extra ray)."""
+    """What makes the rollouts: Bullet in processes of this machine; Warp in threads of this one, about twenty times as
+    fast (extra warp); or Bullet on the machines of a Ray cluster (the one that RAY_ADDRESS names or that runs here,
+    else a new one on this machine; extra ray)."""
     physics: Physics = "default"
     """Preset of Bullet's physics: see docs/physics.md."""
     randomize: bool = False

@@ -63,7 +63,7 @@ class Randomization:
             if not 0 < low <= high < math.inf:
                 raise ValueError(f"{name} must be a range of positive factors (low, high), got {getattr(self, name)}")
         low, high = self.latency
-        if not 0 <= low <= high:
+        if not 0 <= low <= high or not (isinstance(low, int) and isinstance(high, int)):
             raise ValueError(f"latency must be a range of control steps (least, most), got {self.latency}")
         for name in ("range_noise", "odometry_noise", "imu_noise"):
             if not 0 <= getattr(self, name) < math.inf:

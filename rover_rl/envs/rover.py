@@ -41,7 +41,7 @@ class _Now:
     """The environment's state between two steps; a plain object, as EnvBase is a module and slow to assign to.
 
     Attributes:
-        rover: what the simulator last told.
+        rover: what the sensors last told.
         euler: roll, pitch, yaw, ``[N, 3]``, rad.
         yaw: ``[N, 1]``, rad.
         position: ``[N, 2]``, m.
@@ -183,7 +183,7 @@ class RoverEnv(EnvBase):
 
     @property
     def rover_state(self) -> RoverState:
-        """What the simulator last told of every rover, unclipped."""
+        """What every rover's sensors last told, unclipped; by it the task is judged, as on a live rover."""
         self._require_started("rover_state")
         return self._now.rover
 

@@ -85,7 +85,7 @@ class Simulator(Protocol):
         ...
 
     def vary(self, mask: Tensor, dynamics: Dynamics) -> None:
-        """Gives the rovers of ``mask`` (bool ``[N]``) these dynamics from their next reset on.
+        """Gives the rovers of ``mask`` (bool ``[N]``) these dynamics; they are to be reset next.
 
         Raises:
             ValueError: for live rovers, which are what they are.

@@ -7,6 +7,7 @@ the tail of a contiguous tensor, so :func:`angle_of` feeds it strided columns, f
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -26,7 +27,7 @@ def wrap_angle(angle: Tensor) -> Tensor:
 def quaternion_to_euler(quaternion: Tensor) -> Tensor:
     """Roll, pitch, yaw (rad, ``[..., 3]``) of unit quaternions ``[..., 4]``, as transforms3d's ``quat2euler``."""
     products = (quaternion[..., :, None] * quaternion[..., None, :]).flatten(-2)
-    forms = _EULER if _EULER.device == quaternion.device and _EULER.dtype == quaternion.dtype else _EULER.to(quaternion)
+    forms = _euler_forms(quaternion.device, quaternion.dtype)
     sines_cosines = (products[..., None, :] * forms).sum(-1)
     roll = angle_of(sines_cosines[..., 0:2])
     yaw = angle_of(sines_cosines[..., 2:4])
@@ -34,16 +35,14 @@ def quaternion_to_euler(quaternion: Tensor) -> Tensor:
     return torch.stack((roll, pitch, yaw), -1)
 
 
-def _euler_forms() -> Tensor:
+@lru_cache(maxsize=16)
+def _euler_forms(device: torch.device, dtype: torch.dtype) -> Tensor:
     """Cosine and sine parts of roll and of yaw, and the sine of pitch, as linear forms in a quaternion's products."""
     x, y, z, w = torch.eye(4)
     xx, yy, zz, ww = (torch.outer(a, a) for a in (x, y, z, w))
     xy, xz, yz, xw, yw, zw = (2 * torch.outer(*pair) for pair in ((x, y), (x, z), (y, z), (x, w), (y, w), (z, w)))
     forms = (ww - xx - yy + zz, xw + yz, ww + xx - yy - zz, zw + xy, yw - xz)
-    return torch.stack(forms).reshape(5, 16)
-
-
-_EULER = _euler_forms()
+    return torch.stack(forms).reshape(5, 16).to(device, dtype)
 
 
 def matrix_to_quaternion(matrix: Tensor) -> Tensor:

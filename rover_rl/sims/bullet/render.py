@@ -68,6 +68,11 @@ class Renderer:
         pixels = np.asarray(rgba, dtype=np.uint8).reshape(height, width, 4)[:, :, :3]
         return torch.from_numpy(pixels.copy())
 
+    def close(self) -> None:
+        """Disconnects its client; may be called again."""
+        if pybullet.isConnected(self.client):
+            pybullet.disconnect(self.client)
+
     def _pose(self, position: np.ndarray, orientation: np.ndarray, goal: list[float] | None) -> None:
         center = pybullet.multiplyTransforms(position.tolist(), orientation.tolist(), *self._inertial)
         pybullet.resetBasePositionAndOrientation(self._rover, *center, physicsClientId=self.client)

@@ -1,4 +1,4 @@
-"""The Warp backend: a simulator made for this rover, on the CPU or a GPU, tens of times as fast as Bullet.
+"""The Warp backend: a simulator made for this rover, on the CPU or a GPU, about twenty times as fast as Bullet.
 
 Importing this needs no Warp; making a simulator does.
 """

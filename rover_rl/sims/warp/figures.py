@@ -98,12 +98,16 @@ class _Description:
 
     def __init__(self, robot: Robot) -> None:
         root = ET.parse(robot.urdf).getroot()
-        self._links = {_word(link, "name"): link for link in root.iter("link")}
-        self._joints = {_word(joint, "name"): joint for joint in root.iter("joint")}
+        self._links = {_word(link, "name"): link for link in root.findall("link")}
+        self._joints = {_word(joint, "name"): joint for joint in root.findall("joint")}
         names = (*robot.left_wheels, *robot.right_wheels)
         if missing := [name for name in names if name not in self._joints]:
             raise ValueError(f"it has no wheel joint {missing[0]!r}; its joints are {sorted(self._joints)}")
         self._wheels = [self._joints[name] for name in names]
+        for joint in self._wheels:
+            axis = joint.find("axis")
+            if any(_numbers(joint, "rpy")) or axis is None or _word(axis, "xyz").split() != ["0", "1", "0"]:
+                raise ValueError(f"wheel joint {joint.get('name')!r} must turn about +y of an upright frame")
         self._hubs = np.array(robot.wheel_positions, dtype=float)
 
     def figures(self) -> Figures:
@@ -129,12 +133,15 @@ class _Description:
     def _fixed_to(self, chassis: str) -> dict[str, np.ndarray]:
         """The chassis and what is fixed to it, with the place of each."""
         places = {chassis: np.zeros(3)}
-        for joint in self._joints.values():
-            parent, child = (_word(_part(joint, end), "link") for end in ("parent", "child"))
-            if joint.get("type") == "fixed" and parent in places:
-                places[child] = places[parent] + _place(joint)
-                if _inertial(self._links[child])[0] > 0:
-                    raise ValueError(f"the mass of {child!r} must be that of {chassis!r}, which it is fixed to")
+        fixed = [joint for joint in self._joints.values() if joint.get("type") == "fixed"]
+        # A link may come before the one that it is fixed to.
+        for _ in fixed:
+            for joint in fixed:
+                parent, child = (_word(_part(joint, end), "link") for end in ("parent", "child"))
+                if parent in places and child not in places:
+                    places[child] = places[parent] + _place(joint)
+                    if _inertial(self._links[child])[0] > 0:
+                        raise ValueError(f"the mass of {child!r} must be that of {chassis!r}, which it is fixed to")
         return places
 
     def _child(self, joint: ET.Element) -> ET.Element:
@@ -144,6 +151,8 @@ class _Description:
 def _inertial(link: ET.Element) -> tuple[float, tuple[float, ...], tuple[float, ...]]:
     """Mass, centre of mass, and ixx, ixy, ixz, iyy, iyz, izz of a link."""
     inertial = _part(link, "inertial")
+    if any(_numbers(inertial, "rpy")):
+        raise ValueError(f"the inertia of {link.get('name')!r} must be along its own axes")
     inertia = _part(inertial, "inertia")
     tensor = tuple(float(inertia.get(name, 0)) for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
     return float(_word(_part(inertial, "mass"), "value")), _numbers(inertial, "xyz"), tensor

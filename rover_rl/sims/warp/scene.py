@@ -45,6 +45,7 @@ def make_rover(robot: Robot, figures: Figures, device: wp.Device) -> Rover:
         raise ValueError(f"the warp backend drives at most {MAX_WHEELS} wheels, {robot.name!r} has {len(figures.hubs)}")
     rover = Rover()
     rover.wheels = len(figures.hubs)
+    rover.left_wheels = len(robot.left_wheels)
     rover.wheel_radius = robot.wheel_radius
     rover.wheel_half_width = robot.wheel_width / 2
     rover.wheel_inertia = figures.wheel_spin_inertia
@@ -64,7 +65,8 @@ def reach_of(robot: Robot, figures: Figures) -> float:
     wheel = math.hypot(robot.wheel_radius, robot.wheel_width / 2)
     hubs = np.linalg.norm(figures.hubs - center, axis=1) + wheel
     boxes = np.linalg.norm(np.abs(figures.box_centers - center) + figures.box_halves, axis=1)
-    return float(np.concatenate((hubs, boxes)).max())
+    # A chassis of another mass moves the centre by millimetres.
+    return float(np.concatenate((hubs, boxes)).max()) + 0.01
 
 
 def _blocks(heights: np.ndarray, block: int) -> np.ndarray:

@@ -58,6 +58,8 @@ class WarpSimulator:
     ) -> None:
         self.num_envs = count = len(worlds)
         self.device = torch.device(device or "cpu")
+        if self.device.type == "cuda" and self.device.index is None:
+            self.device = torch.device("cuda", torch.cuda.current_device())
         self.settings = settings or WarpSettings()
         angles = np.arange(lidar_beams) * (2 * math.pi / lidar_beams)
         self.ray_angles = torch.tensor(angles, dtype=torch.float32, device=self.device)
@@ -174,14 +176,17 @@ class WarpSimulator:
         return True
 
     def close(self) -> None:
-        """Ends its threads; may be called again."""
+        """Ends its threads and lets go of its renderers; may be called again."""
         if self._pool is not None:
             self._pool.shutdown()
+        for renderer in self._renderers.values():
+            renderer.close()
+        self._renderers.clear()
 
     @property
     def _stream(self) -> wp.Stream | None:
         """Torch's stream, so that kernels and tensors wait for one another."""
-        return wp.stream_from_torch() if self.device.type == "cuda" else None
+        return wp.stream_from_torch(self.device) if self.device.type == "cuda" else None
 
     def launch(self, *, physics: bool = True, lidar: bool = True) -> None:
         """Runs the kernels for all active rovers: a control step's physics, and the lidar."""

@@ -83,6 +83,8 @@ def test_points_are_on_the_boxes_and_none_is_inside_another():
         ('<mass value="1.25"/>', '<mass value="1.5"/>', "its wheels are not alike"),
         ('name="front_left_wheel"', 'name="wheel"', "it has no wheel joint 'front_left_wheel'"),
         ("</robot>", "", "no element found"),
+        ('<axis xyz="0 1 0"/>', '<axis xyz="0 -1 0"/>', r"wheel joint 'front_left_wheel' must turn about \+y"),
+        ('<origin xyz="-0.004 0 0.163"/>', '<origin xyz="-0.004 0 0.163" rpy="0 0 1"/>', "must be along its own axes"),
     ],
 )
 def test_what_it_cannot_drive_is_refused_with_a_reason(tmp_path, old, new, message):

@@ -52,6 +52,17 @@ def test_it_agrees_with_bullets_rays(name):
     assert ((found == 0).all(1) == (expected == 0).all(1)).all()
 
 
+@pytest.mark.parametrize("beams", [8, 20, 100])
+@pytest.mark.parametrize("name", WORLDS)
+def test_few_beams_see_what_many_do(name, beams):
+    world = get_world(name)
+    position, rotation = poses(world, 64)
+    few, many = (warp_scan(world, position, rotation, count) for count in (beams, 8 * beams))
+    reach = ROVER.lidar_range
+    wrong = np.abs(np.minimum(few, reach) - np.minimum(many[:, ::8], reach)) > 0.01
+    assert wrong.mean() <= 0.001
+
+
 @pytest.mark.parametrize("name", WORLDS)
 def test_it_agrees_with_a_plain_lidar(name):
     world = get_world(name)

@@ -60,7 +60,7 @@ def drive_motors(
     turn = wp.vec3(body.inverse_inertia[0, 1], body.inverse_inertia[1, 1], body.inverse_inertia[2, 1])
     mass = 1.0 / (body.inverse_spin + turn[1])
     for wheel in range(rover.wheels):
-        speed = wp.where(rover.hubs[wheel][1] > 0.0, speeds[0], speeds[1])
+        speed = wp.where(wheel < rover.left_wheels, speeds[0], speeds[1])
         before = motors[wheel]
         after = wp.clamp(before + mass * (speed - (spins[wheel] - body.angular_velocity[1])), -most, most)
         motors[wheel] = after
@@ -200,17 +200,16 @@ def tell(rover: Rover, rovers: Rovers, row: int):
     right = float(0.0)
     for wheel in range(rover.wheels):
         speed = rovers.spins[row, wheel] - pitching
-        if rover.hubs[wheel][1] > 0.0:
+        if wheel < rover.left_wheels:
             left += speed
         else:
             right += speed
-    side = 0.5 * float(rover.wheels)
     for n in range(3):
         rovers.body[row, n] = base[n]
     for n in range(4):
         rovers.body[row, 3 + n] = orientation[n]
-    rovers.body[row, 7] = left / side
-    rovers.body[row, 8] = right / side
+    rovers.body[row, 7] = left / float(rover.left_wheels)
+    rovers.body[row, 8] = right / float(rover.wheels - rover.left_wheels)
 
 
 @wp.kernel

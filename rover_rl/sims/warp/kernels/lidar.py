@@ -209,9 +209,11 @@ def look_out(ranges: wp.array2d[float], row: int, count: int, farthest: wp.array
     most = float(0.0)
     for sector in range(SECTORS):
         seen = float(0.0)
-        last = (sector + 1) * count // SECTORS - 1
+        # The beams whose directions are in the sector.
+        first = (sector * count + SECTORS - 1) // SECTORS
+        last = ((sector + 1) * count + SECTORS - 1) // SECTORS - 1
         # Four at once, as each would wait for the one before.
-        for beam in range(sector * count // SECTORS, last + 1, 4):
+        for beam in range(first, last + 1, 4):
             one = wp.max(ranges[row, beam], ranges[row, wp.min(beam + 1, last)])
             two = wp.max(ranges[row, wp.min(beam + 2, last)], ranges[row, wp.min(beam + 3, last)])
             seen = wp.max(seen, wp.max(one, two))

@@ -46,6 +46,8 @@ class Rover:
     """A robot: what all rovers have in common. Positions (m) are in its base frame."""
 
     wheels: int
+    # Those of the left side come first.
+    left_wheels: int
     wheel_radius: float
     wheel_half_width: float
     wheel_inertia: float
@@ -54,7 +56,7 @@ class Rover:
     box_centers: wp.array[wp.vec3]
     box_halves: wp.array[wp.vec3]
     points: wp.array[wp.vec3]
-    # No part of the rover is farther from its centre of mass than this.
+    # No part of the rover is farther from its centre of mass than this, whatever its chassis weighs.
     reach: float
     lidar: wp.vec3
     lidar_range: float
