@@ -51,7 +51,8 @@ class ActionRepeat(Transform):
         total = self._tally(next_tensordict, active)
         for _ in range(self.repeat - 1):
             active = active & ~next_tensordict.get("done")
-            if not active.any():
+            # On the host a look is cheap and may spare the rest; on an accelerator it would wait for the device.
+            if active.device.type == "cpu" and not active.any():
                 break
             rows = active.reshape(tensordict.batch_size)
             next_tensordict = self.parent._step(tensordict.copy().set("_step", rows))

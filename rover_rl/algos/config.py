@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -58,6 +59,8 @@ class TrainingConfig:
     """What makes the rollouts: Bullet in processes of this machine; Warp in threads of this one, about twenty times as
     fast (extra warp); or Bullet on the machines of a Ray cluster (the one that RAY_ADDRESS names or that runs here,
     else a new one on this machine; extra ray)."""
+    device: str = "cpu"
+    """Where rovers drive and networks learn: cpu, or with Warp cuda, or cuda:1 for the second GPU."""
     physics: Physics = "default"
     """Preset of Bullet's physics: see docs/physics.md."""
     randomize: bool = False
@@ -110,6 +113,11 @@ class TrainingConfig:
         return self.workers or default_workers(self.num_envs, 1 if self.backend == "warp" else None)
 
     @property
+    def on_gpu(self) -> bool:
+        """Whether the training is on a GPU."""
+        return self.device != "cpu"
+
+    @property
     def rovers_each(self) -> int:
         """Rovers of each process."""
         return self.num_envs // self.processes
@@ -142,6 +150,12 @@ class TrainingConfig:
                 raise ValueError(f"{name} must be one of {allowed}, got {getattr(self, name)!r}")
         if self.backend == "warp" and self.physics != "default":
             raise ValueError(f"presets of the physics are Bullet's: backend='warp' has no physics={self.physics!r}")
+        if not re.fullmatch(r"cpu|cuda(:\d+)?", self.device):
+            raise ValueError(f"device must be cpu, cuda or cuda: and a number, got {self.device!r}")
+        if self.on_gpu and (self.backend != "warp" or self.processes > 1):
+            raise ValueError(
+                f"device={self.device!r} needs backend='warp' and workers=1, got {self.backend!r} and {self.processes}"
+            )
         if not self.hidden or min(self.hidden) < 1:
             raise ValueError(f"hidden must name at least one layer of at least 1 unit, got {self.hidden}")
         unknown = [key for key in self.observation if key not in OBSERVATION_KEYS]
@@ -274,7 +288,7 @@ def experiments(configs: Sequence[TrainingConfig]) -> list[str]:
     return names
 
 
-_OF_A_RUN = ("seed", "name", "runs", "backend", "workers", "checkpoint_minutes", "snapshots")
+_OF_A_RUN = ("seed", "name", "runs", "backend", "device", "workers", "checkpoint_minutes", "snapshots")
 """Settings that say nothing of what is learned, or how."""
 
 

@@ -46,15 +46,18 @@ class Guide:
     Args:
         world: where rovers drive.
         robot: that has to fit.
+        device: where observations are; ``None``: the CPU.
     """
 
-    def __init__(self, world: World, robot: Robot) -> None:
-        self._space = space = free_space(world, robot)
+    def __init__(self, world: World, robot: Robot, device: torch.device | str | None = None) -> None:
+        space = free_space(world, robot)
         blocks = torch.unique((space.goal_cells / ANCHORS).round(), dim=0) * ANCHORS
-        self._anchors = space.goal_cells[torch.cdist(blocks, space.goal_cells).argmin(-1)].float()
-        self._fields = distance_fields(world, robot, self._anchors, CAUTION)
-        self._origin = torch.tensor(space.origin)
-        angles = torch.arange(DIRECTIONS) * (2 * math.pi / DIRECTIONS)
+        anchors = space.goal_cells[torch.cdist(blocks, space.goal_cells).argmin(-1)].float()
+        self._fields = distance_fields(world, robot, anchors, CAUTION).to(device)
+        self._anchors = anchors.to(device)
+        self._space = space.to(device)
+        self._origin = torch.tensor(space.origin, device=device)
+        angles = torch.arange(DIRECTIONS, device=device) * (2 * math.pi / DIRECTIONS)
         self._angles, self._directions = angles, torch.stack((angles.cos(), angles.sin()), -1)
 
     def path_length(self, observation: TensorDictBase) -> Tensor:
@@ -67,7 +70,7 @@ class Guide:
     def action(self, observation: TensorDictBase) -> Tensor:
         """Follows the way, ``[N, 2]``: forward speed (m/s) and heading offset (rad)."""
         anchor, position = self._anchor(observation)[:, None], observation["pose"][:, None, :2]
-        length = torch.zeros(len(anchor), DIRECTIONS)
+        length = position.new_zeros(len(anchor), DIRECTIONS)
         for distance in LOOK_AHEAD:
             there = position + distance * self._directions
             length += self._length(anchor, there) + BLOCKED * ~self._space.contains(there)
@@ -95,12 +98,15 @@ class Guides:
     Args:
         worlds: the world of each row.
         robot: that has to fit.
+        device: where observations are; ``None``: the CPU.
     """
 
-    def __init__(self, worlds: Sequence[World], robot: Robot) -> None:
+    def __init__(self, worlds: Sequence[World], robot: Robot, device: torch.device | str | None = None) -> None:
         places = dict.fromkeys(worlds)
-        self._guides = [Guide(world, robot) for world in places]
-        self._rows = [torch.tensor([row for row, world in enumerate(worlds) if world is place]) for place in places]
+        self._guides = [Guide(world, robot, device) for world in places]
+        rows = [torch.tensor([row for row, world in enumerate(worlds) if world is place]) for place in places]
+        self._rows = [some.to(device) for some in rows]
+        self._order = torch.cat(rows).argsort().to(device)
 
     def path_length(self, observation: TensorDictBase) -> Tensor:
         """As :meth:`Guide.path_length`, for observations ``[N, ...]``: float32 ``[N, ..., 1]``."""
@@ -115,4 +121,4 @@ class Guides:
         for guide, rows in zip(self._guides, self._rows, strict=True):
             some = observation[rows]
             told.append(question(guide, some.reshape(-1)).unflatten(0, some.batch_size))
-        return torch.cat(told)[torch.cat(self._rows).argsort()]
+        return torch.cat(told)[self._order]

@@ -29,7 +29,7 @@ class PathReward(Transform):
 
     def __init__(self, env: RoverEnv, weight: float) -> None:
         super().__init__()
-        self._guides = Guides(env.worlds, env.robot)
+        self._guides = Guides(env.worlds, env.robot, env.device)
         self._weight = weight
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:

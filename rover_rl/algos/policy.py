@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 
 import torch
 from tensordict import TensorDictBase
@@ -23,9 +24,9 @@ WAVELENGTHS = (64.0, 16.0, 4.0)
 """Lengths in metres over which the features of a position repeat: the largest world is 64 m wide."""
 
 
-def action_spec(reverse: bool = True) -> Bounded:
+def action_spec(reverse: bool = True, device: torch.device | str | None = None) -> Bounded:
     """Actions of one rover, ``[2]``: the contract's, or those of them that do not drive backwards."""
-    return bounded_spec(ACTION if reverse else FORWARD, 1, None)[0]
+    return bounded_spec(ACTION if reverse else FORWARD, 1, device)[0]
 
 
 def middle_and_half(spec: Bounded) -> tuple[Tensor, Tensor]:
@@ -136,6 +137,7 @@ def make_actor(
     hidden: Sequence[int] = (128, 128),
     reverse: bool = True,
     spread: float = 2.0,
+    device: torch.device | str | None = None,
 ) -> ProbabilisticActor:
     """A stochastic policy, the same for PPO and SAC: a normal distribution squashed to the action's bounds.
 
@@ -144,6 +146,7 @@ def make_actor(
         hidden: units of each hidden layer.
         reverse: whether it may drive backwards.
         spread: largest standard deviation of the normal distribution.
+        device: where the policy is; ``None``: the CPU.
 
     Returns:
         A module from observation to ``action [..., 2]`` and ``action_log_prob [...]``. It takes the middle of
@@ -155,11 +158,11 @@ def make_actor(
         >>> actor(env.reset())["action"].shape
         torch.Size([2, 2])
     """
-    encoder, spec = encoder or ObservationEncoder(), action_spec(reverse)
+    encoder, spec = encoder or ObservationEncoder(), action_spec(reverse, device)
     # Small last weights: the first actions lie around the middle of their bounds, whatever is seen.
     body = _mlp(encoder.features, hidden, 2 * spec.shape[-1], gain=0.01)
     network = EncodedNetwork(encoder, nn.Sequential(body, NormalParameters(spread)))
-    return _actor(network, encoder.keys, spec)
+    return _actor(network.to(device), encoder.keys, spec)
 
 
 def on_features(actor: ProbabilisticActor) -> ProbabilisticActor:
@@ -200,21 +203,33 @@ class NormalParameters(nn.Module):
         return loc, self.LEAST + (self.most - self.LEAST) * scale.sigmoid()
 
 
-def make_critic(encoder: ObservationEncoder | None = None, hidden: Sequence[int] = (128, 128)) -> ValueOperator:
+def make_critic(
+    encoder: ObservationEncoder | None = None,
+    hidden: Sequence[int] = (128, 128),
+    device: torch.device | str | None = None,
+) -> ValueOperator:
     """A state-value function: from observation to ``state_value [..., 1]``. Arguments as :func:`make_actor`."""
     encoder = encoder or ObservationEncoder()
-    return ValueOperator(EncodedNetwork(encoder, _mlp(encoder.features, hidden, 1, gain=1.0)), in_keys=[*encoder.keys])
+    network = EncodedNetwork(encoder, _mlp(encoder.features, hidden, 1, gain=1.0))
+    return ValueOperator(network.to(device), in_keys=[*encoder.keys])
 
 
-def make_action_critic(features: int, hidden: Sequence[int] = (128, 128), reverse: bool = True) -> ValueOperator:
+def make_action_critic(
+    features: int,
+    hidden: Sequence[int] = (128, 128),
+    reverse: bool = True,
+    device: torch.device | str | None = None,
+) -> ValueOperator:
     """An action-value function: from ``features [..., n]`` and action to ``state_action_value [..., 1]``.
 
     Args:
         features: n, that an :class:`ObservationEncoder` makes of the observation.
         hidden: units of each hidden layer.
         reverse: whether actions may drive backwards.
+        device: where the network is; ``None``: the CPU.
     """
-    return ValueOperator(_ActionCritic(features, hidden, action_spec(reverse)), in_keys=["features", "action"])
+    network = _ActionCritic(features, hidden, action_spec(reverse))
+    return ValueOperator(network.to(device), in_keys=["features", "action"])
 
 
 class _ActionCritic(nn.Module):
@@ -244,13 +259,13 @@ def _mlp(features: int, hidden: Sequence[int], outputs: int, gain: float) -> MLP
     return mlp
 
 
-_MIRROR = {
-    "imu": torch.tensor((1.0, -1.0, -1.0)),
-    "target": torch.tensor((1.0, -1.0)),
-    "velocities": torch.tensor((1.0, -1.0)),
-    "action": torch.tensor((1.0, -1.0)),
-}
+_MIRROR = {"imu": (1.0, -1.0, -1.0), "target": (1.0, -1.0), "velocities": (1.0, -1.0), "action": (1.0, -1.0)}
 """Signs of the mirror image: left and right swap, so that roll, yaw and angles turn round."""
+
+
+@cache
+def _mirror_signs(device: torch.device) -> dict[str, Tensor]:
+    return {key: torch.tensor(signs, device=device) for key, signs in _MIRROR.items()}
 
 
 def mirrored(decisions: TensorDictBase, rows: Tensor) -> TensorDictBase:
@@ -264,9 +279,9 @@ def mirrored(decisions: TensorDictBase, rows: Tensor) -> TensorDictBase:
     for part in (image, image.get("next", None)):
         if part is None:
             continue
-        for key, signs in _MIRROR.items():
+        for key, signs in _mirror_signs(rows.device).items():
             if (value := part.get(key, None)) is not None:
-                part.set(key, torch.where(rows, value * signs.to(value.device), value))
+                part.set(key, torch.where(rows, value * signs, value))
         if (ranges := part.get("lidar", None)) is not None:
             part.set("lidar", torch.where(rows, ranges.flip(-1), ranges))
     return image

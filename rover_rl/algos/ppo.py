@@ -74,9 +74,9 @@ class PPOLearner:
 
     def __init__(self, config: PPOConfig) -> None:
         self.config = config
-        encoder = ObservationEncoder(config.observation, LIDAR_POINTS, config.north_up)
-        self.actor = make_actor(encoder, config.hidden, config.reverse, config.spread)
-        self.critic = make_critic(encoder, config.hidden)
+        encoder, device = ObservationEncoder(config.observation, LIDAR_POINTS, config.north_up), config.device
+        self.actor = make_actor(encoder, config.hidden, config.reverse, config.spread, device)
+        self.critic = make_critic(encoder, config.hidden, device)
         self._advantage = GAE(gamma=config.gamma, lmbda=config.lmbda, value_network=self.critic, average_gae=True)
         self._loss = ClipPPOLoss(
             self.actor,
@@ -87,7 +87,7 @@ class PPOLearner:
             loss_critic_type="l2",
         )
         self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=config.learning_rate)
-        self._guides = Guides(rows_in_worlds(config), get_robot("rover_zero")) if config.imitation else None
+        self._guides = Guides(rows_in_worlds(config), get_robot("rover_zero"), device) if config.imitation else None
         self._learned_from = (*config.observation, "action", "action_log_prob", "advantage", "value_target")
 
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
@@ -110,12 +110,14 @@ class PPOLearner:
             gradient_step = self._imitation_step
         steps = []
         for _ in range(self.config.epochs):
-            shuffled = decisions[torch.randperm(len(decisions))]
+            shuffled = decisions[torch.randperm(len(decisions), device=self.config.device)]
             if self.config.mirror:
-                shuffled = mirrored(shuffled, torch.rand(len(shuffled)) < 0.5)
+                shuffled = mirrored(shuffled, torch.rand(len(shuffled), device=self.config.device) < 0.5)
             with stopwatch("gradient steps"):
                 steps += [gradient_step(part) for part in shuffled.split(self.config.minibatch)]
-        means = torch.stack(steps).mean(0).tolist()
+        with stopwatch("gradient steps"):
+            # Waits for those that a GPU is still at.
+            means = torch.stack(steps).mean(0).tolist()
         return {"gradient_steps": len(steps), "learning_rate": learning_rate, **dict(zip(LOGGED, means, strict=True))}
 
     def _gradient_step(self, decisions: TensorDictBase) -> Tensor:
@@ -132,7 +134,7 @@ class PPOLearner:
 
     def _within_reach(self, action: Tensor) -> Tensor:
         """Actions drawn in from the policy's bounds, which a squashed normal distribution does not reach."""
-        middle, half = middle_and_half(action_spec(self.config.reverse))
+        middle, half = middle_and_half(action_spec(self.config.reverse, self.config.device))
         return middle + 0.95 * torch.minimum(torch.maximum(action - middle, -half), half)
 
     def _descend(self, loss: Tensor) -> None:

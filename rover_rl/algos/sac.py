@@ -77,22 +77,23 @@ class SACLearner:
     def __init__(self, config: SACConfig) -> None:
         self.config = config
         self._encoder = ObservationEncoder(config.observation, LIDAR_POINTS, config.north_up)
-        spec = action_spec(config.reverse)
-        self.actor = make_actor(self._encoder, config.hidden, config.reverse, config.spread)
+        spec = action_spec(config.reverse, config.device)
+        self.actor = make_actor(self._encoder, config.hidden, config.reverse, config.spread, config.device)
         self._loss = SACLoss(
             on_features(self.actor),
-            make_action_critic(self._encoder.features, config.hidden, config.reverse),
+            make_action_critic(self._encoder.features, config.hidden, config.reverse, config.device),
             num_qvalue_nets=2,
             loss_function="l2",
             action_spec=spec,
             alpha_init=config.alpha,
             # TorchRL's entropy is that of actions in their own units, whose range is wider by this factor.
             target_entropy=config.target_entropy + math.log(middle_and_half(spec)[1].prod().item()),
-        )
+        ).to(config.device)
         self._loss.make_value_estimator(gamma=config.gamma)
         self._slow_copies = SoftUpdate(self._loss, tau=config.tau)
         self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=config.learning_rate, fused=True)
-        self._memory = ReplayBuffer(storage=LazyTensorStorage(config.buffer), batch_size=config.minibatch)
+        storage = LazyTensorStorage(config.buffer, device=config.device)
+        self._memory = ReplayBuffer(storage=storage, batch_size=config.minibatch)
         self._due = 0.0
         after = ("reward", "done", "terminated", *config.observation)
         self._learned_from = (*config.observation, "action", *(("next", key) for key in after))
@@ -116,12 +117,13 @@ class SACLearner:
         count, self._due = int(self._due), self._due % 1
         with stopwatch("gradient steps"):
             steps = [self._gradient_step(self._memory.sample()) for _ in range(count)]
-        means = torch.stack(steps).mean(0).tolist() if steps else [math.nan] * len(LOGGED)
+            # Waits for those that a GPU is still at.
+            means = torch.stack(steps).mean(0).tolist() if steps else [math.nan] * len(LOGGED)
         return {"gradient_steps": count, "learning_rate": learning_rate, **dict(zip(LOGGED, means, strict=True))}
 
     def _gradient_step(self, decisions: TensorDictBase) -> Tensor:
         if self.config.mirror:
-            decisions = mirrored(decisions, torch.rand(len(decisions)) < 0.5)
+            decisions = mirrored(decisions, torch.rand(len(decisions), device=self.config.device) < 0.5)
         # Once, for all networks that see them.
         for seen in (decisions, decisions["next"]):
             seen["features"] = self._encoder(*(seen[key] for key in self._encoder.keys))

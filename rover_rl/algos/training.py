@@ -119,6 +119,8 @@ class TrainingRun:
             self._session = state["session"] + 1
             self.learner.load_state_dict(state["learner"])
             torch.set_rng_state(state["random"])
+            if self.config.on_gpu:
+                torch.cuda.set_rng_state(state["random_on_gpu"], self.config.device)
         except (RuntimeError, ValueError, KeyError, TypeError) as error:
             raise ValueError("the run's training state does not fit its settings") from error
 
@@ -194,7 +196,8 @@ class TrainingRun:
             self._save()
 
     def _checkpoint(self) -> Checkpoint:
-        weights = {name: value.detach().clone() for name, value in self.learner.actor.state_dict().items()}
+        state = self.learner.actor.state_dict()
+        weights = {name: value.detach().to("cpu", copy=True) for name, value in state.items()}
         return Checkpoint(config=self.config, lidar_points=LIDAR_POINTS, steps=self.steps, actor=weights)
 
     def _save(self) -> None:
@@ -208,6 +211,8 @@ class TrainingRun:
             "learner": self.learner.state_dict(),
             "random": torch.get_rng_state(),
         }
+        if self.config.on_gpu:
+            state["random_on_gpu"] = torch.cuda.get_rng_state(self.config.device)
         save_state(self.folder / _STATE, state)
 
 
@@ -228,6 +233,11 @@ def prepare(config: _Config) -> _Config:
     config.check()
     for world in config.worlds:
         get_world(world)
+    if config.on_gpu and not torch.cuda.is_available():
+        raise ValueError(
+            f"device={config.device!r} needs a GPU of NVIDIA's and a PyTorch built for CUDA; "
+            f"PyTorch {torch.__version__} sees none"
+        )
     cores = None
     if config.backend == "ray":
         # Before a TrainingRun takes over SIGTERM, which Ray does, too.

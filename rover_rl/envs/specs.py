@@ -34,14 +34,14 @@ def observation_bounds(lidar_points: int, max_lidar_range: float) -> dict[str, B
     }
 
 
-def bounded_spec(bounds: Bounds, num_envs: int, device: torch.device | None) -> Bounded:
+def bounded_spec(bounds: Bounds, num_envs: int, device: torch.device | str | None) -> Bounded:
     """A float32 spec ``[N, features]``."""
     low, high = (torch.tensor(side, device=device).expand(num_envs, -1) for side in (bounds.low, bounds.high))
     return Bounded(low=low.clone(), high=high.clone(), dtype=torch.float32, device=device)
 
 
 def observation_spec(
-    lidar_points: int, max_lidar_range: float, num_envs: int, device: torch.device | None
+    lidar_points: int, max_lidar_range: float, num_envs: int, device: torch.device | str | None
 ) -> Composite:
     """The observation and the nested ``outcome``."""
     observation = {
@@ -51,7 +51,7 @@ def observation_spec(
     return Composite(**observation, outcome=_outcome_spec(num_envs, device), shape=(num_envs,), device=device)
 
 
-def done_spec(num_envs: int, device: torch.device | None) -> Composite:
+def done_spec(num_envs: int, device: torch.device | str | None) -> Composite:
     """``done``, ``terminated`` and ``truncated``, bool ``[N, 1]``."""
     keys = ("done", "terminated", "truncated")
     return Composite(
@@ -61,12 +61,12 @@ def done_spec(num_envs: int, device: torch.device | None) -> Composite:
     )
 
 
-def reward_spec(num_envs: int, device: torch.device | None) -> Unbounded:
+def reward_spec(num_envs: int, device: torch.device | str | None) -> Unbounded:
     """One float32 a row, ``[N, 1]``."""
     return Unbounded(shape=(num_envs, 1), dtype=torch.float32, device=device)
 
 
-def _outcome_spec(num_envs: int, device: torch.device | None) -> Composite:
+def _outcome_spec(num_envs: int, device: torch.device | str | None) -> Composite:
     shape = (num_envs, 1)
     return Composite(
         **{event: _flag(num_envs, device) for event in EVENTS},
@@ -82,5 +82,5 @@ def _outcome_spec(num_envs: int, device: torch.device | None) -> Composite:
     )
 
 
-def _flag(num_envs: int, device: torch.device | None) -> Binary:
+def _flag(num_envs: int, device: torch.device | str | None) -> Binary:
     return Binary(n=1, shape=(num_envs, 1), dtype=torch.bool, device=device)

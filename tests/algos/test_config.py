@@ -118,6 +118,20 @@ def test_warp_is_in_one_process_by_default_and_has_no_presets_of_bullets() -> No
         PPOConfig(backend="warp", physics="fast").check()
 
 
+def test_a_gpu_is_for_warp_in_one_process():
+    for device in ("cuda", "cuda:1"):
+        config = PPOConfig(backend="warp", device=device)
+        config.check()
+        assert config.on_gpu
+    assert not PPOConfig().on_gpu
+    for wrong in (PPOConfig(device="cuda"), PPOConfig(backend="warp", device="cuda", workers=2)):
+        with pytest.raises(ValueError, match=r"device='cuda' needs backend='warp' and workers=1"):
+            wrong.check()
+    for device in ("gpu", "cuda:", "cuda:x", ""):
+        with pytest.raises(ValueError, match="device must be cpu, cuda or cuda: and a number"):
+            PPOConfig(backend="warp", device=device).check()
+
+
 def test_default_workers_share_the_rovers_equally() -> None:
     assert default_workers(1) == 1
     assert 64 % default_workers(64) == 0

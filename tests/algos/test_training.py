@@ -349,3 +349,25 @@ def wait_until(condition: Callable[[], bool], process: subprocess.Popen[bytes]) 
         assert process.poll() is None
         assert time.monotonic() < latest
         time.sleep(0.05)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
+def test_a_gpu_that_is_not_there_is_told_of_in_words(tmp_path: Path) -> None:
+    config = replace(PPO, backend="warp", device="cuda", runs=str(tmp_path))
+    with pytest.raises(ValueError, match=r"device='cuda' needs a GPU of NVIDIA's and a PyTorch built for CUDA"):
+        train(config)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+@BOTH
+def test_training_on_a_gpu_goes_on_where_it_was(config: TrainingConfig, tmp_path: Path) -> None:
+    config = replace(config, backend="warp", device="cuda", runs=str(tmp_path))
+    first = train(replace(config, total_steps=256))
+    again = train(replace(config, total_steps=512, name=first.folder.name), first.folder)
+    assert (first.steps, again.steps) == (256, 512)
+    assert (
+        len(evaluate(Checkpoint.load(again.checkpoint).make_actor(), draw_episodes("maze", 2, 0), seconds=1).endings)
+        == 2
+    )

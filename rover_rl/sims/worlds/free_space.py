@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -69,6 +70,12 @@ class FreeSpace:
     spawn_heading_counts: Tensor
     goal_cells: Tensor
     goal_extremes: Tensor
+
+    def to(self, device: torch.device | str | None) -> FreeSpace:
+        """The same, with tensors on ``device``; ``None``: the CPU."""
+        tensors = ("passable", "spawn_cells", "spawn_headings", "spawn_heading_counts", "goal_cells", "goal_extremes")
+        moved: dict[str, Any] = {name: getattr(self, name).to(device or "cpu") for name in tensors}
+        return replace(self, **moved)
 
     def contains(self, xy: Tensor) -> Tensor:
         """Whether the rover's centre may be at points ``xy [..., 2]`` (m): bool ``[...]``."""

@@ -89,9 +89,20 @@ class Terrain:
         normal = torch.stack((-slope_x, -slope_y, torch.ones_like(slope_x)), -1)
         return normal / normal.norm(dim=-1, keepdim=True)
 
+    def _heights_as(self, other: Tensor) -> Tensor:
+        """The heights with the dtype and on the device of ``other``, converted once."""
+        kind = (other.dtype, other.device)
+        if kind not in self._copies:
+            self._copies[kind] = self.heights.to(device=other.device, dtype=other.dtype)
+        return self._copies[kind]
+
+    @cached_property
+    def _copies(self) -> dict[tuple[torch.dtype, torch.device], Tensor]:
+        return {}
+
     def _plane_at(self, xy: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Height and slopes (dz/dx, dz/dy) of the triangle under each point."""
-        heights = self.heights.to(device=xy.device, dtype=xy.dtype)
+        heights = self._heights_as(xy)
         rows, columns = heights.shape
         x, y = self.origin
         u = ((xy[..., 0] - x) / self.cell).clamp(0, columns - 1)

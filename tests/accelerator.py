@@ -1,0 +1,121 @@
+"""A GPU that is none: a device of its own for PyTorch, whose tensors are really the CPU's.
+
+As on a GPU, tensors of two devices cannot meet, and what looks at values waits for the device. What is worked out is
+exactly what the CPU works out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.utils import backend_registration
+from torch.utils._python_dispatch import TorchDispatchMode, return_and_correct_aliasing
+from torch.utils._pytree import tree_flatten, tree_map
+
+_NAME = "pretended"
+_LOOKS = {"_local_scalar_dense", "nonzero", "equal", "allclose", "masked_select", "unique", "_unique2", "unique_dim"}
+"""Operators whose result, or its shape, the host has to wait for."""
+_COPIES = {"copy_", "_to_copy"}
+"""Operators that may be given tensors of two devices; they wait where they copy to the host."""
+_INDEXES = {"index", "index_put_", "_index_put_impl_", "index_put"}
+"""Operators that take the host's indices."""
+
+
+class OnAccelerator(Tensor):
+    """A tensor that says to be on the accelerator, and has its values in ``host``."""
+
+    host: Tensor
+
+    @staticmethod
+    def __new__(cls, host: Tensor) -> OnAccelerator:
+        wrapped = Tensor._make_wrapper_subclass(  # type: ignore[attr-defined]
+            cls,
+            host.size(),
+            strides=host.stride(),
+            storage_offset=host.storage_offset(),
+            dtype=host.dtype,
+            device=torch.device(_NAME, 0),
+            requires_grad=host.requires_grad,
+        )
+        wrapped.host = host
+        return wrapped
+
+    def __repr__(self) -> str:  # type: ignore[override]
+        return f"OnAccelerator({self.host})"
+
+    def tolist(self) -> Any:
+        return self.to("cpu").tolist()
+
+    @classmethod
+    def __torch_dispatch__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        raise RuntimeError("the accelerator is switched off")
+
+
+class Accelerator(TorchDispatchMode):
+    """While it is on, there is the device ``pretended:0``.
+
+    Attributes:
+        device: its name for PyTorch.
+        looks: operators that have made the host wait for it.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.device = torch.device(_NAME, 0)
+        self.looks: list[str] = []
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        kwargs = dict(kwargs or {})
+        name = func.overloadpacket.__name__
+        tensors = [value for value in tree_flatten((args, kwargs))[0] if isinstance(value, Tensor)]
+        there = [tensor for tensor in tensors if isinstance(tensor, OnAccelerator)]
+        here = [tensor for tensor in tensors if not isinstance(tensor, OnAccelerator) and tensor.ndim]
+        if there and here and name not in _COPIES | _INDEXES:
+            raise RuntimeError(f"{name} was given tensors of two devices")
+        given = kwargs.get("device")
+        onto = bool(there) if given is None else torch.device(given).type == _NAME
+        if name == "copy_":
+            onto = isinstance(args[0], OnAccelerator)
+        if there and (name in _LOOKS or not onto or _by_mask(name, args)):
+            self.looks.append(name)
+        if given is not None and onto:
+            kwargs["device"] = torch.device("cpu")
+        out = func(*tree_map(_on_host, args), **tree_map(_on_host, kwargs))
+        if onto:
+            return return_and_correct_aliasing(func, args, kwargs, tree_map(_on_accelerator, out))
+        # What is copied into is given back itself.
+        return args[0] if name == "copy_" else out
+
+
+def _by_mask(name: str, args: Any) -> bool:
+    """Whether an index is a mask: its true entries have to be counted."""
+    return name == "index" and any(index is not None and index.dtype == torch.bool for index in args[1])
+
+
+def _on_host(value: Any) -> Any:
+    return value.host if isinstance(value, OnAccelerator) else value
+
+
+def _on_accelerator(value: Any) -> Any:
+    return OnAccelerator(value) if isinstance(value, Tensor) and not isinstance(value, OnAccelerator) else value
+
+
+class _Module(backend_registration._DummyBackendModule):  # type: ignore[misc]
+    """What stands for ``torch.cuda``."""
+
+    def synchronize(self, device: Any = None) -> None: ...
+
+
+@contextmanager
+def accelerator() -> Iterator[Accelerator]:
+    """Switches the device on, once in a process and before its first gradient: take a process of its own for it."""
+    backend_registration._setup_privateuseone_for_python_backend(_NAME, _Module())
+    # Else ``torch.tensor(..., device=...)`` would make its storage before the mode is asked.
+    torch._C._set_only_lift_cpu_tensors(True)
+    with Accelerator() as mode:
+        yield mode
+    torch._C._set_only_lift_cpu_tensors(False)
