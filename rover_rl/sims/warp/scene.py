@@ -16,6 +16,10 @@ from rover_rl.sims.worlds import Obstacle, World
 
 BLOCK = 1.5
 """Side of a block of ground, m, about."""
+MOST_CELLS = 30
+"""Cells along a side of a block: of their corners, kernels keep a bit each in a whole number."""
+ROUNDING = 1e-4
+"""Metres by which single precision may be off."""
 NEAR_CELL = 1.0
 """Side of a cell of the grid that obstacles are found by, m."""
 
@@ -28,8 +32,8 @@ def make_scene(world: World, reach: float, device: wp.Device) -> Scene:
     scene.heights = wp.array(heights, dtype=float, device=device)
     scene.corner = wp.vec2(*terrain.origin)
     scene.cell = terrain.cell
-    scene.block = max(1, round(BLOCK / terrain.cell))
-    scene.blocks = wp.array(_blocks(heights, scene.block), dtype=wp.vec2, device=device)
+    scene.block = min(max(1, round(BLOCK / terrain.cell)), MOST_CELLS)
+    scene.blocks = wp.array(_blocks(heights, scene.block, terrain.cell), dtype=wp.vec4, device=device)
     _add_obstacles(scene, world.obstacles, device)
     _add_near(scene, world, reach, device)
     return scene
@@ -69,14 +73,24 @@ def reach_of(robot: Robot, figures: Figures) -> float:
     return float(np.concatenate((hubs, boxes)).max()) + 0.01
 
 
-def _blocks(heights: np.ndarray, block: int) -> np.ndarray:
-    """Least and greatest height of each block of cells, their border included: ``[rows, columns, 2]``."""
-    starts = [np.arange(0, count - 1, block) for count in heights.shape]
-    bounds = []
-    for extreme in (np.minimum, np.maximum):
-        across = np.stack([extreme.reduce(heights[j : j + block + 1]) for j in starts[0]])
-        bounds.append(np.stack([extreme.reduce(across[:, i : i + block + 1], axis=1) for i in starts[1]], 1))
-    return np.stack(bounds, -1).astype(np.float32)
+def _blocks(heights: np.ndarray, block: int, cell: float) -> np.ndarray:
+    """Planes that follow the ground of each block of cells, their border included: ``[rows, columns, 4]``.
+
+    Of each: slopes along x and y, and the least and the greatest height that it must have at the middle of the block
+    for the ground to lie above or below it.
+    """
+    rows, columns = (range(0, count - 1, block) for count in heights.shape)
+    planes = np.empty((len(rows), len(columns), 4))
+    for j, i in np.ndindex(len(rows), len(columns)):
+        ground = heights[rows[j] : rows[j] + block + 1, columns[i] : columns[i] + block + 1].astype(float)
+        y, x = ((np.arange(count) - block / 2) * cell for count in ground.shape)
+        # Least squares on a grid: the slopes are regressions of their own.
+        arm_x, arm_y = x - x.mean(), y - y.mean()
+        slope_x = (ground * arm_x).mean() / (arm_x**2).mean()
+        slope_y = (ground * arm_y[:, None]).mean() / (arm_y**2).mean()
+        level = ground - slope_x * x - slope_y * y[:, None]
+        planes[j, i] = slope_x, slope_y, level.min() - ROUNDING, level.max() + ROUNDING
+    return planes.astype(np.float32)
 
 
 def _add_obstacles(scene: Scene, obstacles: Iterable[Obstacle], device: wp.Device) -> None:

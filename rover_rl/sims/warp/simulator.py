@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import groupby
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 ROWS_A_THREAD = 16
 """Rovers that another thread of the CPU is worth."""
+BLOCK_THREADS = 32
+"""Of a GPU, one warp: a few thousand rovers are spread over all multiprocessors. A CPU has no blocks."""
 
 
 class WarpSimulator:
@@ -84,6 +86,12 @@ class WarpSimulator:
     def _wp_device(self) -> wp.Device:
         return wp.device_from_torch(self.device)
 
+    @property
+    def _where(self) -> dict[str, Any]:
+        """Arguments of every launch."""
+        blocks = {"block_dim": BLOCK_THREADS} if self.device.type == "cuda" else {}
+        return {"device": self._wp_device, **blocks}
+
     def _record(self, beams: wp.array) -> list[_Shard]:
         """The launches of each thread: a part of the rovers of every world."""
         threads = self.settings.threads or torch.get_num_threads()
@@ -95,7 +103,7 @@ class WarpSimulator:
             scene = make_scene(world, self._rover.reach, self._wp_device)
             ends = np.linspace(rows.start, rows.stop, len(shards) + 1).astype(int).tolist()
             for shard, first, last in zip(shards, ends[:-1], ends[1:], strict=True):
-                launch = {"dim": last - first, "device": self._wp_device, "record_cmd": True}
+                launch = {"dim": last - first, "record_cmd": True, **self._where}
                 if last > first:
                     inputs = [scene, self._rover, solver, rovers, first]
                     shard.drives.append(wp.launch(drive, inputs=inputs, **launch))
@@ -108,7 +116,7 @@ class WarpSimulator:
             self._stand(world, rows, mask[rows], poses[rows])
         self._rows.active.copy_(mask)
         inputs = [self._rover, self._rows.rovers, self._poses]
-        wp.launch(place, dim=self.num_envs, inputs=inputs, device=self._wp_device, stream=self._stream)
+        wp.launch(place, dim=self.num_envs, inputs=inputs, stream=self._stream, **self._where)
         self.launch(physics=False)
         self._drive.reset(mask)
         return self.state()

@@ -5,7 +5,7 @@ A thread keeps its contacts in an array: two for each wheel, one at each edge of
 
 from __future__ import annotations
 
-from rover_rl.sims.warp.kernels.convex import foremost_plane, overlap, part_center, part_radius
+from rover_rl.sims.warp.kernels.convex import is_near, overlap, part_center, part_radius
 from rover_rl.sims.warp.kernels.ground import gap_to, ground_at, normal_of
 from rover_rl.sims.warp.kernels.types import MAX_WHEELS, Rover, Scene, Solver
 from rover_rl.sims.warp.library import wp
@@ -317,12 +317,10 @@ def rover_at_obstacles(
     boxes = rover.box_centers.shape[0]
     for n in range(scene.near_starts[cell], scene.near_starts[cell + 1]):
         obstacle = scene.near[n]
-        plane = foremost_plane(scene, obstacle, body.position)
-        if plane[3] < rover.reach:
+        if is_near(scene, obstacle, body.position, rover.reach):
             for part in range(boxes + rover.wheels):
                 middle = body.position + body.rotation * (part_center(rover, part) - body.center)
-                plane = foremost_plane(scene, obstacle, middle)
-                if plane[3] < part_radius(rover, part):
+                if is_near(scene, obstacle, middle, part_radius(rover, part)):
                     hit = overlap(scene, rover, body.center, body.position, body.rotation, part, obstacle)
                     if hit.depth > 0.0:
                         key = 1024 + obstacle * (boxes + rover.wheels) + part

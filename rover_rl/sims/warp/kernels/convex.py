@@ -53,6 +53,16 @@ def foremost_plane(scene: Scene, obstacle: int, point: wp.vec3) -> wp.vec4:
 
 
 @wp.func
+def is_near(scene: Scene, obstacle: int, point: wp.vec3, radius: float) -> bool:
+    """Whether an obstacle may be within ``radius`` of a point: first by the sphere around it, then by its planes."""
+    sphere = scene.spheres[obstacle]
+    reach = sphere[3] + radius
+    if wp.length_sq(wp.vec3(sphere[0], sphere[1], sphere[2]) - point) > reach * reach:
+        return False
+    return foremost_plane(scene, obstacle, point)[3] < radius
+
+
+@wp.func
 def part_center(rover: Rover, part: int) -> wp.vec3:
     """Middle of a part in the base frame: boxes of the chassis come first, then wheels."""
     boxes = rover.box_centers.shape[0]

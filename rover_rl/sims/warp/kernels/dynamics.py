@@ -25,64 +25,100 @@ from rover_rl.sims.warp.library import wp
 GRAVITY = 9.81
 
 
+@wp.struct
+class Motion:
+    """Velocity of the centre of mass and angular velocity, in the rover's frame: all that impulses change of a body."""
+
+    velocity: wp.vec3
+    angular: wp.vec3
+
+
 @wp.func
-def push(body: Body, spins: wp.array[float], contact: Contact, impulse: wp.vec3) -> Body:
-    """The body after an impulse at a contact; the wheel's spin is changed in place."""
-    body.velocity += body.inverse_mass * (
-        impulse[0] * contact.normal + impulse[1] * contact.ahead + impulse[2] * contact.side
+def push(
+    motion: Motion,
+    spins: wp.array[float],
+    contacts: wp.array[Contact],
+    k: int,
+    impulse: wp.vec3,
+    inverse_mass: float,
+    inverse_spin: float,
+) -> Motion:
+    """The motion after an impulse at contact ``k``; the wheel's spin is changed in place."""
+    motion.velocity += inverse_mass * (
+        impulse[0] * contacts[k].normal + impulse[1] * contacts[k].ahead + impulse[2] * contacts[k].side
     )
-    body.angular_velocity += (
-        impulse[0] * contact.normal_turn + impulse[1] * contact.ahead_turn + impulse[2] * contact.side_turn
+    motion.angular += (
+        impulse[0] * contacts[k].normal_turn + impulse[1] * contacts[k].ahead_turn + impulse[2] * contacts[k].side_turn
     )
-    if contact.wheel != NO_WHEEL:
-        spins[contact.wheel] += body.inverse_spin * (
-            impulse[0] * contact.normal_spin + impulse[1] * contact.ahead_spin + impulse[2] * contact.side_spin
+    wheel = contacts[k].wheel
+    if wheel != NO_WHEEL:
+        spins[wheel] += inverse_spin * (
+            impulse[0] * contacts[k].normal_spin
+            + impulse[1] * contacts[k].ahead_spin
+            + impulse[2] * contacts[k].side_spin
         )
-    return body
+    return motion
 
 
 @wp.func
-def speed_along(body: Body, spin: float, direction: wp.vec3, moment: wp.vec3, contact_spin: float) -> float:
+def speed_along(motion: Motion, spin: float, direction: wp.vec3, moment: wp.vec3, contact_spin: float) -> float:
     """Speed (m/s) of a contact's point of the rover along a direction."""
-    return wp.dot(direction, body.velocity) + wp.dot(moment, body.angular_velocity) + contact_spin * spin
+    return wp.dot(direction, motion.velocity) + wp.dot(moment, motion.angular) + contact_spin * spin
 
 
 @wp.func
 def drive_motors(
-    body: Body,
+    motion: Motion,
     spins: wp.array[float],
     motors: wp.array[float],
     rover: Rover,
+    turn: wp.vec3,
+    inverse_spin: float,
     speeds: wp.vec2,
     most: float,
-) -> Body:
-    """One pass over the motors: each holds its wheel's speed against the chassis with at most the impulse ``most``."""
-    turn = wp.vec3(body.inverse_inertia[0, 1], body.inverse_inertia[1, 1], body.inverse_inertia[2, 1])
-    mass = 1.0 / (body.inverse_spin + turn[1])
+) -> Motion:
+    """One pass over the motors: each holds its wheel's speed against the chassis with at most the impulse ``most``.
+
+    ``turn`` is the angular velocity that a unit of moment about the axles gives the body.
+    """
+    mass = 1.0 / (inverse_spin + turn[1])
     for wheel in range(rover.wheels):
         speed = wp.where(wheel < rover.left_wheels, speeds[0], speeds[1])
         before = motors[wheel]
-        after = wp.clamp(before + mass * (speed - (spins[wheel] - body.angular_velocity[1])), -most, most)
+        after = wp.clamp(before + mass * (speed - (spins[wheel] - motion.angular[1])), -most, most)
         motors[wheel] = after
-        spins[wheel] += body.inverse_spin * (after - before)
-        body.angular_velocity -= (after - before) * turn
-    return body
+        spins[wheel] += inverse_spin * (after - before)
+        motion.angular -= (after - before) * turn
+    return motion
 
 
 @wp.func
-def hold_contacts(body: Body, spins: wp.array[float], contacts: wp.array[Contact], count: int, softness: float) -> Body:
+def hold_contacts(
+    motion: Motion,
+    spins: wp.array[float],
+    contacts: wp.array[Contact],
+    count: int,
+    softness: float,
+    inverse_mass: float,
+    inverse_spin: float,
+) -> Motion:
     """One pass over the contacts: none is approached, and friction is within its cone."""
     for k in range(count):
         if contacts[k].live == 1:
+            wheel = contacts[k].wheel
             spin = float(0.0)
-            if contacts[k].wheel != NO_WHEEL:
-                spin = spins[contacts[k].wheel]
-            speed = speed_along(body, spin, contacts[k].normal, contacts[k].normal_moment, contacts[k].normal_spin)
+            if wheel != NO_WHEEL:
+                spin = spins[wheel]
+            speed = speed_along(motion, spin, contacts[k].normal, contacts[k].normal_moment, contacts[k].normal_spin)
             before = contacts[k].impulse
             lack = contacts[k].bias - speed - softness * before[0]
             after = wp.max(before[0] + contacts[k].normal_mass * lack, 0.0)
             contacts[k].impulse = wp.vec3(after, before[1], before[2])
-            body = push(body, spins, contacts[k], wp.vec3(after - before[0], 0.0, 0.0))
+            more = after - before[0]
+            motion.velocity += (inverse_mass * more) * contacts[k].normal
+            motion.angular += more * contacts[k].normal_turn
+            if wheel != NO_WHEEL:
+                spins[wheel] += inverse_spin * more * contacts[k].normal_spin
     for k in range(count):
         if contacts[k].live == 1:
             spin = float(0.0)
@@ -91,16 +127,17 @@ def hold_contacts(body: Body, spins: wp.array[float], contacts: wp.array[Contact
             before = contacts[k].impulse
             mass = contacts[k].tangent_mass
             ahead = before[1] - mass * speed_along(
-                body, spin, contacts[k].ahead, contacts[k].ahead_moment, contacts[k].ahead_spin
+                motion, spin, contacts[k].ahead, contacts[k].ahead_moment, contacts[k].ahead_spin
             )
             side = before[2] - mass * speed_along(
-                body, spin, contacts[k].side, contacts[k].side_moment, contacts[k].side_spin
+                motion, spin, contacts[k].side, contacts[k].side_moment, contacts[k].side_spin
             )
             most = contacts[k].friction * before[0]
             scale = wp.min(1.0, most / wp.max(wp.sqrt(ahead * ahead + side * side), 1.0e-12))
             contacts[k].impulse = wp.vec3(before[0], ahead * scale, side * scale)
-            body = push(body, spins, contacts[k], wp.vec3(0.0, ahead * scale - before[1], side * scale - before[2]))
-    return body
+            aside = wp.vec3(0.0, ahead * scale - before[1], side * scale - before[2])
+            motion = push(motion, spins, contacts, k, aside, inverse_mass, inverse_spin)
+    return motion
 
 
 @wp.kernel
@@ -157,22 +194,27 @@ def drive(scene: Scene, rover: Rover, solver: Solver, rovers: Rovers, first: int
         count = rover_at_obstacles(contacts, count, scene, body, rover, solver, grip * solver.obstacle_friction)
         remembered(contacts, own, count, keys, impulses)
 
+        motion = Motion()
+        motion.velocity = body.velocity
+        motion.angular = body.angular_velocity
         # What held before is a good guess.
         turn = wp.vec3(body.inverse_inertia[0, 1], body.inverse_inertia[1, 1], body.inverse_inertia[2, 1])
         for wheel in range(wheels):
             spins[wheel] += body.inverse_spin * motors[wheel]
-            body.angular_velocity -= motors[wheel] * turn
+            motion.angular -= motors[wheel] * turn
         for k in range(count):
             if contacts[k].live == 1:
-                body = push(body, spins, contacts[k], contacts[k].impulse)
+                motion = push(motion, spins, contacts, k, contacts[k].impulse, body.inverse_mass, body.inverse_spin)
         for _pass in range(solver.iterations):
-            body = hold_contacts(body, spins, contacts, count, solver.softness)
-            body = drive_motors(body, spins, motors, rover, speeds, most)
+            motion = hold_contacts(
+                motion, spins, contacts, count, solver.softness, body.inverse_mass, body.inverse_spin
+            )
+            motion = drive_motors(motion, spins, motors, rover, turn, body.inverse_spin, speeds, most)
         for n in range(MORE_CONTACTS):
             impulses[n] = contacts[own + n].impulse
 
-        velocity = body.rotation * body.velocity
-        angular_velocity = body.rotation * body.angular_velocity
+        velocity = body.rotation * motion.velocity
+        angular_velocity = body.rotation * motion.angular
         body.position = body.position + dt * velocity
         spin = wp.quat(angular_velocity[0], angular_velocity[1], angular_velocity[2], 0.0)
         orientation = wp.normalize(orientation + (0.5 * dt) * (spin * orientation))

@@ -167,6 +167,22 @@ def cut_triangle(
 
 
 @wp.func
+def above_plane(scene: Scene, j: int, first: int, last: int, rise: float, step: float) -> int:
+    """Which points of a row of the grid, from ``first`` to ``last``, are above the plane: a bit each.
+
+    Args:
+        scene: has the ground.
+        j, first, last: row, and columns.
+        rise: height of the plane at the first of them, and
+        step: what it gains from one to the next.
+    """
+    bits = int(0)
+    for k in range(last - first + 1):
+        bits |= wp.where(scene.heights[j, first + k] > rise + step * float(k), 1, 0) << k
+    return bits
+
+
+@wp.func
 def cut_block(
     scene: Scene,
     beams: wp.array[wp.vec2],
@@ -180,27 +196,37 @@ def cut_block(
     cell = scene.cell
     first = block_i * scene.block
     last = wp.min(first + scene.block, scene.heights.shape[1] - 1)
+    start = block_j * scene.block
     x_first = scene.corner[0] + float(first) * cell - plane.origin[0]
-    for j in range(block_j * scene.block, wp.min((block_j + 1) * scene.block, scene.heights.shape[0] - 1)):
-        y = scene.corner[1] + float(j) * cell - plane.origin[1]
-        # Heights over the plane, so that a cell is judged by its four corners.
-        rise = plane.rise_x * x_first + plane.rise_y * y + plane.origin[2]
-        rise_above = rise + plane.rise_y * cell
-        near = scene.heights[j, first] - rise
-        far = scene.heights[j + 1, first] - rise_above
-        for i in range(first, last):
-            rise += plane.rise_x * cell
-            rise_above += plane.rise_x * cell
-            next_near = scene.heights[j, i + 1] - rise
-            next_far = scene.heights[j + 1, i + 1] - rise_above
-            least = wp.min(wp.min(near, far), wp.min(next_near, next_far))
-            most = wp.max(wp.max(near, far), wp.max(next_near, next_far))
-            if least <= 0.0 and most > 0.0:
+    y = scene.corner[1] + float(start) * cell - plane.origin[1]
+    step = plane.rise_x * cell
+    rise = plane.rise_x * x_first + plane.rise_y * y + plane.origin[2]
+    near = above_plane(scene, start, first, last, rise, step)
+    for j in range(start, wp.min(start + scene.block, scene.heights.shape[0] - 1)):
+        rise_beyond = rise + plane.rise_y * cell
+        far = above_plane(scene, j + 1, first, last, rise_beyond, step)
+        # Cells with corners on both sides of the plane.
+        some = near | (near >> 1) | far | (far >> 1)
+        every = near & (near >> 1) & far & (far >> 1)
+        cut = some & ~every & ((1 << (last - first)) - 1)
+        i = int(first)
+        while cut != 0:
+            if cut & 1 == 1:
+                # Heights over the plane.
+                here = rise + step * float(i - first)
+                beyond = rise_beyond + step * float(i - first)
+                one = scene.heights[j, i] - here
+                two = scene.heights[j, i + 1] - (here + step)
+                three = scene.heights[j + 1, i] - beyond
+                four = scene.heights[j + 1, i + 1] - (beyond + step)
                 x = x_first + float(i - first) * cell
-                cut_triangle(beams, ranges, row, plane, x, y, cell, near, next_near, far)
-                cut_triangle(beams, ranges, row, plane, x + cell, y + cell, -cell, next_far, far, next_near)
-            near = next_near
-            far = next_far
+                cut_triangle(beams, ranges, row, plane, x, y, cell, one, two, three)
+                cut_triangle(beams, ranges, row, plane, x + cell, y + cell, -cell, four, three, two)
+            cut = cut >> 1
+            i += 1
+        near = far
+        rise = rise_beyond
+        y += cell
 
 
 @wp.func
@@ -242,7 +268,6 @@ def cut_ground(scene: Scene, beams: wp.array[wp.vec2], ranges: wp.array2d[float]
     """Shortens the beams that meet the ground: block by block from near to far, less those that are hidden."""
     side = scene.cell * float(scene.block)
     stretch = 1.0 / wp.max(wp.abs(plane.normal[2]), 1.0e-3)
-    slack = 0.5 * side * (wp.abs(plane.rise_x) + wp.abs(plane.rise_y))
     column = int(wp.floor((plane.origin[0] - scene.corner[0]) / side))
     line = int(wp.floor((plane.origin[1] - scene.corner[1]) / side))
     farthest = wp.zeros(shape=(SECTORS,), dtype=float)
@@ -266,11 +291,12 @@ def cut_ground(scene: Scene, beams: wp.array[wp.vec2], ranges: wp.array2d[float]
             else:
                 j = line + ring - along
             if i >= 0 and j >= 0 and i < scene.blocks.shape[1] and j < scene.blocks.shape[0]:
-                bounds = scene.blocks[j, i]
+                block = scene.blocks[j, i]
                 x = scene.corner[0] + (float(i) + 0.5) * side - plane.origin[0]
                 y = scene.corner[1] + (float(j) + 0.5) * side - plane.origin[1]
                 height = plane.origin[2] + plane.rise_x * x + plane.rise_y * y
-                if bounds[1] >= height - slack and bounds[0] <= height + slack:
+                slack = 0.5 * side * (wp.abs(block[0] - plane.rise_x) + wp.abs(block[1] - plane.rise_y))
+                if block[2] <= height + slack and block[3] >= height - slack:
                     off_x = wp.max(wp.abs(x) - 0.5 * side, 0.0)
                     off_y = wp.max(wp.abs(y) - 0.5 * side, 0.0)
                     distance = wp.sqrt(off_x * off_x + off_y * off_y)

@@ -19,8 +19,9 @@ class Scene:
     heights: wp.array2d[float]
     corner: wp.vec2
     cell: float
-    # Least and greatest height of blocks of ``block`` x ``block`` cells.
-    blocks: wp.array2d[wp.vec2]
+    # Blocks of ``block`` x ``block`` cells: slopes of a plane, and its least and greatest height at the block's middle
+    # with all of the block's ground between.
+    blocks: wp.array2d[wp.vec4]
     block: int
     # Obstacles: outward planes (a point p is inside where n . p + w < 0), corners, and the sphere around them.
     planes: wp.array[wp.vec4]
