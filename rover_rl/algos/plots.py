@@ -84,7 +84,10 @@ def draw_learning_curve(
             _draw_baseline(panels, baseline)
         _finish_curves(panels, max(group.end for group in here), against)
         panels[0].set_title(world, loc="left", fontweight="bold")
-    figure.legend(handles=_curve_legend(groups, baseline), loc="outside lower center", ncols=2, frameon=False)
+    handles = _curve_legend(groups, baseline)
+    # Two long ones do not fit side by side.
+    columns = 1 if max(len(str(handle.get_label())) for handle in handles) > _LONG_LABEL else 2
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False)
     with written_whole(path) as temporary:
         figure.savefig(temporary, dpi=150)
 
@@ -196,6 +199,10 @@ def _draw_baseline(panels: Sequence[Axes], baseline: Evaluation) -> None:
     for ax, level in zip(panels, (baseline.success_rate, baseline.goals_per_2000_steps), strict=True):
         # Over the axis, and not cut off by it, because a level of 0 is on it.
         ax.axhline(level, clip_on=False, zorder=3, **_BASELINE)
+
+
+_LONG_LABEL = 48
+"""Letters."""
 
 
 def _curve_legend(groups: Sequence[_Group], baseline: Evaluation | None) -> list[Line2D | Patch]:
