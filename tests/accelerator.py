@@ -93,7 +93,7 @@ class Accelerator(TorchDispatchMode):
 
 def _by_mask(name: str, args: Any) -> bool:
     """Whether an index is a mask: its true entries have to be counted."""
-    return name == "index" and any(index is not None and index.dtype == torch.bool for index in args[1])
+    return name in _INDEXES and any(index is not None and index.dtype == torch.bool for index in args[1])
 
 
 def _on_host(value: Any) -> Any:

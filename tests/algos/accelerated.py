@@ -93,31 +93,31 @@ LEARNERS = {
 def on_both() -> dict[str, Any]:
     """What is seen and learned on the CPU and on an accelerator, and what made the host wait for that in steps."""
     with accelerator() as on:
-        found: dict[str, Any] = {"steps": (_stepped(on), _stepped(None)), "looks": list(on.looks)}
+        there, looks = _stepped(on)
+        found: dict[str, Any] = {"steps": (there, _stepped(None)[0]), "looks": looks}
         for name, config in LEARNERS.items():
             found[name] = _learned(on, config), _learned(None, config)
     return found
 
 
-def _stepped(on: Accelerator | None) -> list[dict[str, Tensor]]:
-    """Observations, rewards and outcomes along the way.
+def _stepped(on: Accelerator | None) -> tuple[list[dict[str, Tensor]], list[str]]:
+    """Observations, rewards and outcomes along the way, and the looks of all steps but the first.
 
-    Looks are not counted where the environment is made and first used, for there TorchRL looks at its specs.
+    In that TorchRL looks at its specs.
     """
     env = _env(on)
     td = env.reset()
-    seen = []
+    seen, looks = [], []
     for step in range(40):
         action = torch.tensor([[0.9, 0.3], [-0.5, 2.0]], device=env.device).repeat(ROVERS // 2, 1)
-        td = env.step(td.set("action", action))
-        if on is not None and step == 0:
+        if on is not None:
             on.looks.clear()
+        td = env.step(td.set("action", action))
+        if on is not None and step > 0:
+            looks += on.looks
         seen.append(_on_host(td["next"]))
         td = td["next"]
-    # Copies to compare by.
-    if on is not None:
-        on.looks[:] = [look for look in on.looks if look != "_to_copy"]
-    return seen
+    return seen, looks
 
 
 def _learned(on: Accelerator | None, config: TrainingConfig) -> tuple[dict[str, float], dict[str, Tensor]]:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
-
 import pytest
 import torch
 
 from rover_rl import make_env
-
-needs_warp = pytest.mark.skipif(find_spec("warp") is None, reason="needs rover_rl[warp]")
+from tests.extras import needs_warp
 
 OBSERVED = ("lidar", "pose", "imu", "target", "velocities", "reward", "done", "terminated", "truncated")
 

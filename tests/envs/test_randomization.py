@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from importlib.util import find_spec
 
 import pytest
 import torch
@@ -12,8 +11,8 @@ from rover_rl import RoverEnv, make_env
 from rover_rl.envs.randomization import Randomization
 from rover_rl.sims.base import Dynamics
 from rover_rl.sims.ros2 import Ros2Settings
+from tests.extras import needs_warp
 
-needs_warp = pytest.mark.skipif(find_spec("warp") is None, reason="needs rover_rl[warp]")
 BACKENDS = ["bullet", pytest.param("warp", marks=needs_warp)]
 
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
-
 import pytest
 
-needs_warp = pytest.mark.skipif(find_spec("warp") is None, reason="needs rover_rl[warp]")
+from tests.extras import needs_warp
 
 
 @pytest.fixture(params=["bullet", pytest.param("warp", marks=needs_warp)])

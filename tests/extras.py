@@ -1,0 +1,9 @@
+"""Marks for tests that need an extra of the package."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+import pytest
+
+needs_warp = pytest.mark.skipif(find_spec("warp") is None, reason="needs rover_rl[warp]")
