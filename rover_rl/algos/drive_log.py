@@ -17,7 +17,7 @@ from torch import Tensor
 from rover_rl.algos.config import SECONDS_PER_STEP
 from rover_rl.algos.episodes import EpisodeSet
 from rover_rl.algos.evaluate import Evaluation
-from rover_rl.algos.metrics import Trajectory
+from rover_rl.algos.metrics import Trajectory, count_reversals
 from rover_rl.algos.routes import shortest_paths
 from rover_rl.envs import TaskConfig
 from rover_rl.sims import RoverState
@@ -39,6 +39,7 @@ class DriveLog:
     """
 
     def __init__(self, path: Path, world: str, policy: str, seconds: float) -> None:
+        self._turns: list[float] = []
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file: TextIO = path.open("a", buffering=1)
         if path.stat().st_size:
@@ -54,18 +55,35 @@ class DriveLog:
         self._file.close()
 
     def begin(self, rover: RoverState, goal: tuple[float, float]) -> None:
-        """A drive begins here."""
+        """Writes where a drive begins."""
+        self._turns = []
         self._write({"goal": goal, **_pose(rover)})
 
-    def add(self, rover: RoverState, outcome: TensorDictBase, command: tuple[float, float], latency: float) -> None:
-        """A step was made; ``command`` in m/s and rad/s, ``latency`` in s."""
-        events = {"collision": bool(outcome["collision"]), "reached": bool(outcome["goal_reached"])}
+    def add(
+        self,
+        rover: RoverState,
+        outcome: TensorDictBase,
+        command: tuple[float, float],
+        latency: float,
+        held: bool = False,
+    ) -> None:
+        """Writes a step.
+
+        Args:
+            rover: its state after the step.
+            outcome: what happened in the step.
+            command: forward speed (m/s) and yaw rate (rad/s) that were sent.
+            latency: time from the scan's arrival to the command, s.
+            held: whether the forward speed was cancelled, as it led towards what no lidar beam covers.
+        """
+        self._turns.append(command[1])
+        events = {"collision": bool(outcome["collision"]), "reached": bool(outcome["goal_reached"]), "held": held}
         figures = {"dt": round(rover.dt.item(), 5), "command": command, "latency": round(latency, 5)}
         self._write({**_pose(rover), **events, **figures})
 
     def end(self, ending: str) -> None:
-        """The drive has ended."""
-        self._write({"ending": ending})
+        """Writes how the drive ended, and how often its commands changed the turning direction."""
+        self._write({"ending": ending, "reversals": count_reversals(self._turns)})
 
     def _write(self, entry: dict[str, Any]) -> None:
         self._file.write(json.dumps(entry) + "\n")
@@ -128,6 +146,7 @@ class _Drive:
     time: list[float] = field(default_factory=lambda: [0.0])
     collision: list[bool] = field(default_factory=list)
     reached: list[bool] = field(default_factory=list)
+    turns: list[float] = field(default_factory=list)
     ending: str = ""
 
     def trajectory(self) -> Trajectory:
@@ -143,6 +162,7 @@ class _Drive:
             collision=_any_in(step_of, self.collision, steps),
             goal=_any_in(step_of, self.reached, steps),
             ending=self.ending,
+            reversals=count_reversals(self.turns),
         )
 
 
@@ -172,6 +192,7 @@ def _drives(entries: list[dict[str, Any]]) -> Iterator[_Drive]:
             drive.time.append(drive.time[-1] + entry["dt"])
             drive.collision.append(entry["collision"])
             drive.reached.append(entry["reached"])
+            drive.turns.append(entry["command"][1] if "command" in entry else 0.0)
 
 
 def _episodes(world_name: str, drives: list[_Drive]) -> EpisodeSet:

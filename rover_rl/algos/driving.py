@@ -1,4 +1,4 @@
-"""A policy on a live rover, to one goal after another, stopped by whatever should stop it.
+"""Driving a live rover with a policy, from goal to goal, with every reason to stop it.
 
 Example:
     >>> env = RoverEnv(backend=Ros2Settings(reset="none"), world_n="maze", end_on_goal=True)
@@ -9,6 +9,7 @@ Example:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -18,15 +19,25 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl.algos.drive_log import DriveLog
 from rover_rl.algos.evaluate import ENDINGS, Policy
-from rover_rl.algos.metrics import STOPPED, TIME_LIMIT, TOO_NEAR
+from rover_rl.algos.metrics import RESTARTED, STOPPED, TIME_LIMIT, TOO_NEAR
 from rover_rl.algos.policy import single_threaded
 from rover_rl.envs import Phase, RoverEnv
+from rover_rl.sims import RoverState
 from rover_rl.sims.ros2.simulator import Ros2Simulator
+
+POLICY_VIEW = 2 * math.pi
+"""Angle that the lidar of policies covers in training, rad."""
+VIEW_TOLERANCE = math.radians(10)
+"""A lidar that covers this much less counts as one with the same view."""
+CLOCK_TOLERANCE = 0.5
+"""Seconds that a robot's clock may go back before it counts as restarted."""
+POSE_TOLERANCE = 1.0
+"""Metres that a pose may jump before the robot counts as restarted, beside what it can have driven."""
 
 
 @dataclass(frozen=True)
 class Moment:
-    """What is known after a step of a drive.
+    """A step of a drive.
 
     Attributes:
         distance: to the goal, m.
@@ -34,6 +45,7 @@ class Moment:
         nearest: the lidar's least reading, m.
         latency: from the scan's arrival to the command that answered it, s.
         command: forward speed (m/s) and yaw rate (rad/s) that were sent.
+        held: whether the forward speed was cancelled, as it led towards what no lidar beam covers.
         seconds: since the drive to this goal began.
     """
 
@@ -42,6 +54,7 @@ class Moment:
     nearest: float
     latency: float
     command: tuple[float, float]
+    held: bool
     seconds: float
 
 
@@ -53,28 +66,34 @@ def drive_to(
     *,
     seconds: float = 60.0,
     clearance: float = 0.0,
+    allow_unseen: bool = False,
     watch: Callable[[Moment], None] = lambda moment: None,
     log: DriveLog | None = None,
 ) -> str:
-    """Drives to one goal, and stops the rover there, or wherever the drive ends, by an error too.
+    """Drives to one goal, and stops the rover there or wherever the drive ends, also by an error.
 
     Args:
         env: a live rover, with ``end_on_goal``.
         policy: as for :func:`~rover_rl.algos.evaluate.evaluate`.
         goal: x, y, m.
-        seconds: for the drive.
+        seconds: time limit of the drive.
         clearance: the drive ends where the lidar reads less than this, m.
-        watch: is told of each step.
-        log: is written to.
+        allow_unseen: whether to drive with a lidar that covers less than the policy was trained with.
+        watch: called after each step.
+        log: written to at each step.
 
     Returns:
-        How it ended: ``"goal"``, ``"time limit"``, ``"obstacle too near"``, or the kind of an early ending.
+        The ending: ``"goal"``, ``"time limit"``, ``"obstacle too near"``, ``"robot restarted"``, or the kind of an
+        early ending.
 
     Raises:
-        RobotLostError: if the rover does not tell about itself any more.
-        ValueError: for an environment of another backend.
+        RobotLostError: if the rover's sensors fall silent, or several robots answer.
+        ValueError: for an environment of another backend, or a lidar that covers less than the policy was trained with.
     """
     rover = live_rover(env)
+    rover.require_robot()
+    if not allow_unseen:
+        require_view(rover.field_of_view)
     ending, driven = "", 0.0
     try:
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
@@ -83,17 +102,40 @@ def drive_to(
             if log is not None:
                 log.begin(env.rover_state, goal)
             while not ending:
+                before = env.rover_state
                 now = env.step(policy(now))["next"]
                 driven += env.rover_state.dt.item()
-                watch(_moment(rover, now, driven))
+                moment = _moment(rover, now, driven)
+                watch(moment)
                 if log is not None:
-                    log.add(env.rover_state, now["outcome"], rover.last_command, rover.latency)
-                ending = _ending(now, clearance, driven >= seconds)
+                    log.add(env.rover_state, now["outcome"], moment.command, moment.latency, moment.held)
+                restarted = has_restarted(before, env.rover_state)
+                ending = RESTARTED if restarted else _ending(now, clearance, driven >= seconds)
     finally:
         rover.stop()
         if log is not None:
             log.end(ending or STOPPED)
     return ending
+
+
+def require_view(field_of_view: float) -> None:
+    """Refuses a lidar that covers less (rad) than policies are trained with.
+
+    Raises:
+        ValueError: if it does.
+    """
+    if field_of_view < POLICY_VIEW - VIEW_TOLERANCE:
+        raise ValueError(
+            f"the scan covers {math.degrees(field_of_view):.0f} degrees, and the policy was trained with "
+            f"{math.degrees(POLICY_VIEW):.0f}; --allow-unseen drives all the same, but not towards what no beam covers"
+        )
+
+
+def has_restarted(before: RoverState, after: RoverState) -> bool:
+    """Whether a robot was restarted or carried between two steps: its clock went back, or its pose jumped."""
+    moved = torch.dist(before.position, after.position).item()
+    reach = 2 * (after.stamp - before.stamp).clamp(min=0.0).item()  # twice as fast as it drives
+    return (before.stamp - after.stamp).item() > CLOCK_TOLERANCE or moved > POSE_TOLERANCE + reach
 
 
 def live_rover(env: RoverEnv) -> Ros2Simulator:
@@ -123,5 +165,6 @@ def _moment(rover: Ros2Simulator, now: TensorDictBase, seconds: float) -> Moment
         nearest=now["lidar"].min().item(),
         latency=rover.latency,
         command=rover.last_command,
+        held=rover.held,
         seconds=seconds,
     )

@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -42,7 +43,9 @@ TOO_NEAR = "obstacle too near"
 """An ending of drives with a live rover: something came nearer than was allowed."""
 STOPPED = "stopped"
 """Another: a person ended it, or the rover was lost."""
-EARLY_ENDINGS = ("flipped", "jammed", "out of bounds", "stuck", "invalid action", TOO_NEAR, STOPPED)
+RESTARTED = "robot restarted"
+"""Another: the rover's clock went back, or its pose jumped."""
+EARLY_ENDINGS = ("flipped", "jammed", "out of bounds", "stuck", "invalid action", TOO_NEAR, RESTARTED, STOPPED)
 """How an episode can end before its time, other than at its goal."""
 
 
@@ -53,7 +56,7 @@ class Metric:
     Attributes:
         heading: of its column.
         meaning: in a few words; a way to end an episode speaks for itself.
-        unit: ``"%"`` for shares, which are numbers up to 1, ``"s"``, ``"m/s"``, or none.
+        unit: ``"%"`` for shares, which are numbers up to 1, ``"s"``, ``"m/s"``, ``"1/s"``, or none.
     """
 
     heading: str
@@ -76,6 +79,7 @@ METRICS = {
     "body_contact_share": Metric("touched", "episodes with such a contact", "%"),
     "turns_per_goal": Metric("turns", "full turns a goal"),
     "standstill": Metric("still", "time spent slower than 0.05 m/s", "%"),
+    "command_reversals": Metric("reversals", "changes of the commanded turning direction a second", "1/s"),
     **{f"ending_{kind.replace(' ', '_')}": Metric(kind, unit="%") for kind in (TIME_LIMIT, *EARLY_ENDINGS)},
 }
 """All metrics by name, in the order in which they are shown."""
@@ -100,6 +104,7 @@ class Trajectory:
         collision: which steps ended in collision: a lidar reading below 0.3 m, bool ``[T]``.
         goal: which steps reached a goal, bool ``[T]``.
         ending: how it ended: ``"goal"``, :data:`TIME_LIMIT`, or one of :data:`EARLY_ENDINGS`.
+        reversals: changes of the commanded turning direction; nan where commands were not recorded.
     """
 
     position: Tensor
@@ -107,6 +112,7 @@ class Trajectory:
     collision: Tensor
     goal: Tensor
     ending: str
+    reversals: float = math.nan
 
     def __len__(self) -> int:
         return len(self.collision)
@@ -246,6 +252,25 @@ def standstill(trajectories: Sequence[Trajectory]) -> Estimate:
     return ratio(slow, [len(t) for t in trajectories])
 
 
+def command_reversals(trajectories: Sequence[Trajectory]) -> Estimate:
+    """Changes of the commanded turning direction for each second of driving; nan unless commands were recorded.
+
+    A rover that follows its heading calmly has about one; a controller that oscillates has up to 20 at 20 Hz.
+    """
+    return ratio([t.reversals for t in trajectories], [t.seconds for t in trajectories])
+
+
+def count_reversals(yaw_rates: Sequence[float]) -> int:
+    """How often the sign of successive yaw rates (rad/s) changes; zeros between do not count.
+
+    Example:
+        >>> count_reversals([0.5, 0.0, -0.5, -0.1, 0.2])
+        2
+    """
+    turning = [yaw_rate for yaw_rate in yaw_rates if yaw_rate]
+    return sum(a * b < 0 for a, b in pairwise(turning))
+
+
 def turns_per_goal(trajectories: Sequence[Trajectory]) -> Estimate:
     """Full turns of heading, left and right alike, for each goal reached; those of failures count too.
 
@@ -366,5 +391,6 @@ def _common_metrics(trajectories: Sequence[Trajectory], world: World) -> dict[st
         "body_contact_share": proportion(sum(count > 0 for count in contacts), len(contacts)),
         "turns_per_goal": turns_per_goal(trajectories),
         "standstill": standstill(trajectories),
+        "command_reversals": command_reversals(trajectories),
         **{f"ending_{kind.replace(' ', '_')}": ending_share(trajectories, kind) for kind in kinds},
     }

@@ -27,17 +27,18 @@ if TYPE_CHECKING:
 NOT_REACHED = 1
 """Exit code where a goal was not reached."""
 UNLIMITED = 10**9
-"""Steps that no drive comes to: its time ends it."""
+"""Effectively unlimited step budget: the time limit ends a drive."""
 STALE = 0.5
-"""Seconds without news from a sensor after which the rover is stopped."""
+"""Seconds without a message from a sensor after which a drive ends; without a scan the rover is stopped after half."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """Drive a live rover with a trained policy, from goal to goal, at the pace of its scans.
+    """Drive a live rover with a trained policy, from goal to goal, at the rate of its scans.
 
-    It is stopped at each goal, and on Ctrl-C, SIGTERM, any error, a sensor that is silent for 0.5 s, a flip, or an
-    obstacle that is too near; a process of its own stops it if this one dies.
+    The rover is stopped at each goal, and on Ctrl-C, SIGTERM, any error, a silent sensor, an unusable scan, a flip, a
+    robot that restarts, or an obstacle that is too close; a separate process stops it if this one dies. It is never
+    driven towards directions that no lidar beam covers.
     """
 
     policy: tyro.conf.Positional[str]
@@ -47,21 +48,31 @@ class Drive:
     goals: Path | None = None
     """File of goals, a line each: x, y."""
     random: int = 0
-    """So many goals, drawn as in training."""
+    """Number of goals drawn at random, as in training."""
     world: str | None = None
     """World that the rover is in; by default the one that the policy was trained in."""
     wait: float = 30.0
-    """Seconds to wait for the rover's first scan."""
+    """Time to wait for the rover's first scan, s."""
     clearance: float = 0.2
     """Stop where the lidar reads less than this, m."""
     seconds: float = 60.0
-    """Time for each goal."""
+    """Time limit for each goal, s."""
+    max_speed: float | None = None
+    """Highest forward speed that is sent, m/s; by default the robot's (Rover Zero: 1)."""
+    max_yaw_rate: float | None = None
+    """Highest yaw rate that is sent, rad/s; by default the robot's (Rover Zero: 7)."""
+    max_acceleration: float | None = None
+    """Largest change of the forward speed, m/s^2; by default the robot's (Rover Zero: 5). Stops are sent at once."""
+    max_yaw_acceleration: float | None = None
+    """Largest change of the yaw rate, rad/s^2; by default the robot's (Rover Zero: 4)."""
+    allow_unseen: bool = False
+    """Drive with a lidar that covers less than the policy was trained with."""
     pose: PoseSource = "pose_array"
-    """Where the pose comes from: see Ros2Settings."""
+    """Source of the pose: see Ros2Settings."""
     pose_topic: str = Ros2Settings.pose_topic
     """Topic of the pose."""
     odometry_topic: str = Ros2Settings.odometry_topic
-    """Topic of the wheels' odometry."""
+    """Topic of the wheel odometry."""
     scan_topic: str = Connection.scan_topic
     """Topic of the scan."""
     imu_topic: str = Connection.imu_topic
@@ -71,18 +82,23 @@ class Drive:
     stamped: bool = False
     """Send TwistStamped instead of Twist."""
     lidar_yaw: float = Ros2Settings.lidar_yaw
-    """Where the zero of the scan's angles points, rad; the original's lidar looks backwards."""
+    """Direction of the zero of the scan's angles, rad; the original's lidar looks backwards."""
     transport: TransportName = Ros2Settings.transport
-    """dds needs no ROS; rclpy is for those who have it sourced."""
+    """dds needs no ROS; rclpy uses a ROS that is sourced."""
     seed: int = 0
-    """Of random goals."""
+    """Seed of random goals."""
     log: Path = Path("runs/drive.jsonl")
-    """File to add what happens to; rover-rl evaluate reads it."""
+    """File that the drives are appended to; rover-rl evaluate reads it."""
     dry_run: bool = False
     """Send nothing, and print what would be sent."""
 
     def __call__(self) -> int:
-        """Drives, and says how each drive ended; 0 if every goal was reached."""
+        """Drives, and says how each drive ended; 0 if every goal was reached.
+
+        Raises:
+            ValueError: for an option out of its range, before anything is announced or waited for.
+        """
+        self._check()
         endings = []
         with ExitStack() as stack:
             stop_if_asked = stack.enter_context(_interruptible())
@@ -110,12 +126,36 @@ class Drive:
                 if watchdog is not None:
                     watchdog.alive()  # from here on it stops the rover where the next sign stays away
                 ending = drive_to(
-                    env, driver.policy, goal, seconds=self.seconds, clearance=self.clearance, watch=watch, log=log
+                    env,
+                    driver.policy,
+                    goal,
+                    seconds=self.seconds,
+                    clearance=self.clearance,
+                    allow_unseen=self.allow_unseen,
+                    watch=watch,
+                    log=log,
                 )
                 print(f"goal {number}, {goal[0]:.2f} {goal[1]:.2f}: {ending}", flush=True)
                 endings.append(ending)
         print(f"Log: {self.log}; rover-rl evaluate {self.log} measures it")
         return 0 if set(endings) == {"goal"} else NOT_REACHED
+
+    def _check(self) -> None:
+        """Refuses options that are out of range.
+
+        Raises:
+            ValueError: naming the option.
+        """
+        if not all(math.isfinite(number) for goal in self.goal for number in goal):
+            raise ValueError(f"--goal must be finite numbers, got {' '.join(f'{x:g} {y:g}' for x, y in self.goal)}")
+        if not (self.goal or self.goals or self.random):
+            raise ValueError("say where to: --goal X Y, --goals FILE or --random COUNT")
+        if not 0 < self.seconds < math.inf:
+            raise ValueError(f"--seconds must be positive and finite, got {self.seconds}")
+        for name in ("random", "wait", "clearance"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"--{name} must be finite and not negative, got {getattr(self, name)}")
+        self._settings()
 
     def _driver(self) -> Driver:
         """The policy, and where it is.
@@ -142,6 +182,10 @@ class Drive:
             pose_topic=self.pose_topic,
             command="none" if self.dry_run else command,
             lidar_yaw=self.lidar_yaw,
+            max_speed=self.max_speed,
+            max_yaw_rate=self.max_yaw_rate,
+            max_acceleration=self.max_acceleration,
+            max_yaw_acceleration=self.max_yaw_acceleration,
             reset="none",
             step_timeout=STALE,
         )
@@ -182,7 +226,7 @@ class Drive:
 
             goals += [(x, y) for x, y in draw_episodes(world, self.random, self.seed).goal.tolist()]
         if not goals or not all(math.isfinite(number) for goal in goals for number in goal):
-            raise ValueError("say where to: --goal X Y, --goals FILE or --random COUNT")
+            raise ValueError(f"{self.goals} must have at least one goal, of finite numbers")
         return goals
 
 
@@ -221,6 +265,7 @@ def _display(console: Console, each_step: bool) -> Iterator[Callable[[str, Momen
             told = (
                 f"{label}: {moment.distance:5.2f} m to go, {moment.speed:5.2f} m/s, nearest {moment.nearest:5.2f} m, "
                 f"command {speed:5.2f} m/s {turn:5.2f} rad/s, latency {1000 * moment.latency:4.1f} ms"
+                f"{', held: unseen ahead' if moment.held else ''}"
             )
             if each_step:
                 print(told, flush=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
 from dataclasses import dataclass
@@ -13,19 +14,21 @@ from rover_rl.sims.ros2.settings import Ros2Settings
 
 @dataclass(frozen=True)
 class RobotCommand:
-    """Be a ROS 2 robot: PyBullet's rover, which publishes scan, IMU, odometry, pose array and clock, and is driven.
+    """Run a simulated ROS 2 robot: PyBullet's rover, which publishes scan, IMU, odometry, pose array and clock.
 
     Drive it with backend="ros2", rover-rl drive, or any ROS 2 tool. Ctrl-C ends it.
     """
 
     world: str = "maze"
-    """World that it stands in: inspect, moon or maze; "maze:7" is the maze of seed 7."""
+    """World that the rover is in: inspect, moon or maze; "maze:7" is the maze of seed 7."""
     rate: float = 1.0
-    """Times as fast as real time."""
+    """Simulation speed as a multiple of real time."""
     seed: int = 0
-    """Of the place where it stands at first."""
+    """Seed of the place where the rover starts."""
     lidar_beams: int = 640
-    """Beams of its scans; the original's lidar has 640."""
+    """Beams in a full turn of the lidar; the original's has 640."""
+    lidar_view: float = 360.0
+    """Angle that the lidar covers, half of it to either side of straight ahead, degrees."""
     scan_topic: str = Connection.scan_topic
     """Where it publishes sensor_msgs/LaserScan."""
     imu_topic: str = Connection.imu_topic
@@ -40,7 +43,12 @@ class RobotCommand:
     """Where it takes a geometry_msgs/PoseStamped, and is put there."""
 
     def __call__(self) -> int:
-        """Runs until it is interrupted."""
+        """Runs until it is interrupted.
+
+        Raises:
+            ValueError: for an option out of its range, before anything is published.
+        """
+        self._check()
         from rover_rl.algos.episodes import draw_episodes
         from rover_rl.sims import make_simulator
         from rover_rl.sims.robots import get_robot
@@ -62,9 +70,10 @@ class RobotCommand:
         settings = Ros2Settings(
             odometry_topic=self.odometry_topic, pose_topic=self.pose_topic, reset_topic=self.reset_topic
         )
+        view = math.radians(self.lidar_view)
         connection = Connection(self.scan_topic, self.imu_topic, self.cmd_vel_topic)
         try:
-            node = RobotNode(simulator, transport, world, robot.lidar_range, settings, connection, tuple(start))
+            node = RobotNode(simulator, transport, world, robot.lidar_range, settings, connection, tuple(start), view)
             print(
                 f"A rover in {self.world} on ROS 2: scan {self.scan_topic}, commands {self.cmd_vel_topic}", flush=True
             )
@@ -73,3 +82,11 @@ class RobotCommand:
             transport.close()
             simulator.close()
         return 0
+
+    def _check(self) -> None:
+        if not 0 < self.rate < math.inf:
+            raise ValueError(f"--rate must be positive and finite, got {self.rate}")
+        if self.lidar_beams < 1:
+            raise ValueError(f"--lidar-beams must be at least 1, got {self.lidar_beams}")
+        if not 0 < self.lidar_view <= 360:
+            raise ValueError(f"--lidar-view must be more than 0 and at most 360 degrees, got {self.lidar_view}")

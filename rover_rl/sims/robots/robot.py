@@ -31,6 +31,9 @@ class Robot:
         lidar_range: distance beyond which it sees nothing, m.
         imu_position: where the IMU sits.
         radius: of the disc around the origin that has to be free for the rover to stand somewhere.
+        max_speed: highest forward speed that a live robot is commanded, either way, m/s. Simulated robots take what the
+            task commands.
+        max_yaw_rate: the same for the yaw rate, rad/s.
 
     Raises:
         ValueError: for a length, limit or torque that is not positive, or wheels that do not match their positions.
@@ -52,6 +55,8 @@ class Robot:
     lidar_range: float
     imu_position: tuple[float, float, float]
     radius: float
+    max_speed: float = 1.0
+    max_yaw_rate: float = 7.0
 
     def __post_init__(self) -> None:
         for field in (
@@ -63,6 +68,8 @@ class Robot:
             "max_angular_acceleration",
             "lidar_range",
             "radius",
+            "max_speed",
+            "max_yaw_rate",
         ):
             value = getattr(self, field)
             if not (math.isfinite(value) and value > 0):

@@ -39,6 +39,8 @@ LARGEST_DOMAIN = 232
 """Above it DDS has no port numbers left (DDSI-RTPS 2.3, 9.6.1)."""
 WARN_EVERY = 5.0
 """Seconds between two warnings of messages on one topic."""
+ACTIVE = 1.0
+"""Seconds since its last message in which a publisher counts as active."""
 _DEPTH = 5
 """Messages of a topic that wait to be read; the newest are kept."""
 
@@ -74,7 +76,7 @@ class DdsTransport:
         self._thread = threading.Thread(target=self._read, name=f"{node} reads DDS", daemon=True)
         self._thread.start()
 
-    def subscribe(self, topic: str, kind: type[M], receive: Callable[[M], None], *, reliable: bool = False) -> None:
+    def subscribe(self, topic: str, kind: type[M], receive: Callable[[M], object], *, reliable: bool = False) -> None:
         """Calls ``receive`` with each message on ``topic``: see :meth:`Transport.subscribe`."""
         # Best effort and volatile matches whatever a publisher offers; asking for more, deadlines included, does not.
         reliability = _RELIABLE if reliable else Policy.Reliability.BestEffort
@@ -103,8 +105,17 @@ class DdsTransport:
         """How many listen to ``topic``."""
         return self._writers[topic].get_publication_matched_status().current_count
 
+    def publishers(self, topic: str) -> int:
+        """How many publishers have sent usable messages on ``topic`` within the last second.
+
+        DDS itself notices only after many seconds that a publisher was killed.
+        """
+        with self._lock:
+            readers = [reader for reader in self._readers if reader.topic == topic]
+        return max((reader.publishers() for reader in readers), default=0)
+
     def close(self) -> None:
-        """Ends the thread and lets go of everything; may be called again."""
+        """Ends the thread and releases all resources. Idempotent."""
         if self._participant is None:
             return
         self._stop.set(True)
@@ -155,10 +166,16 @@ class _Reader:
     """A subscription, and whom it tells."""
 
     def __init__(
-        self, topic: str, reader: DataReader[Any], condition: ReadCondition, receive: Callable[[Any], None]
+        self, topic: str, reader: DataReader[Any], condition: ReadCondition, receive: Callable[[Any], object]
     ) -> None:
         self.topic, self.reader, self.condition, self.receive = topic, reader, condition, receive
         self._warned = -math.inf
+        self._heard: dict[int, float] = {}
+
+    def publishers(self) -> int:
+        """How many publishers have sent usable messages within the last second."""
+        now = time.monotonic()
+        return sum(now - heard < ACTIVE for heard in list(self._heard.values()))
 
     def take(self) -> None:
         """Hands over what has come; what cannot be read, or makes ``receive`` fail, is left out with a warning."""
@@ -167,7 +184,9 @@ class _Reader:
                 self._warn(sample.error)
             elif isinstance(sample, Message):
                 try:
-                    self.receive(sample)
+                    if self.receive(sample) is not False:
+                        handle = sample.sample_info.publication_handle  # type: ignore[attr-defined]
+                        self._heard[handle] = time.monotonic()
                 except ValueError as error:
                     self._warn(error)
                 except Exception:

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import shutil
 import subprocess
 import time
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, get_args
 
 from rover_rl.sims.ros2.errors import PoseResetError
 from rover_rl.sims.ros2.messages import Header, Point, Pose, PoseStamped, Quaternion
-from rover_rl.sims.ros2.settings import Ros2Settings
+from rover_rl.sims.ros2.settings import PoseReset, Ros2Settings
 from rover_rl.sims.ros2.transport import Transport
+
+_log = logging.getLogger(__name__)
 
 _FAILURES = ("ERROR", "Unable", "timed out", "failed")
 """What a Gazebo service call prints when it did not work; its exit code is 0 all the same."""
 _LISTENER_TIMEOUT = 5.0
 """Seconds to wait for somebody who listens to a topic."""
+_DISCOVERY_TIMEOUT = 1.0
+"""Seconds in which a node that listens is discovered, once the rover's sensors are heard."""
 _ANSWER_MS = 2000
 """Milliseconds that a Gazebo service call waits for its answer."""
 
@@ -37,13 +42,12 @@ class Target(NamedTuple):
 
 
 class Placer(Protocol):
-    """Puts the rover somewhere.
+    """Puts the rover somewhere."""
 
-    Attributes:
-        moves: whether the rover is put anywhere at all.
-    """
-
-    moves: bool
+    @property
+    def moves(self) -> bool:
+        """Whether the rover is put anywhere at all."""
+        ...
 
     def place(self, target: Target) -> None:
         """Asks for it. That it was done shows on the pose's topic.
@@ -73,9 +77,10 @@ class GazeboPlacer:
     def __init__(self, command: str, world: str, model: str) -> None:
         found = shutil.which(command)
         if found is None:
+            others = [way for way in get_args(PoseReset) if way != command]
             raise FileNotFoundError(
-                f"reset={command!r} needs Gazebo's command {command!r}, which is not on the PATH; "
-                "install it, or choose reset='topic', 'manual' or 'none'"
+                f"reset={command!r} needs Gazebo's command {command!r}, which is not on the PATH; install it, or "
+                f"choose another backend=Ros2Settings(reset=...): {', '.join(map(repr, others))}"
             )
         self._program, self._package, self._world, self._model = found, self.MESSAGES[command], world, model
 
@@ -124,13 +129,19 @@ class TopicPlacer:
         self._transport, self._topic = transport, topic
         self._frame_id = frame_id
 
-    def place(self, target: Target) -> None:
-        """Publishes the pose, once somebody listens: see :meth:`Placer.place`."""
-        deadline = time.monotonic() + _LISTENER_TIMEOUT
+    def heard(self, timeout: float) -> bool:
+        """Whether a node listens, or begins to within ``timeout`` (s)."""
+        deadline = time.monotonic() + timeout
         while not self._transport.subscribers(self._topic):
             if time.monotonic() > deadline:
-                raise PoseResetError(f"nobody listens to {self._topic}, so the rover cannot be put back")
+                return False
             time.sleep(0.01)
+        return True
+
+    def place(self, target: Target) -> None:
+        """Publishes the pose, once a node listens: see :meth:`Placer.place`."""
+        if not self.heard(_LISTENER_TIMEOUT):
+            raise PoseResetError(f"nobody listens to {self._topic}, so the rover cannot be put back")
         pose = Pose(Point(target.x, target.y, target.z), Quaternion(*target.quaternion))
         self._publish(PoseStamped(Header(frame_id=self._frame_id), pose))
 
@@ -165,8 +176,51 @@ class NoPlacer:
         """Does nothing."""
 
 
+class AutoPlacer:
+    """Chooses a way when the rover is first put somewhere, and keeps it.
+
+    A node that listens to the reset topic goes first, then Gazebo's command, then nothing.
+
+    Args:
+        settings: of the connection.
+        world: name of the world in Gazebo.
+        transport: to publish on.
+    """
+
+    def __init__(self, settings: Ros2Settings, world: str, transport: Transport) -> None:
+        self._settings, self._world, self._transport = settings, world, transport
+        self._topic = TopicPlacer(transport, settings.reset_topic)
+        self._chosen: Placer | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether the way that was chosen puts the rover anywhere."""
+        return self._chosen is not None and self._chosen.moves
+
+    def place(self, target: Target) -> None:
+        """Puts the rover there in the way that was chosen: see :meth:`Placer.place`."""
+        if self._chosen is None:
+            self._chosen = self._choose()
+        self._chosen.place(target)
+
+    def _choose(self) -> Placer:
+        if self._topic.heard(_DISCOVERY_TIMEOUT):
+            return self._topic
+        for command in GazeboPlacer.MESSAGES:
+            if shutil.which(command):
+                return GazeboPlacer(command, self._world, self._settings.model)
+        _log.warning(
+            "no node listens to %s, and neither ign nor gz is installed: episodes start where the rover is "
+            "(Ros2Settings(reset=...) has other ways)",
+            self._settings.reset_topic,
+        )
+        return NoPlacer()
+
+
 def make_placer(settings: Ros2Settings, world: str, transport: Transport) -> Placer:
-    """What the settings ask for."""
+    """The placer that the settings ask for."""
+    if settings.reset == "auto":
+        return AutoPlacer(settings, world, transport)
     if settings.reset in GazeboPlacer.MESSAGES:
         return GazeboPlacer(settings.reset, world, settings.model)
     if settings.reset == "topic":

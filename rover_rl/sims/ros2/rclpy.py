@@ -45,7 +45,7 @@ class RclpyTransport:
         self._thread.start()
         self._closed = False
 
-    def subscribe(self, topic: str, kind: type[M], receive: Callable[[M], None], *, reliable: bool = False) -> None:
+    def subscribe(self, topic: str, kind: type[M], receive: Callable[[M], object], *, reliable: bool = False) -> None:
         """Calls ``receive`` with each message on ``topic``: see :meth:`Transport.subscribe`."""
         self._node.create_subscription(_ros_type(kind), topic, receive, _quality(reliable))
 
@@ -60,8 +60,12 @@ class RclpyTransport:
         """How many listen to ``topic``."""
         return self._publishers[topic].get_subscription_count()
 
+    def publishers(self, topic: str) -> int:
+        """How many publishers there are on ``topic``."""
+        return self._node.count_publishers(topic)
+
     def close(self) -> None:
-        """Ends the thread and the node; may be called again."""
+        """Ends the thread and the node. Idempotent."""
         if self._closed:
             return
         self._closed = True

@@ -9,21 +9,43 @@ import numpy as np
 import torch
 from torch import Tensor
 
+MAX_INVALID = 0.1
+"""Default share of a scan's readings that may be invalid before the whole scan counts as none."""
+
 
 class Scan(NamedTuple):
-    """A scan as the lidar gives it, counter-clockwise.
+    """A lidar scan in the lidar's own layout, counter-clockwise.
 
     Attributes:
-        ranges: ``[beams]``, m.
+        ranges: ``[beams]``, m; ``inf`` is no return, ``-inf`` an object that is too close (REP 117).
+        valid: whether each reading tells anything, bool ``[beams]``.
         first: angle of the first beam in the lidar's frame, rad.
         increment: from one beam to the next, rad, positive.
         stamp: by the sender's clock, s.
     """
 
     ranges: Tensor
+    valid: Tensor
     first: float
     increment: float
     stamp: float
+
+    @property
+    def field_of_view(self) -> float:
+        """Angle that the scan covers, at most a full turn, rad."""
+        return min(2 * math.pi, len(self.ranges) * self.increment)
+
+
+class AlignedScan(NamedTuple):
+    """A scan in the environment's layout: over the full turn, from straight ahead counter-clockwise.
+
+    Attributes:
+        ranges: ``[beams]``, m; ``inf`` where ``seen`` is False.
+        seen: whether a valid reading covers each beam, bool ``[beams]``.
+    """
+
+    ranges: Tensor
+    seen: Tensor
 
 
 class Place(NamedTuple):
@@ -40,11 +62,19 @@ class Place(NamedTuple):
     turn: float = 0.0
 
 
-def read_scan(msg: Any) -> Scan:
-    """A ``sensor_msgs/LaserScan``.
+def read_scan(msg: Any, max_invalid: float = MAX_INVALID) -> Scan:
+    """Reads a ``sensor_msgs/LaserScan``.
+
+    A reading is invalid if it is NaN, or a finite number outside of the limits ``range_min`` and ``range_max`` of the
+    message (REP 117). Readings that the angles announce and ``ranges`` lacks count as invalid, too. A message whose
+    ``range_max`` is not above its ``range_min`` states no limits.
+
+    Args:
+        msg: the message.
+        max_invalid: share of the readings that may be invalid, from 0 to 1.
 
     Raises:
-        ValueError: for a scan without beams, or angles that are none.
+        ValueError: for a scan without readings, with unusable angles, or with too many invalid readings.
     """
     ranges = torch.from_numpy(np.array(msg.ranges, np.float32))
     if ranges.ndim != 1 or not len(ranges):
@@ -52,9 +82,27 @@ def read_scan(msg: Any) -> Scan:
     first, increment = float(msg.angle_min), float(msg.angle_increment)
     if not math.isfinite(first) or not 1e-6 < abs(increment) < math.inf:
         raise ValueError(f"a scan must tell its angles, got angle_min {first}, angle_increment {increment}")
+    low, high = float(msg.range_min), float(msg.range_max)
+    valid = ~ranges.isnan()
+    if high > low:
+        valid &= ranges.isinf() | ((ranges >= low) & (ranges <= high))
+    announced = max(len(ranges), _announced(first, float(msg.angle_max), increment))
+    invalid = announced - int(valid.sum())
+    if invalid > max_invalid * announced:
+        raise ValueError(
+            f"{invalid} of {announced} readings of the scan are missing, NaN or outside of its limits of {low:g} to "
+            f"{high:g} m; at most {max_invalid:.0%} may be"
+        )
     if increment < 0:
-        ranges, first, increment = ranges.flip(0), first + increment * (len(ranges) - 1), -increment
-    return Scan(ranges, first, increment, msg.header.stamp.sec + msg.header.stamp.nanosec * 1e-9)
+        ranges, valid = ranges.flip(0), valid.flip(0)
+        first, increment = first + increment * (len(ranges) - 1), -increment
+    return Scan(ranges, valid, first, increment, msg.header.stamp.sec + msg.header.stamp.nanosec * 1e-9)
+
+
+def _announced(first: float, last: float, increment: float) -> int:
+    """How many readings a scan's angles (rad) announce; 0 where they announce none."""
+    steps = (last - first) / increment
+    return round(steps) + 1 if 0 <= steps < math.inf else 0
 
 
 def read_orientation(q: Any) -> Tensor:
@@ -125,10 +173,10 @@ def read_twist(msg: Any) -> Tensor:
 
 
 class ScanAlignment:
-    """Turns scans into the environment's: ``beams`` over the full turn, from straight ahead counter-clockwise.
+    """Turns scans into the environment's layout: ``beams`` over the full turn, from straight ahead counter-clockwise.
 
-    Each beam gets the nearest of the lidar's readings that lie in its share of the turn, or, where the lidar has fewer,
-    the reading beside it; ``inf`` where the lidar does not look.
+    Each beam gets the nearest of the valid readings that lie in its share of the turn, or, where the lidar has fewer,
+    the valid reading beside it. A beam that no valid reading covers is unseen, never free.
 
     Args:
         beams: of the environment.
@@ -140,16 +188,20 @@ class ScanAlignment:
         self._known: tuple[int, float, float] | None = None
         self._share = self._beside = torch.zeros(0, dtype=torch.int64)
 
-    def __call__(self, scan: Scan) -> Tensor:
-        """Ranges ``[beams]``, m; readings that are no number count as no return."""
+    def __call__(self, scan: Scan) -> AlignedScan:
+        """The scan in the environment's layout."""
         layout = (len(scan.ranges), scan.first, scan.increment)
         if layout != self._known:
             self._known = layout
             self._share, self._beside = self._indices(*layout)
-        ranges = scan.ranges.nan_to_num(nan=math.inf, posinf=math.inf, neginf=-math.inf)
+        ranges = scan.ranges.masked_fill(~scan.valid, math.inf)
         nearest = torch.full((self._beams,), math.inf).scatter_reduce(0, self._share, ranges, "amin")
-        beside = torch.cat((ranges, ranges.new_full((1,), math.inf)))[self._beside]
-        return torch.where(torch.isposinf(nearest), beside, nearest)
+        covered = torch.zeros(self._beams, dtype=torch.bool)
+        covered[self._share[scan.valid]] = True
+        # One more entry stands for beams that have no reading beside them.
+        beside = torch.nn.functional.pad(ranges, (0, 1), value=math.inf)[self._beside]
+        beside_valid = torch.nn.functional.pad(scan.valid, (0, 1), value=False)[self._beside]
+        return AlignedScan(torch.where(covered, nearest, beside), covered | beside_valid)
 
     def _indices(self, count: int, first: float, increment: float) -> tuple[Tensor, Tensor]:
         """The beam ``[count]`` whose share each reading lies in, and the reading ``[beams]`` beside each beam."""

@@ -65,6 +65,7 @@ class RobotNode:
         settings: topics that are not the environment's, and how the lidar is mounted.
         connection: topics.
         start: where it stands at first, x, y (m) and yaw (rad).
+        view: angle that its scans cover, half of it to either side of straight ahead, rad.
     """
 
     def __init__(
@@ -76,12 +77,13 @@ class RobotNode:
         settings: Ros2Settings | None = None,
         connection: Connection | None = None,
         start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        view: float = 2 * math.pi,
     ) -> None:
         settings, connection = settings or Ros2Settings(), connection or Connection()
         self._simulator = simulator
         self._settings = settings
         self._world = world
-        self._lidar_range = lidar_range
+        self._lidar_range, self._view = lidar_range, view
         self._lock = threading.Lock()
         self._command = _Command()
         self._obeyed, self._silent = 0, 0.0
@@ -189,18 +191,29 @@ class RobotNode:
         return imu
 
     def _scan(self, ranges: Tensor, stamp: Time) -> LaserScan:
-        """The scan as the lidar sees it, whose zero points to the side that ``lidar_yaw`` says."""
+        """The scan as the lidar tells it: its zero points where ``lidar_yaw`` says, and REP 117 holds.
+
+        A full turn begins straight ahead; a narrower view begins on the right.
+        """
         beams = len(ranges)
         increment = 2 * math.pi / beams
+        first, count = 0, beams
+        if self._view < 2 * math.pi:
+            side = int(self._view / 2 / increment)
+            first, count = -side, 2 * side + 1
+        told = ranges.roll(-first)[:count].numpy().astype(np.float32)
+        told[told > self._lidar_range] = np.inf
+        told[told < RANGE_MIN] = -np.inf
+        angle = first * increment - self._settings.lidar_yaw
         return LaserScan(
             Header(stamp, "lidar_link"),
-            angle_min=-self._settings.lidar_yaw,
-            angle_max=-self._settings.lidar_yaw + (beams - 1) * increment,
+            angle_min=angle,
+            angle_max=angle + (count - 1) * increment,
             angle_increment=increment,
             scan_time=0.05,
             range_min=RANGE_MIN,
             range_max=self._lidar_range,
-            ranges=ranges.numpy().astype(np.float32),
+            ranges=told,
         )
 
 

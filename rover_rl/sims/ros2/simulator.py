@@ -1,4 +1,4 @@
-"""The ROS 2 backend: one live rover behind the :class:`Simulator` seam."""
+"""The ROS 2 backend: one live rover as a :class:`Simulator`."""
 
 from __future__ import annotations
 
@@ -18,10 +18,13 @@ from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2.commands import Commands
 from rover_rl.sims.ros2.errors import PoseResetError, RobotLostError
+from rover_rl.sims.ros2.guard import UnseenGuard
 from rover_rl.sims.ros2.inbox import Arrival, Inbox
+from rover_rl.sims.ros2.limits import CommandLimiter
 from rover_rl.sims.ros2.messages import Imu, LaserScan, Message, Odometry
 from rover_rl.sims.ros2.pose_reset import Target, make_placer
-from rover_rl.sims.ros2.readings import ScanAlignment, read_imu, read_scan, read_twist
+from rover_rl.sims.ros2.readings import AlignedScan, ScanAlignment, read_imu, read_scan, read_twist
+from rover_rl.sims.ros2.scan_rate import USABLE, ScanRate
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import Transport, make_transport
 from rover_rl.sims.ros2.whereabouts import NOWHERE, POSE_MESSAGES, UPRIGHT, Whereabouts
@@ -38,8 +41,16 @@ TOO_SOON = 0.75
 """Share of a control step before which a next scan is left out: lidars may be faster than control."""
 LONGEST_DT = 1.0
 """A longer gap between two stamps is a clock that jumped, s."""
+BRAKE_AFTER = 0.25
+"""Seconds without a usable scan after which a rover is stopped, while it is still waited for."""
+SLOW_PERIODS = 1.5
+"""Or so many times the time between the last two scans, if that is longer."""
+UNUSABLE = 20
+"""Scans in a row that cannot be used, after which a usable one is no longer waited for."""
+CHECK_EVERY = 1.0
+"""Seconds between two looks at how many publishers there are."""
 WARN_EVERY = 5.0
-"""Seconds between two warnings of malformed messages on one topic."""
+"""Seconds between two warnings of malformed messages on one topic, or of one kind."""
 AT_REST = (0.05, 0.1)
 """Forward speed (m/s) and yaw rate (rad/s) below which a rover's wheels are at rest."""
 STILL = 0.05
@@ -49,18 +60,24 @@ STILL = 0.05
 class Ros2Simulator:
     """A live rover: real, in Gazebo, or ``rover-rl robot``.
 
-    Messages come in a thread of the transport's; :meth:`step` sends a command, waits for the next scan, and takes the
-    newest of the rest. What is malformed is refused with a warning, and the last good value stays.
+    Messages arrive in a thread of the transport; :meth:`step` sends a command, waits for the next scan, and takes the
+    newest of the rest. A malformed message is refused with a warning, and the last good value stays.
+
+    The command path limits speed, yaw rate and their changes (:class:`~rover_rl.sims.ros2.limits.CommandLimits`), and
+    cancels the forward speed towards directions that no valid lidar beam covers
+    (:class:`~rover_rl.sims.ros2.guard.UnseenGuard`). A rover without a usable scan is stopped after 0.25 s, and lost
+    after ``step_timeout``.
 
     Args:
         worlds: the world that it drives in: one, whose name is that of Gazebo's.
-        robot: what it is.
-        lidar_beams: that its scans are turned into.
-        settings: how it is reached.
-        connection: topics, and how long to wait for the first scan.
+        robot: the rover; its limits are those of the commands, unless the settings have others.
+        lidar_beams: beams of the environment's scans.
+        settings: settings of the connection.
+        connection: topics, and the time to wait for the first scan.
 
     Attributes:
-        latency: of the last step, from the arrival of the scan that it answers to its command, s.
+        latency: time from the arrival of the scan that the last step answers to its command, s.
+        held: whether the last command's forward speed was cancelled, as it led towards unseen directions.
 
     Raises:
         ValueError: for more than one rover.
@@ -83,14 +100,22 @@ class Ros2Simulator:
         self.device = torch.device("cpu")
         self.ray_angles = torch.arange(lidar_beams, dtype=torch.float32) * (2 * math.pi / lidar_beams)
         self._world = worlds[0]
-        self._aligned = ScanAlignment(lidar_beams, settings.lidar_yaw)
-        self._nothing_seen = torch.full((1, lidar_beams), math.inf)
+        self._limiter = CommandLimiter(settings.limits(robot))
+        self._align = ScanAlignment(lidar_beams, settings.lidar_yaw)
+        self._guard = UnseenGuard(self.ray_angles)
+        # Before the first scan: full range, as a simulator without obstacles; nothing is seen, so that nothing moves.
+        self._view = AlignedScan(torch.full((lidar_beams,), math.inf), torch.zeros(lidar_beams, dtype=torch.bool))
+        self._scan_rate = ScanRate()
+        self._refused: dict[str, str] = {}
+        self._unusable = 0
+        self._checked = -math.inf
         self._whereabouts = Whereabouts(settings.pose)
         self._inbox = Inbox()
         self._warned: dict[str, float] = {}
         self._scan: Arrival | None = None
         self._dt = CONTROL_DT
         self.latency = 0.0
+        self.held = False
         self._transport = make_transport(settings.transport, settings.node)
         self._commands = Commands(self._transport, connection.cmd_vel_topic, settings.command, settings.frame_id)
         # A program that ends in an error, or forgets to close, leaves no rover that drives on.
@@ -112,7 +137,8 @@ class Ros2Simulator:
         else:
             sources["pose"] = (settings.pose_topic, pose.kind, {"pose": pose.read})
         # Last, as a rover sends it last: when it wakes a step, the rest of the same moment is there.
-        sources["scan"] = (connection.scan_topic, LaserScan, {"scan": read_scan})
+        scan = partial(read_scan, max_invalid=settings.max_invalid)
+        sources["scan"] = (connection.scan_topic, LaserScan, {"scan": scan})
         self._readers = {kind: readers for kind, (_, _, readers) in sources.items()}
         self._topics = {kind: topic for kind, (topic, _, _) in sources.items()}
         receive = weakref.WeakMethod(self.receive)  # else the transport would keep the simulator alive
@@ -121,29 +147,54 @@ class Ros2Simulator:
 
     @property
     def last_command(self) -> tuple[float, float]:
-        """What was sent last, m/s and rad/s."""
+        """The command that was sent last, m/s and rad/s."""
         return self._commands.last
 
     @property
+    def field_of_view(self) -> float:
+        """Angle that the newest scan covers, rad; 0 before the first."""
+        scan = self._inbox.newest("scan")
+        return 0.0 if scan is None else scan.value.field_of_view
+
+    @property
     def robot_connected(self) -> bool:
-        """Whether scans come in."""
+        """Whether usable scans come in."""
         scan = self._inbox.newest("scan")
         return scan is not None and scan.age < self.settings.step_timeout
 
     def wait_for_robot(self, timeout: float) -> bool:
-        """Waits for a scan (s); whether there is one. If not, warns, and everything may go on."""
-        if self.robot_connected or self._inbox.wait("scan", self._inbox.count("scan"), timeout) is not None:
+        """Waits for a usable scan (s); whether there is one. If not, warns, and everything may go on."""
+        deadline = time.monotonic() + timeout
+        count, unusable = self._inbox.count("scan"), self._unusable
+        while not self.robot_connected and time.monotonic() < deadline and self._unusable < unusable + UNUSABLE:
+            self._inbox.wait("scan", count, min(0.1, max(0.0, deadline - time.monotonic())))
+        if self.robot_connected:
             return True
         _log.warning(
-            "no scan on %s within %g s: no robot is connected; it may still appear", self._topics["scan"], timeout
+            "no usable scan on %s within %g s: no robot is connected; it may still appear",
+            self._topics["scan"],
+            timeout,
         )
         return False
 
-    def receive(self, kind: str, msg: Any) -> None:
+    def require_robot(self) -> None:
+        """Checks that there is one robot that sends usable scans.
+
+        Raises:
+            RobotLostError: if there is none, or several; a stop was sent before.
+        """
+        if not self.robot_connected:
+            raise self._lost("scan")
+        self._require_one_robot()
+
+    def receive(self, kind: str, msg: Any) -> bool:
         """Takes in a message: ``"scan"``, ``"imu"``, ``"odometry"`` or ``"pose"``.
 
-        Any object with the message's attributes will do.
-        What is malformed is left out with a warning, at most every five seconds for each kind.
+        Any object with the message's attributes will do. A malformed message is left out with a warning, at most every
+        five seconds for each kind.
+
+        Returns:
+            Whether the message could be used.
 
         Raises:
             ValueError: for another kind, which a pose is where it comes from the wheels.
@@ -153,14 +204,34 @@ class Ros2Simulator:
         try:
             values = {name: read(msg) for name, read in self._readers[kind].items()}
         except (ValueError, TypeError, AttributeError, OverflowError) as error:
-            if time.monotonic() - self._warned.get(kind, -math.inf) > WARN_EVERY:
-                self._warned[kind] = time.monotonic()
-                _log.warning("%s: left out a message: %s", self._topics[kind], error)
-            return
+            self._refuse(kind, str(error))
+            return False
+        self._refused.pop(kind, None)
+        if "scan" in values:
+            self._watch_rate(values["scan"].stamp)
         if "pose" in values:
             values["pose"] = self._whereabouts.located(values["pose"], self._newest("imu", UPRIGHT))
         for name, value in values.items():
             self._inbox.put(name, value)
+        return True
+
+    def _refuse(self, kind: str, reason: str) -> None:
+        """Remembers why a message was left out, and warns of it."""
+        self._refused[kind] = reason
+        self._unusable += kind == "scan"
+        self._warn(kind, "%s: left out a message: %s", self._topics[kind], reason)
+
+    def _watch_rate(self, stamp: float) -> None:
+        rate = self._scan_rate.add(stamp, time.monotonic())
+        if rate is not None and not USABLE[0] <= rate <= USABLE[1]:
+            topic, (low, high) = self._topics["scan"], USABLE
+            self._warn("rate", "%s: %.1f scans a second; policies need %g to %g", topic, rate, low, high)
+
+    def _warn(self, kind: str, message: str, *values: object) -> None:
+        """Warns, at most every five seconds for each kind."""
+        if time.monotonic() - self._warned.get(kind, -math.inf) > WARN_EVERY:
+            self._warned[kind] = time.monotonic()
+            _log.warning(message, *values)
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
         """Stops the rover, puts it at ``poses`` and waits until it rests there: see :meth:`Simulator.reset`.
@@ -176,6 +247,7 @@ class Ros2Simulator:
         if self._inbox.newest("scan") is None:
             _log.warning("no robot has appeared on %s yet: observations are empty", self._topics["scan"])
             return self.state()
+        self._require_one_robot()
         self.stop()
         target, poses_before = self._target(poses), self._inbox.count("pose")
         self._placer.place(target)
@@ -183,23 +255,32 @@ class Ros2Simulator:
         self._take_scan(after=self._inbox.count("scan"))
         ground = self._world.height_at(poses[0, :2]).item()
         there = target if self._placer.moves else None
+        self._limiter.reset()
         self._whereabouts.begin(self._newest("pose", NOWHERE), self._newest("imu", UPRIGHT), there, ground)
         self._dt = CONTROL_DT
         return self.state()
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
-        """Sends a command and waits for the next scan: see :meth:`Simulator.step`.
+        """Sends a command within the limits and waits for the next scan: see :meth:`Simulator.step`.
 
         A rover whose scans do not come is not driven, but told to stop.
 
         Raises:
-            RobotLostError: if a topic brings nothing for ``step_timeout``; a stop was sent before.
+            RobotLostError: if a topic brings nothing for ``step_timeout``, or several robots answer; a stop was sent
+                before.
+            ValueError: for a command that is not finite.
         """
         if active is not None and not active.any():
             return self.state()
+        if time.monotonic() - self._checked > CHECK_EVERY:
+            self._require_one_robot()
         seen = self._inbox.count("scan")
+        speed, turn = self._limiter(self._commands.last, tuple(commands[0].tolist()), self._dt)
+        self.held = self._guard.blocked(speed, self._view.seen)
+        if self.held:
+            self._warn("held", "not driven %s: no beam covers all of it", "forwards" if speed > 0 else "backwards")
         if self.robot_connected:
-            self._commands.send(*commands[0].tolist())
+            self._commands.send(0.0 if self.held else speed, turn)
         else:
             self.stop()
         self.latency = 0.0 if self._scan is None else self._scan.age
@@ -218,13 +299,14 @@ class Ros2Simulator:
         """What the newest messages say; zeros and full range before there are any."""
         twist = self._newest("odometry", torch.zeros(2))[None]
         position, orientation = self._where()
-        scan = self._scan.value if self._scan else None
+        scan, view = self._scan.value if self._scan else None, self._view
         return RoverState.pack(
             position=position[None],
             orientation=orientation[None],
             linear_velocity=twist[:, :1],
             angular_velocity=twist[:, 1:],
-            ranges=self._aligned(scan)[None] if scan else self._nothing_seen.clone(),
+            # What no beam covers is unknown, never free.
+            ranges=view.ranges.masked_fill(~view.seen & (scan is not None), self.settings.unseen_range)[None],
             dt=torch.full((1, 1), self._dt),
             stamp=torch.full((1, 1), scan.stamp if scan else 0.0, dtype=torch.float64),
         )
@@ -238,7 +320,7 @@ class Ros2Simulator:
         raise NotImplementedError("backend 'ros2' has no pictures: look at the rover, or use RViz")
 
     def close(self) -> None:
-        """Stops the rover and closes the connection; may be called again."""
+        """Stops the rover and closes the connection. Idempotent."""
         self._finalizer()
 
     def _newest(self, kind: str, otherwise: Any) -> Any:
@@ -251,18 +333,39 @@ class Ros2Simulator:
 
     def _take_scan(self, after: int) -> None:
         """Waits for a scan that comes after number ``after``, and not too soon; the rest must not be old then."""
-        deadline = time.monotonic() + self.settings.step_timeout
         while True:
-            scan = self._inbox.wait("scan", after, max(0.0, deadline - time.monotonic()))
-            if scan is None:
-                raise self._lost("scan")
+            scan = self._await_scan(after)
             dt = scan.value.stamp - self._scan.value.stamp if self._scan else 0.0
             if not 0.0 < dt < TOO_SOON * CONTROL_DT:
                 break
             after = scan.number
         self._require_news()
         self._dt = dt if 0.0 < dt <= LONGEST_DT else CONTROL_DT
-        self._scan = scan
+        self._scan, self._view = scan, self._align(scan.value)
+
+    def _await_scan(self, after: int) -> Arrival:
+        """The first scan after number ``after``; the rover is stopped long before it is lost."""
+        timeout = self.settings.step_timeout
+        patience = min(timeout, max(BRAKE_AFTER, SLOW_PERIODS * self._dt))
+        scan = self._inbox.wait("scan", after, patience)
+        if scan is None:
+            self.stop()
+            scan = self._inbox.wait("scan", after, timeout - patience)
+        if scan is None:
+            raise self._lost("scan")
+        return scan
+
+    def _require_one_robot(self) -> None:
+        """Refuses several publishers on a topic: their messages would be mixed, and all of them driven."""
+        self._checked = time.monotonic()
+        for topic in (self._topics["scan"], self._topics.get("pose", self._topics["odometry"])):
+            count = self._transport.publishers(topic)
+            if count > 1:
+                self.stop()
+                raise RobotLostError(
+                    f"{count} publishers send on {topic}: there may be several robots in this ROS_DOMAIN_ID; the robot "
+                    "was told to stop"
+                )
 
     def _require_news(self) -> None:
         """No topic may have been silent for long; one of which nothing has come yet is given time, too."""
@@ -277,6 +380,8 @@ class Ros2Simulator:
         self.stop()
         arrival = self._inbox.newest(kind)
         silence = "nothing has come yet" if arrival is None else f"the last message is {arrival.age:.1f} s old"
+        if kind in self._refused:
+            silence = f"its messages cannot be used: {self._refused[kind]}"
         return RobotLostError(f"lost the robot: {self._topics[kind]} ({kind}): {silence}; it was told to stop")
 
     def _target(self, poses: Tensor) -> Target:
@@ -309,7 +414,7 @@ class Ros2Simulator:
         return speed < AT_REST[0] and turn < AT_REST[1]
 
     def _arrived(self, target: Target, poses_before: int) -> bool:
-        """Whether the rover is where it was put, by a pose that came since; whoever puts it nowhere cannot miss."""
+        """Whether the rover is where it was put, by a later pose; always true for resets that do not move it."""
         if not self._placer.moves:
             return True
         place, fresh = self._newest("pose", NOWHERE), self._inbox.count("pose") > poses_before
@@ -322,8 +427,7 @@ def _let_go(commands: Commands, transport: Transport) -> None:
     transport.close()
 
 
-def _hand_over(receive: weakref.WeakMethod[Any], kind: str, msg: Any) -> None:
-    """Gives a message to a simulator that may be gone."""
+def _hand_over(receive: weakref.WeakMethod[Any], kind: str, msg: Any) -> bool:
+    """Gives a message to a simulator that may be gone; whether it could be used."""
     bound = receive()
-    if bound is not None:
-        bound(kind, msg)
+    return bound is not None and bound(kind, msg)

@@ -26,11 +26,12 @@ class Transport(Protocol):
     Messages are those of :mod:`rover_rl.sims.ros2.messages`, or others with the same attributes.
     """
 
-    def subscribe(self, topic: str, kind: type[M], receive: Callable[[M], None], *, reliable: bool = False) -> None:
+    def subscribe(self, topic: str, kind: type[M], receive: Callable[[M], object], *, reliable: bool = False) -> None:
         """Calls ``receive`` with each message on ``topic`` that can be read, from a thread of the transport's own.
 
         The subscription takes what any publisher offers: best effort, volatile; ``reliable`` takes what is sent
-        reliably alone, and misses nothing of it. What cannot be read is left out with a warning.
+        reliably alone, and misses nothing of it. What cannot be read is left out with a warning. ``receive`` returns
+        False for a message that it cannot use, which does not count in :meth:`publishers`.
         """
         ...
 
@@ -48,8 +49,12 @@ class Transport(Protocol):
         """How many listen to what is published here on ``topic``."""
         ...
 
+    def publishers(self, topic: str) -> int:
+        """How many publishers send usable messages on ``topic``, which is subscribed to here."""
+        ...
+
     def close(self) -> None:
-        """Lets go of everything; may be called again. ``receive`` is not called any more afterwards."""
+        """Releases all resources. Idempotent. ``receive`` is not called any more afterwards."""
         ...
 
 

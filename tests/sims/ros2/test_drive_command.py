@@ -192,12 +192,40 @@ def test_without_a_robot_it_says_so(driving, tmp_path, domain):
         (("scripted", "--goal", "1", "1"), "say which --world"),
         (("random", "--world", "maze", "--goal", "1", "1"), "cannot drive a live rover"),
         (("scripted", "--world", "maze"), "say where to"),
-        (("scripted", "--world", "maze", "--goal", "nan", "1"), "say where to"),
+        (("scripted", "--world", "maze", "--goal", "nan", "1"), "--goal must be finite numbers, got nan 1"),
+        (("scripted", *FAR, "--clearance", "-1"), "--clearance must be finite and not negative, got -1.0"),
+        (("scripted", *FAR, "--wait", "nan"), "--wait must be finite and not negative, got nan"),
+        (("scripted", "--random", "-1"), "--random must be finite and not negative, got -1"),
+        (("scripted", *FAR, "--seconds", "0"), "--seconds must be positive and finite, got 0"),
+        (("scripted", *FAR, "--lidar-yaw", "nan"), "lidar_yaw must be a finite angle in rad, got nan"),
+        (("scripted", *FAR, "--max-speed", "0"), "max_speed must be positive and finite, got 0"),
+        (("scripted", *FAR, "--max-acceleration", "inf"), "max_acceleration must be positive and finite, got inf"),
     ],
 )
-def test_what_cannot_be_is_told(arguments, said, capsys):
+def test_what_cannot_be_is_told_before_anything_is_announced(arguments, said, capsys, monkeypatch):
+    monkeypatch.setattr("rover_rl.sims.ros2.watchdog.Watchdog", None)
+    monkeypatch.setattr("rover_rl.envs.RoverEnv", None)
     assert main(["drive", *arguments]) == 2
-    assert said in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--rate", "0"), "--rate must be positive and finite, got 0"),
+        (("--rate", "nan"), "--rate must be positive and finite, got nan"),
+        (("--lidar-beams", "0"), "--lidar-beams must be at least 1, got 0"),
+        (("--lidar-view", "0"), "--lidar-view must be more than 0 and at most 360 degrees, got 0"),
+    ],
+)
+def test_what_a_robot_cannot_be_is_told_before_anything_is_published(arguments, said, capsys, monkeypatch):
+    monkeypatch.setattr("rover_rl.sims.ros2.transport.make_transport", None)
+    assert main(["robot", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
 
 
 def test_a_file_of_goals_has_two_numbers_a_line(tmp_path: Path, capsys):

@@ -41,8 +41,54 @@ def scan(ranges, first=0.0, increment=None) -> LaserScan:
 
 
 def test_a_scan_keeps_its_ranges_as_they_are():
-    ranges = read_scan(scan([1.0, math.inf, math.nan, -math.inf])).ranges
-    np.testing.assert_array_equal(ranges, np.float32([1.0, math.inf, math.nan, -math.inf]))
+    read = read_scan(scan([1.0, math.inf, math.nan, -math.inf]), max_invalid=0.25)
+    np.testing.assert_array_equal(read.ranges, np.float32([1.0, math.inf, math.nan, -math.inf]))
+    assert read.valid.tolist() == [True, True, False, True]
+
+
+def test_readings_outside_of_the_scans_own_limits_are_invalid():
+    message = scan([0.1, 0.15, 10.0, 10.1, -1.0, 0.0, math.inf, -math.inf])
+    assert read_scan(message).valid.all()  # the message states no limits
+    message.range_min, message.range_max = 0.125, 10.0
+    assert read_scan(message, max_invalid=0.5).valid.tolist() == [False, True, True, False, False, False, True, True]
+
+
+@pytest.mark.parametrize(
+    ("ranges", "announced", "said"),
+    [
+        ([math.nan] * 640, 640, "640 of 640 readings"),
+        ([1.0] * 7, 640, "633 of 640 readings"),
+        ([1.0] * 7 + [math.nan] * 633, 640, "633 of 640 readings"),
+        ([12.5] * 65 + [1.0] * 575, 640, "65 of 640 readings"),
+    ],
+    ids=["all NaN", "7 of 640", "7 of 640 valid", "a tenth and one beyond range_max"],
+)
+def test_a_scan_with_too_many_invalid_readings_is_none(ranges, announced, said):
+    message = scan(ranges, increment=2 * math.pi / announced)
+    message.angle_max = (announced - 1) * message.angle_increment
+    message.range_min, message.range_max = 0.15, 12.0
+    with pytest.raises(ValueError, match=f"{said} of the scan are missing, NaN or outside of its limits"):
+        read_scan(message)
+    assert read_scan(message, max_invalid=1.0).ranges.shape == (len(ranges),)
+
+
+def test_a_few_invalid_readings_are_none_of_a_scans_business():
+    message = scan([math.nan] * 64 + [1.0] * 576)
+    assert (~read_scan(message).valid).sum() == 64
+
+
+@pytest.mark.parametrize("last", [0.0, math.nan, math.inf, -1.0])
+def test_angles_that_announce_no_number_of_readings_announce_none(last):
+    message = scan([1.0, 2.0], first=0.0, increment=0.1)
+    message.angle_max = last
+    assert len(read_scan(message).ranges) == 2
+
+
+def test_a_scan_tells_how_much_it_covers():
+    assert read_scan(scan([1.0] * 64)).field_of_view == pytest.approx(2 * math.pi)
+    assert read_scan(scan([1.0] * 100, increment=0.01)).field_of_view == pytest.approx(1.0)
+    assert read_scan(scan([1.0] * 100, increment=-0.01)).field_of_view == pytest.approx(1.0)
+    assert read_scan(scan([1.0] * 1000, increment=0.01)).field_of_view == 2 * math.pi
 
 
 def test_a_scan_is_copied():
@@ -70,25 +116,26 @@ def test_a_scan_needs_angles(first, increment):
 
 
 def test_a_clockwise_scan_is_turned_round():
-    turned = read_scan(scan([1.0, 2.0, 3.0], first=0.5, increment=-0.1))
+    message = scan([1.0, 2.0, 3.0], first=0.5, increment=-0.1)
+    message.angle_max = 0.3
+    turned = read_scan(message)
     assert turned.ranges.tolist() == [3, 2, 1]
     assert turned.first == pytest.approx(0.3)
     assert turned.increment == pytest.approx(0.1)
 
 
-def by_hand(message: LaserScan, beams: int, yaw: float) -> list[float]:
-    """The nearest reading in each beam's share of the turn; a lidar with fewer gives each the reading beside it."""
-    count = len(message.ranges)
-    angles = [message.angle_min + yaw + k * message.angle_increment for k in range(count)]
-    ranges = [math.inf if math.isnan(r) else r for r in message.ranges.tolist()]
-    expected = []
+def by_hand(message: LaserScan, beams: int, yaw: float) -> list[float | None]:
+    """The nearest valid reading in each beam's share of the turn, or else the one beside it, or ``None``."""
+    angles = [message.angle_min + yaw + k * message.angle_increment for k in range(len(message.ranges))]
+    ranges = message.ranges.tolist()
+    expected: list[float | None] = []
     for beam in range(beams):
         middle = 2 * math.pi * beam / beams
         away = [abs(math.remainder(angle - middle, 2 * math.pi)) for angle in angles]
-        inside = [r for r, a in zip(ranges, away, strict=True) if a < math.pi / beams]
-        beside = min(range(count), key=away.__getitem__)
-        near = [ranges[beside]] if away[beside] <= message.angle_increment / 2 else []
-        expected.append(min(inside or near or [math.inf]))
+        inside = [r for r, a in zip(ranges, away, strict=True) if a < math.pi / beams and not math.isnan(r)]
+        beside = min(range(len(ranges)), key=away.__getitem__)
+        near = away[beside] <= message.angle_increment / 2 and not math.isnan(ranges[beside])
+        expected.append(min(inside) if inside else ranges[beside] if near else None)
     return expected
 
 
@@ -102,26 +149,28 @@ def by_hand(message: LaserScan, beams: int, yaw: float) -> list[float]:
 def test_a_scan_is_turned_into_the_environments_beams(readings, beams, yaw, share):
     # A little off, so that no reading lies on the border between two beams.
     message = scan(readings, first=-math.pi + 0.00371, increment=share * 2 * math.pi / len(readings))
-    got = ScanAlignment(beams, yaw)(read_scan(message))
-    assert got.tolist() == pytest.approx(by_hand(message, beams, yaw))
+    got = ScanAlignment(beams, yaw)(read_scan(message, max_invalid=1.0))
+    expected = by_hand(message, beams, yaw)
+    assert got.seen.tolist() == [reading is not None for reading in expected]
+    assert got.ranges.tolist() == pytest.approx([math.inf if reading is None else reading for reading in expected])
 
 
 def test_a_full_scan_of_as_many_beams_is_only_turned():
     ranges = torch.arange(8.0)
     behind = scan(ranges.tolist(), first=-math.pi)
-    assert ScanAlignment(8, yaw=math.pi)(read_scan(behind)).tolist() == ranges.tolist()
-    assert ScanAlignment(8, yaw=0.0)(read_scan(behind)).tolist() == ranges.roll(-4).tolist()
+    assert ScanAlignment(8, yaw=math.pi)(read_scan(behind)).ranges.tolist() == ranges.tolist()
+    assert ScanAlignment(8, yaw=0.0)(read_scan(behind)).ranges.tolist() == ranges.roll(-4).tolist()
 
 
 def test_scans_may_change_their_layout():
     align = ScanAlignment(4, 0.0)
-    assert align(read_scan(scan([1.0, 2.0, 3.0, 4.0]))).tolist() == [1, 2, 3, 4]
-    assert align(read_scan(scan([5.0, 6.0, 7.0, 8.0, 9.0]))).tolist() == [5, 6, 7, 9]
-    assert align(read_scan(scan([1.0, 2.0, 3.0, 4.0]))).tolist() == [1, 2, 3, 4]
+    assert align(read_scan(scan([1.0, 2.0, 3.0, 4.0]))).ranges.tolist() == [1, 2, 3, 4]
+    assert align(read_scan(scan([5.0, 6.0, 7.0, 8.0, 9.0]))).ranges.tolist() == [5, 6, 7, 9]
+    assert align(read_scan(scan([1.0, 2.0, 3.0, 4.0]))).ranges.tolist() == [1, 2, 3, 4]
 
 
 def test_too_close_stays_too_close():
-    assert ScanAlignment(2, 0.0)(read_scan(scan([-math.inf, 1.0]))).tolist() == [-math.inf, 1.0]
+    assert ScanAlignment(2, 0.0)(read_scan(scan([-math.inf, 1.0]))).ranges.tolist() == [-math.inf, 1.0]
 
 
 def imu(x: float, y: float, z: float, w: float) -> Imu:

@@ -52,6 +52,7 @@ class Rover:
         self.z = 0.1
         self.imu_offset = self.climb = 0.0
         self.ranges = np.full(BEAMS, 5.0, np.float32)
+        self.layout: tuple[float, float] | None = None  # angle of the first beam, and from one to the next
         self.silent: set[str] = set()
         self.stamp = 0.0
         self._publish = {
@@ -101,13 +102,16 @@ class Rover:
             ),
             "pose": PoseArray(header, [pose]),
             "localiser": PoseStamped(header, pose),
-            "scan": LaserScan(
-                header, angle_min=-math.pi, angle_increment=2 * math.pi / len(self.ranges), ranges=self.ranges.copy()
-            ),
+            "scan": self.scan(header, self.ranges.copy()),
         }
         for kind, message in messages.items():
             if kind not in self.silent:
                 self._publish[kind](message)
+
+    def scan(self, header: Header, ranges: np.ndarray) -> LaserScan:
+        first, increment = self.layout or (-math.pi, 2 * math.pi / len(ranges))
+        last = first + increment * (639 if len(ranges) == 7 else len(ranges) - 1)  # 7 of 640 that are announced
+        return LaserScan(header, angle_min=first, angle_max=last, angle_increment=increment, ranges=ranges)
 
 
 @pytest.fixture
@@ -117,13 +121,14 @@ def rover(wire: Wire) -> Iterator[Rover]:
     rover.stop()
 
 
-def simulator(timeout: float = 2.0, **settings: Any) -> Ros2Simulator:
-    settings = {"reset": "topic", "step_timeout": 0.3, "reset_timeout": 1.0, "settle": 0.05, **settings}
+def simulator(timeout: float = 2.0, lidar_beams: int = BEAMS, **settings: Any) -> Ros2Simulator:
+    quick = {"max_acceleration": 100.0, "max_yaw_acceleration": 100.0}  # so that commands are sent as they are
+    settings = {"reset": "topic", "step_timeout": 0.3, "reset_timeout": 1.0, "settle": 0.05, **quick, **settings}
     made = make_simulator(
         Ros2Settings(**settings),
         worlds=[get_world("maze")],
         robot=get_robot("rover_zero"),
-        lidar_beams=BEAMS,
+        lidar_beams=lidar_beams,
         connection=Connection(timeout=timeout),
     )
     assert isinstance(made, Ros2Simulator)
@@ -332,7 +337,7 @@ def test_commands_may_be_stamped(wire, rover):
 
 def test_without_a_robot_there_is_nothing_and_a_warning(wire, caplog):
     sim = simulator(timeout=0.05)
-    assert "no scan on /scan within 0.05 s" in caplog.text
+    assert "no usable scan on /scan within 0.05 s" in caplog.text
     assert not sim.robot_connected
     state = sim.reset(ALL, torch.zeros(1, 3))
     assert "no robot has appeared" in caplog.text
@@ -440,7 +445,8 @@ def test_the_gymnasium_classs_callbacks_are_the_topics(wire):
     ("ranges", "seen"),
     [
         ([-1.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0], 0.0),
-        ([math.nan, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0], 12.0),
+        ([math.nan] + [2.0] * 15, 2.0),  # two readings a beam: the other one tells
+        ([math.nan] * 3 + [2.0] * 13, 1.0),  # nothing tells what is there
         ([math.inf, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0], 12.0),
         ([-math.inf, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0], 0.0),
         ([1.0, 2.0], 1.0),
@@ -449,12 +455,136 @@ def test_the_gymnasium_classs_callbacks_are_the_topics(wire):
 def test_what_a_lidar_may_say_becomes_an_observation(rover, ranges, seen):
     rover.ranges = np.array(ranges, np.float32)
     rover.start()
-    backend = Ros2Settings(reset="none", lidar_yaw=math.pi, settle=0.05)
+    backend = Ros2Settings(reset="none", lidar_yaw=math.pi, max_invalid=0.2, settle=0.05)
     env = RoverEnv(world_n="maze", backend=backend, lidar_beams=BEAMS, lidar_points=BEAMS)
     lidar = env.reset()["lidar"][0]
     assert lidar[0] == seen
     assert ((lidar >= 0) & (lidar <= 12.0)).all()
     env.close()
+
+
+def forwards(sim: Ros2Simulator, wire: Wire, speed: float = 0.5) -> float:
+    """The forward speed that is sent when ``speed`` is asked for."""
+    for _ in range(2):
+        sim.step(torch.tensor([[speed, 0.2]]))
+    assert wire.sent["/cmd_vel"][-1].angular.z == pytest.approx(0.2)  # it may always turn
+    return wire.sent["/cmd_vel"][-1].linear.x
+
+
+def covering(front: float, behind: float) -> np.ndarray:
+    """A scan of 64 beams from straight behind, whose readings around ahead and behind are invalid or not."""
+    ranges = np.full(64, 5.0, np.float32)
+    ranges[[31, 32, 33]] = front
+    ranges[[63, 0, 1]] = behind
+    return ranges
+
+
+@pytest.mark.parametrize(
+    ("front", "behind", "speed", "sent"),
+    [(5.0, 5.0, 0.5, 0.5), (math.nan, 5.0, 0.5, 0.0), (math.nan, 5.0, -0.5, -0.5), (5.0, math.nan, -0.5, 0.0)],
+)
+def test_a_rover_does_not_move_towards_what_nothing_sees(wire, rover, caplog, front, behind, speed, sent):
+    rover.ranges = covering(front, behind)
+    rover.start()
+    sim = simulator(reset="none", lidar_yaw=0.0, lidar_beams=64)
+    sim.reset(ALL, torch.zeros(1, 3))
+    assert forwards(sim, wire, speed) == sent
+    assert sim.held == (sent == 0.0)
+    assert ("no beam covers all of it" in caplog.text) == sim.held
+
+
+def test_directions_that_a_lidar_does_not_cover_are_unknown_and_not_free(wire, rover):
+    """A lidar of 180 degrees: what is behind reads 1 m, and the rover does not back up."""
+    rover.ranges, rover.layout = np.full(64, 5.0, np.float32), (-math.pi / 2, math.pi / 64)
+    rover.start()
+    sim = simulator(reset="none", lidar_yaw=0.0, lidar_beams=64)
+    state = sim.reset(ALL, torch.zeros(1, 3))
+    assert sim.field_of_view == pytest.approx(math.pi)
+    ahead = sim.ray_angles.cos() > 0.1
+    behind = sim.ray_angles.cos() < -0.1
+    assert (state.ranges[0, ahead] == 5.0).all()
+    assert (state.ranges[0, behind] == 1.0).all()
+    assert forwards(sim, wire, 0.5) == 0.5
+    assert forwards(sim, wire, -0.5) == 0.0
+
+
+@pytest.mark.parametrize("bad", ["nan", "few", "increment"])
+def test_scans_that_cannot_be_used_stop_the_rover_before_it_is_lost(wire, rover, bad):
+    rover.start()
+    sim = simulator(reset="none", step_timeout=5.0)
+    sim.reset(ALL, torch.zeros(1, 3))
+    assert forwards(sim, wire) == 0.5
+    if bad == "nan":
+        rover.ranges = np.full(BEAMS, math.nan, np.float32)
+    elif bad == "few":
+        rover.layout, rover.ranges = (-math.pi, 2 * math.pi / 640), np.full(7, 5.0, np.float32)
+    else:
+        rover.layout = (-math.pi, 0.0)
+    go = threading.Thread(target=go_on, args=(sim, 3), daemon=True)
+    go.start()
+    until(lambda: wire.sent["/cmd_vel"][-1] == Twist(), seconds=2.0)  # long before the five seconds are over
+    rover.ranges, rover.layout = np.full(BEAMS, 5.0, np.float32), None
+    go.join(5.0)
+    assert forwards(sim, wire) == 0.5  # it goes on when it sees again
+
+
+def test_a_robot_whose_scans_cannot_be_used_is_not_waited_for_and_named(wire, rover, caplog):
+    rover.ranges = np.full(BEAMS, math.nan, np.float32)
+    rover.start()
+    sim = simulator(timeout=60.0)
+    assert not sim.robot_connected
+    with pytest.raises(RobotLostError, match=r"messages cannot be used: 8 of 8 readings of the scan are missing, NaN"):
+        sim.require_robot()
+
+
+@pytest.mark.parametrize(("step", "warned"), [(0.05, False), (0.1, True), (0.01, True)])
+def test_a_scan_rate_that_policies_are_not_made_for_is_warned_of(rover, caplog, step, warned):
+    rover.stamp_step = step
+    sim = simulator(reset="none", timeout=0.01)
+    for _ in range(25):
+        rover.tell()
+    assert ("scans a second; policies need 15 to 30" in caplog.text) == warned
+    sim.close()
+
+
+def test_two_robots_on_one_topic_are_noticed(wire, rover):
+    rover.start()
+    sim = simulator(reset="none")
+    sim.reset(ALL, torch.zeros(1, 3))
+    forwards(sim, wire)
+    wire.robots = 2
+    with pytest.raises(RobotLostError, match=r"2 publishers send on /\S+: there may be several robots"):
+        go_on(sim, steps=200)
+    assert wire.sent["/cmd_vel"][-1] == Twist()
+    with pytest.raises(RobotLostError, match=r"2 publishers send on /"):
+        sim.reset(ALL, torch.zeros(1, 3))
+
+
+def test_commands_on_the_wire_are_within_the_limits(wire, rover):
+    rover.start()
+    limits = {"max_speed": 0.4, "max_yaw_rate": 0.6, "max_acceleration": 1.0, "max_yaw_acceleration": 2.0}
+    sim = simulator(reset="none", **limits)
+    sim.reset(ALL, torch.zeros(1, 3))
+    for _ in range(10):
+        sim.step(torch.tensor([[1.0, -7.0]]))
+    speeds, turns = zip(*((twist.linear.x, twist.angular.z) for twist in wire.sent["/cmd_vel"]), strict=True)
+    assert max(speeds) == 0.4
+    assert min(turns) == -0.6
+    assert max(np.diff(speeds)) <= 1.0 * 0.05 + 1e-6
+    assert max(np.abs(np.diff(turns))) <= 2.0 * 0.05 + 1e-6
+
+
+def test_the_default_reset_takes_what_there_is(wire, rover, monkeypatch, caplog):
+    monkeypatch.setattr("shutil.which", lambda command: None)
+    rover.start()
+    sim = simulator(reset="auto")
+    state = sim.reset(ALL, torch.tensor([[-3.0, 4.0, 2.0]]))
+    assert state.position[0, :2].tolist() == pytest.approx([-3.0, 4.0])  # the rover listens to the reset topic
+    wire.receivers["/rover/set_pose"].clear()
+    monkeypatch.setattr("rover_rl.sims.ros2.pose_reset._DISCOVERY_TIMEOUT", 0.01)
+    state = simulator(reset="auto").reset(ALL, torch.tensor([[1.0, 1.0, 0.0]]))
+    assert state.position[0, :2].tolist() == pytest.approx([-3.0, 4.0])
+    assert "no node listens to /rover/set_pose, and neither ign nor gz is installed" in caplog.text
 
 
 def test_only_one_rover(wire):
@@ -465,7 +595,8 @@ def test_only_one_rover(wire):
 def test_closing_stops_the_rover_and_the_connection(wire, rover):
     rover.start()
     sim = simulator()
-    sim.step(torch.tensor([[0.5, 0.0]]))
+    go_on(sim, steps=2)  # the first of them before anything is seen
+    assert wire.sent["/cmd_vel"][-1] == Twist(Vector3(x=0.5))
     sim.close()
     sim.close()
     assert wire.closed
@@ -475,7 +606,7 @@ def test_closing_stops_the_rover_and_the_connection(wire, rover):
 def test_a_forgotten_simulator_stops_the_rover_and_closes_its_connection(wire, rover):
     rover.start()
     sim = simulator()
-    sim.step(torch.tensor([[0.5, 0.0]]))
+    go_on(sim, steps=2)
     assert wire.sent["/cmd_vel"][-1] == Twist(Vector3(x=0.5))
     del sim
     until(lambda: wire.closed)  # the rover's thread may hold it for a moment
@@ -492,5 +623,9 @@ def test_unknown_settings_are_refused():
         Ros2Settings(reset="later")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="step_timeout must be positive and finite"):
         Ros2Settings(step_timeout=0.0)
+    with pytest.raises(ValueError, match="lidar_yaw must be a finite angle"):
+        Ros2Settings(lidar_yaw=math.nan)
+    with pytest.raises(ValueError, match="max_invalid must be at least 0 and less than 1"):
+        Ros2Settings(max_invalid=1.0)
     with pytest.raises(ValueError, match="unknown transport 'zenoh'; use one of"):
         transports.make_transport("zenoh", "node")

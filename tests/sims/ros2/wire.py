@@ -12,6 +12,7 @@ class Wire:
     def __init__(self, node: str = "") -> None:
         self.receivers: dict[str, list[Callable[[Any], None]]] = {}
         self.sent: dict[str, list[Any]] = {}
+        self.robots = 1
         self.closed = False
 
     def subscribe(self, topic: str, kind: type, receive: Callable[[Any], None], *, reliable: bool = False) -> None:
@@ -28,6 +29,9 @@ class Wire:
 
     def subscribers(self, topic: str) -> int:
         return len(self.receivers.get(topic, []))
+
+    def publishers(self, topic: str) -> int:
+        return self.robots
 
     def close(self) -> None:
         self.closed = True

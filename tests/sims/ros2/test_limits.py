@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.ros2 import Ros2Settings
+from rover_rl.sims.ros2.limits import LEAST_REVERSAL, CommandLimiter, CommandLimits
+
+LIMITS = CommandLimits(speed=1.0, yaw_rate=2.0, acceleration=5.0, yaw_acceleration=4.0)
+
+
+@given(
+    wanted=st.lists(st.tuples(st.floats(-20, 20), st.floats(-20, 20), st.floats(0.01, 0.2)), max_size=30),
+    speed=st.floats(0.05, 3.0),
+    yaw_rate=st.floats(0.05, 8.0),
+)
+def test_no_command_is_above_its_limits(wanted, speed, yaw_rate):
+    limits = replace(LIMITS, speed=speed, yaw_rate=yaw_rate)
+    limiter, last = CommandLimiter(limits), (0.0, 0.0)
+    for v, w, dt in wanted:
+        sent = limiter(last, (v, w), dt)
+        assert abs(sent[0]) <= speed
+        assert abs(sent[1]) <= yaw_rate
+        assert abs(sent[0] - last[0]) <= limits.acceleration * dt + 1e-9
+        assert abs(sent[1] - last[1]) <= limits.yaw_acceleration * dt + 1e-9
+        last = sent
+
+
+def test_commands_within_the_limits_are_reached_and_held():
+    limiter, last = CommandLimiter(LIMITS), (0.0, 0.0)
+    for _ in range(20):
+        last = limiter(last, (-0.7, 1.5), 0.05)
+    assert last == (-0.7, 1.5)
+
+
+def test_a_large_reversal_is_carried_out_and_a_small_one_stops_turning():
+    limiter = CommandLimiter(LIMITS)
+    assert limiter((0.0, 0.0), (0.0, 0.2), 0.05)[1] == pytest.approx(0.2)
+    assert limiter((0.0, 0.2), (0.0, -LEAST_REVERSAL + 0.01), 0.05)[1] == 0.0
+    assert limiter((0.0, 0.0), (0.0, -LEAST_REVERSAL + 0.01), 0.05)[1] == 0.0
+    assert limiter((0.0, 0.0), (0.0, -LEAST_REVERSAL - 0.01), 0.05)[1] == pytest.approx(-0.2)
+    assert limiter((0.0, -0.2), (0.0, -0.01), 0.05)[1] == pytest.approx(-0.01)  # the same direction
+
+
+def test_an_episode_begins_without_a_turning_direction():
+    limiter = CommandLimiter(LIMITS)
+    limiter((0.0, 0.0), (0.0, 0.2), 0.05)
+    limiter.reset()
+    assert limiter((0.0, 0.0), (0.0, -0.1), 0.05)[1] == pytest.approx(-0.1)
+
+
+@pytest.mark.parametrize("wanted", [(math.nan, 0.0), (0.0, math.inf)])
+def test_a_command_that_is_no_number_is_refused(wanted):
+    with pytest.raises(ValueError, match="a command must be finite"):
+        CommandLimiter(LIMITS)((0.0, 0.0), wanted, 0.05)
+
+
+def test_the_limits_are_the_robots_unless_the_settings_have_others():
+    robot = get_robot("rover_zero")
+    assert Ros2Settings().limits(robot) == CommandLimits(1.0, 7.0, 5.0, 4.0)
+    assert Ros2Settings().limits(replace(robot, max_speed=0.4)).speed == 0.4
+    settings = Ros2Settings(max_speed=0.3, max_yaw_rate=0.5, max_acceleration=0.6, max_yaw_acceleration=0.7)
+    assert settings.limits(robot) == CommandLimits(0.3, 0.5, 0.6, 0.7)
+
+
+@pytest.mark.parametrize("name", ["max_speed", "max_yaw_rate", "max_acceleration", "max_yaw_acceleration"])
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
+def test_a_limit_that_is_none_is_refused(name, value):
+    with pytest.raises(ValueError, match=f"{name} must be positive and finite"):
+        Ros2Settings(**{name: value})
+    with pytest.raises(ValueError, match="must be positive and finite"):
+        replace(LIMITS, speed=value)
