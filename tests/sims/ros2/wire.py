@@ -13,6 +13,7 @@ class Wire:
         self.receivers: dict[str, list[Callable[[Any], None]]] = {}
         self.sent: dict[str, list[Any]] = {}
         self.robots = 1
+        self.tamper: dict[str, Callable[[Any], Any]] = {}
         self.closed = False
 
     def subscribe(self, topic: str, kind: type, receive: Callable[[Any], None], *, reliable: bool = False) -> None:
@@ -21,6 +22,7 @@ class Wire:
     def publisher(self, topic: str, kind: type, *, reliable: bool = False):
         def publish(message: Any) -> None:
             assert isinstance(message, kind)
+            message = self.tamper.get(topic, lambda whole: whole)(message)
             self.sent.setdefault(topic, []).append(message)
             for receive in self.receivers.get(topic, []):
                 receive(message)

@@ -1,0 +1,186 @@
+"""Command reversals on a drive without lag, with and without the limits of live rovers.
+
+    python -m benchmarks.lag_free
+
+Policies are trained on a drive that accelerates at a limited rate and on wheels that slip. Here a rover moves exactly
+as it is commanded. Without the limits (``rover_rl.sims.ros2.limits``) the heading PID's yaw rate then changes its sign
+in nearly every step. The table has success, SPL, reversals a second and the share of steps at the PID's maximum, each
+without and with the limits, over the same stored episodes. Results are in ``runs/lag_free/lag_free.json``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import tyro
+from rich.console import Console
+from rich.table import Table
+from torch import Tensor
+
+from rover_rl.algos.episodes import stored_episodes
+from rover_rl.algos.evaluate import evaluate
+from rover_rl.algos.files import write_json
+from rover_rl.algos.metrics import count_reversals
+from rover_rl.cli.drivers import find_driver
+from rover_rl.envs.control import HeadingGains
+from rover_rl.sims.base import Dynamics, RoverState
+from rover_rl.sims.bullet.library import pybullet
+from rover_rl.sims.bullet.lidar import Lidar
+from rover_rl.sims.connection import Connection
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.ros2.limits import CommandLimiter, CommandLimits
+from rover_rl.sims.rotations import matrix_to_quaternion
+from rover_rl.sims.worlds import World, rest_on_ground
+
+DT = 0.05
+"""Control step, s."""
+
+
+@dataclass
+class LagFree:
+    """Settings of :class:`LagFreeRovers`, which also hold what they were commanded.
+
+    Attributes:
+        limited: whether commands go through the limits of live rovers.
+        commands: of each step, ``[N, 2]``, m/s and rad/s; nan on rows that were not active.
+    """
+
+    limited: bool
+    commands: list[Tensor] = field(default_factory=list)
+
+    def make(
+        self,
+        *,
+        worlds: Sequence[World],
+        robot: Robot,
+        lidar_beams: int,
+        connection: Connection | None = None,
+        device: torch.device | None = None,
+    ) -> LagFreeRovers:
+        """The simulator with these settings."""
+        return LagFreeRovers(worlds, robot, lidar_beams, self)
+
+    def reversals(self) -> float:
+        """Changes of the commanded turning direction a second."""
+        turns = torch.stack(self.commands)[..., 1]
+        driven = turns.isfinite()
+        count = sum(count_reversals(turns[driven[:, row], row].tolist()) for row in range(turns.shape[1]))
+        return count / (DT * driven.sum().item())
+
+    def at_maximum(self) -> float:
+        """Share of the steps at the heading PID's maximum."""
+        turns = torch.stack(self.commands)[..., 1]
+        return (turns[turns.isfinite()].abs() >= HeadingGains.max_output).float().mean().item()
+
+
+class LagFreeRovers:
+    """Rovers that move exactly as they are commanded, on the ground of one world."""
+
+    def __init__(self, worlds: Sequence[World], robot: Robot, lidar_beams: int, settings: LagFree) -> None:
+        self.num_envs, self.device, self.robot_connected = len(worlds), torch.device("cpu"), True
+        self.ray_angles = torch.arange(lidar_beams, dtype=torch.float32) * (2 * math.pi / lidar_beams)
+        self._world, self._robot, self._settings = worlds[0], robot, settings
+        self._lidar = Lidar(worlds[0], robot, self.ray_angles.double().numpy())
+        limits = CommandLimits.of(robot)
+        self._limiters = [CommandLimiter(limits) for _ in worlds] if settings.limited else []
+        self._pose = torch.zeros(self.num_envs, 3, dtype=torch.float64)
+        self._twist = torch.zeros(self.num_envs, 2)
+
+    def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
+        """Puts rovers at ``poses``, at rest."""
+        self._pose = torch.where(mask[:, None], poses.double(), self._pose)
+        self._twist = self._twist.masked_fill(mask[:, None], 0.0)
+        for row in mask.nonzero().flatten().tolist() if self._limiters else ():
+            self._limiters[row].reset()
+        return self.state()
+
+    def vary(self, mask: Tensor, dynamics: Dynamics) -> None:
+        """There is nothing to vary."""
+        raise ValueError("rovers without lag have no dynamics to vary")
+
+    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
+        """Moves as commanded for a control step."""
+        active = torch.ones(self.num_envs, dtype=torch.bool) if active is None else active
+        for row in active.nonzero().flatten().tolist() if self._limiters else ():
+            last, wanted = tuple(self._twist[row].tolist()), tuple(commands[row].tolist())
+            commands[row] = torch.tensor(self._limiters[row](last, wanted, DT))
+        self._settings.commands.append(commands.masked_fill(~active[:, None], math.nan))
+        self._twist = torch.where(active[:, None], commands, self._twist)
+        speed, turn = commands.double().unbind(-1)
+        middle = self._pose[:, 2] + turn * DT / 2
+        moved = torch.stack((speed * middle.cos(), speed * middle.sin(), turn), -1) * DT
+        self._pose = torch.where(active[:, None], self._pose + moved, self._pose)
+        return self.state()
+
+    def state(self) -> RoverState:
+        """Where they are, and what they see."""
+        position, rotation = rest_on_ground(self._world, self._robot, self._pose)
+        ranges = self._lidar.scan(position.numpy(), np.ascontiguousarray(rotation.numpy()))
+        return RoverState.pack(
+            position=position.float(),
+            orientation=matrix_to_quaternion(rotation).float(),
+            linear_velocity=self._twist[:, :1].clone(),
+            angular_velocity=self._twist[:, 1:].clone(),
+            ranges=torch.from_numpy(ranges).float(),
+            dt=torch.full((self.num_envs, 1), DT),
+            stamp=torch.zeros(self.num_envs, 1, dtype=torch.float64),
+        )
+
+    def close(self) -> None:
+        """Disconnects from Bullet, which casts the rays."""
+        if pybullet.isConnected(self._lidar.client):
+            pybullet.disconnect(self._lidar.client)
+
+
+@dataclass
+class Options:
+    """What to measure."""
+
+    policies: tuple[str, ...] = ("pretrained:inspect-ppo", "pretrained:maze-ppo", "pretrained:moon-sac")
+    """Policies, each in the world that it was trained in."""
+    count: int = 64
+    """Stored episodes to drive."""
+    seconds: float = 60.0
+    """Time limit of an episode, s."""
+    out: Path = Path("runs/lag_free")
+    """Folder to write to."""
+
+
+def measure(policy: str, count: int, seconds: float) -> dict[str, dict[str, float]]:
+    """Drives the same episodes without and with the limits."""
+    driver = find_driver(policy, ())
+    results = {}
+    for name, limited in (("without limits", False), ("with limits", True)):
+        settings = LagFree(limited)
+        episodes = stored_episodes(driver.worlds[0]).first(count)
+        driven = evaluate(driver.policy, episodes, rows=count, seconds=seconds, backend=settings)
+        results[name] = {
+            "success": driven.success_rate,
+            "SPL": driven.metrics["spl"].value,
+            "reversals a second": settings.reversals(),
+            "steps at the maximum": settings.at_maximum(),
+        }
+    return results
+
+
+def main(options: Options) -> dict[str, Any]:
+    """Measures, prints and writes."""
+    table = Table("policy", "", "success", "SPL", "reversals a second", "steps at the maximum")
+    results = {}
+    for policy in options.policies:
+        results[policy] = measure(policy, options.count, options.seconds)
+        for name, row in results[policy].items():
+            table.add_row(policy, name, *(f"{value:.3f}" for value in row.values()))
+    write_json(options.out / "lag_free.json", results)
+    Console(width=120).print(table)
+    return results
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))
