@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import subprocess
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,7 @@ from rover_rl.sims.ros2.cdr import encode
 from rover_rl.sims.ros2.dds import DdsTransport
 from rover_rl.sims.ros2.messages import Header, LaserScan, Time, Twist, Vector3
 from rover_rl.sims.ros2.pose_reset import GazeboPlacer, PoseResetError, Target
-from tests.sims.ros2.processes import until
+from tests.sims.ros2.processes import start, until
 
 pytestmark = [pytest.mark.ros2, pytest.mark.slow]
 
@@ -31,27 +33,46 @@ needs_gazebo = pytest.mark.skipif(
 )
 
 
-@needs_fast_dds
-@pytest.mark.parametrize("peer_first", [True, False])
-def test_fast_dds_is_understood_and_understands(tmp_path, domain, peer_first):
-    program = tmp_path / "peer"
+@pytest.fixture(scope="module")
+def program(tmp_path_factory) -> Path:
+    """The peer, compiled."""
+    program = tmp_path_factory.mktemp("peer") / "peer"
     subprocess.run(["g++", "-O0", "-o", program, PEER, "-lfastrtps", "-lfastcdr"], check=True)
-    scan = LaserScan(Header(Time(3, 4), "lidar"), range_max=10.0, ranges=np.arange(640, dtype=np.float32))
-    twist = Twist(Vector3(x=0.5), Vector3(z=-0.25))
-    command = [str(program), domain["ROS_DOMAIN_ID"], encode(scan).hex()]
+    return program
 
-    def start() -> subprocess.Popen[str]:
+
+@pytest.fixture
+def start_peer(program, domain) -> Iterator[Callable[[LaserScan], subprocess.Popen[str]]]:
+    """Starts a peer that sends a scan 20 times a second, and prints the twists that it receives."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start_peer(scan: LaserScan) -> subprocess.Popen[str]:
+        command = [str(program), domain["ROS_DOMAIN_ID"], encode(scan).hex()]
         peer = subprocess.Popen(command, env={**os.environ, **domain}, stdout=subprocess.PIPE, text=True)
+        started.append(peer)
         assert peer.stdout is not None
         assert peer.stdout.readline() == "up\n"
         return peer
 
-    early = start() if peer_first else None
+    yield start_peer
+    for peer in started:
+        peer.kill()
+        peer.wait()
+        assert peer.stdout is not None
+        peer.stdout.close()
+
+
+@needs_fast_dds
+@pytest.mark.parametrize("peer_first", [True, False])
+def test_fast_dds_is_understood_and_understands(start_peer, domain, peer_first):
+    scan = LaserScan(Header(Time(3, 4), "lidar"), range_max=10.0, ranges=np.arange(640, dtype=np.float32))
+    twist = Twist(Vector3(x=0.5), Vector3(z=-0.25))
+    early = start_peer(scan) if peer_first else None
     transport = DdsTransport("rover_rl", domain)
     received: list[LaserScan] = []
     transport.subscribe("/scan", LaserScan, received.append)
     publish = transport.publisher("/cmd_vel", Twist, reliable=True)
-    peer = early or start()
+    peer = early or start_peer(scan)
     try:
         until(lambda: received and transport.subscribers("/cmd_vel"))
         assert (received[0].header, received[0].range_max) == (scan.header, 10.0)
@@ -60,9 +81,42 @@ def test_fast_dds_is_understood_and_understands(tmp_path, domain, peer_first):
         assert peer.stdout is not None
         assert peer.stdout.readline().strip() == encode(twist).hex()
     finally:
-        peer.kill()
-        peer.communicate()
         transport.close()
+
+
+def bad_scan(ranges: list[float], increment: float = 2 * math.pi / 640, announced: int = 640) -> LaserScan:
+    return LaserScan(
+        Header(Time(3, 4), "lidar"),
+        angle_min=-math.pi,
+        angle_max=-math.pi + (announced - 1) * increment,
+        angle_increment=increment,
+        range_min=0.15,
+        range_max=12.0,
+        ranges=np.array(ranges, np.float32),
+    )
+
+
+@needs_fast_dds
+@pytest.mark.parametrize(
+    ("scan", "said"),
+    [
+        (bad_scan([math.nan] * 640), "640 of 640 readings of the scan are missing, NaN or outside of its limits"),
+        (bad_scan([1.0] * 7), "633 of 640 readings of the scan are missing"),
+        (bad_scan([1.0] * 640, increment=0.0), "a scan must tell its angles"),
+        (bad_scan([5.0] * 320, announced=320), "the scan covers 180 degrees, and the policy was trained with 360"),
+    ],
+    ids=["all NaN", "7 of 640", "increment 0", "180 degrees"],
+)
+def test_a_drive_with_unusable_scans_of_fast_dds_is_refused(start_peer, domain, tmp_path, scan, said):
+    peer = start_peer(scan)
+    options = ("--world", "maze", "--goal", "1", "1", "--wait", "20", "--log", str(tmp_path / "drive.jsonl"))
+    drive = start({**os.environ, **domain}, "drive", "scripted", *options)
+    told, _ = drive.communicate(timeout=60)
+    assert drive.returncode == 2, told
+    assert [said in line for line in told.splitlines() if line.startswith("rover-rl:")] == [True]
+    peer.kill()
+    twists, _ = peer.communicate()
+    assert set(twists.split()) <= {encode(Twist()).hex()}
 
 
 @needs_gazebo
