@@ -9,6 +9,7 @@ Example:
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,6 +25,8 @@ from rover_rl.algos.policy import single_threaded
 from rover_rl.envs import Phase, RoverEnv
 from rover_rl.sims import RoverState
 from rover_rl.sims.ros2.simulator import Ros2Simulator
+
+_log = logging.getLogger(__name__)
 
 POLICY_VIEW = 2 * math.pi
 """Angle that the lidar of policies covers in training, rad."""
@@ -109,8 +112,9 @@ def drive_to(
                 watch(moment)
                 if log is not None:
                     log.add(env.rover_state, now["outcome"], moment.command, moment.latency, moment.held)
-                restarted = has_restarted(before, env.rover_state)
-                ending = RESTARTED if restarted else _ending(now, clearance, driven >= seconds)
+                if reason := restart(before, env.rover_state):
+                    _log.warning("the robot seems to have been restarted: %s", reason)
+                ending = RESTARTED if reason else _ending(now, clearance, driven >= seconds)
     finally:
         rover.stop()
         if log is not None:
@@ -131,11 +135,15 @@ def require_view(field_of_view: float) -> None:
         )
 
 
-def has_restarted(before: RoverState, after: RoverState) -> bool:
-    """Whether a robot was restarted or carried between two steps: its clock went back, or its pose jumped."""
+def restart(before: RoverState, after: RoverState) -> str:
+    """Why a robot seems to have been restarted or carried between two steps; empty if it does not."""
+    elapsed = (after.stamp - before.stamp).item()
+    if elapsed < -CLOCK_TOLERANCE:
+        return f"its clock went back by {-elapsed:.1f} s"
     moved = torch.dist(before.position, after.position).item()
-    reach = 2 * (after.stamp - before.stamp).clamp(min=0.0).item()  # twice as fast as it drives
-    return (before.stamp - after.stamp).item() > CLOCK_TOLERANCE or moved > POSE_TOLERANCE + reach
+    if moved > POSE_TOLERANCE + 2 * max(elapsed, 0.0):  # twice as fast as it drives
+        return f"its pose jumped by {moved:.1f} m"
+    return ""
 
 
 def live_rover(env: RoverEnv) -> Ros2Simulator:

@@ -165,8 +165,11 @@ def elsewhere(poses: PoseArray) -> PoseArray:
     return replace(poses, poses=[replace(pose, position=replace(pose.position, y=pose.position.y + 4.0))])
 
 
-@pytest.mark.parametrize(("topic", "fault"), [("/scan", later), ("/rover/pose_array", elsewhere)])
-def test_a_robot_that_restarts_ends_the_drive(wire, start, topic, fault):
+@pytest.mark.parametrize(
+    ("topic", "fault", "reason"),
+    [("/scan", later, "its clock went back by"), ("/rover/pose_array", elsewhere, "its pose jumped by 4.0 m")],
+)
+def test_a_robot_that_restarts_ends_the_drive(wire, start, caplog, topic, fault, reason):
     robot = Robot(wire)
     env = start(robot)
 
@@ -175,6 +178,7 @@ def test_a_robot_that_restarts_ends_the_drive(wire, start, topic, fault):
             wire.tamper[topic] = fault
 
     assert drive_to(env, straight(0.3), (6.0, 0.0), seconds=2.0, watch=watch) == RESTARTED
+    assert f"the robot seems to have been restarted: {reason}" in caplog.text
     assert wire.sent["/cmd_vel"][-1] == Twist()
 
 
