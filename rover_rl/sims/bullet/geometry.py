@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
-from torch import Tensor
 
 from rover_rl.sims.bullet.library import pybullet
+from rover_rl.sims.bullet.shapes import make_hull, make_mesh
 from rover_rl.sims.worlds import Obstacle, Terrain, World
 from rover_rl.sims.worlds.world import Area
 
@@ -57,7 +56,8 @@ def add_mesh_bodies(client: int, world: World) -> None:
         faces = torch.cat([o.faces + offset for o, offset in zip(world.obstacles, offsets[:-1], strict=True)])
         meshes.append((torch.cat([o.vertices for o in world.obstacles]), faces))
     for vertices, faces in meshes:
-        pybullet.createMultiBody(0, _mesh_shape(client, vertices.numpy(), faces), physicsClientId=client)
+        shape = make_mesh(client, vertices.numpy(), faces.numpy())
+        pybullet.createMultiBody(0, shape, physicsClientId=client)
 
 
 def add_ground(client: int, world: World) -> list[int]:
@@ -77,7 +77,7 @@ def add_ground(client: int, world: World) -> list[int]:
         area = (x_low - GROUND_MARGIN, x_high + GROUND_MARGIN), (y_low - GROUND_MARGIN, y_high + GROUND_MARGIN)
         for strip in terrain_strips(terrain, area):
             vertices, faces = terrain.mesh(*strip)
-            shapes.append(_mesh_shape(client, turn.inv().apply(vertices.numpy()), faces))
+            shapes.append(make_mesh(client, turn.inv().apply(vertices.numpy()), faces.numpy()))
         height = 0.0
     return [
         pybullet.createMultiBody(
@@ -93,18 +93,6 @@ def add_obstacles(client: int, obstacles: Iterable[Obstacle]) -> list[int]:
     for obstacle in obstacles:
         # Corners relative to the body keep their precision far from the origin.
         center = obstacle.vertices.mean(0)
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_MESH, vertices=(obstacle.vertices - center).tolist(), physicsClientId=client
-        )
+        shape = make_hull(client, (obstacle.vertices - center).numpy())
         bodies.append(pybullet.createMultiBody(0, shape, basePosition=center.tolist(), physicsClientId=client))
     return bodies
-
-
-def _mesh_shape(client: int, vertices: np.ndarray, faces: Tensor) -> int:
-    return pybullet.createCollisionShape(
-        pybullet.GEOM_MESH,
-        vertices=vertices.tolist(),
-        indices=faces.flatten().tolist(),
-        flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
-        physicsClientId=client,
-    )

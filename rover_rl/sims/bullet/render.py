@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import weakref
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from rover_rl.sims.base import View
 from rover_rl.sims.bullet.geometry import terrain_strips
-from rover_rl.sims.bullet.library import pybullet
+from rover_rl.sims.bullet.library import disconnect, pybullet
+from rover_rl.sims.bullet.shapes import make_visual_mesh
 from rover_rl.sims.camera import FIELD_OF_VIEW, NEAR, Camera
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
@@ -28,6 +31,7 @@ class Renderer:
 
     def __init__(self, world: World, robot: Robot) -> None:
         self.client = pybullet.connect(pybullet.DIRECT)
+        self._finalizer = weakref.finalize(self, disconnect, [self.client])
         self._world = world
         self._add_scenery()
         self._rover = pybullet.loadURDF(str(robot.urdf), physicsClientId=self.client)
@@ -70,8 +74,7 @@ class Renderer:
 
     def close(self) -> None:
         """Disconnects its client; may be called again."""
-        if pybullet.isConnected(self.client):
-            pybullet.disconnect(self.client)
+        self._finalizer()
 
     def _pose(self, position: np.ndarray, orientation: np.ndarray, goal: list[float] | None) -> None:
         center = pybullet.multiplyTransforms(position.tolist(), orientation.tolist(), *self._inertial)
@@ -99,12 +102,5 @@ class Renderer:
         for k in range(3):
             normals.index_add_(0, faces[:, k], flat)
         normals = normals / normals.norm(dim=-1, keepdim=True)
-        shape = pybullet.createVisualShape(
-            pybullet.GEOM_MESH,
-            vertices=vertices.tolist(),
-            indices=faces.flatten().tolist(),
-            normals=normals.tolist(),
-            rgbaColor=colour,
-            physicsClientId=self.client,
-        )
+        shape = make_visual_mesh(self.client, vertices.numpy(), faces.numpy(), normals.numpy(), colour)
         pybullet.createMultiBody(0, -1, shape, physicsClientId=self.client)

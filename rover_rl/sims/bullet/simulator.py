@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.base import Dynamics, RoverState, View
-from rover_rl.sims.bullet.library import pybullet
+from rover_rl.sims.bullet.library import disconnect
 from rover_rl.sims.bullet.lidar import Lidar
 from rover_rl.sims.bullet.physics import RoverPhysics
 from rover_rl.sims.bullet.render import Renderer
@@ -48,7 +48,7 @@ class BulletSimulator:
         self._drive = SimulatedDrive(robot, self.settings.control_dt, self.num_envs)
         self._renderers: dict[int, Renderer] = {}
         self._clients: list[int] = []
-        self._finalizer = weakref.finalize(self, _disconnect, self._clients)
+        self._finalizer = weakref.finalize(self, disconnect, self._clients)
         angles = np.arange(lidar_beams) * (2 * math.pi / lidar_beams)
         self._places: list[_Place] = []
         for world, block in groupby(range(self.num_envs), key=worlds.__getitem__):
@@ -104,7 +104,6 @@ class BulletSimulator:
         index = next(k for k, place in enumerate(self._places) if row in place.rows)
         if index not in self._renderers:
             self._renderers[index] = Renderer(self._places[index].world, self._robot)
-            self._clients.append(self._renderers[index].client)
         pose = self._body[row].astype(float)
         return self._renderers[index].picture(
             pose[:3], pose[3:7], view, width, height, None if goal is None else goal.tolist()
@@ -118,6 +117,9 @@ class BulletSimulator:
     def close(self) -> None:
         """Disconnects every client; may be called again."""
         self._finalizer()
+        for renderer in self._renderers.values():
+            renderer.close()
+        self._renderers.clear()
 
     def _read(self, place: _Place, local: np.ndarray) -> None:
         """Reads rovers of one place and scans for them; ``local`` counts within the place."""
@@ -141,10 +143,3 @@ class _Place:
         self.all = np.arange(len(rows))
         self.physics = physics
         self.lidar = lidar
-
-
-def _disconnect(clients: list[int]) -> None:
-    while clients:
-        client = clients.pop()
-        if pybullet.isConnected(client):
-            pybullet.disconnect(client)

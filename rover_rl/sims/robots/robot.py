@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from rover_rl.sims.robots.consistency import check_consistency
+
 
 @dataclass(frozen=True)
 class Robot:
@@ -16,8 +18,9 @@ class Robot:
 
     Args:
         name: its name; a live simulator knows it by this.
-        urdf: path of its description. Every wheel is a continuous joint about +y, and every link has one collision
-            shape at most.
+        urdf: path of its description. The link that is on no other is the base. Every wheel is a continuous joint about
+            +y, on the base or on a link fixed to it, and a cylinder or sphere around its hub. Every link has one
+            collision shape at most.
         left_wheels, right_wheels: names of the wheel joints of each side.
         wheel_positions: hub of each wheel, left then right, ``(x, y, z)``.
         wheel_radius: radius that turns speed over ground into wheel speed, and the radius of the wheel's shape.
@@ -36,7 +39,9 @@ class Robot:
         max_yaw_rate: the same for the yaw rate, rad/s.
 
     Raises:
-        ValueError: for a length, limit or torque that is not positive, or wheels that do not match their positions.
+        ValueError: for a length, limit or torque that is not positive, positions that are not finite, wheels that do
+            not match their positions or are on the wrong side, or figures that contradict the URDF
+            (:mod:`rover_rl.sims.robots.consistency`).
         FileNotFoundError: if there is no description at ``urdf``.
     """
 
@@ -74,11 +79,35 @@ class Robot:
             value = getattr(self, field)
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{field} of robot {self.name!r} must be a positive number, got {value}")
-        if len(self.wheel_positions) != len(self.left_wheels) + len(self.right_wheels):
+        self._check_positions()
+        object.__setattr__(self, "urdf", Path(self.urdf))
+        if not self.urdf.is_file():
+            raise FileNotFoundError(f"no description of robot {self.name!r} at {self.urdf}")
+        check_consistency(self)
+
+    def _check_positions(self) -> None:
+        names = (*self.left_wheels, *self.right_wheels)
+        if len(self.wheel_positions) != len(names):
             raise ValueError(
                 f"robot {self.name!r} names {len(self.left_wheels)} left and {len(self.right_wheels)} right wheels, "
                 f"but gives {len(self.wheel_positions)} wheel positions"
             )
-        object.__setattr__(self, "urdf", Path(self.urdf))
-        if not self.urdf.is_file():
-            raise FileNotFoundError(f"no description of robot {self.name!r} at {self.urdf}")
+        if not (self.left_wheels and self.right_wheels) or len(set(names)) != len(names):
+            raise ValueError(
+                f"robot {self.name!r} must have at least one wheel on each side and name each wheel once, "
+                f"got left_wheels={self.left_wheels} and right_wheels={self.right_wheels}"
+            )
+        positions = [("wheel_positions", position) for position in self.wheel_positions]
+        positions += [("lidar_position", self.lidar_position), ("imu_position", self.imu_position)]
+        for field, position in positions:
+            if len(position) != 3 or not all(map(math.isfinite, position)):
+                raise ValueError(
+                    f"{field} of robot {self.name!r} must have finite coordinates (x, y, z) in metres, got {position}"
+                )
+        sides = [("left", 1)] * len(self.left_wheels) + [("right", -1)] * len(self.right_wheels)
+        for name, position, (side, sign) in zip(names, self.wheel_positions, sides, strict=True):
+            if not sign * position[1] > 0:
+                raise ValueError(
+                    f"robot {self.name!r} has {side} wheel {name!r} at y = {position[1]} m in wheel_positions; "
+                    "left wheels must be at y > 0, right wheels at y < 0"
+                )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +9,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.description import Description, Inertial, Link
 
 POINT_SPACING = 0.3
 """Metres between the points of the chassis that may touch the ground, at most."""
@@ -84,114 +84,66 @@ def read_figures(robot: Robot) -> Figures:
     """Reads a robot's URDF.
 
     Raises:
-        ValueError: for a description without what is needed, wheels that differ, or a chassis that is not made of boxes
-            along its axes and of one mass.
+        ValueError: for wheels whose joints, masses or inertias are turned or not centred, or a chassis that is not made
+            of boxes along its axes and of one mass.
     """
     try:
-        return _Description(robot).figures()
-    except (ValueError, ET.ParseError) as error:
+        return _figures(robot, Description(robot.urdf))
+    except ValueError as error:
         raise ValueError(f"the warp backend cannot drive {robot.urdf}: {error}") from error
 
 
-class _Description:
-    """A URDF of a chassis, which may have links fixed to it, and wheels."""
-
-    def __init__(self, robot: Robot) -> None:
-        root = ET.parse(robot.urdf).getroot()
-        self._links = {_word(link, "name"): link for link in root.findall("link")}
-        self._joints = {_word(joint, "name"): joint for joint in root.findall("joint")}
-        names = (*robot.left_wheels, *robot.right_wheels)
-        if missing := [name for name in names if name not in self._joints]:
-            raise ValueError(f"it has no wheel joint {missing[0]!r}; its joints are {sorted(self._joints)}")
-        self._wheels = [self._joints[name] for name in names]
-        for joint in self._wheels:
-            axis = joint.find("axis")
-            if any(_numbers(joint, "rpy")) or axis is None or _word(axis, "xyz").split() != ["0", "1", "0"]:
-                raise ValueError(f"wheel joint {joint.get('name')!r} must turn about +y of an upright frame")
-        self._hubs = np.array(robot.wheel_positions, dtype=float)
-
-    def figures(self) -> Figures:
-        wheels = {_inertial(self._child(joint)) for joint in self._wheels}
-        if len(wheels) != 1:
-            raise ValueError("its wheels are not alike")
-        ((wheel_mass, _, (turn, _, _, spin, _, _)),) = wheels
-        chassis = _word(_part(self._wheels[0], "parent"), "link")
-        mass, center, (ixx, ixy, ixz, iyy, iyz, izz) = _inertial(self._links[chassis])
-        boxes = [box for name, offset in self._fixed_to(chassis).items() for box in _boxes(self._links[name], offset)]
-        return Figures(
-            chassis_mass=mass,
-            chassis_center=np.array(center),
-            chassis_inertia=np.array(((ixx, ixy, ixz), (ixy, iyy, iyz), (ixz, iyz, izz))),
-            wheel_mass=wheel_mass,
-            wheel_spin_inertia=spin,
-            wheel_turn_inertia=turn,
-            hubs=self._hubs,
-            box_centers=np.array([center for center, _ in boxes]).reshape(-1, 3),
-            box_halves=np.array([half for _, half in boxes]).reshape(-1, 3),
-        )
-
-    def _fixed_to(self, chassis: str) -> dict[str, np.ndarray]:
-        """The chassis and what is fixed to it, with the place of each."""
-        places = {chassis: np.zeros(3)}
-        fixed = [joint for joint in self._joints.values() if joint.get("type") == "fixed"]
-        # A link may come before the one that it is fixed to.
-        for _ in fixed:
-            for joint in fixed:
-                parent, child = (_word(_part(joint, end), "link") for end in ("parent", "child"))
-                if parent in places and child not in places:
-                    places[child] = places[parent] + _place(joint)
-                    if _inertial(self._links[child])[0] > 0:
-                        raise ValueError(f"the mass of {child!r} must be that of {chassis!r}, which it is fixed to")
-        return places
-
-    def _child(self, joint: ET.Element) -> ET.Element:
-        return self._links[_word(_part(joint, "child"), "link")]
+def _figures(robot: Robot, description: Description) -> Figures:
+    wheels = [_wheel(description, name) for name in (*robot.left_wheels, *robot.right_wheels)]
+    # Those of a Robot are alike.
+    wheel = wheels[0]
+    chassis = _inertial(description.links[description.base])
+    boxes = _boxes(description)
+    return Figures(
+        chassis_mass=chassis.mass,
+        chassis_center=chassis.frame.position,
+        chassis_inertia=chassis.inertia,
+        wheel_mass=wheel.mass,
+        wheel_spin_inertia=float(wheel.inertia[1, 1]),
+        wheel_turn_inertia=float(wheel.inertia[0, 0]),
+        hubs=np.array(robot.wheel_positions, dtype=float),
+        box_centers=np.array([center for center, _ in boxes]).reshape(-1, 3),
+        box_halves=np.array([half for _, half in boxes]).reshape(-1, 3),
+    )
 
 
-def _inertial(link: ET.Element) -> tuple[float, tuple[float, ...], tuple[float, ...]]:
-    """Mass, centre of mass, and ixx, ixy, ixz, iyy, iyz, izz of a link."""
-    inertial = _part(link, "inertial")
-    if any(_numbers(inertial, "rpy")):
-        raise ValueError(f"the inertia of {link.get('name')!r} must be along its own axes")
-    inertia = _part(inertial, "inertia")
-    tensor = tuple(float(inertia.get(name, 0)) for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
-    return float(_word(_part(inertial, "mass"), "value")), _numbers(inertial, "xyz"), tensor
+def _wheel(description: Description, name: str) -> Inertial:
+    """Mass and inertia of the wheel at a joint."""
+    joint = description.joints[name]
+    if (description.fixed[joint.parent] @ joint.frame).is_turned:
+        raise ValueError(f"wheel joint {name!r} must turn about +y of an upright frame")
+    return _inertial(description.links[joint.child])
 
 
-def _boxes(link: ET.Element, offset: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Centre and half of the sides of each of a link's collision shapes."""
+def _inertial(link: Link) -> Inertial:
+    """Mass and inertia of a link, along its own axes."""
+    if link.inertial is None:
+        raise ValueError(f"link {link.name!r} has no inertial")
+    if link.inertial.frame.is_turned:
+        raise ValueError(f"the inertia of {link.name!r} must be along its own axes")
+    return link.inertial
+
+
+def _boxes(description: Description) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Centre and half of the sides of each box of the chassis, which is the base link and all that is fixed to it."""
     boxes = []
-    for collision in link.findall("collision"):
-        sides = _word(_part(collision, "geometry/box"), "size").split()
-        boxes.append((offset + _place(collision), np.array([float(side) for side in sides]) / 2))
+    for name, frame in description.fixed.items():
+        link = description.links[name]
+        if name != description.base and _inertial(link).mass > 0:
+            raise ValueError(f"the mass of {name!r} must be that of {description.base!r}, which it is fixed to")
+        for shape in link.shapes:
+            if shape.kind != "box":
+                raise ValueError(f"a collision shape of {name!r} has no geometry/box, it is a {shape.kind}")
+            place = frame @ shape.frame
+            if place.is_turned:
+                raise ValueError("its chassis must be of boxes that are not turned")
+            boxes.append((place.position, np.array(shape.sizes) / 2))
     return boxes
-
-
-def _place(element: ET.Element) -> np.ndarray:
-    """Where a joint or a shape is, ``[3]``."""
-    if any(_numbers(element, "rpy")):
-        raise ValueError("its chassis must be of boxes that are not turned")
-    return np.array(_numbers(element, "xyz"))
-
-
-def _numbers(element: ET.Element, name: str) -> tuple[float, ...]:
-    """Of an element's origin."""
-    origin = element.find("origin")
-    return tuple(float(number) for number in ("0 0 0" if origin is None else origin.get(name, "0 0 0")).split())
-
-
-def _part(element: ET.Element, path: str) -> ET.Element:
-    part = element.find(path)
-    if part is None:
-        raise ValueError(f"{element.tag} {element.get('name', '')!r} has no {path}")
-    return part
-
-
-def _word(element: ET.Element, name: str) -> str:
-    word = element.get(name)
-    if word is None:
-        raise ValueError(f"a {element.tag} has no {name}")
-    return word
 
 
 def _moved(mass: Tensor, offset: Tensor) -> Tensor:

@@ -37,8 +37,8 @@ REACH = 1.0
 """Metres beyond which the distance to an obstacle is not worth knowing exactly."""
 TILT_MARGIN = 0.02
 """Metres that the lidar may move sideways because the ground tilts the rover differently within a cell."""
-CHUNK = 512
-"""Cells whose headings are checked at once; bounds the memory to some 100 MB."""
+CHUNK = 64
+"""Cells whose headings are checked at once; bounds the memory to some 15 MB."""
 
 
 @dataclass(frozen=True, eq=False)

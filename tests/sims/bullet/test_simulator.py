@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from rover_rl.sims.bullet.library import pybullet
 from rover_rl.sims.bullet.physics import ROVERS_PER_CLIENT
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, World, get_world
+from tests.extras import needs_warp
 
 ROVER = get_robot("rover_zero")
 FLAT = World("flat", Terrain.flat((20, 20)))
@@ -60,14 +62,9 @@ def test_pictures_show_the_rover_from_behind_and_from_above():
         sim.render(0, "side", 64, 48)
 
 
-def test_unknown_backend_and_missing_wheels_are_refused_in_words():
-    from dataclasses import replace
-
+def test_an_unknown_backend_is_refused_in_words():
     with pytest.raises(ValueError, match="unknown backend 'gazebo'.*bullet"):
         make_simulator("gazebo", worlds=[FLAT], robot=ROVER, lidar_beams=8)
-    robot = replace(ROVER, left_wheels=("front_left_wheel", "no_such_wheel"))
-    with pytest.raises(ValueError, match="no wheel joint 'no_such_wheel'"):
-        make_simulator("bullet", worlds=[FLAT], robot=robot, lidar_beams=8)
 
 
 def _drive_in_a_process(queue) -> None:
@@ -122,3 +119,23 @@ print(peak, megabytes() - warm)
     assert peak < 1000
     # 10,240 resets: a leak of one kilobyte each would show as 10 MB.
     assert growth < 5
+
+
+def connected() -> set[int]:
+    """The Bullet clients of this process."""
+    gc.collect()
+    return {client for client in range(1024) if pybullet.isConnected(client)}
+
+
+@pytest.mark.parametrize("name", ["bullet", pytest.param("warp", marks=needs_warp)])
+@pytest.mark.parametrize("end", ["closed", "forgotten"])
+def test_a_simulator_that_ends_leaves_no_client_connected(name, end):
+    before = connected()
+    sim = make_simulator(name, worlds=[FLAT], robot=ROVER, lidar_beams=8)
+    sim.render(0, "chase", 8, 8)
+    assert connected() > before
+    if end == "closed":
+        sim.close()
+    else:
+        del sim
+    assert connected() == before

@@ -1,0 +1,28 @@
+"""URDFs that differ from Rover Zero's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from rover_rl.sims.robots import get_robot
+
+Edit = Callable[..., Path]
+
+
+@pytest.fixture
+def edited(tmp_path: Path) -> Edit:
+    """Writes Rover Zero's URDF with text replaced; the first occurrence unless ``count`` says more (-1: all)."""
+
+    def write(*replacements: tuple[str, str], count: int = 1) -> Path:
+        text = get_robot("rover_zero").urdf.read_text()
+        for old, new in replacements:
+            assert old in text
+            text = text.replace(old, new, count)
+        path = tmp_path / "rover.urdf"
+        path.write_text(text)
+        return path
+
+    return write

@@ -1,0 +1,190 @@
+"""A robot whose figures contradict its URDF is refused, with a reason."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from rover_rl.sims.robots import get_robot
+
+ROVER = get_robot("rover_zero")
+FRONT_LEFT, *OTHERS = ROVER.wheel_positions
+
+REFUSED = "robot 'rover_zero' cannot be driven with its URDF"
+
+HUB = '<origin xyz="0.1415 0.18 0.125"/>'
+"""Of the front left wheel's joint."""
+ON_BASE = f'<parent link="base_link"/>\n    <child link="front_left_wheel_link"/>\n    {HUB}'
+AXIS = '<axis xyz="0 1 0"/>'
+MASS = '<mass value="1.25"/>'
+INERTIA = '<inertia ixx="0.005645" ixy="0" ixz="0" iyy="0.01008" iyz="0" izz="0.005645"/>'
+"""Of a wheel."""
+LYING = '<collision>\n      <origin rpy="1.5707963267948966 0 0"/>'
+"""Pose of a wheel's collision shape."""
+CYLINDER = '<cylinder radius="0.122" length="0.09"/></geometry>\n    </collision>'
+"""Of a wheel that collides."""
+END = "</geometry>\n    </collision>"
+
+BEAM = (
+    "</robot>",
+    '<link name="beam"><inertial><mass value="0"/><inertia/></inertial></link><joint name="beam" type="fixed">'
+    '<parent link="base_link"/><child link="beam"/><origin xyz="0.09355745 0.09224174 0.125" rpy="0 0 -0.5"/>'
+    "</joint></robot>",
+)
+"""A beam that is turned by -0.5 rad, on which the front left wheel's hub is at (0, 0.1, 0)."""
+
+
+@pytest.mark.parametrize(
+    ("figures", "message"),
+    [
+        (
+            {"wheel_radius": 0.2},
+            "wheel_radius is 0.2 m, the cylinder of wheel link 'front_left_wheel_link' has a radius of 0.122 m; "
+            "they may differ by 1%",
+        ),
+        (
+            {"wheel_width": 0.05},
+            "wheel_width is 0.05 m, the cylinder of wheel link 'front_left_wheel_link' has a length of 0.09 m; "
+            "they may differ by 0.001 m",
+        ),
+        (
+            {"wheel_positions": (FRONT_LEFT, (-0.145, 0.18, 0.135), *OTHERS[1:])},
+            r"wheel_positions has wheel joint 'rear_left_wheel' at \(-0.145, 0.18, 0.135\) m, "
+            r"the URDF at \(-0.145, 0.18, 0.125\) m; each coordinate may differ by 0.001 m",
+        ),
+        (
+            {"wheel_positions": (OTHERS[0], FRONT_LEFT, *OTHERS[1:])},
+            "wheel_positions has wheel joint 'front_left_wheel' at",
+        ),
+        (
+            {"right_wheels": ("front_right_wheel", "no_such_wheel")},
+            r"right_wheels names 'no_such_wheel', the URDF has no wheel joint 'no_such_wheel'; "
+            r"its joints are \['front_left_wheel', .*\]",
+        ),
+        ({"left_wheels": ("front_left_wheel", "payload")}, "wheel joint 'payload' is fixed, it must be continuous"),
+    ],
+)
+def test_figures_that_are_not_those_of_the_urdf(figures, message):
+    with pytest.raises(ValueError, match=f"^{REFUSED} .*rover_zero.urdf: {message}"):
+        replace(ROVER, **figures)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        # Joints.
+        ('type="continuous"', 'type="revolute"', "wheel joint 'front_left_wheel' is revolute, it must be continuous"),
+        (
+            AXIS,
+            '<axis xyz="0 -1 0"/>',
+            r"wheel joint 'front_left_wheel' must turn about \+y, .* about \(0.0, -1.0, 0.0\)",
+        ),
+        (AXIS, "", r"must turn about \+y, \(0, 1, 0\), of the base frame, it turns about \(1.0, 0.0, 0.0\)"),
+        (HUB, f'{HUB[:-2]} rpy="0 0 0.3"/>', r"must turn about \+y, .* turns about \(-0.29552.*, 0.95533.*, 0.0\)"),
+        (HUB, "", r"the URDF at \(0.0, 0.0, 0.0\) m"),
+        (
+            '<parent link="base_link"/>\n    <child link="rear_left_wheel_link"/>',
+            '<parent link="front_left_wheel_link"/>\n    <child link="rear_left_wheel_link"/>',
+            "wheel joint 'rear_left_wheel' must be on the base link 'base_link' or on a link fixed to it, "
+            "it is on 'front_left_wheel_link'",
+        ),
+        # Shapes.
+        (CYLINDER, f'<sphere radius="0.125"/>{END}', "the sphere of wheel link .* has a radius of 0.125 m"),
+        (
+            CYLINDER,
+            f'<mesh filename="wheel.stl"/>{END}',
+            r"must have one collision shape, a cylinder .* it has \['mesh'\]",
+        ),
+        (
+            f"{LYING}\n      <geometry>{CYLINDER}",
+            "",
+            "'front_left_wheel_link' must have one collision shape, .* it has none",
+        ),
+        (
+            CYLINDER,
+            CYLINDER + "<collision><geometry><box size='1 1 1'/></geometry></collision>",
+            "has .'cylinder', 'box'",
+        ),
+        (
+            LYING,
+            f'{LYING[:-2]} xyz="0 0.05 0"/>',
+            "the cylinder of wheel link .* is 0.05 m from its joint; 0.001 m is allowed",
+        ),
+        (LYING, "<collision>", r"the cylinder .* must lie along y of the base frame, it lies along \(0.0, 0.0, 1.0\)"),
+        # Masses.
+        (
+            MASS,
+            '<mass value="0"/>',
+            "wheel link 'front_left_wheel_link' must have a positive mass, its URDF states 0.0 kg",
+        ),
+        (MASS, '<mass value="-1"/>', "must have a positive mass, its URDF states -1.0 kg"),
+        (MASS, '<mass value="nan"/>', "link 'front_left_wheel_link': value of mass must be a finite number, got 'nan'"),
+        (
+            '<mass value="7.486"/>',
+            '<mass value="0"/>',
+            "base link 'base_link' must have a positive mass, .* states 0.0 kg",
+        ),
+        (f"<inertial>\n      {MASS}\n      {INERTIA}\n    </inertial>", "", "positive mass, its URDF states none"),
+        (
+            MASS,
+            '<mass value="1.5"/>',
+            "wheels are not alike: 'front_left_wheel' has a mass of 1.5 kg, 'rear_left_wheel' of 1.25 ",
+        ),
+        # Inertias.
+        (
+            'ixx="0.0629"',
+            'ixx="-0.0629"',
+            "the inertia of base link 'base_link' must be positive definite, .* are .-0.06",
+        ),
+        ('ixx="0.0629"', 'ixx="0.01"', "the inertia of base link .* is not that of a rigid body: the largest of"),
+        ('iyy="0.01008" iyz="0"', 'iyy="0.01008" iyz="0.008"', "wheel link .* must be positive definite"),
+        ('iyy="0.01008"', 'iyy="0.1"', "inertia of wheel link 'front_left_wheel_link' is not that of a rigid body"),
+        (
+            'iyy="0.01008"',
+            'iyy="0.009"',
+            "'front_left_wheel' has the inertia .*0.009.* 'rear_left_wheel' .*0.01008.* differ by 1%",
+        ),
+        # Files.
+        ("</robot>", "", "it is not XML .no element found"),
+        ("<robot", "<robot><!--", "it is not XML"),
+    ],
+)
+def test_a_urdf_that_contradicts_the_figures_or_physics(edited, old, new, message):
+    urdf = edited((old, new))
+    with pytest.raises(ValueError, match=f"^{REFUSED} .*rover.urdf: .*{message}"):
+        replace(ROVER, urdf=urdf)
+
+
+def test_wheels_may_be_on_a_link_fixed_to_the_base(edited):
+    on_beam = ON_BASE.replace("base_link", "beam").replace(HUB, '<origin xyz="0 0.1 0" rpy="0 0 0.5"/>')
+    replace(ROVER, urdf=edited((ON_BASE, on_beam), BEAM))
+    crooked = on_beam.replace("0 0 0.5", "0 0 0.4")
+    with pytest.raises(ValueError, match=r"'front_left_wheel' must turn about \+y"):
+        replace(ROVER, urdf=edited((ON_BASE, crooked), BEAM))
+    with pytest.raises(ValueError, match="wheel_positions has wheel joint 'front_left_wheel'"):
+        replace(ROVER, urdf=edited((ON_BASE, on_beam), (BEAM[0], BEAM[1].replace('0.125" rpy', '0.13" rpy'))))
+
+
+def test_small_differences_are_accepted():
+    moved = tuple((x + 0.0009, y - 0.0009, z) for x, y, z in ROVER.wheel_positions)
+    replace(ROVER, wheel_positions=moved, wheel_radius=0.123, wheel_width=0.0905)
+
+
+def test_wheels_may_be_spheres(edited):
+    sphere = f'<sphere radius="0.122"/>{END}'
+    replace(ROVER, urdf=edited((CYLINDER, sphere), count=-1), wheel_width=0.05)
+
+
+def test_wheels_may_be_turned_about_their_axles(edited):
+    # Half a turn swaps the signs of an inertia's products with y; the wheels are alike all the same.
+    turned = f'{HUB[:-2]} rpy="0 3.141592653589793 0"/>'
+    tilted = INERTIA.replace('ixy="0"', 'ixy="0.001"')
+    mirrored = INERTIA.replace('ixy="0"', 'ixy="-0.001"')
+    urdf = edited((INERTIA, tilted), count=-1)
+    text = urdf.read_text().replace(tilted, mirrored, 1)
+    urdf.write_text(text)
+    with pytest.raises(ValueError, match="not alike"):
+        replace(ROVER, urdf=urdf)
+    urdf.write_text(text.replace(HUB, turned))
+    replace(ROVER, urdf=urdf)
