@@ -12,7 +12,8 @@ from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, get_args, get_ori
 
 import yaml
 
-from rover_rl.algos.files import written_whole
+from rover_rl.algos.files import write_through, written_whole
+from rover_rl.seeds import check_seed
 
 SECONDS_PER_STEP = 0.05
 """The simulator is controlled at 20 Hz."""
@@ -24,6 +25,8 @@ Physics: TypeAlias = Literal["default", "accurate", "fast"]
 """Presets of the physics: :data:`rover_rl.sims.bullet.settings.PRESETS`, which needs PyTorch."""
 ENDLESS = 10**9
 """Steps that no training comes to: its time ends it."""
+_COUNTED_ON = 2**32
+"""Seeds that a training may count on from its own: one for each rover, at another place each time it is resumed."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +132,7 @@ class TrainingConfig:
             ValueError: naming the setting.
         """
         self._require_counts("total_steps", "num_envs", "repeat", "episode_steps")
+        check_seed(self.seed, _COUNTED_ON)
         if self.workers is not None:
             self._require_counts("workers")
         self._require_positive("learning_rate", "reward_scale", "max_grad_norm", "checkpoint_minutes", "spread")
@@ -302,7 +306,7 @@ def config_from(data: Any, source: str) -> TrainingConfig:
     Raises:
         ValueError: for an algorithm or a setting that does not exist, or a value of the wrong type.
     """
-    if not isinstance(data, dict) or data.get("algo") not in CONFIGS:
+    if not isinstance(data, dict) or data.get("algo") not in list(CONFIGS):
         raise ValueError(f"{source} must name an algo, one of {sorted(CONFIGS)}")
     kind = CONFIGS[data["algo"]]
     hints = get_type_hints(kind)
@@ -333,7 +337,7 @@ _TUPLES: dict[Any, type] = {tuple[str, ...]: str, tuple[int, ...]: int}
 def write_config(path: Path, config: TrainingConfig) -> None:
     """Writes settings as YAML."""
     with written_whole(path) as temporary:
-        temporary.write_text(yaml.safe_dump(plain(config), sort_keys=False))
+        write_through(temporary, yaml.safe_dump(plain(config), sort_keys=False).encode())
 
 
 def read_config(path: str | Path) -> TrainingConfig:
@@ -344,11 +348,14 @@ def read_config(path: str | Path) -> TrainingConfig:
         ValueError: if it is no YAML, or as :func:`config_from`.
     """
     path = Path(path)
+    if path.is_dir():
+        raise IsADirectoryError(f"{path} is a folder, and settings are in a file, such as a run's config.yaml")
     if not path.is_file():
         raise FileNotFoundError(f"no settings at {path}")
+    text = path.read_bytes()
     try:
-        data = yaml.safe_load(path.read_text())
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        data = yaml.safe_load(text.decode())
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ValueError(f"{path} is no YAML: {' '.join(str(error).split())}") from error
     return config_from(data, str(path))
 
@@ -361,7 +368,12 @@ def run_config(folder: str | Path) -> TrainingConfig:
         ValueError: if its settings cannot be read.
     """
     folder = Path(folder)
-    return replace(read_config(folder / "config.yaml"), runs=str(folder.parent), name=folder.name)
+    path = folder / "config.yaml"
+    if not path.is_file():
+        raise FileNotFoundError(f"no settings at {path}: {folder} is not the folder of a run")
+    if not path.read_bytes().endswith(b"\n"):
+        raise ValueError(f"{path} is empty, or cut short: the run's settings are lost; begin a new run")
+    return replace(read_config(path), runs=str(folder.parent), name=folder.name)
 
 
 def default_workers(num_envs: int, cores: int | None = None) -> int:

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import csv
 import math
+import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from statistics import harmonic_mean
 from types import TracebackType
-from typing import Any
 
 import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from tensordict import TensorDictBase
 
-from rover_rl.algos.files import written_whole
+from rover_rl.algos.files import errors_name, written_whole
 from rover_rl.algos.step_clock import NAMES
 
 EPISODE_STEPS = 2000
@@ -129,7 +129,7 @@ class ProgressLog:
         self._told = 0
         self._steps, self._clock = steps, time.perf_counter()
         _keep_rows(self._path, updates)
-        self._events = _event_writer(folder / "tensorboard", steps if updates else None)
+        self._events = _Events(folder / "tensorboard", steps if updates else None) if _HAS_TENSORBOARD else None
         self._bar = Progress(
             TextColumn("training"),
             BarColumn(20),
@@ -145,6 +145,8 @@ class ProgressLog:
 
     def __enter__(self) -> ProgressLog:
         self._clock = time.perf_counter()
+        if self._events is not None:
+            self._events.__enter__()
         self._bar.start()
         return self
 
@@ -153,7 +155,7 @@ class ProgressLog:
     ) -> None:
         self._bar.stop()
         if self._events is not None:
-            self._events.close()
+            self._events.__exit__(kind, error, trace)
 
     def add(self, share: float, row: dict[str, float]) -> None:
         """Writes a row, of which ``steps`` is one entry; ``share`` of the training is done."""
@@ -163,8 +165,7 @@ class ProgressLog:
         self._recent = [*(r for r in self._recent if r["steps"] > row["steps"] - _RECENT_STEPS), row]
         self._append(row)
         if self._events is not None:
-            for name, value in row.items():
-                self._events.add_scalar(name, value, self._steps)
+            self._events.add(row, self._steps)
         self._show(share)
 
     def say(self, text: str) -> None:
@@ -173,7 +174,7 @@ class ProgressLog:
 
     def _append(self, row: dict[str, float]) -> None:
         new = not self._path.exists()
-        with self._path.open("a", newline="") as file:
+        with errors_name(self._path), self._path.open("a", newline="") as file:
             writer = csv.DictWriter(file, list(row))
             if new:
                 writer.writeheader()
@@ -201,13 +202,44 @@ class ProgressLog:
         return sum(values) / len(values) if values else math.nan
 
 
-def _event_writer(folder: Path, purge_step: int | None) -> Any:
-    """TensorBoard's writer, or ``None`` without the package; events after ``purge_step`` are hidden."""
-    if find_spec("tensorboard") is None:
-        return None
-    from torch.utils.tensorboard import SummaryWriter
+_HAS_TENSORBOARD = find_spec("tensorboard") is not None
 
-    return SummaryWriter(str(folder), purge_step=purge_step)
+
+class _Events:
+    """TensorBoard's events in ``folder``, a context manager; those after ``purge_step`` are hidden.
+
+    Errors of the system name the folder.
+    """
+
+    def __init__(self, folder: Path, purge_step: int | None) -> None:
+        from torch.utils.tensorboard import SummaryWriter
+
+        self._folder = folder
+        with errors_name(folder):
+            self._writer = SummaryWriter(str(folder), purge_step=purge_step)
+
+    def __enter__(self) -> None:
+        self._hook = threading.excepthook
+        threading.excepthook = self._tell
+
+    def _tell(self, failure: threading.ExceptHookArgs) -> None:
+        # The writer's thread hands its error on to whoever adds events next, and would print a traceback besides.
+        if not (isinstance(failure.exc_value, OSError) and type(failure.thread).__module__.startswith("tensorboard.")):
+            self._hook(failure)
+
+    def add(self, row: dict[str, float], steps: int) -> None:
+        """Adds every entry of a row."""
+        with errors_name(self._folder):
+            for name, value in row.items():
+                self._writer.add_scalar(name, value, steps)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        threading.excepthook = self._hook
+        # What ended the training matters more than what then could not be written.
+        with suppress(OSError) if error else errors_name(self._folder):
+            self._writer.close()
 
 
 def _keep_rows(path: Path, updates: int) -> None:
