@@ -10,6 +10,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+STANDARD_OUTPUT = Path("standard output")
+"""What to call it in an error."""
+
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import csv
 import math
-import threading
+import os
+import socket
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from statistics import harmonic_mean
 from types import TracebackType
+from typing import Any
 
 import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from tensordict import TensorDictBase
 
-from rover_rl.algos.files import errors_name, written_whole
+from rover_rl.algos.files import STANDARD_OUTPUT, errors_name, written_whole
 from rover_rl.algos.step_clock import NAMES
 
 EPISODE_STEPS = 2000
@@ -145,8 +147,6 @@ class ProgressLog:
 
     def __enter__(self) -> ProgressLog:
         self._clock = time.perf_counter()
-        if self._events is not None:
-            self._events.__enter__()
         self._bar.start()
         return self
 
@@ -155,10 +155,12 @@ class ProgressLog:
     ) -> None:
         self._bar.stop()
         if self._events is not None:
-            self._events.__exit__(kind, error, trace)
+            # What ended the training matters more than what then could not be written.
+            with suppress(OSError) if error else nullcontext():
+                self._events.close()
 
-    def add(self, share: float, row: dict[str, float]) -> None:
-        """Writes a row, of which ``steps`` is one entry; ``share`` of the training is done."""
+    def add(self, row: dict[str, float]) -> None:
+        """Writes a row, of which ``steps`` is one entry."""
         now = time.perf_counter()
         row = {**row, "steps_per_second": (row["steps"] - self._steps) / (now - self._clock)}
         self._steps, self._clock = int(row["steps"]), now
@@ -166,21 +168,9 @@ class ProgressLog:
         self._append(row)
         if self._events is not None:
             self._events.add(row, self._steps)
-        self._show(share)
 
-    def say(self, text: str) -> None:
-        """Prints a line above the progress bar."""
-        self._bar.console.print(text, soft_wrap=True, highlight=False)
-
-    def _append(self, row: dict[str, float]) -> None:
-        new = not self._path.exists()
-        with errors_name(self._path), self._path.open("a", newline="") as file:
-            writer = csv.DictWriter(file, list(row))
-            if new:
-                writer.writeheader()
-            writer.writerow({key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()})
-
-    def _show(self, share: float) -> None:
+    def show(self, share: float) -> None:
+        """Shows the latest rows, one at least; ``share`` of the training is done."""
         # Each row has as many steps: their mean speed is the harmonic one, and batches may come two at a time.
         speed = harmonic_mean(row["steps_per_second"] for row in self._recent)
         status = (
@@ -192,6 +182,19 @@ class ProgressLog:
         if self._bar.disable and int(share * 10) > self._told:
             self._told = int(share * 10)
             self.say(f"{share:4.0%} of training: {status}")
+
+    def say(self, text: str) -> None:
+        """Prints a line above the progress bar."""
+        with errors_name(STANDARD_OUTPUT):
+            self._bar.console.print(text, soft_wrap=True, highlight=False)
+
+    def _append(self, row: dict[str, float]) -> None:
+        new = not self._path.exists()
+        with errors_name(self._path), self._path.open("a", newline="") as file:
+            writer = csv.DictWriter(file, list(row))
+            if new:
+                writer.writeheader()
+            writer.writerow({key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()})
 
     def _success_rate(self) -> float:
         episodes = sum(row["episodes"] for row in self._recent)
@@ -206,40 +209,37 @@ _HAS_TENSORBOARD = find_spec("tensorboard") is not None
 
 
 class _Events:
-    """TensorBoard's events in ``folder``, a context manager; those after ``purge_step`` are hidden.
+    """TensorBoard's events in ``folder``; those after ``purge_step`` are hidden.
 
-    Errors of the system name the folder.
+    They are written at once: an error of torch's SummaryWriter, which has a thread for that, would come too late.
     """
 
     def __init__(self, folder: Path, purge_step: int | None) -> None:
-        from torch.utils.tensorboard import SummaryWriter
+        from tensorboard.compat.proto.event_pb2 import Event, SessionLog
+        from tensorboard.compat.proto.summary_pb2 import Summary
+        from tensorboard.summary.writer.record_writer import RecordWriter
 
-        self._folder = folder
-        with errors_name(folder):
-            self._writer = SummaryWriter(str(folder), purge_step=purge_step)
-
-    def __enter__(self) -> None:
-        self._hook = threading.excepthook
-        threading.excepthook = self._tell
-
-    def _tell(self, failure: threading.ExceptHookArgs) -> None:
-        # The writer's thread hands its error on to whoever adds events next, and would print a traceback besides.
-        if not (isinstance(failure.exc_value, OSError) and type(failure.thread).__module__.startswith("tensorboard.")):
-            self._hook(failure)
+        self._event, self._summary = Event, Summary
+        self._path = folder / f"events.out.tfevents.{time.time():.6f}.{socket.gethostname()}.{os.getpid()}"
+        folder.mkdir(parents=True, exist_ok=True)
+        self._records = RecordWriter(self._path.open("ab"))
+        self._write(file_version="brain.Event:2")
+        if purge_step is not None:
+            self._write(step=purge_step, session_log=SessionLog(status=SessionLog.START))
 
     def add(self, row: dict[str, float], steps: int) -> None:
         """Adds every entry of a row."""
-        with errors_name(self._folder):
-            for name, value in row.items():
-                self._writer.add_scalar(name, value, steps)
+        values = [self._summary.Value(tag=name, simple_value=value) for name, value in row.items()]
+        self._write(step=steps, summary=self._summary(value=values))
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        threading.excepthook = self._hook
-        # What ended the training matters more than what then could not be written.
-        with suppress(OSError) if error else errors_name(self._folder):
-            self._writer.close()
+    def _write(self, **entries: Any) -> None:
+        with errors_name(self._path):
+            self._records.write(self._event(wall_time=time.time(), **entries).SerializeToString())
+            self._records.flush()
+
+    def close(self) -> None:
+        with errors_name(self._path):
+            self._records.close()
 
 
 def _keep_rows(path: Path, updates: int) -> None:

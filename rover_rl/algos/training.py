@@ -223,7 +223,7 @@ class TrainingRun:
     def record(self, learned: dict[str, float]) -> None:
         """Writes down what happened in the batch in hand and what was ``learned`` from it; saves when it is time."""
         self.steps, self.updates = self._statistics.steps, self.updates + 1
-        self._log.add(self.share, {"updates": self.updates, "minutes": self.minutes, **self._counted, **learned})
+        self._log.add({"updates": self.updates, "minutes": self.minutes, **self._counted, **learned})
         self._require_finite()
         due = int(self.share * self.config.snapshots)
         if due > self._last_snapshot:
@@ -231,6 +231,12 @@ class TrainingRun:
             self._checkpoint().save(self.folder / "snapshots" / f"{self.steps:09d}.pt")
         if self.minutes - self._saved_at >= self.config.checkpoint_minutes:
             self._save()
+        try:
+            self._log.show(self.share)
+        except (OSError, SystemExit):
+            # Nobody takes any more what is printed, as after "| head"; what was learned is kept.
+            self._save()
+            raise
 
     def _checkpoint(self) -> Checkpoint:
         state = self.learner.actor.state_dict()

@@ -249,17 +249,17 @@ def test_a_full_disk_ends_a_run_with_the_checkpoint_that_it_had(tmp_path: Path) 
     assert train(config, folder).steps == 512
 
 
-def test_progress_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    def fill(log: ProgressLog) -> None:
-        row = {"goals_per_2000_steps": 0, "episodes": 0, "episodes_reached": 0, "episode_return": 0.0}
-        with log, largest_file(150):
-            for steps in range(1, 100):
-                log.add(0.1, {"steps": steps, **row})
+@pytest.mark.parametrize("kind", [OSError, SystemExit])
+def test_what_was_learned_is_kept_where_nobody_reads_on(
+    kind: type[BaseException], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def closed(self: ProgressLog, share: float) -> None:
+        raise kind
 
-    # TensorBoard's thread may be the first to find out, and keeps its traceback to itself.
-    with pytest.raises(OSError, match=rf"File too large: '{tmp_path}/(progress\.csv|tensorboard)'"):
-        fill(ProgressLog(tmp_path))
-    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(ProgressLog, "show", closed)
+    with pytest.raises(kind):
+        train(replace(PPO, runs=str(tmp_path)))
+    assert load_state(tmp_path / "ppo-maze" / "training_state.pt")["updates"] == 1
 
 
 def test_what_was_taken_after_the_last_state_is_taken_again(tmp_path: Path) -> None:
