@@ -1,12 +1,16 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from rover_rl.algos.config import SACConfig, read_config
 from rover_rl.cli import main
+from tests.full_disk import largest_file
 
 
 def failed(capsys: pytest.CaptureFixture[str], *args: object) -> str:
@@ -39,14 +43,145 @@ def test_checkpoints_that_are_none_are_refused_in_one_line(capsys: pytest.Captur
     assert "no checkpoint of rover_rl" in failed(capsys, "evaluate", tmp_path / "foreign.pt")
 
 
-def test_settings_out_of_range_are_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "num_envs must be at least 1" in failed(capsys, "train", "--num-envs", 0)
+NAMES = "use one of ['train', 'evaluate', 'film', 'worlds', 'demo', 'robot', 'drive', 'export']; see rover-rl --help"
 
 
-def test_unknown_options_exit_with_2(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(["train", "--sped", "3"])
-    assert stop.value.code == 2
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("", f"a command is missing; {NAMES}"),
+        ("trian --seed 1", f"unknown command 'trian'; {NAMES}"),
+        ("--seed 1 train", f"options come after a command, and --seed stands before any; {NAMES}"),
+        ("train --sped 3", "unknown option --sped, perhaps --spread; see rover-rl train --help"),
+        ("film x --sped=3", "unknown option --sped, perhaps --speed; see rover-rl film --help"),
+        ("robot --zzzzzz 1", "unknown option --zzzzzz; see rover-rl robot --help"),
+        ("train --algo sac --lmbda 0.9", "unknown option --lmbda; see rover-rl train --help"),
+        ("train more", "unexpected argument 'more'; see rover-rl train --help"),
+        ("export one two", "unexpected argument 'two'; see rover-rl export --help"),
+        ("train --seed abc", "--seed takes INT, got abc; see rover-rl train --help"),
+        ("train --seed=1.5", "--seed takes INT, got 1.5; see rover-rl train --help"),
+        ("train --learning_rate fast", "--learning-rate takes FLOAT, got fast; see rover-rl train --help"),
+        ("train --seed", "--seed takes INT, got nothing; see rover-rl train --help"),
+        ("train --seed --epochs 1", "--seed takes INT, got nothing; see rover-rl train --help"),
+        ("train --resume", "--resume takes {None}|PATH, got nothing; see rover-rl train --help"),
+        ("train --workers two", "--workers takes {None}|INT, got two; see rover-rl train --help"),
+        ("train --hidden 8 x", "--hidden takes [INT [INT ...]], got 8 x; see rover-rl train --help"),
+        ("train --algo dqn", "--algo takes {ppo,sac}, got dqn; see rover-rl train --help"),
+        ("film x --view side", "--view takes {chase,top}, got side; see rover-rl film --help"),
+        ("drive x --goal 1", "--goal takes [FLOAT FLOAT [FLOAT FLOAT ...]], got 1; see rover-rl drive --help"),
+        ("worlds --out", "--out takes PATH, got nothing; see rover-rl worlds --help"),
+        ("demo --minutes soon", "--minutes takes FLOAT, got soon; see rover-rl demo --help"),
+        ("evaluate x --count 1.5", "--count takes {None}|INT, got 1.5; see rover-rl evaluate --help"),
+        (
+            "film",
+            "film needs: Folder of a run, checkpoint file, pretrained:NAME, scripted or random; see rover-rl",
+        ),
+        ("evaluate", "name a policy: the folder of a run, a checkpoint, pretrained:NAME, scripted or random"),
+    ],
+)
+def test_a_malformed_command_line_is_refused_in_one_line(
+    capsys: pytest.CaptureFixture[str], line: str, expected: str
+) -> None:
+    assert failed(capsys, *line.split()).startswith(f"rover-rl: {expected}")
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("train --seed -1", "seed must be a whole number from 0 to "),
+        ("evaluate scripted --world maze --seed 99999999999999999999", "seed must be a whole number from 0 to "),
+        ("film scripted --seed -1 --out film.gif", "seed must be a whole number from 0 to "),
+        ("robot --seed -1", "seed must be a whole number from 0 to "),
+        ("demo --seed -1", "seed must be a whole number from 0 to "),
+        ("evaluate scripted --world maze --count -3", "count must be between 1 and 256, got -3"),
+        ("evaluate scripted --world maze --count 1000000000000000", "count must be at least 1 and at most 1e+12, got"),
+        ("evaluate scripted --world maze --seconds nan", "seconds must be at least 0.05 and at most 1e+06, got nan"),
+        ("film scripted --seconds inf --out film.gif", "seconds must be positive and at most 1e+06, got inf"),
+        (
+            "film scripted --width 99999999 --out film.gif",
+            "width must be positive and at most 8192, got 99999999",
+        ),
+        ("train --num-envs 0", "num_envs must be at least 1 and at most 1e+06, got 0"),
+        ("train --total-steps 99999999999999999999", "total_steps must be at least 1 and at most 1e+12, got"),
+        ("train --max-minutes nan", "max_minutes must be positive and at most 1e+30, got nan"),
+        ("train --learning-rate inf", "learning_rate must be positive and at most 1e+30, got inf"),
+        ("train --path-reward nan", "path_reward must be at least 0 and at most 1e+30, got nan"),
+        ("train --world nowhere", "unknown world 'nowhere'; use one of ['inspect', 'maze', 'moon'], 'name:seed'"),
+        ("demo --minutes -1", "max_minutes must be positive and at most 1e+30, got -1.0"),
+    ],
+)
+def test_numbers_and_worlds_out_of_range_are_refused_in_one_line(
+    capsys: pytest.CaptureFixture[str], line: str, expected: str
+) -> None:
+    assert failed(capsys, *line.split()).startswith(f"rover-rl: {expected}")
+
+
+@pytest.mark.parametrize("command", ["evaluate", "film", "export"])
+def test_a_run_without_a_checkpoint_says_what_to_do(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str
+) -> None:
+    (tmp_path / "config.yaml").write_text("algo: ppo\n")
+    expected = f"no checkpoint at {tmp_path}/checkpoint.pt: the run has written none yet; if it has ended, go on with"
+    assert failed(capsys, command, tmp_path) == f"rover-rl: {expected} rover-rl train --resume {tmp_path}\n"
+    assert "is not the folder of a run" in failed(capsys, command, tmp_path.parent)
+    assert "is damaged, or no checkpoint" in failed(capsys, command, tmp_path / "config.yaml")
+
+
+def test_settings_that_cannot_be_read_are_refused_in_one_line(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    for text in ("algo: [\n", "[" * 5000, "algo: ppo\nday: 2001-99-99\n"):
+        assert "given.yaml is no YAML" in failed(capsys, "train", "--config", written(tmp_path, text))
+    assert "must name an algo" in failed(capsys, "train", "--config", written(tmp_path, "algo: [ppo]\n"))
+    assert "is a folder, and settings are in a file" in failed(capsys, "train", "--config", tmp_path)
+    assert "is not the folder of a run" in failed(capsys, "train", "--resume", tmp_path)
+    for half in ("", "algo: ppo\nworld: mo"):
+        (tmp_path / "config.yaml").write_text(half)
+        assert "config.yaml is empty, or cut short" in failed(capsys, "train", "--resume", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        ("export pretrained:moon-ppo --format torch --out {}/moon.pt2", "moon.pt2"),
+        ("film scripted --seconds 0.5 --out {}/film.gif", "film.gif"),
+        ("film scripted --seconds 0.5 --out {}/film.mp4", "film.mp4"),
+        ("train --runs {} --name run", "run/config.yaml"),
+    ],
+)
+def test_without_space_the_file_is_named_and_nothing_is_left(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, line: str, name: str
+) -> None:
+    if name.endswith(".mp4"):
+        pytest.importorskip("imageio_ffmpeg", reason="needs rover_rl[video]")
+    with largest_file(100):
+        assert failed(capsys, *line.format(tmp_path).split()) == f"rover-rl: {tmp_path}/{name}: File too large\n"
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def test_results_are_shown_where_they_cannot_be_written(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    given = ["evaluate", "scripted", "--world", "maze", "--count", "1", "--seconds", "0.5", "--out"]
+    with largest_file(100):
+        assert main([*given, str(tmp_path)]) == 2
+    captured = capsys.readouterr()
+    assert captured.err == f"rover-rl: {tmp_path}/evaluation.json: File too large\n"
+    assert "scripted" in captured.out
+    assert not [*tmp_path.iterdir()]
+    written(tmp_path, "")
+    assert failed(capsys, *given, tmp_path / "given.yaml") == f"rover-rl: {tmp_path}/given.yaml: File exists\n"
+
+
+def test_a_reader_that_leaves_early_ends_a_command_quietly() -> None:
+    command = [sys.executable, "-c", "import sys; from rover_rl.cli import main; sys.exit(main())", "--help"]
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write) as closed:
+        ended = subprocess.run(command, stdout=closed, stderr=subprocess.PIPE)
+    assert (ended.returncode, ended.stderr) == (141, b"")
+
+
+def test_too_little_memory_is_told_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "not enough memory" in failed(capsys, "train", "--hidden", 10**12)
 
 
 SIZE = ["--num-envs", "4", "--workers", "1", "--decisions", "8", "--total-steps", "128"]

@@ -12,7 +12,8 @@ from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, get_args, get_ori
 
 import yaml
 
-from rover_rl.algos.files import written_whole
+from rover_rl.algos.files import write_through, written_whole
+from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_ROVERS, check_at_least, check_positive, check_seed
 
 SECONDS_PER_STEP = 0.05
 """The simulator is controlled at 20 Hz."""
@@ -24,6 +25,8 @@ Physics: TypeAlias = Literal["default", "accurate", "fast"]
 """Presets of the physics: :data:`rover_rl.sims.bullet.settings.PRESETS`, which needs PyTorch."""
 ENDLESS = 10**9
 """Steps that no training comes to: its time ends it."""
+_COUNTED_ON = 2**32
+"""Seeds that a training may count on from its own: one for each rover, at another place each time it is resumed."""
 
 
 @dataclass(frozen=True)
@@ -128,16 +131,17 @@ class TrainingConfig:
         Raises:
             ValueError: naming the setting.
         """
-        self._require_counts("total_steps", "num_envs", "repeat", "episode_steps")
+        self._require_counts("total_steps", "repeat", "episode_steps")
+        check_at_least(1, MAX_ROVERS, num_envs=self.num_envs)
+        check_seed(self.seed, _COUNTED_ON)
         if self.workers is not None:
             self._require_counts("workers")
         self._require_positive("learning_rate", "reward_scale", "max_grad_norm", "checkpoint_minutes", "spread")
         self._require_share("gamma")
-        for name in ("snapshots", "path_reward"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
-        if self.max_minutes is not None and not self.max_minutes > 0:
-            raise ValueError(f"max_minutes must be positive, got {self.max_minutes}")
+        check_at_least(0, MAX_COUNT, snapshots=self.snapshots)
+        check_at_least(0, MAX_NUMBER, path_reward=self.path_reward)
+        if self.max_minutes is not None:
+            self._require_positive("max_minutes")
         if self.num_envs % self.processes:
             raise ValueError(f"num_envs={self.num_envs} rovers cannot be shared equally by workers={self.workers}")
         if not 1 <= len(self.worlds) <= self.rovers_each:
@@ -156,7 +160,7 @@ class TrainingConfig:
             raise ValueError(
                 f"device={self.device!r} needs backend='warp' and workers=1, got {self.backend!r} and {self.processes}"
             )
-        if not self.hidden or min(self.hidden) < 1:
+        if not self.hidden or not all(1 <= units <= MAX_COUNT for units in self.hidden):
             raise ValueError(f"hidden must name at least one layer of at least 1 unit, got {self.hidden}")
         unknown = [key for key in self.observation if key not in OBSERVATION_KEYS]
         if unknown or not self.observation or len(set(self.observation)) < len(self.observation):
@@ -167,14 +171,10 @@ class TrainingConfig:
             raise ValueError("mirror cannot be had with north_up or pose in observation: a map is not its mirror image")
 
     def _require_counts(self, *names: str) -> None:
-        for name in names:
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        check_at_least(1, MAX_COUNT, **{name: getattr(self, name) for name in names})
 
     def _require_positive(self, *names: str) -> None:
-        for name in names:
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        check_positive(MAX_NUMBER, **{name: getattr(self, name) for name in names})
 
     def _require_share(self, *names: str) -> None:
         for name in names:
@@ -211,8 +211,7 @@ class PPOConfig(TrainingConfig):
         self._require_counts("decisions", "epochs", "minibatch")
         self._require_positive("clip")
         self._require_share("lmbda", "imitation")
-        if self.entropy < 0:
-            raise ValueError(f"entropy must not be negative, got {self.entropy}")
+        check_at_least(0, MAX_NUMBER, entropy=self.entropy)
 
 
 @dataclass(frozen=True)
@@ -247,6 +246,7 @@ class SACConfig(TrainingConfig):
         self._require_counts("decisions", "gradient_steps", "minibatch", "buffer", "warmup")
         self._require_positive("tau", "alpha")
         self._require_share("tau")
+        check_at_least(-MAX_NUMBER, MAX_NUMBER, target_entropy=self.target_entropy)
         if self.buffer < self.num_envs * self.decisions:
             raise ValueError(
                 f"buffer={self.buffer} cannot hold the {self.num_envs * self.decisions} decisions of a round"
@@ -302,7 +302,7 @@ def config_from(data: Any, source: str) -> TrainingConfig:
     Raises:
         ValueError: for an algorithm or a setting that does not exist, or a value of the wrong type.
     """
-    if not isinstance(data, dict) or data.get("algo") not in CONFIGS:
+    if not isinstance(data, dict) or data.get("algo") not in list(CONFIGS):
         raise ValueError(f"{source} must name an algo, one of {sorted(CONFIGS)}")
     kind = CONFIGS[data["algo"]]
     hints = get_type_hints(kind)
@@ -333,7 +333,7 @@ _TUPLES: dict[Any, type] = {tuple[str, ...]: str, tuple[int, ...]: int}
 def write_config(path: Path, config: TrainingConfig) -> None:
     """Writes settings as YAML."""
     with written_whole(path) as temporary:
-        temporary.write_text(yaml.safe_dump(plain(config), sort_keys=False))
+        write_through(temporary, yaml.safe_dump(plain(config), sort_keys=False).encode())
 
 
 def read_config(path: str | Path) -> TrainingConfig:
@@ -344,11 +344,14 @@ def read_config(path: str | Path) -> TrainingConfig:
         ValueError: if it is no YAML, or as :func:`config_from`.
     """
     path = Path(path)
+    if path.is_dir():
+        raise IsADirectoryError(f"{path} is a folder, and settings are in a file, such as a run's config.yaml")
     if not path.is_file():
         raise FileNotFoundError(f"no settings at {path}")
+    text = path.read_bytes()
     try:
-        data = yaml.safe_load(path.read_text())
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        data = yaml.safe_load(text.decode())
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ValueError(f"{path} is no YAML: {' '.join(str(error).split())}") from error
     return config_from(data, str(path))
 
@@ -361,7 +364,12 @@ def run_config(folder: str | Path) -> TrainingConfig:
         ValueError: if its settings cannot be read.
     """
     folder = Path(folder)
-    return replace(read_config(folder / "config.yaml"), runs=str(folder.parent), name=folder.name)
+    path = folder / "config.yaml"
+    if not path.is_file():
+        raise FileNotFoundError(f"no settings at {path}: {folder} is not the folder of a run")
+    if not path.read_bytes().endswith(b"\n"):
+        raise ValueError(f"{path} is empty, or cut short: the run's settings are lost; begin a new run")
+    return replace(read_config(path), runs=str(folder.parent), name=folder.name)
 
 
 def default_workers(num_envs: int, cores: int | None = None) -> int:

@@ -21,6 +21,7 @@ from torch import Tensor
 from rover_rl.algos.files import written_whole
 from rover_rl.algos.policy import single_threaded
 from rover_rl.algos.routes import shortest_paths
+from rover_rl.checks import MAX_COUNT, check_at_least, check_seed
 from rover_rl.envs import TaskConfig
 from rover_rl.envs.placement import Placement
 from rover_rl.envs.rng import episode_keys, row_keys
@@ -90,10 +91,11 @@ def draw_episodes(
         min_path: shortest path at least, m; what is shorter is passed over.
 
     Raises:
-        ValueError: for an unknown world, a ``count`` below 1, or a world in which hardly any path is that long.
+        ValueError: for an unknown world, a count or seed out of range, or a world in which hardly any path
+            is that long.
     """
-    if count < 1:
-        raise ValueError(f"count must be at least 1, got {count}")
+    check_at_least(1, MAX_COUNT, count=count)
+    seed = check_seed(seed, count)
     place, robot = get_world(world), get_robot("rover_zero")
     found: list[tuple[Tensor, Tensor, Tensor]] = []
     taken = drawn = 0

@@ -36,6 +36,7 @@ from rover_rl.algos.metrics import (
 )
 from rover_rl.algos.policy import single_threaded
 from rover_rl.algos.progress import EPISODE_STEPS
+from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least
 from rover_rl.envs import Phase, RoverEnv, TaskConfig
 from rover_rl.sims import Backend
 from rover_rl.sims.worlds import World, get_world
@@ -264,8 +265,8 @@ def evaluate(
     Raises:
         ValueError: for ``repeat`` or ``rows`` below 1, or a time below one step.
     """
-    _require_at_least("seconds", seconds, SECONDS_PER_STEP)
-    _require_at_least("rows", rows, 1)
+    check_at_least(SECONDS_PER_STEP, MAX_SECONDS, seconds=seconds)
+    check_at_least(1, MAX_COUNT, rows=rows)
     name = name or ("random" if policy is None else "policy")
     env = RoverEnv(
         world_n=episodes.world,
@@ -318,8 +319,7 @@ def evaluate_endless(
     Raises:
         ValueError: for ``repeat``, ``rows`` or ``steps`` below 1, or an unknown world.
     """
-    _require_at_least("rows", rows, 1)
-    _require_at_least("steps", steps, 1)
+    check_at_least(1, MAX_COUNT, rows=rows, steps=steps)
     name = name or ("random" if policy is None else "policy")
     task = task or TaskConfig()
     place = get_world(world)
@@ -353,7 +353,7 @@ def _drive(
         places: ``start [count, 3]`` and ``goal [count, 2]`` of every episode; ``None``: each rover drives one, as the
             environment places it.
     """
-    _require_at_least("repeat", repeat, 1)
+    check_at_least(1, MAX_COUNT, repeat=repeat)
     places = places or {}
     count = len(places["start"]) if places else env.num_envs
     log = _Log(count, env.length)
@@ -451,8 +451,3 @@ def _progress_bar(name: str) -> Iterator[Callable[[float], None]]:
     with Progress(*columns, transient=True, disable=not Console().is_terminal) as progress:
         task = progress.add_task("", total=1.0)
         yield lambda share: progress.update(task, completed=share)
-
-
-def _require_at_least(name: str, value: float, least: float) -> None:
-    if not value >= least:
-        raise ValueError(f"{name} must be at least {least:g}, got {value}")

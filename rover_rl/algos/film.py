@@ -24,9 +24,13 @@ from rover_rl.algos.evaluate import ENDINGS, Policy
 from rover_rl.algos.files import written_whole
 from rover_rl.algos.policy import single_threaded
 from rover_rl.algos.views import ChaseView, Moment, TopView
+from rover_rl.checks import MAX_ROVERS, MAX_SECONDS, check_at_least, check_positive
 from rover_rl.envs import Phase, make_env
 from rover_rl.sims.base import View
 from rover_rl.sims.worlds import World
+
+MAX_SIDE = 8192
+"""Of a picture, pixels."""
 
 
 @torch.no_grad()
@@ -70,9 +74,10 @@ def film(
     """
     write, usual_fps = _writer(path)
     fps = usual_fps if fps is None else fps
-    for name, value in {"seconds": seconds, "speed": speed, "fps": fps, "width": width, "height": height}.items():
-        if not value > 0:
-            raise ValueError(f"{name} must be positive, got {value}")
+    check_positive(MAX_SECONDS, seconds=seconds, speed=speed)
+    check_positive(1000, fps=fps)
+    check_at_least(1, MAX_ROVERS, rows=rows)
+    check_positive(MAX_SIDE, width=width, height=height)
     if view not in _VIEWS:
         raise ValueError(f"unknown view {view!r}; use one of {sorted(_VIEWS)}")
     steps = max(1, round(seconds / SECONDS_PER_STEP))
@@ -148,12 +153,29 @@ def _writer(path: Path) -> tuple[_Writer, int]:
 
 
 def _write_mp4(path: Path, pictures: Iterable[np.ndarray], fps: int) -> None:
+    from imageio_ffmpeg import count_frames_and_secs
+
     # x264 takes even sizes only.
-    settings: Any = {"fps": fps, "codec": "libx264", "quality": 7, "macro_block_size": 2}
+    settings: Any = {"fps": fps, "codec": "libx264", "quality": 7, "macro_block_size": 2, "ffmpeg_log_level": "quiet"}
     writer: Any = imageio.get_writer(path, format="FFMPEG", **settings)
-    with writer:
-        for picture in pictures:
-            writer.append_data(picture)
+    written = 0
+    try:
+        with writer:
+            for picture in pictures:
+                writer.append_data(picture)
+                written += 1
+        # ffmpeg ends without an error where it cannot write the end of the file.
+        if count_frames_and_secs(path)[0] < written:
+            raise OSError("pictures are missing")
+    except (OSError, RuntimeError) as error:
+        _require_space(path)
+        raise OSError(f"ffmpeg could not write {path.name}, after {written} pictures") from error
+
+
+def _require_space(path: Path) -> None:
+    """Raises the system's error if nothing more can be written to a file: ffmpeg keeps it to itself."""
+    with path.open("ab") as file:
+        file.write(bytes(1 << 20))
 
 
 def _write_gif(path: Path, pictures: Iterable[np.ndarray], fps: int) -> None:

@@ -143,6 +143,10 @@ class PPOLearner:
         torch.nn.utils.clip_grad_norm_(self._loss.parameters(), self.config.max_grad_norm)
         self._optimizer.step()
 
+    def weights(self) -> dict[str, Tensor]:
+        """Those of all networks, by name."""
+        return dict(self._loss.named_parameters())
+
     def state_dict(self) -> dict[str, Any]:
         """Weights, and the optimizer's moments."""
         return {"loss": self._loss.state_dict(), "optimizer": self._optimizer.state_dict()}

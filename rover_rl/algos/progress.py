@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import csv
 import math
+import os
+import socket
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from statistics import harmonic_mean
@@ -18,7 +20,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from tensordict import TensorDictBase
 
-from rover_rl.algos.files import written_whole
+from rover_rl.algos.files import STANDARD_OUTPUT, errors_name, written_whole
 from rover_rl.algos.step_clock import NAMES
 
 EPISODE_STEPS = 2000
@@ -129,7 +131,7 @@ class ProgressLog:
         self._told = 0
         self._steps, self._clock = steps, time.perf_counter()
         _keep_rows(self._path, updates)
-        self._events = _event_writer(folder / "tensorboard", steps if updates else None)
+        self._events = _Events(folder / "tensorboard", steps if updates else None) if _HAS_TENSORBOARD else None
         self._bar = Progress(
             TextColumn("training"),
             BarColumn(20),
@@ -153,33 +155,22 @@ class ProgressLog:
     ) -> None:
         self._bar.stop()
         if self._events is not None:
-            self._events.close()
+            # What ended the training matters more than what then could not be written.
+            with suppress(OSError) if error else nullcontext():
+                self._events.close()
 
-    def add(self, share: float, row: dict[str, float]) -> None:
-        """Writes a row, of which ``steps`` is one entry; ``share`` of the training is done."""
+    def add(self, row: dict[str, float]) -> None:
+        """Writes a row, of which ``steps`` is one entry."""
         now = time.perf_counter()
         row = {**row, "steps_per_second": (row["steps"] - self._steps) / (now - self._clock)}
         self._steps, self._clock = int(row["steps"]), now
         self._recent = [*(r for r in self._recent if r["steps"] > row["steps"] - _RECENT_STEPS), row]
         self._append(row)
         if self._events is not None:
-            for name, value in row.items():
-                self._events.add_scalar(name, value, self._steps)
-        self._show(share)
+            self._events.add(row, self._steps)
 
-    def say(self, text: str) -> None:
-        """Prints a line above the progress bar."""
-        self._bar.console.print(text, soft_wrap=True, highlight=False)
-
-    def _append(self, row: dict[str, float]) -> None:
-        new = not self._path.exists()
-        with self._path.open("a", newline="") as file:
-            writer = csv.DictWriter(file, list(row))
-            if new:
-                writer.writeheader()
-            writer.writerow({key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()})
-
-    def _show(self, share: float) -> None:
+    def show(self, share: float) -> None:
+        """Shows the latest rows, one at least; ``share`` of the training is done."""
         # Each row has as many steps: their mean speed is the harmonic one, and batches may come two at a time.
         speed = harmonic_mean(row["steps_per_second"] for row in self._recent)
         status = (
@@ -192,6 +183,19 @@ class ProgressLog:
             self._told = int(share * 10)
             self.say(f"{share:4.0%} of training: {status}")
 
+    def say(self, text: str) -> None:
+        """Prints a line above the progress bar."""
+        with errors_name(STANDARD_OUTPUT):
+            self._bar.console.print(text, soft_wrap=True, highlight=False)
+
+    def _append(self, row: dict[str, float]) -> None:
+        new = not self._path.exists()
+        with errors_name(self._path), self._path.open("a", newline="") as file:
+            writer = csv.DictWriter(file, list(row))
+            if new:
+                writer.writeheader()
+            writer.writerow({key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()})
+
     def _success_rate(self) -> float:
         episodes = sum(row["episodes"] for row in self._recent)
         return sum(row["episodes_reached"] for row in self._recent) / episodes if episodes else math.nan
@@ -201,13 +205,41 @@ class ProgressLog:
         return sum(values) / len(values) if values else math.nan
 
 
-def _event_writer(folder: Path, purge_step: int | None) -> Any:
-    """TensorBoard's writer, or ``None`` without the package; events after ``purge_step`` are hidden."""
-    if find_spec("tensorboard") is None:
-        return None
-    from torch.utils.tensorboard import SummaryWriter
+_HAS_TENSORBOARD = find_spec("tensorboard") is not None
 
-    return SummaryWriter(str(folder), purge_step=purge_step)
+
+class _Events:
+    """TensorBoard's events in ``folder``; those after ``purge_step`` are hidden.
+
+    They are written at once: an error of torch's SummaryWriter, which has a thread for that, would come too late.
+    """
+
+    def __init__(self, folder: Path, purge_step: int | None) -> None:
+        from tensorboard.compat.proto.event_pb2 import Event, SessionLog
+        from tensorboard.compat.proto.summary_pb2 import Summary
+        from tensorboard.summary.writer.record_writer import RecordWriter
+
+        self._event, self._summary = Event, Summary
+        self._path = folder / f"events.out.tfevents.{time.time():.6f}.{socket.gethostname()}.{os.getpid()}"
+        folder.mkdir(parents=True, exist_ok=True)
+        self._records = RecordWriter(self._path.open("ab"))
+        self._write(file_version="brain.Event:2")
+        if purge_step is not None:
+            self._write(step=purge_step, session_log=SessionLog(status=SessionLog.START))
+
+    def add(self, row: dict[str, float], steps: int) -> None:
+        """Adds every entry of a row."""
+        values = [self._summary.Value(tag=name, simple_value=value) for name, value in row.items()]
+        self._write(step=steps, summary=self._summary(value=values))
+
+    def _write(self, **entries: Any) -> None:
+        with errors_name(self._path):
+            self._records.write(self._event(wall_time=time.time(), **entries).SerializeToString())
+            self._records.flush()
+
+    def close(self) -> None:
+        with errors_name(self._path):
+            self._records.close()
 
 
 def _keep_rows(path: Path, updates: int) -> None:

@@ -134,6 +134,10 @@ class SACLearner:
         self._slow_copies.step()
         return torch.stack([losses[key].detach() for key in LOGGED])
 
+    def weights(self) -> dict[str, Tensor]:
+        """Those of all networks, by name."""
+        return dict(self._loss.named_parameters())
+
     def state_dict(self) -> dict[str, Any]:
         """Weights, the optimizer's moments, the replay buffer, and what part of a gradient step is due."""
         storage, count = self._memory.storage, len(self._memory)

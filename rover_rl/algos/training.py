@@ -16,13 +16,23 @@ from typing import Any, Protocol, TypeVar
 
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.modules import ProbabilisticActor
 
 from rover_rl.algos.cluster import connect
 from rover_rl.algos.collecting import WorkerError, collecting
 from rover_rl.algos.config import TrainingConfig, default_workers, write_config
 from rover_rl.algos.progress import BatchStatistics, ProgressLog, Stopwatch
-from rover_rl.algos.runs import Checkpoint, load_state, new_run_folder, save_state
+from rover_rl.algos.runs import (
+    CHECKPOINT,
+    SETTINGS,
+    STATE,
+    Checkpoint,
+    first_not_finite,
+    load_state,
+    new_run_folder,
+    save_run,
+)
 from rover_rl.algos.training_env import LIDAR_POINTS
 from rover_rl.sims.worlds import get_world
 
@@ -33,6 +43,10 @@ class Learner(Protocol):
     """What an algorithm brings to a :class:`TrainingRun`."""
 
     actor: ProbabilisticActor
+
+    def weights(self) -> dict[str, Tensor]:
+        """All that is learned, by name."""
+        ...
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that learning goes on from: plain data and tensors."""
@@ -64,7 +78,7 @@ class TrainingSummary:
     @property
     def checkpoint(self) -> Path:
         """The trained policy."""
-        return self.folder / "checkpoint.pt"
+        return self.folder / CHECKPOINT
 
 
 class TrainingRun:
@@ -73,7 +87,8 @@ class TrainingRun:
     The folder gets ``config.yaml``, ``progress.csv`` (a row a batch), ``checkpoint.pt`` (the policy),
     ``training_state.pt`` (all that is needed to go on), ``snapshots/`` (policies from along the way) and, where
     TensorBoard is installed, ``tensorboard/``. Files are replaced as a whole, every ``checkpoint_minutes`` and in
-    the end. Ctrl-C and SIGTERM end the run after the batch in hand; a second one ends it at once.
+    the end. Ctrl-C and SIGTERM end the run after the batch in hand; a second one ends it at once. A run whose weights
+    are no longer finite numbers, or whose files cannot be written, ends with the checkpoint that it had.
 
     Args:
         config: of the training.
@@ -83,6 +98,8 @@ class TrainingRun:
     Raises:
         ValueError: for an unknown world, a setting out of range, or a training state that does not fit.
         FileExistsError: if there is a run of that name.
+        FloatingPointError: when training has diverged, by the context or by :meth:`record`.
+        OSError: if a file cannot be written.
 
     Example:
         >>> learner = PPOLearner(config)
@@ -98,19 +115,31 @@ class TrainingRun:
         self.learner = learner
         self.steps = self.updates = self._session = 0
         self._minutes_before = self._saved_at = 0.0
+        self._saved_steps: int | None = None
         self._stopping = False
         if folder is None:
             default = "-".join((config.algo, *config.worlds)).replace(":", "-")
-            folder = new_run_folder(config.runs, config.name, default)
-        elif (folder / _STATE).is_file():
-            self._restore(load_state(folder / _STATE))
-        self.folder = folder
-        write_config(folder / "config.yaml", config)
+            self.folder = new_run_folder(config.runs, config.name, default)
+        else:
+            self.folder = folder
+            self._go_on()
+        self._from_start = folder is not None and self._saved_steps is None
+        write_config(self.folder / SETTINGS, config)
         self._updates_before = self.updates
         self.stopwatch = Stopwatch()
         self._last_snapshot = int(self.share * config.snapshots)
         self._statistics = BatchStatistics(config.repeat, self.steps)
-        self._log = ProgressLog(folder, self.updates, self.steps)
+        self._log = ProgressLog(self.folder, self.updates, self.steps)
+
+    def _go_on(self) -> None:
+        """Goes on from where the run in the folder was left; one that was killed early begins anew."""
+        if (self.folder / STATE).is_file():
+            self._restore(load_state(self.folder / STATE))
+        elif (self.folder / CHECKPOINT).is_file():
+            raise ValueError(
+                f"{self.folder} has a checkpoint, but no {STATE} to go on from; "
+                f"begin a new run with --config {self.folder / SETTINGS}"
+            )
 
     def _restore(self, state: dict[str, Any]) -> None:
         """Goes on from ``state``: what was learned, the counters, and torch's random numbers."""
@@ -123,6 +152,9 @@ class TrainingRun:
                 torch.cuda.set_rng_state(state["random_on_gpu"], self.config.device)
         except (RuntimeError, ValueError, KeyError, TypeError) as error:
             raise ValueError("the run's training state does not fit its settings") from error
+        if (infected := first_not_finite(self.learner.weights())) is not None:
+            raise ValueError(f"{self.folder / STATE} holds NaN or infinity in the weights {infected}: it cannot go on")
+        self._saved_steps = self.steps
 
     @property
     def minutes(self) -> float:
@@ -146,13 +178,16 @@ class TrainingRun:
         if threading.current_thread() is threading.main_thread():
             self._handlers = {number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)}
         self._log.__enter__()
+        if self._from_start:
+            self._log.say(f"{self.folder} has no checkpoint yet: its training begins from the start")
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            self._log.__exit__(kind, error, trace)
+            if isinstance(error, Exception):
+                self._require_finite()
             # A worker fails while its batch is waited for: what was learned before is whole.
             failed = isinstance(error, WorkerError)
             if (error is None or failed) and self.updates > self._updates_before:
@@ -160,6 +195,7 @@ class TrainingRun:
             if failed:
                 self._log.say(f"A worker failed; to go on: rover-rl train --resume {self.folder}")
         finally:
+            self._log.__exit__(kind, error, trace)
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
 
@@ -187,13 +223,20 @@ class TrainingRun:
     def record(self, learned: dict[str, float]) -> None:
         """Writes down what happened in the batch in hand and what was ``learned`` from it; saves when it is time."""
         self.steps, self.updates = self._statistics.steps, self.updates + 1
-        self._log.add(self.share, {"updates": self.updates, "minutes": self.minutes, **self._counted, **learned})
+        self._log.add({"updates": self.updates, "minutes": self.minutes, **self._counted, **learned})
+        self._require_finite()
         due = int(self.share * self.config.snapshots)
         if due > self._last_snapshot:
             self._last_snapshot = due
             self._checkpoint().save(self.folder / "snapshots" / f"{self.steps:09d}.pt")
         if self.minutes - self._saved_at >= self.config.checkpoint_minutes:
             self._save()
+        try:
+            self._log.show(self.share)
+        except (OSError, SystemExit):
+            # Nobody takes any more what is printed, as after "| head"; what was learned is kept.
+            self._save()
+            raise
 
     def _checkpoint(self) -> Checkpoint:
         state = self.learner.actor.state_dict()
@@ -202,7 +245,6 @@ class TrainingRun:
 
     def _save(self) -> None:
         self._saved_at = self.minutes
-        self._checkpoint().save(self.folder / "checkpoint.pt")
         state = {
             "steps": self.steps,
             "updates": self.updates,
@@ -213,10 +255,29 @@ class TrainingRun:
         }
         if self.config.on_gpu:
             state["random_on_gpu"] = torch.cuda.get_rng_state(self.config.device)
-        save_state(self.folder / _STATE, state)
+        save_run(self.folder, self._checkpoint(), state)
+        self._saved_steps = self.steps
 
+    def _require_finite(self) -> None:
+        """Ends a training that has diverged, so that its last good checkpoint stays.
 
-_STATE = "training_state.pt"
+        Raises:
+            FloatingPointError: if a weight is NaN or infinite.
+        """
+        infected = first_not_finite(self.learner.weights())
+        if infected is None:
+            return
+        lower = f"--learning-rate {self.config.learning_rate / 3:.1g}"
+        if self._saved_steps is None:
+            advice = f"there is no checkpoint yet; begin a new run with a lower learning rate, such as {lower}"
+        else:
+            advice = (
+                f"the last good checkpoint is {self.folder / CHECKPOINT}, of {self._saved_steps:,} steps; "
+                f"go on from it with a lower learning rate: rover-rl train --resume {self.folder} {lower}"
+            )
+        raise FloatingPointError(
+            f"training diverged after {self._statistics.steps:,} steps, with NaN or infinity in {infected}; {advice}"
+        )
 
 
 def prepare(config: _Config) -> _Config:

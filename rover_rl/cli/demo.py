@@ -40,8 +40,9 @@ class Demo:
         from rover_rl.algos.pretrained import load_pretrained
         from rover_rl.algos.report import print_table, write_evaluation
         from rover_rl.algos.runs import Checkpoint
+        from rover_rl.sims.worlds import get_world
 
-        episodes = draw_episodes(self.world, self.count)
+        get_world(self.world)
         name = f"{self.world.split(':')[0]}-ppo"
         package = load_pretrained(name)
         expert = package.make_actor()
@@ -55,6 +56,7 @@ class Demo:
             runs=self.runs,
         )
         config.check()
+        episodes = draw_episodes(self.world, self.count)
         print(f"Training PPO in {self.world} for {self.minutes:g} minutes with {config.num_envs} rovers")
         summary = train(config)
         print(told(summary))

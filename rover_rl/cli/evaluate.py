@@ -62,23 +62,28 @@ class Evaluate:
         sets = self._episode_sets(drivers)
         results: list[Evaluation | EndlessEvaluation] = []
         out = self.out or next((driver.folder for driver in drivers if driver.folder), Path("runs/evaluation"))
-        pictures = []
+        # Now, and not after minutes of driving, is the time to hear that nothing can be written there.
+        out.mkdir(parents=True, exist_ok=True)
+        pictures: dict[Path, list[Evaluation]] = {}
         for world, episodes in sets.items():
             here = [driver for driver in drivers if world in (driver.worlds or sets)]
             driven = [self._drive(driver, episodes) for driver in here]
             results += driven
             if self.endless:
                 results += [self._drive_endlessly(driver, world) for driver in here]
-            pictures.append(out / ("paths.png" if len(sets) == 1 else f"paths-{world.replace(':', '-')}.png"))
-            draw_paths(driven, pictures[-1])
+            pictures[out / ("paths.png" if len(sets) == 1 else f"paths-{world.replace(':', '-')}.png")] = driven
         for log, drives in logs.items():
             results += drives
             for number, drive in enumerate(drives):
-                pictures.append(out / f"paths-{log.stem}{f'-{number}' if number else ''}.png")
-                draw_paths([drive], pictures[-1])
+                pictures[out / f"paths-{log.stem}{f'-{number}' if number else ''}.png"] = [drive]
         trained = {driver.name: driver.config for driver in drivers if driver.config}
-        print_table(results, groups=dict(zip(trained, experiments([*trained.values()]), strict=True)))
-        write_evaluation(out / "evaluation.json", results)
+        try:
+            write_evaluation(out / "evaluation.json", results)
+            for picture, shown in pictures.items():
+                draw_paths(shown, picture)
+        finally:
+            # Also where a file could not be written: driving took long.
+            print_table(results, groups=dict(zip(trained, experiments([*trained.values()]), strict=True)))
         print(f"Results: {out / 'evaluation.json'}, evaluation.csv")
         print("Paths driven: " + ", ".join(str(picture) for picture in pictures))
         return 0

@@ -45,7 +45,7 @@ class Film:
         from rover_rl.algos.film import film
         from rover_rl.algos.plots import draw_reward_components
 
-        driver = find_driver(self.policy, (self.world,) if self.world else ())
+        driver = find_driver(self.policy, () if self.world is None else (self.world,))
         rollout = film(
             driver.policy,
             self.out,

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import os
+import re
 import sys
-from typing import Annotated, Any, Union
 
-import tyro
-
+from rover_rl.algos.files import STANDARD_OUTPUT, errors_name
 from rover_rl.cli.demo import Demo
 from rover_rl.cli.drive import Drive
 from rover_rl.cli.evaluate import Evaluate
 from rover_rl.cli.export import Export
 from rover_rl.cli.film import Film
+from rover_rl.cli.options import read_command
 from rover_rl.cli.robot import RobotCommand
 from rover_rl.cli.train import INTERRUPTED, train_defaults
 from rover_rl.cli.worlds import Worlds
 
 FAILED = 2
 """Exit code for an error of the user's."""
+CUT_OFF = 141
+"""Exit code where nobody reads on what is printed, as a shell has it for SIGPIPE."""
 
 COMMANDS = {
     "evaluate": Evaluate,
@@ -37,19 +40,42 @@ def main(args: list[str] | None = None) -> int:
     Args:
         args: of the command line; ``None`` takes the process's own.
     """
+    args = sys.argv[1:] if args is None else args
     try:
-        train = train_defaults(sys.argv[1:] if args is None else args)
-        kinds: list[Any] = [Annotated[type(train), tyro.conf.subcommand("train", default=train)]]
-        kinds += [Annotated[kind, tyro.conf.subcommand(name)] for name, kind in COMMANDS.items()]
-        # The kinds are known at run time only, where no type checker can follow.
-        command: Any = Union[tuple(kinds)]  # noqa: UP007
-        return tyro.cli(command, args=args, prog="rover-rl", description="Rovers that learn to drive to a goal.")()
-    except (ValueError, OSError, ImportError) as error:
-        print(f"rover-rl: {error}", file=sys.stderr)
+        try:
+            return read_command({"train": train_defaults(args), **COMMANDS}, args)()
+        finally:
+            _flush()
+    except BrokenPipeError:
+        return CUT_OFF
+    except (ValueError, OSError, ImportError, FloatingPointError) as error:
+        print(f"rover-rl: {_told(error)}", file=sys.stderr)
+        return FAILED
+    except (MemoryError, RuntimeError) as error:
+        if not (isinstance(error, MemoryError) or re.search(r"allocate memory|out of memory", str(error))):
+            raise
+        print("rover-rl: there is not enough memory for that; smaller numbers need less", file=sys.stderr)
         return FAILED
     except KeyboardInterrupt:
         print("rover-rl: interrupted", file=sys.stderr)
         return INTERRUPTED
+
+
+def _flush() -> None:
+    """Writes out what was printed; what cannot be is dropped, or Python would complain of it at its end."""
+    try:
+        with errors_name(STANDARD_OUTPUT):
+            sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise
+
+
+def _told(error: Exception) -> str:
+    """The error's own words; of the system's errors the file and the reason."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return str(error)
 
 
 if __name__ == "__main__":

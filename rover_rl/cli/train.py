@@ -39,11 +39,14 @@ class Train:
 
     def __call__(self) -> int:
         """Trains, and says where the policy is."""
+        # Before PyTorch is imported, which takes seconds.
+        self.config.check()
         from rover_rl.algos.plots import draw_learning_curve
 
         summary = train(self.config, self.resume)
+        print(told(summary), flush=True)
         draw_learning_curve([summary.folder], summary.folder / "learning_curve.png")
-        print(f"{told(summary)}\nTry it: rover-rl evaluate {summary.checkpoint}")
+        print(f"Try it: rover-rl evaluate {summary.checkpoint}")
         return INTERRUPTED if summary.interrupted else 0
 
 

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torchrl.envs import EnvBase
 
+from rover_rl.checks import check_seed
 from rover_rl.envs.control import HeadingGains
 from rover_rl.envs.gym_vector import GymVectorWrapper, make_vector_env
 from rover_rl.envs.legacy import OriginalNames
@@ -26,6 +27,7 @@ from rover_rl.envs.numpy_batch import (
 from rover_rl.envs.rewards import RewardConfig
 from rover_rl.envs.rover import RoverEnv as BatchedRoverEnv
 from rover_rl.envs.task import TaskConfig
+from rover_rl.envs.window import Window
 from rover_rl.sims import Backend
 from rover_rl.sims.base import View
 from rover_rl.sims.robots import Robot
@@ -50,12 +52,15 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
             ``RewardConfig`` or a list of components; a ``TransformedEnv`` keeps its own.
         time_limit: ``"terminated"`` as the contract says (``truncated`` is never True), or ``"truncated"`` as
             Gymnasium means it.
-        render_mode: ``None`` or ``"rgb_array"``.
+        render_mode: ``None``; ``"rgb_array"``, for pictures by :meth:`render`; or ``"human"``, which shows one in a
+            window after each reset and step, at 20 steps a second (extra ``human``).
         camera: where pictures are taken from: behind the rover (``"chase"``) or above it (``"top"``).
 
     Raises:
         TypeError: if ``env`` is neither.
         ValueError: for more than one rover, or an unknown option.
+        ImportError: for ``"human"`` without pygame.
+        RuntimeError: for ``"human"`` without a display.
 
     Example:
         >>> import rover_rl
@@ -66,7 +71,7 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         1
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": FRAMES_PER_SECOND}  # noqa: RUF012
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": FRAMES_PER_SECOND}  # noqa: RUF012
 
     def __init__(
         self,
@@ -80,7 +85,13 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         rovers = base_env(env).num_envs
         if rovers != 1:
             raise ValueError(f"GymWrapper is for one rover, got num_envs={rovers}; use GymVectorWrapper for a batch")
-        self._batch = NumpyBatch(env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera)
+        modes = [None, *self.metadata["render_modes"]]
+        if render_mode not in modes:
+            raise ValueError(f"render_mode must be one of {modes}, got {render_mode!r}")
+        human = render_mode == "human"
+        self._window = Window("rover_rl", FRAMES_PER_SECOND) if human else None
+        pictures = "rgb_array" if human else render_mode
+        self._batch = NumpyBatch(env, reward=reward, time_limit=time_limit, render_mode=pictures, camera=camera)
         self.observation_space = self._batch.observation_space
         self.action_space = self._batch.action_space
         self.render_mode = render_mode
@@ -120,12 +131,13 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
             The observation and an empty info.
 
         Raises:
-            ValueError: for another option, or one of the wrong shape.
+            ValueError: for a seed out of range, another option, or one of the wrong shape.
         """
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else check_seed(seed))
         options = {key: np.asarray(value)[None] for key, value in (options or {}).items()}
         observation = self._batch.reset(seed=seed, options=options)
         self._reward, self._steps = 0.0, 0
+        self._show()
         return row_of(observation, 0), {}
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -146,6 +158,7 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         step = self._batch.step(action[None])
         info = {key: value[0].item() for key, value in step.info.items()}
         self._reward, self._steps = info["reward"], info["steps"]
+        self._show()
         return (
             row_of(step.observation, 0),
             self._reward,
@@ -155,12 +168,18 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A picture ``[480, 640, 3]``; ``None`` without a render mode."""
-        return None if self.render_mode is None else self._batch.picture(0)
+        """A picture ``[480, 640, 3]``; ``None`` without a render mode, and where a window shows it."""
+        return self._batch.picture(0) if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Lets go of the simulator; may be called again. Afterwards step, reset and render raise."""
+        """Lets go of the simulator and the window; may be called again. Afterwards step, reset and render raise."""
         self._batch.env.close()
+        if self._window is not None:
+            self._window.close()
+
+    def _show(self) -> None:
+        if self._window is not None and not self._window.dismissed:
+            self._window.show(self._batch.picture(0))
 
     def get_observation(self) -> Observation:
         """The present observation, without moving anything."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 from torchrl.envs import EnvBase
 
+from rover_rl.checks import check_seed
 from rover_rl.envs.numpy_batch import (
     FRAMES_PER_SECOND,
     Mask,
@@ -90,8 +91,8 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
                 ``"reset_mask"`` (bool ``[N]``: the rows to reset).
 
         Raises:
-            ValueError: for seeds that do not count on, a seed for some rows only, another option or a wrong
-                shape.
+            ValueError: for seeds out of range or that do not count on, a seed for some rows only, another option or a
+                wrong shape.
         """
         options = dict(options or {})
         rows = self._reset_mask(options.pop("reset_mask", None))
@@ -183,12 +184,15 @@ def make_vector_env(num_envs: int = 1, **kwargs: Any) -> GymVectorWrapper:
 
 def _first_seed(seed: int | Sequence[int | None] | None, num_envs: int) -> int | None:
     """The seed of row 0, from which the others count on."""
-    if seed is None or isinstance(seed, (int, np.integer)):
-        return None if seed is None else int(seed)
+    if not isinstance(seed, Iterable):
+        return None if seed is None else check_seed(seed, num_envs)
     seeds = list(seed)
-    first = seeds[0] if seeds else None
-    if seeds == [None] * num_envs or (first is not None and seeds == list(range(first, first + num_envs))):
-        return first
+    if seeds == [None] * num_envs:
+        return None
+    if len(seeds) == num_envs and None not in seeds:
+        first = check_seed(seeds[0], num_envs)
+        if seeds == list(range(first, first + num_envs)):
+            return first
     raise ValueError(f"seeds must be {num_envs} numbers that count on (s, s + 1, ...), or all None; got {seeds}")
 
 

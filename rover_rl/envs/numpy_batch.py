@@ -15,6 +15,7 @@ from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 from torchrl.envs import EnvBase, TransformedEnv
 
+from rover_rl.checks import check_seed
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import RewardComponent, RewardConfig
 from rover_rl.envs.rover import RoverEnv
@@ -137,7 +138,7 @@ class NumpyBatch:
         if seed is not None:
             if not rows.all():
                 raise ValueError("a seed is for all rows: give it to a reset of all of them")
-            self.base_env.set_seed(int(seed))
+            self.base_env.set_seed(check_seed(seed, self.num_envs))
         root = None if rows.all() else self._started("a reset of some rows").set("_reset", self._mask(rows))
         self._root = self.env.reset(root, **given)
         self._goals[rows] = 0

@@ -13,6 +13,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
+from rover_rl.checks import check_seed
 from rover_rl.envs import specs
 from rover_rl.envs.control import HeadingController, HeadingGains
 from rover_rl.envs.lidar import LidarPooling
@@ -141,6 +142,7 @@ class RoverEnv(EnvBase):
     ) -> None:
         _require_count("num_envs", num_envs)
         _require_count("length", length)
+        seed = secrets.randbits(31) if seed is None else check_seed(seed, num_envs)
         super().__init__(device=device, batch_size=torch.Size([num_envs]))
         self._tensor_device = torch.device("cpu") if self.device is None else self.device
         self.size = size
@@ -170,7 +172,7 @@ class RoverEnv(EnvBase):
         self._now = _Now(task=TaskState.zeros(num_envs, self._tensor_device))
         self._started = False
         self.is_closed = False
-        self.set_seed(secrets.randbits(31) if seed is None else seed)
+        self.set_seed(seed)
         if self.randomization.varies_dynamics:
             # A simulator that cannot says so at once.
             nobody = torch.zeros(num_envs, dtype=torch.bool, device=self.simulator.device)
@@ -231,7 +233,8 @@ class RoverEnv(EnvBase):
         )
 
     def _set_seed(self, seed: int | None) -> None:
-        self._row_keys = row_keys(secrets.randbits(31) if seed is None else seed, self.num_envs, self._tensor_device)
+        seed = secrets.randbits(31) if seed is None else check_seed(seed, self.num_envs)
+        self._row_keys = row_keys(seed, self.num_envs, self._tensor_device)
         self._episode = torch.zeros_like(self._row_keys)
         self._keys = self._row_keys
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import random
 import sys
 from dataclasses import replace
 from importlib.util import find_spec
@@ -65,6 +66,19 @@ def test_a_program_acts_as_the_original(tmp_path):
     observation = random_observations(POLICY, 1)
     loc = expected(observation)
     torch.testing.assert_close(act(observation), torch.tensor([[1.0, torch.pi]]) * torch.tanh(loc))
+    observation["target"][0, 0] = torch.nan
+    with pytest.raises(ValueError, match="observation 'target' holds NaN or infinity"):
+        act(observation)
+
+
+def test_a_damaged_program_is_refused(tmp_path):
+    path = tmp_path / "moon.pt2"
+    export(POLICY, path, "torch")
+    data = path.read_bytes()
+    for damaged in (b"", b"no program", data[: len(data) // 2], flipped(data, 8 * 5000)):
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"moon\.pt2 is damaged, or was not written by rover-rl export"):
+            program_function(path)
 
 
 @needs_onnx
@@ -84,6 +98,54 @@ def test_what_is_no_policy_is_refused(tmp_path, content):
         OnnxPolicy(path)
     with pytest.raises(FileNotFoundError, match="no ONNX policy at"):
         OnnxPolicy(tmp_path / "missing.onnx")
+
+
+@needs_onnx
+def test_a_flipped_bit_of_an_onnx_policy_is_refused_or_changes_nothing(onnx_file, tmp_path):
+    data, path, draw = onnx_file.read_bytes(), tmp_path / "flipped.onnx", random.Random(0)
+    observation = random_observations(POLICY, 1)
+    expected = onnx_function(onnx_file)(observation)
+    # Half of them in the settings and the checksum at the end.
+    bits = draw.sample(range(8 * len(data)), 60) + draw.sample(range(8 * (len(data) - 1000), 8 * len(data)), 60)
+    refused = 0
+    for bit in bits:
+        path.write_bytes(flipped(data, bit))
+        try:
+            policy = OnnxPolicy(path)
+        except ValueError as error:
+            assert "flipped.onnx" in str(error)  # noqa: PT017
+            refused += 1
+        else:
+            assert policy.config == POLICY.config
+            assert torch.equal(onnx_function(path)(observation), expected)
+    assert refused > 60
+
+
+def flipped(data: bytes, bit: int) -> bytes:
+    return data[: bit // 8] + bytes([data[bit // 8] ^ 1 << bit % 8]) + data[bit // 8 + 1 :]
+
+
+@needs_onnx
+def test_an_onnx_policy_from_before_there_were_checksums_is_taken(onnx_file, tmp_path):
+    import onnx
+
+    path, model = tmp_path / "old.onnx", onnx.load(str(onnx_file))
+    kept = [entry for entry in model.metadata_props if entry.key != "rover_rl_sha256"]
+    del model.metadata_props[:]
+    model.metadata_props.extend(kept)
+    onnx.save(model, str(path))
+    observation = random_observations(POLICY, 1)
+    assert torch.equal(onnx_function(path)(observation), onnx_function(onnx_file)(observation))
+
+
+@needs_onnx
+@pytest.mark.parametrize("number", [float("nan"), float("inf")])
+def test_an_onnx_policy_does_not_act_on_what_is_not_finite(onnx_file, number):
+    observations = TensorDict(random_observations(POLICY, 3), batch_size=[3])
+    observations["imu"][2, 1] = number
+    with pytest.raises(ValueError, match="observation 'imu' holds NaN or infinity: the policy does not act on it"):
+        OnnxPolicy(onnx_file)(observations)
+    assert "action" not in observations
 
 
 @needs_onnx

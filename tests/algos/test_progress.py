@@ -10,6 +10,7 @@ from rich.console import Console
 from tensordict import TensorDict
 
 from rover_rl.algos.progress import BatchStatistics, ProgressLog, Stopwatch, read_progress
+from tests.full_disk import largest_file
 
 
 def test_what_happened_in_a_batch_is_counted() -> None:
@@ -42,8 +43,8 @@ MEASURED = {"goals_per_2000_steps": 1.5, "episodes": 2, "episodes_reached": 1, "
 
 def test_rows_are_appended_and_read_back(tmp_path: Path) -> None:
     with ProgressLog(tmp_path, console=Console(quiet=True)) as log:
-        log.add(0.5, {"steps": 100, **MEASURED})
-        log.add(1.0, {"steps": 200, **MEASURED})
+        log.add({"steps": 100, **MEASURED})
+        log.add({"steps": 200, **MEASURED})
     path = tmp_path / "progress.csv"
     with path.open("a") as file:
         file.write("0.1,20")
@@ -55,19 +56,40 @@ def test_rows_are_appended_and_read_back(tmp_path: Path) -> None:
     assert read_progress(path)["steps"] == [100]
 
 
+def test_progress_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    def fill(log: ProgressLog) -> None:
+        with log, largest_file(150):
+            for steps in range(1, 100):
+                log.add({"steps": steps, **MEASURED})
+
+    with pytest.raises(OSError, match=rf"File too large: '{tmp_path}/(progress\.csv|tensorboard/events)"):
+        fill(ProgressLog(tmp_path, console=Console(quiet=True)))
+
+
 def test_tensorboard_shows_the_same(tmp_path: Path) -> None:
     accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     with ProgressLog(tmp_path, console=Console(quiet=True)) as log:
-        log.add(0.5, {"steps": 100, **MEASURED})
+        log.add({"steps": 100, **MEASURED})
     events = accumulator.EventAccumulator(str(tmp_path / "tensorboard")).Reload()
     assert [(event.step, event.value) for event in events.Scalars("goals_per_2000_steps")] == [(100, 1.5)]
+
+
+def test_events_after_the_state_that_is_gone_on_from_are_hidden(tmp_path: Path) -> None:
+    accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    for updates, rows in ((0, (100, 200, 300)), (1, (200, 250))):
+        with ProgressLog(tmp_path, updates, 101 * updates, Console(quiet=True)) as log:
+            for steps in rows:
+                log.add({"steps": steps, **MEASURED})
+    events = accumulator.EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    assert [event.step for event in events.Scalars("episodes")] == [100, 200, 250]
 
 
 def test_without_a_terminal_each_tenth_is_told(tmp_path: Path) -> None:
     console = Console(file=io.StringIO(), width=200)
     with ProgressLog(tmp_path, console=console) as log:
         for step in range(1, 41):
-            log.add(step / 40, {"steps": 100 * step, **MEASURED})
+            log.add({"steps": 100 * step, **MEASURED})
+            log.show(step / 40)
     lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
     assert len(lines) == 10
     assert "goals per 2,000 steps" in lines[0]

@@ -23,9 +23,10 @@ from rover_rl.algos import ppo, sac, training
 from rover_rl.algos.collecting import WorkerError
 from rover_rl.algos.config import ENDLESS, PPOConfig, SACConfig, TrainingConfig, read_config
 from rover_rl.algos.evaluate import draw_episodes, evaluate
-from rover_rl.algos.progress import read_progress
-from rover_rl.algos.runs import Checkpoint, load_state
+from rover_rl.algos.progress import ProgressLog, read_progress
+from rover_rl.algos.runs import Checkpoint, load_state, save_run
 from rover_rl.algos.training import TrainingSummary
+from tests.full_disk import largest_file
 
 PPO = PPOConfig(
     world="maze",
@@ -161,6 +162,104 @@ def test_a_state_of_other_settings_is_refused(tmp_path: Path) -> None:
     folder = train(replace(PPO, runs=str(tmp_path))).folder
     with pytest.raises(ValueError, match="training state does not fit its settings"):
         train(replace(PPO, runs=str(tmp_path), hidden=(8,)), folder)
+
+
+def test_a_run_that_was_killed_before_its_first_checkpoint_begins_anew(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = train(replace(PPO, total_steps=256, runs=str(tmp_path))).folder
+    expected = table(folder)["loss_objective"]
+    for name in ("checkpoint.pt", "training_state.pt"):
+        (folder / name).unlink()
+    capsys.readouterr()
+    assert train(replace(PPO, total_steps=256, runs=str(tmp_path)), folder).steps == 256
+    assert f"{folder} has no checkpoint yet: its training begins from the start\n" in capsys.readouterr().out
+    assert table(folder)["loss_objective"] == expected
+
+
+def test_a_checkpoint_without_its_training_state_is_not_written_over(tmp_path: Path) -> None:
+    folder = train(replace(PPO, total_steps=128, runs=str(tmp_path))).folder
+    (folder / "training_state.pt").unlink()
+    with pytest.raises(ValueError, match=r"has a checkpoint, but no training_state\.pt to go on from; begin a new run"):
+        train(replace(PPO, runs=str(tmp_path)), folder)
+    assert Checkpoint.load(folder).steps == 128
+
+
+def diverging(learner: type, monkeypatch: pytest.MonkeyPatch, after: int) -> None:
+    """Puts a NaN into the critic's weights in the update ``after`` so many others."""
+    update, calls = learner.update, []  # type: ignore[attr-defined]
+
+    def diverge(self: Any, *args: Any) -> dict[str, float]:
+        calls.append(1)
+        learned = update(self, *args)
+        if len(calls) > after:
+            next(value for name, value in self.weights().items() if "critic" in name or "qvalue" in name).data.fill_(
+                torch.nan
+            )
+        return learned
+
+    monkeypatch.setattr(learner, "update", diverge)
+
+
+@BOTH
+def test_a_training_that_diverges_keeps_its_last_good_checkpoint(
+    config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = replace(config, runs=str(tmp_path), checkpoint_minutes=1e-9)
+    diverging(LEARNER[config.algo], monkeypatch, after=2)
+    each = config.num_envs * config.decisions * config.repeat  # type: ignore[attr-defined]
+    with pytest.raises(FloatingPointError) as failure:
+        train(config)
+    folder = tmp_path / f"{config.algo}-maze"
+    text = str(failure.value)
+    assert text.startswith(f"training diverged after {3 * each} steps, with NaN or infinity in ")
+    assert f"the last good checkpoint is {folder}/checkpoint.pt, of {2 * each} steps" in text
+    assert text.endswith(f"rover-rl train --resume {folder} --learning-rate 0.0003")
+    assert Checkpoint.load(folder).steps == load_state(folder / "training_state.pt")["steps"] == 2 * each
+    assert max(int(file.stem) for file in (folder / "snapshots").iterdir()) <= 2 * each if config is PPO else True
+    monkeypatch.undo()
+    assert train(replace(config, learning_rate=3e-4), folder).steps == 512
+
+
+def test_a_training_that_diverges_at_once_says_so(tmp_path: Path) -> None:
+    # The NaN comes within the update, whose next gradient step fails by it.
+    with pytest.raises(FloatingPointError, match="there is no checkpoint yet; begin a new run with a lower learning"):
+        train(replace(PPO, learning_rate=1e30, runs=str(tmp_path)))
+    assert not (tmp_path / "ppo-maze" / "checkpoint.pt").exists()
+
+
+def test_a_state_with_a_nan_is_not_gone_on_with(tmp_path: Path) -> None:
+    folder = train(replace(PPO, total_steps=128, runs=str(tmp_path))).folder
+    state = load_state(folder / "training_state.pt")
+    name = next(name for name in state["learner"]["loss"] if name.startswith("critic_network_params"))
+    state["learner"]["loss"][name].fill_(torch.inf)
+    save_run(folder, Checkpoint.load(folder), state)
+    with pytest.raises(ValueError, match=rf"training_state\.pt holds NaN or infinity in the weights {name}: it cannot"):
+        train(replace(PPO, runs=str(tmp_path)), folder)
+
+
+def test_a_full_disk_ends_a_run_with_the_checkpoint_that_it_had(tmp_path: Path) -> None:
+    config = replace(PPO, runs=str(tmp_path), snapshots=0)
+    folder = train(replace(config, total_steps=256)).folder
+    whole = {path.name: path.read_bytes() for path in folder.glob("*.pt")}
+    with largest_file(7000), pytest.raises(OSError, match=f"File too large: '{folder}/"):
+        train(config, folder)
+    assert {path.name: path.read_bytes() for path in folder.glob("*.pt")} == whole
+    assert not [path.name for path in folder.iterdir() if path.name.startswith(".")]
+    assert train(config, folder).steps == 512
+
+
+@pytest.mark.parametrize("kind", [OSError, SystemExit])
+def test_what_was_learned_is_kept_where_nobody_reads_on(
+    kind: type[BaseException], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def closed(self: ProgressLog, share: float) -> None:
+        raise kind
+
+    monkeypatch.setattr(ProgressLog, "show", closed)
+    with pytest.raises(kind):
+        train(replace(PPO, runs=str(tmp_path)))
+    assert load_state(tmp_path / "ppo-maze" / "training_state.pt")["updates"] == 1
 
 
 def test_what_was_taken_after_the_last_state_is_taken_again(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import inspect
 import math
+import re
+import sys
 import warnings
 from types import SimpleNamespace as Message
 
@@ -90,9 +92,18 @@ def test_the_spaces_are_the_contracts(shared):
     assert shared.action_space == gymnasium.spaces.Box(np.float32([-1, -pi]), np.float32([1, pi]), dtype=np.float32)
 
 
-@pytest.mark.parametrize("render_mode", [None, "rgb_array"])
+@pytest.fixture
+def pygame(monkeypatch):
+    """Pygame without a display: nothing is seen, and the window's content can be read."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield pytest.importorskip("pygame", reason="needs rover_rl[human]")
+
+
+@pytest.mark.parametrize("render_mode", [None, "human", "rgb_array"])
 @pytest.mark.filterwarnings("ignore:.*we recommend using a symmetric and normalized space.*")
-def test_gymnasium_check_env(render_mode):
+def test_gymnasium_check_env(render_mode, pygame):
     env = gymnasium.make("rover_rl/Rover-v0", world_n="maze", render_mode=render_mode)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -109,6 +120,21 @@ def test_a_seed_reproduces_everything():
     first = rollout(env, 5, 30)
     assert_same(rollout(env, 5, 30), first)
     env.close()
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63, 1.5, True, "7"])
+def test_seeds_out_of_range_are_refused(env, seed):
+    expected = re.escape(f"seed must be a whole number from 0 to 9223372036854775807, got {seed!r}")
+    with pytest.raises(ValueError, match=expected):
+        env.reset(seed=seed)
+    with pytest.raises(ValueError, match=expected):
+        RoverEnv(world_n="maze", seed=seed)
+
+
+def test_a_seed_may_be_any_integer_in_range(env):
+    first, _ = env.reset(seed=2**63 - 1)
+    second, _ = env.reset(seed=np.uint64(2**63 - 1))
+    assert_same(first, second)
 
 
 def test_without_a_seed_reset_goes_on_to_another_episode(env):
@@ -339,6 +365,45 @@ def test_the_camera_can_be_above(env):
     other.close()
 
 
+def shown(pygame):
+    """What is in the window."""
+    return pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
+
+
+def test_a_window_shows_each_reset_and_step(pygame, env, monkeypatch):
+    waits = []
+    monkeypatch.setattr(pygame.time, "Clock", lambda: Message(tick=waits.append))
+    human = make(render_mode="human")
+    for act in (lambda each: each.reset(seed=0), lambda each: each.step([1.0, 0.0])):
+        act(human)
+        act(env)
+        np.testing.assert_array_equal(shown(pygame), env.render())
+    assert human.render() is None
+    assert waits == [20, 20]
+    human.close()
+    human.close()
+    assert pygame.display.get_surface() is None
+
+
+def test_a_window_that_is_closed_stays_closed(pygame):
+    human = make(render_mode="human")
+    human.reset(seed=0)
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    for _ in range(2):
+        human.step([0.0, 0.0])
+        assert pygame.display.get_surface() is None
+    human.close()
+
+
+def test_a_window_needs_pygame_and_a_display(pygame, monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "none-such")
+    with pytest.raises(RuntimeError, match='render_mode="human" needs a display: .*; "rgb_array" needs none'):
+        make(render_mode="human")
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(ImportError, match=r'render_mode="human" needs pygame: pip install "rover_rl\[human\]"'):
+        make(render_mode="human")
+
+
 def test_without_a_render_mode_render_does_nothing():
     env = make()
     env.reset()
@@ -483,7 +548,7 @@ def test_a_transform_must_leave_the_observation():
     inner.close()
 
 
-@pytest.mark.parametrize(("option", "value"), [("time_limit", "never"), ("render_mode", "human"), ("camera", "left")])
+@pytest.mark.parametrize(("option", "value"), [("time_limit", "never"), ("render_mode", "film"), ("camera", "left")])
 def test_unknown_options_are_refused(option, value):
     with pytest.raises(ValueError, match=f"{option} must be one of .* got '{value}'"):
         make(**{option: value})

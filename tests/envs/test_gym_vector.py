@@ -314,3 +314,16 @@ def test_make_vec_takes_single_rovers_too():
     envs = gymnasium.make_vec("rover_rl/Rover-v0", num_envs=2, vectorization_mode="sync", world_n="maze")
     assert envs.reset(seed=0)[0]["lidar"].shape == (2, 32)
     envs.close()
+
+
+def test_a_window_is_for_one_rover():
+    batched = BatchedRoverEnv(world_n="maze", num_envs=2)
+    with pytest.raises(ValueError, match=r"render_mode must be one of \[None, 'rgb_array'\], got 'human'"):
+        GymVectorWrapper(batched, render_mode="human")
+    batched.close()
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63 - ROWS + 1, 1.5, True, [-1, 0, 1], [0.5, 1.5, 2.5]])
+def test_seeds_out_of_range_are_refused(envs, seed):
+    with pytest.raises(ValueError, match="seed must be a whole number from 0 to 9223372036854775805, got"):
+        envs.reset(seed=seed)

@@ -200,3 +200,15 @@ def test_a_missing_library_is_named(monkeypatch):
     monkeypatch.delitem(sys.modules, "rover_rl.envs.sb3")
     with pytest.raises(ImportError, match=r"pip install \"rover_rl\[sb3\]\""):
         importlib.import_module("rover_rl.envs.sb3")
+
+
+def test_a_window_is_for_one_rover():
+    with pytest.raises(ValueError, match=r"render_mode must be one of \[None, 'rgb_array'\], got 'human'"):
+        make(rows=2, render_mode="human")
+
+
+def test_seeds_out_of_range_are_refused(shared):
+    shared.seed(-1)
+    with pytest.raises(ValueError, match="seed must be a whole number from 0 to"):
+        shared.reset()
+    shared.seed(0)

@@ -1,0 +1,116 @@
+"""Reading the command line with tyro, whose boxes of ten lines about an error become one sentence."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
+from difflib import get_close_matches
+from typing import Annotated, Any, Union
+
+import tyro
+
+_PROGRAM = "rover-rl"
+_DESCRIPTION = "Rovers that learn to drive to a goal."
+
+
+def read_command(commands: dict[str, Any], args: Sequence[str]) -> Any:
+    """The command that the command line names, with its options; ``--help`` prints and exits.
+
+    Args:
+        commands: dataclasses of the commands by name, or instances that hold defaults.
+        args: of the command line, the command's name first.
+
+    Raises:
+        ValueError: in one sentence, for an unknown command or option, or a value that does not fit.
+    """
+    name = args[0] if args else ""
+    if name not in commands and name not in ("-h", "--help") and not name.startswith("--tyro-"):
+        raise ValueError(f"{_unknown_command(name)} use one of {[*commands]}{_hint()}")
+    errors = io.StringIO()
+    try:
+        with redirect_stderr(errors):
+            command, unknown = _parse(commands, args)
+    except SystemExit as stop:
+        if not stop.code:
+            raise
+        help_text = _help(commands, name)
+        raise ValueError(_sentence(_plain(errors.getvalue()), help_text, args[1:]) + _hint(name)) from None
+    if unknown:
+        raise ValueError(_unknown_option(unknown, _help(commands, name)) + _hint(name))
+    return command
+
+
+def _parse(commands: dict[str, Any], args: Sequence[str]) -> tuple[Any, list[str]]:
+    kinds = [
+        Annotated[kind, tyro.conf.subcommand(name)]
+        if isinstance(kind, type)
+        else Annotated[type(kind), tyro.conf.subcommand(name, default=kind)]
+        for name, kind in commands.items()
+    ]
+    # The kinds are known at run time only, where no type checker can follow.
+    command: Any = Union[tuple(kinds)]  # noqa: UP007
+    return tyro.cli(command, args=args, prog=_PROGRAM, description=_DESCRIPTION, return_unknown_args=True)
+
+
+def _help(commands: dict[str, Any], name: str) -> str:
+    text = io.StringIO()
+    try:
+        with redirect_stdout(text):
+            _parse(commands, [name, "--help"])
+    except SystemExit:
+        pass
+    return _plain(text.getvalue())
+
+
+def _plain(text: str) -> str:
+    """Text without colours and without the sides of boxes."""
+    return re.sub(r"\x1b\[[0-9;]*m|^[│|╭+╰] ?| ?[│|╮+╯]$", "", text, flags=re.MULTILINE)
+
+
+def _hint(name: str = "") -> str:
+    return f"; see {' '.join(filter(None, (_PROGRAM, name, '--help')))}"
+
+
+def _unknown_command(name: str) -> str:
+    if not name:
+        return "a command is missing;"
+    if name.startswith("-"):
+        return f"options come after a command, and {name} stands before any;"
+    return f"unknown command {name!r};"
+
+
+def _unknown_option(unknown: Sequence[str], help_text: str) -> str:
+    """What to say of arguments that a command does not take, with the most similar option."""
+    options = [argument.split("=")[0] for argument in unknown if argument.startswith("-")]
+    if not options:
+        return f"unexpected argument {unknown[0]!r}"
+    similar = get_close_matches(options[0], re.findall(r"--[a-z][a-z-]*", help_text), n=1)
+    return f"unknown option {options[0]}" + (f", perhaps {similar[0]}" if similar else "")
+
+
+def _sentence(complaint: str, help_text: str, args: Sequence[str]) -> str:
+    """What tyro complains of: the option, what it takes and what was given; else the complaint's first paragraph."""
+    _, *paragraphs = re.split(r"[─-]{3,}", complaint)
+    paragraph = " ".join((paragraphs[0] if paragraphs else complaint).split())
+    given = _values(args)
+    for option in re.findall(r"--[\w-]+", paragraph):
+        takes = re.search(rf"^ {{0,4}}{option} ([\[{{A-Z].*?)(?:\s{{2,}}|$)", help_text, re.MULTILINE)
+        if option in given and takes:
+            return f"{option} takes {takes[1]}, got {' '.join(given[option]) or 'nothing'}"
+    return re.sub(r"^Missing from \S+ (\S+): \S+ (.*?)( \(required\))?$", r"\1 needs: \2", paragraph).rstrip(".")
+
+
+def _values(args: Sequence[str]) -> dict[str, list[str]]:
+    """What was given to each option."""
+    given: dict[str, list[str]] = {}
+    option = ""
+    for argument in args:
+        if argument.startswith("--"):
+            option, equals, value = argument.partition("=")
+            option = option.replace("_", "-")
+            given[option] = [value] if equals else []
+        else:
+            given.setdefault(option, []).append(argument)
+    return given
