@@ -94,7 +94,8 @@ class Checkpoint:
 
 def save_run(folder: Path, checkpoint: Checkpoint, state: dict[str, Any]) -> None:
     """Writes a run's policy and its training state; the old ones stay until both new ones are written."""
-    with written_whole(folder / STATE) as new_state, written_whole(folder / CHECKPOINT) as new_checkpoint:
+    # The state is moved first: a run that is killed before the checkpoint is can still go on.
+    with written_whole(folder / CHECKPOINT) as new_checkpoint, written_whole(folder / STATE) as new_state:
         _write(new_state, {"format": _STATE_FORMAT, **state})
         checkpoint._write(new_checkpoint)
 

@@ -423,6 +423,7 @@ def test_a_killed_run_goes_on_without_gap_or_duplicate(tmp_path: Path) -> None:
         process.wait()
         if (folder / "training_state.pt").is_file():
             assert load_state(folder / "training_state.pt")["updates"] <= len(table(folder)["updates"])
+        if (folder / "checkpoint.pt").is_file():
             Checkpoint.load(folder)
     reached = load_state(folder / "training_state.pt")["steps"]
     assert start(["--resume", str(folder), "--total-steps", str(reached + 160)]).wait() == 0
