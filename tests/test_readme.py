@@ -1,26 +1,50 @@
-"""What the README shows, runs."""
+"""What the README and the page on TorchRL show, runs."""
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 README = Path(__file__).parents[1] / "README.md"
-BLOCKS = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+PAGES = (README, README.parent / "docs" / "torchrl.md")
+BLOCKS = [
+    pytest.param(block, id=f"{page.stem}-{number}")
+    for page in PAGES
+    for number, block in enumerate(re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL))
+]
+PROGRAMS = [block for block in BLOCKS if "__main__" not in block.values[0]]
+SCRIPTS = [block for block in BLOCKS if "__main__" in block.values[0]]
 
 
-def test_the_readme_has_programs():
-    assert len(BLOCKS) >= 5
+def test_the_pages_have_programs():
+    assert len(PROGRAMS) >= 10
+    assert len(SCRIPTS) >= 2
 
 
-@pytest.mark.parametrize("block", BLOCKS, ids=range(len(BLOCKS)))
+@pytest.mark.parametrize("block", PROGRAMS)
 def test_programs_run(block, capsys):
     # Training is tested elsewhere, in less time.
     code = re.sub(r"\.learn\([\d_]+\)", "", block)
+    code = re.sub(r"\b1_000\b", "100", code)
+    code = re.sub(r"total_frames=\d+_000", "total_frames=320", code)
     names = {"poses": None, "goals": None, "env": __import__("rover_rl").RoverEnv(world_n="maze")}
-    exec(compile(code, str(README), "exec"), names)
+    exec(compile(code, "<page>", "exec"), names)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("block", SCRIPTS)
+def test_scripts_that_start_processes_run(block, tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(block)
+    environment = {**os.environ, "PYTHONPATH": str(README.parent)}
+    done = subprocess.run([sys.executable, script], env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert "(" in done.stdout
 
 
 def test_files_that_it_shows_exist():

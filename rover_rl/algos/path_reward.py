@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
 from rover_rl.algos.guide import Guides
 from rover_rl.envs import RoverEnv
+from rover_rl.envs.rows import in_rows
 
 
 class PathReward(Transform):
@@ -33,13 +35,16 @@ class PathReward(Transform):
         self._weight = weight
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        now = self._guides.path_length(next_tensordict)
+        now = self._path_length(next_tensordict)
         gained = (tensordict["path_length"] - now).masked_fill(next_tensordict["outcome", "goals"] > 0, 0.0)
         next_tensordict.set("reward", next_tensordict["reward"] + self._weight * gained)
         return next_tensordict.set("path_length", now)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return tensordict_reset.set("path_length", self._guides.path_length(tensordict_reset))
+        return tensordict_reset.set("path_length", self._path_length(tensordict_reset))
+
+    def _path_length(self, observation: TensorDictBase) -> Tensor:
+        return self._guides.path_length(in_rows(observation)).reshape(*observation.batch_size, 1)
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Adds ``path_length``."""

@@ -26,7 +26,7 @@ WAVELENGTHS = (64.0, 16.0, 4.0)
 
 def action_spec(reverse: bool = True, device: torch.device | str | None = None) -> Bounded:
     """Actions of one rover, ``[2]``: the contract's, or those of them that do not drive backwards."""
-    return bounded_spec(ACTION if reverse else FORWARD, 1, device)[0]
+    return bounded_spec(ACTION if reverse else FORWARD, (), device)
 
 
 def middle_and_half(spec: Bounded) -> tuple[Tensor, Tensor]:

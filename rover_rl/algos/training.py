@@ -34,6 +34,7 @@ from rover_rl.algos.runs import (
     save_run,
 )
 from rover_rl.algos.training_env import LIDAR_POINTS
+from rover_rl.envs.devices import available_device
 from rover_rl.sims.worlds import get_world
 
 _Config = TypeVar("_Config", bound=TrainingConfig)
@@ -287,18 +288,14 @@ def prepare(config: _Config) -> _Config:
         The settings, with the number of workers if they left it open.
 
     Raises:
-        ValueError: for an unknown world, or a setting out of range.
+        ValueError: for an unknown world, a device that is not there, or a setting out of range.
         ImportError: if the backend's extra is missing.
         ConnectionError: if there is no Ray cluster where there should be one.
     """
     config.check()
     for world in config.worlds:
         get_world(world)
-    if config.on_gpu and not torch.cuda.is_available():
-        raise ValueError(
-            f"device={config.device!r} needs a GPU of NVIDIA's and a PyTorch built for CUDA; "
-            f"PyTorch {torch.__version__} sees none"
-        )
+    available_device(config.device)
     cores = None
     if config.backend == "ray":
         # Before a TrainingRun takes over SIGTERM, which Ray does, too.

@@ -77,5 +77,5 @@ class ForwardOnly(Transform):
 
     def transform_action_spec(self, action_spec: TensorSpec) -> TensorSpec:
         """Speeds from 0 on."""
-        action_spec["action"] = bounded_spec(FORWARD, len(action_spec["action"].space.low), action_spec.device)
+        action_spec["action"] = bounded_spec(FORWARD, action_spec.shape, action_spec.device)
         return action_spec

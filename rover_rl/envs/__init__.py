@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rover_rl.envs.control import HeadingController, HeadingGains
-from rover_rl.envs.make import add_reward, make_env
+from rover_rl.envs.make import RewardedEnv, add_reward, make_env
 from rover_rl.envs.randomization import Randomization
 from rover_rl.envs.rewards import RewardComponent, RewardConfig, TotalReward, contract_reward
 from rover_rl.envs.rover import RoverEnv
@@ -16,6 +16,7 @@ __all__ = [
     "Randomization",
     "RewardComponent",
     "RewardConfig",
+    "RewardedEnv",
     "RoverEnv",
     "TaskConfig",
     "TotalReward",

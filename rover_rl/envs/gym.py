@@ -46,7 +46,7 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
     ``invalid_action``.
 
     Args:
-        env: a ``RoverEnv`` with ``num_envs=1``, or a ``TransformedEnv`` made from one (as by
+        env: a ``RoverEnv`` with ``num_envs=1`` or ``None``, or a ``TransformedEnv`` made from one (as by
             :func:`rover_rl.make_env`).
         reward: for a bare ``RoverEnv``: ``"contract"`` (``None`` means the same), ``"task"``, a
             ``RewardConfig`` or a list of components; a ``TransformedEnv`` keeps its own.

@@ -33,7 +33,8 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
 
     Row ``i`` behaves, to the last bit, as the :class:`~rover_rl.envs.gym.GymWrapper` of a single rover seeded
     ``seed + i``. ``infos`` are arrays ``[N]`` under the keys of its ``info``, each with its mask under
-    ``"_" + key``.
+    ``"_" + key``. They leave out ``reward``, which is what ``step()`` returns: TorchRL's ``GymWrapper`` would take
+    an info of that name for the reward itself.
 
     Args:
         env: a ``RoverEnv``, or a ``TransformedEnv`` made from one (as by :func:`rover_rl.make_env`).
@@ -197,11 +198,11 @@ def _first_seed(seed: int | Sequence[int | None] | None, num_envs: int) -> int |
 
 
 def _masked(info: dict[str, NDArray[Any]], rows: Mask) -> dict[str, Any]:
-    """``info`` of the rows of ``rows`` as Gymnasium has it: zero elsewhere, and masks; empty without rows."""
+    """``info`` of ``rows``, without the reward, as Gymnasium has it: zero elsewhere, and masks; empty without rows."""
     if not rows.any():
         return {}
     infos: dict[str, Any] = {}
-    for key, value in info.items():
+    for key, value in ((key, value) for key, value in info.items() if key != "reward"):
         infos[key] = np.where(rows, value, value.dtype.type(0))
         infos[f"_{key}"] = rows.copy()
     return infos

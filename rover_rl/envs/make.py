@@ -12,6 +12,25 @@ from rover_rl.envs.rewards import RewardComponent, RewardConfig, TotalReward, co
 from rover_rl.envs.rover import RoverEnv
 
 
+class RewardedEnv(TransformedEnv):
+    """A :class:`RoverEnv` with its reward: what :func:`make_env` returns.
+
+    Transforms go onto it as onto any environment, by ``append_transform`` or by ``TransformedEnv(env, transform)``.
+    TorchRL merges a ``TransformedEnv`` in another one into it, but no subclass: the transforms of the outer one are
+    counted from 0, as if the reward were the base environment's own.
+
+    Example:
+        >>> env = TransformedEnv(make_env(world_n="maze"), StepCounter())
+        >>> type(env.base_env).__name__, type(env.base_env.base_env).__name__
+        ('RewardedEnv', 'RoverEnv')
+        >>> env.transform
+        StepCounter(keys=[])
+    """
+
+    # Else TorchRL refuses random actions of an environment around this one whose transforms change the action.
+    rand_action = EnvBase.rand_action
+
+
 def make_env(*args: Any, reward: str | RewardConfig | Sequence[RewardComponent] = "contract", **kwargs: Any) -> EnvBase:
     """A :class:`RoverEnv` with the contract's reward, or yours.
 
@@ -36,7 +55,7 @@ def make_env(*args: Any, reward: str | RewardConfig | Sequence[RewardComponent] 
 def add_reward(env: EnvBase, reward: str | RewardConfig | Sequence[RewardComponent] = "contract") -> EnvBase:
     """``env`` with a reward on top; see :func:`make_env`."""
     components = _components(reward)
-    return TransformedEnv(env, Compose(*components, TotalReward())) if components else env
+    return RewardedEnv(env, Compose(*components, TotalReward())) if components else env
 
 
 def _components(reward: str | RewardConfig | Sequence[RewardComponent]) -> list[Transform]:

@@ -19,6 +19,7 @@ from rover_rl.checks import check_seed
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import RewardComponent, RewardConfig
 from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.rows import in_rows
 from rover_rl.envs.task import EVENTS
 from rover_rl.sims.base import View
 
@@ -96,7 +97,7 @@ class NumpyBatch:
         self.env, self.reward_config = _with_reward(env, reward)
         self.num_envs: int = self.base_env.num_envs
         self.observation_space = _observation_space(self.env)
-        self.action_space = _box(self.env.action_spec)
+        self.action_space = _box(self.env.action_spec_unbatched)
         self.render_mode = render_mode
         self._camera = camera
         self._time_limit = time_limit
@@ -111,8 +112,8 @@ class NumpyBatch:
 
     def observation(self) -> Observation:
         """The present observation, each entry ``[N, k]``."""
-        root = self._started("the observation")
-        return {key: root.get(key).numpy(force=True).copy() for key in KEYS}
+        rows = in_rows(self._started("the observation"))
+        return {key: rows.get(key).numpy(force=True).copy() for key in KEYS}
 
     def reset(
         self,
@@ -130,7 +131,9 @@ class NumpyBatch:
 
         Raises:
             ValueError: for another option, one of the wrong shape, or a seed for some rows only.
+            RuntimeError: on a closed environment.
         """
+        self._require_open("reset")
         given = {key: np.asarray(value, np.float32) for key, value in (options or {}).items()}
         if unknown := given.keys() - {"start", "goal"}:
             raise ValueError(f"unknown reset options {sorted(unknown)}; use 'start' and 'goal'")
@@ -140,6 +143,8 @@ class NumpyBatch:
                 raise ValueError("a seed is for all rows: give it to a reset of all of them")
             self.base_env.set_seed(check_seed(seed, self.num_envs))
         root = None if rows.all() else self._started("a reset of some rows").set("_reset", self._mask(rows))
+        if not self.env.batch_size:
+            given = {key: value[0] for key, value in given.items()}
         self._root = self.env.reset(root, **given)
         self._goals[rows] = 0
         if seed is not None:
@@ -153,6 +158,7 @@ class NumpyBatch:
             actions: ``[N, 2]``: forward speed (m/s) and heading offset (rad), if no transform says otherwise.
             rows: the other rows' actions are ignored, their reward is 0 and nothing ends them.
         """
+        self._require_open("step")
         actions = np.array(actions, np.float32)
         expected = (self.num_envs, *self.action_space.shape)
         if actions.shape != expected:
@@ -161,7 +167,8 @@ class NumpyBatch:
         if rows is not None:
             actions[~rows] = 0.0
             root.set("_step", self._mask(rows))
-        root.set("action", torch.as_tensor(actions, device=self.env.device))
+        action = torch.as_tensor(actions, device=self.env.device)
+        root.set("action", action.reshape(self.env.action_spec.shape))
         result = self.env.step(root)
         # Else the next step would hold these rows too.
         result.pop("_step", None)
@@ -170,8 +177,7 @@ class NumpyBatch:
 
     def picture(self, row: int) -> NDArray[np.uint8]:
         """A picture of one rover: ``[height, width, 3]``."""
-        if self.base_env.is_closed:
-            raise RuntimeError("render() was called on a closed environment; make a new one")
+        self._require_open("render")
         return self.base_env.render(row, self._camera).numpy(force=True)
 
     def _unpack(self, result: TensorDictBase, rows: Mask | None) -> Step:
@@ -199,8 +205,12 @@ class NumpyBatch:
             raise RuntimeError(f"{what} needs a running episode; call reset() first")
         return self._root
 
+    def _require_open(self, what: str) -> None:
+        if self.base_env.is_closed:
+            raise RuntimeError(f"{what}() was called on a closed environment; make a new one")
+
     def _mask(self, rows: Mask) -> Tensor:
-        return torch.tensor(rows, device=self.env.device)[:, None]
+        return torch.tensor(rows, device=self.env.device).reshape(*self.env.batch_size, 1)
 
 
 def base_env(env: EnvBase) -> RoverEnv:
@@ -236,20 +246,20 @@ def _observation_space(env: EnvBase) -> spaces.Dict:
     missing = [key for key in KEYS if key not in env.observation_spec]
     if missing:
         raise ValueError(f"the observation lacks {missing}, which a transform has removed; {list(KEYS)} are needed")
-    return spaces.Dict({key: _box(env.observation_spec[key]) for key in KEYS})
+    return spaces.Dict({key: _box(env.observation_spec_unbatched[key]) for key in KEYS})
 
 
 def _box(spec: TensorSpec) -> spaces.Box:
-    """The space of one row of a batched spec."""
+    """The space of one row's spec."""
     if isinstance(spec, Bounded):
-        low, high = spec.space.low[0].numpy(force=True), spec.space.high[0].numpy(force=True)
+        low, high = spec.space.low.numpy(force=True), spec.space.high.numpy(force=True)
         return spaces.Box(low, high, dtype=np.float32)
-    return spaces.Box(-np.inf, np.inf, tuple(spec.shape[1:]), np.float32)
+    return spaces.Box(-np.inf, np.inf, tuple(spec.shape), np.float32)
 
 
 def _flat(column: Tensor) -> NDArray[Any]:
-    """``[N]`` of ``[N, 1]``, in memory of its own."""
-    return column.squeeze(-1).numpy(force=True).copy()
+    """``[N]`` of ``[N, 1]``, or of an unbatched environment's ``[1]``, in memory of its own."""
+    return column.reshape(-1).numpy(force=True).copy()
 
 
 def _require_one_of(name: str, value: object, allowed: tuple[object, ...]) -> None:

@@ -16,6 +16,7 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
+from rover_rl.envs.rows import in_rows
 from rover_rl.envs.task import Phase
 
 
@@ -77,19 +78,20 @@ class RewardComponent(Transform):
 
         Args:
             outcome: what happened in the step.
-            observation: the whole step's result, the observation in it.
+            observation: the whole step's result, the observation in it. An unbatched environment's has one row.
         """
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        outcome = next_tensordict.get("outcome")
-        value = torch.where(self._active(outcome.get("phase")), self.value(outcome, next_tensordict), 0.0)
+        rows = in_rows(next_tensordict)
+        outcome = rows.get("outcome")
+        value = torch.where(self._active(outcome.get("phase")), self.value(outcome, rows), 0.0)
         components = next_tensordict.get("reward_components", None)
         if components is None:
             components = TensorDict._new_unsafe(
                 {}, batch_size=next_tensordict.batch_size, device=next_tensordict.device
             )
             next_tensordict.set("reward_components", components)
-        components.set(self.name, value)
+        components.set(self.name, value if next_tensordict.batch_dims else value[0])
         return next_tensordict
 
     def _active(self, phase: Tensor) -> Tensor:

@@ -6,6 +6,7 @@ import inspect
 import secrets
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -16,6 +17,7 @@ from torchrl.envs import EnvBase
 from rover_rl.checks import check_seed
 from rover_rl.envs import specs
 from rover_rl.envs.control import HeadingController, HeadingGains
+from rover_rl.envs.devices import available_device
 from rover_rl.envs.lidar import LidarPooling
 from rover_rl.envs.placement import Placement
 from rover_rl.envs.randomization import CommandDelay, Randomization
@@ -82,6 +84,12 @@ class RoverEnv(EnvBase):
 
     Row ``i`` of a batch seeded ``s`` is, to the last bit, the single environment seeded ``s + i``.
 
+    ``num_envs=None`` is one rover without a batch dimension, batch size ``[]``: ``lidar [lidar_points]``,
+    ``action [2]``, ``reward [1]``, ``start [3]``. Its numbers are those of the batch of one.
+
+    ``close()`` releases the simulator. The next ``reset()`` builds it anew, as TorchRL's ``ParallelEnv`` does, and
+    goes on with the next episodes.
+
     Args:
         size: dimensions of the camera buffer, reserved for vision as in the original.
         length: steps after which an episode is truncated.
@@ -91,21 +99,26 @@ class RoverEnv(EnvBase):
         connection_check_timeout: seconds to wait for a live rover's first scan.
         lidar_points: readings that the policy sees, each the nearest of its segment of the scan.
         max_lidar_range: the lidar's readings are clipped to this, m.
-        num_envs: rovers in the batch.
+        num_envs: rovers in the batch; ``None``: one rover, unbatched.
         backend: what moves them: ``"bullet"``, ``"warp"`` (fast, on ``device``), ``"ros2"`` (one live rover), or one's
             settings, for example :class:`~rover_rl.sims.bullet.BulletSettings`.
         physics: preset of a backend given by its name: Bullet's are ``"default"``, ``"accurate"`` and ``"fast"``.
         robot: a robot's name or a :class:`~rover_rl.sims.robots.Robot`.
         lidar_beams: beams of a raw scan.
         seed: of the first row; ``None`` draws one.
-        device: where the task's tensors live; ``None`` is the CPU.
+        device: where the task's tensors live; ``None`` is the CPU, and leaves the tensordicts without a device.
         end_on_goal: whether reaching the goal ends the episode, instead of a new goal being set.
         task: thresholds of the task.
         heading_gains: of the heading PID.
         randomization: how rovers, sensors and delays vary; ``None``: they do not.
 
+    Attributes:
+        num_envs: rovers, the rows of :attr:`goal`, :attr:`rover_state` and ``worlds``: 1 if unbatched.
+        simulator: what moves them; another one after each reset that follows a ``close()``.
+
     Raises:
-        ValueError: for an unknown world, backend or robot, fewer beams than points, or a number out of its range.
+        ValueError: for an unknown world, backend or robot, a device that is not there, fewer beams than points, or a
+            number out of its range.
 
     Example:
         >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0)
@@ -128,7 +141,7 @@ class RoverEnv(EnvBase):
         lidar_points: int = 32,
         max_lidar_range: float = 12.0,
         *,
-        num_envs: int = 1,
+        num_envs: int | None = 1,
         backend: str | Backend = "bullet",
         physics: str | None = None,
         robot: str | Robot = "rover_zero",
@@ -140,21 +153,25 @@ class RoverEnv(EnvBase):
         heading_gains: HeadingGains | None = None,
         randomization: Randomization | None = None,
     ) -> None:
+        batch_size = () if num_envs is None else (num_envs,)
+        num_envs = 1 if num_envs is None else num_envs
         _require_count("num_envs", num_envs)
         _require_count("length", length)
         seed = secrets.randbits(31) if seed is None else check_seed(seed, num_envs)
-        super().__init__(device=device, batch_size=torch.Size([num_envs]))
+        super().__init__(device=None if device is None else available_device(device), batch_size=batch_size)
         self._tensor_device = torch.device("cpu") if self.device is None else self.device
         self.size = size
         self.length = length
         self.num_envs = num_envs
+        self._row_shape = torch.Size([num_envs])
         self.connection = Connection(scan_topic, imu_topic, cmd_vel_topic, camera_topic, connection_check_timeout)
         self.end_on_goal = end_on_goal
         self.task = task or TaskConfig()
         self.robot = get_robot(robot)
         self.worlds = assign_rows(world_n, num_envs)
         self.lidar = LidarPooling(lidar_beams, lidar_points, max_lidar_range, self._tensor_device)
-        self.simulator: Simulator = make_simulator(
+        self._make_simulator = partial(
+            make_simulator,
             backend,
             worlds=self.worlds,
             robot=self.robot,
@@ -163,6 +180,7 @@ class RoverEnv(EnvBase):
             connection=self.connection,
             device=self._tensor_device,
         )
+        self._open()
         self.placement = Placement(self.worlds, self.robot, self.task.min_goal_distance, self._tensor_device)
         self.controller = HeadingController(num_envs, heading_gains, self._tensor_device)
         self.randomization = randomization or Randomization()
@@ -170,8 +188,6 @@ class RoverEnv(EnvBase):
         self._make_specs()
         self._history = PositionHistory(num_envs, self.task.stuck_window, self._tensor_device)
         self._now = _Now(task=TaskState.zeros(num_envs, self._tensor_device))
-        self._started = False
-        self.is_closed = False
         self.set_seed(seed)
         if self.randomization.varies_dynamics:
             # A simulator that cannot says so at once.
@@ -203,26 +219,33 @@ class RoverEnv(EnvBase):
         return self.simulator.render(row, view, width, height, self._now.task.goal[row])
 
     def close(self, *, raise_if_closed: bool = False) -> None:
-        """Closes the simulator; may be called again."""
+        """Releases the simulator, until the next :meth:`reset`. Idempotent."""
         self.simulator.close()
         super().close(raise_if_closed=raise_if_closed)
 
     def to(self, device: torch.device | str) -> RoverEnv:
-        """Stays where it is: the task's device is chosen at construction.
+        """Names the device that the task lives on, in specs and tensordicts. The task itself does not move.
 
         Raises:
             ValueError: for another device than the one the task lives on.
         """
-        if torch.device(device) != self._tensor_device:
-            raise ValueError(f"the task lives on {self._tensor_device}; build RoverEnv(device={str(device)!r}) instead")
-        return self
+        asked, own = torch.device(device), self._tensor_device
+        if asked.type != own.type or asked.index not in (None, own.index):
+            raise ValueError(f"the task lives on {own}; build RoverEnv(device={str(device)!r}) instead")
+        return super().to(own)
+
+    def _open(self) -> None:
+        """Builds the simulator, whose rovers are all to be reset next."""
+        self.simulator: Simulator = self._make_simulator()
+        self._started = False
+        self.is_closed = False
 
     def _make_specs(self) -> None:
-        rows, device = self.num_envs, self.device
-        self.observation_spec = specs.observation_spec(self.lidar.points, self.lidar.max_range, rows, device)
-        self.action_spec = specs.bounded_spec(specs.ACTION, rows, device)
-        self.reward_spec = specs.reward_spec(rows, device)
-        self.full_done_spec = specs.done_spec(rows, device)
+        batch_size, device = self.batch_size, self.device
+        self.observation_spec = specs.observation_spec(self.lidar.points, self.lidar.max_range, batch_size, device)
+        self.action_spec = specs.bounded_spec(specs.ACTION, batch_size, device)
+        self.reward_spec = specs.reward_spec(batch_size, device)
+        self.full_done_spec = specs.done_spec(batch_size, device)
         bounds = specs.observation_bounds(self.lidar.points, self.lidar.max_range)
         self._clip = {
             key: tuple(torch.tensor(side, device=self._tensor_device) for side in (bounds[key].low, bounds[key].high))
@@ -246,7 +269,8 @@ class RoverEnv(EnvBase):
         goal: Tensor | None = None,
         **_: Any,
     ) -> TensorDictBase:
-        self._require_open("reset")
+        if self.is_closed:
+            self._open()
         mask = self._reset_mask(tensordict)
         start = self._given("start", start, tensordict, 3)
         goal = self._given("goal", goal, tensordict, 2)
@@ -428,15 +452,19 @@ class RoverEnv(EnvBase):
         }
 
     def _pack(self, observation: dict[str, Tensor], **entries: Any) -> TensorDict:
-        return TensorDict._new_unsafe({**observation, **entries}, batch_size=self.batch_size, device=self.device)
+        """What is handed out, from rows: the row itself if the environment is unbatched."""
+        rows = TensorDict._new_unsafe({**observation, **entries}, batch_size=self._row_shape, device=self.device)
+        return rows if self.batch_size else rows[0]
 
     def _checked(self, action: Tensor) -> tuple[Tensor, Tensor]:
-        """The action clipped to its bounds, and which rows (bool ``[N, 1]``) were not finite.
+        """The action of each row clipped to its bounds, and which rows (bool ``[N, 1]``) were not finite.
 
         On the host those raise; on an accelerator they are flagged, because looking would wait for the device.
         """
-        if action.shape != (self.num_envs, 2):
-            raise ValueError(f"action must have shape {(self.num_envs, 2)}, got {tuple(action.shape)}")
+        expected = (*self.batch_size, 2)
+        if action.shape != expected:
+            raise ValueError(f"action must have shape {expected}, got {tuple(action.shape)}")
+        action = action.reshape(self.num_envs, 2)
         invalid = ~torch.isfinite(action).all(-1, keepdim=True)
         if action.device.type == "cpu" and invalid.any():
             rows = invalid.squeeze(-1).nonzero().squeeze(-1).tolist()
@@ -450,21 +478,20 @@ class RoverEnv(EnvBase):
         return mask.reshape(self.num_envs, 1)
 
     def _given(self, key: str, value: Tensor | None, tensordict: TensorDictBase | None, width: int) -> Tensor | None:
-        """A start or goal that the caller gives, checked."""
+        """A start or goal of each row that the caller gives, checked."""
         if value is None and tensordict is not None:
             value = tensordict.get(key, None)
         if value is None:
             return None
         value = torch.as_tensor(value, dtype=torch.float32, device=self._tensor_device)
-        if value.shape != (self.num_envs, width) or not torch.isfinite(value).all():
-            raise ValueError(
-                f"{key} must be finite numbers of shape {(self.num_envs, width)}, got shape {tuple(value.shape)}"
-            )
-        return value
+        expected = (*self.batch_size, width)
+        if value.shape != expected or not torch.isfinite(value).all():
+            raise ValueError(f"{key} must be finite numbers of shape {expected}, got shape {tuple(value.shape)}")
+        return value.reshape(self.num_envs, width)
 
     def _require_open(self, what: str) -> None:
         if self.is_closed:
-            raise RuntimeError(f"{what}() was called on a closed RoverEnv; make a new one")
+            raise RuntimeError(f"{what}() was called on a closed RoverEnv; call reset() first, which opens it anew")
 
     def _require_started(self, what: str) -> None:
         if not self._started:

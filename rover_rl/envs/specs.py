@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -34,42 +35,42 @@ def observation_bounds(lidar_points: int, max_lidar_range: float) -> dict[str, B
     }
 
 
-def bounded_spec(bounds: Bounds, num_envs: int, device: torch.device | str | None) -> Bounded:
-    """A float32 spec ``[N, features]``."""
-    low, high = (torch.tensor(side, device=device).expand(num_envs, -1) for side in (bounds.low, bounds.high))
+def bounded_spec(bounds: Bounds, batch_size: Sequence[int], device: torch.device | str | None) -> Bounded:
+    """A float32 spec ``[*batch_size, features]``."""
+    low, high = (torch.tensor(side, device=device).expand(*batch_size, -1) for side in (bounds.low, bounds.high))
     return Bounded(low=low.clone(), high=high.clone(), dtype=torch.float32, device=device)
 
 
 def observation_spec(
-    lidar_points: int, max_lidar_range: float, num_envs: int, device: torch.device | str | None
+    lidar_points: int, max_lidar_range: float, batch_size: Sequence[int], device: torch.device | str | None
 ) -> Composite:
     """The observation and the nested ``outcome``."""
     observation = {
-        key: bounded_spec(bounds, num_envs, device)
+        key: bounded_spec(bounds, batch_size, device)
         for key, bounds in observation_bounds(lidar_points, max_lidar_range).items()
     }
-    return Composite(**observation, outcome=_outcome_spec(num_envs, device), shape=(num_envs,), device=device)
+    return Composite(**observation, outcome=_outcome_spec(batch_size, device), shape=batch_size, device=device)
 
 
-def done_spec(num_envs: int, device: torch.device | str | None) -> Composite:
-    """``done``, ``terminated`` and ``truncated``, bool ``[N, 1]``."""
+def done_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Composite:
+    """``done``, ``terminated`` and ``truncated``, bool ``[*batch_size, 1]``."""
     keys = ("done", "terminated", "truncated")
     return Composite(
-        **{key: _flag(num_envs, device) for key in keys},
-        shape=(num_envs,),
+        **{key: _flag(batch_size, device) for key in keys},
+        shape=batch_size,
         device=device,
     )
 
 
-def reward_spec(num_envs: int, device: torch.device | str | None) -> Unbounded:
-    """One float32 a row, ``[N, 1]``."""
-    return Unbounded(shape=(num_envs, 1), dtype=torch.float32, device=device)
+def reward_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Unbounded:
+    """One float32 a row, ``[*batch_size, 1]``."""
+    return Unbounded(shape=(*batch_size, 1), dtype=torch.float32, device=device)
 
 
-def _outcome_spec(num_envs: int, device: torch.device | str | None) -> Composite:
-    shape = (num_envs, 1)
+def _outcome_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Composite:
+    shape = (*batch_size, 1)
     return Composite(
-        **{event: _flag(num_envs, device) for event in EVENTS},
+        **{event: _flag(batch_size, device) for event in EVENTS},
         phase=Bounded(low=0, high=max(Phase), shape=shape, dtype=torch.int64, device=device),
         progress=Unbounded(shape=shape, device=device),
         alignment=Bounded(low=-1.0, high=1.0, shape=shape, device=device),
@@ -77,10 +78,10 @@ def _outcome_spec(num_envs: int, device: torch.device | str | None) -> Composite
         angular_velocity=Unbounded(shape=shape, device=device),
         steps=Unbounded(shape=shape, dtype=torch.int64, device=device),
         total_steps=Unbounded(shape=shape, dtype=torch.int64, device=device),
-        shape=(num_envs,),
+        shape=batch_size,
         device=device,
     )
 
 
-def _flag(num_envs: int, device: torch.device | str | None) -> Binary:
-    return Binary(n=1, shape=(num_envs, 1), dtype=torch.bool, device=device)
+def _flag(batch_size: Sequence[int], device: torch.device | str | None) -> Binary:
+    return Binary(n=1, shape=(*batch_size, 1), dtype=torch.bool, device=device)

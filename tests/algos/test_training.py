@@ -454,7 +454,7 @@ def wait_until(condition: Callable[[], bool], process: subprocess.Popen[bytes]) 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
 def test_a_gpu_that_is_not_there_is_told_of_in_words(tmp_path: Path) -> None:
     config = replace(PPO, backend="warp", device="cuda", runs=str(tmp_path))
-    with pytest.raises(ValueError, match=r"device='cuda' needs a GPU of NVIDIA's and a PyTorch built for CUDA"):
+    with pytest.raises(ValueError, match=r"device='cuda' is not available: PyTorch .* finds cpu$"):
         train(config)
     assert not list(tmp_path.iterdir())
 

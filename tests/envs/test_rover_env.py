@@ -152,8 +152,8 @@ def test_stepping_before_reset_and_after_close_are_refused():
     env.reset()
     env.close()
     env.close()
-    for call in (lambda: env.step(td), env.reset, env.render):
-        with pytest.raises(RuntimeError, match="closed RoverEnv"):
+    for call in (lambda: env.step(td), env.render):
+        with pytest.raises(RuntimeError, match=r"closed RoverEnv; call reset\(\) first"):
             call()
 
 

@@ -1,0 +1,248 @@
+"""What TorchRL's own code relies on: nesting, closing, devices, batches of environments, and its Gymnasium wrapper."""
+
+from __future__ import annotations
+
+import warnings
+from functools import partial
+
+import gymnasium
+import pytest
+import torch
+from gymnasium.vector import AutoresetMode
+from torchrl.collectors import Collector
+from torchrl.envs import (
+    ActionScaling,
+    Compose,
+    ExcludeTransform,
+    FrameSkipTransform,
+    GymWrapper,
+    RewardSum,
+    SerialEnv,
+    StepCounter,
+    TransformedEnv,
+)
+from torchrl.envs.utils import check_env_specs
+
+from rover_rl import Randomization, RoverEnv, make_env
+from rover_rl.envs import RewardedEnv
+from rover_rl.envs.devices import available_device
+from tests.extras import needs_warp
+
+OBSERVED = ("lidar", "pose", "imu", "target", "velocities", "reward", "done", "terminated", "truncated")
+
+
+def make(num_envs=3, **settings):
+    return make_env(**{"world_n": "maze", "num_envs": num_envs, "seed": 0, "length": 10, **settings})
+
+
+def rollout(env, steps=25):
+    torch.manual_seed(0)
+    return env.rollout(steps, break_when_any_done=False)
+
+
+def assert_same(a, b) -> None:
+    assert set(a.keys(True, True)) == set(b.keys(True, True))
+    for key, value in a.items(True, True):
+        assert torch.equal(value, b[key]), key
+
+
+# -----------------------------------------------------------------------------------------------------------
+# Nesting
+
+
+def test_transforms_that_are_nested_around_it_are_counted_from_0():
+    counter, sums = StepCounter(), RewardSum()
+    env = TransformedEnv(make(), Compose(counter, sums))
+    assert [env.transform[0], env.transform[1]] == [counter, sums]
+    assert len(env.transform.transforms) == 2
+    assert isinstance(env.base_env, RewardedEnv)
+    assert isinstance(env.base_env.base_env, RoverEnv)
+    env.close()
+
+
+def test_nesting_says_nothing():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = TransformedEnv(make(), StepCounter())
+    env.close()
+
+
+@pytest.mark.parametrize("num_envs", [None, 3])
+def test_nested_and_appended_transforms_are_the_same(num_envs):
+    appended = make(num_envs)
+    for transform in (ActionScaling(), StepCounter(), RewardSum()):
+        appended = appended.append_transform(transform)
+    nested = TransformedEnv(make(num_envs), Compose(ActionScaling(), StepCounter(), RewardSum()))
+    for env in (appended, nested):
+        check_env_specs(env, break_when_any_done="both")
+        env.set_seed(5)
+    assert isinstance(appended, RewardedEnv)
+    assert_same(rollout(appended), rollout(nested))
+    appended.close()
+    nested.close()
+
+
+def test_a_clone_of_the_users_transforms_goes_around_another_environment():
+    train = TransformedEnv(make(), Compose(StepCounter(max_steps=4), RewardSum()))
+    other = TransformedEnv(make(seed=50), train.transform.clone())
+    other.load_state_dict(train.state_dict())
+    other.set_seed(0)
+    td = rollout(other)
+    assert td["step_count"].max() == 3
+    assert_same(td, rollout(train))
+    train.close()
+    other.close()
+
+
+def test_transforms_for_one_reward_go_on_it_without_its_components():
+    env = make(num_envs=None)
+    components = [key for key in env.reward_keys if key != "reward"]
+    env = TransformedEnv(env, Compose(ExcludeTransform(*components), FrameSkipTransform(4)))
+    check_env_specs(env)
+    assert env.rollout(2)["next", "outcome", "steps"].flatten().tolist() == [4, 8]
+    env.close()
+
+
+@pytest.mark.parametrize("num_envs", [None, 2])
+def test_torchrl_batches_it(num_envs):
+    env = SerialEnv(2, partial(make, num_envs))
+    env.set_seed(0)
+    check_env_specs(env, break_when_any_done="both")
+    env = TransformedEnv(env, StepCounter())
+    assert rollout(env).shape == (2, *([] if num_envs is None else [num_envs]), 25)
+    env.close()
+
+
+# -----------------------------------------------------------------------------------------------------------
+# Closing
+
+
+@pytest.mark.parametrize("backend", ["bullet", pytest.param("warp", marks=needs_warp)])
+@pytest.mark.parametrize("num_envs", [None, 3])
+def test_a_reset_after_closing_goes_on_as_if_it_had_not_been_closed(num_envs, backend):
+    settings = {"backend": backend, "randomization": Randomization.typical()}
+    closed, open_ = make(num_envs, **settings), make(num_envs, **settings)
+    for _ in range(3):
+        assert_same(rollout(closed), rollout(open_))
+        closed.close()
+        assert closed.is_closed
+    assert_same(closed.reset(), open_.reset())
+    assert not closed.is_closed
+    closed.close()
+    open_.close()
+
+
+def test_closing_releases_the_simulator_and_a_reset_builds_another():
+    env = RoverEnv(world_n="maze")
+    first = env.simulator
+    env.close()
+    assert env.simulator is first
+    td = env.reset()
+    assert env.simulator is not first
+    assert env.render(width=8, height=8).shape == (8, 8, 3)
+    env.step(td.set("action", torch.zeros(1, 2)))
+    env.close()
+    with pytest.raises(RuntimeError, match=r"step\(\) was called on a closed RoverEnv; call reset\(\) first"):
+        env.step(td)
+
+
+# -----------------------------------------------------------------------------------------------------------
+# Devices
+
+
+@pytest.mark.parametrize("num_envs", [None, 3])
+def test_moving_it_to_the_cpu_names_the_device(num_envs):
+    plain, moved = TransformedEnv(make(num_envs), StepCounter()), TransformedEnv(make(num_envs), StepCounter())
+    assert moved.device is None
+    assert moved.to("cpu") is moved
+    cpu = torch.device("cpu")
+    assert moved.device == moved.base_env.device == moved.base_env.base_env.device == cpu
+    for spec in (moved.observation_spec, moved.full_action_spec, moved.full_reward_spec, moved.full_done_spec):
+        assert spec.device == cpu
+    td = rollout(moved)
+    assert td.device == cpu
+    assert_same(td, rollout(plain))
+    check_env_specs(moved)
+    with pytest.raises(ValueError, match=r"the task lives on cpu; build RoverEnv\(device='cuda'\) instead"):
+        moved.to("cuda")
+    plain.close()
+    moved.close()
+
+
+def test_a_collector_names_the_device_too():
+    env = make()
+    for batch in Collector(env, None, frames_per_batch=12, total_frames=12, device="cpu"):
+        assert batch.device == env.device == torch.device("cpu")
+
+
+@pytest.mark.parametrize("device", ["cuda:99", "nonsense", torch.device("cuda", 99)])
+def test_a_device_that_is_not_there_is_refused_in_words(device):
+    said = rf"device='{device}' is not available: PyTorch \S+ finds cpu"
+    for refuse in (available_device, partial(make, device=device), lambda: RoverEnv(device=device)):
+        with pytest.raises(ValueError, match=said):
+            refuse(device) if refuse is available_device else refuse()
+
+
+# -----------------------------------------------------------------------------------------------------------
+# TorchRL's wrapper of Gymnasium's vector environments
+
+
+def make_vec(mode, **settings):
+    return gymnasium.make_vec(
+        "rover_rl/Rover-v0",
+        num_envs=3,
+        vectorization_mode="vector_entry_point",
+        world_n="maze",
+        length=5,
+        time_limit="truncated",
+        autoreset_mode=mode,
+        **settings,
+    )
+
+
+def test_torchrls_wrapper_around_the_vector_environment_is_the_environment():
+    env = GymWrapper(make_vec(AutoresetMode.DISABLED))
+    native = make(length=5)
+    env.set_seed(0)
+    # TorchRL resets as it seeds.
+    native.reset()
+    seen, expected = rollout(env), rollout(native)
+    for key in OBSERVED:
+        assert torch.equal(seen["next", key], expected["next", key]), key
+    assert seen["next", "truncated"].any()
+    for batch in Collector(env, None, frames_per_batch=15, total_frames=30):
+        assert batch.shape == (3, 5)
+    native.close()
+
+
+def test_torchrls_wrapper_takes_gymnasiums_own_vector_environments():
+    kwargs = {"world_n": "maze", "length": 5, "vector_kwargs": {"autoreset_mode": AutoresetMode.DISABLED}}
+    env = GymWrapper(gymnasium.make_vec("rover_rl/Rover-v0", num_envs=2, vectorization_mode="sync", **kwargs))
+    check_env_specs(env)
+    assert rollout(env).shape == (2, 25)
+    env.close()
+
+
+def test_torchrls_wrapper_reads_the_infos():
+    env = GymWrapper(make_vec(AutoresetMode.DISABLED)).auto_register_info_dict()
+    check_env_specs(env)
+    td = rollout(env)
+    assert td["next", "steps"][0].flatten().tolist() == [1, 2, 3, 4, 5] * 5
+    assert td["next", "reward"].any()
+    env.close()
+
+
+def test_torchrls_wrapper_takes_environments_that_begin_anew_in_the_same_step():
+    env = GymWrapper(make_vec(AutoresetMode.SAME_STEP, seed=0))
+    native = make(length=5)
+    check_env_specs(env)
+    env.set_seed(0)
+    native.reset()
+    seen, expected = rollout(env, 5), rollout(native, 5)
+    for key in ("reward", "done", "terminated", "truncated"):
+        assert torch.equal(seen["next", key], expected["next", key]), key
+    assert torch.equal(seen["lidar"], expected["lidar"])
+    assert seen["next", "steps"][..., -1].flatten().tolist() == [5, 5, 5]
+    for batch in Collector(env, None, frames_per_batch=15, total_frames=30):
+        assert batch.shape == (3, 5)
+    native.close()

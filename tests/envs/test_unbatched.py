@@ -1,0 +1,172 @@
+"""``num_envs=None``: one rover without a batch dimension, which is the batch of one in all else."""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs import Compose, InitTracker, RewardSum, StepCounter, TransformedEnv
+from torchrl.envs.utils import check_env_specs
+
+from rover_rl import GymVectorWrapper, GymWrapper, RewardComponent, RoverEnv, contract_reward, make_env
+from rover_rl.algos.action_repeat import ActionRepeat
+from rover_rl.algos.path_reward import PathReward
+from rover_rl.algos.step_clock import StepClock
+from rover_rl.algos.training_env import ForwardOnly
+from rover_rl.envs import Randomization
+from tests.extras import needs_warp
+
+
+class TiltPenalty(RewardComponent):
+    """A component of a user's own, written for batches."""
+
+    name = "tilt"
+
+    def value(self, outcome, observation):
+        return -0.1 * observation["imu"][:, :2].abs().sum(-1, keepdim=True)
+
+
+def make(num_envs, **settings):
+    reward = [*contract_reward(), TiltPenalty()]
+    return make_env(**{"world_n": "maze", "num_envs": num_envs, "seed": 3, "length": 15, "reward": reward, **settings})
+
+
+def rollout(env, steps=40, **options) -> TensorDictBase:
+    torch.manual_seed(0)
+    return env.rollout(steps, **{"break_when_any_done": False, **options})
+
+
+def assert_same(alone, batch) -> None:
+    """Every entry of ``batch``'s only row, to the last bit."""
+    assert alone.batch_size == batch.batch_size[1:]
+    assert set(alone.keys(True, True)) == set(batch.keys(True, True))
+    for key, value in alone.items(True, True):
+        # Seconds are not the same twice.
+        if "clock" not in key:
+            assert torch.equal(value, batch[key][0]), key
+
+
+@pytest.mark.parametrize("settings", [{}, {"reward": "task"}], ids=["rewarded", "bare"])
+def test_the_environment_is_what_its_specs_say(settings):
+    env = make(None, **settings)
+    check_env_specs(env, break_when_any_done="both")
+    assert env.batch_size == ()
+    assert env.num_envs == 1
+    assert env.observation_spec["lidar"].shape == (32,)
+    assert env.action_spec.shape == (2,)
+    assert env.full_done_spec["done"].shape == (1,)
+    env.close()
+
+
+def test_a_rollouts_only_dimension_is_time():
+    env = make(None)
+    td = env.rollout(5)
+    assert td.batch_size == (5,)
+    assert td["lidar"].shape == (5, 32)
+    assert td["action"].shape == (5, 2)
+    assert td["next", "reward"].shape == td["next", "reward_components", "tilt"].shape == (5, 1)
+    assert td["next", "outcome", "phase"].shape == (5, 1)
+    env.close()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"world_n": "moon", "randomization": Randomization.typical()},
+        {"end_on_goal": True, "lidar_beams": 64, "lidar_points": 16},
+        pytest.param({"backend": "warp"}, marks=needs_warp),
+    ],
+    ids=["maze", "randomized", "ends on goal", "warp"],
+)
+def test_its_numbers_are_those_of_the_batch_of_one(settings):
+    alone, batch = make(None, **settings), make(1, **settings)
+    assert_same(alone.reset(), batch.reset())
+    for options in ({}, {"break_when_all_done": True, "break_when_any_done": False}, {"break_when_any_done": True}):
+        assert_same(rollout(alone, **options), rollout(batch, **options))
+    alone.close()
+    batch.close()
+
+
+def test_starts_and_goals_have_no_row_dimension():
+    start, goal = torch.tensor([1.0, -2.0, 0.5]), torch.tensor([2.0, 1.0])
+    alone, batch = make(None), make(1)
+    td = alone.reset(start=start, goal=goal)
+    torch.testing.assert_close(td["pose"][:2], start[:2], atol=1e-3, rtol=0)
+    assert_same(td, batch.reset(start=start[None], goal=goal[None]))
+    assert torch.equal(alone.goal, goal[None])
+    bare = RoverEnv(world_n="maze", num_envs=None)
+    td = bare.reset(TensorDict({"start": start, "goal": goal}))
+    torch.testing.assert_close(td["imu"][2], start[2], atol=1e-3, rtol=0)
+    with pytest.raises(ValueError, match=r"start must be finite numbers of shape \(3,\), got shape \(1, 3\)"):
+        alone.reset(start=start[None])
+    with pytest.raises(ValueError, match=r"action must have shape \(2,\), got \(3,\)"):
+        alone.step(alone.reset().set("action", torch.zeros(3)))
+    for env in (alone, batch, bare):
+        env.close()
+
+
+def test_a_world_has_to_be_one():
+    with pytest.raises(ValueError, match="between 1 and num_envs=1 worlds, got 2"):
+        make(None, world_n=["maze", "moon"])
+
+
+@pytest.mark.parametrize("nested", [False, True])
+def test_the_transforms_of_the_package_go_on_it(nested):
+    rollouts = []
+    for num_envs in (None, 1):
+        env = make(num_envs)
+        bare = env.base_env
+        transforms = [
+            ForwardOnly(),
+            ActionRepeat(4),
+            PathReward(bare, 1.0),
+            RewardSum(),
+            StepCounter(),
+            InitTracker(),
+            StepClock(bare.simulator),
+        ]
+        if nested:
+            env = TransformedEnv(env, Compose(*transforms))
+        else:
+            for transform in transforms:
+                env = env.append_transform(transform)
+        check_env_specs(env, break_when_any_done="both")
+        env.set_seed(0)
+        rollouts.append((rollout(env), rollout(env, break_when_all_done=True)))
+        env.close()
+    for alone, batch in zip(*rollouts, strict=True):
+        assert_same(alone, batch)
+    assert (rollouts[0][0]["action"][..., 0] >= 0).all()
+    assert rollouts[0][1].shape == (4,)
+
+
+@pytest.mark.parametrize("make_bare", [RoverEnv, make_env])
+def test_the_gymnasium_classes_take_it(make_bare):
+    traces = []
+    for num_envs in (None, 1):
+        env = GymWrapper(make_bare(world_n="maze", num_envs=num_envs, length=5))
+        assert env.action_space == gymnasium.spaces.Box(np.float32([-1, -np.pi]), np.float32([1, np.pi]))
+        assert env.observation_space["lidar"].shape == (32,)
+        env.reset(seed=1, options={"start": [0.5, 0.5, 0.0], "goal": [2.0, 2.0]})
+        traces.append([env.step([0.5, 0.3]) for _ in range(4)] + [env.current_yaw, env.total_steps])
+        env.close()
+        envs = GymVectorWrapper(make_bare(world_n="maze", num_envs=num_envs, length=5), autoreset_mode="Disabled")
+        assert envs.observation_space["lidar"].shape == (1, 32)
+        traces[-1] += [envs.reset(seed=2)] + [envs.step([[0.5, 0.3]]) for _ in range(5)]
+        traces[-1] += [envs.reset(options={"reset_mask": np.array([True])})]
+        envs.close()
+    np.testing.assert_equal(*traces)
+
+
+def test_stable_baselines3_takes_it():
+    from rover_rl.envs.sb3 import SB3VecEnv
+
+    traces = []
+    for num_envs in (None, 1):
+        envs = SB3VecEnv(make_env(world_n="maze", num_envs=num_envs, seed=0, length=5))
+        traces.append([envs.reset()] + [envs.step(np.array([[0.5, 0.3]], np.float32)) for _ in range(8)])
+        envs.close()
+    np.testing.assert_equal(*traces)
