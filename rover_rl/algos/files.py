@@ -46,8 +46,12 @@ def errors_name(path: Path, temporary: Path | None = None) -> Iterator[None]:
 
 
 def write_through(path: Path, data: bytes | memoryview) -> None:
-    """Writes a file, and waits until the disk has all of it."""
-    with path.open("wb") as file:
+    """Writes a file, and waits until the disk has all of it.
+
+    Raises:
+        OSError: naming ``path``.
+    """
+    with errors_name(path), path.open("wb") as file:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())

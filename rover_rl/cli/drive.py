@@ -16,6 +16,7 @@ import tyro
 from rich.console import Console
 from rich.live import Live
 
+from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_SECONDS, check_at_least, check_positive, check_seed
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2.settings import Command, PoseSource, Ros2Settings, TransportName
 
@@ -153,11 +154,11 @@ class Drive:
             raise ValueError(f"--goal must be finite numbers, got {' '.join(f'{x:g} {y:g}' for x, y in self.goal)}")
         if not (self.goal or self.goals or self.random):
             raise ValueError("say where to: --goal X Y, --goals FILE or --random COUNT")
-        if not 0 < self.seconds < math.inf:
-            raise ValueError(f"--seconds must be positive and finite, got {self.seconds}")
-        for name in ("random", "wait", "clearance"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"--{name} must be finite and not negative, got {getattr(self, name)}")
+        check_positive(MAX_SECONDS, seconds=self.seconds)
+        check_at_least(0, MAX_SECONDS, wait=self.wait)
+        check_at_least(0, MAX_NUMBER, clearance=self.clearance)
+        check_at_least(0, MAX_COUNT, random=self.random)
+        check_seed(self.seed)
         self._settings()
 
     def _driver(self) -> Driver:

@@ -8,8 +8,14 @@ import threading
 from dataclasses import dataclass
 from types import FrameType
 
+from rover_rl.checks import check_at_least, check_positive, check_seed
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2.settings import Ros2Settings
+
+MAX_RATE = 1000.0
+"""Fastest simulation that can be asked for, as a multiple of real time."""
+MAX_BEAMS = 16_383
+"""Rays that Bullet casts in one call."""
 
 
 @dataclass(frozen=True)
@@ -84,9 +90,7 @@ class RobotCommand:
         return 0
 
     def _check(self) -> None:
-        if not 0 < self.rate < math.inf:
-            raise ValueError(f"--rate must be positive and finite, got {self.rate}")
-        if self.lidar_beams < 1:
-            raise ValueError(f"--lidar-beams must be at least 1, got {self.lidar_beams}")
-        if not 0 < self.lidar_view <= 360:
-            raise ValueError(f"--lidar-view must be more than 0 and at most 360 degrees, got {self.lidar_view}")
+        check_positive(MAX_RATE, rate=self.rate)
+        check_at_least(1, MAX_BEAMS, lidar_beams=self.lidar_beams)
+        check_positive(360, lidar_view=self.lidar_view)
+        check_seed(self.seed)

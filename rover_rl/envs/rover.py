@@ -14,7 +14,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from rover_rl.checks import check_seed
+from rover_rl.checks import MAX_COUNT, MAX_ROVERS, check_seed
 from rover_rl.envs import specs
 from rover_rl.envs.control import HeadingController, HeadingGains
 from rover_rl.envs.devices import available_device
@@ -155,8 +155,8 @@ class RoverEnv(EnvBase):
     ) -> None:
         batch_size = () if num_envs is None else (num_envs,)
         num_envs = 1 if num_envs is None else num_envs
-        _require_count("num_envs", num_envs)
-        _require_count("length", length)
+        _require_count("num_envs", num_envs, MAX_ROVERS)
+        _require_count("length", length, MAX_COUNT)
         seed = secrets.randbits(31) if seed is None else check_seed(seed, num_envs)
         super().__init__(device=None if device is None else available_device(device), batch_size=batch_size)
         self._tensor_device = torch.device("cpu") if self.device is None else self.device
@@ -511,6 +511,6 @@ def assign_rows(world_n: str | World | Sequence[str | World], num_envs: int) -> 
     return [worlds[row * len(worlds) // num_envs] for row in range(num_envs)]
 
 
-def _require_count(name: str, value: int) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-        raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}")
+def _require_count(name: str, value: int, most: int) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= most:
+        raise ValueError(f"{name} must be a whole number of at least 1 and at most {most}, got {value!r}")

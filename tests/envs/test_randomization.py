@@ -176,7 +176,11 @@ def test_partial_resets_and_rows_at_rest_keep_what_they_sensed():
 
 def test_a_live_rover_is_what_it_is():
     with pytest.raises(ValueError, match="a live rover's friction, mass and motors cannot be varied"):
-        RoverEnv(world_n="maze", backend=Ros2Settings(reset="none"), randomization=Randomization(friction=(0.5, 1.5)))
+        RoverEnv(
+            connection_check_timeout=0,
+            backend=Ros2Settings(reset="none"),
+            randomization=Randomization(friction=(0.5, 1.5)),
+        )
 
 
 @pytest.mark.parametrize(

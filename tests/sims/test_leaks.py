@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
-
 import pytest
 
+from benchmarks.leaks import WORLDS, in_fresh_process
 from tests.extras import needs_warp
-from tests.sims.open_close import WORLDS, growth
 
+WARMUP, CYCLES = 2, 4
 LIMIT = 20.0
 """MB. Lists that PyBullet leaked once made it 21 to 115 MB for each environment, except in the maze."""
 
 
 @pytest.fixture(scope="module", params=["bullet", pytest.param("warp", marks=needs_warp)])
 def grown(request: pytest.FixtureRequest) -> dict[str, float]:
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        return pool.submit(growth, request.param).result()
+    return in_fresh_process(request.param, CYCLES, WARMUP)
 
 
 @pytest.mark.slow

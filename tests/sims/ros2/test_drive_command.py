@@ -193,10 +193,10 @@ def test_without_a_robot_it_says_so(driving, tmp_path, domain):
         (("random", "--world", "maze", "--goal", "1", "1"), "cannot drive a live rover"),
         (("scripted", "--world", "maze"), "say where to"),
         (("scripted", "--world", "maze", "--goal", "nan", "1"), "--goal must be finite numbers, got nan 1"),
-        (("scripted", *FAR, "--clearance", "-1"), "--clearance must be finite and not negative, got -1.0"),
-        (("scripted", *FAR, "--wait", "nan"), "--wait must be finite and not negative, got nan"),
-        (("scripted", "--random", "-1"), "--random must be finite and not negative, got -1"),
-        (("scripted", *FAR, "--seconds", "0"), "--seconds must be positive and finite, got 0"),
+        (("scripted", *FAR, "--clearance", "-1"), "clearance must be at least 0 and at most 1e+30, got -1.0"),
+        (("scripted", *FAR, "--wait", "nan"), "wait must be at least 0 and at most 1e+06, got nan"),
+        (("scripted", "--random", "-1"), "random must be at least 0 and at most 1e+12, got -1"),
+        (("scripted", *FAR, "--seconds", "0"), "seconds must be positive and at most 1e+06, got 0"),
         (("scripted", *FAR, "--lidar-yaw", "nan"), "lidar_yaw must be a finite angle in rad, got nan"),
         (("scripted", *FAR, "--max-speed", "0"), "max_speed must be positive and finite, got 0"),
         (("scripted", *FAR, "--max-acceleration", "inf"), "max_acceleration must be positive and finite, got inf"),
@@ -214,10 +214,11 @@ def test_what_cannot_be_is_told_before_anything_is_announced(arguments, said, ca
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--rate", "0"), "--rate must be positive and finite, got 0"),
-        (("--rate", "nan"), "--rate must be positive and finite, got nan"),
-        (("--lidar-beams", "0"), "--lidar-beams must be at least 1, got 0"),
-        (("--lidar-view", "0"), "--lidar-view must be more than 0 and at most 360 degrees, got 0"),
+        (("--rate", "0"), "rate must be positive and at most 1000, got 0"),
+        (("--seed", "-1"), "seed must be a whole number from 0 to"),
+        (("--rate", "nan"), "rate must be positive and at most 1000, got nan"),
+        (("--lidar-beams", "0"), "lidar_beams must be at least 1 and at most 16383, got 0"),
+        (("--lidar-view", "0"), "lidar_view must be positive and at most 360, got 0"),
     ],
 )
 def test_what_a_robot_cannot_be_is_told_before_anything_is_published(arguments, said, capsys, monkeypatch):

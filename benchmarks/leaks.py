@@ -1,0 +1,97 @@
+"""Memory that environments leave behind after they are closed.
+
+    python -m benchmarks.leaks
+
+Opens, steps, draws and closes an environment again and again, for each world and backend, and prints by how much the
+process has grown. Each backend is measured in a fresh process.
+"""
+
+from __future__ import annotations
+
+import gc
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from itertools import count
+from multiprocessing import get_context
+
+import numpy as np
+import psutil
+import torch
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from rover_rl import make_env
+from rover_rl.sims.worlds import Terrain, World, boulder
+
+WORLDS = ("inspect", "moon", "maze", "new")
+"""The package's worlds, and one that is made anew for each environment."""
+
+
+@dataclass
+class Options:
+    """What to measure."""
+
+    cycles: int = 30
+    """Environments that are opened and closed in each world."""
+    warmup: int = 5
+    """Environments before the memory is first read."""
+    backends: tuple[str, ...] = ("bullet", "warp")
+    """Simulators."""
+
+
+def growth(backend: str, cycles: int, warmup: int) -> dict[str, float]:
+    """MB by which this process grows over ``cycles`` environments in each of :data:`WORLDS`."""
+    torch.set_num_threads(1)
+    return {name: _growth(name, backend, cycles, warmup) for name in WORLDS}
+
+
+def in_fresh_process(backend: str, cycles: int, warmup: int) -> dict[str, float]:
+    """:func:`growth` of a process that has done nothing else."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(growth, backend, cycles, warmup).result()
+
+
+def _growth(name: str, backend: str, cycles: int, warmup: int) -> float:
+    seeds = count()
+    for _ in range(warmup):
+        _open_and_close(name, backend, next(seeds))
+    before = _memory()
+    for _ in range(cycles):
+        _open_and_close(name, backend, next(seeds))
+    return _memory() - before
+
+
+def _open_and_close(name: str, backend: str, seed: int) -> None:
+    world = _hills(seed) if name == "new" else name
+    env = make_env(world_n=world, num_envs=4, backend=backend, lidar_beams=32)
+    env.rollout(3)
+    env.render(width=64, height=48)
+    env.close()
+
+
+def _hills(seed: int) -> World:
+    rng = np.random.default_rng(seed)
+    heights = 0.002 * rng.standard_normal((181, 181))
+    area = ((-1.5, 1.5), (-1.5, 1.5))
+    rocks = [boulder((x, y, 0.2), 0.4, rng) for x in (-3, 3) for y in (-3, 3)]
+    return World(f"hills {seed}", Terrain(heights, 0.05), rocks, spawn_range=area)
+
+
+def _memory() -> float:
+    """Memory of this process, MB."""
+    gc.collect()
+    return psutil.Process().memory_info().rss / 1e6
+
+
+def main(options: Options) -> None:
+    """Measures and prints."""
+    table = Table("backend", *WORLDS, title=f"Growth in MB over {options.cycles} environments")
+    for backend in options.backends:
+        grown = in_fresh_process(backend, options.cycles, options.warmup)
+        table.add_row(backend, *(f"{megabytes:.1f}" for megabytes in grown.values()))
+    Console(width=100).print(table)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))
