@@ -15,9 +15,9 @@ from rover_rl.envs.rover import RoverEnv
 class RewardedEnv(TransformedEnv):
     """A :class:`RoverEnv` with its reward: what :func:`make_env` returns.
 
-    Transforms go onto it as onto any environment, by ``append_transform`` or by ``TransformedEnv(env, transform)``.
-    TorchRL merges a ``TransformedEnv`` in another one into it, but no subclass: the transforms of the outer one are
-    counted from 0, as if the reward were the base environment's own.
+    ``TransformedEnv(env, transform)`` nests around it, as around any base environment: TorchRL merges nested
+    ``TransformedEnv`` objects into one, but no subclasses, so ``transform[0]`` is the first transform that the user
+    added. ``env.append_transform(transform)`` appends to the transforms of the reward.
 
     Example:
         >>> env = TransformedEnv(make_env(world_n="maze"), StepCounter())
@@ -27,7 +27,7 @@ class RewardedEnv(TransformedEnv):
         StepCounter(keys=[])
     """
 
-    # Else TorchRL refuses random actions of an environment around this one whose transforms change the action.
+    # Without this, TorchRL refuses random actions where a transform nested around this environment changes the action.
     rand_action = EnvBase.rand_action
 
 
