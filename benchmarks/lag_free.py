@@ -27,7 +27,7 @@ from rover_rl.algos.episodes import stored_episodes
 from rover_rl.algos.evaluate import evaluate
 from rover_rl.algos.files import write_json
 from rover_rl.algos.metrics import count_reversals
-from rover_rl.cli.drivers import find_driver
+from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.envs.control import HeadingGains
 from rover_rl.sims.base import Dynamics, RoverState
 from rover_rl.sims.bullet.library import pybullet
@@ -142,8 +142,8 @@ class LagFreeRovers:
 class Options:
     """What to measure."""
 
-    policies: tuple[str, ...] = ("pretrained:inspect-ppo", "pretrained:maze-ppo", "pretrained:moon-sac")
-    """Policies, each in the world that it was trained in."""
+    policies: tuple[str, ...] = ("inspect-ppo", "maze-ppo", "moon-sac")
+    """Policies of the package, each in the world that it was trained in."""
     count: int = 64
     """Stored episodes to drive."""
     seconds: float = 60.0
@@ -154,12 +154,13 @@ class Options:
 
 def measure(policy: str, count: int, seconds: float) -> dict[str, dict[str, float]]:
     """Drives the same episodes without and with the limits."""
-    driver = find_driver(policy, ())
+    checkpoint = load_pretrained(policy)
+    actor, (world, *_) = checkpoint.make_actor(), checkpoint.config.worlds
     results = {}
     for name, limited in (("without limits", False), ("with limits", True)):
         settings = LagFree(limited)
-        episodes = stored_episodes(driver.worlds[0]).first(count)
-        driven = evaluate(driver.policy, episodes, rows=count, seconds=seconds, backend=settings)
+        episodes = stored_episodes(world).first(count)
+        driven = evaluate(actor, episodes, rows=count, seconds=seconds, backend=settings)
         results[name] = {
             "success": driven.success_rate,
             "SPL": driven.metrics["spl"].value,
