@@ -47,7 +47,7 @@ def errors_name(path: Path, temporary: Path | None = None) -> Iterator[None]:
 
 def write_through(path: Path, data: bytes | memoryview) -> None:
     """Writes a file, and waits until the disk has all of it."""
-    with path.open("wb") as file:
+    with errors_name(path), path.open("wb") as file:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
