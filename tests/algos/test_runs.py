@@ -168,10 +168,11 @@ def test_without_space_the_last_checkpoint_and_state_stay(checkpoint: Checkpoint
     assert load_state(tmp_path / "training_state.pt") == {"steps": 100}
 
 
-def test_a_checkpoint_that_does_not_fit_leaves_the_state_as_it_was(checkpoint: Checkpoint, tmp_path: Path) -> None:
-    with largest_file(5000), pytest.raises(OSError, match=r"checkpoint\.pt"):
-        save_run(tmp_path, checkpoint, {"steps": 1})
-    assert not [*tmp_path.iterdir()]
+def test_the_one_that_does_not_fit_is_named_and_neither_is_written(checkpoint: Checkpoint, tmp_path: Path) -> None:
+    for name, state in (("checkpoint", {"steps": 1}), ("training_state", {"memory": torch.zeros(5000)})):
+        with largest_file(5000), pytest.raises(OSError, match=rf"{tmp_path}/{name}\.pt'$"):
+            save_run(tmp_path, checkpoint, state)
+        assert not [*tmp_path.iterdir()]
 
 
 def test_errors_of_writing_name_the_file(tmp_path: Path) -> None:
