@@ -269,7 +269,7 @@ def _display(console: Console, each_step: bool) -> Iterator[Callable[[str, Momen
             told = (
                 f"{label}: {moment.distance:5.2f} m to go, {moment.speed:5.2f} m/s, nearest {moment.nearest:5.2f} m, "
                 f"command {speed:5.2f} m/s {turn:5.2f} rad/s, latency {1000 * moment.latency:4.1f} ms"
-                f"{', held: unseen ahead' if moment.held else ''}"
+                f"{', held: unseen direction' if moment.held else ''}"
             )
             if each_step:
                 print(told, flush=True)

@@ -172,7 +172,7 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         return self._batch.picture(0) if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Lets go of the simulator and the window; may be called again. Afterwards step, reset and render raise."""
+        """Releases the simulator and the window. Idempotent. Afterwards step, reset and render raise."""
         self._batch.env.close()
         if self._window is not None:
             self._window.close()

@@ -137,7 +137,7 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
         return tuple(self._batch.picture(row) for row in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Lets go of the simulator."""
+        """Releases the simulator."""
         self._batch.env.close()
 
     def _step_others(self, actions: ArrayLike) -> VectorStep:
