@@ -29,7 +29,7 @@ from rich.console import Console
 
 from benchmarks.options import Options
 from benchmarks.plot import draw
-from rover_rl.algos.files import write_json
+from rover_rl.files import write_json
 
 Part = Literal[
     "rollouts", "breakdown", "physics", "simulators", "parity", "endurance", "cores", "peers", "footprint", "training"

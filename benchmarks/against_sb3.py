@@ -56,18 +56,18 @@ from torchrl.envs import ActionScaling, EnvBase, RewardScaling
 
 from rover_rl import GymWrapper
 from rover_rl.algos.config import CONFIGS, ENDLESS, PPOConfig, SACConfig, TrainingConfig, plain
-from rover_rl.algos.cores import over_cores
-from rover_rl.algos.episodes import EpisodeSet, stored_episodes
-from rover_rl.algos.evaluate import Policy, evaluate
-from rover_rl.algos.files import write_json, written_whole
-from rover_rl.algos.plots import BLUE, GREEN, ORANGE
-from rover_rl.algos.policy import ObservationEncoder, action_spec, middle_and_half, single_threaded
-from rover_rl.algos.ppo import train_ppo
-from rover_rl.algos.progress import read_progress
-from rover_rl.algos.runs import Checkpoint, new_run_folder
-from rover_rl.algos.sac import train_sac
-from rover_rl.algos.training_env import make_training_env
+from rover_rl.algos.evaluation.cores import over_cores
+from rover_rl.algos.evaluation.episodes import EpisodeSet, stored_episodes
+from rover_rl.algos.evaluation.evaluate import Policy, evaluate
+from rover_rl.algos.evaluation.plots import BLUE, GREEN, ORANGE
+from rover_rl.algos.policy.checkpoint import Checkpoint, new_run_folder
+from rover_rl.algos.policy.networks import ObservationEncoder, action_spec, middle_and_half, single_threaded
+from rover_rl.algos.train.env import make_training_env
+from rover_rl.algos.train.ppo import train_ppo
+from rover_rl.algos.train.progress import read_progress
+from rover_rl.algos.train.sac import train_sac
 from rover_rl.envs.sb3 import SB3VecEnv
+from rover_rl.files import write_json, written_whole
 
 
 @dataclass
@@ -135,7 +135,9 @@ def train_sb3_on_our_batch(config: TrainingConfig) -> list[Snapshot]:
 def train_sb3_on_processes(config: TrainingConfig) -> list[Snapshot]:
     """Trains with a process for each rover."""
     # Read once, and shared by all processes: else each would take seconds and hundreds of megabytes.
-    multiprocessing.set_forkserver_preload(["rover_rl.algos.ppo", "rover_rl.algos.plots", "stable_baselines3", "tyro"])
+    multiprocessing.set_forkserver_preload(
+        ["rover_rl.algos.train.ppo", "rover_rl.algos.evaluation.plots", "stable_baselines3", "tyro"]
+    )
     return train_sb3(config, SubprocVecEnv([partial(single_rover, config, row) for row in range(config.num_envs)]))
 
 

@@ -11,7 +11,7 @@ from rich.text import Text
 from benchmarks.collecting import make_worker_env
 from benchmarks.options import Options
 from benchmarks.rollouts import rolled_out
-from rover_rl.algos.files import written_whole
+from rover_rl.files import written_whole
 
 INTERVAL = 1e-4
 """Seconds between two looks at the stack."""

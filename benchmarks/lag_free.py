@@ -23,16 +23,16 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
-from rover_rl.algos.episodes import stored_episodes
-from rover_rl.algos.evaluate import evaluate
-from rover_rl.algos.files import write_json
-from rover_rl.algos.metrics import count_reversals
+from rover_rl.algos.evaluation.episodes import stored_episodes
+from rover_rl.algos.evaluation.evaluate import evaluate
+from rover_rl.algos.evaluation.metrics import count_reversals
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.envs.control import HeadingGains
+from rover_rl.files import write_json
 from rover_rl.sims.base import Dynamics, RoverState
-from rover_rl.sims.bullet.library import pybullet
 from rover_rl.sims.bullet.lidar import Lidar
 from rover_rl.sims.connection import Connection
+from rover_rl.sims.native.bullet import pybullet
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2.limits import CommandLimiter, CommandLimits
 from rover_rl.sims.rotations import matrix_to_quaternion
@@ -84,6 +84,7 @@ class LagFreeRovers:
 
     def __init__(self, worlds: Sequence[World], robot: Robot, lidar_beams: int, settings: LagFree) -> None:
         self.num_envs, self.device, self.robot_connected = len(worlds), torch.device("cpu"), True
+        self.control_dt = DT
         self.ray_angles = torch.arange(lidar_beams, dtype=torch.float32) * (2 * math.pi / lidar_beams)
         self._world, self._robot, self._settings = worlds[0], robot, settings
         self._lidar = Lidar(worlds[0], robot, self.ray_angles.double().numpy())
@@ -100,7 +101,7 @@ class LagFreeRovers:
             self._limiters[row].reset()
         return self.state()
 
-    def vary(self, mask: Tensor, dynamics: Dynamics) -> None:
+    def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
         """There is nothing to vary."""
         raise ValueError("rovers without lag have no dynamics to vary")
 

@@ -25,7 +25,7 @@ from rover_rl.sims.bullet import BulletSettings
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.warp import WarpSettings
-from rover_rl.sims.warp.figures import read_figures
+from rover_rl.sims.warp.inertial_model import read_figures
 from rover_rl.sims.worlds import Terrain, World, box
 
 FALLEN = math.radians(85)

@@ -8,8 +8,8 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from rover_rl.algos.files import written_whole
-from rover_rl.algos.plots import BLUE, GREEN, GREY, ORANGE
+from rover_rl.algos.evaluation.plots import BLUE, GREEN, GREY, ORANGE
+from rover_rl.files import written_whole
 
 
 def draw(results: dict[str, Any], path: Path) -> None:

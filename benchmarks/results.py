@@ -21,16 +21,16 @@ from typing import Any
 import tyro
 
 from rover_rl.algos.config import ENDLESS, TrainingConfig, run_config
-from rover_rl.algos.cores import over_cores
-from rover_rl.algos.episodes import EpisodeSet, draw_episodes, stored_episodes
-from rover_rl.algos.evaluate import EndlessEvaluation, Evaluation, evaluate, evaluate_endless
-from rover_rl.algos.files import write_json, written_whole
-from rover_rl.algos.plots import draw_learning_curve, draw_paths
+from rover_rl.algos.evaluation.cores import over_cores
+from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes, stored_episodes
+from rover_rl.algos.evaluation.evaluate import EndlessEvaluation, Evaluation, evaluate, evaluate_endless
+from rover_rl.algos.evaluation.plots import draw_learning_curve, draw_paths
+from rover_rl.algos.evaluation.report import write_evaluation
+from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.pretrained import load_pretrained, pretrained_names
-from rover_rl.algos.progress import read_progress
-from rover_rl.algos.report import write_evaluation
-from rover_rl.algos.runs import Checkpoint
+from rover_rl.algos.train.progress import read_progress
 from rover_rl.cli.train import INTERRUPTED, told, train
+from rover_rl.files import write_json, written_whole
 
 ENOUGH = 0.9
 """Success that a policy is asked for when it is told how many steps that took."""

@@ -20,7 +20,7 @@ from torchrl.envs import EnvBase
 from benchmarks.collecting import make_worker_env, rollouts
 from benchmarks.options import Options
 from benchmarks.ratios import rate
-from rover_rl.sims.bullet.library import pybullet
+from rover_rl.sims.native.bullet import pybullet
 
 WARM_UP = 3
 """Steps that do not count."""

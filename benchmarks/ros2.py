@@ -33,11 +33,11 @@ from rich.table import Table
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl import RoverEnv
-from rover_rl.algos.episodes import stored_episodes
-from rover_rl.algos.evaluate import Policy, evaluate
-from rover_rl.algos.files import write_json
-from rover_rl.algos.policy import single_threaded
-from rover_rl.cli.drivers import find_driver
+from rover_rl.algos.evaluation.episodes import stored_episodes
+from rover_rl.algos.evaluation.evaluate import Policy, evaluate
+from rover_rl.algos.policy.networks import single_threaded
+from rover_rl.cli.policies import resolve_policy
+from rover_rl.files import write_json
 from rover_rl.sims import make_simulator
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.ros2 import Ros2Settings
@@ -129,7 +129,7 @@ def backend_cpu(world: str, seconds: float) -> dict[str, Any]:
 def main(options: Options) -> None:
     """Measures, and shows."""
     os.environ |= {"ROS_DOMAIN_ID": str(random.SystemRandom().randint(1, 99)), "ROS_LOCALHOST_ONLY": "1"}
-    driver = find_driver(options.policy, ())
+    driver = resolve_policy(options.policy, ())
     if driver.policy is None or not driver.worlds:
         raise SystemExit(f"{options.policy} is no trained policy")
     world = driver.worlds[0]

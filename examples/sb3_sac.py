@@ -20,9 +20,9 @@ from stable_baselines3.common.vec_env import VecMonitor
 from torchrl.envs import RewardScaling
 
 from rover_rl import make_env
-from rover_rl.algos.action_repeat import ActionRepeat
-from rover_rl.algos.policy import ObservationEncoder
+from rover_rl.algos.policy.networks import ObservationEncoder
 from rover_rl.envs.sb3 import SB3VecEnv
+from rover_rl.envs.transforms.action_repeat import ActionRepeat
 
 REPEAT = 4  # steps of 0.05 s that an action is held for: noise at 20 Hz averages out, and explores nothing
 

@@ -16,8 +16,8 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from rover_rl import make_env
-from rover_rl.algos.action_repeat import ActionRepeat
-from rover_rl.algos.policy import make_actor, make_critic
+from rover_rl.algos.policy.networks import make_actor, make_critic
+from rover_rl.envs.transforms.action_repeat import ActionRepeat
 
 REPEAT = 4  # steps of 0.05 s that an action is held for: noise at 20 Hz averages out, and explores nothing
 DECISIONS = 16  # of each rover between two updates

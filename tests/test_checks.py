@@ -9,7 +9,7 @@ import torch
 
 from rover_rl import RoverEnv
 from rover_rl.algos.config import PPOConfig
-from rover_rl.algos.episodes import draw_episodes
+from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.checks import MAX_SEED, check_at_least, check_positive, check_seed
 
 

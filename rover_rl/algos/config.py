@@ -12,8 +12,8 @@ from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, get_args, get_ori
 
 import yaml
 
-from rover_rl.algos.files import write_through, written_whole
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_ROVERS, check_at_least, check_positive, check_seed
+from rover_rl.files import write_through, written_whole
 
 SECONDS_PER_STEP = 0.05
 """The simulator is controlled at 20 Hz."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from rover_rl.algos.config import ENDLESS, PPOConfig
-from rover_rl.cli.train import INTERRUPTED, told, train
+from rover_rl.cli.train import INTERRUPTED, format_summary, train
 
 FILMED = 12.0
 """Seconds of the film."""
@@ -33,13 +33,13 @@ class Demo:
 
     def __call__(self) -> int:
         """Trains, evaluates, draws, films, and says where the pictures are."""
-        from rover_rl.algos.episodes import draw_episodes
-        from rover_rl.algos.evaluate import evaluate
-        from rover_rl.algos.film import film
-        from rover_rl.algos.plots import draw_learning_curve, draw_paths
+        from rover_rl.algos.evaluation.episodes import draw_episodes
+        from rover_rl.algos.evaluation.evaluate import evaluate
+        from rover_rl.algos.evaluation.plots import draw_learning_curve, draw_paths
+        from rover_rl.algos.evaluation.report import print_table, write_evaluation
+        from rover_rl.algos.policy.checkpoint import Checkpoint
         from rover_rl.algos.pretrained import load_pretrained
-        from rover_rl.algos.report import print_table, write_evaluation
-        from rover_rl.algos.runs import Checkpoint
+        from rover_rl.algos.video.film import film
         from rover_rl.sims.worlds import get_world
 
         get_world(self.world)
@@ -59,7 +59,7 @@ class Demo:
         episodes = draw_episodes(self.world, self.count)
         print(f"Training PPO in {self.world} for {self.minutes:g} minutes with {config.num_envs} rovers")
         summary = train(config)
-        print(told(summary))
+        print(format_summary(summary))
         if summary.interrupted:
             return INTERRUPTED
         folder = summary.folder

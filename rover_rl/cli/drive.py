@@ -21,8 +21,8 @@ from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2.settings import Command, PoseSource, Ros2Settings, TransportName
 
 if TYPE_CHECKING:
-    from rover_rl.algos.driving import Moment
-    from rover_rl.cli.drivers import Driver
+    from rover_rl.algos.deploy.driving import Moment
+    from rover_rl.cli.policies import ResolvedPolicy
     from rover_rl.envs import RoverEnv
 
 NOT_REACHED = 1
@@ -103,9 +103,9 @@ class Drive:
         endings = []
         with ExitStack() as stack:
             stop_if_asked = stack.enter_context(_interruptible())
-            from rover_rl.algos.drive_log import DriveLog
-            from rover_rl.algos.driving import drive_to
-            from rover_rl.algos.metrics import RESTARTED
+            from rover_rl.algos.deploy.drive_log import DriveLog
+            from rover_rl.algos.deploy.driving import drive_to
+            from rover_rl.algos.evaluation.metrics import RESTARTED
             from rover_rl.sims.ros2.watchdog import Watchdog
 
             driver = self._driver()
@@ -161,15 +161,15 @@ class Drive:
         check_seed(self.seed)
         self._settings()
 
-    def _driver(self) -> Driver:
+    def _driver(self) -> ResolvedPolicy:
         """The policy, and where it is.
 
         Raises:
             ValueError: if there is none to drive with, or its world is not known.
         """
-        from rover_rl.cli.drivers import find_driver
+        from rover_rl.cli.policies import resolve_policy
 
-        driver = find_driver(self.policy, (self.world,) if self.world else ())
+        driver = resolve_policy(self.policy, (self.world,) if self.world else ())
         if driver.policy is None or not driver.worlds:
             raise ValueError(
                 f"{self.policy} cannot drive a live rover; say which --world it is in, or name a checkpoint"
@@ -194,7 +194,7 @@ class Drive:
             step_timeout=STALE,
         )
 
-    def _env(self, driver: Driver, settings: Ros2Settings) -> RoverEnv:
+    def _env(self, driver: ResolvedPolicy, settings: Ros2Settings) -> RoverEnv:
         """The live rover, as an environment without a limit of its own to the steps of a drive."""
         from rover_rl.envs import RoverEnv
 
@@ -226,7 +226,7 @@ class Drive:
             except ValueError as error:
                 raise ValueError(f"{self.goals} must have two numbers a line: x, y") from error
         if self.random:
-            from rover_rl.algos.episodes import draw_episodes
+            from rover_rl.algos.evaluation.episodes import draw_episodes
 
             goals += [(x, y) for x, y in draw_episodes(world, self.random, self.seed).goal.tolist()]
         if not goals or not all(math.isfinite(number) for goal in goals for number in goal):

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import tyro
 
 from rover_rl.algos.config import Physics, experiments
-from rover_rl.cli.drivers import Driver, find_driver
+from rover_rl.cli.policies import ResolvedPolicy, resolve_policy
 
 if TYPE_CHECKING:
-    from rover_rl.algos.episodes import EpisodeSet
-    from rover_rl.algos.evaluate import EndlessEvaluation, Evaluation
+    from rover_rl.algos.evaluation.episodes import EpisodeSet
+    from rover_rl.algos.evaluation.evaluate import EndlessEvaluation, Evaluation
 
 LOG = ".jsonl"
 """What the name of a log of rover-rl drive ends with."""
@@ -53,9 +53,9 @@ class Evaluate:
 
     def __call__(self) -> int:
         """Evaluates, and says where the results are."""
-        from rover_rl.algos.drive_log import read_drives
-        from rover_rl.algos.plots import draw_paths
-        from rover_rl.algos.report import print_table, write_evaluation
+        from rover_rl.algos.deploy.drive_log import read_drives
+        from rover_rl.algos.evaluation.plots import draw_paths
+        from rover_rl.algos.evaluation.report import print_table, write_evaluation
 
         logs = {Path(word): read_drives(Path(word)) for word in self.policies if word.endswith(LOG)}
         drivers = self._drivers()
@@ -88,18 +88,18 @@ class Evaluate:
         print("Paths driven: " + ", ".join(str(picture) for picture in pictures))
         return 0
 
-    def _drivers(self) -> list[Driver]:
+    def _drivers(self) -> list[ResolvedPolicy]:
         """All policies to drive with, each of a name of its own."""
         if not self.policies:
             raise ValueError("name a policy: the folder of a run, a checkpoint, pretrained:NAME, scripted or random")
         words = dict.fromkeys(word for word in self.policies if not word.endswith(LOG))
-        drivers = {word: find_driver(word, self.world) for word in words}
+        drivers = {word: resolve_policy(word, self.world) for word in words}
         names = Counter(driver.name for driver in drivers.values())
         return [driver if names[driver.name] == 1 else replace(driver, name=word) for word, driver in drivers.items()]
 
-    def _episode_sets(self, drivers: list[Driver]) -> dict[str, EpisodeSet]:
+    def _episode_sets(self, drivers: list[ResolvedPolicy]) -> dict[str, EpisodeSet]:
         """The episodes of each world: the stored ones, unless they have to be drawn."""
-        from rover_rl.algos.episodes import DEFAULT_SEED, STORED, draw_episodes, stored_episodes
+        from rover_rl.algos.evaluation.episodes import DEFAULT_SEED, STORED, draw_episodes, stored_episodes
         from rover_rl.sims.worlds import WORLDS, get_world
 
         worlds = dict.fromkeys(world for driver in drivers for world in driver.worlds)
@@ -115,17 +115,17 @@ class Evaluate:
             for world in worlds
         }
 
-    def _drive(self, driver: Driver, episodes: EpisodeSet) -> Evaluation:
-        from rover_rl.algos.evaluate import evaluate
+    def _drive(self, driver: ResolvedPolicy, episodes: EpisodeSet) -> Evaluation:
+        from rover_rl.algos.evaluation.evaluate import evaluate
 
         return evaluate(driver.policy, episodes, seconds=self.seconds, **self._settings(driver))
 
-    def _drive_endlessly(self, driver: Driver, world: str) -> EndlessEvaluation:
-        from rover_rl.algos.evaluate import evaluate_endless
+    def _drive_endlessly(self, driver: ResolvedPolicy, world: str) -> EndlessEvaluation:
+        from rover_rl.algos.evaluation.evaluate import evaluate_endless
 
         return evaluate_endless(driver.policy, world, jam=self.jam, **self._settings(driver))
 
-    def _settings(self, driver: Driver) -> dict[str, Any]:
+    def _settings(self, driver: ResolvedPolicy) -> dict[str, Any]:
         return {
             "name": driver.name,
             "repeat": self.repeat,

@@ -22,8 +22,8 @@ class Export:
 
     def __call__(self) -> int:
         """Writes it, and says how near it comes."""
-        from rover_rl.algos.export import SUFFIXES, export
-        from rover_rl.cli.drivers import load_checkpoint
+        from rover_rl.algos.deploy.export import SUFFIXES, export
+        from rover_rl.cli.policies import load_checkpoint
 
         checkpoint, name = load_checkpoint(self.policy)
         out = self.out or Path(name).with_suffix(SUFFIXES[self.format])

@@ -8,7 +8,7 @@ from typing import Literal
 
 import tyro
 
-from rover_rl.cli.drivers import find_driver
+from rover_rl.cli.policies import resolve_policy
 
 
 @dataclass(frozen=True)
@@ -42,10 +42,10 @@ class Film:
 
     def __call__(self) -> int:
         """Films, and says where the film is."""
-        from rover_rl.algos.film import film
-        from rover_rl.algos.plots import draw_reward_components
+        from rover_rl.algos.evaluation.plots import draw_reward_components
+        from rover_rl.algos.video.film import film
 
-        driver = find_driver(self.policy, () if self.world is None else (self.world,))
+        driver = resolve_policy(self.policy, () if self.world is None else (self.world,))
         rollout = film(
             driver.policy,
             self.out,

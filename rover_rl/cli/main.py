@@ -6,7 +6,6 @@ import os
 import re
 import sys
 
-from rover_rl.algos.files import STANDARD_OUTPUT, errors_name
 from rover_rl.cli.demo import Demo
 from rover_rl.cli.drive import Drive
 from rover_rl.cli.evaluate import Evaluate
@@ -16,6 +15,7 @@ from rover_rl.cli.options import read_command
 from rover_rl.cli.robot import RobotCommand
 from rover_rl.cli.train import INTERRUPTED, train_defaults
 from rover_rl.cli.worlds import Worlds
+from rover_rl.files import STANDARD_OUTPUT, errors_name
 
 FAILED = 2
 """Exit code for an error of the user's."""

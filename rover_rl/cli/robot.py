@@ -55,7 +55,7 @@ class RobotCommand:
             ValueError: for an option out of its range, before anything is published.
         """
         self._check()
-        from rover_rl.algos.episodes import draw_episodes
+        from rover_rl.algos.evaluation.episodes import draw_episodes
         from rover_rl.sims import make_simulator
         from rover_rl.sims.robots import get_robot
         from rover_rl.sims.ros2.robot import RobotNode

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from rover_rl.algos.config import CONFIGS, PPOConfig, SACConfig, TrainingConfig, read_config, run_config
-from rover_rl.cli.drivers import PRETRAINED
+from rover_rl.cli.policies import PRETRAINED
 
 if TYPE_CHECKING:
-    from rover_rl.algos.training import TrainingSummary
+    from rover_rl.algos.train.run import TrainingSummary
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
@@ -41,10 +41,10 @@ class Train:
         """Trains, and says where the policy is."""
         # Before PyTorch is imported, which takes seconds.
         self.config.check()
-        from rover_rl.algos.plots import draw_learning_curve
+        from rover_rl.algos.evaluation.plots import draw_learning_curve
 
         summary = train(self.config, self.resume)
-        print(told(summary), flush=True)
+        print(format_summary(summary), flush=True)
         draw_learning_curve([summary.folder], summary.folder / "learning_curve.png")
         print(f"Try it: rover-rl evaluate {summary.checkpoint}")
         return INTERRUPTED if summary.interrupted else 0
@@ -102,16 +102,16 @@ def _settings(source: str) -> TrainingConfig:
 def train(config: TrainingConfig, folder: Path | None = None) -> TrainingSummary:
     """Trains with the algorithm that the settings belong to; see :func:`train_ppo` and :func:`train_sac`."""
     if isinstance(config, PPOConfig):
-        from rover_rl.algos.ppo import train_ppo
+        from rover_rl.algos.train.ppo import train_ppo
 
         return train_ppo(config, folder)
     assert isinstance(config, SACConfig)
-    from rover_rl.algos.sac import train_sac
+    from rover_rl.algos.train.sac import train_sac
 
     return train_sac(config, folder)
 
 
-def told(summary: TrainingSummary) -> str:
+def format_summary(summary: TrainingSummary) -> str:
     """What a training came to, and where its time went."""
     stopped = "Interrupted" if summary.interrupted else "Trained"
     shares = ", ".join(f"{name} {share:.0%}" for name, share in summary.shares.items())

@@ -15,7 +15,7 @@ class Worlds:
 
     def __call__(self) -> int:
         """Draws the maps."""
-        from rover_rl.algos.files import written_whole
+        from rover_rl.files import written_whole
         from rover_rl.sims.robots import get_robot
         from rover_rl.sims.worlds import WORLDS, get_world
         from rover_rl.sims.worlds.draw import draw_world

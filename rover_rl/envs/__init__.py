@@ -7,17 +7,17 @@ from rover_rl.envs.make import RewardedEnv, add_reward, make_env
 from rover_rl.envs.randomization import Randomization
 from rover_rl.envs.rewards import RewardComponent, RewardConfig, TotalReward, contract_reward
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.task import Phase, TaskConfig
+from rover_rl.envs.task import StepEvent, TaskConfig
 
 __all__ = [
     "HeadingController",
     "HeadingGains",
-    "Phase",
     "Randomization",
     "RewardComponent",
     "RewardConfig",
     "RewardedEnv",
     "RoverEnv",
+    "StepEvent",
     "TaskConfig",
     "TotalReward",
     "add_reward",

@@ -17,7 +17,7 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
 from rover_rl.envs.rows import in_rows
-from rover_rl.envs.task import Phase
+from rover_rl.envs.task import StepEvent
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class RewardComponent(Transform):
     """
 
     name: ClassVar[str]
-    phases: ClassVar[tuple[Phase, ...]] = ()
+    phases: ClassVar[tuple[StepEvent, ...]] = ()
 
     @abstractmethod
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor | float:
@@ -96,7 +96,7 @@ class RewardComponent(Transform):
 
     def _active(self, phase: Tensor) -> Tensor:
         if not self.phases:
-            return phase != Phase.NONE
+            return phase != StepEvent.NONE
         active = phase == self.phases[0]
         for other in self.phases[1:]:
             active = active | (phase == other)
@@ -117,7 +117,7 @@ class GoalReward(RewardComponent):
     """``goal_reward`` for reaching a goal."""
 
     name = "goal"
-    phases = (Phase.GOAL,)
+    phases = (StepEvent.GOAL,)
 
     def __init__(self, goal_reward: float = RewardConfig.goal_reward) -> None:
         super().__init__()
@@ -132,7 +132,7 @@ class ProgressReward(RewardComponent):
     """Metres gained on the target, or the idle penalty where too little is gained or the rover faces away."""
 
     name = "progress"
-    phases = (Phase.DENSE,)
+    phases = (StepEvent.DENSE,)
 
     def __init__(
         self,
@@ -161,7 +161,7 @@ class VelocityBonus(RewardComponent):
     """``velocity_scale`` for each m/s forward, by wheel odometry."""
 
     name = "velocity"
-    phases = (Phase.DENSE,)
+    phases = (StepEvent.DENSE,)
 
     def __init__(self, velocity_scale: float = RewardConfig.velocity_scale) -> None:
         super().__init__()
@@ -176,7 +176,7 @@ class TurnPenalty(RewardComponent):
     """``turn_scale`` for each rad/s of turning, by wheel odometry."""
 
     name = "turn"
-    phases = (Phase.DENSE,)
+    phases = (StepEvent.DENSE,)
 
     def __init__(self, turn_scale: float = RewardConfig.turn_scale) -> None:
         super().__init__()
@@ -191,7 +191,7 @@ class CollisionPenalty(RewardComponent):
     """A penalty for each step with a lidar reading below the collision threshold."""
 
     name = "collision"
-    phases = (Phase.COLLISION,)
+    phases = (StepEvent.COLLISION,)
 
     def __init__(self, collision_penalty: float = RewardConfig.collision_penalty) -> None:
         super().__init__()
@@ -206,7 +206,7 @@ class StuckPenalty(RewardComponent):
     """A penalty for an episode that ends because the rover has not moved."""
 
     name = "stuck"
-    phases = (Phase.STUCK,)
+    phases = (StepEvent.STUCK,)
 
     def __init__(self, stuck_penalty: float = RewardConfig.stuck_penalty) -> None:
         super().__init__()
@@ -221,7 +221,7 @@ class GeneralPenalty(RewardComponent):
     """A penalty for an episode that ends in a jam, or in a flip that comes after ``flip_grace_steps``."""
 
     name = "general"
-    phases = (Phase.FLIP, Phase.JAM)
+    phases = (StepEvent.FLIP, StepEvent.JAM)
 
     def __init__(
         self,
@@ -234,7 +234,7 @@ class GeneralPenalty(RewardComponent):
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
         """The penalty, or 0 for an early flip."""
-        forgiven = (outcome.get("phase") == Phase.FLIP) & (outcome.get("steps") <= self.flip_grace_steps)
+        forgiven = (outcome.get("phase") == StepEvent.FLIP) & (outcome.get("steps") <= self.flip_grace_steps)
         return torch.where(forgiven, 0.0, self.general_penalty)
 
 
@@ -242,7 +242,7 @@ class OutOfBoundsPenalty(RewardComponent):
     """A penalty for an episode that ends because the rover left the world's bounds."""
 
     name = "out_of_bounds"
-    phases = (Phase.OUT_OF_BOUNDS,)
+    phases = (StepEvent.OUT_OF_BOUNDS,)
 
     def __init__(self, out_of_bounds_penalty: float = RewardConfig.out_of_bounds_penalty) -> None:
         super().__init__()

@@ -18,29 +18,29 @@ from rover_rl.checks import MAX_COUNT, MAX_ROVERS, check_seed
 from rover_rl.envs import specs
 from rover_rl.envs.control import HeadingController, HeadingGains
 from rover_rl.envs.devices import available_device
-from rover_rl.envs.lidar import LidarPooling
 from rover_rl.envs.placement import Placement
 from rover_rl.envs.randomization import CommandDelay, Randomization
 from rover_rl.envs.rng import episode_keys, row_keys
+from rover_rl.envs.sensing import LidarPooling
 from rover_rl.envs.task import (
     EVENTS,
-    Phase,
     PositionHistory,
+    StepEvent,
     TaskConfig,
     TaskState,
+    compute_terminations,
     heading_alignment,
-    judge,
     pack_outcome,
     target_info,
 )
-from rover_rl.sims import Backend, Connection, RoverState, Simulator, make_simulator
+from rover_rl.sims import BackendLike, Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.base import View
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.worlds import World, get_world
 
 
-class _Now:
+class StepState:
     """The environment's state between two steps; a plain object, as EnvBase is a module and slow to assign to.
 
     Attributes:
@@ -142,7 +142,7 @@ class RoverEnv(EnvBase):
         max_lidar_range: float = 12.0,
         *,
         num_envs: int | None = 1,
-        backend: str | Backend = "bullet",
+        backend: BackendLike = "bullet",
         physics: str | None = None,
         robot: str | Robot = "rover_zero",
         lidar_beams: int = 128,
@@ -187,12 +187,12 @@ class RoverEnv(EnvBase):
         self._delay = CommandDelay(self.randomization.latency, num_envs, self._tensor_device)
         self._make_specs()
         self._history = PositionHistory(num_envs, self.task.stuck_window, self._tensor_device)
-        self._now = _Now(task=TaskState.zeros(num_envs, self._tensor_device))
+        self._now = StepState(task=TaskState.zeros(num_envs, self._tensor_device))
         self.set_seed(seed)
         if self.randomization.varies_dynamics:
             # A simulator that cannot says so at once.
             nobody = torch.zeros(num_envs, dtype=torch.bool, device=self.simulator.device)
-            self.simulator.vary(nobody, self.randomization.draw_dynamics(self._keys))
+            self.simulator.set_dynamics(nobody, self.randomization.draw_dynamics(self._keys))
 
     @property
     def goal(self) -> Tensor:
@@ -281,7 +281,7 @@ class RoverEnv(EnvBase):
         device = self.simulator.device
         rows = mask.squeeze(-1).to(device)
         if self.randomization.varies_dynamics:
-            self.simulator.vary(rows, self.randomization.draw_dynamics(self._keys.to(device)))
+            self.simulator.set_dynamics(rows, self.randomization.draw_dynamics(self._keys.to(device)))
         self._delay.reset(mask, self._keys)
         steps = self._now.task.steps.masked_fill(mask, 0)
         self._receive(self.simulator.reset(rows, poses.to(device)), steps)
@@ -304,7 +304,7 @@ class RoverEnv(EnvBase):
         now = self._now
         nothing = self._pack_outcome(
             torch.zeros(self.num_envs, len(EVENTS), dtype=torch.bool, device=self._tensor_device),
-            phase=torch.full_like(self._keys, Phase.NONE),
+            phase=torch.full_like(self._keys, StepEvent.NONE),
             progress=torch.zeros_like(now.yaw),
             alignment=heading_alignment(now.task.target[:, 1:]),
         )
@@ -347,7 +347,7 @@ class RoverEnv(EnvBase):
 
         self._advance(invalid, active)
         reached = self._now.outcome.get("goal_reached")
-        terminated = self._now.outcome.get("phase") < Phase.GOAL
+        terminated = self._now.outcome.get("phase") < StepEvent.GOAL
         if self.end_on_goal:
             terminated = terminated | reached
         truncated = (self._now.task.steps >= self.length) & ~terminated
@@ -384,7 +384,7 @@ class RoverEnv(EnvBase):
         steps = before.steps + 1
         collision_steps = (before.collision_steps + 1) * (nearest < self.task.collision_threshold)
         target = target_info(now.position, now.yaw, before.goal)
-        events, phase = judge(
+        events, phase = compute_terminations(
             position=now.position,
             tilt=now.euler[:, :2],
             distance=target[:, :1],
@@ -403,7 +403,7 @@ class RoverEnv(EnvBase):
             total_steps=before.total_steps + 1,
         )
         if not self.end_on_goal:
-            after = self._next_goals(after, phase == Phase.GOAL)
+            after = self._next_goals(after, phase == StepEvent.GOAL)
         now.task = after if active is None else after.merge(active, before)
         outcome = self._pack_outcome(
             events,
@@ -413,7 +413,7 @@ class RoverEnv(EnvBase):
         )
         if active is not None:
             outcome = outcome.where(active.squeeze(-1), now.outcome)
-            outcome.set("phase", phase.masked_fill(~active, Phase.NONE))
+            outcome.set("phase", phase.masked_fill(~active, StepEvent.NONE))
         now.outcome = outcome
 
     def _next_goals(self, state: TaskState, reached: Tensor) -> TaskState:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 
-from rover_rl.envs.task import EVENTS, Phase
+from rover_rl.envs.task import EVENTS, StepEvent
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def _outcome_spec(batch_size: Sequence[int], device: torch.device | str | None) 
     shape = (*batch_size, 1)
     return Composite(
         **{event: _flag(batch_size, device) for event in EVENTS},
-        phase=Bounded(low=0, high=max(Phase), shape=shape, dtype=torch.int64, device=device),
+        phase=Bounded(low=0, high=max(StepEvent), shape=shape, dtype=torch.int64, device=device),
         progress=Unbounded(shape=shape, device=device),
         alignment=Bounded(low=-1.0, high=1.0, shape=shape, device=device),
         linear_velocity=Unbounded(shape=shape, device=device),

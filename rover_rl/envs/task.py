@@ -48,7 +48,7 @@ class TaskConfig:
                 raise ValueError(f"{field} must not be negative, got {getattr(self, field)}")
 
 
-class Phase(IntEnum):
+class StepEvent(IntEnum):
     """Which rule decides a step: the first of these that holds, in the contract's order.
 
     The members before ``GOAL`` end the episode.
@@ -67,7 +67,7 @@ class Phase(IntEnum):
 
 
 EVENTS = ("invalid_action", "flipped", "jammed", "out_of_bounds", "stuck", "goal_reached", "collision")
-"""Names of the events in ``outcome``, in the order of :class:`Phase`."""
+"""Names of the events in ``outcome``, in the order of :class:`StepEvent`."""
 
 
 @dataclass
@@ -150,7 +150,7 @@ def heading_alignment(angle: Tensor) -> Tensor:
     return 1 - angle.abs() * (2 / math.pi)
 
 
-def judge(
+def compute_terminations(
     *,
     position: Tensor,
     tilt: Tensor,
@@ -175,7 +175,7 @@ def judge(
 
     Returns:
         Events, bool ``[N, 7]`` in the order of :data:`EVENTS` (a goal counts only where nothing ended the episode), and
-        the :class:`Phase`, int64 ``[N, 1]``.
+        the :class:`StepEvent`, int64 ``[N, 1]``.
     """
     low, high = bounds
     endings = torch.cat(

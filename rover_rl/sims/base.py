@@ -64,11 +64,13 @@ class Simulator(Protocol):
 
     Attributes:
         num_envs: number of rovers, the rows of every tensor.
+        control_dt: duration of a control step, s.
         device: where its tensors live.
         ray_angles: direction of each lidar beam in the rover's frame, ``[beams]``, rad, from 0 counter-clockwise.
     """
 
     num_envs: int
+    control_dt: float
     device: torch.device
     ray_angles: Tensor
 
@@ -84,7 +86,7 @@ class Simulator(Protocol):
         """
         ...
 
-    def vary(self, mask: Tensor, dynamics: Dynamics) -> None:
+    def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
         """Gives the rovers of ``mask`` (bool ``[N]``) these dynamics; they are to be reset next.
 
         Raises:

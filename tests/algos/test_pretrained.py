@@ -6,8 +6,8 @@ import shlex
 import pytest
 import tyro
 
-from rover_rl.algos.episodes import stored_episodes
-from rover_rl.algos.evaluate import evaluate
+from rover_rl.algos.evaluation.episodes import stored_episodes
+from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.pretrained import FOLDER, load_pretrained, pretrained_names
 from rover_rl.cli.train import train_defaults
 

@@ -15,7 +15,7 @@ from benchmarks import against_sb3
 from benchmarks.against_sb3 import Curve, Options, Point
 from rover_rl import make_env
 from rover_rl.algos.config import ENDLESS
-from rover_rl.algos.policy import ObservationEncoder, make_action_critic, make_actor, make_critic
+from rover_rl.algos.policy.networks import ObservationEncoder, make_action_critic, make_actor, make_critic
 from rover_rl.envs.sb3 import SB3VecEnv
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import results
-from rover_rl.algos.runs import Checkpoint
+from rover_rl.algos.policy.checkpoint import Checkpoint
 
 
 def test_a_table_has_the_mean_the_least_and_the_most_of_the_seeds() -> None:

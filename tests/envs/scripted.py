@@ -65,6 +65,7 @@ class ScriptedSimulator:
 
     def __init__(self, worlds: Sequence[World], robot: Robot, lidar_beams: int) -> None:
         self.num_envs = len(worlds)
+        self.control_dt = DT
         self.device = torch.device("cpu")
         self.ray_angles = torch.arange(lidar_beams) * (2 * math.pi / lidar_beams)
         self.scripts: Sequence[Sequence[Moment]] = [[Moment()]] * self.num_envs

@@ -20,10 +20,10 @@ from torchrl.envs import EnvBase
 
 from rover_rl import RewardConfig, RoverEnv, TaskConfig, World, box, make_env
 from rover_rl.envs.control import HeadingController, HeadingGains
-from rover_rl.envs.lidar import LidarPooling
 from rover_rl.envs.placement import Placement
 from rover_rl.envs.rng import episode_keys, random_bits, row_keys, to_index, to_unit
-from rover_rl.envs.task import EVENTS, Phase, PositionHistory, heading_alignment, judge, target_info
+from rover_rl.envs.sensing import LidarPooling
+from rover_rl.envs.task import EVENTS, PositionHistory, StepEvent, compute_terminations, heading_alignment, target_info
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.rotations import wrap_angle
 from rover_rl.sims.worlds import Terrain, get_world
@@ -32,13 +32,13 @@ from tests.envs.scripted import Moment, ScriptedBackend
 
 WORLD_NAMES = ("inspect", "moon", "maze")
 NAME_OF_PHASE = {
-    Phase.FLIP: "flip",
-    Phase.JAM: "jam",
-    Phase.OUT_OF_BOUNDS: "out_of_bounds",
-    Phase.STUCK: "stuck",
-    Phase.GOAL: "goal",
-    Phase.COLLISION: "collision",
-    Phase.DENSE: "dense",
+    StepEvent.FLIP: "flip",
+    StepEvent.JAM: "jam",
+    StepEvent.OUT_OF_BOUNDS: "out_of_bounds",
+    StepEvent.STUCK: "stuck",
+    StepEvent.GOAL: "goal",
+    StepEvent.COLLISION: "collision",
+    StepEvent.DENSE: "dense",
 }
 OBSERVATION = ("lidar", "pose", "imu", "target", "velocities")
 CPU = torch.device("cpu")
@@ -91,8 +91,8 @@ def rewards(given: list[TensorDict]) -> list[float]:
     return [round(td["reward"][0].item(), 5) for td in given]
 
 
-def phases(given: list[TensorDict], row: int = 0) -> list[Phase]:
-    return [Phase(td["outcome", "phase"][row].item()) for td in given]
+def phases(given: list[TensorDict], row: int = 0) -> list[StepEvent]:
+    return [StepEvent(td["outcome", "phase"][row].item()) for td in given]
 
 
 def moving(steps: int, speed: float = 0.01, **values: float) -> list[Moment]:
@@ -638,7 +638,7 @@ def test_alignment_falls_from_1_straight_ahead_over_0_at_a_right_angle_to_minus_
 
 def judged(*, invalid=False, flip=False, jam=False, out=False, stuck=False, goal=False, collision=False):
     """The events and the phase of one row to which all this happens."""
-    return judge(
+    return compute_terminations(
         position=torch.tensor([[5.0 if out else 0.0, 0.0]]),
         tilt=torch.tensor([[0.0, -1.6 if flip else 0.0]]),
         distance=torch.tensor([[0.4 if goal else 3.0]]),
@@ -654,7 +654,7 @@ def test_rules_decide_in_the_contracts_order():
     names = ("invalid", "flip", "jam", "out", "stuck", "goal", "collision")
     for chosen in product([False, True], repeat=len(names)):
         events, phase = judged(**dict(zip(names, chosen, strict=True)))
-        assert phase.item() == (chosen.index(True) if True in chosen else Phase.DENSE)
+        assert phase.item() == (chosen.index(True) if True in chosen else StepEvent.DENSE)
         invalid, flip, jam, out, stuck, goal, collision = chosen
         ended = invalid or flip or jam or out or stuck
         # Every event is told, whichever decides; a jam is a collision, and an ending leaves no goal.
@@ -664,7 +664,7 @@ def test_rules_decide_in_the_contracts_order():
 
 def test_phases_are_numbered_in_the_contracts_order():
     order = ["FLIP", "JAM", "OUT_OF_BOUNDS", "STUCK", "GOAL", "COLLISION", "DENSE", "NONE"]
-    assert [phase.name for phase in Phase] == ["INVALID_ACTION", *order]
+    assert [phase.name for phase in StepEvent] == ["INVALID_ACTION", *order]
 
 
 # -----------------------------------------------------------------------------------------------------------
@@ -803,7 +803,7 @@ def test_a_flip_costs_20_after_step_500_and_nothing_before(step, reward):
 def test_more_than_15_steps_in_collision_are_a_jam_that_costs_20():
     given = play(scripted([Moment(), Moment(ranges=0.1)]), 16)
     assert rewards(given) == [-0.5] * 15 + [-20.0]
-    assert phases(given) == [Phase.COLLISION] * 15 + [Phase.JAM]
+    assert phases(given) == [StepEvent.COLLISION] * 15 + [StepEvent.JAM]
     assert [td["terminated"].item() for td in given] == [False] * 15 + [True]
     assert given[-1]["outcome", "jammed"].item()
     assert given[-1]["outcome", "collision"].item()
@@ -831,14 +831,14 @@ def test_leaving_the_bounds_costs_10_and_ends_the_episode():
     given = play(scripted([Moment(x=29.9), Moment(x=30.1)]), 1)[0]
     assert given["reward"].item() == -10.0
     assert given["terminated"].item()
-    assert given["outcome", "phase"].item() == Phase.OUT_OF_BOUNDS
+    assert given["outcome", "phase"].item() == StepEvent.OUT_OF_BOUNDS
 
 
 def test_600_positions_less_than_0_001_m_apart_are_stuck_and_cost_25():
     given = play(scripted([Moment()]), 600)
     assert [td["done"].item() for td in given] == [False] * 599 + [True]
     assert given[-1]["reward"].item() == -25.0
-    assert given[-1]["outcome", "phase"].item() == Phase.STUCK
+    assert given[-1]["outcome", "phase"].item() == StepEvent.STUCK
     assert rewards(given[:-1]) == [-0.045] * 599
 
 
@@ -889,9 +889,9 @@ def test_the_position_history_of_rows_that_are_not_active_does_not_move():
 @pytest.mark.parametrize(
     ("moment", "reward", "phase"),
     [
-        (Moment(x=31.0, roll=2.0, ranges=0.1), 0.0, Phase.FLIP),
-        (Moment(x=31.0, ranges=0.1), -20.0, Phase.JAM),
-        (Moment(x=31.0), -10.0, Phase.OUT_OF_BOUNDS),
+        (Moment(x=31.0, roll=2.0, ranges=0.1), 0.0, StepEvent.FLIP),
+        (Moment(x=31.0, ranges=0.1), -20.0, StepEvent.JAM),
+        (Moment(x=31.0), -10.0, StepEvent.OUT_OF_BOUNDS),
     ],
 )
 def test_the_first_ending_in_the_contracts_order_decides(moment, reward, phase):
@@ -948,7 +948,7 @@ def test_after_a_reset_nothing_has_happened():
     play(env, 1)
     td = env.reset()
     assert not any(td["outcome", event].any() for event in EVENTS)
-    assert td["outcome", "phase"].item() == Phase.NONE
+    assert td["outcome", "phase"].item() == StepEvent.NONE
     assert td["outcome", "steps"].item() == 0
     assert td["outcome", "progress"].item() == 0
     assert not td["done"].any()
@@ -1085,7 +1085,7 @@ def drive(world: World, start: tuple, action: tuple, steps: int, **settings) -> 
 def test_a_rover_that_drives_out_of_bounds_ends_there():
     world = World("narrow", Terrain.flat((8, 8)), spawn_range=AREA, bounds=((-3, 3), (-3, 3)))
     given = drive(world, (2.7, 0.0, 0.0), (1.0, 0.0), 20)
-    assert phases(given)[-1] == Phase.OUT_OF_BOUNDS
+    assert phases(given)[-1] == StepEvent.OUT_OF_BOUNDS
     assert given[-1]["reward"].item() == -10.0
     assert given[-1]["pose"][0, 0] > 3.0
     assert given[-2]["pose"][0, 0] <= 3.0
@@ -1095,15 +1095,15 @@ def test_a_rover_that_drives_into_a_wall_jams_there():
     walls = [box((3.1, 0, 1), (0.2, 6, 2)), box((-3.1, 0, 1), (0.2, 6, 2)), box((0, 3.1, 1), (6, 0.2, 2))]
     world = World("room", Terrain.flat((8, 8)), walls, spawn_range=AREA)
     given = drive(world, (2.3, 0.0, 0.0), (0.5, 0.0), 60)
-    assert phases(given)[-16:] == [Phase.COLLISION] * 15 + [Phase.JAM]
-    assert set(phases(given)[:-16]) == {Phase.DENSE}
+    assert phases(given)[-16:] == [StepEvent.COLLISION] * 15 + [StepEvent.JAM]
+    assert set(phases(given)[:-16]) == {StepEvent.DENSE}
     assert given[-1]["reward"].item() == -20.0
 
 
 def test_a_rover_that_stands_still_is_stuck():
     given = drive(meadow(), (0.0, 0.0, 0.0), (0.0, 0.0), 40, task=TaskConfig(stuck_window=30))
     assert len(given) == 30
-    assert phases(given)[-1] == Phase.STUCK
+    assert phases(given)[-1] == StepEvent.STUCK
     assert given[-1]["reward"].item() == -25.0
 
 
@@ -1120,7 +1120,7 @@ def test_a_rover_that_falls_over_the_edge_of_a_cliff_flips(grace, reward):
     config = RewardConfig(flip_grace_steps=grace)
     given = drive(cliff(), (-0.25, 0.0, math.pi / 2), (0.5, 0.0), 40, reward=config)
     assert len(given) > 1
-    assert phases(given)[-1] == Phase.FLIP
+    assert phases(given)[-1] == StepEvent.FLIP
     assert given[-1]["reward"].item() == reward
     pitch, roll, _ = given[-1]["imu"][0].tolist()
     assert contract.is_flipped(roll, pitch)
@@ -1146,7 +1146,7 @@ def test_held_rows_keep_observation_and_counters_get_no_reward_and_do_not_move()
     for name in before["outcome"].keys():  # noqa: SIM118
         if name != "phase":
             assert torch.equal(after["outcome", name][1], before["outcome", name][1])
-    assert after["outcome", "phase"].flatten().tolist() == [Phase.DENSE, Phase.NONE]
+    assert after["outcome", "phase"].flatten().tolist() == [StepEvent.DENSE, StepEvent.NONE]
     assert after["outcome", "steps"].flatten().tolist() == [4, 3]
     assert after["reward"][1].item() == 0.0
     assert all(component[1].item() == 0.0 for component in after["reward_components"].values())
@@ -1177,7 +1177,7 @@ def test_held_rows_stand_still_in_bullet_and_then_go_on_as_if_nothing_had_happen
             assert torch.equal(getattr(now, raw)[held], getattr(state, raw)[held])
         assert (td.select(*OBSERVATION)[held] == observation[held]).all()
         assert not td["reward"][held].any()
-        assert td["outcome", "phase"][held].eq(Phase.NONE).all()
+        assert td["outcome", "phase"][held].eq(StepEvent.NONE).all()
         # The other rows do not notice.
         assert (td.select(*OBSERVATION, "reward")[active] == twins[k].select(*OBSERVATION, "reward")[active]).all()
     assert td["outcome", "steps"].flatten().tolist() == [15, 10, 15, 10]

@@ -9,7 +9,7 @@ from torchrl.envs import RewardSum, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from rover_rl import RewardComponent, RewardConfig, RoverEnv, contract_reward, make_env
-from rover_rl.envs import Phase, TotalReward, add_reward
+from rover_rl.envs import StepEvent, TotalReward, add_reward
 from rover_rl.envs.rewards import GoalReward, ProgressReward, TurnPenalty
 from rover_rl.envs.task import EVENTS
 
@@ -31,7 +31,7 @@ class CollisionHeat(RewardComponent):
     """One that is active in collisions alone."""
 
     name = "heat"
-    phases = (Phase.COLLISION,)
+    phases = (StepEvent.COLLISION,)
 
     def value(self, outcome, observation):
         return -2.0
@@ -181,7 +181,7 @@ def test_components_of_ones_own_are_added_and_counted_in_the_total():
     tilt = -0.1 * td["imu"][..., :2].abs().sum(-1, keepdim=True)
     assert tilt.any()
     torch.testing.assert_close(td["reward_components", "tilt"], tilt)
-    assert torch.equal(td["reward_components", "heat"] != 0, td["outcome", "phase"] == Phase.COLLISION)
+    assert torch.equal(td["reward_components", "heat"] != 0, td["outcome", "phase"] == StepEvent.COLLISION)
     torch.testing.assert_close(td["reward"], sum(td["reward_components"].values()))
 
 
@@ -189,9 +189,9 @@ def test_components_are_0_outside_of_their_phases():
     td = rollout(rovers(4), 30)
     phase, components = td["outcome", "phase"], td["reward_components"]
     for name in ("progress", "velocity", "turn"):
-        assert not components[name][phase != Phase.DENSE].any()
-    assert not components["goal"][phase != Phase.GOAL].any()
-    assert not components["collision"][phase != Phase.COLLISION].any()
+        assert not components[name][phase != StepEvent.DENSE].any()
+    assert not components["goal"][phase != StepEvent.GOAL].any()
+    assert not components["collision"][phase != StepEvent.COLLISION].any()
 
 
 def test_the_reward_goes_onto_an_environment_that_is_there():

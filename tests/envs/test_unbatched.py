@@ -11,11 +11,11 @@ from torchrl.envs import Compose, InitTracker, RewardSum, StepCounter, Transform
 from torchrl.envs.utils import check_env_specs
 
 from rover_rl import GymVectorWrapper, GymWrapper, RewardComponent, RoverEnv, contract_reward, make_env
-from rover_rl.algos.action_repeat import ActionRepeat
-from rover_rl.algos.path_reward import PathReward
-from rover_rl.algos.step_clock import StepClock
-from rover_rl.algos.training_env import ForwardOnly
+from rover_rl.algos.train.env import ForwardOnly
 from rover_rl.envs import Randomization
+from rover_rl.envs.transforms.action_repeat import ActionRepeat
+from rover_rl.envs.transforms.path_reward import PathReward
+from rover_rl.envs.transforms.step_clock import StepClock
 from tests.extras import needs_warp
 
 

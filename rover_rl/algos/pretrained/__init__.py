@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rover_rl.algos.runs import Checkpoint
+from rover_rl.algos.policy.checkpoint import Checkpoint
 
 FOLDER = Path(__file__).parent
 """A checkpoint and a card for each: ``maze-sac.pt`` and ``maze-sac.md``."""

@@ -8,10 +8,9 @@ from collections.abc import Iterable
 import torch
 from scipy.spatial.transform import Rotation
 
-from rover_rl.sims.bullet.library import pybullet
-from rover_rl.sims.bullet.shapes import make_hull, make_mesh
-from rover_rl.sims.worlds import Obstacle, Terrain, World
-from rover_rl.sims.worlds.world import Area
+from rover_rl.sims.native.bullet import pybullet
+from rover_rl.sims.native.shapes import make_hull, make_mesh, terrain_strips
+from rover_rl.sims.worlds import Obstacle, World
 
 GROUND_MARGIN = 3.0
 """Ground beyond a world's bounds, m."""
@@ -26,26 +25,6 @@ Bullet bounds friction by a square along the world's axes: grip is up to sqrt(2)
 skid-steer's yaw rate depends on where it faces. Mirrored in a frame turned by 22.5 degrees, the square is turned by 45;
 the mean of the two is an octagon, which is round within 8 %.
 """
-
-MESH_CELLS = 60_000
-"""Cells in one strip of a terrain's mesh: Bullet takes at most 524,288 indices a mesh."""
-
-
-def terrain_strips(terrain: Terrain, area: Area | None = None) -> list[tuple[slice, slice]]:
-    """Cuts a terrain into strips, as rows and columns, that are small enough for one mesh each and share their borders.
-
-    Args:
-        terrain: the ground.
-        area: what has to be covered, m; all of it by default.
-    """
-    rows, columns = terrain.heights.shape
-    (x_low, x_high), (y_low, y_high) = area or terrain.extent
-    left, right = (int((x - terrain.origin[0]) // terrain.cell) for x in (x_low, x_high))
-    bottom, top = (int((y - terrain.origin[1]) // terrain.cell) for y in (y_low, y_high))
-    across = slice(max(left, 0), min(right + 2, columns))
-    bottom, top = max(bottom, 0), min(top + 1, rows - 1)
-    step = max(1, MESH_CELLS // (across.stop - across.start))
-    return [(slice(row, min(row + step, top) + 1), across) for row in range(bottom, top, step)]
 
 
 def add_mesh_bodies(client: int, world: World) -> None:

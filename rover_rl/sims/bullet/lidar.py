@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from rover_rl.sims.bullet.geometry import add_mesh_bodies
-from rover_rl.sims.bullet.library import pybullet
+from rover_rl.sims.native.bullet import pybullet
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rover_rl.sims.bullet.geometry import FRICTION_AXES, add_ground, add_obstacles
-from rover_rl.sims.bullet.library import pybullet
 from rover_rl.sims.bullet.settings import BulletSettings
+from rover_rl.sims.native.bullet import pybullet
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
@@ -93,7 +93,7 @@ class RoverPhysics:
             self._drive(row, still)
             _forget_contacts(*self._rovers[row])
 
-    def vary(self, row: int, friction: float, chassis_mass: float, motor_torque: float) -> None:
+    def set_dynamics(self, row: int, friction: float, chassis_mass: float, motor_torque: float) -> None:
         """Multiplies what a rover is by its description with these factors."""
         client, body = self._rovers[row]
         for link in range(-1, pybullet.getNumJoints(body, physicsClientId=client)):

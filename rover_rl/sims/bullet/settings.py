@@ -2,17 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    import torch
-
-    from rover_rl.sims.bullet.simulator import BulletSimulator
-    from rover_rl.sims.connection import Connection
-    from rover_rl.sims.robots import Robot
-    from rover_rl.sims.worlds import World
+from rover_rl.sims.timing import CONTROL_DT
 
 
 @dataclass(frozen=True)
@@ -38,7 +30,7 @@ class BulletSettings:
         ValueError: for a number that is out of range.
     """
 
-    control_dt: float = 0.05
+    control_dt: float = CONTROL_DT
     substeps: int = 10
     solver_iterations: int = 50
     solver_residual: float = 1e-9
@@ -72,20 +64,6 @@ class BulletSettings:
         if name not in PRESETS:
             raise ValueError(f"unknown physics {name!r}; use one of {list(PRESETS)}")
         return PRESETS[name]
-
-    def make(
-        self,
-        *,
-        worlds: Sequence[World],
-        robot: Robot,
-        lidar_beams: int,
-        connection: Connection | None = None,
-        device: torch.device | None = None,
-    ) -> BulletSimulator:
-        """The simulator with these settings: see :func:`rover_rl.sims.make_simulator`."""
-        from rover_rl.sims.bullet.simulator import BulletSimulator
-
-        return BulletSimulator(worlds, robot, lidar_beams, self)
 
 
 PRESETS: dict[str, BulletSettings] = {

@@ -12,12 +12,12 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.base import Dynamics, RoverState, View
-from rover_rl.sims.bullet.library import disconnect
 from rover_rl.sims.bullet.lidar import Lidar
 from rover_rl.sims.bullet.physics import RoverPhysics
-from rover_rl.sims.bullet.render import Renderer
 from rover_rl.sims.bullet.settings import BulletSettings
-from rover_rl.sims.drive import SimulatedDrive
+from rover_rl.sims.differential_drive import SimulatedDrive
+from rover_rl.sims.native.bullet import disconnect
+from rover_rl.sims.rendering.renderer import Renderer
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import matrix_to_quaternion
 from rover_rl.sims.worlds import World, rest_on_ground
@@ -44,8 +44,9 @@ class BulletSimulator:
         self.device = torch.device("cpu")
         self.ray_angles = torch.arange(lidar_beams, dtype=torch.float32) * (2 * math.pi / lidar_beams)
         self.settings = settings or BulletSettings()
+        self.control_dt = self.settings.control_dt
         self._robot = robot
-        self._drive = SimulatedDrive(robot, self.settings.control_dt, self.num_envs)
+        self._drive = SimulatedDrive(robot, self.control_dt, self.num_envs)
         self._renderers: dict[int, Renderer] = {}
         self._clients: list[int] = []
         self._finalizer = weakref.finalize(self, disconnect, self._clients)
@@ -78,13 +79,13 @@ class BulletSimulator:
         self._drive.reset(mask)
         return self.state()
 
-    def vary(self, mask: Tensor, dynamics: Dynamics) -> None:
-        """Gives the rovers of ``mask`` these dynamics: see :meth:`Simulator.vary`."""
+    def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
+        """Gives the rovers of ``mask`` these dynamics: see :meth:`Simulator.set_dynamics`."""
         factors = torch.stack((dynamics.friction, dynamics.chassis_mass, dynamics.motor_torque), -1).double()
         for place in self._places:
             local = np.flatnonzero(mask.numpy()[place.rows])
             for row, varied in zip(local.tolist(), factors[torch.from_numpy(place.rows[local])].tolist(), strict=True):
-                place.physics.vary(row, *varied)
+                place.physics.set_dynamics(row, *varied)
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         """Drives one control step of ``substeps`` physics steps: see :meth:`Simulator.step`."""

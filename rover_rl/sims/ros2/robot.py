@@ -210,7 +210,7 @@ class RobotNode:
             angle_min=angle,
             angle_max=angle + (count - 1) * increment,
             angle_increment=increment,
-            scan_time=0.05,
+            scan_time=self._simulator.control_dt,
             range_min=RANGE_MIN,
             range_max=self._lidar_range,
             ranges=told,

@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
 from rover_rl.sims.ros2.limits import CommandLimits
 
 if TYPE_CHECKING:
-    import torch
-
-    from rover_rl.sims.connection import Connection
     from rover_rl.sims.robots import Robot
-    from rover_rl.sims.ros2.simulator import Ros2Simulator
-    from rover_rl.sims.worlds import World
 
 PoseSource: TypeAlias = Literal["pose_array", "pose_stamped", "odometry", "wheels"]
 PoseReset: TypeAlias = Literal["auto", "ign", "gz", "topic", "manual", "none"]
@@ -112,20 +106,6 @@ class Ros2Settings:
         """The limits of what is sent to ``robot``: its own, unless these settings have others."""
         given = {limit: getattr(self, name) for name, limit in _LIMITS.items() if getattr(self, name) is not None}
         return replace(CommandLimits.of(robot), **given)
-
-    def make(
-        self,
-        *,
-        worlds: Sequence[World],
-        robot: Robot,
-        lidar_beams: int,
-        connection: Connection | None = None,
-        device: torch.device | None = None,
-    ) -> Ros2Simulator:
-        """The simulator with these settings: see :func:`rover_rl.sims.make_simulator`."""
-        from rover_rl.sims.ros2.simulator import Ros2Simulator
-
-        return Ros2Simulator(worlds, robot, lidar_beams, self, connection)
 
 
 _LIMITS = {

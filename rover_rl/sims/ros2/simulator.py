@@ -19,15 +19,16 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2.commands import Commands
 from rover_rl.sims.ros2.errors import PoseResetError, RobotLostError
 from rover_rl.sims.ros2.guard import UnseenGuard
-from rover_rl.sims.ros2.inbox import Arrival, Inbox
+from rover_rl.sims.ros2.latest_messages import Arrival, LatestMessages
 from rover_rl.sims.ros2.limits import CommandLimiter
 from rover_rl.sims.ros2.messages import Imu, LaserScan, Message, Odometry
+from rover_rl.sims.ros2.pose_estimator import NOWHERE, POSE_MESSAGES, UPRIGHT, PoseEstimator
 from rover_rl.sims.ros2.pose_reset import Target, make_placer
 from rover_rl.sims.ros2.readings import AlignedScan, ScanAlignment, read_imu, read_scan, read_twist
 from rover_rl.sims.ros2.scan_rate import USABLE, ScanRate
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import Transport, make_transport
-from rover_rl.sims.ros2.whereabouts import NOWHERE, POSE_MESSAGES, UPRIGHT, Whereabouts
+from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World
 
 _log = logging.getLogger(__name__)
@@ -35,8 +36,6 @@ _log = logging.getLogger(__name__)
 Readers: TypeAlias = dict[str, Callable[[Any], Any]]
 """What is read from a message, by the name that it is kept under."""
 
-CONTROL_DT = 0.05
-"""Seconds from one scan to the next where scans do not tell: 20 Hz."""
 TOO_SOON = 0.75
 """Share of a control step before which a next scan is left out: lidars may be faster than control."""
 LONGEST_DT = 1.0
@@ -97,6 +96,7 @@ class Ros2Simulator:
         self.settings = settings = settings or Ros2Settings()
         connection = connection or Connection()
         self.num_envs = 1
+        self.control_dt = CONTROL_DT
         self.device = torch.device("cpu")
         self.ray_angles = torch.arange(lidar_beams, dtype=torch.float32) * (2 * math.pi / lidar_beams)
         self._world = worlds[0]
@@ -109,11 +109,11 @@ class Ros2Simulator:
         self._refused: dict[str, str] = {}
         self._unusable = 0
         self._checked = -math.inf
-        self._whereabouts = Whereabouts(settings.pose)
-        self._inbox = Inbox()
+        self._pose_estimator = PoseEstimator(settings.pose)
+        self._messages = LatestMessages()
         self._warned: dict[str, float] = {}
         self._scan: Arrival | None = None
-        self._dt = CONTROL_DT
+        self._dt = self.control_dt
         self.latency = 0.0
         self.held = False
         self._transport = make_transport(settings.transport, settings.node)
@@ -153,21 +153,21 @@ class Ros2Simulator:
     @property
     def field_of_view(self) -> float:
         """Angle that the newest scan covers, rad; 0 before the first."""
-        scan = self._inbox.newest("scan")
+        scan = self._messages.newest("scan")
         return 0.0 if scan is None else scan.value.field_of_view
 
     @property
     def robot_connected(self) -> bool:
         """Whether usable scans come in."""
-        scan = self._inbox.newest("scan")
+        scan = self._messages.newest("scan")
         return scan is not None and scan.age < self.settings.step_timeout
 
     def wait_for_robot(self, timeout: float) -> bool:
         """Waits for a usable scan (s); whether there is one. If not, warns, and everything may go on."""
         deadline = time.monotonic() + timeout
-        count, unusable = self._inbox.count("scan"), self._unusable
+        count, unusable = self._messages.count("scan"), self._unusable
         while not self.robot_connected and time.monotonic() < deadline and self._unusable < unusable + UNUSABLE:
-            self._inbox.wait("scan", count, min(0.1, max(0.0, deadline - time.monotonic())))
+            self._messages.wait("scan", count, min(0.1, max(0.0, deadline - time.monotonic())))
         if self.robot_connected:
             return True
         _log.warning(
@@ -210,9 +210,9 @@ class Ros2Simulator:
         if "scan" in values:
             self._watch_rate(values["scan"].stamp)
         if "pose" in values:
-            values["pose"] = self._whereabouts.located(values["pose"], self._newest("imu", UPRIGHT))
+            values["pose"] = self._pose_estimator.located(values["pose"], self._newest("imu", UPRIGHT))
         for name, value in values.items():
-            self._inbox.put(name, value)
+            self._messages.put(name, value)
         return True
 
     def _refuse(self, kind: str, reason: str) -> None:
@@ -244,20 +244,20 @@ class Ros2Simulator:
         """
         if not mask.any():
             return self.state()
-        if self._inbox.newest("scan") is None:
+        if self._messages.newest("scan") is None:
             _log.warning("no robot has appeared on %s yet: observations are empty", self._topics["scan"])
             return self.state()
         self._require_one_robot()
         self.stop()
-        target, poses_before = self._target(poses), self._inbox.count("pose")
+        target, poses_before = self._target(poses), self._messages.count("pose")
         self._placer.place(target)
         self._wait_until_at_rest(target, poses_before)
-        self._take_scan(after=self._inbox.count("scan"))
+        self._take_scan(after=self._messages.count("scan"))
         ground = self._world.height_at(poses[0, :2]).item()
         there = target if self._placer.moves else None
         self._limiter.reset()
-        self._whereabouts.begin(self._newest("pose", NOWHERE), self._newest("imu", UPRIGHT), there, ground)
-        self._dt = CONTROL_DT
+        self._pose_estimator.begin(self._newest("pose", NOWHERE), self._newest("imu", UPRIGHT), there, ground)
+        self._dt = self.control_dt
         return self.state()
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
@@ -274,7 +274,7 @@ class Ros2Simulator:
             return self.state()
         if time.monotonic() - self._checked > CHECK_EVERY:
             self._require_one_robot()
-        seen = self._inbox.count("scan")
+        seen = self._messages.count("scan")
         speed, turn = self._limiter(self._commands.last, tuple(commands[0].tolist()), self._dt)
         self.held = self._guard.blocked(speed, self._view.seen)
         if self.held:
@@ -291,8 +291,8 @@ class Ros2Simulator:
         """Tells the rover to stop, more than once."""
         self._commands.stop()
 
-    def vary(self, mask: Tensor, dynamics: Dynamics) -> None:
-        """Refuses to: see :meth:`Simulator.vary`."""
+    def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
+        """Refuses to: see :meth:`Simulator.set_dynamics`."""
         raise ValueError("a live rover's friction, mass and motors cannot be varied; sensors and latency can")
 
     def state(self) -> RoverState:
@@ -324,33 +324,33 @@ class Ros2Simulator:
         self._finalizer()
 
     def _newest(self, kind: str, otherwise: Any) -> Any:
-        arrival = self._inbox.newest(kind)
+        arrival = self._messages.newest(kind)
         return otherwise if arrival is None else arrival.value
 
     def _where(self) -> tuple[Tensor, Tensor]:
         """Position ``[3]`` and orientation ``[4]`` in the world."""
-        return self._whereabouts.of(self._newest("pose", NOWHERE), self._newest("imu", UPRIGHT))
+        return self._pose_estimator.of(self._newest("pose", NOWHERE), self._newest("imu", UPRIGHT))
 
     def _take_scan(self, after: int) -> None:
         """Waits for a scan that comes after number ``after``, and not too soon; the rest must not be old then."""
         while True:
             scan = self._await_scan(after)
             dt = scan.value.stamp - self._scan.value.stamp if self._scan else 0.0
-            if not 0.0 < dt < TOO_SOON * CONTROL_DT:
+            if not 0.0 < dt < TOO_SOON * self.control_dt:
                 break
             after = scan.number
         self._require_news()
-        self._dt = dt if 0.0 < dt <= LONGEST_DT else CONTROL_DT
+        self._dt = dt if 0.0 < dt <= LONGEST_DT else self.control_dt
         self._scan, self._view = scan, self._align(scan.value)
 
     def _await_scan(self, after: int) -> Arrival:
         """The first scan after number ``after``; the rover is stopped long before it is lost."""
         timeout = self.settings.step_timeout
         patience = min(timeout, max(BRAKE_AFTER, SLOW_PERIODS * self._dt))
-        scan = self._inbox.wait("scan", after, patience)
+        scan = self._messages.wait("scan", after, patience)
         if scan is None:
             self.stop()
-            scan = self._inbox.wait("scan", after, timeout - patience)
+            scan = self._messages.wait("scan", after, timeout - patience)
         if scan is None:
             raise self._lost("scan")
         return scan
@@ -371,14 +371,14 @@ class Ros2Simulator:
         """No topic may have been silent for long; one of which nothing has come yet is given time, too."""
         deadline = time.monotonic() + self.settings.step_timeout
         for kind in self._topics:
-            arrival = self._inbox.newest(kind) or self._inbox.wait(kind, 0, max(0.0, deadline - time.monotonic()))
+            arrival = self._messages.newest(kind) or self._messages.wait(kind, 0, max(0.0, deadline - time.monotonic()))
             if arrival is None or arrival.age > self.settings.step_timeout:
                 raise self._lost(kind)
 
     def _lost(self, kind: str) -> RobotLostError:
         """Stops the rover, and says what is missing."""
         self.stop()
-        arrival = self._inbox.newest(kind)
+        arrival = self._messages.newest(kind)
         silence = "nothing has come yet" if arrival is None else f"the last message is {arrival.age:.1f} s old"
         if kind in self._refused:
             silence = f"its messages cannot be used: {self._refused[kind]}"
@@ -407,7 +407,7 @@ class Ros2Simulator:
                     f"the rover was to {put}; after {settings.reset_timeout:g} s it is at x {x:.2f} m, y {y:.2f} m, "
                     f"z {z:.2f} m, and its wheels are {'at rest' if self._wheels_at_rest() else 'moving'}"
                 )
-            self._inbox.wait("odometry", self._inbox.count("odometry"), timeout=settings.settle / 4)
+            self._messages.wait("odometry", self._messages.count("odometry"), timeout=settings.settle / 4)
 
     def _wheels_at_rest(self) -> bool:
         speed, turn = self._newest("odometry", torch.zeros(2)).abs().tolist()
@@ -417,8 +417,8 @@ class Ros2Simulator:
         """Whether the rover is where it was put, by a later pose; always true for resets that do not move it."""
         if not self._placer.moves:
             return True
-        place, fresh = self._newest("pose", NOWHERE), self._inbox.count("pose") > poses_before
-        return fresh and self._whereabouts.arrived(place, target, self.settings.pose_tolerance)
+        place, fresh = self._newest("pose", NOWHERE), self._messages.count("pose") > poses_before
+        return fresh and self._pose_estimator.arrived(place, target, self.settings.pose_tolerance)
 
 
 def _let_go(commands: Commands, transport: Transport) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rover_rl.sims.native import native_output_silenced
+from rover_rl.sims.native.output import native_output_silenced
 
 try:
     import warp as wp

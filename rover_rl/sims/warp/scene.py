@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.warp.figures import Figures
+from rover_rl.sims.warp.inertial_model import InertialModel
 from rover_rl.sims.warp.kernels.types import MAX_WHEELS, Rover, Scene
 from rover_rl.sims.warp.library import wp
 from rover_rl.sims.worlds import Obstacle, World
@@ -39,36 +39,36 @@ def make_scene(world: World, reach: float, device: wp.Device) -> Scene:
     return scene
 
 
-def make_rover(robot: Robot, figures: Figures, device: wp.Device) -> Rover:
-    """A robot's figures on a device.
+def make_rover(robot: Robot, model: InertialModel, device: wp.Device) -> Rover:
+    """A robot's model on a device.
 
     Raises:
         ValueError: if it has more wheels than kernels have room for.
     """
-    if len(figures.hubs) > MAX_WHEELS:
-        raise ValueError(f"the warp backend drives at most {MAX_WHEELS} wheels, {robot.name!r} has {len(figures.hubs)}")
+    if len(model.hubs) > MAX_WHEELS:
+        raise ValueError(f"the warp backend drives at most {MAX_WHEELS} wheels, {robot.name!r} has {len(model.hubs)}")
     rover = Rover()
-    rover.wheels = len(figures.hubs)
+    rover.wheels = len(model.hubs)
     rover.left_wheels = len(robot.left_wheels)
     rover.wheel_radius = robot.wheel_radius
     rover.wheel_half_width = robot.wheel_width / 2
-    rover.wheel_inertia = figures.wheel_spin_inertia
-    rover.hubs = wp.array(figures.hubs, dtype=wp.vec3, device=device)
-    rover.box_centers = wp.array(figures.box_centers, dtype=wp.vec3, device=device)
-    rover.box_halves = wp.array(figures.box_halves, dtype=wp.vec3, device=device)
-    rover.points = wp.array(figures.points(), dtype=wp.vec3, device=device)
-    rover.reach = reach_of(robot, figures)
+    rover.wheel_inertia = model.wheel_spin_inertia
+    rover.hubs = wp.array(model.hubs, dtype=wp.vec3, device=device)
+    rover.box_centers = wp.array(model.box_centers, dtype=wp.vec3, device=device)
+    rover.box_halves = wp.array(model.box_halves, dtype=wp.vec3, device=device)
+    rover.points = wp.array(model.points(), dtype=wp.vec3, device=device)
+    rover.reach = reach_of(robot, model)
     rover.lidar = wp.vec3(*robot.lidar_position)
     rover.lidar_range = robot.lidar_range
     return rover
 
 
-def reach_of(robot: Robot, figures: Figures) -> float:
+def reach_of(robot: Robot, model: InertialModel) -> float:
     """Distance (m) from the centre of mass beyond which there is nothing of the rover."""
-    center = figures.total(torch.tensor([figures.chassis_mass], dtype=torch.float64))[1][0].numpy()
+    center = model.total(torch.tensor([model.chassis_mass], dtype=torch.float64))[1][0].numpy()
     wheel = math.hypot(robot.wheel_radius, robot.wheel_width / 2)
-    hubs = np.linalg.norm(figures.hubs - center, axis=1) + wheel
-    boxes = np.linalg.norm(np.abs(figures.box_centers - center) + figures.box_halves, axis=1)
+    hubs = np.linalg.norm(model.hubs - center, axis=1) + wheel
+    boxes = np.linalg.norm(np.abs(model.box_centers - center) + model.box_halves, axis=1)
     # A chassis of another mass moves the centre by millimetres.
     return float(np.concatenate((hubs, boxes)).max()) + 0.01
 

@@ -2,17 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    import torch
-
-    from rover_rl.sims.connection import Connection
-    from rover_rl.sims.robots import Robot
-    from rover_rl.sims.warp.simulator import WarpSimulator
-    from rover_rl.sims.worlds import World
+from rover_rl.sims.timing import CONTROL_DT
 
 
 @dataclass(frozen=True)
@@ -36,7 +28,7 @@ class WarpSettings:
         ValueError: for a number that is out of range.
     """
 
-    control_dt: float = 0.05
+    control_dt: float = CONTROL_DT
     substeps: int = 5
     solver_iterations: int = 4
     stiffness: float = 30_000.0
@@ -76,22 +68,3 @@ class WarpSettings:
         if name != "default":
             raise ValueError(f"unknown physics {name!r}; backend 'warp' has one preset, 'default'")
         return cls()
-
-    def make(
-        self,
-        *,
-        worlds: Sequence[World],
-        robot: Robot,
-        lidar_beams: int,
-        connection: Connection | None = None,
-        device: torch.device | None = None,
-    ) -> WarpSimulator:
-        """Builds the simulator on ``device``; there is nothing to connect to.
-
-        Raises:
-            ImportError: if Warp is not installed.
-            ValueError: for a robot that the backend cannot drive.
-        """
-        from rover_rl.sims.warp.simulator import WarpSimulator
-
-        return WarpSimulator(worlds, robot, lidar_beams, self, device)

@@ -14,21 +14,21 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.base import Dynamics, RoverState, View
-from rover_rl.sims.drive import SimulatedDrive
+from rover_rl.sims.differential_drive import SimulatedDrive
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import matrix_to_quaternion
-from rover_rl.sims.warp.figures import read_figures
-from rover_rl.sims.warp.kernels.dynamics import drive, place
+from rover_rl.sims.warp.inertial_model import read_inertial_model
+from rover_rl.sims.warp.kernels.dynamics import place, step_dynamics
 from rover_rl.sims.warp.kernels.lidar import scan
 from rover_rl.sims.warp.kernels.types import Solver
 from rover_rl.sims.warp.library import wp
-from rover_rl.sims.warp.rows import Rows
 from rover_rl.sims.warp.scene import make_rover, make_scene
 from rover_rl.sims.warp.settings import WarpSettings
+from rover_rl.sims.warp.state_buffers import StateBuffers
 from rover_rl.sims.worlds import World, rest_on_ground
 
 if TYPE_CHECKING:
-    from rover_rl.sims.bullet.render import Renderer
+    from rover_rl.sims.rendering.renderer import Renderer
 
 ROWS_A_THREAD = 16
 """Rovers that another thread of the CPU is worth."""
@@ -63,20 +63,21 @@ class WarpSimulator:
         if self.device.type == "cuda" and self.device.index is None:
             self.device = torch.device("cuda", torch.cuda.current_device())
         self.settings = settings or WarpSettings()
+        self.control_dt = self.settings.control_dt
         angles = np.arange(lidar_beams) * (2 * math.pi / lidar_beams)
         self.ray_angles = torch.tensor(angles, dtype=torch.float32, device=self.device)
         self._robot = robot
-        self._drive = SimulatedDrive(robot, self.settings.control_dt, count, self.device)
+        self._drive = SimulatedDrive(robot, self.control_dt, count, self.device)
         self._renderers: dict[World, Renderer] = {}
 
-        figures = read_figures(robot)
-        self._rows = Rows(figures, robot, count, lidar_beams, self.device)
-        self._rover = make_rover(robot, figures, self._wp_device)
+        model = read_inertial_model(robot)
+        self._buffers = StateBuffers(model, robot, count, lidar_beams, self.device)
+        self._rover = make_rover(robot, model, self._wp_device)
         self._worlds = [
             (world, slice((rows := list(block))[0], rows[-1] + 1))
             for world, block in groupby(range(count), key=worlds.__getitem__)
         ]
-        self._poses = wp.from_torch(self._rows.poses)
+        self._poses = wp.from_torch(self._buffers.poses)
         directions = np.stack((np.cos(angles), np.sin(angles)), -1)
         self._shards = self._record(wp.array(directions, dtype=wp.vec2, device=self._wp_device))
         self._pool = ThreadPoolExecutor(len(self._shards) - 1) if len(self._shards) > 1 else None
@@ -98,7 +99,7 @@ class WarpSimulator:
         # Launches on a GPU return at once.
         most = 1 if self.device.type == "cuda" else max(1, self.num_envs // ROWS_A_THREAD)
         shards = [_Shard() for _ in range(min(threads, most))]
-        solver, rovers = _solver(self.settings), self._rows.rovers
+        solver, rovers = _solver(self.settings), self._buffers.rovers
         for world, rows in self._worlds:
             scene = make_scene(world, self._rover.reach, self._wp_device)
             ends = np.linspace(rows.start, rows.stop, len(shards) + 1).astype(int).tolist()
@@ -106,7 +107,7 @@ class WarpSimulator:
                 launch = {"dim": last - first, "record_cmd": True, **self._where}
                 if last > first:
                     inputs = [scene, self._rover, solver, rovers, first]
-                    shard.drives.append(wp.launch(drive, inputs=inputs, **launch))
+                    shard.drives.append(wp.launch(step_dynamics, inputs=inputs, **launch))
                     shard.scans.append(wp.launch(scan, inputs=[scene, self._rover, rovers, beams, first], **launch))
         return shards
 
@@ -114,8 +115,8 @@ class WarpSimulator:
         """Puts the rovers of ``mask`` on the ground at ``poses``: see :meth:`Simulator.reset`."""
         for world, rows in self._worlds:
             self._stand(world, rows, mask[rows], poses[rows])
-        self._rows.active.copy_(mask)
-        inputs = [self._rover, self._rows.rovers, self._poses]
+        self._buffers.active.copy_(mask)
+        inputs = [self._rover, self._buffers.rovers, self._poses]
         wp.launch(place, dim=self.num_envs, inputs=inputs, stream=self._stream, **self._where)
         self.launch(physics=False)
         self._drive.reset(mask)
@@ -123,29 +124,29 @@ class WarpSimulator:
 
     def _stand(self, world: World, rows: slice, mask: Tensor, poses: Tensor) -> None:
         """Works out how the rovers of ``mask`` stand on the ground of their world."""
-        target = self._rows.poses[rows]
+        target = self._buffers.poses[rows]
         # On the CPU the few rows of a reset are looked for; on a GPU that would wait for the device.
         chosen = mask.nonzero().squeeze(-1) if self.device.type == "cpu" else slice(None)
         position, rotation = rest_on_ground(world, self._robot, poses[chosen])
         target[chosen] = torch.cat((position, matrix_to_quaternion(rotation)), -1).to(target.dtype)
 
-    def vary(self, mask: Tensor, dynamics: Dynamics) -> None:
-        """Gives the rovers of ``mask`` these dynamics: see :meth:`Simulator.vary`."""
-        self._rows.vary(mask, dynamics)
+    def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
+        """Gives the rovers of ``mask`` these dynamics: see :meth:`Simulator.set_dynamics`."""
+        self._buffers.set_dynamics(mask, dynamics)
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         """Drives one control step of ``substeps`` physics steps: see :meth:`Simulator.step`."""
-        self._rows.speeds.copy_(self._drive.advance(commands, active))
+        self._buffers.speeds.copy_(self._drive.advance(commands, active))
         if active is None:
-            self._rows.active.fill_(True)
+            self._buffers.active.fill_(True)
         else:
-            self._rows.active.copy_(active)
+            self._buffers.active.copy_(active)
         self.launch()
         return self.state()
 
     def state(self) -> RoverState:
         """The present state, in tensors of its own."""
-        return self._drive.state(self._rows.body.clone(), self._rows.ranges.clone())
+        return self._drive.state(self._buffers.body.clone(), self._buffers.ranges.clone())
 
     def scan_from(self, position: Tensor, orientation: Tensor) -> Tensor:
         """What the lidars would see from other poses of their base frames; moves nothing.
@@ -157,23 +158,23 @@ class WarpSimulator:
         Returns:
             Ranges ``[N, beams]``, m.
         """
-        body, ranges = self._rows.body.clone(), self._rows.ranges.clone()
-        self._rows.body[:, :7] = torch.cat((position, orientation), -1)
-        self._rows.active.fill_(True)
+        body, ranges = self._buffers.body.clone(), self._buffers.ranges.clone()
+        self._buffers.body[:, :7] = torch.cat((position, orientation), -1)
+        self._buffers.active.fill_(True)
         self.launch(physics=False)
-        seen = self._rows.ranges.clone()
-        self._rows.body.copy_(body)
-        self._rows.ranges.copy_(ranges)
+        seen = self._buffers.ranges.clone()
+        self._buffers.body.copy_(body)
+        self._buffers.ranges.copy_(ranges)
         return seen
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """A picture by Bullet's software renderer: see :meth:`Simulator.render`."""
-        from rover_rl.sims.bullet.render import Renderer
+        from rover_rl.sims.rendering.renderer import Renderer
 
         world = next(world for world, rows in self._worlds if rows.start <= row < rows.stop)
         if world not in self._renderers:
             self._renderers[world] = Renderer(world, self._robot)
-        pose = self._rows.body[row].double().cpu().numpy()
+        pose = self._buffers.body[row].double().cpu().numpy()
         return self._renderers[world].picture(
             pose[:3], pose[3:7], view, width, height, None if goal is None else goal.tolist()
         )

@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from rover_rl.sims import make_simulator
-from rover_rl.sims.bullet.library import pybullet
 from rover_rl.sims.bullet.physics import ROVERS_PER_CLIENT
+from rover_rl.sims.native.bullet import pybullet
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, World, get_world
 from tests.extras import needs_warp

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rover_rl.sims.bullet.library import disconnect, pybullet
+from rover_rl.sims.native.bullet import disconnect, pybullet
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.description import Description
 

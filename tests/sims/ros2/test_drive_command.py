@@ -17,8 +17,8 @@ from torch import Tensor
 
 pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
 
-from rover_rl.algos.drive_log import read_drives
-from rover_rl.algos.episodes import stored_episodes
+from rover_rl.algos.deploy.drive_log import read_drives
+from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.cli import main
 from rover_rl.sims.ros2.dds import DdsTransport
 from rover_rl.sims.ros2.messages import Odometry, Point, PoseArray, Twist
@@ -128,7 +128,7 @@ def test_a_signal_that_a_library_swallows_stops_the_rover_at_the_next_step(
         return torch.tensor([[1.0, 0.0]])
 
     monkeypatch.setattr(
-        "rover_rl.algos.baselines.ScriptedPolicy",
+        "rover_rl.algos.policy.baselines.ScriptedPolicy",
         lambda: TensorDictModule(steer, in_keys=["lidar", "target"], out_keys=["action"]),
     )
     for key, value in environment.items():

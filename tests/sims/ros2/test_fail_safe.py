@@ -14,9 +14,9 @@ import torch
 from tensordict import TensorDictBase
 
 from rover_rl import RoverEnv, Terrain, World, box
-from rover_rl.algos.drive_log import DriveLog
-from rover_rl.algos.driving import Moment, drive_to
-from rover_rl.algos.metrics import RESTARTED, TIME_LIMIT, count_reversals
+from rover_rl.algos.deploy.drive_log import DriveLog
+from rover_rl.algos.deploy.driving import Moment, drive_to
+from rover_rl.algos.evaluation.metrics import RESTARTED, TIME_LIMIT, count_reversals
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.sims import make_simulator
 from rover_rl.sims.robots import get_robot

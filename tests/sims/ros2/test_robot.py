@@ -20,8 +20,8 @@ pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
 
 import rover_rl
 from rover_rl import RoverEnv
-from rover_rl.algos.episodes import stored_episodes
-from rover_rl.algos.evaluate import evaluate
+from rover_rl.algos.evaluation.episodes import stored_episodes
+from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.sims.ros2 import RobotLostError, Ros2Settings
 from rover_rl.sims.ros2.dds import DdsTransport

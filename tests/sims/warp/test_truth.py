@@ -18,10 +18,10 @@ pytest.importorskip("warp", reason="needs rover_rl[warp]")
 import itertools
 
 from rover_rl.sims.warp import WarpSettings
-from rover_rl.sims.warp.figures import read_figures
+from rover_rl.sims.warp.inertial_model import read_inertial_model
 
 ROVER = get_robot("rover_zero")
-FIGURES = read_figures(ROVER)
+FIGURES = read_inertial_model(ROVER)
 MASS, CENTER = (
     values[0].numpy() for values in FIGURES.total(torch.tensor([FIGURES.chassis_mass], dtype=torch.float64))[:2]
 )

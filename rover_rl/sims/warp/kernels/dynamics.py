@@ -141,7 +141,7 @@ def hold_contacts(
 
 
 @wp.kernel
-def drive(scene: Scene, rover: Rover, solver: Solver, rovers: Rovers, first: int):
+def step_dynamics(scene: Scene, rover: Rover, solver: Solver, rovers: Rovers, first: int):
     """One control step of the rovers from ``first`` on; those that are not active stay as they are."""
     row = first + wp.tid()
     if not rovers.active[row]:

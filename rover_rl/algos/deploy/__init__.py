@@ -1,0 +1,1 @@
+"""Deployment: exported policies and live rovers."""

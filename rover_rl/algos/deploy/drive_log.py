@@ -1,0 +1,205 @@
+"""What happened on drives with a live rover: a line of JSON a step, which a crash cannot take back."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TextIO
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from rover_rl.algos.config import SECONDS_PER_STEP
+from rover_rl.algos.evaluation.episodes import EpisodeSet
+from rover_rl.algos.evaluation.evaluate import Evaluation
+from rover_rl.algos.evaluation.metrics import Trajectory, count_reversals
+from rover_rl.envs import TaskConfig
+from rover_rl.sims import RoverState
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.rotations import quaternion_to_euler
+from rover_rl.sims.worlds import get_world
+from rover_rl.sims.worlds.shortest_paths import shortest_paths
+
+FORMAT = "rover_rl drive, version 1"
+
+
+class DriveLog:
+    """A file of drives, which :func:`read_drives` and ``rover-rl evaluate`` read; a context manager.
+
+    Args:
+        path: of the file; drives are added to one that is there.
+        world: name of the world.
+        policy: name of the policy.
+        seconds: time for each drive.
+    """
+
+    def __init__(self, path: Path, world: str, policy: str, seconds: float) -> None:
+        self._turns: list[float] = []
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file: TextIO = path.open("a", buffering=1)
+        if path.stat().st_size:
+            self._file.write("\n")  # the last line may have been cut off
+        self._write({"format": FORMAT, "world": world, "policy": policy, "seconds": seconds, "time": time.time()})
+
+    def __enter__(self) -> DriveLog:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def begin(self, rover: RoverState, goal: tuple[float, float]) -> None:
+        """Writes where a drive begins."""
+        self._turns = []
+        self._write({"goal": goal, **_pose(rover)})
+
+    def add(
+        self,
+        rover: RoverState,
+        outcome: TensorDictBase,
+        command: tuple[float, float],
+        latency: float,
+        held: bool = False,
+    ) -> None:
+        """Writes a step.
+
+        Args:
+            rover: its state after the step.
+            outcome: what happened in the step.
+            command: forward speed (m/s) and yaw rate (rad/s) that were sent.
+            latency: time from the scan's arrival to the command, s.
+            held: whether the forward speed was cancelled, as it led towards what no lidar beam covers.
+        """
+        self._turns.append(command[1])
+        events = {"collision": bool(outcome["collision"]), "reached": bool(outcome["goal_reached"]), "held": held}
+        figures = {"dt": round(rover.dt.item(), 5), "command": command, "latency": round(latency, 5)}
+        self._write({**_pose(rover), **events, **figures})
+
+    def end(self, ending: str) -> None:
+        """Writes how the drive ended, and how often its commands changed the turning direction."""
+        self._write({"ending": ending, "reversals": count_reversals(self._turns)})
+
+    def _write(self, entry: dict[str, Any]) -> None:
+        self._file.write(json.dumps(entry) + "\n")
+
+
+def _pose(rover: RoverState) -> dict[str, list[float]]:
+    return {"position": _rounded(rover.position[0]), "angles": _rounded(quaternion_to_euler(rover.orientation)[0])}
+
+
+def _rounded(values: Tensor) -> list[float]:
+    return [round(value, 5) for value in values.tolist()]
+
+
+def read_drives(path: Path) -> list[Evaluation]:
+    """The drives of a log, to be measured as any evaluation: one for each policy, world and time limit.
+
+    The shortest way is that of the world's map; where start or goal are not free on it, the straight line.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if the file is no log of drives, or no drive in it has ended.
+    """
+    entries = _entries(path)
+    if not entries or entries[0].get("format") != FORMAT:
+        raise ValueError(f"{path} is no log of drives")
+    groups: dict[tuple[str, str, float], list[_Drive]] = {}
+    for drive in _drives(entries):
+        groups.setdefault((drive.world, drive.policy, drive.seconds), []).append(drive)
+    if not groups:
+        raise ValueError(f"no drive in {path} has come to its end")
+    return [
+        Evaluation(policy, _episodes(world, drives), 1, seconds, [drive.trajectory() for drive in drives])
+        for (world, policy, seconds), drives in groups.items()
+    ]
+
+
+def _entries(path: Path) -> list[dict[str, Any]]:
+    """The lines that can be read; one may have been cut off."""
+    entries = []
+    for line in path.read_text(errors="replace").splitlines():
+        try:
+            entry = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(entry, dict):
+            entries.append(entry)
+    return entries
+
+
+@dataclass
+class _Drive:
+    """One drive of a log; a pose more than steps."""
+
+    world: str
+    policy: str
+    seconds: float
+    goal: list[float]
+    position: list[list[float]]
+    angles: list[list[float]]
+    time: list[float] = field(default_factory=lambda: [0.0])
+    collision: list[bool] = field(default_factory=list)
+    reached: list[bool] = field(default_factory=list)
+    turns: list[float] = field(default_factory=list)
+    ending: str = ""
+
+    def trajectory(self) -> Trajectory:
+        """As if it had been recorded at 20 Hz, whatever came late or was missed."""
+        times = torch.tensor(self.time)
+        steps = max(1, round(self.time[-1] / SECONDS_PER_STEP))
+        grid = SECONDS_PER_STEP * torch.arange(steps + 1)
+        nearest = (times[None] - grid[:, None]).abs().argmin(-1)
+        step_of = (times[1:] / SECONDS_PER_STEP).round().long().clamp(1, steps) - 1
+        return Trajectory(
+            position=torch.tensor(self.position)[nearest],
+            angles=torch.tensor(self.angles)[nearest],
+            collision=_any_in(step_of, self.collision, steps),
+            goal=_any_in(step_of, self.reached, steps),
+            ending=self.ending,
+            reversals=count_reversals(self.turns),
+        )
+
+
+def _any_in(step_of: Tensor, events: list[bool], steps: int) -> Tensor:
+    """In which of ``steps`` steps an event was: bool ``[steps]``."""
+    happened = torch.zeros(steps, dtype=torch.bool)
+    happened[step_of[torch.tensor(events, dtype=torch.bool)]] = True
+    return happened
+
+
+def _drives(entries: list[dict[str, Any]]) -> Iterator[_Drive]:
+    """The drives that came to an end."""
+    header: tuple[str, str, float] = ("", "", 0.0)
+    drive: _Drive | None = None
+    for entry in entries:
+        if entry.get("format") == FORMAT:
+            header, drive = (entry["world"], entry["policy"], entry["seconds"]), None
+        elif "goal" in entry:
+            drive = _Drive(*header, entry["goal"], [entry["position"]], [entry["angles"]])
+        elif drive is not None and "ending" in entry:
+            drive.ending = entry["ending"]
+            yield drive
+            drive = None
+        elif drive is not None:
+            drive.position.append(entry["position"])
+            drive.angles.append(entry["angles"])
+            drive.time.append(drive.time[-1] + entry["dt"])
+            drive.collision.append(entry["collision"])
+            drive.reached.append(entry["reached"])
+            drive.turns.append(entry["command"][1] if "command" in entry else 0.0)
+
+
+def _episodes(world_name: str, drives: list[_Drive]) -> EpisodeSet:
+    """Where the drives began and were to end."""
+    world = get_world(world_name)
+    start = torch.tensor([[*drive.position[0][:2], drive.angles[0][2]] for drive in drives])
+    goal = torch.tensor([drive.goal for drive in drives])
+    straight = ((goal - start[:, :2]).norm(dim=-1) - TaskConfig().success_distance).clamp(min=0.0)
+    shortest = shortest_paths(world, get_robot("rover_zero"), start, goal)
+    return EpisodeSet(world_name, world, 0, start, goal, torch.where(shortest.isfinite(), shortest, straight))

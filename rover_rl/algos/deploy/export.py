@@ -1,0 +1,274 @@
+"""Trained policies for machines without TorchRL: as ONNX, or as a program of ``torch.export``.
+
+The exported policy takes raw observations, each ``[1, n]`` float32 by its name, scales them itself, and gives the
+action ``[1, 2]`` that the policy takes without exploration: forward speed (m/s) and heading offset (rad).
+
+Both kinds of file hold checksums, and are compared with them when they are loaded here: an ONNX file has the SHA-256 of
+its bytes as the property ``rover_rl_sha256``, worked out with 64 zeros in its place; a program has one for each record.
+
+Example:
+    >>> export(load_pretrained("maze-ppo"), Path("maze.onnx"))
+    >>> OnnxPolicy(Path("maze.onnx"))(env.reset())["action"]
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import re
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor, nn
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from rover_rl.algos.config import config_from, plain
+from rover_rl.algos.policy.checkpoint import Checkpoint, checked_copy
+from rover_rl.algos.policy.networks import action_spec, middle_and_half
+from rover_rl.envs.specs import observation_bounds
+from rover_rl.files import written_whole
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
+
+Format: TypeAlias = Literal["onnx", "torch"]
+
+SUFFIXES: dict[str, str] = {"onnx": ".onnx", "torch": ".pt2"}
+"""How files of each format are called."""
+CHECKED = 1000
+"""Observations on which an exported policy is held against the original."""
+_PROPERTY = "rover_rl"
+"""Name of the settings in an ONNX file."""
+_CHECKSUM = "rover_rl_sha256"
+_ZEROS = "0" * 64
+_CHECKSUM_BYTES = re.compile(_CHECKSUM.encode() + rb"\x12\x40([0-9a-f]{64})")
+"""How an ONNX file holds the checksum: the property's name, what follows and how long it is, the value."""
+TOLERANCE = 1e-4
+"""Largest difference of an action, m/s or rad."""
+
+
+class PlainPolicy(nn.Module):
+    """A checkpoint's policy as a function of tensors alone: observations in, action out."""
+
+    _middle: Tensor
+    _half: Tensor
+
+    def __init__(self, checkpoint: Checkpoint) -> None:
+        super().__init__()
+        actor = checkpoint.make_actor()
+        self.keys = checkpoint.config.observation
+        self._network = actor[0].module
+        middle, half = middle_and_half(action_spec(checkpoint.config.reverse))
+        self.register_buffer("_middle", middle)
+        self.register_buffer("_half", half)
+
+    def forward(self, *observation: Tensor) -> Tensor:
+        """The action ``[N, 2]`` for observations ``[N, n]``, in the order of ``keys``."""
+        loc, _ = self._network(*observation)
+        return self._middle + self._half * torch.tanh(loc)
+
+
+def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
+    """Writes a policy, and holds it against the original on 1,000 observations.
+
+    Returns:
+        The largest difference of an action.
+
+    Raises:
+        ImportError: if what the format needs is not installed.
+        RuntimeError: if the exported policy acts otherwise; nothing is written then.
+    """
+    policy = PlainPolicy(checkpoint).eval()
+    observations = random_observations(checkpoint, CHECKED)
+    with written_whole(path) as temporary:
+        if form == "onnx":
+            _write_onnx(policy, checkpoint, temporary)
+            exported = onnx_function(temporary)
+        else:
+            _write_program(policy, checkpoint, temporary)
+            exported = program_function(temporary)
+        difference = _difference(checkpoint, exported, observations)
+        if not difference <= TOLERANCE:
+            raise RuntimeError(f"the exported policy acts otherwise: by {difference:.2g} at most")
+    return difference
+
+
+def random_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]:
+    """Observations ``[count, n]`` of each entry that the policy reads, from all over its bounds, drawn by seed 0."""
+    generator = torch.Generator().manual_seed(0)
+    bounds = observation_bounds(checkpoint.lidar_points, 12.0)
+    drawn = {}
+    for key in checkpoint.config.observation:
+        low, high = (torch.as_tensor(side).float() for side in (bounds[key].low, bounds[key].high))
+        width = checkpoint.lidar_points if key == "lidar" else len(low)
+        drawn[key] = low + (high - low) * torch.rand(count, width, generator=generator)
+    return drawn
+
+
+def _difference(
+    checkpoint: Checkpoint, exported: Callable[[dict[str, Any]], Tensor], observations: dict[str, Tensor]
+) -> float:
+    """The largest difference between what the checkpoint's policy does and what the exported one does."""
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        expected = checkpoint.make_actor()(TensorDict(observations, batch_size=[CHECKED]))["action"]
+    actions = torch.cat([exported({k: v[row : row + 1] for k, v in observations.items()}) for row in range(CHECKED)])
+    return (actions - expected).abs().max().item()
+
+
+def _example(policy: PlainPolicy, checkpoint: Checkpoint) -> tuple[Tensor, ...]:
+    observation = random_observations(checkpoint, 1)
+    return tuple(observation[key] for key in policy.keys)
+
+
+def _write_onnx(policy: PlainPolicy, checkpoint: Checkpoint, path: Path) -> None:
+    try:
+        import onnxscript  # noqa: F401  (torch.onnx needs it)
+    except ImportError as error:
+        raise ImportError('export to ONNX needs the packages of the extra: pip install "rover_rl[onnx]"') from error
+    # It tells of every operator of packages that are not installed.
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    with warnings.catch_warnings():
+        # Of torch's own use of torch.
+        warnings.simplefilter("ignore", FutureWarning)
+        program = torch.onnx.export(
+            policy,
+            _example(policy, checkpoint),
+            input_names=list(policy.keys),
+            output_names=["action"],
+            dynamo=True,
+            verbose=False,
+        )
+    assert program is not None
+    program.model.metadata_props.update({_PROPERTY: json.dumps(plain(checkpoint.config)), _CHECKSUM: _ZEROS})
+    program.save(str(path), external_data=False)
+    content = path.read_bytes()
+    place = _CHECKSUM_BYTES.search(content)
+    assert place is not None
+    path.write_bytes(_with_checksum(content, place, sha256(content).hexdigest()))
+
+
+def _with_checksum(content: bytes, place: re.Match[bytes], checksum: str) -> bytes:
+    return content[: place.start(1)] + checksum.encode() + content[place.end(1) :]
+
+
+def _write_program(policy: PlainPolicy, checkpoint: Checkpoint, path: Path) -> None:
+    program = torch.export.export(policy, _example(policy, checkpoint))
+    # In memory first: on a full disk torch's own writer aborts the process.
+    written = io.BytesIO()
+    torch.export.save(program, written, extra_files={"rover_rl.json": json.dumps(plain(checkpoint.config))})
+    path.write_bytes(written.getbuffer())
+
+
+def onnx_function(path: Path) -> Callable[[dict[str, Any]], Tensor]:
+    """An ONNX file as a function from observations by name to an action ``[1, 2]``, on one thread.
+
+    Raises:
+        ImportError: if ``onnxruntime`` is not installed.
+        ValueError: if the file is no such policy, or damaged; by the function for NaN or infinity in an observation.
+    """
+    return _function(_session(path))
+
+
+def _session(path: Path) -> InferenceSession:
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise ImportError('ONNX policies need the package onnxruntime: pip install "rover_rl[onnx]"') from error
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    content = path.read_bytes()
+    place = _CHECKSUM_BYTES.search(content)
+    # Without one it is a file from before there were checksums.
+    if place and sha256(_with_checksum(content, place, _ZEROS)).hexdigest().encode() != place[1]:
+        raise ValueError(f"{path} is damaged: it differs from its checksum")
+    try:
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:
+        raise ValueError(f"{path} is no ONNX policy: {' '.join(str(error).split())}") from error
+
+
+def _function(session: InferenceSession) -> Callable[[dict[str, Any]], Tensor]:
+    keys = [entry.name for entry in session.get_inputs()]
+
+    def act(observation: dict[str, Any]) -> Tensor:
+        (action,) = session.run(["action"], dict(zip(keys, _finite(observation, keys), strict=True)))
+        return torch.from_numpy(action)
+
+    return act
+
+
+def _finite(observation: Mapping[str, Any], keys: Sequence[str]) -> list[NDArray[np.float32]]:
+    """Entries of an observation.
+
+    Raises:
+        ValueError: naming the first that holds NaN or infinity, on which a network would act anyhow.
+    """
+    entries = [np.asarray(observation[key], np.float32) for key in keys]
+    for key, entry in zip(keys, entries, strict=True):
+        if not np.isfinite(entry).all():
+            raise ValueError(f"observation {key!r} holds NaN or infinity: the policy does not act on it")
+    return entries
+
+
+def program_function(path: Path) -> Callable[[dict[str, Any]], Tensor]:
+    """A program of ``torch.export`` as a function from observations by name to an action ``[1, 2]``.
+
+    Raises:
+        ValueError: if the file is no such program, or damaged; by the function for NaN or infinity in an observation.
+    """
+    content, extra = path.read_bytes(), {"rover_rl.json": ""}
+    try:
+        program = torch.export.load(checked_copy(content), extra_files=extra)
+        keys, module = json.loads(extra["rover_rl.json"])["observation"], program.module()
+    except Exception as error:  # a damaged file can fail in any way
+        raise ValueError(f"{path} is damaged, or was not written by rover-rl export") from error
+
+    def act(observation: dict[str, Any]) -> Tensor:
+        with torch.no_grad():
+            return module(*map(torch.from_numpy, _finite(observation, keys)))
+
+    return act
+
+
+class OnnxPolicy:
+    """An ONNX file as a policy that :func:`~rover_rl.algos.evaluation.evaluate.evaluate` takes.
+
+    Args:
+        path: of a file that :func:`export` wrote.
+
+    Attributes:
+        config: that the policy was trained with.
+        lidar_points: readings that it sees.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ImportError: if ``onnxruntime`` is not installed.
+        ValueError: if the file is something else, or damaged; when called, for NaN or infinity in an observation.
+    """
+
+    def __init__(self, path: Path) -> None:
+        if not path.is_file():
+            raise FileNotFoundError(f"no ONNX policy at {path}")
+        session = _session(path)
+        try:
+            settings = json.loads(session.get_modelmeta().custom_metadata_map.get(_PROPERTY, "null"))
+        except ValueError as error:  # of the text's encoding, or of JSON
+            raise ValueError(f"{path} is damaged: its settings cannot be read") from error
+        if settings is None:
+            raise ValueError(f"{path} was not written by rover-rl export")
+        self.config = config_from(settings, str(path))
+        self.lidar_points = next((entry.shape[1] for entry in session.get_inputs() if entry.name == "lidar"), 32)
+        self._act = _function(session)
+
+    def __call__(self, now: TensorDictBase) -> TensorDictBase:
+        """Sets ``"action"``, float32 ``[N, 2]``, row by row: the file is for one rover."""
+        rows = [{key: now[key][row : row + 1] for key in self.config.observation} for row in range(len(now))]
+        return now.set("action", torch.cat([self._act(row) for row in rows]))

@@ -1,0 +1,1 @@
+"""Evaluation: episodes, metrics, tables and plots."""

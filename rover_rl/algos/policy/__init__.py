@@ -1,0 +1,1 @@
+"""Policies: networks, baselines, the privileged expert and checkpoints."""

@@ -1,0 +1,1 @@
+"""Training: PPO, SAC, and what they share."""

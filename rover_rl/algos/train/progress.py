@@ -1,0 +1,266 @@
+"""How training goes: what is counted in each batch, the table on disk, TensorBoard, and the progress bar."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from importlib.util import find_spec
+from pathlib import Path
+from statistics import harmonic_mean
+from types import TracebackType
+from typing import Any
+
+import torch
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from tensordict import TensorDictBase
+
+from rover_rl.envs.transforms.step_clock import NAMES
+from rover_rl.files import STANDARD_OUTPUT, errors_name, written_whole
+
+EPISODE_STEPS = 2000
+"""Steps of a full episode, as the contract has it."""
+_RECENT_STEPS = 80_000
+"""Steps that the progress bar looks back over."""
+
+
+class BatchStatistics:
+    """Counts what happened in batches of decisions that follow one another.
+
+    The success rate of training is the share of the episodes that ended in which at least one goal was reached, as
+    ``episodes_reached / episodes``. It is measured with exploration, and with the time limit of training.
+
+    Args:
+        repeat: steps a decision. A decision in which the episode ends counts in full, so that the counters of a run
+            do not depend on what happens in it.
+        steps: taken before.
+
+    Attributes:
+        steps: taken so far, all rovers together.
+    """
+
+    def __init__(self, repeat: int, steps: int = 0) -> None:
+        self.steps = steps
+        self._repeat = repeat
+
+    def __call__(self, batch: TensorDictBase) -> dict[str, float]:
+        """Statistics of the next batch ``[N, T]``, rewards unscaled; nan where there is nothing to count."""
+        after = batch["next"]
+        outcome, ended = after["outcome"], after["done"]
+        taken = batch.numel() * self._repeat
+        self.steps += taken
+        return {
+            "steps": self.steps,
+            "goals_per_2000_steps": int(outcome["goals"].sum()) * EPISODE_STEPS / taken,
+            "episodes": int(ended.sum()),
+            "episodes_reached": int((after["episode_goal_reward"][ended] > 0).sum()),
+            "episode_steps": outcome["steps"][ended].float().mean().item(),
+            "episode_return": after["episode_reward"][ended].mean().item(),
+        }
+
+
+class Stopwatch:
+    """Where the wall clock of a training goes.
+
+    Times of the process that trains are taken with ``with stopwatch("learning"):``. The processes that collect tell in
+    each batch how long they worked for it, and on what (:class:`~rover_rl.envs.transforms.step_clock.StepClock`):
+    that is what the time that the batch was waited for went into. What they do in the meantime costs no time.
+    """
+
+    def __init__(self) -> None:
+        self._started = time.perf_counter()
+        self._seconds = dict.fromkeys(("simulator", "task and rewards", "policy and collector", "gradient steps"), 0.0)
+        self._clocks: dict[float, list[float]] = {}
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the stopwatch was made."""
+        return time.perf_counter() - self._started
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        """Adds the time of the block to ``name``."""
+        started = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._seconds[name] = self._seconds.get(name, 0.0) + time.perf_counter() - started
+
+    def collected(self, batch: TensorDictBase, rows: int, waited: float) -> None:
+        """Divides the time that a batch was waited for (s) by what its processes, of ``rows`` rows each, worked on."""
+        clock = batch["next", "clock"]
+        worked = []
+        for worker, *now in torch.cat([clock[name] for name in NAMES], -1)[::rows, -1].tolist():
+            worked.append([new - old for new, old in zip(now, self._clocks.get(worker, (0.0, 0.0)), strict=True)])
+            self._clocks[worker] = now
+        simulator, environment = (sum(seconds) / len(worked) for seconds in zip(*worked, strict=True))
+        waited_share = min(1.0, waited / environment)
+        self._seconds["simulator"] += waited_share * simulator
+        self._seconds["task and rewards"] += waited_share * (environment - simulator)
+        self._seconds["policy and collector"] += waited - waited_share * environment
+
+    def shares(self) -> dict[str, float]:
+        """Share of the time since the stopwatch was made, by what it was spent on; ``other`` is the rest."""
+        elapsed = self.elapsed
+        shares = {name: seconds / elapsed for name, seconds in self._seconds.items()}
+        return shares | {"other": 1 - sum(shares.values())}
+
+
+class ProgressLog:
+    """Appends a row a batch to ``progress.csv`` and to TensorBoard, and shows the latest of them in a progress bar.
+
+    Rows of a run that is gone on with stay up to the state from which it goes on; those after it are taken again.
+    Without a terminal, a line is printed at each tenth of the way. TensorBoard's events are written where the package
+    ``tensorboard`` is installed.
+
+    Args:
+        folder: of the run.
+        updates: rows to keep of a table that is there already.
+        steps: taken by then.
+        console: to print to.
+    """
+
+    def __init__(self, folder: Path, updates: int = 0, steps: int = 0, console: Console | None = None) -> None:
+        self._path = folder / "progress.csv"
+        self._recent: list[dict[str, float]] = []
+        self._told = 0
+        self._steps, self._clock = steps, time.perf_counter()
+        _keep_rows(self._path, updates)
+        self._events = _Events(folder / "tensorboard", steps if updates else None) if _HAS_TENSORBOARD else None
+        self._bar = Progress(
+            TextColumn("training"),
+            BarColumn(20),
+            TaskProgressColumn(),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(elapsed_when_finished=False),
+            TextColumn("{task.fields[status]}"),
+            console=console,
+            disable=not (console or Console()).is_terminal,
+        )
+        self._task = self._bar.add_task("", total=1.0, status="starting")
+
+    def __enter__(self) -> ProgressLog:
+        self._clock = time.perf_counter()
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.stop()
+        if self._events is not None:
+            # What ended the training matters more than what then could not be written.
+            with suppress(OSError) if error else nullcontext():
+                self._events.close()
+
+    def add(self, row: dict[str, float]) -> None:
+        """Writes a row, of which ``steps`` is one entry."""
+        now = time.perf_counter()
+        row = {**row, "steps_per_second": (row["steps"] - self._steps) / (now - self._clock)}
+        self._steps, self._clock = int(row["steps"]), now
+        self._recent = [*(r for r in self._recent if r["steps"] > row["steps"] - _RECENT_STEPS), row]
+        self._append(row)
+        if self._events is not None:
+            self._events.add(row, self._steps)
+
+    def show(self, share: float) -> None:
+        """Shows the latest rows, one at least; ``share`` of the training is done."""
+        # Each row has as many steps: their mean speed is the harmonic one, and batches may come two at a time.
+        speed = harmonic_mean(row["steps_per_second"] for row in self._recent)
+        status = (
+            f"{speed:,.0f} steps/s, "
+            f"{self._mean('goals_per_2000_steps'):.1f} goals per 2,000 steps, "
+            f"success {self._success_rate():.0%}, return {self._mean('episode_return'):.0f}"
+        )
+        self._bar.update(self._task, completed=share, status=status)
+        if self._bar.disable and int(share * 10) > self._told:
+            self._told = int(share * 10)
+            self.say(f"{share:4.0%} of training: {status}")
+
+    def say(self, text: str) -> None:
+        """Prints a line above the progress bar."""
+        with errors_name(STANDARD_OUTPUT):
+            self._bar.console.print(text, soft_wrap=True, highlight=False)
+
+    def _append(self, row: dict[str, float]) -> None:
+        new = not self._path.exists()
+        with errors_name(self._path), self._path.open("a", newline="") as file:
+            writer = csv.DictWriter(file, list(row))
+            if new:
+                writer.writeheader()
+            writer.writerow({key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()})
+
+    def _success_rate(self) -> float:
+        episodes = sum(row["episodes"] for row in self._recent)
+        return sum(row["episodes_reached"] for row in self._recent) / episodes if episodes else math.nan
+
+    def _mean(self, key: str) -> float:
+        values = [row[key] for row in self._recent if not math.isnan(row[key])]
+        return sum(values) / len(values) if values else math.nan
+
+
+_HAS_TENSORBOARD = find_spec("tensorboard") is not None
+
+
+class _Events:
+    """TensorBoard's events in ``folder``; those after ``purge_step`` are hidden.
+
+    They are written at once: an error of torch's SummaryWriter, which has a thread for that, would come too late.
+    """
+
+    def __init__(self, folder: Path, purge_step: int | None) -> None:
+        from tensorboard.compat.proto.event_pb2 import Event, SessionLog
+        from tensorboard.compat.proto.summary_pb2 import Summary
+        from tensorboard.summary.writer.record_writer import RecordWriter
+
+        self._event, self._summary = Event, Summary
+        self._path = folder / f"events.out.tfevents.{time.time():.6f}.{socket.gethostname()}.{os.getpid()}"
+        folder.mkdir(parents=True, exist_ok=True)
+        self._records = RecordWriter(self._path.open("ab"))
+        self._write(file_version="brain.Event:2")
+        if purge_step is not None:
+            self._write(step=purge_step, session_log=SessionLog(status=SessionLog.START))
+
+    def add(self, row: dict[str, float], steps: int) -> None:
+        """Adds every entry of a row."""
+        values = [self._summary.Value(tag=name, simple_value=value) for name, value in row.items()]
+        self._write(step=steps, summary=self._summary(value=values))
+
+    def _write(self, **entries: Any) -> None:
+        with errors_name(self._path):
+            self._records.write(self._event(wall_time=time.time(), **entries).SerializeToString())
+            self._records.flush()
+
+    def close(self) -> None:
+        with errors_name(self._path):
+            self._records.close()
+
+
+def _keep_rows(path: Path, updates: int) -> None:
+    """Leaves the first ``updates`` rows of the table, none half written."""
+    if not path.exists():
+        return
+    if not updates:
+        path.unlink()
+        return
+    with path.open(newline="") as file:
+        kept = file.readlines()[: updates + 1]
+    with written_whole(path) as temporary:
+        temporary.write_text("".join(kept), newline="")
+
+
+def read_progress(path: Path) -> dict[str, list[float]]:
+    """The columns of a table that :class:`ProgressLog` wrote; an interrupted last row is left out.
+
+    Raises:
+        FileNotFoundError: if there is none.
+    """
+    with path.open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if None not in row.values()]
+    return {key: [float(row[key]) for row in rows] for key in (rows[0] if rows else ())}

@@ -1,0 +1,315 @@
+"""What every training has around its algorithm: a folder, a log, checkpoints, and an end.
+
+A :class:`TrainingRun` hands out batches until the budget is used or somebody stops it, and saves what was learned.
+The algorithms are in :mod:`rover_rl.algos.train.ppo` and :mod:`rover_rl.algos.train.sac`.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any, Protocol, TypeVar
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.modules import ProbabilisticActor
+
+from rover_rl.algos.config import TrainingConfig, default_workers, write_config
+from rover_rl.algos.policy.checkpoint import (
+    CHECKPOINT,
+    SETTINGS,
+    STATE,
+    Checkpoint,
+    first_not_finite,
+    load_state,
+    new_run_folder,
+    save_run,
+)
+from rover_rl.algos.train.collectors import WorkerError, collecting
+from rover_rl.algos.train.env import LIDAR_POINTS
+from rover_rl.algos.train.progress import BatchStatistics, ProgressLog, Stopwatch
+from rover_rl.algos.train.ray_cluster import connect
+from rover_rl.envs.devices import available_device
+from rover_rl.sims.worlds import get_world
+
+_Config = TypeVar("_Config", bound=TrainingConfig)
+
+
+class Learner(Protocol):
+    """What an algorithm brings to a :class:`TrainingRun`."""
+
+    actor: ProbabilisticActor
+
+    def weights(self) -> dict[str, Tensor]:
+        """All that is learned, by name."""
+        ...
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that learning goes on from: plain data and tensors."""
+        ...
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Goes on from there."""
+        ...
+
+
+@dataclass(frozen=True)
+class TrainingSummary:
+    """What a training run came to.
+
+    Attributes:
+        folder: of the run.
+        steps: trained for, 20 Hz steps of one rover.
+        minutes: it took, all sessions together.
+        interrupted: whether it was stopped before its end.
+        shares: of this session's wall clock, by what it was spent on: see :class:`Stopwatch`.
+    """
+
+    folder: Path
+    steps: int
+    minutes: float
+    interrupted: bool
+    shares: dict[str, float]
+
+    @property
+    def checkpoint(self) -> Path:
+        """The trained policy."""
+        return self.folder / CHECKPOINT
+
+
+class TrainingRun:
+    """One training, from its start or from where it was left, to its end; a context manager.
+
+    The folder gets ``config.yaml``, ``progress.csv`` (a row a batch), ``checkpoint.pt`` (the policy),
+    ``training_state.pt`` (all that is needed to go on), ``snapshots/`` (policies from along the way) and, where
+    TensorBoard is installed, ``tensorboard/``. Files are replaced as a whole, every ``checkpoint_minutes`` and in
+    the end. Ctrl-C and SIGTERM end the run after the batch in hand; a second one ends it at once. A run whose weights
+    are no longer finite numbers, or whose files cannot be written, ends with the checkpoint that it had.
+
+    Args:
+        config: of the training.
+        learner: what learns.
+        folder: of a run to go on with; ``None`` begins a new one.
+
+    Raises:
+        ValueError: for an unknown world, a setting out of range, or a training state that does not fit.
+        FileExistsError: if there is a run of that name.
+        FloatingPointError: when training has diverged, by the context or by :meth:`record`.
+        OSError: if a file cannot be written.
+
+    Example:
+        >>> learner = PPOLearner(config)
+        >>> with TrainingRun(config, learner) as run:
+        ...     for batch in run.batches(config.decisions):
+        ...         run.record(learner.update(batch, run.share, run.stopwatch))
+        >>> run.summary.checkpoint
+        PosixPath('runs/ppo-maze/checkpoint.pt')
+    """
+
+    def __init__(self, config: TrainingConfig, learner: Learner, folder: Path | None = None) -> None:
+        self.config = config
+        self.learner = learner
+        self.steps = self.updates = self._session = 0
+        self._minutes_before = self._saved_at = 0.0
+        self._saved_steps: int | None = None
+        self._stopping = False
+        if folder is None:
+            default = "-".join((config.algo, *config.worlds)).replace(":", "-")
+            self.folder = new_run_folder(config.runs, config.name, default)
+        else:
+            self.folder = folder
+            self._go_on()
+        self._from_start = folder is not None and self._saved_steps is None
+        write_config(self.folder / SETTINGS, config)
+        self._updates_before = self.updates
+        self.stopwatch = Stopwatch()
+        self._last_snapshot = int(self.share * config.snapshots)
+        self._statistics = BatchStatistics(config.repeat, self.steps)
+        self._log = ProgressLog(self.folder, self.updates, self.steps)
+
+    def _go_on(self) -> None:
+        """Goes on from where the run in the folder was left; one that was killed early begins anew."""
+        if (self.folder / STATE).is_file():
+            self._restore(load_state(self.folder / STATE))
+        elif (self.folder / CHECKPOINT).is_file():
+            raise ValueError(
+                f"{self.folder} has a checkpoint, but no {STATE} to go on from; "
+                f"begin a new run with --config {self.folder / SETTINGS}"
+            )
+
+    def _restore(self, state: dict[str, Any]) -> None:
+        """Goes on from ``state``: what was learned, the counters, and torch's random numbers."""
+        try:
+            self.steps, self.updates, self._minutes_before = state["steps"], state["updates"], state["minutes"]
+            self._session = state["session"] + 1
+            self.learner.load_state_dict(state["learner"])
+            torch.set_rng_state(state["random"])
+            if self.config.on_gpu:
+                torch.cuda.set_rng_state(state["random_on_gpu"], self.config.device)
+        except (RuntimeError, ValueError, KeyError, TypeError) as error:
+            raise ValueError("the run's training state does not fit its settings") from error
+        if (infected := first_not_finite(self.learner.weights())) is not None:
+            raise ValueError(f"{self.folder / STATE} holds NaN or infinity in the weights {infected}: it cannot go on")
+        self._saved_steps = self.steps
+
+    @property
+    def minutes(self) -> float:
+        """Since training began, all sessions together."""
+        return self._minutes_before + self.stopwatch.elapsed / 60
+
+    @property
+    def share(self) -> float:
+        """Share of the budget that is used: of the steps or of the time, whichever is more; at most 1."""
+        limit = self.config.max_minutes
+        return min(1.0, max(self.steps / self.config.total_steps, self.minutes / limit if limit else 0.0))
+
+    @property
+    def summary(self) -> TrainingSummary:
+        """What the run has come to so far."""
+        return TrainingSummary(self.folder, self.steps, self.minutes, self._stopping, self.stopwatch.shares())
+
+    def __enter__(self) -> TrainingRun:
+        # Only the main thread may handle signals; a training in another one is stopped by whoever runs it.
+        self._handlers = {}
+        if threading.current_thread() is threading.main_thread():
+            self._handlers = {number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)}
+        self._log.__enter__()
+        if self._from_start:
+            self._log.say(f"{self.folder} has no checkpoint yet: its training begins from the start")
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if isinstance(error, Exception):
+                self._require_finite()
+            # A worker fails while its batch is waited for: what was learned before is whole.
+            failed = isinstance(error, WorkerError)
+            if (error is None or failed) and self.updates > self._updates_before:
+                self._save()
+            if failed:
+                self._log.say(f"A worker failed; to go on: rover-rl train --resume {self.folder}")
+        finally:
+            self._log.__exit__(kind, error, trace)
+            for number, handler in self._handlers.items():
+                signal.signal(number, handler)
+
+    def _stop(self, number: int, frame: FrameType | None) -> None:
+        if self._stopping:
+            raise KeyboardInterrupt
+        self._stopping = True
+        self._log.say(f"{signal.Signals(number).name}: stopping after this batch; once more stops at once")
+
+    def batches(self, decisions: int) -> Iterator[TensorDictBase]:
+        """Batches until the run is over, at least one in a new run.
+
+        Learn from each, then :meth:`record` it. See :func:`~rover_rl.algos.train.collectors.collecting`.
+        """
+        if self.updates and self.share >= 1:
+            return
+        with collecting(self.config, self.learner.actor, decisions, self._session) as batches:
+            while not self.updates or (self.share < 1 and not self._stopping):
+                asked = self.stopwatch.elapsed
+                batch = next(batches)
+                self.stopwatch.collected(batch, self.config.rovers_each, self.stopwatch.elapsed - asked)
+                self._counted = self._statistics(batch)
+                yield batch
+
+    def record(self, learned: dict[str, float]) -> None:
+        """Writes down what happened in the batch in hand and what was ``learned`` from it; saves when it is time."""
+        self.steps, self.updates = self._statistics.steps, self.updates + 1
+        self._log.add({"updates": self.updates, "minutes": self.minutes, **self._counted, **learned})
+        self._require_finite()
+        due = int(self.share * self.config.snapshots)
+        if due > self._last_snapshot:
+            self._last_snapshot = due
+            self._checkpoint().save(self.folder / "snapshots" / f"{self.steps:09d}.pt")
+        if self.minutes - self._saved_at >= self.config.checkpoint_minutes:
+            self._save()
+        try:
+            self._log.show(self.share)
+        except (OSError, SystemExit):
+            # Nobody takes any more what is printed, as after "| head"; what was learned is kept.
+            self._save()
+            raise
+
+    def _checkpoint(self) -> Checkpoint:
+        state = self.learner.actor.state_dict()
+        weights = {name: value.detach().to("cpu", copy=True) for name, value in state.items()}
+        return Checkpoint(config=self.config, lidar_points=LIDAR_POINTS, steps=self.steps, actor=weights)
+
+    def _save(self) -> None:
+        self._saved_at = self.minutes
+        state = {
+            "steps": self.steps,
+            "updates": self.updates,
+            "minutes": self.minutes,
+            "session": self._session,
+            "learner": self.learner.state_dict(),
+            "random": torch.get_rng_state(),
+        }
+        if self.config.on_gpu:
+            state["random_on_gpu"] = torch.cuda.get_rng_state(self.config.device)
+        save_run(self.folder, self._checkpoint(), state)
+        self._saved_steps = self.steps
+
+    def _require_finite(self) -> None:
+        """Ends a training that has diverged, so that its last good checkpoint stays.
+
+        Raises:
+            FloatingPointError: if a weight is NaN or infinite.
+        """
+        infected = first_not_finite(self.learner.weights())
+        if infected is None:
+            return
+        lower = f"--learning-rate {self.config.learning_rate / 3:.1g}"
+        if self._saved_steps is None:
+            advice = f"there is no checkpoint yet; begin a new run with a lower learning rate, such as {lower}"
+        else:
+            advice = (
+                f"the last good checkpoint is {self.folder / CHECKPOINT}, of {self._saved_steps:,} steps; "
+                f"go on from it with a lower learning rate: rover-rl train --resume {self.folder} {lower}"
+            )
+        raise FloatingPointError(
+            f"training diverged after {self._statistics.steps:,} steps, with NaN or infinity in {infected}; {advice}"
+        )
+
+
+def prepare(config: _Config) -> _Config:
+    """Refuses settings that cannot work, and seeds torch: what comes before a learner is made.
+
+    Returns:
+        The settings, with the number of workers if they left it open.
+
+    Raises:
+        ValueError: for an unknown world, a device that is not there, or a setting out of range.
+        ImportError: if the backend's extra is missing.
+        ConnectionError: if there is no Ray cluster where there should be one.
+    """
+    config.check()
+    for world in config.worlds:
+        get_world(world)
+    available_device(config.device)
+    cores = None
+    if config.backend == "ray":
+        # Before a TrainingRun takes over SIGTERM, which Ray does, too.
+        cores = connect()
+        if (config.workers or 1) > cores:
+            raise ValueError(f"workers={config.workers} need a processor each, and the Ray cluster has {cores}")
+    torch.manual_seed(config.seed)
+    processes = config.processes if cores is None else config.workers or default_workers(config.num_envs, cores)
+    return replace(config, workers=processes)
+
+
+def set_learning_rate(optimizer: torch.optim.Optimizer, config: TrainingConfig, share: float) -> float:
+    """Gives the optimizer the learning rate that belongs to the ``share`` of the training done; returns it."""
+    learning_rate = config.learning_rate * (1 - share if config.anneal else 1.0)
+    for group in optimizer.param_groups:
+        group["lr"] = learning_rate
+    return learning_rate

@@ -1,0 +1,251 @@
+"""What a film shows: one rover from behind with its lidar, or the whole batch from above."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.patheffects import withStroke
+from torch import Tensor
+
+from rover_rl.algos.evaluation.plots import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, draw_pale_map
+from rover_rl.envs import RoverEnv
+from rover_rl.sims.base import RoverState
+from rover_rl.sims.rendering.camera import Camera
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.rotations import quaternion_to_euler
+from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds.world import Area
+
+_INCHES = 3.75
+"""Height of every picture, so that text and lines grow with the pixels."""
+_BEAM = "#ffd400"
+_NEWS_SECONDS = 1.5
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What is known of ``N`` rovers at one moment of a film.
+
+    Attributes:
+        seconds: since the film began.
+        rover: their state, ``[N]``.
+        goal: of each, ``[N, 2]``, m.
+        goals: reached by each so far, int64 ``[N]``.
+        episodes: begun by each so far, int64 ``[N]``.
+        endings: how the episodes of all of them ended so far: ``"jammed"``, ``"flipped"``, ...
+        news: what happened to the first rover last, and when, s.
+    """
+
+    seconds: float
+    rover: RoverState
+    goal: Tensor
+    goals: Tensor
+    episodes: Tensor
+    endings: Sequence[str]
+    news: tuple[str, float]
+
+
+class _Stage:
+    """A figure without margins on which some artists are drawn anew for each picture, and a caption below them.
+
+    Args:
+        width, height: of the pictures, pixels.
+        columns: where the parts of the caption begin, shares of the width.
+    """
+
+    def __init__(self, width: int, height: int, columns: Sequence[float]) -> None:
+        dpi = height / _INCHES
+        # Matplotlib rounds pixels down.
+        figure = Figure(figsize=((width + 0.01) / dpi, (height + 0.01) / dpi), dpi=dpi, facecolor="#d1cdc4")
+        self._canvas = FigureCanvasAgg(figure)
+        self.ax: Axes = figure.add_axes((0, 0, 1, 1))
+        self.ax.set_axis_off()
+        self.artists: list[Artist] = []
+        """Drawn anew for each picture, in this order."""
+        text: dict[str, Any] = {"transform": self.ax.transAxes, "va": "center", "fontsize": 9.5}
+        self._caption = [self.ax.text(column, 0.035, "", color="white", **text) for column in columns]
+        halo = withStroke(linewidth=3, foreground="white")
+        self._news = self.ax.text(0.5, 0.93, "", ha="center", weight="bold", path_effects=[halo], **text)
+        self._band = Rectangle((0, 0), 1, 0.07, transform=self.ax.transAxes, color="black", alpha=0.6, linewidth=0)
+        self.ax.add_patch(self._band)
+        self._background = None
+
+    def picture(self, caption: Sequence[str], news: str = "") -> np.ndarray:
+        """The artists as they are now, uint8 ``[height, width, 3]``, and ``news`` on top."""
+        above = [*self.artists, self._band, *self._caption, self._news]
+        if self._background is None:
+            for artist in above:
+                artist.set_animated(True)
+            self._canvas.draw()
+            self._background = self._canvas.copy_from_bbox(self.ax.bbox)
+        for text, part in zip(self._caption, caption, strict=True):
+            text.set_text(part)
+        self._news.set_text(news)
+        self._canvas.restore_region(self._background)
+        for artist in above:
+            self.ax.draw_artist(artist)
+        return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
+
+
+class ChaseView:
+    """The first rover from behind, as the simulator renders it, and the beams of its lidar that meet something.
+
+    Args:
+        env: to render.
+        width, height: of the pictures, pixels.
+    """
+
+    def __init__(self, env: RoverEnv, width: int, height: int) -> None:
+        self._env, self._size = env, (width, height)
+        self._stage = _Stage(width, height, (0.03, 0.22, 0.48, 0.8))
+        ax = self._stage.ax
+        ax.set(xlim=(0, width), ylim=(height, 0))
+        self._image = ax.imshow(np.zeros((height, width, 3), np.uint8), extent=(0, width, height, 0), aspect="auto")
+        self._beams = LineCollection([], colors=_BEAM, linewidths=0.7)
+        ax.add_collection(self._beams)
+        self._hits = ax.scatter([], [], s=5, color=_BEAM, edgecolor="black", linewidth=0.3)
+        self._stage.artists += [self._image, self._beams, self._hits]
+
+    def picture(self, moment: Moment) -> np.ndarray:
+        """uint8 ``[height, width, 3]``."""
+        rover = moment.rover[0]
+        scene = self._env.render(0, "chase", *self._size)
+        scene[(scene == 255).all(-1)] = _SKY
+        self._image.set_data(scene.numpy())
+        self._draw_beams(rover)
+        away = moment.goal[0] - rover.position[:2]
+        bearing = math.atan2(away[1], away[0]) - quaternion_to_euler(rover.orientation)[2].item()
+        arrow = _ARROWS[round(bearing / (math.pi / 4)) % 8]
+        caption = (
+            f"{moment.seconds:.1f} s",
+            f"{round(rover.linear_velocity.item(), 2) + 0:.2f} m/s".replace("-", "−"),
+            f"goal {arrow} {away.norm():.1f} m",
+            f"goals: {moment.goals[0]}",
+        )
+        news, since = moment.news
+        return self._stage.picture(caption, news if moment.seconds < since + _NEWS_SECONDS else "")
+
+    def _draw_beams(self, rover: RoverState) -> None:
+        """The beams of the lidar; faint is what obstacles hide of them."""
+        camera = Camera.on(rover.position, rover.orientation, self._env.worlds[0], "chase")
+        start, hits = lidar_hits(rover, self._env.robot, self._env.simulator.ray_angles)
+        pixels, seen = camera.see(_points(start, hits), *self._size)
+        self._beams.set_segments(list(torch.stack((pixels[:, :-1], pixels[:, 1:]), 2).flatten(0, 1).numpy()))
+        shown = (seen[:, :-1] & seen[:, 1:]).flatten().numpy()
+        self._beams.set_color(list(np.where(shown[:, None], to_rgba(_BEAM, 0.5), to_rgba(_BEAM, 0.1))))
+        self._hits.set_offsets(pixels[:, -1][seen[:, -1]].numpy())
+
+
+_SKY = torch.tensor((214, 227, 240), dtype=torch.uint8)
+_ARROWS = "↑↖←↙↓↘→↗"
+"""Ahead, then counter-clockwise."""
+
+
+def lidar_hits(rover: RoverState, robot: Robot, angles: Tensor) -> tuple[Tensor, Tensor]:
+    """Where the beams of one rover's lidar begin ``[3]``, and where they meet something ``[hits, 3]``, m."""
+    hit = torch.isfinite(rover.ranges)
+    rays = torch.stack((angles.cos(), angles.sin(), torch.zeros_like(angles)), -1)[hit] * rover.ranges[hit, None]
+    mount = torch.tensor(robot.lidar_position)
+    points = rover.position + _rotated(rover.orientation, torch.cat((mount[None], mount + rays)))
+    return points[0], points[1:]
+
+
+def _points(start: Tensor, hits: Tensor, count: int = 13) -> Tensor:
+    """Points along beams from ``start [3]`` to ``hits [n, 3]``, not so near to the lidar that they cover the rover.
+
+    ``[n, count, 3]``, m.
+    """
+    beams = hits - start
+    first = (0.35 / beams.norm(dim=-1, keepdim=True)).clamp(max=1)
+    shares = first + (1 - first) * torch.linspace(0, 1, count)
+    return start + shares[..., None] * beams[:, None]
+
+
+def _rotated(quaternion: Tensor, vectors: Tensor) -> Tensor:
+    """``vectors [n, 3]`` turned by a unit quaternion ``[4]``."""
+    axis, w = quaternion[:3].expand_as(vectors), quaternion[3]
+    twice = 2 * torch.linalg.cross(axis, vectors)
+    return vectors + w * twice + torch.linalg.cross(axis, twice)
+
+
+class TopView:
+    """All rovers from above with the ways they came and their goals, and the lidar of the first of them.
+
+    Args:
+        env: where they drive; all in one world.
+        width, height: of the pictures, pixels.
+    """
+
+    def __init__(self, env: RoverEnv, width: int, height: int) -> None:
+        self._env = env
+        self._stage = _Stage(width, height, (0.03, 0.18, 0.4))
+        ax = self._stage.ax
+        draw_pale_map(ax, env.worlds[0], _area(env.worlds[0], width / height))
+        self._colors = np.array([to_rgba(_COLORS[row % len(_COLORS)]) for row in range(env.num_envs)])
+        self._beams = LineCollection([], colors=_COLORS[0], linewidths=0.5, alpha=0.4)
+        self._hits = ax.scatter([], [], s=3, color=_COLORS[0])
+        self._trails = LineCollection([], linewidths=1.8)
+        places = np.zeros(env.num_envs)
+        self._goals = ax.scatter(places, places, s=70, marker="*", color=self._colors, edgecolor="black", linewidth=0.6)
+        self._rovers = PolyCollection([], facecolors=self._colors, edgecolors="black", linewidths=0.8)
+        for collection in (self._beams, self._trails, self._rovers):
+            ax.add_collection(collection)
+        self._stage.artists += [self._beams, self._hits, self._trails, self._goals, self._rovers]
+        self._past: list[Moment] = []
+
+    def picture(self, moment: Moment) -> np.ndarray:
+        """uint8 ``[height, width, 3]``."""
+        rover, env = moment.rover, self._env
+        self._past = [*(past for past in self._past if past.seconds > moment.seconds - _TRAIL_SECONDS), moment]
+        self._draw_trails()
+        start, hits = lidar_hits(rover[0], env.robot, env.simulator.ray_angles)
+        self._beams.set_segments(torch.stack((start.expand_as(hits), hits), 1)[..., :2].tolist())
+        self._hits.set_offsets(hits[:, :2].numpy())
+        self._goals.set_offsets(moment.goal.numpy())
+        yaw = quaternion_to_euler(rover.orientation)[:, 2]
+        turn = torch.stack((yaw.cos(), yaw.sin(), -yaw.sin(), yaw.cos()), -1).unflatten(-1, (2, 2))
+        self._rovers.set_verts((rover.position[:, None, :2] + torch.tensor(_ARROWHEAD) @ turn).tolist())
+        ended = ", ".join(f"{count} {kind}" for kind, count in Counter(moment.endings).items())
+        caption = (f"{moment.seconds:.1f} s", f"goals: {moment.goals.sum()}", f"ended early: {ended or 'none'}")
+        return self._stage.picture(caption)
+
+    def _draw_trails(self) -> None:
+        """The last seconds of each rover's way, fading; a new episode begins a new one."""
+        points = torch.stack([past.rover.position[:, :2] for past in self._past])
+        episodes = torch.stack([past.episodes for past in self._past])
+        pieces = torch.stack((points[:-1], points[1:]), 2)
+        colors = np.tile(self._colors, (len(pieces), 1, 1))
+        colors[..., 3] = np.linspace(0, 0.9, len(pieces))[:, None]
+        same = episodes[:-1] == episodes[1:]
+        self._trails.set_segments(list(pieces[same].numpy()))
+        self._trails.set_color(colors[same.numpy()])
+
+
+_COLORS = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
+_ARROWHEAD = ((0.4, 0.0), (-0.28, 0.25), (-0.14, 0.0), (-0.28, -0.25))
+"""Outline of a rover as it is drawn, a little larger than life, m."""
+_TRAIL_SECONDS = 6.0
+_MARGIN = 2.5
+"""Metres shown around the starts and goals."""
+
+
+def _area(world: World, aspect: float) -> Area:
+    """The part of the world with starts and goals, widened to an aspect ratio of ``aspect``."""
+    x, y = zip(world.spawn_range, world.goal_range, strict=True)
+    ends = [(min(low for low, _ in axis) - _MARGIN, max(high for _, high in axis) + _MARGIN) for axis in (x, y)]
+    (x_centre, width), (y_centre, height) = (((low + high) / 2, high - low) for low, high in ends)
+    width, height = max(width, aspect * height), max(height, width / aspect)
+    return (x_centre - width / 2, x_centre + width / 2), (y_centre - height / 2, y_centre + height / 2)

@@ -1,0 +1,1 @@
+"""TorchRL transforms for training: action repeat, a path reward, timing."""

@@ -1,0 +1,65 @@
+"""PathReward: a shaping reward for progress along the shortest free path, for training."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import TensorSpec, Unbounded
+from torchrl.envs.transforms import Transform
+
+from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.rows import in_rows
+from rover_rl.sims.worlds.path_distance import PathDistances
+
+CAUTION = 4.0
+"""The path keeps clear of obstacles: a meter right beside one counts as five."""
+
+
+class PathReward(Transform):
+    """Adds ``weight`` times the meters gained on the shortest free path to the goal to ``reward``.
+
+    The contract rewards progress in a straight line, which is zero in front of a wall: a rover that learns from it
+    alone waits there. This reward is a difference of potentials, so the optimal policy does not change (Ng, Harada,
+    Russell: Policy invariance under reward transformations, ICML 1999; here without the discount). It reads the
+    world's map, which the policy does not need.
+
+    Append it after :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat`. Decisions in which a goal is reached
+    get nothing. The transform adds ``path_length``, the remaining path, float32 ``[N, 1]``, m; a meter right beside an
+    obstacle counts as five.
+
+    Args:
+        env: the environment whose worlds and robot the paths are computed for.
+        weight: reward per meter.
+    """
+
+    def __init__(self, env: RoverEnv, weight: float) -> None:
+        super().__init__()
+        self._distances = PathDistances(env.worlds, env.robot, env.device, CAUTION)
+        self._weight = weight
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        now = self._path_length(next_tensordict)
+        gained = (tensordict["path_length"] - now).masked_fill(next_tensordict["outcome", "goals"] > 0, 0.0)
+        next_tensordict.set("reward", next_tensordict["reward"] + self._weight * gained)
+        return next_tensordict.set("path_length", now)
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return tensordict_reset.set("path_length", self._path_length(tensordict_reset))
+
+    def _path_length(self, observation: TensorDictBase) -> Tensor:
+        rows = in_rows(observation)
+        return self._distances(rows["pose"][..., :2], goal_of(rows)).reshape(*observation.batch_size, 1)
+
+    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
+        """Adds ``path_length``."""
+        shape = (*observation_spec.shape, 1)
+        observation_spec["path_length"] = Unbounded(shape=shape, device=observation_spec.device)
+        return observation_spec
+
+
+def goal_of(observation: TensorDictBase) -> Tensor:
+    """The goal's position in the world, ``[..., 2]``, m, from ``pose``, ``imu`` and ``target``."""
+    distance, bearing = observation["target"].split(1, -1)
+    direction = bearing + observation["imu"][..., 2:]
+    return observation["pose"][..., :2] + distance * torch.cat((direction.cos(), direction.sin()), -1)

@@ -1,0 +1,1 @@
+"""The environment through the interfaces of Gymnasium and Stable-Baselines3."""

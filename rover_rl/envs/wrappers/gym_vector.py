@@ -1,0 +1,208 @@
+"""The batch as a Gymnasium vector environment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+from torchrl.envs import EnvBase
+
+from rover_rl.checks import check_seed
+from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.wrappers.numpy_batch import (
+    FRAMES_PER_SECOND,
+    Mask,
+    NumpyBatch,
+    Observation,
+    Reward,
+    Step,
+    TimeLimit,
+    row_of,
+)
+from rover_rl.sims.base import View
+
+VectorStep = tuple[Observation, NDArray[np.float64], Mask, Mask, dict[str, Any]]
+
+
+class GymVectorWrapper(VectorEnv[Any, Any, Any]):
+    """A :class:`rover_rl.RoverEnv` of any number of rovers as a ``gymnasium.vector.VectorEnv``.
+
+    Row ``i`` behaves, to the last bit, as the :class:`~rover_rl.envs.wrappers.gym.GymWrapper` of a single rover seeded
+    ``seed + i``. ``infos`` are arrays ``[N]`` under the keys of its ``info``, each with its mask under
+    ``"_" + key``. They leave out ``reward``, which is what ``step()`` returns: TorchRL's ``GymWrapper`` would take
+    an info of that name for the reward itself.
+
+    Args:
+        env: a ``RoverEnv``, or a ``TransformedEnv`` made from one (as by :func:`rover_rl.make_env`).
+        reward, time_limit, render_mode, camera: see :class:`~rover_rl.envs.wrappers.gym.GymWrapper`.
+        autoreset_mode: when a row that ended begins anew, as Gymnasium defines it: in the next step, whose
+            action it ignores (``NEXT_STEP``); in the same step, with ``final_obs`` and ``final_info`` in
+            ``infos`` (``SAME_STEP``); or by ``reset(options={"reset_mask": ...})`` (``DISABLED``).
+
+    Example:
+        >>> import rover_rl
+        >>> envs = GymVectorWrapper(rover_rl.RoverEnv(world_n="maze", num_envs=4))
+        >>> observations, infos = envs.reset(seed=0)
+        >>> observations["lidar"].shape
+        (4, 32)
+    """
+
+    def __init__(
+        self,
+        env: EnvBase,
+        *,
+        reward: Reward | None = None,
+        time_limit: TimeLimit = "terminated",
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        camera: View = "chase",
+    ) -> None:
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self._batch = NumpyBatch(env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera)
+        self.num_envs = self._batch.num_envs
+        self.single_observation_space = self._batch.observation_space
+        self.single_action_space = self._batch.action_space
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.render_mode = render_mode
+        self.metadata = {
+            "render_modes": ["rgb_array"],
+            "render_fps": FRAMES_PER_SECOND,
+            "autoreset_mode": self.autoreset_mode,
+        }
+        self._ended = np.zeros(self.num_envs, np.bool_)
+
+    @property
+    def base_env(self) -> RoverEnv:
+        """The ``RoverEnv`` under the transforms."""
+        return self._batch.base_env
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begins the next episode in every row, or in those of a mask.
+
+        Args:
+            seed: of row 0, the others counting on; or their list; ``None`` goes on to the next episodes.
+            options: may hold ``"start"`` (``[N, 3]``: x, y in m, yaw in rad), ``"goal"`` (``[N, 2]``, m) and
+                ``"reset_mask"`` (bool ``[N]``: the rows to reset).
+
+        Raises:
+            ValueError: for seeds out of range or that do not count on, a seed for some rows only, another option or a
+                wrong shape.
+        """
+        options = dict(options or {})
+        rows = self._reset_mask(options.pop("reset_mask", None))
+        first = _first_seed(seed, self.num_envs)
+        super().reset(seed=first)
+        observation = self._batch.reset(rows, seed=first, options=options)
+        self._ended = self._ended & ~rows
+        return observation, {}
+
+    def step(self, actions: ArrayLike) -> VectorStep:
+        """One step of 0.05 s in every row.
+
+        Args:
+            actions: ``[N, 2]``: forward speed (m/s) and heading offset (rad); clipped to the action space.
+
+        Returns:
+            Observations, rewards, terminations, truncations and infos.
+
+        Raises:
+            ValueError: for another shape, or numbers that are not finite.
+            RuntimeError: with ``DISABLED`` if a row that ended was not reset.
+        """
+        if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._ended.any():
+            return self._step_others(actions)
+        if self._ended.any():
+            raise RuntimeError(
+                f"rows {np.flatnonzero(self._ended).tolist()} have ended; "
+                "reset them with reset(options={'reset_mask': ...}) before the next step"
+            )
+        step = self._batch.step(actions)
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and step.ended.any():
+            return self._begin_anew(step)
+        self._ended = step.ended
+        infos = _masked(step.info, np.ones_like(self._ended))
+        return step.observation, step.reward, step.terminated, step.truncated, infos
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """A picture ``[480, 640, 3]`` of every rover; ``None`` without a render mode."""
+        if self.render_mode is None:
+            return None
+        return tuple(self._batch.picture(row) for row in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Releases the simulator."""
+        self._batch.env.close()
+
+    def _step_others(self, actions: ArrayLike) -> VectorStep:
+        """Steps the rows that are running, and resets those that ended in the step before."""
+        running = ~self._ended
+        step = self._batch.step(actions, running)
+        # Afterwards, so that the rows that begin anew have no part in the step.
+        observation = self._batch.reset(self._ended)
+        self._ended = step.ended
+        return observation, step.reward, step.terminated, step.truncated, _masked(step.info, running)
+
+    def _begin_anew(self, step: Step) -> VectorStep:
+        """Resets the rows that ended in ``step`` within the same step."""
+        ended = step.ended
+        final = np.full(self.num_envs, None, dtype=object)
+        for row in np.flatnonzero(ended).tolist():
+            final[row] = row_of(step.observation, row)
+        infos = _masked(step.info, ~ended)
+        infos.update(final_obs=final, _final_obs=ended, final_info=_masked(step.info, ended), _final_info=ended.copy())
+        return self._batch.reset(ended), step.reward, step.terminated, step.truncated, infos
+
+    def _reset_mask(self, mask: Any) -> Mask:
+        if mask is None:
+            return np.ones(self.num_envs, np.bool_)
+        mask = np.asarray(mask)
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+            raise ValueError(
+                f"reset_mask must be {self.num_envs} bools, at least one of them True, "
+                f"got {mask.dtype} of shape {mask.shape}: {mask.tolist()}"
+            )
+        return mask
+
+
+def make_vector_env(num_envs: int = 1, **kwargs: Any) -> GymVectorWrapper:
+    """What ``gymnasium.make_vec("rover_rl/Rover-v0", vectorization_mode="vector_entry_point")`` makes.
+
+    Args:
+        num_envs: rovers.
+        **kwargs: of :class:`rover_rl.RoverEnv` and of :class:`GymVectorWrapper`.
+    """
+    options = ("reward", "time_limit", "autoreset_mode", "render_mode", "camera")
+    wrapper = {key: kwargs.pop(key) for key in options if key in kwargs}
+    return GymVectorWrapper(RoverEnv(num_envs=num_envs, **kwargs), **wrapper)
+
+
+def _first_seed(seed: int | Sequence[int | None] | None, num_envs: int) -> int | None:
+    """The seed of row 0, from which the others count on."""
+    if not isinstance(seed, Iterable):
+        return None if seed is None else check_seed(seed, num_envs)
+    seeds = list(seed)
+    if seeds == [None] * num_envs:
+        return None
+    if len(seeds) == num_envs and None not in seeds:
+        first = check_seed(seeds[0], num_envs)
+        if seeds == list(range(first, first + num_envs)):
+            return first
+    raise ValueError(f"seeds must be {num_envs} numbers that count on (s, s + 1, ...), or all None; got {seeds}")
+
+
+def _masked(info: dict[str, NDArray[Any]], rows: Mask) -> dict[str, Any]:
+    """``info`` of ``rows``, without the reward, as Gymnasium has it: zero elsewhere, and masks; empty without rows."""
+    if not rows.any():
+        return {}
+    infos: dict[str, Any] = {}
+    for key, value in ((key, value) for key, value in info.items() if key != "reward"):
+        infos[key] = np.where(rows, value, value.dtype.type(0))
+        infos[f"_{key}"] = rows.copy()
+    return infos

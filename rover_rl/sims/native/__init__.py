@@ -1,0 +1,1 @@
+"""Native libraries: loaded quietly, and used without their leaks."""

@@ -1,0 +1,144 @@
+"""Meshes and convex hulls as Bullet shapes, without PyBullet's memory leak.
+
+``createCollisionShape`` and ``createVisualShape`` of PyBullet never release the lists that they are given: neither the
+lists of vertices, normals and indices, nor the list ``[x, y, z]`` of each vertex and normal. The numbers themselves are
+released. Every shape therefore passes through the same lists, which are filled in place: a leaked reference to a list
+that exists anyway costs nothing. What remains in memory is the empty lists of the largest shape so far (80 bytes a
+vertex), however many worlds come and go.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from rover_rl.sims.native.bullet import pybullet
+from rover_rl.sims.worlds import Terrain
+from rover_rl.sims.worlds.world import Area
+
+MESH_CELLS = 60_000
+"""Cells in one strip of a terrain's mesh: Bullet takes at most 524,288 indices a mesh."""
+
+
+def terrain_strips(terrain: Terrain, area: Area | None = None) -> list[tuple[slice, slice]]:
+    """Cuts a terrain into strips, as rows and columns, that are small enough for one mesh each and share their borders.
+
+    Args:
+        terrain: the ground.
+        area: what has to be covered, m; all of it by default.
+    """
+    rows, columns = terrain.heights.shape
+    (x_low, x_high), (y_low, y_high) = area or terrain.extent
+    left, right = (int((x - terrain.origin[0]) // terrain.cell) for x in (x_low, x_high))
+    bottom, top = (int((y - terrain.origin[1]) // terrain.cell) for y in (y_low, y_high))
+    across = slice(max(left, 0), min(right + 2, columns))
+    bottom, top = max(bottom, 0), min(top + 1, rows - 1)
+    step = max(1, MESH_CELLS // (across.stop - across.start))
+    return [(slice(row, min(row + step, top) + 1), across) for row in range(bottom, top, step)]
+
+
+def make_hull(client: int, vertices: np.ndarray) -> int:
+    """Creates the convex hull of ``vertices [V, 3]`` (m) as a collision shape; returns its id."""
+    with _LISTS as lists:
+        return pybullet.createCollisionShape(
+            pybullet.GEOM_MESH, vertices=lists.vertices.fill(vertices), physicsClientId=client
+        )
+
+
+def make_mesh(client: int, vertices: np.ndarray, faces: np.ndarray) -> int:
+    """Creates a concave triangle mesh as a collision shape.
+
+    Args:
+        client: the Bullet client.
+        vertices: corners ``[V, 3]``, m.
+        faces: triangles ``[F, 3]`` into ``vertices``.
+
+    Returns:
+        The id of the shape.
+    """
+    with _LISTS as lists:
+        return pybullet.createCollisionShape(
+            pybullet.GEOM_MESH,
+            vertices=lists.vertices.fill(vertices),
+            indices=lists.fill_indices(faces),
+            flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
+            physicsClientId=client,
+        )
+
+
+def make_visual_mesh(
+    client: int, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, color: Sequence[float]
+) -> int:
+    """Creates a triangle mesh as a visual shape.
+
+    Args:
+        client: the Bullet client.
+        vertices: corners ``[V, 3]``, m.
+        faces: triangles ``[F, 3]`` into ``vertices``.
+        normals: unit normal of each vertex, ``[V, 3]``.
+        color: red, green, blue and opacity, 0 to 1.
+
+    Returns:
+        The id of the shape.
+    """
+    with _LISTS as lists:
+        return pybullet.createVisualShape(
+            pybullet.GEOM_MESH,
+            vertices=lists.vertices.fill(vertices),
+            indices=lists.fill_indices(faces),
+            normals=lists.normals.fill(normals),
+            rgbaColor=color,
+            physicsClientId=client,
+        )
+
+
+class _Points:
+    """A reusable list of ``[x, y, z]`` lists."""
+
+    def __init__(self) -> None:
+        self._points: list[list[float]] = []
+        self._rows: list[list[float]] = []
+
+    def fill(self, points: np.ndarray) -> list[list[float]]:
+        """The list with the values of ``points [P, 3]``, until :meth:`clear`."""
+        self._rows.extend([] for _ in range(len(points) - len(self._rows)))
+        self._points[:] = self._rows[: len(points)]
+        for row, values in zip(self._points, points.tolist(), strict=True):
+            row[:] = values
+        return self._points
+
+    def clear(self) -> None:
+        """Releases the numbers and keeps the lists."""
+        for row in self._points:
+            row.clear()
+        self._points.clear()
+
+
+class _ReusedLists:
+    """The lists that PyBullet is given, for one shape at a time: a thread holds them from ``with`` to its end."""
+
+    def __init__(self) -> None:
+        self.vertices, self.normals = _Points(), _Points()
+        self._indices: list[int] = []
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> _ReusedLists:
+        self._lock.acquire()
+        return self
+
+    def __exit__(self, *exception: Any) -> None:
+        self.vertices.clear()
+        self.normals.clear()
+        self._indices.clear()
+        self._lock.release()
+
+    def fill_indices(self, faces: np.ndarray) -> list[int]:
+        """The list of indices with the values of ``faces [F, 3]``, one triangle after the other."""
+        self._indices[:] = faces.ravel().tolist()
+        return self._indices
+
+
+_LISTS = _ReusedLists()

@@ -1,0 +1,1 @@
+"""Pictures of a rover in its world, the same for every simulator."""

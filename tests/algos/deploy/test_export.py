@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+import json
+import random
+import sys
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from rover_rl.algos import export as exporting
+from rover_rl.algos.config import PPOConfig
+from rover_rl.algos.deploy.export import OnnxPolicy, export, onnx_function, program_function, random_observations
+from rover_rl.algos.evaluation.episodes import stored_episodes
+from rover_rl.algos.evaluation.evaluate import evaluate
+from rover_rl.algos.pretrained import load_pretrained
+from rover_rl.cli import main
+
+needs_onnx = pytest.mark.skipif(
+    any(find_spec(name) is None for name in ("onnxscript", "onnxruntime")), reason="needs rover_rl[onnx]"
+)
+POLICY = load_pretrained("moon-ppo")
+
+
+@pytest.fixture(scope="module")
+def onnx_file(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("onnx") / "moon.onnx"
+    assert export(POLICY, path) <= exporting.TOLERANCE
+    return path
+
+
+def expected(observations: dict[str, torch.Tensor]) -> torch.Tensor:
+    return POLICY.make_actor()(TensorDict(observations, batch_size=[len(observations["lidar"])]))["loc"]
+
+
+@needs_onnx
+def test_an_onnx_policy_acts_as_the_original_without_torch(onnx_file):
+    import onnxruntime
+
+    session = onnxruntime.InferenceSession(str(onnx_file))
+    observations = random_observations(POLICY, 50)
+    low, high = np.array([-1.0, -np.pi]), np.array([1.0, np.pi])
+    for row, loc in enumerate(expected(observations).detach().numpy()):
+        (action,) = session.run(None, {key: value[row : row + 1].numpy() for key, value in observations.items()})
+        np.testing.assert_allclose(action[0], (low + high) / 2 + (high - low) / 2 * np.tanh(loc), atol=1e-4)
+    assert [entry.shape for entry in session.get_inputs()] == [[1, 32], [1, 3], [1, 2], [1, 2]]
+
+
+@needs_onnx
+def test_an_onnx_policy_drives_as_the_original(onnx_file):
+    policy = OnnxPolicy(onnx_file)
+    assert (policy.config, policy.lidar_points) == (POLICY.config, 32)
+    episodes = stored_episodes("moon").first(2)
+    ours, theirs = evaluate(POLICY.make_actor(), episodes), evaluate(policy, episodes)
+    assert ours.endings == theirs.endings == ["goal", "goal"]
+
+
+def test_a_program_acts_as_the_original(tmp_path):
+    path = tmp_path / "moon.pt2"
+    assert export(POLICY, path, "torch") <= exporting.TOLERANCE
+    act = program_function(path)
+    observation = random_observations(POLICY, 1)
+    loc = expected(observation)
+    torch.testing.assert_close(act(observation), torch.tensor([[1.0, torch.pi]]) * torch.tanh(loc))
+    observation["target"][0, 0] = torch.nan
+    with pytest.raises(ValueError, match="observation 'target' holds NaN or infinity"):
+        act(observation)
+
+
+def test_a_damaged_program_is_refused(tmp_path):
+    path = tmp_path / "moon.pt2"
+    export(POLICY, path, "torch")
+    data = path.read_bytes()
+    for damaged in (b"", b"no program", data[: len(data) // 2], flipped(data, 8 * 5000)):
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"moon\.pt2 is damaged, or was not written by rover-rl export"):
+            program_function(path)
+
+
+@needs_onnx
+def test_a_policy_that_would_act_otherwise_is_not_written(tmp_path, monkeypatch):
+    monkeypatch.setattr(exporting, "TOLERANCE", -1.0)
+    with pytest.raises(RuntimeError, match="acts otherwise"):
+        export(POLICY, tmp_path / "wrong.onnx")
+    assert not [*tmp_path.iterdir()]
+
+
+@needs_onnx
+@pytest.mark.parametrize("content", [b"", b"no onnx", b"\x08\x08"])
+def test_what_is_no_policy_is_refused(tmp_path, content):
+    path = tmp_path / "foreign.onnx"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"foreign\.onnx"):
+        OnnxPolicy(path)
+    with pytest.raises(FileNotFoundError, match="no ONNX policy at"):
+        OnnxPolicy(tmp_path / "missing.onnx")
+
+
+@needs_onnx
+def test_a_flipped_bit_of_an_onnx_policy_is_refused_or_changes_nothing(onnx_file, tmp_path):
+    data, path, draw = onnx_file.read_bytes(), tmp_path / "flipped.onnx", random.Random(0)
+    observation = random_observations(POLICY, 1)
+    expected = onnx_function(onnx_file)(observation)
+    # Half of them in the settings and the checksum at the end.
+    bits = draw.sample(range(8 * len(data)), 60) + draw.sample(range(8 * (len(data) - 1000), 8 * len(data)), 60)
+    refused = 0
+    for bit in bits:
+        path.write_bytes(flipped(data, bit))
+        try:
+            policy = OnnxPolicy(path)
+        except ValueError as error:
+            assert "flipped.onnx" in str(error)  # noqa: PT017
+            refused += 1
+        else:
+            assert policy.config == POLICY.config
+            assert torch.equal(onnx_function(path)(observation), expected)
+    assert refused > 60
+
+
+def flipped(data: bytes, bit: int) -> bytes:
+    return data[: bit // 8] + bytes([data[bit // 8] ^ 1 << bit % 8]) + data[bit // 8 + 1 :]
+
+
+@needs_onnx
+def test_an_onnx_policy_from_before_there_were_checksums_is_taken(onnx_file, tmp_path):
+    import onnx
+
+    path, model = tmp_path / "old.onnx", onnx.load(str(onnx_file))
+    kept = [entry for entry in model.metadata_props if entry.key != "rover_rl_sha256"]
+    del model.metadata_props[:]
+    model.metadata_props.extend(kept)
+    onnx.save(model, str(path))
+    observation = random_observations(POLICY, 1)
+    assert torch.equal(onnx_function(path)(observation), onnx_function(onnx_file)(observation))
+
+
+@needs_onnx
+@pytest.mark.parametrize("number", [float("nan"), float("inf")])
+def test_an_onnx_policy_does_not_act_on_what_is_not_finite(onnx_file, number):
+    observations = TensorDict(random_observations(POLICY, 3), batch_size=[3])
+    observations["imu"][2, 1] = number
+    with pytest.raises(ValueError, match="observation 'imu' holds NaN or infinity: the policy does not act on it"):
+        OnnxPolicy(onnx_file)(observations)
+    assert "action" not in observations
+
+
+@needs_onnx
+def test_settings_travel_with_the_file(onnx_file):
+    import onnx
+
+    (written,) = [entry.value for entry in onnx.load(str(onnx_file)).metadata_props if entry.key == "rover_rl"]
+    assert json.loads(written)["world"] == "moon"
+
+
+@needs_onnx
+def test_the_command_exports_and_evaluates(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", "pretrained:maze-ppo"]) == 0
+    assert "maze-ppo.onnx: acts as pretrained:maze-ppo does" in capsys.readouterr().out
+    assert main(["evaluate", "maze-ppo.onnx", "--count", "2", "--out", str(tmp_path)]) == 0
+    assert [entry["policy"] for entry in json.loads((tmp_path / "evaluation.json").read_text())] == ["maze-ppo"]
+
+
+def test_missing_packages_are_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxscript", None)
+    with pytest.raises(ImportError, match=r"rover_rl\[onnx\]"):
+        export(replace(POLICY, config=PPOConfig()), tmp_path / "moon.onnx")
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(ImportError, match=r"rover_rl\[onnx\]"):
+        onnx_function(tmp_path / "moon.onnx")

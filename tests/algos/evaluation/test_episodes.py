@@ -1,0 +1,138 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rover_rl import World
+from rover_rl.algos.evaluation.episodes import STORED, EpisodeSet, draw_episodes, stored_episodes, write_episodes
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.worlds import WORLDS, Terrain, box, get_world
+from rover_rl.sims.worlds.shortest_paths import shortest_paths
+
+ROVER = get_robot("rover_zero")
+FIELD = World("field", Terrain.flat((12.0, 12.0)))
+WALL = World("wall", Terrain.flat((12.0, 12.0)), [box((0.0, 0.0, 0.5), (0.2, 6.0, 1.0))])
+
+
+def length(world: World, start: tuple[float, float], goal: tuple[float, float]) -> float:
+    return shortest_paths(world, ROVER, torch.tensor([start]), torch.tensor([goal])).item()
+
+
+def assert_same(a: EpisodeSet, b: EpisodeSet) -> None:
+    assert torch.equal(a.start, b.start)
+    assert torch.equal(a.goal, b.goal)
+    torch.testing.assert_close(a.shortest, b.shortest, rtol=0, atol=1e-4)
+
+
+# --- sets
+
+
+def test_a_seed_always_gives_the_same_episodes() -> None:
+    episodes = draw_episodes(FIELD, 3, seed=1)
+    assert_same(draw_episodes(FIELD, 3, seed=1), episodes)
+    assert_same(draw_episodes(FIELD, 5, seed=1).first(3), episodes)
+    assert not torch.equal(draw_episodes(FIELD, 3, seed=50).goal, episodes.goal)
+
+
+def test_only_short_ways_are_passed_over() -> None:
+    near, far = draw_episodes(FIELD, 40, seed=1, min_path=0), draw_episodes(FIELD, 10, seed=1, min_path=4)
+    kept = near.shortest >= 4
+    assert 10 <= kept.sum() < 40
+    assert torch.equal(near.start[kept][:10], far.start)
+    assert torch.equal(near.goal[kept][:10], far.goal)
+
+
+@pytest.mark.parametrize(("world", "count"), [("maze", STORED), ("inspect", STORED), ("moon", 4)])
+def test_stored_episodes_are_the_first_that_are_drawn(world: str, count: int) -> None:
+    assert_same(draw_episodes(world, count), stored_episodes(world).first(count))
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_stored_episodes(world: str) -> None:
+    episodes = stored_episodes(world)
+    assert len(episodes) == 256
+    assert episodes.world is get_world(world)
+    assert (episodes.start.shape, episodes.goal.shape) == ((256, 3), (256, 2))
+    straight = torch.linalg.vector_norm(episodes.goal - episodes.start[:, :2], dim=1) - 0.5
+    assert (episodes.shortest >= straight - 1e-4).all()
+    assert episodes.shortest.min() >= 2
+    assert episodes.shortest.isfinite().all()
+
+
+def test_what_is_written_is_exact(tmp_path, monkeypatch) -> None:
+    episodes = draw_episodes("maze", 5, seed=3)
+    write_episodes(episodes, tmp_path / "maze.json")
+    monkeypatch.setattr("rover_rl.algos.evaluation.episodes.FOLDER", tmp_path)
+    read = stored_episodes("maze")
+    assert read.seed == 3
+    for key in ("start", "goal", "shortest"):
+        assert torch.equal(getattr(read, key), getattr(episodes, key))
+
+
+def test_bad_requests_raise() -> None:
+    with pytest.raises(ValueError, match="count must be at least 1"):
+        draw_episodes(FIELD, 0)
+    with pytest.raises(ValueError, match="unknown world 'mars'"):
+        draw_episodes("mars")
+    with pytest.raises(ValueError, match="hardly any shortest path of 50 m"):
+        draw_episodes(FIELD, 2, min_path=50)
+    with pytest.raises(ValueError, match="no episodes are stored for world 'maze:7'"):
+        stored_episodes("maze:7")
+    with pytest.raises(ValueError, match="count must be between 1 and 256, got 257"):
+        stored_episodes("maze").first(257)
+
+
+# --- shortest paths
+
+
+INSIDE = st.floats(-5.5, 5.5)
+
+
+@given(st.tuples(INSIDE, INSIDE), st.tuples(INSIDE, INSIDE))
+@settings(deadline=None, max_examples=50)
+def test_on_open_ground_the_way_is_straight(start: tuple[float, float], goal: tuple[float, float]) -> None:
+    assert length(FIELD, start, goal) == pytest.approx(max(0.0, math.dist(start, goal) - 0.5), rel=1e-5, abs=1e-5)
+
+
+@given(st.integers(0, 10_000), st.integers(0, 10_000))
+@settings(deadline=None, max_examples=12)
+def test_no_way_is_shorter_than_the_straight_one(a: int, b: int) -> None:
+    cells = stored_episodes("maze")
+    start, goal = cells.start[a % 256, :2], cells.goal[b % 256]
+    straight = max(0.0, torch.dist(start, goal).item() - 0.5)
+    assert length(cells.world, start.tolist(), goal.tolist()) >= straight - 1e-4
+
+
+def around_the_wall(gap: float) -> float:
+    """From (-2, 0) to 0.5 m before (2, 0), with a string along circles of radius ``gap`` around the wall's corners."""
+    to_corner = math.hypot(1.9, 3.0)
+    bend = math.atan2(3.0, 1.9) + math.asin(gap / to_corner)
+    return 2 * (math.sqrt(to_corner**2 - gap**2) + gap * bend) + 0.2 - 0.5
+
+
+def test_the_way_around_a_wall() -> None:
+    # The rover's disc of 0.35 m stays clear of the wall, in all of a cell of 0.1 m.
+    way = length(WALL, (-2.0, 0.0), (2.0, 0.0))
+    assert around_the_wall(0.35) < way < around_the_wall(0.35 + 0.1 * math.sqrt(2))
+    assert length(WALL, (2.0, 0.0), (-2.0, 0.0)) == pytest.approx(way, rel=0.005)
+
+
+def test_a_start_within_the_disc_is_there_already() -> None:
+    assert length(WALL, (-2.0, 0.0), (-1.6, 0.2)) == 0
+    assert length(WALL, (-0.2, 0.0), (-0.5, 0.0)) == 0
+
+
+def test_no_way_is_infinitely_long() -> None:
+    sides = [((x, 0.0, 0.5), (0.2, 3.2, 1.0)) for x in (-1.5, 1.5)] + [
+        ((0.0, y, 0.5), (3.2, 0.2, 1.0)) for y in (-1.5, 1.5)
+    ]
+    cell = World("cell", Terrain.flat((12.0, 12.0)), [box(*side) for side in sides])
+    assert length(cell, (4.0, 0.0), (0.0, 0.0)) == math.inf
+
+
+def test_a_start_where_no_rover_fits_begins_at_the_nearest_place() -> None:
+    assert length(WALL, (-0.2, 0.0), (-3.0, 0.0)) == pytest.approx(2.3, abs=0.05)

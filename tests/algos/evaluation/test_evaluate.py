@@ -1,0 +1,300 @@
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from pathlib import Path
+
+import pytest
+import torch
+from matplotlib.image import imread
+from rich.console import Console
+from tensordict import TensorDictBase
+
+from rover_rl import World
+from rover_rl.algos.config import PPOConfig
+from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes
+from rover_rl.algos.evaluation.evaluate import Evaluation, Policy, evaluate, evaluate_endless
+from rover_rl.algos.evaluation.plots import draw_paths
+from rover_rl.algos.evaluation.report import print_table, write_evaluation
+from rover_rl.algos.policy.baselines import ScriptedPolicy
+from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.policy.networks import make_actor
+from rover_rl.cli import main
+from rover_rl.envs import RoverEnv
+from rover_rl.envs.transforms.action_repeat import ActionRepeat
+from rover_rl.sims.worlds import Terrain, box
+
+FIELD = World("field", Terrain.flat((12.0, 12.0)))
+EPISODES = draw_episodes(FIELD, count=3, seed=1)
+MANY = draw_episodes(FIELD, count=9, seed=1)
+
+
+def straight(td: TensorDictBase) -> TensorDictBase:
+    """Drives at the goal, slowly while it is not ahead."""
+    angle = td["target"][..., 1:]
+    return td.set("action", torch.cat((angle.cos().clamp(min=0), angle), -1))
+
+
+def standing(td: TensorDictBase) -> TensorDictBase:
+    return td.set("action", torch.zeros(len(td), 2))
+
+
+def ahead(td: TensorDictBase) -> TensorDictBase:
+    return td.set("action", torch.tensor([[1.0, 0.0]]).expand(len(td), 2))
+
+
+@pytest.fixture(scope="module")
+def driven() -> Evaluation:
+    return evaluate(straight, EPISODES, name="straight")
+
+
+def assert_same(a: Evaluation, b: Evaluation) -> None:
+    """The same to the last bit."""
+    assert a.endings == b.endings
+    for ours, theirs in zip(a.trajectories, b.trajectories, strict=True):
+        for key in ("position", "angles", "collision", "goal"):
+            assert torch.equal(getattr(ours, key), getattr(theirs, key))
+
+
+# --- one goal
+
+
+def test_driving_at_the_goal_reaches_it_on_open_ground(driven: Evaluation) -> None:
+    assert driven.endings == ["goal"] * 3
+    assert driven.success_rate == 1
+    for path, start, goal, steps in zip(
+        driven.paths, EPISODES.start, EPISODES.goal, driven.steps.tolist(), strict=True
+    ):
+        assert len(path) == steps + 1
+        torch.testing.assert_close(path[0], start[:2], atol=0.02, rtol=0)
+        assert torch.dist(path[-1], goal) < 0.5
+    assert driven.mean_time > EPISODES.shortest.mean()
+    assert driven.goals_per_2000_steps == pytest.approx(3 * 2000 / driven.steps.sum().item())
+
+
+def test_what_is_recorded(driven: Evaluation) -> None:
+    trajectory = driven.trajectories[0]
+    assert trajectory.seconds == pytest.approx(0.05 * driven.steps[0].item())
+    assert trajectory.speed.shape == (len(trajectory),)
+    assert trajectory.speed.max() == pytest.approx(1.0, abs=0.05)
+    assert trajectory.speed.sum() * 0.05 == pytest.approx(trajectory.length, rel=0.01)
+    assert trajectory.angles[0, 2] == pytest.approx(EPISODES.start[0, 2].item(), abs=1e-3)
+    assert trajectory.tilt.abs().max() < 0.01
+    assert trajectory.goal.tolist() == [False] * (len(trajectory) - 1) + [True]
+    assert 0.8 < driven.metrics["spl"].value <= 1
+
+
+@pytest.mark.parametrize("rows", [3, 8])
+@pytest.mark.parametrize("kind", ["rule", "network", "random"])
+def test_an_episode_depends_neither_on_the_rows_nor_on_its_place(kind: str, rows: int) -> None:
+    torch.manual_seed(0)
+    network = make_actor()
+    policies: dict[str, Policy | None] = {"rule": straight, "network": network, "random": None}
+    policy = policies[kind]
+    together = evaluate(policy, MANY, seconds=1.5, rows=9)
+    assert_same(evaluate(policy, MANY, seconds=1.5, rows=rows), together)
+    if kind != "random":  # which draws for the number of an episode
+        turned = EpisodeSet("field", FIELD, 1, MANY.start.flip(0), MANY.goal.flip(0), MANY.shortest.flip(0))
+        backwards = evaluate(policy, turned, seconds=1.5, rows=rows)
+        backwards.trajectories.reverse()
+        assert_same(backwards, together)
+
+
+def test_ended_episodes_make_room_for_the_next(driven: Evaluation) -> None:
+    one_by_one = evaluate(straight, EPISODES, name="straight", rows=1)
+    assert_same(one_by_one, driven)
+
+
+def test_actions_are_held_as_in_training() -> None:
+    env = RoverEnv(world_n=FIELD, num_envs=3, length=21, end_on_goal=True).append_transform(ActionRepeat(4))
+    start = env.reset(start=EPISODES.start, goal=EPISODES.goal)
+    trained = env.rollout(6, straight, tensordict=start, auto_reset=False)
+    held = evaluate(straight, EPISODES, repeat=4, seconds=1.05)
+    assert held.steps.tolist() == [21] * 3
+    positions = torch.stack([trajectory.position for trajectory in held.trajectories])
+    assert torch.equal(positions[:, [4, 8, 12, 16, 20, 21]], trained["next", "pose"])
+    assert not torch.equal(evaluate(straight, EPISODES, seconds=1.05).paths[0], held.paths[0])
+
+
+def test_the_random_policy_starts_at_the_same_places_and_leaves_the_generator_alone(driven: Evaluation) -> None:
+    before = torch.random.get_rng_state()
+    first, second = (evaluate(None, EPISODES, repeat=4, seconds=1) for _ in range(2))
+    assert torch.equal(before, torch.random.get_rng_state())
+    assert_same(first, second)
+    assert first.name == "random"
+    for ours, theirs in zip(first.paths, driven.paths, strict=True):
+        assert torch.equal(ours[0], theirs[0])
+
+
+def test_missed_goals_are_told_apart() -> None:
+    missed = evaluate(standing, EPISODES, seconds=1)
+    assert missed.endings == ["time limit"] * 3
+    assert missed.steps.tolist() == [20] * 3
+    assert math.isnan(missed.mean_time)
+    assert missed.to_json()["metrics"]["mean_time_to_traverse"]["value"] is None
+    assert missed.metrics["standstill"].value == 1
+    assert missed.interval == pytest.approx((0, 0.5615), abs=1e-3)
+
+
+def test_driving_into_a_wall_jams_and_touches_it() -> None:
+    room = World("room", Terrain.flat((12.0, 12.0)), [box((3.0, 0.0, 0.5), (1.0, 8.0, 1.0))])
+    start, goal = torch.tensor([[1.0, 0.0, 0.0]]), torch.tensor([[5.0, 0.0]])
+    episodes = EpisodeSet("room", room, 0, start, goal, torch.tensor([8.0]))
+    jammed = evaluate(ahead, episodes, seconds=10)
+    assert jammed.endings == ["jammed"]
+    assert jammed.metrics["collisions"].value == 1
+    assert jammed.metrics["body_contacts"].value >= 1
+    assert jammed.metrics["ending_jammed"].value == 1
+    assert jammed.trajectories[0].collision[-16:].all()
+
+
+def test_settings_out_of_range_raise() -> None:
+    for setting in ({"repeat": 0}, {"rows": 0}, {"seconds": 0.01}):
+        with pytest.raises(ValueError, match=f"{next(iter(setting))} must be at least"):
+            evaluate(straight, EPISODES, **setting)
+    with pytest.raises(ValueError, match="steps must be at least 1"):
+        evaluate_endless(straight, FIELD, steps=0)
+    with pytest.raises(ValueError, match="unknown world 'mars'"):
+        evaluate_endless(straight, "mars")
+
+
+# --- goals without end
+
+
+def test_goals_keep_coming() -> None:
+    endless = evaluate_endless(straight, FIELD, rows=2, seed=1, steps=600)
+    goals = [int(trajectory.goal.sum()) for trajectory in endless.trajectories]
+    assert [len(trajectory) for trajectory in endless.trajectories] == [600, 600]
+    assert min(goals) >= 2
+    assert endless.metrics["goals_per_episode"].value == sum(goals) / 2
+    assert endless.metrics["seconds_per_goal"].value == pytest.approx(60 / sum(goals))
+    assert endless.metrics["ended_early"].value == 0
+    assert endless.to_json()["episodes"][0] == {"goals": goals[0], "ending": "time limit", "seconds": 30.0}
+
+
+def test_without_the_jam_ending_a_collision_goes_on() -> None:
+    with_jam, without = (evaluate_endless(ahead, "maze", rows=2, seed=1, steps=200, jam=jam) for jam in (True, False))
+    assert [trajectory.ending for trajectory in with_jam.trajectories] == ["jammed"] * 2
+    assert [trajectory.ending for trajectory in without.trajectories] == ["time limit"] * 2
+    for ours, theirs in zip(with_jam.trajectories, without.trajectories, strict=True):
+        assert torch.equal(ours.position, theirs.position[: len(ours) + 1])
+
+
+# --- results
+
+
+def test_results_and_pictures(driven: Evaluation, tmp_path: Path) -> None:
+    random = evaluate(None, EPISODES, seconds=1)
+    endless = evaluate_endless(straight, FIELD, rows=2, seed=1, steps=20)
+    write_evaluation(tmp_path / "evaluation.json", [driven, random, endless])
+    written = json.loads((tmp_path / "evaluation.json").read_text())
+    assert [(entry["policy"], entry["mode"]) for entry in written] == [
+        ("straight", "one goal"),
+        ("random", "one goal"),
+        ("policy", "endless"),
+    ]
+    assert written[0]["endings"] == {"goal": 3}
+    assert [episode["ending"] for episode in written[0]["episodes"]] == ["goal"] * 3
+    for episode in written[0]["episodes"]:
+        assert episode["length"] >= episode["shortest"] - 0.1
+
+    with (tmp_path / "evaluation.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["policy"] for row in rows] == ["straight", "random", "policy"]
+    for row, entry in zip(rows, written, strict=True):
+        for key, estimate in entry["metrics"].items():
+            for column, field in ((key, "value"), (f"{key}_low", "low"), (f"{key}_high", "high")):
+                number = float(row[column])
+                assert estimate[field] == (pytest.approx(number) if math.isfinite(number) else None)
+
+    draw_paths([driven, random], tmp_path / "paths.png")
+    assert imread(tmp_path / "paths.png")[..., :3].std() > 0.05
+
+
+def test_the_table_has_a_row_a_policy_and_one_for_all_seeds(driven: Evaluation) -> None:
+    again = Evaluation("again", *list(vars(driven).values())[1:5])
+    printed = io.StringIO()
+    print_table([driven, again], Console(file=printed), {"straight": "both of them", "again": "both of them"})
+    text = printed.getvalue()
+    assert "nan" not in text
+    assert text.count("3 episodes in field: one goal within 60 s") == 1
+    row = next(line for line in text.splitlines() if line.startswith(" straight"))
+    assert "100.0" in row
+    assert f"{driven.metrics['spl'].value:.2f}" in row
+    assert "44–100" in text
+    assert "both of them" in text
+    assert "± 0.0" in text
+    assert "jammed" not in text
+    assert "VORT:" in text
+
+
+# --- the command
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    config = PPOConfig(world="maze", hidden=(8,))
+    actor = make_actor(hidden=config.hidden)
+    checkpoint = Checkpoint(config=config, lidar_points=32, steps=0, actor=actor.state_dict())
+    for seed in (1, 2):
+        checkpoint.save(tmp_path / f"run-{seed}" / "checkpoint.pt")
+    return tmp_path
+
+
+def complaint(capsys: pytest.CaptureFixture[str], *args: object) -> str:
+    assert main(["evaluate", *map(str, args)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    return captured.err
+
+
+def test_the_command_drives_checkpoints_beside_baselines(capsys: pytest.CaptureFixture[str], run: Path) -> None:
+    first, second = run / "run-1", run / "run-2" / "checkpoint.pt"
+    assert main(["evaluate", str(first), str(second), "scripted", "random", "--count", "2", "--seconds", "0.5"]) == 0
+    assert {"evaluation.json", "evaluation.csv", "paths.png"} <= {file.name for file in first.iterdir()}
+    written = json.loads((first / "evaluation.json").read_text())
+    assert [entry["policy"] for entry in written] == ["run-1", "run-2", "scripted", "random"]
+    assert {(entry["world"], entry["seed"], entry["count"]) for entry in written} == {("maze", 20_000, 2)}
+    assert "PPO in maze" in capsys.readouterr().out
+
+
+def test_the_command_drives_in_several_worlds(tmp_path: Path) -> None:
+    args = ["--world", "maze", "maze:7", "--count", "1", "--seconds", "0.5", "--seed", "5"]
+    assert main(["evaluate", "scripted", *args, "--out", str(tmp_path)]) == 0
+    written = json.loads((tmp_path / "evaluation.json").read_text())
+    assert [(entry["policy"], entry["world"], entry["seed"]) for entry in written] == [
+        ("scripted", "maze", 5),
+        ("scripted", "maze:7", 5),
+    ]
+    names = {"evaluation.json", "evaluation.csv", "paths-maze.png", "paths-maze-7.png"}
+    assert {file.name for file in tmp_path.iterdir()} == names
+
+
+def test_pretrained_policies_go_by_name(tmp_path: Path) -> None:
+    args = ["--count", "1", "--seconds", "0.2", "--out", str(tmp_path)]
+    assert main(["evaluate", "pretrained:moon-sac", *args]) == 0
+    written = json.loads((tmp_path / "evaluation.json").read_text())
+    assert (written[0]["policy"], written[0]["world"]) == ("moon-sac", "moon")
+
+
+def test_policies_of_one_name_are_told_apart(run: Path) -> None:
+    args = ["--count", "1", "--seconds", "0.2", "--out", str(run)]
+    names = [str(run / "run-1"), str(run / "run-1" / "checkpoint.pt")]
+    assert main(["evaluate", *names, *args]) == 0
+    assert [entry["policy"] for entry in json.loads((run / "evaluation.json").read_text())] == names
+
+
+def test_the_command_refuses_in_one_line(capsys: pytest.CaptureFixture[str], run: Path) -> None:
+    assert "say which --world to drive in" in complaint(capsys, "random")
+    assert "unknown world 'mars'" in complaint(capsys, "scripted", "--world", "maze", "mars")
+    assert "no checkpoint at" in complaint(capsys, run / "run-1", run / "none.pt")
+    assert "count must be" in complaint(capsys, run / "run-1", "--count", 0)
+
+
+def test_policies_are_modules_that_other_code_can_use() -> None:
+    env = RoverEnv(world_n=FIELD, num_envs=2, seed=0)
+    assert env.rollout(3, ScriptedPolicy())["action"].shape == (2, 3, 2)
+    env.close()

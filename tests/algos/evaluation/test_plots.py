@@ -1,0 +1,167 @@
+from __future__ import annotations
+
+import csv
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from matplotlib.image import imread
+from tensordict import TensorDict
+
+from rover_rl import World
+from rover_rl.algos.config import PPOConfig, SACConfig, TrainingConfig, write_config
+from rover_rl.algos.evaluation.episodes import EpisodeSet
+from rover_rl.algos.evaluation.evaluate import ENDINGS, Evaluation
+from rover_rl.algos.evaluation.metrics import TIME_LIMIT, Trajectory
+from rover_rl.algos.evaluation.plots import draw_learning_curve, draw_paths, draw_reward_components
+from rover_rl.sims.worlds import Terrain, box
+
+FIELD = World("field", Terrain.flat((12.0, 12.0)), [box((2.0, 2.0, 0.5), (1.0, 1.0, 1.0))])
+
+
+def write_run(folder: Path, config: TrainingConfig, rows: int = 40, parts: int = 1, episodes: int = 6) -> Path:
+    """A run of ``rows`` batches, each written as ``parts`` rows."""
+    write_config(folder / "config.yaml", config)
+    with (folder / "progress.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(("minutes", "steps", "goals_per_2000_steps", "episodes", "episodes_reached"))
+        for row, part in itertools.product(range(rows), range(1, parts + 1)):
+            done = row + part / parts
+            goals, reached = row % 7, episodes * row / rows / parts
+            writer.writerow((done / 10, done * 4096, goals, episodes / parts, reached))
+    return folder
+
+
+def texts(path: Path) -> str:
+    """An SVG, which holds each text as a comment."""
+    assert path.suffix == ".svg"
+    return path.read_text()
+
+
+def test_a_learning_curve_does_not_depend_on_how_many_rows_tell_it(tmp_path: Path) -> None:
+    pictures = []
+    for parts in (1, 50):
+        run = write_run(tmp_path / str(parts), PPOConfig(world="moon"), parts=parts)
+        draw_learning_curve([run], run / "curve.png")
+        pictures.append(imread(run / "curve.png"))
+    assert pictures[0][..., :3].std() > 0.05
+    np.testing.assert_allclose(*pictures, atol=0.01)
+
+
+def test_runs_of_an_algorithm_in_a_world_are_one_line(tmp_path: Path) -> None:
+    runs = [
+        write_run(tmp_path / f"{kind.algo}-{world}-{seed}", kind(world=world, seed=seed), rows=20 + seed)
+        for kind, world, seed in itertools.product((PPOConfig, SACConfig), ("maze", "moon"), range(2))
+    ]
+    draw_learning_curve([*runs[:4], runs[4]], tmp_path / "curve.svg", against="minutes")
+    text = texts(tmp_path / "curve.svg")
+    assert "<!-- PPO in maze: mean of 2 runs of 83,968 steps in 2.0 min -->" in text
+    assert "<!-- PPO in moon: mean of 2 runs of 83,968 steps in 2.0 min -->" in text
+    assert "<!-- SAC in maze: 81,920 steps in 2.0 min -->" in text
+    assert text.count("<!-- minutes of training -->") == 4
+    assert text.count("<!-- least to most of the runs -->") == 1
+
+
+def test_a_baseline_is_drawn_in_its_world(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", PPOConfig(world="field"))
+    draw_learning_curve([run], tmp_path / "without.svg")
+    draw_learning_curve([run], tmp_path / "with.svg", driven("scripted", ["goal"]))
+    assert "scripted policy" in texts(tmp_path / "with.svg")
+    assert "policy" not in texts(tmp_path / "without.svg")
+    elsewhere = write_run(tmp_path / "elsewhere", PPOConfig(world="moon"))
+    draw_learning_curve([elsewhere], tmp_path / "elsewhere.svg", driven("scripted", ["goal"]))
+    assert "policy" not in texts(tmp_path / "elsewhere.svg")
+
+
+def test_runs_that_cannot_be_drawn_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="at least one run"):
+        draw_learning_curve([], tmp_path / "curve.png")
+    with pytest.raises(FileNotFoundError, match="no settings"):
+        draw_learning_curve([tmp_path], tmp_path / "curve.png")
+    with pytest.raises(ValueError, match="no rows yet"):
+        draw_learning_curve([write_run(tmp_path / "run", PPOConfig(), rows=0)], tmp_path / "curve.png")
+    assert not (tmp_path / "curve.png").exists()
+
+
+def driven(name: str, endings: list[str], speed: float = 1.0) -> Evaluation:
+    """Straight drives side by side, at one speed (m/s)."""
+    count, steps = len(endings), 21
+    start = torch.tensor([[-4.0, 0.3 * row, 0.0] for row in range(count)])
+    ahead = torch.arange(steps + 1.0)[:, None] * torch.tensor((speed * 0.05, 0.0, 0.0))
+    none = torch.zeros(steps, dtype=torch.bool)
+    trajectories = [
+        Trajectory(pose * torch.tensor((1.0, 1.0, 0.0)) + ahead, torch.zeros(steps + 1, 3), none, none, ending)
+        for pose, ending in zip(start, endings, strict=True)
+    ]
+    goal = start[:, :2] + torch.tensor((1.5, 0.0))
+    episodes = EpisodeSet("field", FIELD, 0, start, goal, torch.ones(count))
+    return Evaluation(name, episodes, 1, 60.0, trajectories)
+
+
+def test_every_ending_has_a_mark_of_its_own(tmp_path: Path) -> None:
+    endings = [*ENDINGS.values(), TIME_LIMIT]
+    draw_paths([driven("mine", endings)], tmp_path / "paths.svg")
+    text = texts(tmp_path / "paths.svg")
+    assert [f"<!-- end: {ending} -->" in text for ending in endings] == [True] * 7
+    draw_paths([driven("mine", ["goal"])], tmp_path / "paths.svg")
+    assert texts(tmp_path / "paths.svg").count("<!-- end: ") == 1
+
+
+@pytest.mark.parametrize("count", [1, 4, 5])
+def test_each_policy_has_a_panel(count: int, tmp_path: Path) -> None:
+    evaluations = [driven(f"policy {number}", ["goal", "stuck"]) for number in range(count)]
+    draw_paths(evaluations, tmp_path / "paths.svg", most=1)
+    text = texts(tmp_path / "paths.svg")
+    assert all(f"<!-- policy {number}: 50% reach the goal -->" in text for number in range(count))
+    assert "<!-- the first 1 of them are drawn -->" in text
+
+
+def test_paths_are_coloured_by_speed(tmp_path: Path) -> None:
+    pictures = []
+    for speed in (0.2, 0.2, 0.9):
+        evaluation = driven("mine", [TIME_LIMIT], speed)
+        # The same path, driven slowly or fast.
+        (trajectory,) = evaluation.trajectories
+        trajectory.position[:, 0] = torch.linspace(-4, -3.2, len(trajectory.position))
+        trajectory.__dict__["speed"] = torch.full((len(trajectory),), speed)
+        draw_paths([evaluation], tmp_path / "paths.png")
+        pictures.append(imread(tmp_path / "paths.png"))
+    slow, again, fast = pictures
+    assert np.array_equal(slow, again)
+    assert np.abs(slow - fast).max() > 0.3
+
+
+def rollout(steps: int = 30) -> TensorDict:
+    """A rover that makes headway, is paid for a goal at step 10, and jams at the end of a collision."""
+    paid = {name: torch.zeros(steps, 1) for name in ("goal", "progress", "collision", "stuck", "tilt_penalty")}
+    paid["goal"][9], paid["progress"][:], paid["tilt_penalty"][5], paid["collision"][20:] = 100.0, 0.02, -1.0, -0.5
+    happened = {key: paid[name] != 0 for key, name in (("goal_reached", "goal"), ("collision", "collision"))}
+    done = torch.arange(steps)[:, None] == steps - 1
+    count = torch.arange(1, steps + 1)[:, None]
+    outcome = {**happened, "phase": torch.full((steps, 1), 2), "steps": count, "total_steps": count + 500}
+    after = {"reward_components": TensorDict(paid, [steps]), "outcome": TensorDict(outcome, [steps]), "done": done}
+    return TensorDict({"next": TensorDict(after, [steps])}, [steps])
+
+
+def test_reward_components_are_drawn_with_what_happened(tmp_path: Path) -> None:
+    draw_reward_components(rollout(), tmp_path / "rewards.svg")
+    text = texts(tmp_path / "rewards.svg")
+    for expected in ("goal (1)", "collision", "end: jammed", "tilt penalty", "sum +100.00", "sum -5.00"):
+        assert f"<!-- {expected} -->" in text
+    assert "stuck" not in text
+    assert "in the end +94.60" in text
+
+
+def test_a_rollout_of_one_rover_may_have_a_dimension_for_it(tmp_path: Path) -> None:
+    for name, data in (("flat", rollout()), ("batched", rollout()[None])):
+        draw_reward_components(data, tmp_path / f"{name}.png")
+    assert (tmp_path / "flat.png").read_bytes() == (tmp_path / "batched.png").read_bytes()
+
+
+def test_other_rollouts_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="one rover"):
+        draw_reward_components(torch.stack([rollout(), rollout()]), tmp_path / "rewards.png")
+    with pytest.raises(ValueError, match="no reward components"):
+        draw_reward_components(rollout().exclude(("next", "reward_components")), tmp_path / "rewards.png")

@@ -1,0 +1,113 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from tensordict import TensorDict
+from torch import Tensor
+
+from rover_rl import RoverEnv
+from rover_rl.algos.evaluation.episodes import draw_episodes
+from rover_rl.algos.evaluation.evaluate import evaluate
+from rover_rl.algos.policy.baselines import RandomPolicy, ScriptedPolicy, steer
+
+CLEAR = torch.full((1, 32), 12.0)
+
+
+def target(distance: float, degrees: float) -> Tensor:
+    return torch.tensor([[distance, math.radians(degrees)]])
+
+
+def wall_ahead(distance: float) -> Tensor:
+    """A long wall across the way, ``distance`` m in front of the lidar."""
+    angle = (torch.arange(32) + 0.5) * (2 * math.pi / 32)
+    return torch.where(angle.cos() > 0.05, distance / angle.cos().clamp(min=0.05), 12.0).clamp(max=12.0)[None]
+
+
+# --- random
+
+
+def actions(episode: list[int], steps: list[int], seed: int = 0) -> Tensor:
+    count = len(episode)
+    td = TensorDict({"outcome": {"steps": torch.tensor(steps)[:, None]}}, [count])
+    return RandomPolicy(seed)(td.set("episode", torch.tensor(episode)[:, None]))["action"]
+
+
+def test_random_actions_are_the_same_in_every_company() -> None:
+    together = actions([0, 1, 2, 5], [7, 7, 3, 0])
+    for row, (episode, step) in enumerate([(0, 7), (1, 7), (2, 3), (5, 0)]):
+        assert torch.equal(actions([episode], [step])[0], together[row])
+    assert len(together.unique(dim=0)) == 4
+    assert not torch.equal(actions([0], [7], seed=1), actions([0], [7]))
+
+
+def test_random_actions_are_uniform_over_the_bounds() -> None:
+    drawn = actions([*range(100)] * 100, [step for step in range(100) for _ in range(100)])
+    limits = torch.tensor([1.0, math.pi])
+    assert (drawn.abs() <= limits).all()
+    torch.testing.assert_close(drawn.mean(0) / limits, torch.zeros(2), rtol=0, atol=0.02)
+    torch.testing.assert_close(drawn.std(0) / limits, torch.full((2,), 3**-0.5), rtol=0.02, atol=0)
+
+
+def test_random_actions_drive_any_environment() -> None:
+    env = RoverEnv(world_n="maze", num_envs=2, seed=0)
+    rollout = env.rollout(3, RandomPolicy())
+    assert rollout["action"].unique().numel() == 12
+    env.close()
+
+
+# --- scripted
+
+
+def test_it_drives_at_a_goal_in_the_open() -> None:
+    speed, heading = steer(CLEAR, target(5.0, 0.0))[0]
+    assert speed == pytest.approx(1.0)
+    assert heading == pytest.approx(0.0, abs=1e-6)
+    for degrees in (-150, -40, 25, 90):
+        speed, heading = steer(CLEAR, target(5.0, degrees))[0]
+        assert math.copysign(1, heading) == math.copysign(1, degrees)
+        assert speed < 1
+
+
+@pytest.mark.parametrize("degrees", [-20, 20])
+def test_it_goes_around_a_wall_on_the_side_of_the_goal(degrees: float) -> None:
+    speed, heading = steer(wall_ahead(0.6), target(5.0, degrees))[0]
+    assert heading * degrees > 0
+    assert abs(heading) > math.radians(40)
+    assert speed < 0.5
+
+
+def test_it_backs_off_from_what_is_right_before_it_unless_something_is_behind() -> None:
+    assert steer(wall_ahead(0.32), target(5.0, 0.0))[0, 0] < 0
+    between = wall_ahead(0.32)
+    between[:, 14:18] = 0.6
+    assert steer(between, target(5.0, 0.0))[0, 0] >= 0
+
+
+def test_a_goal_before_a_wall_is_driven_at() -> None:
+    speed, heading = steer(wall_ahead(1.2), target(0.9, 0.0))[0]
+    assert speed > 0.3
+    assert abs(heading) < 0.1
+
+
+READING = st.floats(0.0, 12.0, width=32)
+
+
+@given(
+    st.lists(READING, min_size=32, max_size=32),
+    st.floats(0.0, 100.0, width=32),
+    st.floats(-3.140625, 3.140625, width=32),
+)
+def test_actions_are_always_within_their_bounds(lidar: list[float], distance: float, angle: float) -> None:
+    action = steer(torch.tensor([lidar]), torch.tensor([[distance, angle]]))
+    assert action.isfinite().all()
+    assert (action.abs() <= torch.tensor([1.0, math.pi + 1e-6])).all()
+
+
+def test_it_finds_most_goals_in_the_maze_without_a_collision() -> None:
+    driven = evaluate(ScriptedPolicy(), draw_episodes("maze", 6, seed=1), seconds=20)
+    assert driven.success_rate >= 5 / 6
+    assert driven.metrics["collisions"].value == 0

@@ -1,0 +1,184 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from rover_rl import RoverEnv, Terrain, World, box
+from rover_rl.algos.policy.networks import (
+    ObservationEncoder,
+    make_action_critic,
+    make_actor,
+    make_critic,
+    mirrored,
+    on_features,
+)
+from rover_rl.envs.specs import ACTION, observation_bounds
+
+LOW, HIGH = torch.tensor(ACTION.low), torch.tensor(ACTION.high)
+
+
+def observations(*shape: int) -> TensorDict:
+    bounds = observation_bounds(32, 12.0)
+    generator = torch.Generator().manual_seed(0)
+    values = {}
+    for key, bound in bounds.items():
+        low, high = torch.tensor(bound.low), torch.tensor(bound.high)
+        values[key] = low + (high - low) * torch.rand(*shape, len(low), generator=generator)
+    return TensorDict(values, batch_size=shape)
+
+
+def test_encoding_is_what_the_task_needs() -> None:
+    encoder = ObservationEncoder(lidar_points=2)
+    features = encoder(
+        torch.tensor([[0.0, 12.0]]),
+        torch.tensor([[0.1, -0.2, 3.0]]),
+        torch.tensor([[5.0, math.pi / 2]]),
+        torch.tensor([[0.5, 1.5]]),
+    )
+    lidar = [-1.0, math.log(13) / 1.3 - 1]
+    expected = torch.tensor([[*lidar, 0.3, -0.6, 0.0, math.log(6) - 1, 1.0, 0.0, 0.5, 0.5, 0.5]])
+    torch.testing.assert_close(features, expected, atol=1e-6, rtol=0)
+    assert features.shape[-1] == encoder.features
+
+
+def test_the_encoding_of_a_pose_tells_places_and_headings_apart() -> None:
+    encoder = ObservationEncoder(("imu", "pose"))
+    imu = torch.tensor([[0.0, 0.0, 0.0]]).expand(3, 3).clone()
+    pose = torch.tensor([[1.0, 2.0, 0.5], [1.0, 2.0, 0.5], [9.0, 2.0, 0.5]])
+    imu[1, 2] = 2.0
+    features = encoder(imu, pose)
+    assert features.shape == (3, encoder.features)
+    assert not torch.allclose(features[0], features[1], atol=0.1)
+    assert not torch.allclose(features[0], features[2], atol=0.1)
+
+
+@pytest.mark.parametrize("keys", [("target",), ("lidar", "target"), ("pose", "imu", "target", "lidar", "velocities")])
+@pytest.mark.parametrize("shape", [(), (3,), (3, 5)])
+def test_networks_take_any_batch_and_any_keys(shape: tuple[int, ...], keys: tuple[str, ...]) -> None:
+    encoder = ObservationEncoder(keys)
+    td = make_actor(encoder)(observations(*shape).select(*keys))
+    td["features"] = encoder(*(td[key] for key in keys))
+    td = make_action_critic(encoder.features)(make_critic(encoder)(td))
+    assert td["action"].shape == (*shape, 2)
+    assert td["action_log_prob"].shape == shape
+    assert td["state_value"].shape == td["state_action_value"].shape == (*shape, 1)
+
+
+@pytest.mark.parametrize("reverse", [True, False])
+def test_actions_lie_within_their_bounds_and_reach_far(reverse: bool) -> None:
+    torch.manual_seed(0)
+    with set_exploration_type(ExplorationType.RANDOM):
+        action = make_actor(reverse=reverse, spread=2.0)(observations(4000))["action"]
+    low = LOW if reverse else LOW * torch.tensor([0.0, 1.0])
+    assert ((action >= low) & (action <= HIGH)).all()
+    assert (action.amin(0) < low + 0.1).all()
+    assert (action.amax(0) > 0.9 * HIGH).all()
+
+
+def test_the_spread_of_actions_stays_below_its_bound() -> None:
+    actor, td = make_actor(spread=0.3), observations(50)
+    with torch.no_grad():
+        for weight in actor.parameters():
+            weight.mul_(100.0)
+    scale = actor(td)["scale"].detach()
+    assert scale.max().item() == pytest.approx(0.3)
+    assert 0 < scale.min() < 0.1
+
+
+def test_an_actor_acts_on_features_as_on_what_they_encode() -> None:
+    torch.manual_seed(0)
+    actor, encoder, td = make_actor(), ObservationEncoder(), observations(5)
+    encoded = TensorDict({"features": encoder(*(td[key] for key in encoder.keys))}, batch_size=5)
+    again = on_features(actor)
+    torch.testing.assert_close(again(encoded)["action"], actor(td)["action"], rtol=0, atol=0)
+    assert {id(weight) for weight in again.parameters()} == {id(weight) for weight in actor.parameters()}
+
+
+def test_reverse_is_what_the_critic_scales_by() -> None:
+    torch.manual_seed(0)
+    back, forward = make_action_critic(3), make_action_critic(3, reverse=False)
+    forward.load_state_dict(back.state_dict())
+    td = TensorDict({"features": torch.randn(5, 3), "action": torch.zeros(5, 2)}, batch_size=5)
+    slow = td.clone().set("action", torch.tensor([[-1.0, 0.0]] * 5))
+    torch.testing.assert_close(forward(td)["state_action_value"], back(slow)["state_action_value"])
+
+
+def test_seen_as_on_a_map_a_turn_on_the_spot_changes_nothing() -> None:
+    encoder = ObservationEncoder(("lidar", "imu", "target"), lidar_points=8, north_up=True)
+    ranges = torch.arange(1.0, 9.0)[None]
+    for segments in range(-4, 5):
+        yaw = segments * math.pi / 4
+        seen = ranges.roll(-segments, -1), torch.tensor([[0.0, 0.0, yaw]]), torch.tensor([[3.0, 0.5 - yaw]])
+        features = encoder(*seen)
+        assert features.shape == (1, encoder.features)
+        expected = ranges.log1p() / 1.3 - 1
+        torch.testing.assert_close(features[:, -12:-4], expected, atol=1e-5, rtol=0)
+        direction = torch.tensor([[math.sin(0.5), math.cos(0.5)]])
+        torch.testing.assert_close(features[:, -4:], torch.cat((direction, direction * 3 / 4), -1), atol=1e-5, rtol=0)
+
+
+def test_a_map_needs_what_lies_on_it() -> None:
+    with pytest.raises(ValueError, match="north_up needs lidar, imu and target"):
+        ObservationEncoder(("lidar", "target"), north_up=True)
+
+
+def test_without_exploration_the_action_is_the_middle_of_the_distribution() -> None:
+    actor, td = make_actor(reverse=False), observations(8)
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        first, second = actor(td.clone())["action"], actor(td.clone())["action"]
+    assert torch.equal(first, second)
+    middle = torch.tensor([0.5, 0.0])
+    torch.testing.assert_close(first, middle + actor(td.clone())["loc"].tanh() * (HIGH - middle))
+
+
+def test_pose_and_yaw_are_not_seen() -> None:
+    actor, td = make_actor(), observations(8)
+    moved = td.clone()
+    moved["pose"] += 5.0
+    moved["imu"][:, 2] += 1.0
+    assert torch.equal(actor(td)["loc"], actor(moved)["loc"])
+
+
+def test_the_mirror_image_swaps_left_and_right() -> None:
+    td = TensorDict(
+        {
+            "lidar": torch.tensor([[1.0, 2.0, 3.0]] * 2),
+            "imu": torch.tensor([[0.1, 0.2, 0.3]] * 2),
+            "target": torch.tensor([[5.0, 0.4]] * 2),
+            "velocities": torch.tensor([[0.5, 0.6]] * 2),
+            "action": torch.tensor([[0.7, 0.8]] * 2),
+            "next": {"target": torch.tensor([[4.0, -0.2]] * 2), "reward": torch.ones(2, 1)},
+        },
+        batch_size=[2],
+    )
+    image = mirrored(td, torch.tensor([True, False]))
+    assert (image[1] == td[1]).all()
+    assert image[0]["lidar"].tolist() == [3, 2, 1]
+    expected = {"imu": [0.1, -0.2, -0.3], "target": [5.0, -0.4], "velocities": [0.5, -0.6], "action": [0.7, -0.8]}
+    for key, value in expected.items():
+        assert image[0][key].tolist() == pytest.approx(value)
+    assert image[0]["next", "target"].tolist() == pytest.approx([4.0, 0.2])
+    assert image[0]["next", "reward"] == 1
+    assert (mirrored(image, torch.tensor([True, False])) == td).all()
+
+
+def test_the_mirror_image_is_that_of_the_simulation() -> None:
+    """Two rovers that start as mirror images of one another, and act so, see mirror images."""
+    world = World("field", Terrain.flat((20, 20)), [box((3, 1, 0.5), (1, 1, 1)), box((3, -1, 0.5), (1, 1, 1))])
+    env = RoverEnv(world_n=world, num_envs=2, seed=0)
+    td = env.reset(
+        start=torch.tensor([[0.0, 0.5, 0.3], [0.0, -0.5, -0.3]]), goal=torch.tensor([[4.0, 3.0], [4.0, -3.0]])
+    )
+    for _ in range(10):
+        td["action"] = torch.tensor([[0.8, 0.5], [0.8, -0.5]])
+        td = env.step_mdp(env.step(td))
+    seen = td.select("lidar", "imu", "target", "velocities")
+    image = mirrored(seen, torch.ones(2, dtype=torch.bool))
+    for key, tolerance in (("target", 0.02), ("velocities", 0.02), ("imu", 0.02)):
+        torch.testing.assert_close(image[0][key], seen[1][key], atol=tolerance, rtol=0)
+    # Segments begin straight ahead, so that the mirror image of one is another but for a beam.
+    assert (image[0]["lidar"] - seen[1]["lidar"]).abs().median() < 0.05

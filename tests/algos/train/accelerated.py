@@ -1,0 +1,166 @@
+"""What test_accelerator.py has done in a process of its own: the same on the CPU and on a pretended accelerator."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.envs import TransformedEnv
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from rover_rl import make_env
+from rover_rl.algos.config import PPOConfig, SACConfig, TrainingConfig
+from rover_rl.algos.train.ppo import PPOLearner
+from rover_rl.algos.train.progress import Stopwatch
+from rover_rl.algos.train.sac import SACLearner
+from rover_rl.envs.randomization import Randomization
+from rover_rl.envs.transforms.action_repeat import ActionRepeat
+from rover_rl.envs.transforms.path_reward import PathReward
+from rover_rl.sims import RoverState
+from rover_rl.sims.base import Dynamics
+from rover_rl.sims.connection import Connection
+from rover_rl.sims.differential_drive import SimulatedDrive
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.worlds import World
+from tests.accelerator import Accelerator, accelerator
+
+ROVERS = 6
+WORLDS = ("maze", "maze:1")
+
+
+class SlidingBackend:
+    """Rovers that slide as they are told, through everything, on any device."""
+
+    def make(
+        self,
+        *,
+        worlds: Sequence[World],
+        robot: Robot,
+        lidar_beams: int,
+        connection: Connection | None = None,
+        device: torch.device | None = None,
+    ) -> SlidingSimulator:
+        return SlidingSimulator(len(worlds), robot, lidar_beams, device or torch.device("cpu"))
+
+
+class SlidingSimulator:
+    robot_connected = True
+
+    def __init__(self, count: int, robot: Robot, beams: int, device: torch.device) -> None:
+        self.num_envs, self.device = count, device
+        self.control_dt = 0.05
+        self.ray_angles = torch.arange(beams, device=device) * (2 * math.pi / beams)
+        self._drive = SimulatedDrive(robot, 0.05, count, device)
+        self._pose = torch.zeros(count, 3, device=device)
+
+    def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
+        self._pose = torch.where(mask[:, None], poses, self._pose)
+        self._drive.reset(mask)
+        return self.state()
+
+    def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
+        self._pose = self._pose + 0 * dynamics.friction[:, None]
+
+    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
+        self._drive.advance(commands, active)
+        x, y, yaw = self._pose.split(1, -1)
+        speed, turn = commands.split(1, -1)
+        moved = torch.cat((x + 0.05 * speed * yaw.cos(), y + 0.05 * speed * yaw.sin(), yaw + 0.05 * turn), -1)
+        self._pose = moved if active is None else torch.where(active[:, None], moved, self._pose)
+        return self.state()
+
+    def state(self) -> RoverState:
+        x, y, yaw = self._pose.split(1, -1)
+        zero = torch.zeros_like(x)
+        body = torch.cat((x, y, zero, zero, zero, (yaw / 2).sin(), (yaw / 2).cos(), zero, zero), -1)
+        ranges = 1.2 + (3 * self.ray_angles + yaw).cos()
+        return self._drive.state(body, ranges)
+
+    def close(self) -> None: ...
+
+
+LEARNERS = {
+    "ppo": PPOConfig(epochs=2),
+    "imitation": PPOConfig(epochs=2, imitation=0.5, mirror=False, north_up=True),
+    "sac": SACConfig(gradient_steps=2, warmup=8, buffer=64),
+}
+
+
+def on_both() -> dict[str, Any]:
+    """What is seen and learned on the CPU and on an accelerator, and what made the host wait for that in steps."""
+    with accelerator() as on:
+        there, looks = _stepped(on)
+        found: dict[str, Any] = {"steps": (there, _stepped(None)[0]), "looks": looks}
+        for name, config in LEARNERS.items():
+            found[name] = _learned(on, config), _learned(None, config)
+    return found
+
+
+def _stepped(on: Accelerator | None) -> tuple[list[dict[str, Tensor]], list[str]]:
+    """Observations, rewards and outcomes along the way, and the looks of all steps but the first.
+
+    In that TorchRL looks at its specs.
+    """
+    env = _env(on)
+    td = env.reset()
+    seen, looks = [], []
+    for step in range(40):
+        action = torch.tensor([[0.9, 0.3], [-0.5, 2.0]], device=env.device).repeat(ROVERS // 2, 1)
+        if on is not None:
+            on.looks.clear()
+        td = env.step(td.set("action", action))
+        if on is not None and step > 0:
+            looks += on.looks
+        seen.append(_on_host(td["next"]))
+        td = td["next"]
+    return seen, looks
+
+
+def _learned(on: Accelerator | None, config: TrainingConfig) -> tuple[dict[str, float], dict[str, Tensor]]:
+    """What is told of the second update, and the weights after it."""
+    device = "cpu" if on is None else str(on.device)
+    config = replace(
+        config,
+        world=WORLDS,
+        num_envs=ROVERS,
+        workers=1,
+        decisions=4,
+        minibatch=12,
+        hidden=(16,),
+        device=device,
+    )
+    torch.manual_seed(0)
+    learner: Any = (PPOLearner if config.algo == "ppo" else SACLearner)(config)
+    env = _env(on).append_transform(ActionRepeat(2))
+    env = env.append_transform(PathReward(env.base_env, 1.0))
+    for _ in range(2):
+        with set_exploration_type(ExplorationType.RANDOM), torch.no_grad():
+            batch = env.rollout(config.decisions, learner.actor, break_when_any_done=False)
+        if config.algo == "ppo":
+            told = learner.update(batch, 0.0, Stopwatch())
+        else:
+            learner.remember(batch)
+            told = learner.update(0.0, Stopwatch())
+    learner.load_state_dict(learner.state_dict())
+    return told, {name: value.detach().to("cpu") for name, value in learner.actor.state_dict().items()}
+
+
+def _env(on: Accelerator | None) -> TransformedEnv:
+    return make_env(
+        world_n=WORLDS,
+        num_envs=ROVERS,
+        length=30,
+        backend=SlidingBackend(),
+        randomization=Randomization.typical(),
+        seed=0,
+        device=None if on is None else on.device,
+    )
+
+
+def _on_host(data: TensorDictBase) -> dict[str, Tensor]:
+    return {str(key): value.to("cpu") for key, value in data.items(True, True)}

@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+import io
+import math
+from pathlib import Path
+
+import pytest
+import torch
+from rich.console import Console
+from tensordict import TensorDict
+
+from rover_rl.algos.train.progress import BatchStatistics, ProgressLog, Stopwatch, read_progress
+from tests.full_disk import largest_file
+
+
+def test_what_happened_in_a_batch_is_counted() -> None:
+    statistics = BatchStatistics(repeat=4, steps=100)
+    done = torch.tensor([[False, True, False], [True, False, True]])[..., None]
+    sums = torch.tensor([[0.0, 200.0, 0.0], [0.0, 0.0, 100.0]])[..., None]
+    outcome = {
+        "goals": torch.tensor([[1, 1, 0], [0, 0, 1]])[..., None],
+        "steps": torch.tensor([[4, 8, 4], [40, 4, 6]])[..., None],
+    }
+    after = {"outcome": outcome, "done": done, "episode_reward": sums - 3, "episode_goal_reward": sums}
+    row = statistics(TensorDict({"next": after}, batch_size=(2, 3)))
+    assert row == {
+        "steps": 124,
+        "goals_per_2000_steps": 3 * 2000 / 24,
+        "episodes": 3,
+        "episodes_reached": 2,
+        "episode_steps": 18,
+        "episode_return": 97,
+    }
+    after["done"] = torch.zeros_like(done)
+    row = statistics(TensorDict({"next": after}, batch_size=(2, 3)))
+    assert row["steps"] == 148
+    assert row["episodes"] == 0
+    assert math.isnan(row["episode_return"])
+
+
+MEASURED = {"goals_per_2000_steps": 1.5, "episodes": 2, "episodes_reached": 1, "episode_return": math.nan}
+
+
+def test_rows_are_appended_and_read_back(tmp_path: Path) -> None:
+    with ProgressLog(tmp_path, console=Console(quiet=True)) as log:
+        log.add({"steps": 100, **MEASURED})
+        log.add({"steps": 200, **MEASURED})
+    path = tmp_path / "progress.csv"
+    with path.open("a") as file:
+        file.write("0.1,20")
+    columns = read_progress(path)
+    assert columns["steps"] == [100, 200]
+    assert columns["episodes"] == [2, 2]
+    assert math.isnan(columns["episode_return"][0])
+    ProgressLog(tmp_path, updates=1, steps=100, console=Console(quiet=True))
+    assert read_progress(path)["steps"] == [100]
+
+
+def test_progress_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    def fill(log: ProgressLog) -> None:
+        with log, largest_file(150):
+            for steps in range(1, 100):
+                log.add({"steps": steps, **MEASURED})
+
+    with pytest.raises(OSError, match=rf"File too large: '{tmp_path}/(progress\.csv|tensorboard/events)"):
+        fill(ProgressLog(tmp_path, console=Console(quiet=True)))
+
+
+def test_tensorboard_shows_the_same(tmp_path: Path) -> None:
+    accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    with ProgressLog(tmp_path, console=Console(quiet=True)) as log:
+        log.add({"steps": 100, **MEASURED})
+    events = accumulator.EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    assert [(event.step, event.value) for event in events.Scalars("goals_per_2000_steps")] == [(100, 1.5)]
+
+
+def test_events_after_the_state_that_is_gone_on_from_are_hidden(tmp_path: Path) -> None:
+    accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    for updates, rows in ((0, (100, 200, 300)), (1, (200, 250))):
+        with ProgressLog(tmp_path, updates, 101 * updates, Console(quiet=True)) as log:
+            for steps in rows:
+                log.add({"steps": steps, **MEASURED})
+    events = accumulator.EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    assert [event.step for event in events.Scalars("episodes")] == [100, 200, 250]
+
+
+def test_without_a_terminal_each_tenth_is_told(tmp_path: Path) -> None:
+    console = Console(file=io.StringIO(), width=200)
+    with ProgressLog(tmp_path, console=console) as log:
+        for step in range(1, 41):
+            log.add({"steps": 100 * step, **MEASURED})
+            log.show(step / 40)
+    lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert len(lines) == 10
+    assert "goals per 2,000 steps" in lines[0]
+    assert "success 50%" in lines[0]
+
+
+def batch_of(clocks: list[tuple[float, float, float]], rows: int = 2) -> TensorDict:
+    """Five decisions of workers, by their number and what each has worked so far in simulator and environment, s."""
+    told = torch.tensor(clocks, dtype=torch.float64).repeat_interleave(rows, 0)[:, None].expand(-1, 5, -1)
+    clock = dict(zip(("worker", "simulator", "environment"), told.split(1, -1), strict=True))
+    return TensorDict({"next": {"clock": clock}}, batch_size=told.shape[:2])
+
+
+def test_the_time_of_a_batch_is_divided_by_what_it_went_into() -> None:
+    stopwatch = Stopwatch()
+    with stopwatch("gradient steps"):
+        pass
+    # Two workers have worked 1 and 3 s, half of it in the simulator, and the batch was waited for 4 s.
+    stopwatch.collected(batch_of([(0, 0.5, 1.0), (1, 1.5, 3.0)]), rows=2, waited=4.0)
+    shares = stopwatch.shares()
+    assert shares["simulator"] == pytest.approx(shares["task and rewards"], rel=1e-3)
+    assert shares["policy and collector"] == pytest.approx(2 * shares["simulator"], rel=1e-3)
+    assert sum(shares.values()) == pytest.approx(1, abs=1e-6 * shares["simulator"])
+
+
+def test_what_is_done_while_nobody_waits_takes_no_time() -> None:
+    stopwatch = Stopwatch()
+    stopwatch.collected(batch_of([(1, 6.0, 8.0)]), rows=2, waited=2.0)
+    stopwatch.collected(batch_of([(0, 3.0, 4.0)]), rows=2, waited=0.0)
+    # Worker 1 worked 8 s more, 2 of them in the simulator; others know nothing of it.
+    stopwatch.collected(batch_of([(1, 8.0, 16.0)]), rows=2, waited=4.0)
+    shares = stopwatch.shares()
+    assert shares["simulator"] / shares["task and rewards"] == pytest.approx((1.5 + 1.0) / (0.5 + 3.0), rel=1e-3)
+    assert shares["policy and collector"] == pytest.approx(0.0, abs=1e-6)

@@ -1,0 +1,114 @@
+"""Training on a Ray cluster of two nodes on this machine, with one processor each."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from rover_rl.algos.config import ENDLESS, PPOConfig, TrainingConfig
+from rover_rl.algos.policy.checkpoint import Checkpoint, load_state
+from rover_rl.algos.train.collectors import WorkerError
+from rover_rl.algos.train.ppo import PPOLearner, train_ppo
+from rover_rl.algos.train.progress import read_progress
+from rover_rl.algos.train.sac import train_sac
+from tests.algos import test_training
+
+PPO = replace(test_training.PPO, backend="ray", workers=None)
+SAC = replace(test_training.SAC, backend="ray", workers=None)
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[None]:
+    ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'rover_rl[ray]'")
+    from ray.cluster_utils import Cluster
+
+    # Ray lets other programs of the machine go first; with tests beside them its workers would hardly start.
+    os.environ["RAY_worker_niceness"] = "0"  # noqa: SIM112, as Ray spells it
+    nodes = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    nodes.add_node(num_cpus=1)
+    nodes.wait_for_nodes()
+    os.environ["RAY_ADDRESS"] = nodes.address
+    yield
+    del os.environ["RAY_ADDRESS"], os.environ["RAY_worker_niceness"]  # noqa: SIM112
+    ray.shutdown()
+    nodes.shutdown()
+
+
+def remote_workers() -> list[psutil.Process]:
+    """Ray's processes with a collector of ours."""
+    words = {process: " ".join(_words(process)) for process in psutil.process_iter()}
+    return [process for process, said in words.items() if "ray::" in said and "Collector" in said]
+
+
+def _words(process: psutil.Process) -> list[str]:
+    try:
+        return process.cmdline()
+    except psutil.Error:
+        return []
+
+
+@pytest.mark.slow
+def test_ppo_takes_the_same_steps_as_at_home(cluster: None, tmp_path: Path) -> None:
+    summary = train_ppo(replace(PPO, runs=str(tmp_path)))
+    progress = read_progress(summary.folder / "progress.csv")
+    assert progress["steps"] == [128, 256, 384, 512]
+    assert sum(summary.shares.values()) == pytest.approx(1)
+    # A processor of the cluster each.
+    assert "workers: 2" in (summary.folder / "config.yaml").read_text()
+    assert not remote_workers()
+
+
+@pytest.mark.slow
+def test_sac_learns_from_one_worker_while_the_other_drives(cluster: None, tmp_path: Path) -> None:
+    progress = read_progress(train_sac(replace(SAC, runs=str(tmp_path))).folder / "progress.csv")
+    assert progress["steps"] == list(range(16, 513, 16))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seconds", [0, 2], ids=["just now", "a while ago"])
+def test_a_worker_that_is_killed_ends_the_run_resumably(
+    cluster: None, seconds: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    update, calls = PPOLearner.update, []
+
+    def killing(self: Any, *args: Any) -> dict[str, float]:
+        calls.append(1)
+        if len(calls) == 3:
+            remote_workers()[0].send_signal(signal.SIGKILL)
+            time.sleep(seconds)
+        return update(self, *args)
+
+    monkeypatch.setattr(PPOLearner, "update", killing)
+    with pytest.raises(WorkerError, match="actor died"):
+        train_ppo(replace(PPO, total_steps=ENDLESS, runs=str(tmp_path), name="dying"))
+    folder = tmp_path / "dying"
+    assert load_state(folder / "training_state.pt")["updates"] >= 3
+    monkeypatch.undo()
+    steps = Checkpoint.load(folder).steps
+    again = train_ppo(replace(PPO, total_steps=steps + 128, runs=str(tmp_path), name="dying"), folder)
+    assert again.steps == steps + 128
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("config", [PPO, SAC], ids=["ppo", "sac"])
+def test_more_workers_than_processors_are_refused(cluster: None, config: TrainingConfig, tmp_path: Path) -> None:
+    train = train_ppo if isinstance(config, PPOConfig) else train_sac
+    with pytest.raises(ValueError, match="workers=4 need a processor each, and the Ray cluster has 2"):
+        train(replace(config, workers=4, runs=str(tmp_path)))  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_ray_it_is_said_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(ImportError, match=r'pip install "rover_rl\[ray\]"'):
+        train_ppo(replace(PPO, runs=str(tmp_path)))
+    assert not list(tmp_path.iterdir())

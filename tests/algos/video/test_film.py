@@ -1,0 +1,151 @@
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import imageio.v2 as imageio
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from tensordict import TensorDictBase
+
+from rover_rl import RoverEnv, World, make_env
+from rover_rl.algos.video.film import film
+from rover_rl.algos.video.views import lidar_hits
+from rover_rl.cli.film import Film
+from rover_rl.sims.rendering.camera import Camera
+from rover_rl.sims.worlds import Terrain, box
+
+FIELD = World("field", Terrain.flat((12.0, 12.0)))
+WALL = World("wall", Terrain.flat((12.0, 12.0)), [box((2.0, 0.0, 0.5), (0.4, 4.0, 1.0))])
+
+
+def straight(td: TensorDictBase) -> TensorDictBase:
+    """Drives at the goal, slowly while it is not ahead."""
+    angle = td["target"][..., 1:]
+    return td.set("action", torch.cat((angle.cos().clamp(min=0), angle), -1))
+
+
+def chase(env: RoverEnv) -> Camera:
+    rover = env.rover_state[0]
+    return Camera.on(rover.position, rover.orientation, env.worlds[0], "chase")
+
+
+@pytest.mark.parametrize("yaw", [0.0, 2.0])
+def test_lines_are_drawn_over_what_the_simulator_renders(yaw: float) -> None:
+    env = RoverEnv(world_n=FIELD, seed=0)
+    goal = 4 * torch.tensor([[math.cos(yaw + 0.2), math.sin(yaw + 0.2)]])
+    env.reset(start=torch.tensor([[0.0, 0.0, yaw]]), goal=goal)
+    picture = env.render(width=320, height=240).int()
+    post = (picture[..., 1:2] > picture[..., ::2] + 60).all(-1).nonzero()
+    env.close()
+    ends = torch.tensor([[*goal[0].tolist(), height] for height in (0.0, 1.2)])
+    pixels, seen = chase(env).see(ends, 320, 240)
+    pixels = pixels.float()
+    assert seen.all()
+    # Right and down; the camera looks down on the post, so that its rims stand out a little.
+    torch.testing.assert_close(pixels[:, 0], post[:, 1].float().mean().expand(2), atol=1.5, rtol=0)
+    bottom_and_top = torch.stack((post[:, 0].max(), post[:, 0].min())).float()
+    torch.testing.assert_close(pixels[:, 1], bottom_and_top, atol=3, rtol=0)
+
+
+def test_the_camera_does_not_see_behind_itself_or_a_wall() -> None:
+    env = RoverEnv(world_n=WALL, seed=0)
+    env.reset(start=torch.zeros(1, 3))
+    camera = chase(env)
+    env.close()
+    points = torch.tensor([[1.7, 0.0, 0.5], [1.8, 0.0, 0.5], [3.0, 0.0, 0.2], [3.0, 0.0, 1.5], [-5.0, 0.0, 0.5]])
+    pixels, seen = camera.see(points, 320, 240)
+    assert seen.tolist() == [True, True, False, True, False]
+    assert pixels.isnan().any(-1).tolist() == [False] * 4 + [True]
+
+
+def test_lidar_beams_end_where_they_meet_something() -> None:
+    env = RoverEnv(world_n=WALL, seed=0)
+    env.reset(start=torch.tensor([[0.0, 0.5, 1.0]]))
+    start, hits = lidar_hits(env.rover_state[0], env.robot, env.simulator.ray_angles)
+    env.close()
+    assert len(hits) > 10
+    torch.testing.assert_close(hits[:, 0], torch.full((len(hits),), 1.8), atol=0.01, rtol=0)
+    assert hits[:, 1].abs().max() < 2.01
+    torch.testing.assert_close(hits[:, 2], start[2].expand(len(hits)), atol=0.05, rtol=0)
+
+
+@pytest.mark.parametrize(("start", "low"), [(-2.0, True), (2.8, False), (2.6, False)])
+def test_the_camera_climbs_until_it_sees_the_rover(start: float, low: bool) -> None:
+    env = RoverEnv(world_n=WALL, seed=0)
+    env.reset(start=torch.tensor([[start, 0.0, 0.0]]), goal=torch.zeros(1, 2))
+    camera, rover = chase(env), env.rover_state[0].position.double()
+    env.close()
+    assert camera.see(rover + torch.tensor((0.0, 0.0, 0.1)), 320, 240)[1]
+    assert (camera.eye - rover).norm() == pytest.approx(2.55)
+    assert (camera.eye[2] - rover[2] < 1.4) == low
+    assert not WALL.obstacles[0].contains(camera.eye)
+
+
+@pytest.mark.parametrize(("view", "rows"), [("chase", 1), ("top", 3)])
+def test_a_gif_has_the_size_and_the_time_asked_for(view: str, rows: int, tmp_path: Path) -> None:
+    path = tmp_path / "new" / "film.gif"
+    settings = {"world": FIELD, "view": view, "rows": rows, "width": 99, "height": 64, "seed": 3}
+    film(straight, path, seconds=1.0, **settings)
+    with Image.open(path) as picture:
+        assert picture.size == (99, 64)
+        assert picture.n_frames == 10
+        assert picture.info["duration"] == 100
+        assert np.asarray(picture.convert("RGB")).std() > 10
+    assert [file.name for file in path.parent.iterdir()] == ["film.gif"]
+    before = path.read_bytes()
+    film(straight, path, seconds=1.0, **settings)
+    assert path.read_bytes() == before
+
+
+def test_a_fast_film_is_short(tmp_path: Path) -> None:
+    film(straight, tmp_path / "film.gif", world=FIELD, view="top", seconds=2, speed=4, fps=20, width=64, height=48)
+    with Image.open(tmp_path / "film.gif") as picture:
+        assert picture.n_frames == 10
+
+
+def test_an_mp4_is_a_film(tmp_path: Path) -> None:
+    pytest.importorskip("imageio_ffmpeg")
+    path = tmp_path / "film.mp4"
+    film(None, path, world=FIELD, view="top", rows=2, seconds=0.5, width=96, height=64)
+    pictures = [np.asarray(picture) for picture in imageio.get_reader(path)]
+    assert len(pictures) == 10
+    assert pictures[0].shape == (64, 96, 3)
+
+
+def test_the_first_rover_is_told_of(tmp_path: Path) -> None:
+    told = film(straight, tmp_path / "film.gif", world=WALL, view="top", rows=2, seconds=8, seed=1, width=64, height=48)
+    env = make_env(world_n=WALL, num_envs=2, seed=1)
+    expected = env.rollout(160, straight, break_when_any_done=False)[0]
+    env.close()
+    assert told.batch_size == (160,)
+    for key in (("next", "pose"), ("next", "reward"), ("next", "outcome", "phase")):
+        assert torch.equal(told[key], expected[key])
+
+
+def test_what_cannot_be_filmed_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(td: TensorDictBase) -> TensorDictBase:
+        raise AssertionError
+
+    with pytest.raises(ValueError, match=r"must be \.mp4 or \.gif, got .*film\.avi"):
+        film(never, tmp_path / "film.avi")
+    with pytest.raises(ValueError, match="seconds must be positive"):
+        film(never, tmp_path / "film.gif", seconds=0)
+    with pytest.raises(ValueError, match="unknown view 'side'"):
+        film(never, tmp_path / "film.gif", view="side")  # type: ignore[arg-type]
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(ValueError, match=r'pip install "rover_rl\[video\]"'):
+        film(never, tmp_path / "film.mp4")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_films_and_draws_rewards(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, rewards = tmp_path / "film.gif", tmp_path / "rewards.png"
+    command = Film("scripted", out=out, view="top", rovers=2, seconds=0.5, width=64, height=48, rewards=rewards)
+    assert command() == 0
+    assert capsys.readouterr().out == f"Film: {out}\nRewards: {rewards}\n"
+    assert out.is_file()
+    assert rewards.is_file()

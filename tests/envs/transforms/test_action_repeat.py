@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import check_env_specs
+
+from rover_rl import TaskConfig, World, make_env
+from rover_rl.envs import StepEvent
+from rover_rl.envs.transforms.action_repeat import ActionRepeat
+from rover_rl.sims.worlds import Terrain
+
+FIELD = World("field", Terrain.flat((12.0, 12.0)), bounds=((-5.0, 5.0), (-5.0, 5.0)))
+START = torch.tensor([[0.0, 0.0, 0.0], [4.8, 2.0, 0.0], [0.0, -2.0, 0.0]])
+GOAL = torch.tensor([[0.6, 0.0], [0.0, 2.0], [4.0, -2.0]])
+"""Row 0 soon reaches its goal, row 1 soon leaves the bounds, row 2 drives on."""
+FORWARD = torch.tensor([[1.0, 0.0], [1.0, 0.0], [1.0, 0.2]])
+
+
+def field(repeat: int | None = None, **kwargs: object) -> EnvBase:
+    env = make_env(world_n=FIELD, num_envs=3, seed=0, **kwargs)
+    return env if repeat is None else env.append_transform(ActionRepeat(repeat))
+
+
+def decide(env: EnvBase, td: TensorDict, **entries: torch.Tensor) -> TensorDict:
+    return env.step(td.clone().update({"action": FORWARD, **entries}))["next"]
+
+
+def decisions(repeat: int, count: int, **kwargs: object) -> Iterator[tuple[TensorDict, list[TensorDict]]]:
+    """Decisions of the repeated environment, each beside the single steps that it stands for."""
+    single, repeated = field(**kwargs), field(repeat, **kwargs)
+    td, one = repeated.reset(start=START, goal=GOAL), single.reset(start=START, goal=GOAL)
+    for _ in range(count):
+        steps = []
+        for _ in range(repeat):
+            one = decide(single, one)
+            steps.append(one)
+        td = decide(repeated, td)
+        yield td, steps
+        if td["done"].any():
+            return
+
+
+def taken(steps: list[TensorDict]) -> torch.Tensor:
+    """Which rows were still running before each of the steps: bool ``[steps, N, 1]``."""
+    done = torch.stack([step["done"] for step in steps]).cumsum(0).bool()
+    return torch.cat((torch.ones_like(done[:1]), ~done[:-1]))
+
+
+@pytest.mark.parametrize("end_on_goal", [False, True])
+def test_rewards_and_components_are_summed_until_the_ending(end_on_goal: bool) -> None:
+    for td, steps in decisions(8, 5, end_on_goal=end_on_goal):
+        active = taken(steps)
+        for key in ("reward", *(("reward_components", name) for name in td["reward_components"].sorted_keys)):
+            expected = (torch.stack([step[key] for step in steps]) * active).sum(0)
+            torch.testing.assert_close(td[key], expected, msg=str(key))
+    assert td["done"].any()
+
+
+def test_outcome_tells_of_the_whole_decision() -> None:
+    goals = 0
+    for td, steps in decisions(8, 5):
+        active = taken(steps)
+        outcome, singles = td["outcome"], torch.stack([step["outcome"] for step in steps])
+        assert torch.equal(outcome["goals"], (singles["goal_reached"] & active).sum(0))
+        assert torch.equal(outcome["goal_reached"], outcome["goals"] > 0)
+        assert torch.equal(outcome["phase"], singles["phase"].masked_fill(~active, StepEvent.NONE).amin(0))
+        torch.testing.assert_close(outcome["progress"], (singles["progress"] * active).sum(0))
+        goals += int(outcome["goals"].sum())
+    assert goals == 1
+    assert outcome["out_of_bounds"][1].item()
+
+
+def test_a_row_that_ends_is_held_where_it_ended() -> None:
+    *_, (td, steps) = decisions(8, 5)
+    last = int(taken(steps)[:, 1].sum()) - 1
+    assert last < 7, "the ending falls inside of a repeat"
+    for key in ("pose", "lidar", "terminated", "truncated", "done", ("outcome", "steps")):
+        assert torch.equal(td[key][1], steps[last][key][1]), key
+    assert td["outcome", "phase"][1] == StepEvent.OUT_OF_BOUNDS
+    assert td["terminated"].squeeze(-1).tolist() == [False, True, False]
+
+
+def test_a_time_limit_inside_of_a_repeat_truncates() -> None:
+    env = field(4, length=6)
+    td = decide(env, env.reset(start=START, goal=GOAL))
+    td = decide(env, td)
+    assert td["truncated"].all()
+    assert not td["terminated"].any()
+    assert (td["outcome", "steps"] == 6).all()
+
+
+def test_rows_held_by_the_caller_stand_still() -> None:
+    env = field(4)
+    first = decide(env, env.reset(start=START, goal=GOAL))
+    second = decide(env, first, _step=torch.tensor([True, False, True]))
+    assert torch.equal(second["pose"][1], first["pose"][1])
+    assert second["reward"][1] == 0
+    assert second["outcome", "phase"][1] == StepEvent.NONE
+    assert second["outcome", "steps"].squeeze(-1).tolist() == [8, 4, 8]
+
+
+def test_several_goals_in_one_decision_all_count() -> None:
+    env = field(4, task=TaskConfig(success_distance=40.0))
+    td = decide(env, env.reset(start=START, goal=GOAL))
+    assert (td["outcome", "goals"] == 4).all()
+    assert (td["reward_components", "goal"] == 400).all()
+
+
+def test_specs_hold() -> None:
+    check_env_specs(field(4), break_when_any_done="both")
+
+
+def test_no_repeat_raises() -> None:
+    with pytest.raises(ValueError, match="at least 1 step, got 0"):
+        ActionRepeat(0)

@@ -1,0 +1,24 @@
+from __future__ import annotations
+
+import torch
+from torchrl.envs.utils import check_env_specs
+
+from rover_rl import RoverEnv
+from rover_rl.envs.transforms.step_clock import StepClock
+
+
+def test_the_clock_goes_with_the_data() -> None:
+    base = RoverEnv(world_n="maze", num_envs=3, seed=0)
+    env = base.append_transform(StepClock(base.simulator))
+    rollout = env.rollout(5, break_when_any_done=False)
+    simulator, environment = (rollout["next", "clock", name].squeeze(-1) for name in ("simulator", "environment"))
+    assert simulator.dtype == torch.float64
+    assert (simulator == simulator[:1]).all()
+    assert (simulator.diff(dim=1) > 0).all()
+    # A reset costs the simulator time outside of steps; each step is longer than what the simulator does in it.
+    assert (environment.diff(dim=1) > simulator.diff(dim=1)).all()
+
+
+def test_the_environment_stays_one_by_its_specs() -> None:
+    base = RoverEnv(world_n="maze", num_envs=2, seed=0)
+    check_env_specs(base.append_transform(StepClock(base.simulator)), check_dtype=True)

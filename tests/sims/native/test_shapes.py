@@ -1,0 +1,88 @@
+"""Meshes and hulls as Bullet shapes."""
+
+from __future__ import annotations
+
+import gc
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from rover_rl.sims.native.bullet import disconnect, pybullet
+from rover_rl.sims.native.shapes import make_hull, make_mesh, make_visual_mesh
+from rover_rl.sims.worlds import Terrain
+
+
+@pytest.fixture
+def client() -> Iterator[int]:
+    client = pybullet.connect(pybullet.DIRECT)
+    yield client
+    disconnect([client])
+
+
+def square(side: float, points: int = 40) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of level ground of ``side`` metres, ``points`` along each side."""
+    vertices, faces = Terrain(np.zeros((points, points)), side / (points - 1)).mesh()
+    return vertices.numpy(), faces.numpy()
+
+
+def size(client: int, shape: int) -> np.ndarray:
+    """Sides of the box around a collision shape, m."""
+    body = pybullet.createMultiBody(0, shape, physicsClientId=client)
+    low, high = pybullet.getAABB(body, physicsClientId=client)
+    return np.subtract(high, low)
+
+
+@pytest.mark.parametrize("kind", ["hull", "mesh", "visual mesh"])
+def test_shapes_leave_no_python_objects_behind(client, kind):
+    vertices, faces = square(4.0)
+    make = {
+        "hull": lambda: make_hull(client, vertices),
+        "mesh": lambda: make_mesh(client, vertices, faces),
+        "visual mesh": lambda: make_visual_mesh(client, vertices, faces, np.ones_like(vertices), (1, 1, 1, 1)),
+    }[kind]
+    make()
+    gc.collect()
+    before = sys.getallocatedblocks()
+    for _ in range(5):
+        make()
+    gc.collect()
+    # PyBullet itself would keep a list for each of 1,600 vertices.
+    assert sys.getallocatedblocks() - before < 200
+
+
+def test_a_shape_has_nothing_of_the_larger_one_before_it(client):
+    for side, points in ((8.0, 50), (3.0, 10), (5.0, 20)):
+        vertices, faces = square(side, points)
+        np.testing.assert_allclose(size(client, make_mesh(client, vertices, faces))[:2], side, atol=0.01)
+        corners = np.concatenate((vertices, np.add(vertices, (0, 0, 1))))
+        np.testing.assert_allclose(size(client, make_hull(client, corners)), (side, side, 1), atol=0.1)
+
+
+def test_a_mesh_is_hit_where_its_triangles_are(client):
+    vertices, faces = Terrain([[0.0, 1.0], [0.0, 1.0]], cell=1.0, origin=(0.0, 0.0)).mesh()
+    pybullet.createMultiBody(0, make_mesh(client, vertices.numpy(), faces.numpy()), physicsClientId=client)
+    ((*_, hit, _),) = pybullet.rayTestBatch([[0.25, 0.5, 2]], [[0.25, 0.5, -2]], physicsClientId=client)
+    np.testing.assert_allclose(hit, (0.25, 0.5, 0.25), atol=1e-6)
+
+
+def test_threads_that_make_shapes_at_once_get_their_own():
+    sides = [1.0, 2.0, 3.0, 4.0]
+
+    def made(side: float) -> list[float]:
+        client = pybullet.connect(pybullet.DIRECT)
+        vertices, faces = square(side, points=60)
+        found = [size(client, make_mesh(client, vertices, faces))[0] for _ in range(20)]
+        disconnect([client])
+        return found
+
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(len(sides)) as pool:
+            for side, found in zip(sides, pool.map(made, sides), strict=True):
+                np.testing.assert_allclose(found, side, atol=0.01)
+    finally:
+        sys.setswitchinterval(interval)
