@@ -2,29 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
+from rover_rl.envs.config import HeadingGains
 from rover_rl.sims.rotations import wrap_angle
-
-
-@dataclass(frozen=True)
-class HeadingGains:
-    """Gains of the heading PID, as the contract gives them.
-
-    Args:
-        kp: proportional gain, 1/s.
-        ki: integral gain, 1/s^2.
-        kd: derivative gain, dimensionless.
-        max_output: the yaw rate is clipped to plus and minus this, rad/s.
-    """
-
-    kp: float = 2.0
-    ki: float = 0.0
-    kd: float = 0.1
-    max_output: float = 7.0
 
 
 class HeadingController:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from rover_rl.envs.rng import random_bits, to_index, to_unit
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds import World, free_space
+from rover_rl.sims.worlds import World, free_space, get_world
 from rover_rl.sims.worlds.free_space import HEADINGS
 
 _START, _GOAL = 0, 1
@@ -88,3 +88,12 @@ class _Table:
     def index(self, bits: Tensor) -> Tensor:
         """Random indices into ``points`` of each row's own world, as many as ``bits [N, k]``."""
         return self._offset + to_index(bits, self._count)
+
+
+def assign_rows(world_n: str | World | Sequence[str | World], num_envs: int) -> list[World]:
+    """The world of each row: the given ones in equal blocks."""
+    names = [world_n] if isinstance(world_n, (str, World)) else list(world_n)
+    if not 1 <= len(names) <= num_envs:
+        raise ValueError(f"world_n must give between 1 and num_envs={num_envs} worlds, got {len(names)}")
+    worlds = [get_world(name) for name in names]
+    return [worlds[row * len(worlds) // num_envs] for row in range(num_envs)]

@@ -7,52 +7,20 @@ A component is active where its rule decides the step (``outcome["phase"]``), so
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Sequence
+from typing import Any, ClassVar
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
+from rover_rl.envs.config import RewardConfig
 from rover_rl.envs.rows import in_rows
 from rover_rl.envs.task import StepEvent
-
-
-@dataclass(frozen=True)
-class RewardConfig:
-    """The numbers of the contract's reward.
-
-    Args:
-        goal_reward: for reaching a goal.
-        distance_delta_scale: reward for each metre gained on the target.
-        final_reward_multiplier: on top of that, and of the idle penalty.
-        idle_penalty: in place of the distance reward where too little is gained or the rover faces away.
-        min_progress: the distance reward needs more change than this, m.
-        min_alignment: and a heading alignment above this.
-        velocity_scale: reward for each m/s forward.
-        turn_scale: reward for each rad/s of turning, either way.
-        collision_penalty: for each step with something too near.
-        stuck_penalty: for not having moved.
-        general_penalty: for a flip or a jam.
-        flip_grace_steps: a flip costs nothing up to this step of the episode.
-        out_of_bounds_penalty: for leaving the world's bounds (the contract's ``too_far_away_penilty``).
-    """
-
-    goal_reward: float = 100.0
-    distance_delta_scale: float = 0.3
-    final_reward_multiplier: float = 1.5
-    idle_penalty: float = -0.03
-    min_progress: float = 0.001
-    min_alignment: float = 0.0
-    velocity_scale: float = 0.0025
-    turn_scale: float = -0.0015
-    collision_penalty: float = -0.5
-    stuck_penalty: float = -25.0
-    general_penalty: float = -20.0
-    flip_grace_steps: int = 500
-    out_of_bounds_penalty: float = -10.0
+from rover_rl.registry import Registry
+from rover_rl.tensordicts import unchecked_tensordict
 
 
 class RewardComponent(Transform):
@@ -87,9 +55,7 @@ class RewardComponent(Transform):
         value = torch.where(self._active(outcome.get("phase")), self.value(outcome, rows), 0.0)
         components = next_tensordict.get("reward_components", None)
         if components is None:
-            components = TensorDict._new_unsafe(
-                {}, batch_size=next_tensordict.batch_size, device=next_tensordict.device
-            )
+            components = unchecked_tensordict({}, next_tensordict.batch_size, next_tensordict.device)
             next_tensordict.set("reward_components", components)
         components.set(self.name, value if next_tensordict.batch_dims else value[0])
         return next_tensordict
@@ -287,3 +253,58 @@ def contract_reward(config: RewardConfig | None = None) -> list[Transform]:
         GeneralPenalty(c.general_penalty, c.flip_grace_steps),
         OutOfBoundsPenalty(c.out_of_bounds_penalty),
     ]
+
+
+_REGISTRY = Registry("reward", {"contract": contract_reward, "task": list})
+
+
+def register_reward(name: str, reward: Any) -> None:
+    """Gives a reward a name, for ``make_env``, ``EnvConfig`` and ``--reward``.
+
+    Args:
+        name: its name.
+        reward: a :class:`RewardComponent` class or object, a list of them, a :class:`RewardConfig`, a function without
+            arguments that returns one of these, or the ``"module:attribute"`` of any.
+
+    Raises:
+        ValueError: for a name that is taken, or that has other characters than letters, digits, ``_``, ``-`` and ``.``.
+    """
+    _REGISTRY.register(name, reward)
+
+
+def reward_names() -> list[str]:
+    """Names of the rewards of the package, of those registered, and of those of installed packages."""
+    return _REGISTRY.names()
+
+
+def reward_components(reward: Any, contract: RewardConfig | None = None) -> list[Transform]:
+    """The components of a reward, new objects each time; none for the bare task's reward.
+
+    Args:
+        reward: a name in :func:`reward_names`, the ``module:attribute`` of a reward of your own, a
+            :class:`RewardConfig`, a :class:`RewardComponent`, or a sequence of these, which are put together.
+        contract: numbers of the contract's reward.
+
+    Raises:
+        ValueError: for something else.
+
+    Example:
+        >>> [component.name for component in reward_components(["contract", "my_package:TiltPenalty"])][-1]
+        'tilt'
+    """
+    if reward == "contract":
+        return contract_reward(contract)
+    part = _REGISTRY.find(reward) if isinstance(reward, str) else reward
+    if callable(part) and not isinstance(part, Transform):
+        part = part()
+    if isinstance(part, RewardConfig):
+        return contract_reward(part)
+    if isinstance(part, Transform):
+        # A transform belongs to one environment.
+        return [part if part is reward and part.parent is None else part.clone()]
+    if not isinstance(part, Sequence) or isinstance(part, str):
+        raise ValueError(
+            f"reward must be one of {reward_names()}, a RewardConfig, RewardComponents or a function that returns "
+            f"them, got {part!r}"
+        )
+    return [component for each in part for component in reward_components(each, contract)]

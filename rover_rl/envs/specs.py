@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
+from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 
+from rover_rl.envs.config import ActionConfig
+from rover_rl.envs.privileged import FEATURES as PRIVILEGED
 from rover_rl.envs.task import EVENTS, StepEvent
 
 
@@ -19,9 +22,18 @@ class Bounds:
     low: tuple[float, ...]
     high: tuple[float, ...]
 
+    def tensors(self, device: torch.device | str | None) -> tuple[Tensor, Tensor]:
+        """The bounds as tensors, float32 ``[features]`` each."""
+        return torch.tensor(self.low, device=device), torch.tensor(self.high, device=device)
 
-ACTION = Bounds(low=(-1.0, -math.pi), high=(1.0, math.pi))
-"""Forward speed (m/s) and heading offset (rad)."""
+
+def action_bounds(action: ActionConfig) -> Bounds:
+    """Bounds of forward speed (m/s) and heading offset (rad)."""
+    return Bounds(low=(action.min_speed, -action.max_turn), high=(action.max_speed, action.max_turn))
+
+
+ACTION = action_bounds(ActionConfig())
+"""The contract's action: forward speed (m/s) and heading offset (rad)."""
 
 
 def observation_bounds(lidar_points: int, max_lidar_range: float) -> dict[str, Bounds]:
@@ -37,19 +49,36 @@ def observation_bounds(lidar_points: int, max_lidar_range: float) -> dict[str, B
 
 def bounded_spec(bounds: Bounds, batch_size: Sequence[int], device: torch.device | str | None) -> Bounded:
     """A float32 spec ``[*batch_size, features]``."""
-    low, high = (torch.tensor(side, device=device).expand(*batch_size, -1) for side in (bounds.low, bounds.high))
+    low, high = (side.expand(*batch_size, -1) for side in bounds.tensors(device))
     return Bounded(low=low.clone(), high=high.clone(), dtype=torch.float32, device=device)
 
 
 def observation_spec(
-    lidar_points: int, max_lidar_range: float, batch_size: Sequence[int], device: torch.device | str | None
+    bounds: Mapping[str, Bounds],
+    batch_size: Sequence[int],
+    device: torch.device | str | None,
+    privileged: bool = False,
 ) -> Composite:
-    """The observation and the nested ``outcome``."""
-    observation = {
-        key: bounded_spec(bounds, batch_size, device)
-        for key, bounds in observation_bounds(lidar_points, max_lidar_range).items()
+    """The observation and the nested ``outcome``.
+
+    Args:
+        bounds: bounds of each entry, as :func:`observation_bounds` gives them.
+        batch_size: batch size of the environment.
+        device: device of the environment.
+        privileged: whether to add the nested ``privileged`` observation.
+    """
+    entries = {key: bounded_spec(each, batch_size, device) for key, each in bounds.items()}
+    if privileged:
+        entries["privileged"] = _privileged_spec(batch_size, device)
+    return Composite(**entries, outcome=_outcome_spec(batch_size, device), shape=batch_size, device=device)
+
+
+def _privileged_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Composite:
+    entries = {
+        key: Unbounded(shape=(*batch_size, features), dtype=torch.float32, device=device)
+        for key, features in PRIVILEGED.items()
     }
-    return Composite(**observation, outcome=_outcome_spec(batch_size, device), shape=batch_size, device=device)
+    return Composite(**entries, shape=batch_size, device=device)
 
 
 def done_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Composite:

@@ -14,38 +14,9 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from rover_rl.envs.config import TaskConfig
 from rover_rl.sims.rotations import angle_of, wrap_angle
-
-
-@dataclass(frozen=True)
-class TaskConfig:
-    """The numbers of the task, as the contract gives them.
-
-    Args:
-        success_distance: a goal is reached below this distance, m.
-        min_goal_distance: a new goal is at least so far away, m.
-        collision_threshold: a lidar reading below this is a collision, m.
-        collision_window: a collision of more steps in a row than this is a jam.
-        flip_threshold: roll or pitch beyond this is a flip, rad.
-        stuck_window: positions remembered to tell whether the rover is stuck, steps.
-        stuck_threshold: less displacement than this between the oldest and the newest of them is stuck, m.
-    """
-
-    success_distance: float = 0.5
-    min_goal_distance: float = 1.0
-    collision_threshold: float = 0.3
-    collision_window: int = 15
-    flip_threshold: float = 1.48
-    stuck_window: int = 600
-    stuck_threshold: float = 0.001
-
-    def __post_init__(self) -> None:
-        for field in ("success_distance", "min_goal_distance", "stuck_window"):
-            if not getattr(self, field) > 0:
-                raise ValueError(f"{field} must be positive, got {getattr(self, field)}")
-        for field in ("collision_threshold", "collision_window", "flip_threshold", "stuck_threshold"):
-            if not getattr(self, field) >= 0:
-                raise ValueError(f"{field} must not be negative, got {getattr(self, field)}")
+from rover_rl.tensordicts import unchecked_tensordict
 
 
 class StepEvent(IntEnum):
@@ -197,4 +168,4 @@ def compute_terminations(
 def pack_outcome(events: Tensor, **fields: Tensor) -> TensorDict:
     """The nested ``outcome``: one bool ``[N, 1]`` an event, and ``fields`` as they are."""
     named = dict(zip(EVENTS, events.split(1, -1), strict=True))
-    return TensorDict._new_unsafe({**named, **fields}, batch_size=events.shape[:1])
+    return unchecked_tensordict({**named, **fields}, events.shape[:1])

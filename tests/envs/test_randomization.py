@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from rover_rl import RoverEnv, make_env
-from rover_rl.envs.randomization import Randomization
+from rover_rl.envs import Randomization
+from rover_rl.envs.randomization import draw_dynamics
 from rover_rl.sims.base import Dynamics
 from rover_rl.sims.ros2 import Ros2Settings
 from tests.extras import needs_warp
@@ -90,7 +91,7 @@ def test_factors_are_drawn_evenly_from_their_ranges_and_anew_in_each_episode():
     env = RoverEnv(world_n="maze", num_envs=1, seed=0)
     randomization = Randomization(friction=(0.5, 1.5), chassis_mass=(1.0, 2.0))
     keys = torch.randint(-(2**62), 2**62, (4000, 1), generator=torch.Generator().manual_seed(0))
-    drawn = randomization.draw_dynamics(keys)
+    drawn = draw_dynamics(randomization, keys)
     assert isinstance(drawn, Dynamics)
     for values, (low, high) in ((drawn.friction, (0.5, 1.5)), (drawn.chassis_mass, (1.0, 2.0))):
         assert low <= values.min() < low + 0.02

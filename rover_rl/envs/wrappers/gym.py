@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 from typing import Any
 
 import gymnasium
@@ -12,26 +13,22 @@ from numpy.typing import ArrayLike, NDArray
 from torchrl.envs import EnvBase
 
 from rover_rl.checks import check_seed
-from rover_rl.envs.control import HeadingGains
 from rover_rl.envs.rewards import RewardConfig
 from rover_rl.envs.rover import RoverEnv as BatchedRoverEnv
-from rover_rl.envs.task import TaskConfig
 from rover_rl.envs.wrappers.gym_vector import GymVectorWrapper, make_vector_env
 from rover_rl.envs.wrappers.numpy_batch import (
-    FRAMES_PER_SECOND,
     NumpyBatch,
     Observation,
     Reward,
     TimeLimit,
     base_env,
+    frames_per_second,
     row_of,
 )
 from rover_rl.envs.wrappers.original_names import OriginalNames
 from rover_rl.envs.wrappers.window import Window
-from rover_rl.sims import BackendLike
 from rover_rl.sims.base import View
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds import World
+from rover_rl.sims.timing import CONTROL_DT
 
 __all__ = ["GymVectorWrapper", "GymWrapper", "RoverEnv", "make_vector_env"]
 
@@ -71,7 +68,7 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         1
     """
 
-    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": FRAMES_PER_SECOND}  # noqa: RUF012
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": round(1 / CONTROL_DT)}  # noqa: RUF012
 
     def __init__(
         self,
@@ -89,7 +86,8 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         if render_mode not in modes:
             raise ValueError(f"render_mode must be one of {modes}, got {render_mode!r}")
         human = render_mode == "human"
-        self._window = Window("rover_rl", FRAMES_PER_SECOND) if human else None
+        self.metadata = {**self.metadata, "render_fps": frames_per_second(env)}
+        self._window = Window("rover_rl", self.metadata["render_fps"]) if human else None
         pictures = "rgb_array" if human else render_mode
         self._batch = NumpyBatch(env, reward=reward, time_limit=time_limit, render_mode=pictures, camera=camera)
         self.observation_space = self._batch.observation_space
@@ -213,7 +211,7 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         """
         # The controller replaces its memory and never writes into it: the call changes only the copy.
         controller = copy.copy(self.base_env.controller)
-        dt = self.base_env.rover_state.dt
+        dt = self.base_env.sensed_state.dt
         desired, current = (torch.full_like(dt, float(heading)) for heading in (desired_heading, current_heading))
         return controller(desired, current, dt).item()
 
@@ -269,10 +267,8 @@ class RoverEnv(GymWrapper):
     """Drop-in for the original: the same ten arguments in the same order, the same methods and attributes.
 
     Args:
-        size, length, scan_topic, imu_topic, cmd_vel_topic, camera_topic, world_n, connection_check_timeout,
-            lidar_points, max_lidar_range: the contract's; see :class:`rover_rl.RoverEnv`.
-        backend, physics, robot, lidar_beams, seed, device, end_on_goal, task, heading_gains: see
-            :class:`rover_rl.RoverEnv`.
+        *args, **kwargs: arguments of :class:`rover_rl.RoverEnv` without ``num_envs``: the contract's ten arguments,
+            then keywords.
         reward, time_limit, render_mode, camera: see :class:`GymWrapper`.
 
     Example:
@@ -284,50 +280,26 @@ class RoverEnv(GymWrapper):
 
     def __init__(
         self,
-        size: tuple[int, int] = (64, 64),
-        length: int = 2000,
-        scan_topic: str = "/scan",
-        imu_topic: str = "/imu/data",
-        cmd_vel_topic: str = "/cmd_vel",
-        camera_topic: str = "/camera/image_raw",
-        world_n: str | World = "inspect",
-        connection_check_timeout: float = 30,
-        lidar_points: int = 32,
-        max_lidar_range: float = 12.0,
-        *,
-        backend: BackendLike = "bullet",
-        physics: str | None = None,
-        robot: str | Robot = "rover_zero",
-        lidar_beams: int = 128,
-        seed: int | None = None,
-        device: torch.device | str | None = None,
-        end_on_goal: bool = False,
-        task: TaskConfig | None = None,
-        heading_gains: HeadingGains | None = None,
+        *args: Any,
         reward: Reward = "contract",
         time_limit: TimeLimit = "terminated",
         render_mode: str | None = None,
         camera: View = "chase",
+        **kwargs: Any,
     ) -> None:
-        env = BatchedRoverEnv(
-            size,
-            length,
-            scan_topic,
-            imu_topic,
-            cmd_vel_topic,
-            camera_topic,
-            world_n,
-            connection_check_timeout,
-            lidar_points,
-            max_lidar_range,
-            backend=backend,
-            physics=physics,
-            robot=robot,
-            lidar_beams=lidar_beams,
-            seed=seed,
-            device=device,
-            end_on_goal=end_on_goal,
-            task=task,
-            heading_gains=heading_gains,
-        )
+        if "num_envs" in kwargs:
+            raise TypeError("this class is one rover and takes no num_envs; use GymVectorWrapper for a batch")
+        env = BatchedRoverEnv(*args, **kwargs)
         super().__init__(env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera)
+
+
+def _signature() -> inspect.Signature:
+    """The arguments of the batched environment without ``num_envs``, then those of the wrapper."""
+    batched = inspect.signature(BatchedRoverEnv).parameters
+    own = inspect.signature(RoverEnv.__init__).parameters
+    forwarded = [parameter for name, parameter in batched.items() if name != "num_envs"]
+    added = [parameter for parameter in own.values() if parameter.kind is parameter.KEYWORD_ONLY]
+    return inspect.Signature([*forwarded, *added])
+
+
+RoverEnv.__signature__ = _signature()  # type: ignore[attr-defined]

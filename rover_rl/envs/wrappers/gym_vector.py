@@ -14,13 +14,13 @@ from torchrl.envs import EnvBase
 from rover_rl.checks import check_seed
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.wrappers.numpy_batch import (
-    FRAMES_PER_SECOND,
     Mask,
     NumpyBatch,
     Observation,
     Reward,
     Step,
     TimeLimit,
+    frames_per_second,
     row_of,
 )
 from rover_rl.sims.base import View
@@ -71,7 +71,7 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
         self.render_mode = render_mode
         self.metadata = {
             "render_modes": ["rgb_array"],
-            "render_fps": FRAMES_PER_SECOND,
+            "render_fps": frames_per_second(env),
             "autoreset_mode": self.autoreset_mode,
         }
         self._ended = np.zeros(self.num_envs, np.bool_)

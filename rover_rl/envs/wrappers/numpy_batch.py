@@ -31,9 +31,6 @@ TimeLimit: TypeAlias = Literal["terminated", "truncated"]
 KEYS = ("lidar", "pose", "imu", "target", "velocities")
 """The contract's observation."""
 
-FRAMES_PER_SECOND = 20
-"""Of a film with one picture a step: control runs at 20 Hz."""
-
 
 @dataclass(frozen=True)
 class Step:
@@ -225,6 +222,11 @@ def base_env(env: EnvBase) -> RoverEnv:
     if not isinstance(inner, RoverEnv):
         raise TypeError(f"a rover_rl.RoverEnv, or a TransformedEnv of one, is needed; got {type(env).__name__}")
     return inner
+
+
+def frames_per_second(env: EnvBase) -> int:
+    """Frame rate of a video with one picture per step."""
+    return round(1 / base_env(env).control_dt)
 
 
 def row_of(observation: Observation, row: int) -> Observation:

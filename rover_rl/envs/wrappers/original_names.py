@@ -31,7 +31,7 @@ def _reward(get: Callable[[RewardConfig], Any], doc: str) -> property:
 
 
 def _euler(axis: int, doc: str) -> property:
-    return property(lambda env: quaternion_to_euler(env.base_env.rover_state.orientation)[0, axis].item(), doc=doc)
+    return property(lambda env: quaternion_to_euler(env.base_env.sensed_state.orientation)[0, axis].item(), doc=doc)
 
 
 class OriginalNames:
@@ -71,13 +71,13 @@ class OriginalNames:
     current_pitch = _euler(1, "Pitch, rad.")
     current_yaw = _euler(2, "Yaw, rad.")
     current_linear_velocity = _reads(
-        lambda env: env.base_env.rover_state.linear_velocity.item(), "Forward speed by wheel odometry, m/s."
+        lambda env: env.base_env.sensed_state.linear_velocity.item(), "Forward speed by wheel odometry, m/s."
     )
     current_angular_velocity = _reads(
-        lambda env: env.base_env.rover_state.angular_velocity.item(), "Yaw rate by wheel odometry, rad/s."
+        lambda env: env.base_env.sensed_state.angular_velocity.item(), "Yaw rate by wheel odometry, rad/s."
     )
     rover_position = _reads(
-        lambda env: env.base_env.rover_state.position[0].numpy(force=True).copy(), "Position, float32 [3], m."
+        lambda env: env.base_env.sensed_state.position[0].numpy(force=True).copy(), "Position, float32 [3], m."
     )
     lidar_data = _reads(lambda env: env.get_observation()["lidar"], "The pooled scan, float32 [lidar_points], m.")
     target_positions_x = _reads(lambda env: env.base_env.goal[0, 0].item(), "The goal's x, m.")

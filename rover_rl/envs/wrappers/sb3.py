@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torchrl.envs import EnvBase
 
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.wrappers.numpy_batch import FRAMES_PER_SECOND, NumpyBatch, Observation, Reward, TimeLimit, row_of
+from rover_rl.envs.wrappers.numpy_batch import NumpyBatch, Observation, Reward, TimeLimit, frames_per_second, row_of
 from rover_rl.sims.base import View
 
 try:
@@ -52,7 +52,7 @@ class SB3VecEnv(VecEnv):
         self._batch = NumpyBatch(env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera)
         self._actions: np.ndarray | None = None
         super().__init__(self._batch.num_envs, self._batch.observation_space, self._batch.action_space)
-        self.metadata["render_fps"] = FRAMES_PER_SECOND
+        self.metadata["render_fps"] = frames_per_second(env)
 
     @property
     def base_env(self) -> RoverEnv:

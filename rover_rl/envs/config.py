@@ -1,0 +1,395 @@
+"""EnvConfig: one description of an environment, for everything that uses one. Imports no PyTorch.
+
+Example:
+    >>> config = EnvConfig(world="maze", num_envs=64, lidar=LidarConfig(points=16))
+    >>> make_env(config).observation_spec["lidar"].shape
+    torch.Size([64, 16])
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+
+from rover_rl.sims.backends import BackendLike as AnyBackend
+from rover_rl.sims.backends import find_settings, name_of
+from rover_rl.sims.connection import Connection
+
+if TYPE_CHECKING:
+    from rover_rl.envs.rewards import RewardComponent
+    from rover_rl.sims.robots import Robot
+    from rover_rl.sims.worlds import World
+
+    WorldLike: TypeAlias = str | World | Sequence[str | World]
+    RobotLike: TypeAlias = str | Robot
+    RewardLike: TypeAlias = "str | RewardConfig | Sequence[RewardComponent]"
+    BackendLike: TypeAlias = AnyBackend
+else:
+    # What the command line and YAML files can say.
+    WorldLike = str | tuple[str, ...]
+    RobotLike = RewardLike = BackendLike = str
+
+OutcomeSource: TypeAlias = Literal["truth", "sensors"]
+"""Which state events, rewards and metrics follow."""
+DEFAULT_PHYSICS = "default"
+"""The preset of the physics that every backend has."""
+
+_NONE = (1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class LidarConfig:
+    """The lidar and its readings.
+
+    Args:
+        points: number of readings in an observation, each the nearest of its segment of the scan.
+        beams: number of beams of a raw scan.
+        max_range: range that readings are clipped to, m.
+    """
+
+    points: int = 32
+    beams: int = 128
+    max_range: float = 12.0
+
+
+@dataclass(frozen=True)
+class ActionConfig:
+    """Bounds of the action. Actions outside are clipped.
+
+    Args:
+        min_speed: lowest forward speed, m/s; 0 forbids driving backwards.
+        max_speed: highest forward speed, m/s.
+        max_turn: largest heading offset, either way, rad.
+
+    Raises:
+        ValueError: for bounds that are not in order, or not finite.
+    """
+
+    min_speed: float = -1.0
+    max_speed: float = 1.0
+    max_turn: float = math.pi
+
+    def __post_init__(self) -> None:
+        if not -math.inf < self.min_speed < self.max_speed < math.inf:
+            raise ValueError(
+                f"min_speed must be less than max_speed, both finite, got {self.min_speed} and {self.max_speed}"
+            )
+        if not 0 < self.max_turn <= math.pi:
+            raise ValueError(f"max_turn must be positive and at most pi, got {self.max_turn}")
+
+
+@dataclass(frozen=True)
+class TaskConfig:
+    """Thresholds of the task, as the contract gives them.
+
+    Args:
+        success_distance: distance below which a goal is reached, m.
+        min_goal_distance: least distance from the rover to a new goal, m.
+        collision_threshold: lidar reading below which there is a collision, m.
+        collision_window: number of collision steps in a row beyond which the rover is jammed.
+        flip_threshold: roll or pitch beyond which the rover is flipped, rad.
+        stuck_window: number of positions remembered to detect that the rover is stuck.
+        stuck_threshold: displacement between the oldest and the newest of them below which it is stuck, m.
+
+    Raises:
+        ValueError: for a threshold out of range.
+    """
+
+    success_distance: float = 0.5
+    min_goal_distance: float = 1.0
+    collision_threshold: float = 0.3
+    collision_window: int = 15
+    flip_threshold: float = 1.48
+    stuck_window: int = 600
+    stuck_threshold: float = 0.001
+
+    def __post_init__(self) -> None:
+        for name in ("success_distance", "min_goal_distance", "stuck_window"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        for name in ("collision_threshold", "collision_window", "flip_threshold", "stuck_threshold"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
+class RewardConfig:
+    """Numbers of the contract's reward.
+
+    Args:
+        goal_reward: reward for reaching a goal.
+        distance_delta_scale: reward per meter of progress towards the goal.
+        final_reward_multiplier: factor of the progress reward and of the idle penalty.
+        idle_penalty: replaces the progress reward where the rover makes too little progress or faces away.
+        min_progress: change of distance above which progress counts, m.
+        min_alignment: heading alignment above which progress counts.
+        velocity_scale: reward per m/s of forward speed.
+        turn_scale: reward per rad/s of yaw rate, either way.
+        collision_penalty: reward for each step in collision.
+        stuck_penalty: reward for an episode that ends because the rover is stuck.
+        general_penalty: reward for an episode that ends in a flip or a jam.
+        flip_grace_steps: step of the episode up to which a flip costs nothing.
+        out_of_bounds_penalty: reward for leaving the world's bounds (the contract's ``too_far_away_penilty``).
+    """
+
+    goal_reward: float = 100.0
+    distance_delta_scale: float = 0.3
+    final_reward_multiplier: float = 1.5
+    idle_penalty: float = -0.03
+    min_progress: float = 0.001
+    min_alignment: float = 0.0
+    velocity_scale: float = 0.0025
+    turn_scale: float = -0.0015
+    collision_penalty: float = -0.5
+    stuck_penalty: float = -25.0
+    general_penalty: float = -20.0
+    flip_grace_steps: int = 500
+    out_of_bounds_penalty: float = -10.0
+
+
+@dataclass(frozen=True)
+class HeadingGains:
+    """Gains of the heading PID, as the contract gives them.
+
+    Args:
+        kp: proportional gain, 1/s.
+        ki: integral gain, 1/s^2.
+        kd: derivative gain, dimensionless.
+        max_output: bound of the yaw rate, either way, rad/s.
+    """
+
+    kp: float = 2.0
+    ki: float = 0.0
+    kd: float = 0.1
+    max_output: float = 7.0
+
+
+@dataclass(frozen=True)
+class Randomization:
+    """Domain randomization. The defaults randomize nothing.
+
+    Factors are drawn uniformly from their range at each reset, noise in each step.
+
+    Args:
+        friction: range of the factor of all friction coefficients.
+        chassis_mass: range of the factor of the chassis' mass and inertia.
+        motor_torque: range of the factor of the motors' greatest torque.
+        latency: range of the delay of commands, control steps.
+        range_noise: standard deviation of the lidar's ranges, m.
+        dropout: fraction of beams without a return.
+        odometry_noise: relative standard deviation of the wheel odometry's velocities.
+        imu_noise: standard deviation of roll, pitch and yaw, rad.
+
+    Raises:
+        ValueError: for a range that is not in order, a negative deviation, or a fraction outside of [0, 1).
+
+    Example:
+        >>> env = RoverEnv(world_n="maze", randomization=Randomization(friction=(0.7, 1.3), range_noise=0.01))
+    """
+
+    friction: tuple[float, float] = _NONE
+    chassis_mass: tuple[float, float] = _NONE
+    motor_torque: tuple[float, float] = _NONE
+    latency: tuple[int, int] = (0, 0)
+    range_noise: float = 0.0
+    dropout: float = 0.0
+    odometry_noise: float = 0.0
+    imu_noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("friction", "chassis_mass", "motor_torque"):
+            low, high = getattr(self, name)
+            if not 0 < low <= high < math.inf:
+                raise ValueError(f"{name} must be a range of positive factors (low, high), got {getattr(self, name)}")
+        least, most = self.latency
+        if not 0 <= least <= most or not (isinstance(least, int) and isinstance(most, int)):
+            raise ValueError(f"latency must be a range of control steps (least, most), got {self.latency}")
+        for name in ("range_noise", "odometry_noise", "imu_noise"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+        if not 0 <= self.dropout < 1:
+            raise ValueError(f"dropout must be at least 0 and less than 1, got {self.dropout}")
+
+    @classmethod
+    def typical(cls) -> Randomization:
+        """What a skid-steer rover with hobby-grade sensors may be off by."""
+        return cls(
+            friction=(0.7, 1.3),
+            chassis_mass=(0.9, 1.3),
+            motor_torque=(0.7, 1.0),
+            latency=(0, 2),
+            range_noise=0.01,
+            dropout=0.01,
+            odometry_noise=0.02,
+            imu_noise=0.01,
+        )
+
+    @property
+    def varies_dynamics(self) -> bool:
+        """Whether the simulated rovers differ."""
+        return any(getattr(self, name) != _NONE for name in ("friction", "chassis_mass", "motor_torque"))
+
+
+@dataclass(frozen=True)
+class EnvConfig:
+    """Description of an environment: world, robot, sensors, task, reward and simulator.
+
+    ``make_env(EnvConfig(...))`` builds it. A training writes it into the run's folder and into the checkpoint, so that
+    a policy knows the lidar, the robot and the task it was made for. Names of worlds, robots, rewards and backends may
+    be ``module:attribute`` of your own.
+
+    Raises:
+        ValueError: for an unknown ``outcome_from``.
+    """
+
+    world: WorldLike = "inspect"
+    """World: inspect, moon, maze, or module:attribute; "maze:7" is the maze of seed 7. Of several, each gets an equal
+    share of the rovers."""
+    robot: RobotLike = "rover_zero"
+    """Robot: rover_zero, or module:attribute."""
+    lidar: LidarConfig = field(default_factory=LidarConfig)
+    """Lidar and its readings."""
+    action: ActionConfig = field(default_factory=ActionConfig)
+    """Bounds of the action."""
+    task: TaskConfig = field(default_factory=TaskConfig)
+    """Thresholds of the task."""
+    reward: RewardLike = "contract"
+    """Reward: contract, task (1 per goal), or module:attribute."""
+    contract_reward: RewardConfig = field(default_factory=RewardConfig)
+    """Numbers of the contract's reward."""
+    heading_gains: HeadingGains = field(default_factory=HeadingGains)
+    """Gains of the heading PID."""
+    randomization: Randomization = field(default_factory=Randomization)
+    """Domain randomization."""
+    outcome_from: OutcomeSource = "truth"
+    """State that events, rewards and metrics follow: the simulator's truth, or what the sensors report."""
+    privileged: bool = False
+    """Add the nested observation "privileged": true state, path distance and drawn dynamics."""
+    backend: BackendLike = "bullet"
+    """Simulator: bullet, warp (about twenty times as fast; extra warp), ros2 (one live rover), or module:attribute."""
+    physics: str = DEFAULT_PHYSICS
+    """Preset of the backend's physics; Bullet's are default, accurate and fast (docs/physics.md)."""
+    connection: Connection = field(default_factory=Connection)
+    """Topics of a live rover."""
+    length: int = 2000
+    """Number of steps after which an episode is truncated."""
+    end_on_goal: bool = False
+    """End the episode when its goal is reached, instead of setting a new goal."""
+    size: tuple[int, int] = (64, 64)
+    """Size of the camera buffer, reserved for vision as in the original."""
+    num_envs: int | None = 1
+    """Number of rovers in the batch."""
+    seed: int | None = None
+    """Seed of the first rover; the others count on. Without one, it is drawn."""
+    device: str | None = None
+    """Device of the task's tensors: cpu, cuda or cuda:1."""
+
+    def __post_init__(self) -> None:
+        if self.outcome_from not in get_args(OutcomeSource):
+            raise ValueError(f"outcome_from must be one of {get_args(OutcomeSource)}, got {self.outcome_from!r}")
+        if isinstance(self.reward, RewardConfig):
+            object.__setattr__(self, "contract_reward", self.reward)
+            object.__setattr__(self, "reward", "contract")
+        for name in ("world", "reward"):
+            if isinstance(value := getattr(self, name), list):
+                object.__setattr__(self, name, tuple(value))
+
+    @property
+    def worlds(self) -> tuple[str | World, ...]:
+        """The worlds."""
+        several = isinstance(self.world, Sequence) and not isinstance(self.world, str)
+        return tuple(self.world) if several else (self.world,)  # type: ignore[arg-type, return-value]
+
+    @property
+    def world_names(self) -> tuple[str, ...]:
+        """Names of the worlds."""
+        return tuple(world if isinstance(world, str) else world.name for world in self.worlds)
+
+    def arguments(self) -> dict[str, Any]:
+        """The arguments of :class:`~rover_rl.envs.rover.RoverEnv`, by name; without the reward."""
+        own = {item.name: getattr(self, item.name) for item in fields(self)}
+        for name in ("world", "lidar", "connection", "reward", "contract_reward"):
+            del own[name]
+        own["physics"] = None if self.physics == DEFAULT_PHYSICS else self.physics
+        return own | {
+            "world_n": self.world,
+            "lidar_points": self.lidar.points,
+            "lidar_beams": self.lidar.beams,
+            "max_lidar_range": self.lidar.max_range,
+            "scan_topic": self.connection.scan_topic,
+            "imu_topic": self.connection.imu_topic,
+            "cmd_vel_topic": self.connection.cmd_vel_topic,
+            "camera_topic": self.connection.camera_topic,
+            "connection_check_timeout": self.connection.timeout,
+        }
+
+
+def require_match(made_for: EnvConfig, env: EnvConfig) -> None:
+    """Checks that a policy made for one environment can drive in another.
+
+    The number and range of lidar readings, the robot, the action's bounds and the heading PID must agree. Worlds,
+    rewards, randomization and simulators may differ.
+
+    Raises:
+        ValueError: in one sentence, naming the first difference.
+    """
+    pairs = {
+        "lidar points": (made_for.lidar.points, env.lidar.points),
+        "a lidar range of (m)": (made_for.lidar.max_range, env.lidar.max_range),
+        "the robot": (name_of_part(made_for.robot), name_of_part(env.robot)),
+        "actions of (min_speed, max_speed, max_turn)": (_numbers(made_for.action), _numbers(env.action)),
+        "heading gains of (kp, ki, kd, max_output)": (_numbers(made_for.heading_gains), _numbers(env.heading_gains)),
+    }
+    for what, (made, given) in pairs.items():
+        if made != given:
+            raise ValueError(f"the policy was made for {what} {made}, and the environment has {given}")
+
+
+def name_of_part(part: Any) -> str:
+    """The name of a world or robot, given by its name or as an object."""
+    return part if isinstance(part, str) else part.name
+
+
+def _numbers(part: Any) -> tuple[float, ...]:
+    return tuple(getattr(part, item.name) for item in fields(part))
+
+
+def plain_env(config: EnvConfig) -> dict[str, Any]:
+    """A description as plain data, for YAML and JSON.
+
+    Raises:
+        ValueError: for a world, robot, reward or backend that is an object: only names can be written.
+    """
+    from rover_rl.plain import to_plain
+
+    advice = "register it, or name it as module:attribute"
+    for name, kind in (("world", "a World"), ("robot", "a Robot"), ("reward", "a list of components")):
+        value = getattr(config, name)
+        parts = value if isinstance(value, tuple) and name == "world" else (value,)
+        if not all(isinstance(part, str) for part in parts):
+            raise ValueError(f"{kind} cannot be written to a file, and {name}={value!r} is one; {advice}")
+    if isinstance(config.backend, str):
+        return to_plain(config)
+    settings = {name_of(config.backend): to_plain(config.backend) if is_dataclass(config.backend) else {}}
+    return to_plain(replace(config, backend="bullet")) | {"backend": settings}
+
+
+def env_from_plain(data: Any, source: str) -> EnvConfig:
+    """A description from plain data, as :func:`plain_env` gives it; what it does not name has its default.
+
+    Args:
+        data: a dictionary.
+        source: where it comes from, for messages.
+
+    Raises:
+        ValueError: for a setting that does not exist, or a value of the wrong type.
+    """
+    from rover_rl.plain import from_plain
+
+    if not isinstance(data, dict) or not isinstance(data.get("backend"), dict):
+        return from_plain(data, EnvConfig, source)
+    config = from_plain({key: value for key, value in data.items() if key != "backend"}, EnvConfig, source)
+    ((name, settings),) = data["backend"].items()
+    return replace(config, backend=from_plain(settings, find_settings(name), f"backend {name} in {source}"))
