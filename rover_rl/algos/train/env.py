@@ -1,81 +1,93 @@
-"""The environment as it is trained in: a step is a decision."""
+"""The training environment: one step is one decision."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
 
-from torchrl.data import TensorSpec
+import torch
+from tensordict import TensorDictBase
+from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs import EnvBase, RandomTruncationTransform, RewardSum, StepCounter, Transform
 
 from rover_rl.algos.config import TrainingConfig, usable_cores
-from rover_rl.algos.policy.networks import FORWARD
-from rover_rl.envs import make_env
-from rover_rl.envs.randomization import Randomization
-from rover_rl.envs.rover import assign_rows
-from rover_rl.envs.specs import bounded_spec
+from rover_rl.envs.config import EnvConfig
+from rover_rl.envs.make import add_reward
+from rover_rl.envs.placement import assign_rows
+from rover_rl.envs.rewards import reward_components
+from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward
 from rover_rl.envs.transforms.step_clock import StepClock
-from rover_rl.sims.warp import WarpSettings
+from rover_rl.sims.backends import find_settings
 from rover_rl.sims.worlds import World
 
-LIDAR_POINTS = 32
-"""Readings that the policy sees, as the contract has it."""
-EPISODE_SUMS = {"reward": "episode_reward", ("reward_components", "goal"): "episode_goal_reward"}
-"""Rewards that are summed over an episode, and where the sums go."""
 SESSION_SEEDS = 1_000_003
-"""Between the seeds of a run and those of the same run resumed, which meets other starts and goals."""
+"""Difference between the seeds of a run and those of the same run resumed, which draws other starts and goals."""
 
 
 def make_training_env(config: TrainingConfig, worker: int = 0, session: int = 0) -> EnvBase:
-    """One worker's rovers, as the policy meets them: a step is a decision.
+    """The rovers of one worker. One step is one decision.
 
-    The first episode of each row has a random length, so that the rows do not all start over together.
+    The first episode of each row has a random length, so that not all rows start over at the same time.
 
     Args:
-        config: of the training.
-        worker: which of ``config.processes`` this is.
+        config: settings of the training.
+        worker: number of the worker, from 0.
         session: how often the run has been resumed.
     """
-    env = make_env(
-        world_n=config.worlds,
-        length=config.episode_steps,
-        lidar_points=LIDAR_POINTS,
-        num_envs=config.rovers_each,
-        randomization=Randomization.typical() if config.randomize else None,
-        **_simulator(config),
-        seed=config.seed + worker * config.rovers_each + session * SESSION_SEEDS,
-    )
-    if not config.reverse:
-        env = env.append_transform(ForwardOnly())
-    longest = -(-config.episode_steps // config.repeat)
-    env = env.append_transform(ActionRepeat(config.repeat))
-    if config.path_reward:
-        env = env.append_transform(PathReward(env.base_env, config.path_reward))
-    env = env.append_transform(RewardSum(list(EPISODE_SUMS), list(EPISODE_SUMS.values())))
+    described = _of_worker(config, worker, session)
+    reward_components(described.reward, described.contract_reward)
+    rovers = RoverEnv(**described.arguments())
+    env = add_reward(rovers, described.reward, described)
+    action_repeat = config.collection.action_repeat
+    env = env.append_transform(ActionRepeat(action_repeat))
+    if config.collection.path_reward:
+        env = env.append_transform(PathReward(rovers, config.collection.path_reward))
+    env = env.append_transform(RewardSum(["reward"], ["episode_reward"]))
+    env = env.append_transform(GoalCounter())
     env = env.append_transform(StepCounter())
+    longest = -(-described.length // action_repeat)
     env = env.append_transform(RandomTruncationTransform(min_horizon=1, max_horizon=longest))
-    return env.append_transform(StepClock(env.base_env.simulator, worker))
+    return env.append_transform(StepClock(rovers.simulator, worker))
 
 
-def _simulator(config: TrainingConfig) -> dict[str, Any]:
-    if config.backend == "warp":
-        # The processes share the cores; torch has one thread in each, which is enough for small networks.
-        settings = WarpSettings(threads=max(1, usable_cores() // config.processes))
-        # Data on the CPU are quicker where no device is named.
-        return {"backend": settings, "device": config.device if config.on_gpu else None}
-    return {"physics": config.physics}
+def _of_worker(config: TrainingConfig, worker: int, session: int) -> EnvConfig:
+    """The description of one worker's environment."""
+    env, rovers = config.env, config.rovers_per_worker
+    backend = env.backend
+    if backend == "warp":
+        # The workers share the cores; networks this small need one thread in each.
+        backend = find_settings("warp")(threads=max(1, usable_cores() // config.workers))
+    return replace(
+        env,
+        num_envs=rovers,
+        seed=config.seed + worker * rovers + session * SESSION_SEEDS,
+        backend=backend,
+        # Tensordicts on the CPU are faster without a device.
+        device=config.device if config.on_gpu else None,
+    )
 
 
-def rows_in_worlds(config: TrainingConfig) -> list[World]:
-    """The world of each row of a batch: the rovers of every worker are in all worlds."""
-    return assign_rows(config.worlds, config.rovers_each) * config.processes
+def world_of_each_row(config: TrainingConfig) -> list[World]:
+    """The world of each row of a batch: each worker has rovers in all worlds."""
+    return assign_rows(config.env.world, config.rovers_per_worker) * config.workers
 
 
-class ForwardOnly(Transform):
-    """Narrows the action spec to actions that do not drive backwards."""
+class GoalCounter(Transform):
+    """Adds ``episode_goals``, the number of goals reached in the episode so far, int64 ``[N, 1]``.
 
-    def transform_action_spec(self, action_spec: TensorSpec) -> TensorSpec:
-        """Speeds from 0 on."""
-        action_spec["action"] = bounded_spec(FORWARD, action_spec.shape, action_spec.device)
-        return action_spec
+    Append it after :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat`.
+    """
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        goals = tensordict["episode_goals"] + next_tensordict["outcome", "goals"]
+        return next_tensordict.set("episode_goals", goals)
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return tensordict_reset.set("episode_goals", torch.zeros_like(tensordict_reset["outcome", "goals"]))
+
+    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
+        """Adds ``episode_goals``."""
+        steps = observation_spec["outcome", "steps"]
+        observation_spec["episode_goals"] = Unbounded(shape=steps.shape, dtype=torch.int64, device=steps.device)
+        return observation_spec

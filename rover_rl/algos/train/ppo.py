@@ -27,7 +27,7 @@ from torch import Tensor
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from rover_rl.algos.config import PPOConfig
+from rover_rl.algos.config import PPOConfig, TrainingConfig
 from rover_rl.algos.policy.expert import PrivilegedExpert
 from rover_rl.algos.policy.networks import (
     ObservationEncoder,
@@ -38,7 +38,7 @@ from rover_rl.algos.policy.networks import (
     mirrored,
     single_threaded,
 )
-from rover_rl.algos.train.env import LIDAR_POINTS, rows_in_worlds
+from rover_rl.algos.train.env import world_of_each_row
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import TrainingRun, TrainingSummary, prepare, set_learning_rate
 from rover_rl.sims.robots import get_robot
@@ -50,12 +50,12 @@ LOGGED = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fractio
 
 
 @single_threaded()
-def train_ppo(config: PPOConfig, folder: Path | None = None) -> TrainingSummary:
-    """Trains a policy, and writes all that comes of it to the run's folder; see :class:`TrainingRun`.
+def train_ppo(config: TrainingConfig, folder: Path | None = None) -> TrainingSummary:
+    """Trains a policy and writes the results to the run's folder; see :class:`TrainingRun`.
 
     Args:
-        config: of the training.
-        folder: of a run to go on with; ``None`` begins a new one.
+        config: settings of the training.
+        folder: folder of a run to continue; ``None`` begins a new one.
 
     Raises:
         ValueError: for an unknown world, or a setting out of range.
@@ -64,7 +64,7 @@ def train_ppo(config: PPOConfig, folder: Path | None = None) -> TrainingSummary:
     config = prepare(config)
     learner = PPOLearner(config)
     with TrainingRun(config, learner, folder) as run:
-        for batch in run.batches(config.decisions):
+        for batch in run.batches():
             run.record(learner.update(batch, run.share, run.stopwatch))
     return run.summary
 
@@ -72,25 +72,32 @@ def train_ppo(config: PPOConfig, folder: Path | None = None) -> TrainingSummary:
 class PPOLearner:
     """Actor, critic, and how they learn from a batch of decisions."""
 
-    def __init__(self, config: PPOConfig) -> None:
-        self.config = config
-        encoder, device = ObservationEncoder(config.observation, LIDAR_POINTS, config.north_up), config.device
-        self.actor = make_actor(encoder, config.hidden, config.reverse, config.spread, device)
-        self.critic = make_critic(encoder, config.hidden, device)
-        self._advantage = GAE(gamma=config.gamma, lmbda=config.lmbda, value_network=self.critic, average_gae=True)
+    def __init__(self, config: TrainingConfig) -> None:
+        assert isinstance(config.algorithm, PPOConfig)
+        self.config, self._settings = config, config.algorithm
+        settings, network, device = config.algorithm, config.network, config.device
+        encoder, device = (
+            ObservationEncoder(network.observation, config.env.lidar.points, network.north_up),
+            config.device,
+        )
+        self.actor = make_actor(encoder, network.hidden, config.env.action, network.max_std, device)
+        self.critic = make_critic(encoder, network.hidden, device)
+        self._advantage = GAE(gamma=settings.gamma, lmbda=settings.lmbda, value_network=self.critic, average_gae=True)
         self._loss = ClipPPOLoss(
             self.actor,
             self.critic,
-            clip_epsilon=config.clip,
-            entropy_coeff=config.entropy,
+            clip_epsilon=settings.clip,
+            entropy_coeff=settings.entropy_coef,
             critic_coeff=0.5,
             loss_critic_type="l2",
         )
-        self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=config.learning_rate)
+        self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=settings.learning_rate)
         self._expert = (
-            PrivilegedExpert(rows_in_worlds(config), get_robot("rover_zero"), device) if config.imitation else None
+            PrivilegedExpert(world_of_each_row(config), get_robot(config.env.robot), device)
+            if settings.imitation
+            else None
         )
-        self._learned_from = (*config.observation, "action", "action_log_prob", "advantage", "value_target")
+        self._learned_from = (*network.observation, "action", "action_log_prob", "advantage", "value_target")
 
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
         """Learns from decisions ``[N, T]``; returns means over the gradient steps.
@@ -101,22 +108,22 @@ class PPOLearner:
             stopwatch: takes the time of the gradient steps.
         """
         learning_rate = set_learning_rate(self._optimizer, self.config, share)
-        batch["next", "reward"] *= self.config.reward_scale
+        batch["next", "reward"] *= self._settings.reward_scale
         with torch.no_grad():
             self._advantage(batch)
         decisions = batch.select(*self._learned_from).reshape(-1)
         gradient_step = self._gradient_step
-        if self._expert and share < self.config.imitation:
+        if self._expert and share < self._settings.imitation:
             # DAgger: the policy drives, and the expert says what it would have done there (Ross et al., 2011).
             decisions["action"] = self._within_reach(self._expert.action(batch).flatten(0, 1))
             gradient_step = self._imitation_step
         steps = []
-        for _ in range(self.config.epochs):
+        for _ in range(self._settings.epochs):
             shuffled = decisions[torch.randperm(len(decisions), device=self.config.device)]
-            if self.config.mirror:
+            if self._settings.mirror_augmentation:
                 shuffled = mirrored(shuffled, torch.rand(len(shuffled), device=self.config.device) < 0.5)
             with stopwatch("gradient steps"):
-                steps += [gradient_step(part) for part in shuffled.split(self.config.minibatch)]
+                steps += [gradient_step(part) for part in shuffled.split(self._settings.minibatch)]
         with stopwatch("gradient steps"):
             # Waits for those that a GPU is still at.
             means = torch.stack(steps).mean(0).tolist()
@@ -136,13 +143,13 @@ class PPOLearner:
 
     def _within_reach(self, action: Tensor) -> Tensor:
         """Actions drawn in from the policy's bounds, which a squashed normal distribution does not reach."""
-        middle, half = middle_and_half(action_spec(self.config.reverse, self.config.device))
+        middle, half = middle_and_half(action_spec(self.config.env.action, self.config.device))
         return middle + 0.95 * torch.minimum(torch.maximum(action - middle, -half), half)
 
     def _descend(self, loss: Tensor) -> None:
         self._optimizer.zero_grad()
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(self._loss.parameters(), self.config.max_grad_norm)
+        torch.nn.utils.clip_grad_norm_(self._loss.parameters(), self._settings.max_grad_norm)
         self._optimizer.step()
 
     def weights(self) -> dict[str, Tensor]:

@@ -29,7 +29,7 @@ from torch import Tensor
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.objectives import SACLoss, SoftUpdate
 
-from rover_rl.algos.config import SACConfig
+from rover_rl.algos.config import SACConfig, TrainingConfig
 from rover_rl.algos.policy.networks import (
     ObservationEncoder,
     action_spec,
@@ -40,7 +40,6 @@ from rover_rl.algos.policy.networks import (
     on_features,
     single_threaded,
 )
-from rover_rl.algos.train.env import LIDAR_POINTS
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import TrainingRun, TrainingSummary, prepare, set_learning_rate
 
@@ -51,12 +50,12 @@ LOGGED = ("loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy")
 
 
 @single_threaded()
-def train_sac(config: SACConfig, folder: Path | None = None) -> TrainingSummary:
-    """Trains a policy, and writes all that comes of it to the run's folder; see :class:`TrainingRun`.
+def train_sac(config: TrainingConfig, folder: Path | None = None) -> TrainingSummary:
+    """Trains a policy and writes the results to the run's folder; see :class:`TrainingRun`.
 
     Args:
-        config: of the training.
-        folder: of a run to go on with; ``None`` begins a new one.
+        config: settings of the training.
+        folder: folder of a run to continue; ``None`` begins a new one.
 
     Raises:
         ValueError: for an unknown world, or a setting out of range.
@@ -65,7 +64,7 @@ def train_sac(config: SACConfig, folder: Path | None = None) -> TrainingSummary:
     config = prepare(config)
     learner = SACLearner(config)
     with TrainingRun(config, learner, folder) as run:
-        for batch in run.batches(config.decisions):
+        for batch in run.batches():
             learner.remember(batch)
             run.record(learner.update(run.share, run.stopwatch))
     return run.summary
@@ -74,37 +73,39 @@ def train_sac(config: SACConfig, folder: Path | None = None) -> TrainingSummary:
 class SACLearner:
     """Actor, two action critics with slow copies, a replay buffer, and how they learn from it."""
 
-    def __init__(self, config: SACConfig) -> None:
-        self.config = config
-        self._encoder = ObservationEncoder(config.observation, LIDAR_POINTS, config.north_up)
-        spec = action_spec(config.reverse, config.device)
-        self.actor = make_actor(self._encoder, config.hidden, config.reverse, config.spread, config.device)
+    def __init__(self, config: TrainingConfig) -> None:
+        assert isinstance(config.algorithm, SACConfig)
+        self.config, self._settings = config, config.algorithm
+        settings, network, device = config.algorithm, config.network, config.device
+        self._encoder = ObservationEncoder(network.observation, config.env.lidar.points, network.north_up)
+        spec = action_spec(config.env.action, config.device)
+        self.actor = make_actor(self._encoder, network.hidden, config.env.action, network.max_std, config.device)
         self._loss = SACLoss(
             on_features(self.actor),
-            make_action_critic(self._encoder.features, config.hidden, config.reverse, config.device),
+            make_action_critic(self._encoder.features, network.hidden, config.env.action, config.device),
             num_qvalue_nets=2,
             loss_function="l2",
             action_spec=spec,
-            alpha_init=config.alpha,
+            alpha_init=settings.alpha,
             # TorchRL's entropy is that of actions in their own units, whose range is wider by this factor.
-            target_entropy=config.target_entropy + math.log(middle_and_half(spec)[1].prod().item()),
+            target_entropy=settings.target_entropy + math.log(middle_and_half(spec)[1].prod().item()),
         ).to(config.device)
-        self._loss.make_value_estimator(gamma=config.gamma)
-        self._slow_copies = SoftUpdate(self._loss, tau=config.tau)
-        self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=config.learning_rate, fused=True)
-        storage = LazyTensorStorage(config.buffer, device=config.device)
-        self._memory = ReplayBuffer(storage=storage, batch_size=config.minibatch)
+        self._loss.make_value_estimator(gamma=settings.gamma)
+        self._slow_copies = SoftUpdate(self._loss, tau=settings.tau)
+        self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=settings.learning_rate, fused=True)
+        storage = LazyTensorStorage(settings.buffer_size, device=config.device)
+        self._memory = ReplayBuffer(storage=storage, batch_size=settings.minibatch)
         self._due = 0.0
-        after = ("reward", "done", "terminated", *config.observation)
-        self._learned_from = (*config.observation, "action", *(("next", key) for key in after))
+        after = ("reward", "done", "terminated", *network.observation)
+        self._learned_from = (*network.observation, "action", *(("next", key) for key in after))
 
     def remember(self, batch: TensorDictBase) -> None:
         """Adds decisions ``[N, T]``, as a collector gives them, to the replay buffer."""
         decisions = batch.select(*self._learned_from).reshape(-1)
-        decisions["next", "reward"] = decisions["next", "reward"] * self.config.reward_scale
+        decisions["next", "reward"] = decisions["next", "reward"] * self._settings.reward_scale
         self._memory.extend(decisions)
-        if len(self._memory) >= self.config.warmup:
-            self._due += self.config.gradient_steps * len(batch) / self.config.num_envs
+        if len(self._memory) >= self._settings.learning_starts:
+            self._due += self._settings.gradient_steps * len(batch) / self.config.num_envs
 
     def update(self, share: float, stopwatch: Stopwatch) -> dict[str, float]:
         """Takes gradient steps on remembered decisions; returns means over them, nan as long as it waits for more.
@@ -122,7 +123,7 @@ class SACLearner:
         return {"gradient_steps": count, "learning_rate": learning_rate, **dict(zip(LOGGED, means, strict=True))}
 
     def _gradient_step(self, decisions: TensorDictBase) -> Tensor:
-        if self.config.mirror:
+        if self._settings.mirror_augmentation:
             decisions = mirrored(decisions, torch.rand(len(decisions), device=self.config.device) < 0.5)
         # Once, for all networks that see them.
         for seen in (decisions, decisions["next"]):
