@@ -150,7 +150,7 @@ class Trajectory:
 
     @cached_property
     def speed(self) -> Tensor:
-        """Mean speed of the body over ground in each step, ``[T]``, m/s. Wheel slip does not count."""
+        """Mean speed of the body (not of the wheels) over ground in each step, ``[T]``, m/s."""
         return self.position.diff(dim=0).norm(dim=1) / self.dt
 
     @property

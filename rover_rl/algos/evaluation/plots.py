@@ -349,7 +349,7 @@ def draw_reward_components(rollout: TensorDictBase, path: Path, *, dt: float = C
         raise ValueError(f"draw the rollout of one rover, not of batch size {tuple(rollout.batch_size)}")
     steps = rollout.reshape(-1)["next"]
     if "reward_components" not in steps:
-        raise ValueError("the rollout has no reward components; make_env() gives an environment that has")
+        raise ValueError("the rollout has no reward components; make_env() returns an environment with them")
     components = {name: value.squeeze(-1).numpy() for name, value in steps["reward_components"].items()}
     components = {name: values for name, values in components.items() if values.any()}
     total = steps["outcome", "total_steps"].squeeze(-1).numpy()

@@ -28,8 +28,8 @@ _ACTIONS = 0
 class RandomPolicy(TensorDictModuleBase):
     """Uniformly random actions that depend on seed, episode and step only.
 
-    An episode has the same actions whatever other rows are in the batch. The policy reads ``("outcome", "steps")`` and,
-    if present, ``episode`` (int64 ``[N, 1]``), the number of each row's episode, which is otherwise the row's index.
+    An episode has the same actions regardless of the other rows in the batch. The policy reads ``("outcome", "steps")``
+    and, if present, ``episode`` (int64 ``[N, 1]``): the number of each row's episode, by default the index of the row.
 
     Args:
         seed: seed of the actions.
@@ -116,8 +116,8 @@ def steer(lidar: Tensor, target: Tensor, lidar_offset: float = LIDAR_OFFSET) -> 
 def drive_towards(direction: Tensor, lidar: Tensor, lidar_offset: float = LIDAR_OFFSET) -> Tensor:
     """Computes the action of a careful driver that follows a direction.
 
-    The heading offset is twice the angle to the direction. The speed decreases with the angle and with the distance of
-    obstacles in the lane ahead. Directly in front of an obstacle, the rover backs off while it turns.
+    The heading offset is twice the angle to the direction. The speed decreases as the angle grows, and as
+    obstacles in the lane ahead get closer. Directly in front of an obstacle, the rover backs off while it turns.
 
     Args:
         direction: direction relative to the rover's heading, ``[N, 1]``, rad.

@@ -43,10 +43,10 @@ def middle_and_half(spec: Bounded) -> tuple[Tensor, Tensor]:
 class ObservationEncoder(nn.Module):
     """Encodes observations as features of about [-1, 1].
 
-    Bounds of the observation space are no suitable scales: distances of a few meters would become so small that a
-    policy could hardly use them. The scales are constants instead of running statistics, so that a policy works without
-    them elsewhere. Lidar readings are logarithmic, since centimeters matter only at short range. Angles are encoded as
-    sine and cosine, and tilts in units of about 20 degrees.
+    The bounds of the observation space are not suitable as scales: distances of a few meters would become so small that
+    a policy could hardly use them. The scales are constants, so that a policy needs no running statistics. Lidar
+    readings are logarithmic, since centimeters matter only at short range. Angles are encoded as sine and cosine, and
+    tilts in units of about 20 degrees.
 
     Args:
         keys: entries of the observation to read, some of ``lidar``, ``imu``, ``target``, ``velocities``, ``pose``.
@@ -288,13 +288,13 @@ def _mirror_signs(device: torch.device) -> dict[str, Tensor]:
     return {key: torch.tensor(signs, device=device) for key, signs in _MIRROR.items()}
 
 
-def mirrored(decisions: TensorDictBase, rows: Tensor) -> TensorDictBase:
-    """Returns ``decisions [N]`` with the selected ``rows`` (bool ``[N]``) mirrored left to right.
+def mirrored(transitions: TensorDictBase, rows: Tensor) -> TensorDictBase:
+    """Returns ``transitions [N]`` with the selected ``rows`` (bool ``[N]``) mirrored left to right.
 
     Mirroring reverses the order of lidar readings. They are minima over segments of the scan, the first of which begins
     straight ahead, so that the mirror image is exact to one beam of the raw scan.
     """
-    image = decisions.copy()
+    image = transitions.copy()
     rows = rows[:, None]
     for part in (image, image.get("next", None)):
         if part is None:
