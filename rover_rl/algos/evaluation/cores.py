@@ -1,4 +1,4 @@
-"""Work off the clock, such as evaluations of many policies, spread over the cores.
+"""Parallel evaluation on the CPU cores of this machine.
 
 Example:
     >>> evaluations = over_cores(partial(evaluate, episodes=stored_episodes("maze")), actors, "evaluating")
@@ -20,20 +20,20 @@ Result = TypeVar("Result")
 
 
 def over_cores(work: Callable[[Item], Result], items: Sequence[Item], description: str) -> list[Result]:
-    """Does ``work`` with each item, in a process a core, and returns the results in order.
+    """Applies ``work`` to each item, with one process per core, and returns the results in order.
 
     Args:
-        work: a function of a module, or a ``partial`` of one; what it prints is not shown.
-        items: that can be pickled, as their results.
-        description: shown beside a progress bar on a terminal.
+        work: module-level function, or a ``partial`` of one; its standard output is discarded.
+        items: arguments of ``work``; they and the results must be picklable.
+        description: text next to the progress bar on a terminal.
     """
-    # Fresh processes, since a fork of one that has run PyTorch's threads can hang; what they need is read once for all.
+    # A fork of a process that has run PyTorch threads can hang. The fork server imports the modules once for all.
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["rover_rl.algos.evaluation.evaluate"])
-    with ProcessPoolExecutor(min(os.cpu_count() or 1, len(items)) or 1, context, _hush) as pool:
+    with ProcessPoolExecutor(min(os.cpu_count() or 1, len(items)) or 1, context, _silence) as pool:
         return list(track(pool.map(work, items), description, len(items), transient=True))
 
 
-def _hush() -> None:
-    """Keeps the progress bars of several processes from being drawn over one another."""
+def _silence() -> None:
+    """Discards standard output, so that the progress bars of several processes do not overwrite each other."""
     sys.stdout = open(os.devnull, "w")  # noqa: SIM115

@@ -1,7 +1,7 @@
-"""Episodes to evaluate on: fixed starts and goals, and how long the shortest path between them is.
+"""Evaluation episodes: fixed starts and goals with the lengths of their shortest paths.
 
-Each of the package's three worlds has a stored set: the first 256 draws whose shortest path is long enough, without
-selection. ``python -m rover_rl.algos.evaluation.episodes`` draws them again.
+Each of the three worlds of the package has a stored set: the first 256 draws whose shortest path is long enough,
+without further selection. ``python -m rover_rl.algos.evaluation.episodes`` regenerates the sets.
 
 Example:
     >>> stored_episodes("maze").shortest.min() >= 2
@@ -29,27 +29,28 @@ from rover_rl.sims.worlds import WORLDS, World, get_world
 from rover_rl.sims.worlds.shortest_paths import shortest_paths
 
 DEFAULT_SEED = 20_000
-"""Of the stored episodes."""
+"""Seed of the stored episodes."""
 STORED = 256
-"""Episodes in a stored set."""
+"""Number of episodes in a stored set."""
 MIN_PATH = 2.0
-"""Metres of shortest path that an episode has at least."""
+"""Smallest length of the shortest path of an episode, m."""
 FOLDER = Path(__file__).with_name("episode_sets")
-_MOST_DRAWS = 100
-"""Draws for each episode wanted, before the world counts as too small."""
+"""Folder of the stored sets."""
+_MAX_DRAWS = 100
+"""Largest number of draws per requested episode."""
 
 
 @dataclass(frozen=True)
 class EpisodeSet:
-    """Starts and goals to evaluate on.
+    """A set of starts and goals for evaluation.
 
     Attributes:
-        name: of the world as it was asked for, such as ``"maze:7"``.
-        world: where they lie.
-        seed: they were drawn from.
-        start: poses, float32 ``[count, 3]`` (x, y in m, yaw in rad).
-        goal: float32 ``[count, 2]``, m.
-        shortest: length of the shortest path from each start to the edge of the goal's disc, float32 ``[count]``, m:
+        name: name of the world as requested, such as ``"maze:7"``.
+        world: world of the episodes.
+        seed: seed of the first draw.
+        start: start poses, float32 ``[count, 3]`` (x, y in m, yaw in rad).
+        goal: goals, float32 ``[count, 2]``, m.
+        shortest: lengths of the shortest paths from the starts to the edges of the goal discs, float32 ``[count]``, m;
             see :func:`~rover_rl.sims.worlds.shortest_paths.shortest_paths`.
     """
 
@@ -64,10 +65,10 @@ class EpisodeSet:
         return len(self.start)
 
     def first(self, count: int) -> EpisodeSet:
-        """The first ``count`` of them.
+        """Returns the first ``count`` episodes.
 
         Raises:
-            ValueError: for a ``count`` below 1 or above what there is.
+            ValueError: if ``count`` is below 1 or above the number of episodes.
         """
         if not 1 <= count <= len(self):
             raise ValueError(f"count must be between 1 and {len(self)}, got {count}")
@@ -77,33 +78,39 @@ class EpisodeSet:
 
 @single_threaded()
 def draw_episodes(
-    world: str | World, count: int = 64, seed: int = DEFAULT_SEED, min_path: float = MIN_PATH
+    world: str | World,
+    count: int = 64,
+    seed: int = DEFAULT_SEED,
+    min_path: float = MIN_PATH,
+    *,
+    robot: str | Robot = "rover_zero",
 ) -> EpisodeSet:
-    """Draws starts and goals as the environment does, and takes the first whose shortest path is long enough.
+    """Draws starts and goals as the environment does, and keeps those whose shortest path is long enough.
 
-    Draw ``i`` is where the first episode of an environment seeded ``seed + i`` begins. The same seed gives the same
-    episodes, and more of them begin with the same ones.
+    Draw ``i`` is the start and goal of the first episode of an environment with the seed ``seed + i``. The same seed
+    always gives the same episodes, and a larger ``count`` appends to them.
 
     Args:
-        world: a name or a world.
-        count: how many.
-        seed: of the first draw.
-        min_path: shortest path at least, m; what is shorter is passed over.
+        world: name of a world, or a world.
+        count: number of episodes.
+        seed: seed of the first draw.
+        min_path: smallest length of the shortest path, m; draws with a shorter one are skipped.
+        robot: name of a robot, or a robot, for which the starts, goals and paths must be free.
 
     Raises:
-        ValueError: for an unknown world, a count or seed out of range, or a world in which hardly any path
-            is that long.
+        ValueError: for an unknown world or robot, a count or seed out of range, or a world in which hardly any path
+            is long enough.
     """
     check_at_least(1, MAX_COUNT, count=count)
     seed = check_seed(seed, count)
-    place, robot = get_world(world), get_robot("rover_zero")
+    place, robot, goal_radius = get_world(world), get_robot(robot), TaskConfig().success_distance
     found: list[tuple[Tensor, Tensor, Tensor]] = []
     taken = drawn = 0
     while taken < count:
-        if drawn >= _MOST_DRAWS * count:
+        if drawn >= _MAX_DRAWS * count:
             raise ValueError(f"world {place.name!r} has hardly any shortest path of {min_path:g} m or more")
         start, goal = _draw(place, robot, count, seed + drawn)
-        shortest = shortest_paths(place, robot, start, goal)
+        shortest = shortest_paths(place, robot, start, goal, goal_radius)
         long_enough = shortest >= min_path
         found.append((start[long_enough], goal[long_enough], shortest[long_enough]))
         drawn += count
@@ -113,7 +120,7 @@ def draw_episodes(
 
 
 def _draw(world: World, robot: Robot, count: int, seed: int) -> tuple[Tensor, Tensor]:
-    """Starts ``[count, 3]`` and goals ``[count, 2]`` of the first episodes of environments seeded from ``seed`` on."""
+    """Starts ``[count, 3]`` and goals ``[count, 2]`` of the first episodes of environments seeded ``seed`` and up."""
     device = torch.device("cpu")
     placement = Placement([world] * count, robot, TaskConfig().min_goal_distance, device)
     keys = episode_keys(row_keys(seed, count, device), torch.ones(count, 1, dtype=torch.int64))
@@ -122,20 +129,20 @@ def _draw(world: World, robot: Robot, count: int, seed: int) -> tuple[Tensor, Te
 
 
 def stored_episodes(world: str) -> EpisodeSet:
-    """The set of 256 episodes that the package holds for a world.
+    """Returns the stored set of 256 episodes of a world.
 
     Raises:
-        ValueError: for a world without one.
+        ValueError: for a world without a stored set.
     """
     if world not in WORLDS:
-        raise ValueError(f"no episodes are stored for world {world!r}; draw_episodes() draws some")
+        raise ValueError(f"no episodes are stored for world {world!r}; draw them with draw_episodes()")
     data = json.loads((FOLDER / f"{world}.json").read_text())
     columns = (torch.tensor([row[key] for row in data["episodes"]]) for key in ("start", "goal", "shortest"))
     return EpisodeSet(world, get_world(world), data["seed"], *columns)
 
 
 def write_episodes(episodes: EpisodeSet, path: Path) -> None:
-    """Writes a set as JSON, an episode a line; every number is the shortest text of its float32."""
+    """Writes a set as JSON, one episode per line, with the shortest exact decimal form of each float32."""
     rows = zip(episodes.start.numpy(), episodes.goal.numpy(), episodes.shortest.numpy(), strict=True)
     lines = [
         json.dumps({"start": _shortest_text(start), "goal": _shortest_text(goal), "shortest": float(str(shortest))})
@@ -151,7 +158,7 @@ def _shortest_text(numbers: np.ndarray) -> list[float]:
 
 
 def main() -> None:
-    """Draws the stored episodes anew and writes them into the package."""
+    """Regenerates the stored episodes of the package."""
     for world in WORLDS:
         write_episodes(draw_episodes(world, STORED), FOLDER / f"{world}.json")
         print(FOLDER / f"{world}.json")

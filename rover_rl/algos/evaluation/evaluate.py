@@ -39,6 +39,7 @@ from rover_rl.algos.train.progress import EPISODE_STEPS
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least
 from rover_rl.envs import RoverEnv, StepEvent, TaskConfig
 from rover_rl.sims import BackendLike
+from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import World, get_world
 
 __all__ = [
@@ -108,7 +109,9 @@ class Evaluation:
     @cached_property
     def metrics(self) -> dict[str, Estimate]:
         """Everything measured, by name: see :mod:`rover_rl.algos.evaluation.metrics`."""
-        return goal_metrics(self.trajectories, self.episodes.shortest, self.episodes.world)
+        return goal_metrics(
+            self.trajectories, self.episodes.shortest, self.episodes.world, robot=get_robot("rover_zero")
+        )
 
     @property
     def success_rate(self) -> float:
@@ -183,7 +186,7 @@ class EndlessEvaluation:
     @cached_property
     def metrics(self) -> dict[str, Estimate]:
         """Everything measured, by name: see :mod:`rover_rl.algos.evaluation.metrics`."""
-        return endless_metrics(self.trajectories, self.world)
+        return endless_metrics(self.trajectories, self.world, robot=get_robot("rover_zero"))
 
     @property
     def title(self) -> str:

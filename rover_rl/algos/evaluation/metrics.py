@@ -1,62 +1,70 @@
-"""What is measured of driving: each metric once, as a function of recorded trajectories, with a 95 % interval.
+"""Evaluation metrics: functions of recorded trajectories, with 95 % confidence intervals.
 
-Names in brackets are the original's, which has no formula for MTT and TR and never logs VORT. Episodes are the unit
-that varies: shares of episodes carry Wilson's interval, everything else is a ratio of sums over episodes and carries a
-percentile bootstrap over them. An interval says nothing of how much training varies: for that, train several seeds.
+Names in brackets are those of the original environment, which has no formula for MTT and TR and never logs VORT.
+Proportions of episodes have Wilson score intervals. All other metrics are ratios of sums over episodes and have
+percentile bootstrap intervals. The intervals cover the variation between episodes, not the variation between training
+runs: train with several seeds to measure that.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from inspect import signature
 from itertools import pairwise
 
+import numpy as np
 import torch
+from scipy.stats import DegenerateDataWarning, binomtest, bootstrap
 from torch import Tensor
 
-from rover_rl.algos.config import SECONDS_PER_STEP
-from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import wrap_angle
+from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.free_space import distance_to_polygon
 from rover_rl.sims.worlds.obstacles import Obstacle
 
 ROUGH_TILT = math.radians(10)
-"""Ground on which the rover leans this much or more, in any direction, is rough: most of inspect, a tenth of the moon,
-and nothing of the maze. The original's own mark, an acceleration beyond 15 m/s^2, is not met by a rover on wheels at
-1 m/s: in the 20 Hz positions of 192 episodes in the three worlds the most was 10 m/s^2."""
+"""Smallest tilt of the rover, in any direction, on rough ground, rad. Rough ground makes up most of inspect, a tenth of
+moon, and nothing of maze. The original environment defines rough ground by an acceleration above 15 m/s^2, which a
+wheeled rover does not reach at 1 m/s: the maximum in the 20 Hz positions of 192 episodes in the three worlds is
+10 m/s^2."""
 STANDSTILL = 0.05
-"""Slower than this is standing, m/s."""
+"""Speed below which the rover stands still, m/s."""
 TOUCH = 0.01
-"""A body that comes as near as this to an obstacle touches it, m."""
-Z = 1.96
-"""Standard deviations of a normal distribution on either side that hold 95 % of it."""
+"""Largest distance between the body and an obstacle that counts as a contact, m."""
 RESAMPLES = 2000
+"""Number of bootstrap resamples."""
+_RNG = "rng" if "rng" in signature(bootstrap).parameters else "random_state"
+"""Name of the random generator's argument of ``scipy.stats.bootstrap``, which SciPy 1.15 renames."""
 _OUTLINE_SPACING = 0.02
+"""Largest distance between neighboring points of the rover's outline, m."""
 _CHUNK = 4096
-"""Poses whose outlines are held against an obstacle at once; bounds the memory to some 100 MB."""
+"""Number of poses that are tested against an obstacle at once. Limits the memory to about 100 MB."""
 
 TIME_LIMIT = "time limit"
 TOO_NEAR = "obstacle too near"
-"""An ending of drives with a live rover: something came nearer than was allowed."""
+"""Ending of a live drive: an obstacle is closer than the required clearance."""
 STOPPED = "stopped"
-"""Another: a person ended it, or the rover was lost."""
+"""Ending of a live drive: a person interrupted it, or the connection to the rover was lost."""
 RESTARTED = "robot restarted"
-"""Another: the rover's clock went back, or its pose jumped."""
+"""Ending of a live drive: the rover's clock went backwards, or its pose jumped."""
 EARLY_ENDINGS = ("flipped", "jammed", "out of bounds", "stuck", "invalid action", TOO_NEAR, RESTARTED, STOPPED)
-"""How an episode can end before its time, other than at its goal."""
+"""Endings of an episode before its time limit, other than at its goal."""
 
 
 @dataclass(frozen=True)
 class Metric:
-    """How a metric is shown.
+    """How tables show a metric.
 
     Attributes:
-        heading: of its column.
-        meaning: in a few words; a way to end an episode speaks for itself.
-        unit: ``"%"`` for shares, which are numbers up to 1, ``"s"``, ``"m/s"``, ``"1/s"``, or none.
+        heading: heading of the metric's column.
+        meaning: short description for the legend; empty for endings, whose heading describes them.
+        unit: ``"%"`` for proportions, which are stored as numbers up to 1, ``"s"``, ``"m/s"``, ``"1/s"``, or empty.
     """
 
     heading: str
@@ -65,29 +73,35 @@ class Metric:
 
 
 METRICS = {
-    "success_rate": Metric("SR", "episodes that reached their goal", "%"),
+    "success_rate": Metric("SR", "episodes that reach their goal", "%"),
     "spl": Metric("SPL", "success weighted by path length"),
-    "mean_time_to_traverse": Metric("MTT", "time to a goal that was reached", "s"),
-    "traverse_rate": Metric("TR", "shortest path covered a second", "m/s"),
-    "goals_per_episode": Metric("goals", "reached an episode"),
-    "seconds_per_goal": Metric("time", "of driving a goal", "s"),
-    "episode_seconds": Metric("episode", "mean duration", "s"),
-    "ended_early": Metric("early", "episodes that ended before their time", "%"),
-    "velocity_over_rough_terrain": Metric("VORT", "speed on ground of 10 degrees or more", "m/s"),
-    "collisions": Metric("TC", "collisions an episode"),
-    "body_contacts": Metric("touches", "contacts of the body with obstacles an episode"),
-    "body_contact_share": Metric("touched", "episodes with such a contact", "%"),
-    "turns_per_goal": Metric("turns", "full turns a goal"),
+    "mean_time_to_traverse": Metric("MTT", "mean time to a reached goal", "s"),
+    "traverse_rate": Metric("TR", "shortest-path length to reached goals per second of driving", "m/s"),
+    "goals_per_episode": Metric("goals", "goals reached per episode"),
+    "seconds_per_goal": Metric("time", "driving time per goal reached", "s"),
+    "episode_seconds": Metric("episode", "mean duration of an episode", "s"),
+    "ended_early": Metric("early", "episodes that end before the time limit", "%"),
+    "velocity_over_rough_terrain": Metric("VORT", "mean speed on ground with a tilt of 10 degrees or more", "m/s"),
+    "collisions": Metric("TC", "collisions per episode"),
+    "body_contacts": Metric("touches", "contacts of the body with obstacles per episode"),
+    "body_contact_share": Metric("touched", "episodes in which the body touches an obstacle", "%"),
+    "turns_per_goal": Metric("turns", "full turns per goal reached"),
     "standstill": Metric("still", "time spent slower than 0.05 m/s", "%"),
-    "command_reversals": Metric("reversals", "changes of the commanded turning direction a second", "1/s"),
+    "command_reversals": Metric("reversals", "changes of the commanded turning direction per second", "1/s"),
     **{f"ending_{kind.replace(' ', '_')}": Metric(kind, unit="%") for kind in (TIME_LIMIT, *EARLY_ENDINGS)},
 }
-"""All metrics by name, in the order in which they are shown."""
+"""All metrics by name, in the order in which tables show them."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A measured value, and where the true one lies with 95 % confidence; nan where there is nothing to measure."""
+    """A measured value and its 95 % confidence interval.
+
+    Attributes:
+        value: point estimate; nan if it is undefined.
+        low: lower end of the interval; nan if there are too few episodes for an interval.
+        high: upper end of the interval; nan if there are too few episodes for an interval.
+    """
 
     value: float
     low: float
@@ -96,15 +110,16 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What was recorded of an episode of T steps at 20 Hz.
+    """Record of one episode of T steps.
 
     Attributes:
-        position: of the rover, at the start and after each step, float32 ``[T + 1, 3]``, m.
-        angles: its roll, pitch and yaw, ``[T + 1, 3]``, rad.
-        collision: which steps ended in collision: a lidar reading below 0.3 m, bool ``[T]``.
-        goal: which steps reached a goal, bool ``[T]``.
-        ending: how it ended: ``"goal"``, :data:`TIME_LIMIT`, or one of :data:`EARLY_ENDINGS`.
-        reversals: changes of the commanded turning direction; nan where commands were not recorded.
+        position: positions of the rover at the start and after each step, float32 ``[T + 1, 3]``, m.
+        angles: roll, pitch and yaw of the rover at the start and after each step, float32 ``[T + 1, 3]``, rad.
+        collision: whether each step ends in a collision, a lidar reading below 0.3 m, bool ``[T]``.
+        goal: whether each step reaches a goal, bool ``[T]``.
+        ending: how the episode ends: ``"goal"``, :data:`TIME_LIMIT`, or one of :data:`EARLY_ENDINGS`.
+        reversals: number of changes of the commanded turning direction; nan if commands are not recorded.
+        dt: duration of a step, s.
     """
 
     position: Tensor
@@ -113,44 +128,51 @@ class Trajectory:
     goal: Tensor
     ending: str
     reversals: float = math.nan
+    dt: float = CONTROL_DT
 
     def __len__(self) -> int:
         return len(self.collision)
 
     @property
     def seconds(self) -> float:
-        """It lasted."""
-        return len(self) * SECONDS_PER_STEP
+        """Duration of the episode, s."""
+        return len(self) * self.dt
 
     @property
     def path(self) -> Tensor:
-        """Where the rover was, seen from above: ``[T + 1, 2]``, m."""
+        """Positions seen from above, ``[T + 1, 2]``, m."""
         return self.position[:, :2]
 
     @property
     def length(self) -> float:
-        """Of the path, seen from above, m."""
+        """Length of the path seen from above, m."""
         return self.path.double().diff(dim=0).norm(dim=1).sum().item()
 
     @cached_property
     def speed(self) -> Tensor:
-        """Mean speed over ground in each step, ``[T]``, m/s: of the body, not of the wheels."""
-        return self.position.diff(dim=0).norm(dim=1) / SECONDS_PER_STEP
+        """Mean speed of the body (not of the wheels) over ground in each step, ``[T]``, m/s."""
+        return self.position.diff(dim=0).norm(dim=1) / self.dt
 
     @property
     def tilt(self) -> Tensor:
-        """Angle between the rover's up and the world's after each step, ``[T]``, rad."""
+        """Angle between the vertical axes of the rover and the world after each step, ``[T]``, rad."""
         roll, pitch, _ = self.angles[1:].unbind(-1)
         return torch.arccos((roll.cos() * pitch.cos()).clamp(-1, 1))
 
     @property
     def turns(self) -> float:
-        """Full turns: all changes of heading, left and right alike, over 2 pi."""
+        """Number of full turns: the sum of all absolute changes of heading, divided by 2 pi."""
         return wrap_angle(self.angles[:, 2].double().diff()).abs().sum().item() / (2 * math.pi)
 
 
 def proportion(successes: int, count: int) -> Estimate:
-    """A share with Wilson's score interval (Wilson, "Probable inference", J. Am. Stat. Assoc. 22, 1927).
+    """Computes a proportion with its Wilson score interval; nan for a ``count`` of 0.
+
+    Wilson, "Probable inference", J. Am. Stat. Assoc. 22, 1927.
+
+    Args:
+        successes: number of successes.
+        count: number of trials.
 
     Example:
         >>> proportion(5, 10)
@@ -158,82 +180,105 @@ def proportion(successes: int, count: int) -> Estimate:
     """
     if not count:
         return Estimate(math.nan, math.nan, math.nan)
-    share, spread = successes / count, Z**2 / count
-    centre = share + spread / 2
-    margin = Z * math.sqrt((share * (1 - share) + spread / 4) / count)
-    return Estimate(share, max(0.0, (centre - margin) / (1 + spread)), min(1.0, (centre + margin) / (1 + spread)))
+    interval = binomtest(successes, count).proportion_ci(confidence_level=0.95, method="wilson")
+    return Estimate(successes / count, float(interval.low), float(interval.high))
 
 
 def ratio(numerators: Sequence[float], denominators: Sequence[float] | None = None) -> Estimate:
-    """``sum(numerators) / sum(denominators)`` over episodes with a percentile bootstrap over them.
+    """Computes ``sum(numerators) / sum(denominators)`` over episodes with its percentile bootstrap interval.
 
-    Without ``denominators`` it is the mean. Always the same 2,000 resamples are taken for a number of episodes (Efron,
-    "Bootstrap methods", Ann. Stat. 7, 1979). Where all episodes are alike the interval has no width; where only one of
-    them has a denominator above 0, there is no telling, and its ends are nan.
+    The 2,000 paired resamples of :func:`scipy.stats.bootstrap` are the same in every call with the same number of
+    episodes (Efron, "Bootstrap methods", Ann. Stat. 7, 1979). Resamples with the ratio 0 / 0 are left out. The interval
+    has no width if all episodes are equal. Its ends are nan if the value is nan, or if fewer than two episodes have a
+    denominator above 0.
+
+    Args:
+        numerators: numerator of each episode.
+        denominators: denominator of each episode; ``None``: 1 for each, which gives the mean.
+
+    Example:
+        >>> ratio([1.0, 3.0], [1.0, 1.0])
+        Estimate(value=2.0, low=1.0, high=3.0)
     """
     top = torch.tensor(numerators, dtype=torch.float64)
     bottom = torch.ones_like(top) if denominators is None else torch.tensor(denominators, dtype=torch.float64)
     counted = int((bottom > 0).sum())
     value = (top.sum() / bottom.sum()).item() if counted else math.nan
-    if counted < 2:
+    if counted < 2 or math.isnan(value):
         return Estimate(value, math.nan, math.nan)
-    drawn = torch.randint(len(top), (RESAMPLES, len(top)), generator=torch.Generator().manual_seed(0))
-    resampled = top[drawn].sum(1) / bottom[drawn].sum(1)
-    # A resample of nothing over nothing says nothing; between two infinities there would be no number.
-    ends = torch.tensor((0.025, 0.975), dtype=torch.float64)
-    low, high = torch.nanquantile(resampled, ends, interpolation="nearest").tolist()
+    with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
+        # SciPy warns when its own interval is nan because of 0 / 0.
+        warnings.simplefilter("ignore", DegenerateDataWarning)
+        resampled = bootstrap(
+            (top.numpy(), bottom.numpy()),
+            _ratio_of_sums,
+            n_resamples=RESAMPLES,
+            vectorized=True,
+            paired=True,
+            method="percentile",
+            **{_RNG: np.random.default_rng(0)},
+        ).bootstrap_distribution
+    # Unlike SciPy's interval, this one skips nan and does not interpolate between infinities, which would give nan.
+    low, high = np.nanquantile(resampled, (0.025, 0.975), method="nearest").tolist()
     return Estimate(value, low, high)
 
 
+def _ratio_of_sums(numerators: np.ndarray, denominators: np.ndarray, axis: int) -> np.ndarray:
+    return numerators.sum(axis) / denominators.sum(axis)
+
+
 def success_rate(trajectories: Sequence[Trajectory]) -> Estimate:
-    """[SR] Share of episodes that reached their goal in time; an early ending is a failure."""
+    """[SR] Proportion of episodes that reach their goal within the time limit. Early endings are failures."""
     return ending_share(trajectories, "goal")
 
 
 def ending_share(trajectories: Sequence[Trajectory], *endings: str) -> Estimate:
-    """Share of episodes that ended in one of these ways."""
+    """Proportion of episodes with one of the given endings."""
     return proportion(sum(t.ending in endings for t in trajectories), len(trajectories))
 
 
 def spl(trajectories: Sequence[Trajectory], shortest: Tensor) -> Estimate:
-    """Success weighted by path length: mean of ``S l / max(p, l)``, between 0 and 1.
+    """Success weighted by path length: the mean of ``S l / max(p, l)``, between 0 and 1.
 
-    ``S`` is 1 for a success and 0 otherwise, ``p`` the length driven and ``l`` the shortest, both seen from above
-    (Anderson et al., "On Evaluation of Embodied Navigation Agents", 2018, arXiv:1807.06757).
+    ``S`` is 1 for a success and 0 otherwise, ``p`` is the length of the driven path and ``l`` that of the shortest
+    path, both seen from above (Anderson et al., "On Evaluation of Embodied Navigation Agents", 2018, arXiv:1807.06757).
 
     Args:
-        trajectories: an episode each.
-        shortest: length of the shortest paths, ``[count]``, m.
+        trajectories: recorded episodes.
+        shortest: lengths of the shortest paths, ``[count]``, m.
     """
     pairs = zip(trajectories, shortest.tolist(), strict=True)
     return ratio([(t.ending == "goal") * least / max(t.length, least, 1e-9) for t, least in pairs])
 
 
 def mean_time_to_traverse(trajectories: Sequence[Trajectory]) -> Estimate:
-    """[MTT] Mean seconds to the goal of the episodes that reached it.
+    """[MTT] Mean time to the goal of the episodes that reach it, s.
 
-    Read it beside the success rate: a policy that reaches only near goals is quick.
+    Read it together with the success rate: a policy that reaches only near goals has a short mean time.
     """
     reached = [t.ending == "goal" for t in trajectories]
     return ratio([t.seconds * r for t, r in zip(trajectories, reached, strict=True)], reached)
 
 
 def traverse_rate(trajectories: Sequence[Trajectory], shortest: Tensor) -> Estimate:
-    """[TR] Metres of shortest path that were covered for each second of driving: ``sum(S l) / sum(t)``, in m/s.
+    """[TR] Shortest-path length to reached goals per second of driving: ``sum(S l) / sum(t)``, m/s.
 
-    The original names it and gives no formula. Here it is the rate at which a rover delivers what it was sent for, so
-    that failures count with all their time ``t`` and none of their way: what progress towards a goal is worth that was
-    not reached, nobody can say, and SPL credits none either. Its bound is the speed limit of 1 m/s.
+    The original environment names this metric and gives no formula. Here a failure contributes its time ``t`` and no
+    length, since SPL does not credit partial progress either. The speed limit of 1 m/s is an upper bound.
+
+    Args:
+        trajectories: recorded episodes.
+        shortest: lengths of the shortest paths, ``[count]``, m.
     """
     pairs = zip(trajectories, shortest.tolist(), strict=True)
     return ratio([(t.ending == "goal") * least for t, least in pairs], [t.seconds for t in trajectories])
 
 
 def velocity_over_rough_terrain(trajectories: Sequence[Trajectory]) -> Estimate:
-    """[VORT] Mean speed over ground in m/s of the steps on rough ground, where the tilt is 10 degrees or more.
+    """[VORT] Mean speed over ground in the steps with a tilt of 10 degrees or more, m/s.
 
-    The original means ground that shakes the rover (see :data:`ROUGH_TILT`), and never logs it. nan without such
-    ground, as in the maze.
+    The original environment defines rough ground by acceleration (see :data:`ROUGH_TILT`) and never logs this metric.
+    The value is nan if no ground is rough, as in the maze.
     """
     rough = [t.tilt >= ROUGH_TILT for t in trajectories]
     return ratio(
@@ -242,26 +287,26 @@ def velocity_over_rough_terrain(trajectories: Sequence[Trajectory]) -> Estimate:
 
 
 def collisions(trajectories: Sequence[Trajectory]) -> Estimate:
-    """[TC] Collisions an episode: runs of steps with a lidar reading below 0.3 m, each run counted once."""
+    """[TC] Collisions per episode: each run of consecutive steps with a lidar reading below 0.3 m counts once."""
     return ratio([count_runs(t.collision) for t in trajectories])
 
 
 def standstill(trajectories: Sequence[Trajectory]) -> Estimate:
-    """Share of the time in which the rover moves less than 0.05 m/s over ground."""
+    """Proportion of time in which the speed over ground is below 0.05 m/s."""
     slow = [(t.speed < STANDSTILL).sum().item() for t in trajectories]
     return ratio(slow, [len(t) for t in trajectories])
 
 
 def command_reversals(trajectories: Sequence[Trajectory]) -> Estimate:
-    """Changes of the commanded turning direction for each second of driving; nan unless commands were recorded.
+    """Changes of the commanded turning direction per second of driving; nan if commands are not recorded.
 
-    A rover that follows its heading calmly has about one; a controller that oscillates has up to 20 at 20 Hz.
+    Steady heading control has about one per second. A controller that oscillates has up to 20 at 20 Hz.
     """
     return ratio([t.reversals for t in trajectories], [t.seconds for t in trajectories])
 
 
 def count_reversals(yaw_rates: Sequence[float]) -> int:
-    """How often the sign of successive yaw rates (rad/s) changes; zeros between do not count.
+    """Counts the changes of sign in successive yaw rates (rad/s), ignoring zeros.
 
     Example:
         >>> count_reversals([0.5, 0.0, -0.5, -0.1, 0.2])
@@ -272,40 +317,48 @@ def count_reversals(yaw_rates: Sequence[float]) -> int:
 
 
 def turns_per_goal(trajectories: Sequence[Trajectory]) -> Estimate:
-    """Full turns of heading, left and right alike, for each goal reached; those of failures count too.
+    """Full turns to the left and to the right per goal reached, including the turns of failed episodes.
 
-    Circling is the known failure of policies for this task; about 0.45 is healthy.
+    Circling is a common failure of policies for this task. Good policies have about 0.45 turns per goal.
     """
     return ratio([t.turns for t in trajectories], [t.goal.sum().item() for t in trajectories])
 
 
 def goals_per_episode(trajectories: Sequence[Trajectory]) -> Estimate:
-    """Mean number of goals reached in an episode, where goals keep coming."""
+    """Mean number of goals reached per episode in endless mode."""
     return ratio([t.goal.sum().item() for t in trajectories])
 
 
 def seconds_per_goal(trajectories: Sequence[Trajectory]) -> Estimate:
-    """All seconds of driving over all goals reached."""
+    """Total driving time divided by the number of goals reached, s."""
     return ratio([t.seconds for t in trajectories], [t.goal.sum().item() for t in trajectories])
 
 
 def episode_seconds(trajectories: Sequence[Trajectory]) -> Estimate:
-    """Mean seconds that an episode lasted."""
+    """Mean duration of an episode, s."""
     return ratio([t.seconds for t in trajectories])
 
 
 def count_runs(flags: Tensor) -> int:
-    """How many runs of true values ``flags [T]`` has."""
+    """Counts the runs of consecutive true values in ``flags``, bool ``[T]``."""
     flags = flags.to(torch.int8)
     return int(flags[:1].sum() + (flags.diff() > 0).sum())
 
 
-def touching(trajectories: Sequence[Trajectory], world: World, robot: Robot) -> list[Tensor]:
-    """At which poses of each episode the rover's body touches an obstacle: bool ``[T + 1]`` each.
+def find_body_contacts(trajectories: Sequence[Trajectory], world: World, robot: Robot) -> list[Tensor]:
+    """Finds the poses at which the rover's body touches an obstacle.
 
-    Its outline, the rectangle around the wheels at the height of their hubs, comes within 1 cm of one. The lidar misses
-    that where the body is wider than the lidar is near: at the sides, and behind, where it drives blind. What is lower
-    than a wheel's hub is ground to roll over.
+    The body touches an obstacle if its outline, the rectangle around the wheels at the height of the wheel hubs, is
+    within 1 cm of it. A contact need not be a lidar collision: at the sides and at the rear, the outline may be farther
+    from the lidar than the collision distance. Obstacles below the wheel hubs count as ground.
+
+    Args:
+        trajectories: recorded episodes.
+        world: world of the episodes.
+        robot: robot whose wheels give the outline.
+
+    Returns:
+        Contact flags of the poses of each episode, bool ``[T + 1]`` each.
     """
     position, angles = (torch.cat([getattr(t, key) for t in trajectories]) for key in ("position", "angles"))
     outline = _outline(robot)
@@ -321,7 +374,7 @@ def touching(trajectories: Sequence[Trajectory], world: World, robot: Robot) -> 
 
 
 def _near(path: Tensor, obstacle: Obstacle, reach: float) -> Tensor:
-    """Which points of ``path [P, 2]`` are within ``reach`` (m) of the obstacle seen from above: bool ``[P]``."""
+    """Whether each point of ``path [P, 2]`` is within ``reach`` (m) of the obstacle seen from above, bool ``[P]``."""
     footprint = obstacle.footprint.to(path)
     near = ((path >= footprint.amin(0) - reach) & (path <= footprint.amax(0) + reach)).all(-1)
     near[near.clone()] = distance_to_polygon(path[near], footprint) <= reach
@@ -329,7 +382,7 @@ def _near(path: Tensor, obstacle: Obstacle, reach: float) -> Tensor:
 
 
 def _outline(robot: Robot) -> Tensor:
-    """Points around the rectangle of the wheels at the height of their hubs, in the base frame: ``[P, 3]``, m."""
+    """Points on the rectangle around the wheels at the height of the wheel hubs, in the base frame, ``[P, 3]``, m."""
     hubs = torch.tensor(robot.wheel_positions)
     margin = torch.tensor((robot.wheel_radius, robot.wheel_width / 2))
     low, high = hubs[:, :2].amin(0) - margin, hubs[:, :2].amax(0) + margin
@@ -343,7 +396,7 @@ def _outline(robot: Robot) -> Tensor:
 
 
 def _rotation(angles: Tensor) -> Tensor:
-    """Matrices ``[P, 3, 3]`` (columns: forward, left, up) of roll, pitch and yaw ``[P, 3]`` ('sxyz')."""
+    """Rotation matrices ``[P, 3, 3]`` (columns: forward, left, up) from roll, pitch and yaw ``[P, 3]`` ('sxyz')."""
     (cr, cp, cy), (sr, sp, sy) = angles.cos().unbind(-1), angles.sin().unbind(-1)
     rows = (
         (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
@@ -353,36 +406,45 @@ def _rotation(angles: Tensor) -> Tensor:
     return torch.stack([torch.stack(row, -1) for row in rows], -2)
 
 
-def goal_metrics(trajectories: Sequence[Trajectory], shortest: Tensor, world: World) -> dict[str, Estimate]:
-    """The metrics of episodes with one goal each, by name.
+def goal_metrics(
+    trajectories: Sequence[Trajectory], shortest: Tensor, world: World, *, robot: Robot
+) -> dict[str, Estimate]:
+    """Computes the metrics of episodes with one goal each, by name.
 
     Args:
-        trajectories: an episode each.
-        shortest: length of the shortest paths, ``[count]``, m.
-        world: where they were driven.
+        trajectories: recorded episodes.
+        shortest: lengths of the shortest paths, ``[count]``, m.
+        world: world of the episodes.
+        robot: robot of the episodes, whose outline gives the body contacts.
     """
     return {
         "success_rate": success_rate(trajectories),
         "spl": spl(trajectories, shortest),
         "mean_time_to_traverse": mean_time_to_traverse(trajectories),
         "traverse_rate": traverse_rate(trajectories, shortest),
-        **_common_metrics(trajectories, world),
+        **_common_metrics(trajectories, world, robot),
     }
 
 
-def endless_metrics(trajectories: Sequence[Trajectory], world: World) -> dict[str, Estimate]:
-    """The metrics of episodes in which goals keep coming, by name."""
+def endless_metrics(trajectories: Sequence[Trajectory], world: World, *, robot: Robot) -> dict[str, Estimate]:
+    """Computes the metrics of endless episodes, by name.
+
+    Args:
+        trajectories: recorded episodes.
+        world: world of the episodes.
+        robot: robot of the episodes, whose outline gives the body contacts.
+    """
     return {
         "goals_per_episode": goals_per_episode(trajectories),
         "seconds_per_goal": seconds_per_goal(trajectories),
         "episode_seconds": episode_seconds(trajectories),
         "ended_early": ending_share(trajectories, *EARLY_ENDINGS),
-        **_common_metrics(trajectories, world),
+        **_common_metrics(trajectories, world, robot),
     }
 
 
-def _common_metrics(trajectories: Sequence[Trajectory], world: World) -> dict[str, Estimate]:
-    contacts = [count_runs(touched) for touched in touching(trajectories, world, get_robot("rover_zero"))]
+def _common_metrics(trajectories: Sequence[Trajectory], world: World, robot: Robot) -> dict[str, Estimate]:
+    contacts = [count_runs(touched) for touched in find_body_contacts(trajectories, world, robot)]
     kinds = (TIME_LIMIT, *EARLY_ENDINGS)
     return {
         "velocity_over_rough_terrain": velocity_over_rough_terrain(trajectories),

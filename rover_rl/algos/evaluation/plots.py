@@ -1,6 +1,6 @@
-"""Pictures of training and of driving, with Matplotlib's object interface: they need no display.
+"""Figures of training runs, driven paths and rewards. They need no display.
 
-Colours are those of Okabe and Ito, and plasma: they differ for colour-blind readers, too.
+Colors are those of Okabe and Ito and of the plasma colormap, which color-blind readers can tell apart.
 """
 
 from __future__ import annotations
@@ -26,12 +26,13 @@ from matplotlib.ticker import EngFormatter, PercentFormatter
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from rover_rl.algos.config import SECONDS_PER_STEP, TrainingConfig, experiments, run_config
+from rover_rl.algos.config import TrainingConfig, experiments, run_config
 from rover_rl.algos.evaluation.evaluate import ENDINGS, Evaluation
 from rover_rl.algos.evaluation.metrics import TIME_LIMIT, Trajectory
 from rover_rl.algos.train.progress import EPISODE_STEPS, read_progress
 from rover_rl.envs import StepEvent
 from rover_rl.files import written_whole
+from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.draw import draw_map
 from rover_rl.sims.worlds.world import Area
@@ -40,39 +41,41 @@ BLUE, ORANGE, GREEN, PURPLE, RED, SKY = "#0072b2", "#e69f00", "#009e73", "#cc79a
 GREY, GRID = "#6b7280", "#e5e7eb"
 
 Against: TypeAlias = Literal["steps", "minutes"]
-_AXES = {"steps": "steps (20 Hz, all rovers together)", "minutes": "minutes of training"}
+"""Quantity on the x axis of a learning curve."""
+_AXES = {"steps": "environment steps of all rovers", "minutes": "training time (min)"}
 _POINTS = 240
-"""Of a learning curve."""
+"""Number of points of a learning curve."""
 _WINDOW = 1 / 12
-"""Share of a run that a point of its curve looks at."""
+"""Width of the averaging window, as a fraction of the run."""
 _NARROW = 1 / 100
-"""The same for the faint line behind it."""
-_LINES = {"ppo": (BLUE, SKY, GREEN), "sac": (RED, ORANGE, PURPLE)}
-"""Colours by algorithm, one for each of its settings in turn."""
+"""Width of the averaging window of the faint line, as a fraction of the run."""
+_PALETTES = {"ppo": (BLUE, SKY, GREEN), "sac": (RED, ORANGE, PURPLE)}
+"""Colors of each algorithm's curves, one for each of its settings in turn."""
 
 
 def draw_learning_curve(
     runs: Sequence[Path], path: Path, baseline: Evaluation | None = None, *, against: Against = "steps"
 ) -> None:
-    """Draws success and goals against the steps trained for, or against the time: a row of panels for each world.
+    """Draws success rate and goals against training steps or training time, with a row of panels for each world.
 
-    Every point of a line is a ratio of sums over a window of a twelfth of the run, however many decisions its rows
-    have. Runs that differ in their seed only are drawn as one: their mean, and the least and the most of them, up to
-    where the shortest of them ends. A run by itself has narrower windows behind it.
+    Each point is a ratio of sums over a window of a twelfth of the run, so that it does not depend on the number of
+    rows in ``progress.csv``. Runs that differ in their seed only are drawn as one curve: their mean, and the range from
+    their minimum to their maximum, up to the end of the shortest run. A single run also has a faint line with a
+    narrower window.
 
     Args:
-        runs: their folders, each with ``config.yaml`` and ``progress.csv``.
-        path: of the picture; the suffix decides on the format.
-        baseline: a policy whose level in its world is drawn as a dashed line.
-        against: what the x axis shows.
+        runs: folders of the runs, each with ``config.yaml`` and ``progress.csv``.
+        path: path of the figure; its suffix selects the format.
+        baseline: evaluation of a policy whose values are drawn as dashed lines in the panels of its world.
+        against: quantity on the x axis.
 
     Raises:
-        FileNotFoundError: if a folder is not that of a run.
-        ValueError: without runs, or if one has no rows yet.
+        FileNotFoundError: if a folder holds no run.
+        ValueError: if there are no runs, or if a run has no rows yet.
     """
     if not runs:
         raise ValueError("name at least one run to draw")
-    groups = _grouped([_Run.read(Path(folder)) for folder in runs], against)
+    groups = _group_runs([_Run.read(Path(folder)) for folder in runs], against)
     worlds = list(dict.fromkeys(group.world for group in groups))
     figure = Figure(figsize=(10, 0.6 + 3.7 * len(worlds)), layout="constrained")
     for world, panels in zip(worlds, figure.subplots(len(worlds), 2, squeeze=False), strict=True):
@@ -85,7 +88,7 @@ def draw_learning_curve(
         _finish_curves(panels, max(group.end for group in here), against)
         panels[0].set_title(world, loc="left", fontweight="bold")
     handles = _curve_legend(groups, baseline)
-    # Two long ones do not fit side by side.
+    # Two long labels do not fit side by side.
     columns = 1 if max(len(str(handle.get_label())) for handle in handles) > _LONG_LABEL else 2
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False)
     with written_whole(path) as temporary:
@@ -94,12 +97,12 @@ def draw_learning_curve(
 
 @dataclass(frozen=True)
 class _Run:
-    """What ``progress.csv`` tells of a run.
+    """Data of a run from ``config.yaml`` and ``progress.csv``.
 
     Attributes:
-        config: its settings.
-        x: steps and minutes after each row, ``[rows]`` each.
-        measures: what is counted in each row and what it is a share of, ``[rows]`` each, by the measure's name.
+        config: settings of the run.
+        x: steps and minutes after each row, ``[rows]`` each, by name.
+        measures: numerators and denominators of each measure in each row, ``[rows]`` each, by name.
     """
 
     config: TrainingConfig
@@ -119,21 +122,31 @@ class _Run:
         return cls(config, x, {"success": success, "goals": goals})
 
     def curve(self, measure: str, against: Against, at: np.ndarray, width: float) -> np.ndarray:
-        """The measure in windows of ``width`` around ``at [points]``, shorter at the ends; nan without a count."""
+        """Averages a measure over windows of ``width`` around ``at [points]``.
+
+        Windows are cut at both ends of the run. The result is nan where the denominator is 0.
+        """
         edges = np.concatenate(([0.0], self.x[against]))
 
-        def within(values: np.ndarray) -> np.ndarray:
+        def window_sums(values: np.ndarray) -> np.ndarray:
             total = np.concatenate(([0.0], np.cumsum(values)))
             return np.interp(at + width / 2, edges, total) - np.interp(at - width / 2, edges, total)
 
-        counts, of = self.measures[measure]
+        numerators, denominators = self.measures[measure]
         with np.errstate(invalid="ignore"):
-            return within(counts) / within(of)
+            return window_sums(numerators) / window_sums(denominators)
 
 
 @dataclass(frozen=True)
 class _Group:
-    """Runs that differ in their seed at most, drawn as one line over ``against`` up to ``end``."""
+    """Runs that differ in their seed at most and are drawn as one curve.
+
+    Attributes:
+        name: name of the experiment.
+        color: color of the curve.
+        runs: runs of the group.
+        against: quantity on the x axis.
+    """
 
     name: str
     color: str
@@ -146,7 +159,7 @@ class _Group:
 
     @property
     def end(self) -> float:
-        """Where the shortest run ends."""
+        """End of the shortest run on the x axis."""
         return min(run.x[self.against][-1] for run in self.runs)
 
     @property
@@ -165,11 +178,11 @@ class _Group:
         ax.plot(at, np.mean(curves, 0), color=self.color, linewidth=2.2)
 
 
-def _grouped(runs: Sequence[_Run], against: Against) -> list[_Group]:
+def _group_runs(runs: Sequence[_Run], against: Against) -> list[_Group]:
     together: dict[str, list[_Run]] = {}
     for name, run in zip(experiments([run.config for run in runs]), runs, strict=True):
         together.setdefault(name, []).append(run)
-    colors = {algo: cycle(palette) for algo, palette in _LINES.items()}
+    colors = {algo: cycle(palette) for algo, palette in _PALETTES.items()}
     return [
         _Group(name, next(colors[together[name][0].config.algo]), together[name], against) for name in sorted(together)
     ]
@@ -177,16 +190,16 @@ def _grouped(runs: Sequence[_Run], against: Against) -> list[_Group]:
 
 def _finish_curves(panels: Sequence[Axes], end: float, against: Against) -> None:
     success, goals = panels
-    success.set(ylabel="success: episodes with a goal", ylim=(0, 1.02))
+    success.set(ylabel="success rate (episodes with a goal)", ylim=(0, 1.02))
     success.yaxis.set_major_formatter(PercentFormatter(1.0))
     goals.set(ylabel="goals per 2,000 steps", ylim=(0, max(1, goals.get_ylim()[1])))
     for ax in panels:
         ax.set(xlabel=_AXES[against], xlim=(0, end))
         ax.xaxis.set_major_formatter(EngFormatter(sep=""))
-        _tidy(ax)
+        _style_axes(ax)
 
 
-def _tidy(ax: Axes) -> None:
+def _style_axes(ax: Axes) -> None:
     ax.spines[["top", "right"]].set_visible(False)
     ax.grid(axis="y", color=GRID)
     ax.set_axisbelow(True)
@@ -197,99 +210,100 @@ _BASELINE: dict[str, Any] = {"color": GREY, "linestyle": "--", "linewidth": 1.8}
 
 def _draw_baseline(panels: Sequence[Axes], baseline: Evaluation) -> None:
     for ax, level in zip(panels, (baseline.success_rate, baseline.goals_per_2000_steps), strict=True):
-        # Over the axis, and not cut off by it, because a level of 0 is on it.
+        # Drawn above the axes and not clipped, since a level of 0 is on the x axis.
         ax.axhline(level, clip_on=False, zorder=3, **_BASELINE)
 
 
 _LONG_LABEL = 48
-"""Letters."""
+"""Largest number of characters of a label in a legend with two columns."""
 
 
 def _curve_legend(groups: Sequence[_Group], baseline: Evaluation | None) -> list[Line2D | Patch]:
     handles: list[Line2D | Patch] = [Line2D([], [], color=g.color, linewidth=2.2, label=g.label) for g in groups]
     if any(len(group.runs) > 1 for group in groups):
-        handles.append(Patch(color=GREY, alpha=0.3, linewidth=0, label="least to most of the runs"))
+        handles.append(Patch(color=GREY, alpha=0.3, linewidth=0, label="minimum to maximum of the runs"))
     if any(len(group.runs) == 1 for group in groups):
-        label = f"over {_NARROW:.0%} of the run instead of {_WINDOW:.0%}"
+        label = f"averaged over {_NARROW:.0%} of the run instead of {_WINDOW:.0%}"
         handles.append(Line2D([], [], color=GREY, alpha=0.4, linewidth=1, label=label))
     if baseline is not None and any(group.world == baseline.episodes.name for group in groups):
         handles.append(Line2D([], [], label=f"{baseline.name} policy", **_BASELINE))
     return handles
 
 
-_ABREAST = 3
-"""Panels beside one another at most."""
+_MAX_COLUMNS = 3
+"""Largest number of panels in a row."""
 _STRIDE = 4
-"""Steps that a piece of a path is long: its speed is the mean over them."""
+"""Number of steps per segment of a path. Its color shows the mean speed over them."""
 _SPEED = ScalarMappable(Normalize(0, 1), ListedColormap(colormaps["plasma_r"](np.linspace(0.12, 1, 256))))
-"""Colours of speeds in m/s; slow is bright. The brightest yellow is left out, as it is hard to see on pale ground."""
+"""Colors of speeds in m/s, bright for low speeds. The brightest yellow is left out, since it is hard to see on pale
+ground."""
 
 
-def draw_paths(evaluations: Sequence[Evaluation], path: Path, most: int = 32) -> None:
-    """Draws where policies drove and how fast, from above, a panel each.
+def draw_paths(evaluations: Sequence[Evaluation], path: Path, max_episodes: int = 32) -> None:
+    """Draws the driven paths of policies from above, colored by speed, with one panel per policy.
 
     Args:
-        evaluations: of policies on the same episodes.
-        path: of the picture; the suffix decides on the format.
-        most: draw no more episodes than these, the first ones.
+        evaluations: evaluations of policies on the same episodes.
+        path: path of the figure; its suffix selects the format.
+        max_episodes: largest number of episodes to draw; the first ones are drawn.
     """
     episodes = evaluations[0].episodes
-    points = [trajectory.path for evaluation in evaluations for trajectory in evaluation.trajectories[:most]]
-    area = _square_around(torch.cat((*points, episodes.goal[:most])))
-    rows = math.ceil(len(evaluations) / _ABREAST)
+    points = [trajectory.path for evaluation in evaluations for trajectory in evaluation.trajectories[:max_episodes]]
+    area = _square_around(torch.cat((*points, episodes.goal[:max_episodes])))
+    rows = math.ceil(len(evaluations) / _MAX_COLUMNS)
     columns = math.ceil(len(evaluations) / rows)
     figure = Figure(figsize=(5 * columns + 0.8, 5.3 * rows + 1.0), layout="compressed")
-    first = f"\nthe first {most} of them are drawn" if len(episodes) > most else ""
+    first = f"\nfirst {max_episodes} shown" if len(episodes) > max_episodes else ""
     figure.suptitle(f"{evaluations[0].title}{first}")
     for number, evaluation in enumerate(evaluations, 1):
         ax = figure.add_subplot(rows, columns, number)
-        _draw_driven(ax, evaluation, area, most)
+        _draw_evaluation(ax, evaluation, area, max_episodes)
         if number % columns != 1 and columns > 1:
             ax.set(ylabel="", yticklabels=[])
         if number + columns <= len(evaluations):
             ax.set(xlabel="", xticklabels=[])
     panels = list(figure.axes)
     figure.colorbar(_SPEED, ax=panels, label="speed over ground (m/s)", shrink=0.7, pad=0.01, extend="max")
-    endings = {ending for evaluation in evaluations for ending in evaluation.endings[:most]}
+    endings = {ending for evaluation in evaluations for ending in evaluation.endings[:max_episodes]}
     marks = {"start": _START, "goal": _GOAL, **{f"end: {kind}": _ENDS[kind] for kind in _ENDS if kind in endings}}
     handles = [panels[0].scatter([], [], label=label, **style) for label, style in marks.items()]
-    figure.legend(handles=handles, loc="outside lower center", ncols=4 * columns, frameon=False)
+    figure.legend(handles=handles, loc="outside lower center", ncols=3 * columns, frameon=False)
     with written_whole(path) as temporary:
         figure.savefig(temporary, dpi=150)
 
 
 def _square_around(points: Tensor, margin: float = 0.7) -> Area:
-    """The square that holds ``points [n, 2]`` with a margin, m."""
+    """The smallest square around ``points [n, 2]`` plus a margin, m."""
     low, high = points.amin(0), points.amax(0)
-    centre, half = (low + high) / 2, (high - low).max() / 2 + margin
-    (left, bottom), (right, top) = (centre - half).tolist(), (centre + half).tolist()
+    center, half = (low + high) / 2, (high - low).max() / 2 + margin
+    (left, bottom), (right, top) = (center - half).tolist(), (center + half).tolist()
     return (left, right), (bottom, top)
 
 
-def _draw_driven(ax: Axes, evaluation: Evaluation, area: Area, most: int) -> None:
-    episodes, driven = evaluation.episodes, evaluation.trajectories[:most]
+def _draw_evaluation(ax: Axes, evaluation: Evaluation, area: Area, max_episodes: int) -> None:
+    episodes, driven = evaluation.episodes, evaluation.trajectories[:max_episodes]
     draw_pale_map(ax, episodes.world, area)
-    pieces, speeds = zip(*(_pieces(trajectory) for trajectory in driven), strict=True)
+    segments, speeds = zip(*(_segments(trajectory) for trajectory in driven), strict=True)
     colors = _SPEED.to_rgba(np.concatenate(speeds))
     ax.add_collection(
-        LineCollection(list(np.concatenate(pieces)), colors=colors, linewidths=1.8, capstyle="round", zorder=4)
+        LineCollection(list(np.concatenate(segments)), colors=colors, linewidths=1.8, capstyle="round", zorder=4)
     )
-    ax.scatter(*episodes.goal[:most].T, zorder=5, **_GOAL)
-    ax.scatter(*episodes.start[:most, :2].T, zorder=6, **_START)
+    ax.scatter(*episodes.goal[:max_episodes].T, zorder=5, **_GOAL)
+    ax.scatter(*episodes.start[:max_episodes, :2].T, zorder=6, **_START)
     for ending, style in _ENDS.items():
         ends = [trajectory.path[-1].tolist() for trajectory in driven if trajectory.ending == ending]
         ax.scatter(*np.array(ends).reshape(-1, 2).T, zorder=7, **style)
-    ax.set_title(f"{evaluation.name}: {evaluation.success_rate:.0%} reach the goal")
+    ax.set_title(f"{evaluation.name}: success rate {evaluation.success_rate:.0%}")
 
 
 def draw_pale_map(ax: Axes, world: World, area: Area) -> None:
-    """As :func:`draw_map`, with paler ground, on which paths stand out."""
+    """Draws a map like :func:`draw_map`, with a paler ground on which paths are easier to see."""
     draw_map(ax, world, area)
     ax.add_patch(Rectangle((0, 0), 1, 1, transform=ax.transAxes, color="white", alpha=0.4, linewidth=0, zorder=1))
 
 
-def _pieces(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Pieces of a path, ``[pieces, 2, 2]`` (m), and the mean speed on each, ``[pieces]`` (m/s)."""
+def _segments(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Segments of a path, ``[segments, 2, 2]`` (m), and the mean speed on each, ``[segments]`` (m/s)."""
     steps = np.unique(np.append(np.arange(0, len(trajectory), _STRIDE), len(trajectory)))
     points, driven = trajectory.path.numpy()[steps], np.cumsum(np.append(0.0, trajectory.speed.numpy()))
     return np.stack((points[:-1], points[1:]), 1), np.diff(driven[steps]) / np.diff(steps)
@@ -307,39 +321,40 @@ _ENDS: dict[str, dict[str, Any]] = {
     ENDINGS[StepEvent.STUCK]: {"marker": "P", **_EARLY},
     ENDINGS[StepEvent.INVALID_ACTION]: {"marker": "v", **_EARLY},
 }
-"""Marks of how episodes end."""
+"""Marker styles of the endings of episodes."""
 
 
 _COMPONENTS = (BLUE, ORANGE, PURPLE, RED, SKY)
-"""Colours of reward components but the goal's, which is green."""
+"""Colors of the reward components except the goal component, which is green."""
 _GOAL_LINE: dict[str, Any] = {"color": GREEN, "linewidth": 1.2, "linestyle": "--"}
 _ENDING_LINE: dict[str, Any] = {"color": "black", "linewidth": 1.2, "linestyle": ":"}
 _COLLISION: dict[str, Any] = {"color": RED, "alpha": 0.2, "linewidth": 0}
 
 
-def draw_reward_components(rollout: TensorDictBase, path: Path) -> None:
-    """Draws what a rover was paid for over time: each component on a scale of its own, and the sum so far.
+def draw_reward_components(rollout: TensorDictBase, path: Path, *, dt: float = CONTROL_DT) -> None:
+    """Draws the reward components of a rover over time, each on its own scale, and the cumulative reward.
 
-    Components that are 0 throughout are left out. Lines mark goals and endings, and shades mark collisions.
+    Components that are always 0 are left out. Lines mark goals and endings, shading marks collisions.
 
     Args:
-        rollout: of one rover, ``[T]`` or ``[1, T]``, as ``make_env(...).rollout(T)`` gives it; it may hold several
-            episodes.
-        path: of the picture; the suffix decides on the format.
+        rollout: rollout of one rover, ``[T]`` or ``[1, T]``, as returned by ``make_env(...).rollout(T)``; it may
+            contain several episodes.
+        path: path of the figure; its suffix selects the format.
+        dt: duration of a step, s.
 
     Raises:
-        ValueError: for several rovers, or without reward components.
+        ValueError: if the rollout is of several rovers or has no reward components.
     """
     if rollout.numel() != rollout.batch_size[-1]:
         raise ValueError(f"draw the rollout of one rover, not of batch size {tuple(rollout.batch_size)}")
     steps = rollout.reshape(-1)["next"]
     if "reward_components" not in steps:
-        raise ValueError("the rollout has no reward components; make_env() gives an environment that has")
+        raise ValueError("the rollout has no reward components; make_env() returns an environment with them")
     components = {name: value.squeeze(-1).numpy() for name, value in steps["reward_components"].items()}
     components = {name: values for name, values in components.items() if values.any()}
     total = steps["outcome", "total_steps"].squeeze(-1).numpy()
-    # Steps before the first of the rollout are those of its episode.
-    seconds = (total - total[0] + steps["outcome", "steps"][0].item()) * SECONDS_PER_STEP
+    # The rollout may begin in the middle of an episode: time counts from the start of its first episode.
+    seconds = (total - total[0] + steps["outcome", "steps"][0].item()) * dt
 
     figure = Figure(figsize=(9, 2.6 + 0.9 * len(components)), layout="constrained")
     panels = figure.subplots(len(components) + 1, 1, sharex=True, height_ratios=[1] * len(components) + [2])
@@ -350,8 +365,8 @@ def draw_reward_components(rollout: TensorDictBase, path: Path) -> None:
         ax.set_ylabel(f"{name.replace('_', ' ')}\nsum {values.sum():+,.2f}", rotation=0, ha="right", va="center")
     reward = np.sum(list(components.values()), 0) if components else np.zeros(len(seconds))
     panels[-1].plot(seconds, np.cumsum(reward), color="black", linewidth=1.8)
-    panels[-1].set(xlabel="time (s)", xlim=(seconds[0] - SECONDS_PER_STEP, seconds[-1]))
-    panels[-1].set_ylabel(f"total so far\nin the end {reward.sum():+,.2f}", rotation=0, ha="right", va="center")
+    panels[-1].set(xlabel="time (s)", xlim=(seconds[0] - dt, seconds[-1]))
+    panels[-1].set_ylabel(f"cumulative reward\nfinal {reward.sum():+,.2f}", rotation=0, ha="right", va="center")
     figure.align_ylabels(panels)
     figure.legend(handles=_mark_events(panels, seconds, steps), loc="outside upper center", ncols=3, frameon=False)
     with written_whole(path) as temporary:
@@ -359,12 +374,12 @@ def draw_reward_components(rollout: TensorDictBase, path: Path) -> None:
 
 
 def _mark_events(panels: Sequence[Axes], seconds: np.ndarray, steps: TensorDictBase) -> list[Line2D | Patch]:
-    """Marks in every panel what happened; returns what the legend says of it."""
+    """Marks goals, collisions and endings in every panel. Returns the handles of the legend."""
     outcome = steps["outcome"]
     goals, endings = seconds[outcome["goal_reached"].squeeze(-1)], np.flatnonzero(steps["done"].squeeze(-1))
     collision = outcome["collision"].squeeze(-1).numpy()
     for ax in panels:
-        _tidy(ax)
+        _style_axes(ax)
         ax.axhline(0, color=GREY, linewidth=0.8)
         ax.fill_between(seconds, 0, 1, collision, step="pre", transform=ax.get_xaxis_transform(), **_COLLISION)
         for time in goals:

@@ -1,4 +1,4 @@
-"""Results of evaluations side by side: a table on the terminal, JSON and CSV.
+"""Evaluation reports: tables on the terminal, JSON and CSV files.
 
 Example:
     >>> episodes = stored_episodes("maze")
@@ -29,13 +29,13 @@ def print_table(
     console: Console | None = None,
     groups: Mapping[str, str] | None = None,
 ) -> None:
-    """Prints policies beside one another, with a table for each world and mode, and 95 % intervals below the values.
+    """Prints a table of policies for each world and mode, with 95 % confidence intervals below the values.
 
     Args:
-        evaluations: any.
-        console: to print to.
-        groups: names of policies that differ in their seed only, and what they are called together: a line below tells
-            their mean and standard deviation.
+        evaluations: evaluations to print, of any worlds and modes.
+        console: console to print to; ``None``: standard output.
+        groups: group name of each policy that belongs to a group, by the policy's name. Each group of several policies,
+            such as those that differ in their seed only, has a row with its mean and standard deviation.
     """
     console = console or Console()
     if not console.is_terminal:
@@ -44,11 +44,11 @@ def print_table(
         console.print(_table(title, [e for e in evaluations if e.title == title], groups or {}))
     measured = [METRICS[key] for key in METRICS if any(key in e.metrics for e in evaluations)]
     legend = dict.fromkeys(f"{metric.heading}: {metric.meaning}" for metric in measured if metric.meaning)
-    console.print("; ".join(legend) + ". Below each value: where the true one lies, with 95 % confidence.", style="dim")
+    console.print("; ".join(legend) + ". Below each value: 95 % confidence interval.", style="dim")
 
 
 def _table(title: str, evaluations: Sequence[Evaluation | EndlessEvaluation], groups: Mapping[str, str]) -> Table:
-    shown = [key for key in METRICS if key in evaluations[0].metrics and _worth_showing(key, evaluations)]
+    shown = [key for key in METRICS if key in evaluations[0].metrics and _is_shown(key, evaluations)]
     table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("policy", overflow="fold")
     for key in shown:
@@ -58,36 +58,36 @@ def _table(title: str, evaluations: Sequence[Evaluation | EndlessEvaluation], gr
     for group in dict.fromkeys(groups.values()):
         members = [evaluation for evaluation in evaluations if groups.get(evaluation.name) == group]
         if len(members) > 1:
-            cells = (_spread_cell(key, [member.metrics[key].value for member in members]) for key in shown)
+            cells = (_mean_cell(key, [member.metrics[key].value for member in members]) for key in shown)
             table.add_row(f"{escape(group)}\n[dim]{len(members)} policies[/dim]", *cells)
     return table
 
 
-def _worth_showing(key: str, evaluations: Sequence[Evaluation | EndlessEvaluation]) -> bool:
-    """A way to end that no episode took, and a metric that there was nowhere to measure, have no column."""
+def _is_shown(key: str, evaluations: Sequence[Evaluation | EndlessEvaluation]) -> bool:
+    """Whether a metric has a column: false for undefined metrics and for endings that do not occur."""
     values = [evaluation.metrics[key].value for evaluation in evaluations]
     return any(value > 0 for value in values) or not (key.startswith("ending_") or all(map(math.isnan, values)))
 
 
 def _cell(key: str, estimate: Estimate) -> str:
-    """The value and, below it, its interval."""
+    """Formats a value and, below it, its confidence interval."""
     if math.isnan(estimate.value):
         return "-"
     if math.isnan(estimate.low):
-        return _told(key, estimate.value)
+        return _formatted(key, estimate.value)
     ends = (estimate.low, estimate.high)
-    low, high = (f"{100 * end:.0f}" if METRICS[key].unit == "%" else _told(key, end) for end in ends)
-    return f"{_told(key, estimate.value)}\n[dim]{low}–{high}[/dim]"
+    low, high = (f"{100 * end:.0f}" if METRICS[key].unit == "%" else _formatted(key, end) for end in ends)
+    return f"{_formatted(key, estimate.value)}\n[dim]{low}–{high}[/dim]"
 
 
-def _spread_cell(key: str, values: Sequence[float]) -> str:
-    """The mean of several policies and, below it, their standard deviation; none if it is missing for one."""
-    mean, spread = torch.tensor(values).mean().item(), torch.tensor(values).std().item()
-    return "-" if math.isnan(mean) else f"{_told(key, mean)}\n[dim]± {_told(key, spread)}[/dim]"
+def _mean_cell(key: str, values: Sequence[float]) -> str:
+    """Formats the mean of several policies and, below it, their standard deviation; ``-`` if a value is undefined."""
+    mean, deviation = torch.tensor(values).mean().item(), torch.tensor(values).std().item()
+    return "-" if math.isnan(mean) else f"{_formatted(key, mean)}\n[dim]± {_formatted(key, deviation)}[/dim]"
 
 
-def _told(key: str, value: float) -> str:
-    """A value in the unit of its column."""
+def _formatted(key: str, value: float) -> str:
+    """Formats a value in the unit of its column."""
     unit = METRICS[key].unit
     if unit == "%":
         return f"{100 * value:.1f}"
@@ -95,11 +95,11 @@ def _told(key: str, value: float) -> str:
 
 
 def write_evaluation(path: Path, evaluations: Sequence[Evaluation | EndlessEvaluation]) -> None:
-    """Writes results as JSON, with every episode, and beside it as CSV, a row a policy, world and mode.
+    """Writes evaluations as a JSON file with every episode, and as a CSV file with one row per evaluation.
 
     Args:
-        path: of the JSON file; the table has the same name and the suffix ``.csv``.
-        evaluations: any.
+        path: path of the JSON file; the CSV file has the same name with the suffix ``.csv``.
+        evaluations: evaluations to write, of any worlds and modes.
     """
     write_json(path, [evaluation.to_json() for evaluation in evaluations])
     rows: list[dict[str, Any]] = []

@@ -1,4 +1,4 @@
-"""The networks: what the policy sees, how it acts, and what it expects to earn."""
+"""Neural networks: observation encoder, actors and critics."""
 
 from __future__ import annotations
 
@@ -17,43 +17,48 @@ from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 from rover_rl.envs.specs import ACTION, Bounds, bounded_spec
 
 FORWARD = Bounds(low=(0.0, ACTION.low[1]), high=ACTION.high)
-"""Actions that do not drive backwards."""
+"""Bounds of actions that do not drive backwards."""
 DEFAULT_KEYS = ("lidar", "imu", "target", "velocities")
-"""What networks read. The pose is left out: a policy that knows where it is learns the map, not to drive."""
+"""Entries of the observation that networks read by default. With the pose, a policy would memorize the map."""
 WAVELENGTHS = (64.0, 16.0, 4.0)
-"""Lengths in metres over which the features of a position repeat: the largest world is 64 m wide."""
+"""Wavelengths of the sine and cosine features of a position, m. The largest world is 64 m wide."""
 
 
 def action_spec(reverse: bool = True, device: torch.device | str | None = None) -> Bounded:
-    """Actions of one rover, ``[2]``: the contract's, or those of them that do not drive backwards."""
+    """Returns the action spec of one rover, ``[2]``.
+
+    Args:
+        reverse: whether actions may drive backwards.
+        device: device of the spec; ``None``: the CPU.
+    """
     return bounded_spec(ACTION if reverse else FORWARD, (), device)
 
 
 def middle_and_half(spec: Bounded) -> tuple[Tensor, Tensor]:
-    """The middle between an action's bounds, and half of what lies between them."""
+    """Returns the midpoint and the half-width of the bounds of an action spec."""
     low, high = spec.space.low, spec.space.high
     return (high + low) / 2, (high - low) / 2
 
 
 class ObservationEncoder(nn.Module):
-    """Scales observations for this task, to about [-1, 1] where it matters.
+    """Encodes observations as features of about [-1, 1].
 
-    Learning depends on it: scaled by the bounds of the observation space, distances of a few metres become so
-    small that a policy hardly sees them. The scales are constants, so that a policy needs no running statistics
-    to be used elsewhere. They are those of a driver: the logarithm of lidar ranges, since centimetres count
-    when near and not when far, sine and cosine of angles, and tilts in units of some 20 degrees.
+    The bounds of the observation space are not suitable as scales: distances of a few meters would become so small that
+    a policy could hardly use them. The scales are constants, so that a policy needs no running statistics. Lidar
+    readings are logarithmic, since centimeters matter only at short range. Angles are encoded as sine and cosine, and
+    tilts in units of about 20 degrees.
 
     Args:
         keys: entries of the observation to read, some of ``lidar``, ``imu``, ``target``, ``velocities``, ``pose``.
-        lidar_points: readings in ``lidar``.
-        north_up: whether lidar and target are also seen as on a map: turned by the yaw, so that they stay as they are
-            when the rover turns on the spot. Needs ``lidar``, ``imu`` and ``target``.
+        lidar_points: number of readings in ``lidar``.
+        north_up: whether to add lidar and target in map orientation: rotated by the yaw, so that they do not change
+            when the rover turns in place. Requires ``lidar``, ``imu`` and ``target``.
 
     Attributes:
-        features: how many numbers the encoding has.
+        features: number of features.
 
     Raises:
-        ValueError: for ``north_up`` without what it needs.
+        ValueError: for ``north_up`` without the keys that it requires.
 
     Example:
         >>> encoder = ObservationEncoder(("lidar", "target"))
@@ -66,26 +71,33 @@ class ObservationEncoder(nn.Module):
         self.keys = tuple(keys)
         if north_up and not {"lidar", "imu", "target"} <= set(keys):
             raise ValueError(f"north_up needs lidar, imu and target, got {self.keys}")
-        self._north_up, self._sees_yaw = north_up, north_up or "pose" in keys
-        sizes = {"lidar": lidar_points, "imu": 4 if self._sees_yaw else 2, "target": 5, "velocities": 2}
+        self._lidar_points, self._north_up, self._has_yaw = lidar_points, north_up, north_up or "pose" in keys
+        sizes = {"lidar": lidar_points, "imu": 4 if self._has_yaw else 2, "target": 5, "velocities": 2}
         sizes["pose"] = 4 * len(WAVELENGTHS) + 1
         self.features = sum(sizes[key] for key in self.keys) + (lidar_points + 4 if north_up else 0)
 
     def forward(self, *observation: Tensor) -> Tensor:
-        """Features ``[..., features]`` from the entries that ``keys`` names, in its order (m, rad, m/s, rad/s)."""
+        """Encodes the entries named in ``keys``, in this order (m, rad, m/s, rad/s): ``[..., features]``.
+
+        Raises:
+            ValueError: if the lidar has another number of readings than ``lidar_points``.
+        """
         entries = dict(zip(self.keys, observation, strict=True))
+        if "lidar" in entries and (points := entries["lidar"].shape[-1]) != self._lidar_points:
+            raise ValueError(f"the policy reads {self._lidar_points} lidar points, got {points}")
         parts = [getattr(self, f"_{key}")(value) for key, value in entries.items()]
         if self._north_up:
-            parts.append(self._as_on_a_map(entries["lidar"], entries["imu"][..., 2:], entries["target"]))
+            parts.append(self._map_oriented(entries["lidar"], entries["imu"][..., 2:], entries["target"]))
         return torch.cat(parts, -1)
 
-    def _as_on_a_map(self, ranges: Tensor, yaw: Tensor, target: Tensor) -> Tensor:
+    def _map_oriented(self, ranges: Tensor, yaw: Tensor, target: Tensor) -> Tensor:
+        """Encodes lidar and target rotated by the yaw; readings are interpolated between neighbors."""
         points = ranges.shape[-1]
-        turned = (torch.arange(points, device=yaw.device) - yaw * (points / (2 * math.pi))) % points
-        before = turned.floor()
-        index = before.long() % points
-        near, far = ranges.gather(-1, index), ranges.gather(-1, (index + 1) % points)
-        ranges = torch.lerp(near, far, turned - before)
+        shifted = (torch.arange(points, device=yaw.device) - yaw * (points / (2 * math.pi))) % points
+        floor = shifted.floor()
+        index = floor.long() % points
+        left, right = ranges.gather(-1, index), ranges.gather(-1, (index + 1) % points)
+        ranges = torch.lerp(left, right, shifted - floor)
         distance, angle = target.split(1, -1)
         direction = torch.cat(((angle + yaw).sin(), (angle + yaw).cos()), -1)
         return torch.cat((self._lidar(ranges), direction, direction * distance / 4), -1)
@@ -94,9 +106,9 @@ class ObservationEncoder(nn.Module):
         return ranges.log1p() / 1.3 - 1
 
     def _imu(self, angles: Tensor) -> Tensor:
-        """Pitch and roll; the yaw says something only to a policy that knows the map."""
+        """Encodes pitch and roll, and the yaw only for policies of one map."""
         tilt, yaw = angles[..., :2] * 3, angles[..., 2:]
-        return torch.cat((tilt, yaw.sin(), yaw.cos()), -1) if self._sees_yaw else tilt
+        return torch.cat((tilt, yaw.sin(), yaw.cos()), -1) if self._has_yaw else tilt
 
     def _target(self, target: Tensor) -> Tensor:
         distance, angle = target.split(1, -1)
@@ -113,11 +125,11 @@ class ObservationEncoder(nn.Module):
 
 
 class EncodedNetwork(nn.Module):
-    """The encoder, then ``body``; what comes after the observation goes to ``body`` as it is.
+    """Applies an encoder to the observation and a network to its features.
 
     Args:
-        encoder: of the observation.
-        body: takes the encoding, and whatever else.
+        encoder: encoder of the observation.
+        body: network that takes the features, concatenated with all inputs after the observation.
     """
 
     def __init__(self, encoder: ObservationEncoder, body: nn.Module) -> None:
@@ -126,7 +138,7 @@ class EncodedNetwork(nn.Module):
         self.body = body
 
     def forward(self, *entries: Tensor) -> Tensor | tuple[Tensor, ...]:
-        """What ``body`` makes of the encoded observation and of the rest."""
+        """Returns the output of ``body`` for the entries of the observation and any further inputs."""
         count = len(self.encoder.keys)
         encoded = self.encoder(*entries[:count])
         return self.body(torch.cat((encoded, *entries[count:]), -1))
@@ -136,21 +148,21 @@ def make_actor(
     encoder: ObservationEncoder | None = None,
     hidden: Sequence[int] = (128, 128),
     reverse: bool = True,
-    spread: float = 2.0,
+    max_std: float = 2.0,
     device: torch.device | str | None = None,
 ) -> ProbabilisticActor:
-    """A stochastic policy, the same for PPO and SAC: a normal distribution squashed to the action's bounds.
+    """Creates a stochastic policy for PPO and SAC: a tanh-squashed normal distribution within the action's bounds.
 
     Args:
-        encoder: of the observation; ``None``: one of the default entries.
-        hidden: units of each hidden layer.
-        reverse: whether it may drive backwards.
-        spread: largest standard deviation of the normal distribution.
-        device: where the policy is; ``None``: the CPU.
+        encoder: encoder of the observation; ``None``: an encoder of the default entries.
+        hidden: number of units of each hidden layer.
+        reverse: whether the policy may drive backwards.
+        max_std: largest standard deviation of the normal distribution, before squashing.
+        device: device of the policy; ``None``: the CPU.
 
     Returns:
-        A module from observation to ``action [..., 2]`` and ``action_log_prob [...]``. It takes the middle of
-        the distribution, unless ``set_exploration_type(ExplorationType.RANDOM)`` holds, as in collectors.
+        A module from observation to ``action [..., 2]`` and ``action_log_prob [...]``. The action is the center of the
+        distribution, except under ``set_exploration_type(ExplorationType.RANDOM)``, as in collectors.
 
     Example:
         >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0)
@@ -159,14 +171,14 @@ def make_actor(
         torch.Size([2, 2])
     """
     encoder, spec = encoder or ObservationEncoder(), action_spec(reverse, device)
-    # Small last weights: the first actions lie around the middle of their bounds, whatever is seen.
+    # With small weights in the last layer, the first actions are near the center of their bounds for any observation.
     body = _mlp(encoder.features, hidden, 2 * spec.shape[-1], gain=0.01)
-    network = EncodedNetwork(encoder, nn.Sequential(body, NormalParameters(spread)))
+    network = EncodedNetwork(encoder, nn.Sequential(body, NormalParameters(max_std)))
     return _actor(network.to(device), encoder.keys, spec)
 
 
 def on_features(actor: ProbabilisticActor) -> ProbabilisticActor:
-    """The same actor, with the same weights, that reads ``features [..., n]``: the observation, encoded already."""
+    """Returns an actor with the same weights that reads encoded observations, ``features [..., n]``."""
     return _actor(actor[0].module.body, ("features",), actor.spec["action"])
 
 
@@ -182,25 +194,27 @@ def _actor(network: nn.Module, keys: Sequence[str], spec: Bounded) -> Probabilis
 
 
 class NormalParameters(nn.Module):
-    """Splits its input into a normal distribution's mean, and its standard deviation between ``LEAST`` and ``most``.
+    """Splits its input into the mean and the standard deviation of a normal distribution.
 
-    With no bound above, the standard deviation grows where the mean matters little, as before a wall, and the policy
-    comes to rely on chance to get away from there: without exploration it stays.
+    The standard deviation is between ``MIN_STD`` and ``max_std``. Without an upper bound it grows where the mean
+    matters little, such as in front of a wall, and the policy relies on random actions to escape: without exploration,
+    it gets stuck.
 
     Args:
-        most: largest standard deviation.
+        max_std: largest standard deviation.
     """
 
-    LEAST = 0.02
+    MIN_STD = 0.02
+    """Smallest standard deviation."""
 
-    def __init__(self, most: float) -> None:
+    def __init__(self, max_std: float) -> None:
         super().__init__()
-        self.most = most
+        self.max_std = max_std
 
     def forward(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and standard deviation ``[..., n]`` from ``[..., 2 n]``."""
+        """Returns mean and standard deviation, ``[..., n]`` each, from ``[..., 2 n]``."""
         loc, scale = parameters.chunk(2, -1)
-        return loc, self.LEAST + (self.most - self.LEAST) * scale.sigmoid()
+        return loc, self.MIN_STD + (self.max_std - self.MIN_STD) * scale.sigmoid()
 
 
 def make_critic(
@@ -208,7 +222,13 @@ def make_critic(
     hidden: Sequence[int] = (128, 128),
     device: torch.device | str | None = None,
 ) -> ValueOperator:
-    """A state-value function: from observation to ``state_value [..., 1]``. Arguments as :func:`make_actor`."""
+    """Creates a state-value function from observation to ``state_value [..., 1]``.
+
+    Args:
+        encoder: encoder of the observation; ``None``: an encoder of the default entries.
+        hidden: number of units of each hidden layer.
+        device: device of the network; ``None``: the CPU.
+    """
     encoder = encoder or ObservationEncoder()
     network = EncodedNetwork(encoder, _mlp(encoder.features, hidden, 1, gain=1.0))
     return ValueOperator(network.to(device), in_keys=[*encoder.keys])
@@ -220,20 +240,20 @@ def make_action_critic(
     reverse: bool = True,
     device: torch.device | str | None = None,
 ) -> ValueOperator:
-    """An action-value function: from ``features [..., n]`` and action to ``state_action_value [..., 1]``.
+    """Creates an action-value function from ``features [..., n]`` and action to ``state_action_value [..., 1]``.
 
     Args:
-        features: n, that an :class:`ObservationEncoder` makes of the observation.
-        hidden: units of each hidden layer.
+        features: number n of features of an :class:`ObservationEncoder`.
+        hidden: number of units of each hidden layer.
         reverse: whether actions may drive backwards.
-        device: where the network is; ``None``: the CPU.
+        device: device of the network; ``None``: the CPU.
     """
     network = _ActionCritic(features, hidden, action_spec(reverse))
     return ValueOperator(network.to(device), in_keys=["features", "action"])
 
 
 class _ActionCritic(nn.Module):
-    """Scales the action to [-1, 1], and puts it beside the features."""
+    """Applies an MLP to the features, concatenated with the action scaled to [-1, 1]."""
 
     _middle: Tensor
     _half: Tensor
@@ -250,7 +270,7 @@ class _ActionCritic(nn.Module):
 
 
 def _mlp(features: int, hidden: Sequence[int], outputs: int, gain: float) -> MLP:
-    """Fully connected layers with ReLU between them and orthogonal weights, the last one's of ``gain``."""
+    """Creates an MLP with ReLU and orthogonal weights; ``gain`` is that of the last layer."""
     mlp = MLP(in_features=features, out_features=outputs, num_cells=list(hidden), activation_class=nn.ReLU)
     linear = [layer for layer in mlp if isinstance(layer, nn.Linear)]
     for layer in linear:
@@ -260,7 +280,7 @@ def _mlp(features: int, hidden: Sequence[int], outputs: int, gain: float) -> MLP
 
 
 _MIRROR = {"imu": (1.0, -1.0, -1.0), "target": (1.0, -1.0), "velocities": (1.0, -1.0), "action": (1.0, -1.0)}
-"""Signs of the mirror image: left and right swap, so that roll, yaw and angles turn round."""
+"""Signs of the mirror image. Swapping left and right changes the signs of roll, yaw and angles."""
 
 
 @cache
@@ -268,13 +288,13 @@ def _mirror_signs(device: torch.device) -> dict[str, Tensor]:
     return {key: torch.tensor(signs, device=device) for key, signs in _MIRROR.items()}
 
 
-def mirrored(decisions: TensorDictBase, rows: Tensor) -> TensorDictBase:
-    """``decisions [N]`` with the ``rows`` (bool ``[N]``) seen in a mirror; the lidar's readings run the other way.
+def mirrored(transitions: TensorDictBase, rows: Tensor) -> TensorDictBase:
+    """Returns ``transitions [N]`` with the selected ``rows`` (bool ``[N]``) mirrored left to right.
 
-    The readings are minima over segments of which the first begins straight ahead, so that the mirror image is
-    exact to one beam of the raw scan.
+    Mirroring reverses the order of lidar readings. They are minima over segments of the scan, the first of which begins
+    straight ahead, so that the mirror image is exact to one beam of the raw scan.
     """
-    image = decisions.copy()
+    image = transitions.copy()
     rows = rows[:, None]
     for part in (image, image.get("next", None)):
         if part is None:
@@ -289,9 +309,9 @@ def mirrored(decisions: TensorDictBase, rows: Tensor) -> TensorDictBase:
 
 @contextmanager
 def single_threaded() -> Iterator[None]:
-    """Lets torch use one thread: networks this small gain nothing from more.
+    """Limits PyTorch to one thread, since networks this small gain nothing from more.
 
-    Where other programs use the same cores, two threads that wait for each other can be fifty times slower.
+    Two threads that wait for each other can be fifty times slower if other programs use the same cores.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)

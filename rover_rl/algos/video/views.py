@@ -1,4 +1,4 @@
-"""What a film shows: one rover from behind with its lidar, or the whole batch from above."""
+"""Views of videos: one rover from behind with its lidar, or the whole batch from above."""
 
 from __future__ import annotations
 
@@ -30,23 +30,25 @@ from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.world import Area
 
 _INCHES = 3.75
-"""Height of every picture, so that text and lines grow with the pixels."""
+"""Height of every frame, so that text and lines scale with the resolution."""
 _BEAM = "#ffd400"
+"""Color of lidar beams."""
 _NEWS_SECONDS = 1.5
+"""Duration for which a message about an event is shown, s."""
 
 
 @dataclass(frozen=True)
 class Moment:
-    """What is known of ``N`` rovers at one moment of a film.
+    """State of ``N`` rovers in one frame of a video.
 
     Attributes:
-        seconds: since the film began.
-        rover: their state, ``[N]``.
-        goal: of each, ``[N, 2]``, m.
-        goals: reached by each so far, int64 ``[N]``.
-        episodes: begun by each so far, int64 ``[N]``.
-        endings: how the episodes of all of them ended so far: ``"jammed"``, ``"flipped"``, ...
-        news: what happened to the first rover last, and when, s.
+        seconds: time since the start of the video, s.
+        rover: states of the rovers, ``[N]``.
+        goal: current goal of each rover, ``[N, 2]``, m.
+        goals: number of goals that each rover has reached, int64 ``[N]``.
+        episodes: number of episodes that each rover has started, int64 ``[N]``.
+        endings: endings of all episodes so far, such as ``"jammed"`` and ``"flipped"``.
+        news: last event of the first rover, and its time, s.
     """
 
     seconds: float
@@ -59,11 +61,11 @@ class Moment:
 
 
 class _Stage:
-    """A figure without margins on which some artists are drawn anew for each picture, and a caption below them.
+    """A figure without margins that redraws some artists for each frame, with a caption at the bottom.
 
     Args:
-        width, height: of the pictures, pixels.
-        columns: where the parts of the caption begin, shares of the width.
+        width, height: size of the frames, pixels.
+        columns: positions at which the parts of the caption begin, as fractions of the width.
     """
 
     def __init__(self, width: int, height: int, columns: Sequence[float]) -> None:
@@ -74,7 +76,7 @@ class _Stage:
         self.ax: Axes = figure.add_axes((0, 0, 1, 1))
         self.ax.set_axis_off()
         self.artists: list[Artist] = []
-        """Drawn anew for each picture, in this order."""
+        """Artists that are redrawn for each frame, in this order."""
         text: dict[str, Any] = {"transform": self.ax.transAxes, "va": "center", "fontsize": 9.5}
         self._caption = [self.ax.text(column, 0.035, "", color="white", **text) for column in columns]
         halo = withStroke(linewidth=3, foreground="white")
@@ -84,7 +86,7 @@ class _Stage:
         self._background = None
 
     def picture(self, caption: Sequence[str], news: str = "") -> np.ndarray:
-        """The artists as they are now, uint8 ``[height, width, 3]``, and ``news`` on top."""
+        """Draws a frame with a caption and, at the top, ``news``: uint8 ``[height, width, 3]``."""
         above = [*self.artists, self._band, *self._caption, self._news]
         if self._background is None:
             for artist in above:
@@ -101,11 +103,11 @@ class _Stage:
 
 
 class ChaseView:
-    """The first rover from behind, as the simulator renders it, and the beams of its lidar that meet something.
+    """View of the first rover from behind, with the lidar beams that hit something.
 
     Args:
-        env: to render.
-        width, height: of the pictures, pixels.
+        env: environment to render.
+        width, height: size of the frames, pixels.
     """
 
     def __init__(self, env: RoverEnv, width: int, height: int) -> None:
@@ -120,7 +122,7 @@ class ChaseView:
         self._stage.artists += [self._image, self._beams, self._hits]
 
     def picture(self, moment: Moment) -> np.ndarray:
-        """uint8 ``[height, width, 3]``."""
+        """Draws a frame, uint8 ``[height, width, 3]``."""
         rover = moment.rover[0]
         scene = self._env.render(0, "chase", *self._size)
         scene[(scene == 255).all(-1)] = _SKY
@@ -139,7 +141,7 @@ class ChaseView:
         return self._stage.picture(caption, news if moment.seconds < since + _NEWS_SECONDS else "")
 
     def _draw_beams(self, rover: RoverState) -> None:
-        """The beams of the lidar; faint is what obstacles hide of them."""
+        """Draws the lidar beams. Parts that obstacles hide are faint."""
         camera = Camera.on(rover.position, rover.orientation, self._env.worlds[0], "chase")
         start, hits = lidar_hits(rover, self._env.robot, self._env.simulator.ray_angles)
         pixels, seen = camera.see(_points(start, hits), *self._size)
@@ -151,11 +153,11 @@ class ChaseView:
 
 _SKY = torch.tensor((214, 227, 240), dtype=torch.uint8)
 _ARROWS = "↑↖←↙↓↘→↗"
-"""Ahead, then counter-clockwise."""
+"""Arrow ahead, then the others counterclockwise."""
 
 
 def lidar_hits(rover: RoverState, robot: Robot, angles: Tensor) -> tuple[Tensor, Tensor]:
-    """Where the beams of one rover's lidar begin ``[3]``, and where they meet something ``[hits, 3]``, m."""
+    """Computes the origin ``[3]`` and the hit points ``[hits, 3]`` of the lidar beams of one rover, m."""
     hit = torch.isfinite(rover.ranges)
     rays = torch.stack((angles.cos(), angles.sin(), torch.zeros_like(angles)), -1)[hit] * rover.ranges[hit, None]
     mount = torch.tensor(robot.lidar_position)
@@ -164,9 +166,9 @@ def lidar_hits(rover: RoverState, robot: Robot, angles: Tensor) -> tuple[Tensor,
 
 
 def _points(start: Tensor, hits: Tensor, count: int = 13) -> Tensor:
-    """Points along beams from ``start [3]`` to ``hits [n, 3]``, not so near to the lidar that they cover the rover.
+    """Computes points along the beams from ``start [3]`` to ``hits [n, 3]``: ``[n, count, 3]``, m.
 
-    ``[n, count, 3]``, m.
+    The first 0.35 m of each beam is left out, so that the beams do not cover the rover.
     """
     beams = hits - start
     first = (0.35 / beams.norm(dim=-1, keepdim=True)).clamp(max=1)
@@ -175,18 +177,18 @@ def _points(start: Tensor, hits: Tensor, count: int = 13) -> Tensor:
 
 
 def _rotated(quaternion: Tensor, vectors: Tensor) -> Tensor:
-    """``vectors [n, 3]`` turned by a unit quaternion ``[4]``."""
+    """Rotates ``vectors [n, 3]`` by a unit quaternion ``[4]``."""
     axis, w = quaternion[:3].expand_as(vectors), quaternion[3]
     twice = 2 * torch.linalg.cross(axis, vectors)
     return vectors + w * twice + torch.linalg.cross(axis, twice)
 
 
 class TopView:
-    """All rovers from above with the ways they came and their goals, and the lidar of the first of them.
+    """View of all rovers from above with their trails and goals, and the lidar beams of the first rover.
 
     Args:
-        env: where they drive; all in one world.
-        width, height: of the pictures, pixels.
+        env: environment of the rovers, all in one world.
+        width, height: size of the frames, pixels.
     """
 
     def __init__(self, env: RoverEnv, width: int, height: int) -> None:
@@ -207,7 +209,7 @@ class TopView:
         self._past: list[Moment] = []
 
     def picture(self, moment: Moment) -> np.ndarray:
-        """uint8 ``[height, width, 3]``."""
+        """Draws a frame, uint8 ``[height, width, 3]``."""
         rover, env = moment.rover, self._env
         self._past = [*(past for past in self._past if past.seconds > moment.seconds - _TRAIL_SECONDS), moment]
         self._draw_trails()
@@ -223,29 +225,30 @@ class TopView:
         return self._stage.picture(caption)
 
     def _draw_trails(self) -> None:
-        """The last seconds of each rover's way, fading; a new episode begins a new one."""
+        """Draws the fading trail of the last seconds of each rover. A new episode starts a new trail."""
         points = torch.stack([past.rover.position[:, :2] for past in self._past])
         episodes = torch.stack([past.episodes for past in self._past])
-        pieces = torch.stack((points[:-1], points[1:]), 2)
-        colors = np.tile(self._colors, (len(pieces), 1, 1))
-        colors[..., 3] = np.linspace(0, 0.9, len(pieces))[:, None]
+        segments = torch.stack((points[:-1], points[1:]), 2)
+        colors = np.tile(self._colors, (len(segments), 1, 1))
+        colors[..., 3] = np.linspace(0, 0.9, len(segments))[:, None]
         same = episodes[:-1] == episodes[1:]
-        self._trails.set_segments(list(pieces[same].numpy()))
+        self._trails.set_segments(list(segments[same].numpy()))
         self._trails.set_color(colors[same.numpy()])
 
 
 _COLORS = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
 _ARROWHEAD = ((0.4, 0.0), (-0.28, 0.25), (-0.14, 0.0), (-0.28, -0.25))
-"""Outline of a rover as it is drawn, a little larger than life, m."""
+"""Outline of a rover's symbol, slightly larger than the rover, m."""
 _TRAIL_SECONDS = 6.0
+"""Duration of a trail, s."""
 _MARGIN = 2.5
-"""Metres shown around the starts and goals."""
+"""Margin around the starts and goals, m."""
 
 
 def _area(world: World, aspect: float) -> Area:
-    """The part of the world with starts and goals, widened to an aspect ratio of ``aspect``."""
+    """Computes the part of a world that contains the starts and goals, extended to an aspect ratio."""
     x, y = zip(world.spawn_range, world.goal_range, strict=True)
     ends = [(min(low for low, _ in axis) - _MARGIN, max(high for _, high in axis) + _MARGIN) for axis in (x, y)]
-    (x_centre, width), (y_centre, height) = (((low + high) / 2, high - low) for low, high in ends)
+    (x_center, width), (y_center, height) = (((low + high) / 2, high - low) for low, high in ends)
     width, height = max(width, aspect * height), max(height, width / aspect)
-    return (x_centre - width / 2, x_centre + width / 2), (y_centre - height / 2, y_centre + height / 2)
+    return (x_center - width / 2, x_center + width / 2), (y_center - height / 2, y_center + height / 2)

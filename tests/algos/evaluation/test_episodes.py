@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -11,6 +12,7 @@ from rover_rl import World
 from rover_rl.algos.evaluation.episodes import STORED, EpisodeSet, draw_episodes, stored_episodes, write_episodes
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import WORLDS, Terrain, box, get_world
+from rover_rl.sims.worlds.free_space import free_space
 from rover_rl.sims.worlds.shortest_paths import shortest_paths
 
 ROVER = get_robot("rover_zero")
@@ -38,12 +40,23 @@ def test_a_seed_always_gives_the_same_episodes() -> None:
     assert not torch.equal(draw_episodes(FIELD, 3, seed=50).goal, episodes.goal)
 
 
-def test_only_short_ways_are_passed_over() -> None:
+def test_only_short_paths_are_skipped() -> None:
     near, far = draw_episodes(FIELD, 40, seed=1, min_path=0), draw_episodes(FIELD, 10, seed=1, min_path=4)
     kept = near.shortest >= 4
     assert 10 <= kept.sum() < 40
     assert torch.equal(near.start[kept][:10], far.start)
     assert torch.equal(near.goal[kept][:10], far.goal)
+
+
+def test_the_robot_decides_which_ground_is_free() -> None:
+    wide = replace(ROVER, radius=0.9)
+    default, drawn = draw_episodes(WALL, 30, seed=1), draw_episodes(WALL, 30, seed=1, robot=wide)
+    assert_same(draw_episodes(WALL, 30, seed=1, robot="rover_zero"), default)
+    free = free_space(WALL, wide)
+    assert free.contains(drawn.start[:, :2]).all()
+    assert free.contains(drawn.goal).all()
+    assert not free.contains(torch.cat((default.start[:, :2], default.goal))).all()
+    assert torch.equal(drawn.shortest, shortest_paths(WALL, wide, drawn.start, drawn.goal))
 
 
 @pytest.mark.parametrize(("world", "count"), [("maze", STORED), ("inspect", STORED), ("moon", 4)])
@@ -63,7 +76,7 @@ def test_stored_episodes(world: str) -> None:
     assert episodes.shortest.isfinite().all()
 
 
-def test_what_is_written_is_exact(tmp_path, monkeypatch) -> None:
+def test_written_episodes_are_exact(tmp_path, monkeypatch) -> None:
     episodes = draw_episodes("maze", 5, seed=3)
     write_episodes(episodes, tmp_path / "maze.json")
     monkeypatch.setattr("rover_rl.algos.evaluation.episodes.FOLDER", tmp_path)
@@ -73,11 +86,13 @@ def test_what_is_written_is_exact(tmp_path, monkeypatch) -> None:
         assert torch.equal(getattr(read, key), getattr(episodes, key))
 
 
-def test_bad_requests_raise() -> None:
+def test_invalid_arguments_raise() -> None:
     with pytest.raises(ValueError, match="count must be at least 1"):
         draw_episodes(FIELD, 0)
     with pytest.raises(ValueError, match="unknown world 'mars'"):
         draw_episodes("mars")
+    with pytest.raises(ValueError, match="unknown robot 'tank'"):
+        draw_episodes(FIELD, robot="tank")
     with pytest.raises(ValueError, match="hardly any shortest path of 50 m"):
         draw_episodes(FIELD, 2, min_path=50)
     with pytest.raises(ValueError, match="no episodes are stored for world 'maze:7'"):
@@ -94,13 +109,13 @@ INSIDE = st.floats(-5.5, 5.5)
 
 @given(st.tuples(INSIDE, INSIDE), st.tuples(INSIDE, INSIDE))
 @settings(deadline=None, max_examples=50)
-def test_on_open_ground_the_way_is_straight(start: tuple[float, float], goal: tuple[float, float]) -> None:
+def test_on_open_ground_the_shortest_path_is_straight(start: tuple[float, float], goal: tuple[float, float]) -> None:
     assert length(FIELD, start, goal) == pytest.approx(max(0.0, math.dist(start, goal) - 0.5), rel=1e-5, abs=1e-5)
 
 
 @given(st.integers(0, 10_000), st.integers(0, 10_000))
 @settings(deadline=None, max_examples=12)
-def test_no_way_is_shorter_than_the_straight_one(a: int, b: int) -> None:
+def test_no_path_is_shorter_than_the_straight_line(a: int, b: int) -> None:
     cells = stored_episodes("maze")
     start, goal = cells.start[a % 256, :2], cells.goal[b % 256]
     straight = max(0.0, torch.dist(start, goal).item() - 0.5)
@@ -108,25 +123,25 @@ def test_no_way_is_shorter_than_the_straight_one(a: int, b: int) -> None:
 
 
 def around_the_wall(gap: float) -> float:
-    """From (-2, 0) to 0.5 m before (2, 0), with a string along circles of radius ``gap`` around the wall's corners."""
+    """Length from (-2, 0) to 0.5 m before (2, 0) along arcs of radius ``gap`` around the corners of the wall."""
     to_corner = math.hypot(1.9, 3.0)
     bend = math.atan2(3.0, 1.9) + math.asin(gap / to_corner)
     return 2 * (math.sqrt(to_corner**2 - gap**2) + gap * bend) + 0.2 - 0.5
 
 
-def test_the_way_around_a_wall() -> None:
-    # The rover's disc of 0.35 m stays clear of the wall, in all of a cell of 0.1 m.
-    way = length(WALL, (-2.0, 0.0), (2.0, 0.0))
-    assert around_the_wall(0.35) < way < around_the_wall(0.35 + 0.1 * math.sqrt(2))
-    assert length(WALL, (2.0, 0.0), (-2.0, 0.0)) == pytest.approx(way, rel=0.005)
+def test_the_path_around_a_wall() -> None:
+    # The rover's disc of 0.35 m stays clear of the wall, to within a cell of 0.1 m.
+    path = length(WALL, (-2.0, 0.0), (2.0, 0.0))
+    assert around_the_wall(0.35) < path < around_the_wall(0.35 + 0.1 * math.sqrt(2))
+    assert length(WALL, (2.0, 0.0), (-2.0, 0.0)) == pytest.approx(path, rel=0.005)
 
 
-def test_a_start_within_the_disc_is_there_already() -> None:
+def test_a_start_within_the_goal_disc_has_length_zero() -> None:
     assert length(WALL, (-2.0, 0.0), (-1.6, 0.2)) == 0
     assert length(WALL, (-0.2, 0.0), (-0.5, 0.0)) == 0
 
 
-def test_no_way_is_infinitely_long() -> None:
+def test_an_unreachable_goal_has_infinite_length() -> None:
     sides = [((x, 0.0, 0.5), (0.2, 3.2, 1.0)) for x in (-1.5, 1.5)] + [
         ((0.0, y, 0.5), (3.2, 0.2, 1.0)) for y in (-1.5, 1.5)
     ]
@@ -134,5 +149,5 @@ def test_no_way_is_infinitely_long() -> None:
     assert length(cell, (4.0, 0.0), (0.0, 0.0)) == math.inf
 
 
-def test_a_start_where_no_rover_fits_begins_at_the_nearest_place() -> None:
+def test_a_start_that_is_not_free_begins_at_the_nearest_free_cell() -> None:
     assert length(WALL, (-0.2, 0.0), (-3.0, 0.0)) == pytest.approx(2.3, abs=0.05)

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import math
+import warnings
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -8,8 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rover_rl import World
-from rover_rl.algos import metrics
-from rover_rl.algos.evaluation.metrics import METRICS, Estimate, Trajectory, count_runs, proportion, ratio, touching
+from rover_rl.algos.evaluation import metrics
+from rover_rl.algos.evaluation.metrics import (
+    METRICS,
+    Estimate,
+    Trajectory,
+    count_runs,
+    find_body_contacts,
+    proportion,
+    ratio,
+)
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, box
 
@@ -26,8 +36,9 @@ def drive(
     tilt: float = 0.0,
     turn: float = 0.0,
     collisions: str = "",
+    dt: float = 0.05,
 ) -> Trajectory:
-    """A drive of ``length`` metres along x, turning by ``turn`` rad and leaning by ``tilt`` rad all the way."""
+    """A straight drive of ``length`` m along x that turns by ``turn`` rad in total, with a constant ``tilt`` in rad."""
     share = torch.linspace(0, 1, steps + 1)
     zero = torch.zeros_like(share)
     flags = torch.zeros(steps, dtype=torch.bool)
@@ -38,11 +49,12 @@ def drive(
         collision=torch.tensor([c == "x" for c in collisions.ljust(steps)]),
         goal=flags | (torch.arange(steps) >= steps - goals),
         ending=ending,
+        dt=dt,
     )
 
 
 def at(x: float, y: float = 0.0, yaw: float = 0.0, z: float = 0.0, pitch: float = 0.0) -> Trajectory:
-    """Standing somewhere for one step."""
+    """An episode of one step in which the rover stands still."""
     position, angles = torch.tensor([[x, y, z]]).repeat(2, 1), torch.tensor([[0.0, pitch, yaw]]).repeat(2, 1)
     nothing = torch.zeros(1, dtype=torch.bool)
     return Trajectory(position, angles, nothing, nothing, "time limit")
@@ -59,7 +71,7 @@ def test_wilson_interval() -> None:
 
 
 @given(st.integers(1, 500).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
-def test_a_share_lies_in_its_interval(case: tuple[int, int]) -> None:
+def test_a_proportion_lies_in_its_interval(case: tuple[int, int]) -> None:
     estimate = proportion(*case)
     assert 0 <= estimate.low <= estimate.value + 1e-12
     assert estimate.value - 1e-12 <= estimate.high <= 1
@@ -74,16 +86,31 @@ def test_a_mean_lies_in_its_interval(values: list[float]) -> None:
     assert estimate.low - 1e-9 <= estimate.value <= estimate.high + 1e-9
 
 
-def test_the_interval_of_a_mean_is_that_of_its_standard_error() -> None:
+def test_the_interval_of_a_mean_agrees_with_its_standard_error() -> None:
     values = torch.linspace(0, 1, 200, dtype=torch.float64)
     estimate = ratio(values.tolist())
     margin = 1.96 * values.std().item() / math.sqrt(200)
     assert (estimate.high - estimate.low) / 2 == pytest.approx(margin, rel=0.1)
 
 
-def test_nothing_to_measure_is_nan() -> None:
+def test_an_undefined_value_is_nan() -> None:
     for estimate in (proportion(0, 0), ratio([1.0, 2.0], [0, 0])):
         assert all(math.isnan(number) for number in vars(estimate).values())
+
+
+def test_an_undefined_episode_makes_the_ratio_nan() -> None:
+    estimate = ratio([math.nan, 1.0, 2.0])
+    assert all(math.isnan(number) for number in vars(estimate).values())
+
+
+def test_equal_episodes_have_an_interval_without_width() -> None:
+    assert ratio([0.5] * 7) == Estimate(0.5, 0.5, 0.5)
+
+
+def test_resamples_without_a_denominator_are_left_out() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert ratio([0.0, 0.0, 1.0, 2.0], [0, 0, 1, 1]) == Estimate(1.5, 1.0, 2.0)
 
 
 def test_one_episode_has_no_interval() -> None:
@@ -93,36 +120,48 @@ def test_one_episode_has_no_interval() -> None:
         assert math.isnan(estimate.high)
 
 
-def test_an_interval_may_be_open() -> None:
+def test_an_interval_may_be_unbounded() -> None:
     estimate = ratio([1.0] * 4, [1, 1, 0, 0])
     assert estimate.value == 2
     assert estimate.low == 1
     assert estimate.high == math.inf
 
 
+# --- trajectories
+
+
+def test_speed_and_duration_follow_from_the_step() -> None:
+    slow, fast = drive(2.0, 40), drive(2.0, 40, dt=0.02)
+    assert (slow.seconds, fast.seconds) == pytest.approx((2.0, 0.8))
+    torch.testing.assert_close(slow.speed, torch.full((40,), 1.0))
+    torch.testing.assert_close(fast.speed, torch.full((40,), 2.5))
+    assert metrics.mean_time_to_traverse([fast, fast]).value == pytest.approx(0.8)
+    assert metrics.traverse_rate([fast, fast], torch.tensor([2.0, 2.0])).value == pytest.approx(2.5)
+
+
 # --- one goal
 
 
-def test_success_is_reaching_the_goal_in_time() -> None:
+def test_success_rate_and_ending_share() -> None:
     trajectories = [drive(), drive(ending="time limit"), drive(ending="jammed"), drive()]
     assert metrics.success_rate(trajectories).value == 0.5
     assert metrics.ending_share(trajectories, "jammed", "flipped").value == 0.25
 
 
-def test_spl_weighs_success_by_the_way() -> None:
+def test_spl() -> None:
     shortest = torch.tensor([2.0, 1.0, 2.0, 3.0])
     trajectories = [drive(2.0), drive(2.0), drive(2.0, ending="stuck"), drive(2.0)]
-    # The best way, twice the best way, a failure, and a corner cut.
+    # A shortest path, a path of twice that length, a failure, and a path shorter than the computed shortest one.
     assert metrics.spl(trajectories, shortest).value == pytest.approx((1 + 0.5 + 0 + 1) / 4)
 
 
-def test_mean_time_is_that_of_successes() -> None:
+def test_mean_time_to_traverse_covers_successes_only() -> None:
     trajectories = [drive(steps=40), drive(steps=80), drive(steps=1200, ending="time limit")]
     assert metrics.mean_time_to_traverse(trajectories).value == pytest.approx(3.0)
     assert math.isnan(metrics.mean_time_to_traverse(trajectories[2:]).value)
 
 
-def test_traverse_rate_counts_the_time_of_failures_and_none_of_their_way() -> None:
+def test_traverse_rate_counts_the_time_but_not_the_length_of_failures() -> None:
     trajectories = [drive(steps=40), drive(steps=160, ending="time limit")]
     assert metrics.traverse_rate(trajectories, torch.tensor([1.5, 5.0])).value == pytest.approx(1.5 / 10)
 
@@ -133,18 +172,18 @@ def test_velocity_over_rough_terrain() -> None:
     assert math.isnan(metrics.velocity_over_rough_terrain([level]).value)
 
 
-def test_collisions_are_counted_by_the_run() -> None:
+def test_consecutive_collision_steps_are_one_collision() -> None:
     trajectories = [drive(collisions="xx  x"), drive(collisions=" xxx"), drive(), drive(collisions="x x x")]
     assert metrics.collisions(trajectories).value == pytest.approx((2 + 1 + 0 + 3) / 4)
 
 
 @given(st.lists(st.booleans(), max_size=30))
-def test_runs(flags: list[bool]) -> None:
+def test_count_runs(flags: list[bool]) -> None:
     text = "".join("x" if flag else " " for flag in flags)
     assert count_runs(torch.tensor(flags, dtype=torch.bool)) == len(text.split())
 
 
-def test_turns_count_both_ways_and_across_pi() -> None:
+def test_turns_count_both_directions_and_wrap_at_pi() -> None:
     left, right = drive(turn=3 * math.pi), drive(turn=-2 * math.pi)
     assert metrics.turns_per_goal([left, right]).value == pytest.approx((1.5 + 1) / 2, rel=1e-5)
     circling = drive(turn=8 * math.pi, ending="time limit")
@@ -152,16 +191,16 @@ def test_turns_count_both_ways_and_across_pi() -> None:
     assert math.isnan(metrics.turns_per_goal([circling]).value)
 
 
-def test_standing_is_a_share_of_the_time() -> None:
+def test_standstill_is_a_proportion_of_the_time() -> None:
     assert metrics.standstill([drive(2.0, 100), drive(0.01, 300, "stuck")]).value == pytest.approx(0.75)
 
 
-# --- goals without end
+# --- endless mode
 
 
-def test_endless_episodes() -> None:
+def test_endless_metrics() -> None:
     trajectories = [drive(steps=2000, goals=20, ending="time limit"), drive(steps=400, goals=4, ending="jammed")]
-    measured = metrics.endless_metrics(trajectories, FIELD)
+    measured = metrics.endless_metrics(trajectories, FIELD, robot=ROVER)
     assert measured["goals_per_episode"].value == 12
     assert measured["seconds_per_goal"].value == pytest.approx(5)
     assert measured["episode_seconds"].value == pytest.approx(60)
@@ -176,36 +215,52 @@ def test_endless_episodes() -> None:
     [(0.0, 0.2635), (math.pi, 0.267), (math.pi / 2, 0.225), (-math.pi / 2, 0.225), (math.pi / 4, 0.3454)],
     ids=["front", "rear", "right", "left", "corner"],
 )
-def test_a_wall_is_touched_where_the_outline_meets_it(yaw: float, reach: float) -> None:
+def test_a_contact_is_where_the_outline_meets_a_wall(yaw: float, reach: float) -> None:
     wall = World("wall", Terrain.flat((12.0, 12.0)), [box((1.5, 0.0, 0.5), (1.0, 4.0, 1.0))])
     near, far = at(1 - reach - 0.005, yaw=yaw), at(1 - reach - 0.02, yaw=yaw)
-    assert touching([near, far], wall, ROVER)[0].all()
-    assert not touching([near, far], wall, ROVER)[1].any()
+    assert find_body_contacts([near, far], wall, ROVER)[0].all()
+    assert not find_body_contacts([near, far], wall, ROVER)[1].any()
 
 
-def test_only_what_stands_at_the_height_of_the_hubs_is_touched() -> None:
+def test_only_obstacles_at_the_height_of_the_wheel_hubs_are_touched() -> None:
     def touched(bottom: float, top: float) -> bool:
         obstacle = box((0.0, 0.0, (bottom + top) / 2), (1.0, 1.0, top - bottom))
-        return bool(touching([at(0.6, z=2.0)], World("w", Terrain.flat((12.0, 12.0), 2.0), [obstacle]), ROVER)[0].any())
+        (contacts,) = find_body_contacts(
+            [at(0.6, z=2.0)], World("w", Terrain.flat((12.0, 12.0), 2.0), [obstacle]), ROVER
+        )
+        return bool(contacts.any())
 
     assert touched(1.0, 3.0)
     assert not touched(2.5, 3.0)
     assert not touched(1.0, 2.1)
 
 
-def test_a_rover_that_leans_forward_reaches_lower() -> None:
-    kerb = World("kerb", Terrain.flat((12.0, 12.0)), [box((1.0, 0.0, 0.0), (1.0, 4.0, 0.2))])
-    assert not touching([at(0.25)], kerb, ROVER)[0].any()
-    assert touching([at(0.25, pitch=0.2)], kerb, ROVER)[0].all()
+def test_a_rover_with_a_forward_tilt_touches_lower_obstacles() -> None:
+    curb = World("curb", Terrain.flat((12.0, 12.0)), [box((1.0, 0.0, 0.0), (1.0, 4.0, 0.2))])
+    assert not find_body_contacts([at(0.25)], curb, ROVER)[0].any()
+    assert find_body_contacts([at(0.25, pitch=0.2)], curb, ROVER)[0].all()
 
 
-def test_contacts_are_counted_by_episode_and_run() -> None:
+def test_the_outline_is_that_of_the_robot() -> None:
+    wall = World("wall", Terrain.flat((12.0, 12.0)), [box((1.5, 0.0, 0.5), (1.0, 4.0, 1.0))])
+    # Only these fields give the outline; a Robot must agree with its URDF.
+    longer = SimpleNamespace(
+        wheel_positions=ROVER.wheel_positions, wheel_radius=ROVER.wheel_radius + 0.1, wheel_width=ROVER.wheel_width
+    )
+    assert not find_body_contacts([at(0.7)], wall, ROVER)[0].any()
+    assert find_body_contacts([at(0.7)], wall, longer)[0].all()
+    trajectories = [at(0.7), at(0.7)]
+    for robot, share in ((ROVER, 0), (longer, 1)):
+        assert metrics.endless_metrics(trajectories, wall, robot=robot)["body_contact_share"].value == share
+
+
+def test_body_contacts_are_counted_per_run_and_per_episode() -> None:
     wall = World("wall", Terrain.flat((12.0, 12.0)), [box((1.5, 0.0, 0.5), (1.0, 4.0, 1.0))])
     there_and_back = torch.cat([at(x).position for x in (0.0, 0.74, 0.0, 0.74, 0.0)])
     zeros = torch.zeros(len(there_and_back), 3)
     nothing = torch.zeros(len(there_and_back) - 1, dtype=torch.bool)
     twice = Trajectory(there_and_back, zeros, nothing, nothing, "time limit")
-    measured = metrics.goal_metrics([twice, at(0.0)], torch.tensor([1.0, 1.0]), wall)
+    measured = metrics.goal_metrics([twice, at(0.0)], torch.tensor([1.0, 1.0]), wall, robot=ROVER)
     assert measured["body_contacts"].value == 1
     assert measured["body_contact_share"].value == 0.5
 
@@ -218,9 +273,9 @@ ENDINGS = ["goal", metrics.TIME_LIMIT, *metrics.EARLY_ENDINGS]
 
 @given(st.lists(st.sampled_from(ENDINGS), min_size=1, max_size=12))
 @settings(deadline=None, max_examples=20)
-def test_every_episode_ends_in_one_way(endings: list[str]) -> None:
+def test_every_episode_has_exactly_one_ending(endings: list[str]) -> None:
     trajectories = [drive(steps=2, ending=ending) for ending in endings]
-    measured = metrics.goal_metrics(trajectories, torch.ones(len(endings)), FIELD)
+    measured = metrics.goal_metrics(trajectories, torch.ones(len(endings)), FIELD, robot=ROVER)
     shares = [estimate.value for key, estimate in measured.items() if key.startswith("ending_")]
     assert sum(shares) + measured["success_rate"].value == pytest.approx(1)
     assert set(measured) <= set(METRICS)

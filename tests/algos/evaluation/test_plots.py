@@ -22,7 +22,7 @@ FIELD = World("field", Terrain.flat((12.0, 12.0)), [box((2.0, 2.0, 0.5), (1.0, 1
 
 
 def write_run(folder: Path, config: TrainingConfig, rows: int = 40, parts: int = 1, episodes: int = 6) -> Path:
-    """A run of ``rows`` batches, each written as ``parts`` rows."""
+    """Writes the files of a run of ``rows`` batches, each as ``parts`` rows of ``progress.csv``."""
     write_config(folder / "config.yaml", config)
     with (folder / "progress.csv").open("w", newline="") as file:
         writer = csv.writer(file)
@@ -35,12 +35,12 @@ def write_run(folder: Path, config: TrainingConfig, rows: int = 40, parts: int =
 
 
 def texts(path: Path) -> str:
-    """An SVG, which holds each text as a comment."""
+    """The text of an SVG file, which contains each label as a comment."""
     assert path.suffix == ".svg"
     return path.read_text()
 
 
-def test_a_learning_curve_does_not_depend_on_how_many_rows_tell_it(tmp_path: Path) -> None:
+def test_a_learning_curve_does_not_depend_on_the_number_of_rows(tmp_path: Path) -> None:
     pictures = []
     for parts in (1, 50):
         run = write_run(tmp_path / str(parts), PPOConfig(world="moon"), parts=parts)
@@ -50,7 +50,7 @@ def test_a_learning_curve_does_not_depend_on_how_many_rows_tell_it(tmp_path: Pat
     np.testing.assert_allclose(*pictures, atol=0.01)
 
 
-def test_runs_of_an_algorithm_in_a_world_are_one_line(tmp_path: Path) -> None:
+def test_runs_of_an_algorithm_in_a_world_are_one_curve(tmp_path: Path) -> None:
     runs = [
         write_run(tmp_path / f"{kind.algo}-{world}-{seed}", kind(world=world, seed=seed), rows=20 + seed)
         for kind, world, seed in itertools.product((PPOConfig, SACConfig), ("maze", "moon"), range(2))
@@ -60,8 +60,8 @@ def test_runs_of_an_algorithm_in_a_world_are_one_line(tmp_path: Path) -> None:
     assert "<!-- PPO in maze: mean of 2 runs of 83,968 steps in 2.0 min -->" in text
     assert "<!-- PPO in moon: mean of 2 runs of 83,968 steps in 2.0 min -->" in text
     assert "<!-- SAC in maze: 81,920 steps in 2.0 min -->" in text
-    assert text.count("<!-- minutes of training -->") == 4
-    assert text.count("<!-- least to most of the runs -->") == 1
+    assert text.count("<!-- training time (min) -->") == 4
+    assert text.count("<!-- minimum to maximum of the runs -->") == 1
 
 
 def test_a_baseline_is_drawn_in_its_world(tmp_path: Path) -> None:
@@ -75,7 +75,7 @@ def test_a_baseline_is_drawn_in_its_world(tmp_path: Path) -> None:
     assert "policy" not in texts(tmp_path / "elsewhere.svg")
 
 
-def test_runs_that_cannot_be_drawn_are_refused(tmp_path: Path) -> None:
+def test_runs_that_cannot_be_drawn_raise(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="at least one run"):
         draw_learning_curve([], tmp_path / "curve.png")
     with pytest.raises(FileNotFoundError, match="no settings"):
@@ -86,7 +86,7 @@ def test_runs_that_cannot_be_drawn_are_refused(tmp_path: Path) -> None:
 
 
 def driven(name: str, endings: list[str], speed: float = 1.0) -> Evaluation:
-    """Straight drives side by side, at one speed (m/s)."""
+    """An evaluation of parallel straight drives with the same speed (m/s)."""
     count, steps = len(endings), 21
     start = torch.tensor([[-4.0, 0.3 * row, 0.0] for row in range(count)])
     ahead = torch.arange(steps + 1.0)[:, None] * torch.tensor((speed * 0.05, 0.0, 0.0))
@@ -100,7 +100,7 @@ def driven(name: str, endings: list[str], speed: float = 1.0) -> Evaluation:
     return Evaluation(name, episodes, 1, 60.0, trajectories)
 
 
-def test_every_ending_has_a_mark_of_its_own(tmp_path: Path) -> None:
+def test_every_ending_has_a_marker(tmp_path: Path) -> None:
     endings = [*ENDINGS.values(), TIME_LIMIT]
     draw_paths([driven("mine", endings)], tmp_path / "paths.svg")
     text = texts(tmp_path / "paths.svg")
@@ -112,13 +112,13 @@ def test_every_ending_has_a_mark_of_its_own(tmp_path: Path) -> None:
 @pytest.mark.parametrize("count", [1, 4, 5])
 def test_each_policy_has_a_panel(count: int, tmp_path: Path) -> None:
     evaluations = [driven(f"policy {number}", ["goal", "stuck"]) for number in range(count)]
-    draw_paths(evaluations, tmp_path / "paths.svg", most=1)
+    draw_paths(evaluations, tmp_path / "paths.svg", max_episodes=1)
     text = texts(tmp_path / "paths.svg")
-    assert all(f"<!-- policy {number}: 50% reach the goal -->" in text for number in range(count))
-    assert "<!-- the first 1 of them are drawn -->" in text
+    assert all(f"<!-- policy {number}: success rate 50% -->" in text for number in range(count))
+    assert "<!-- first 1 shown -->" in text
 
 
-def test_paths_are_coloured_by_speed(tmp_path: Path) -> None:
+def test_paths_are_colored_by_speed(tmp_path: Path) -> None:
     pictures = []
     for speed in (0.2, 0.2, 0.9):
         evaluation = driven("mine", [TIME_LIMIT], speed)
@@ -134,33 +134,42 @@ def test_paths_are_coloured_by_speed(tmp_path: Path) -> None:
 
 
 def rollout(steps: int = 30) -> TensorDict:
-    """A rover that makes headway, is paid for a goal at step 10, and jams at the end of a collision."""
-    paid = {name: torch.zeros(steps, 1) for name in ("goal", "progress", "collision", "stuck", "tilt_penalty")}
-    paid["goal"][9], paid["progress"][:], paid["tilt_penalty"][5], paid["collision"][20:] = 100.0, 0.02, -1.0, -0.5
-    happened = {key: paid[name] != 0 for key, name in (("goal_reached", "goal"), ("collision", "collision"))}
+    """A rollout in which the rover reaches a goal at step 10 and jams at the end of a collision."""
+    rewards = {name: torch.zeros(steps, 1) for name in ("goal", "progress", "collision", "stuck", "tilt_penalty")}
+    rewards["goal"][9], rewards["progress"][:] = 100.0, 0.02
+    rewards["tilt_penalty"][5], rewards["collision"][20:] = -1.0, -0.5
+    events = {key: rewards[name] != 0 for key, name in (("goal_reached", "goal"), ("collision", "collision"))}
     done = torch.arange(steps)[:, None] == steps - 1
     count = torch.arange(1, steps + 1)[:, None]
-    outcome = {**happened, "phase": torch.full((steps, 1), 2), "steps": count, "total_steps": count + 500}
-    after = {"reward_components": TensorDict(paid, [steps]), "outcome": TensorDict(outcome, [steps]), "done": done}
+    outcome = {**events, "phase": torch.full((steps, 1), 2), "steps": count, "total_steps": count + 500}
+    after = {"reward_components": TensorDict(rewards, [steps]), "outcome": TensorDict(outcome, [steps]), "done": done}
     return TensorDict({"next": TensorDict(after, [steps])}, [steps])
 
 
-def test_reward_components_are_drawn_with_what_happened(tmp_path: Path) -> None:
+def test_reward_components_are_drawn_with_events(tmp_path: Path) -> None:
     draw_reward_components(rollout(), tmp_path / "rewards.svg")
     text = texts(tmp_path / "rewards.svg")
     for expected in ("goal (1)", "collision", "end: jammed", "tilt penalty", "sum +100.00", "sum -5.00"):
         assert f"<!-- {expected} -->" in text
     assert "stuck" not in text
-    assert "in the end +94.60" in text
+    assert "final +94.60" in text
 
 
-def test_a_rollout_of_one_rover_may_have_a_dimension_for_it(tmp_path: Path) -> None:
+def test_the_time_axis_follows_from_the_step(tmp_path: Path) -> None:
+    draw_reward_components(rollout(), tmp_path / "default.svg")
+    draw_reward_components(rollout(), tmp_path / "longer.svg", dt=0.5)
+    for name, last, other in (("default", "1.4", "14"), ("longer", "14", "1.4")):
+        assert f"<!-- {last} -->" in texts(tmp_path / f"{name}.svg")
+        assert f"<!-- {other} -->" not in texts(tmp_path / f"{name}.svg")
+
+
+def test_a_rollout_of_one_rover_may_have_a_batch_dimension(tmp_path: Path) -> None:
     for name, data in (("flat", rollout()), ("batched", rollout()[None])):
         draw_reward_components(data, tmp_path / f"{name}.png")
     assert (tmp_path / "flat.png").read_bytes() == (tmp_path / "batched.png").read_bytes()
 
 
-def test_other_rollouts_are_refused(tmp_path: Path) -> None:
+def test_invalid_rollouts_raise(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="one rover"):
         draw_reward_components(torch.stack([rollout(), rollout()]), tmp_path / "rewards.png")
     with pytest.raises(ValueError, match="no reward components"):

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import math
+import pickle
+from dataclasses import replace
 
 import pytest
 import torch
@@ -12,7 +14,8 @@ from torch import Tensor
 from rover_rl import RoverEnv
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
-from rover_rl.algos.policy.baselines import RandomPolicy, ScriptedPolicy, steer
+from rover_rl.algos.policy.baselines import RandomPolicy, ScriptedPolicy, drive_towards, steer
+from rover_rl.sims.robots.rover_zero import ROVER_ZERO
 
 CLEAR = torch.full((1, 32), 12.0)
 
@@ -22,7 +25,7 @@ def target(distance: float, degrees: float) -> Tensor:
 
 
 def wall_ahead(distance: float) -> Tensor:
-    """A long wall across the way, ``distance`` m in front of the lidar."""
+    """Readings of a long wall across the path, ``distance`` m in front of the lidar."""
     angle = (torch.arange(32) + 0.5) * (2 * math.pi / 32)
     return torch.where(angle.cos() > 0.05, distance / angle.cos().clamp(min=0.05), 12.0).clamp(max=12.0)[None]
 
@@ -36,7 +39,7 @@ def actions(episode: list[int], steps: list[int], seed: int = 0) -> Tensor:
     return RandomPolicy(seed)(td.set("episode", torch.tensor(episode)[:, None]))["action"]
 
 
-def test_random_actions_are_the_same_in_every_company() -> None:
+def test_random_actions_do_not_depend_on_other_rows() -> None:
     together = actions([0, 1, 2, 5], [7, 7, 3, 0])
     for row, (episode, step) in enumerate([(0, 7), (1, 7), (2, 3), (5, 0)]):
         assert torch.equal(actions([episode], [step])[0], together[row])
@@ -52,7 +55,7 @@ def test_random_actions_are_uniform_over_the_bounds() -> None:
     torch.testing.assert_close(drawn.std(0) / limits, torch.full((2,), 3**-0.5), rtol=0.02, atol=0)
 
 
-def test_random_actions_drive_any_environment() -> None:
+def test_the_random_policy_runs_in_an_environment() -> None:
     env = RoverEnv(world_n="maze", num_envs=2, seed=0)
     rollout = env.rollout(3, RandomPolicy())
     assert rollout["action"].unique().numel() == 12
@@ -62,7 +65,7 @@ def test_random_actions_drive_any_environment() -> None:
 # --- scripted
 
 
-def test_it_drives_at_a_goal_in_the_open() -> None:
+def test_it_drives_towards_a_goal_on_open_ground() -> None:
     speed, heading = steer(CLEAR, target(5.0, 0.0))[0]
     assert speed == pytest.approx(1.0)
     assert heading == pytest.approx(0.0, abs=1e-6)
@@ -80,17 +83,31 @@ def test_it_goes_around_a_wall_on_the_side_of_the_goal(degrees: float) -> None:
     assert speed < 0.5
 
 
-def test_it_backs_off_from_what_is_right_before_it_unless_something_is_behind() -> None:
+def test_it_backs_off_from_a_close_obstacle_unless_one_is_behind() -> None:
     assert steer(wall_ahead(0.32), target(5.0, 0.0))[0, 0] < 0
     between = wall_ahead(0.32)
     between[:, 14:18] = 0.6
     assert steer(between, target(5.0, 0.0))[0, 0] >= 0
 
 
-def test_a_goal_before_a_wall_is_driven_at() -> None:
+def test_it_drives_towards_a_goal_in_front_of_a_wall() -> None:
     speed, heading = steer(wall_ahead(1.2), target(0.9, 0.0))[0]
     assert speed > 0.3
     assert abs(heading) < 0.1
+
+
+def test_the_lidar_offset_is_that_of_the_robot() -> None:
+    lidar, goal = wall_ahead(0.9), target(5.0, 0.0)
+    x, y, z = ROVER_ZERO.lidar_position
+    rear = replace(ROVER_ZERO, lidar_position=(x - 0.2, y, z))
+    for policy, offset in ((ScriptedPolicy(), x), (ScriptedPolicy("rover_zero"), x), (ScriptedPolicy(rear), x - 0.2)):
+        action = pickle.loads(pickle.dumps(policy))(TensorDict({"lidar": lidar, "target": goal}, [1]))["action"]
+        assert torch.equal(action, steer(lidar, goal, offset))
+    assert torch.equal(steer(lidar, goal), steer(lidar, goal, x))
+    # The same readings are closer to the center of a rover whose lidar is farther back.
+    assert drive_towards(goal[:, 1:], lidar, x - 0.2)[0, 0] < drive_towards(goal[:, 1:], lidar)[0, 0]
+    with pytest.raises(ValueError, match="unknown robot 'tank'"):
+        ScriptedPolicy("tank")
 
 
 READING = st.floats(0.0, 12.0, width=32)

@@ -31,7 +31,7 @@ def observations(*shape: int) -> TensorDict:
     return TensorDict(values, batch_size=shape)
 
 
-def test_encoding_is_what_the_task_needs() -> None:
+def test_encoding_of_an_observation() -> None:
     encoder = ObservationEncoder(lidar_points=2)
     features = encoder(
         torch.tensor([[0.0, 12.0]]),
@@ -45,7 +45,7 @@ def test_encoding_is_what_the_task_needs() -> None:
     assert features.shape[-1] == encoder.features
 
 
-def test_the_encoding_of_a_pose_tells_places_and_headings_apart() -> None:
+def test_the_encoding_of_a_pose_distinguishes_positions_and_headings() -> None:
     encoder = ObservationEncoder(("imu", "pose"))
     imu = torch.tensor([[0.0, 0.0, 0.0]]).expand(3, 3).clone()
     pose = torch.tensor([[1.0, 2.0, 0.5], [1.0, 2.0, 0.5], [9.0, 2.0, 0.5]])
@@ -58,7 +58,7 @@ def test_the_encoding_of_a_pose_tells_places_and_headings_apart() -> None:
 
 @pytest.mark.parametrize("keys", [("target",), ("lidar", "target"), ("pose", "imu", "target", "lidar", "velocities")])
 @pytest.mark.parametrize("shape", [(), (3,), (3, 5)])
-def test_networks_take_any_batch_and_any_keys(shape: tuple[int, ...], keys: tuple[str, ...]) -> None:
+def test_networks_accept_any_batch_shape_and_keys(shape: tuple[int, ...], keys: tuple[str, ...]) -> None:
     encoder = ObservationEncoder(keys)
     td = make_actor(encoder)(observations(*shape).select(*keys))
     td["features"] = encoder(*(td[key] for key in keys))
@@ -69,18 +69,18 @@ def test_networks_take_any_batch_and_any_keys(shape: tuple[int, ...], keys: tupl
 
 
 @pytest.mark.parametrize("reverse", [True, False])
-def test_actions_lie_within_their_bounds_and_reach_far(reverse: bool) -> None:
+def test_actions_cover_their_bounds(reverse: bool) -> None:
     torch.manual_seed(0)
     with set_exploration_type(ExplorationType.RANDOM):
-        action = make_actor(reverse=reverse, spread=2.0)(observations(4000))["action"]
+        action = make_actor(reverse=reverse, max_std=2.0)(observations(4000))["action"]
     low = LOW if reverse else LOW * torch.tensor([0.0, 1.0])
     assert ((action >= low) & (action <= HIGH)).all()
     assert (action.amin(0) < low + 0.1).all()
     assert (action.amax(0) > 0.9 * HIGH).all()
 
 
-def test_the_spread_of_actions_stays_below_its_bound() -> None:
-    actor, td = make_actor(spread=0.3), observations(50)
+def test_the_standard_deviation_is_bounded() -> None:
+    actor, td = make_actor(max_std=0.3), observations(50)
     with torch.no_grad():
         for weight in actor.parameters():
             weight.mul_(100.0)
@@ -89,7 +89,7 @@ def test_the_spread_of_actions_stays_below_its_bound() -> None:
     assert 0 < scale.min() < 0.1
 
 
-def test_an_actor_acts_on_features_as_on_what_they_encode() -> None:
+def test_an_actor_on_features_equals_the_actor_on_observations() -> None:
     torch.manual_seed(0)
     actor, encoder, td = make_actor(), ObservationEncoder(), observations(5)
     encoded = TensorDict({"features": encoder(*(td[key] for key in encoder.keys))}, batch_size=5)
@@ -98,7 +98,7 @@ def test_an_actor_acts_on_features_as_on_what_they_encode() -> None:
     assert {id(weight) for weight in again.parameters()} == {id(weight) for weight in actor.parameters()}
 
 
-def test_reverse_is_what_the_critic_scales_by() -> None:
+def test_the_critic_scales_actions_by_their_bounds() -> None:
     torch.manual_seed(0)
     back, forward = make_action_critic(3), make_action_critic(3, reverse=False)
     forward.load_state_dict(back.state_dict())
@@ -107,7 +107,7 @@ def test_reverse_is_what_the_critic_scales_by() -> None:
     torch.testing.assert_close(forward(td)["state_action_value"], back(slow)["state_action_value"])
 
 
-def test_seen_as_on_a_map_a_turn_on_the_spot_changes_nothing() -> None:
+def test_map_orientation_does_not_change_when_the_rover_turns_in_place() -> None:
     encoder = ObservationEncoder(("lidar", "imu", "target"), lidar_points=8, north_up=True)
     ranges = torch.arange(1.0, 9.0)[None]
     for segments in range(-4, 5):
@@ -121,12 +121,21 @@ def test_seen_as_on_a_map_a_turn_on_the_spot_changes_nothing() -> None:
         torch.testing.assert_close(features[:, -4:], torch.cat((direction, direction * 3 / 4), -1), atol=1e-5, rtol=0)
 
 
-def test_a_map_needs_what_lies_on_it() -> None:
+def test_map_orientation_requires_lidar_imu_and_target() -> None:
     with pytest.raises(ValueError, match="north_up needs lidar, imu and target"):
         ObservationEncoder(("lidar", "target"), north_up=True)
 
 
-def test_without_exploration_the_action_is_the_middle_of_the_distribution() -> None:
+@pytest.mark.parametrize("north_up", [False, True])
+def test_another_number_of_lidar_points_raises(north_up: bool) -> None:
+    encoder = ObservationEncoder(lidar_points=24, north_up=north_up)
+    for network in (make_actor(encoder), make_critic(encoder)):
+        with pytest.raises(ValueError, match="^the policy reads 24 lidar points, got 32"):
+            network(observations(3))
+    assert ObservationEncoder(("target",), lidar_points=24)(torch.zeros(2, 2)).shape == (2, 5)
+
+
+def test_without_exploration_the_action_is_the_center_of_the_distribution() -> None:
     actor, td = make_actor(reverse=False), observations(8)
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         first, second = actor(td.clone())["action"], actor(td.clone())["action"]
@@ -135,7 +144,7 @@ def test_without_exploration_the_action_is_the_middle_of_the_distribution() -> N
     torch.testing.assert_close(first, middle + actor(td.clone())["loc"].tanh() * (HIGH - middle))
 
 
-def test_pose_and_yaw_are_not_seen() -> None:
+def test_pose_and_yaw_are_ignored_by_default() -> None:
     actor, td = make_actor(), observations(8)
     moved = td.clone()
     moved["pose"] += 5.0
@@ -166,8 +175,8 @@ def test_the_mirror_image_swaps_left_and_right() -> None:
     assert (mirrored(image, torch.tensor([True, False])) == td).all()
 
 
-def test_the_mirror_image_is_that_of_the_simulation() -> None:
-    """Two rovers that start as mirror images of one another, and act so, see mirror images."""
+def test_the_mirror_image_agrees_with_the_simulation() -> None:
+    """Two rovers with mirrored starts and actions have mirrored observations."""
     world = World("field", Terrain.flat((20, 20)), [box((3, 1, 0.5), (1, 1, 1)), box((3, -1, 0.5), (1, 1, 1))])
     env = RoverEnv(world_n=world, num_envs=2, seed=0)
     td = env.reset(
@@ -180,5 +189,5 @@ def test_the_mirror_image_is_that_of_the_simulation() -> None:
     image = mirrored(seen, torch.ones(2, dtype=torch.bool))
     for key, tolerance in (("target", 0.02), ("velocities", 0.02), ("imu", 0.02)):
         torch.testing.assert_close(image[0][key], seen[1][key], atol=tolerance, rtol=0)
-    # Segments begin straight ahead, so that the mirror image of one is another but for a beam.
+    # Segments begin straight ahead, so that the mirror image of a segment differs from another segment by one beam.
     assert (image[0]["lidar"] - seen[1]["lidar"]).abs().median() < 0.05
