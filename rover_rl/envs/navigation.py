@@ -31,10 +31,13 @@ class Navigation:
         placement: draws goals, and knows the bounds of each row's world.
         num_envs: number of rows.
         device: device of the rows.
+
+    Attributes:
+        length: number of steps after which an episode is truncated.
     """
 
     def __init__(self, config: EnvConfig, placement: Placement, num_envs: int, device: torch.device) -> None:
-        self._task, self._length, self._end_on_goal = config.task, config.length, config.end_on_goal
+        self._task, self.length, self._end_on_goal = config.task, config.length, config.end_on_goal
         self._placement = placement
         self._history = PositionHistory(num_envs, config.task.stuck_window, device)
 
@@ -128,7 +131,7 @@ class Navigation:
         terminated = now.outcome.get("phase") < StepEvent.GOAL
         if self._end_on_goal:
             terminated = terminated | now.outcome.get("goal_reached")
-        truncated = (now.task.steps >= self._length) & ~terminated
+        truncated = (now.task.steps >= self.length) & ~terminated
         if active is not None:
             terminated = torch.where(active, terminated, now.terminated)
             truncated = torch.where(active, truncated, now.truncated)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import secrets
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -219,6 +220,12 @@ class RoverEnv(EnvBase):
     def length(self) -> int:
         """Number of steps after which an episode is truncated."""
         return self.config.length
+
+    @length.setter
+    def length(self, steps: int) -> None:
+        _require_count("length", steps, MAX_COUNT)
+        self.config = replace(self.config, length=steps)
+        self._navigation.length = steps
 
     @property
     def connection(self) -> Connection:

@@ -30,8 +30,9 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from rover_rl.algos.config import config_from, plain
-from rover_rl.algos.policy.checkpoint import Checkpoint, checked_copy
+from rover_rl.algos.archives import checked_copy
+from rover_rl.algos.config_files import config_from, plain
+from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import action_spec, middle_and_half
 from rover_rl.envs.specs import observation_bounds
 from rover_rl.files import written_whole
@@ -64,9 +65,9 @@ class PlainPolicy(nn.Module):
     def __init__(self, checkpoint: Checkpoint) -> None:
         super().__init__()
         actor = checkpoint.make_actor()
-        self.keys = checkpoint.config.observation
+        self.keys = checkpoint.config.network.observation
         self._network = actor[0].module
-        middle, half = middle_and_half(action_spec(checkpoint.config.reverse))
+        middle, half = middle_and_half(action_spec(checkpoint.env.action))
         self.register_buffer("_middle", middle)
         self.register_buffer("_half", half)
 
@@ -104,9 +105,9 @@ def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
 def random_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]:
     """Observations ``[count, n]`` of each entry that the policy reads, from all over its bounds, drawn by seed 0."""
     generator = torch.Generator().manual_seed(0)
-    bounds = observation_bounds(checkpoint.lidar_points, 12.0)
+    bounds = observation_bounds(checkpoint.lidar_points, checkpoint.env.lidar.max_range)
     drawn = {}
-    for key in checkpoint.config.observation:
+    for key in checkpoint.config.network.observation:
         low, high = (torch.as_tensor(side).float() for side in (bounds[key].low, bounds[key].high))
         width = checkpoint.lidar_points if key == "lidar" else len(low)
         drawn[key] = low + (high - low) * torch.rand(count, width, generator=generator)
@@ -227,7 +228,7 @@ def program_function(path: Path) -> Callable[[dict[str, Any]], Tensor]:
     content, extra = path.read_bytes(), {"rover_rl.json": ""}
     try:
         program = torch.export.load(checked_copy(content), extra_files=extra)
-        keys, module = json.loads(extra["rover_rl.json"])["observation"], program.module()
+        keys, module = config_from(json.loads(extra["rover_rl.json"]), str(path)).network.observation, program.module()
     except Exception as error:  # a damaged file can fail in any way
         raise ValueError(f"{path} is damaged, or was not written by rover-rl export") from error
 
@@ -270,5 +271,5 @@ class OnnxPolicy:
 
     def __call__(self, now: TensorDictBase) -> TensorDictBase:
         """Sets ``"action"``, float32 ``[N, 2]``, row by row: the file is for one rover."""
-        rows = [{key: now[key][row : row + 1] for key in self.config.observation} for row in range(len(now))]
+        rows = [{key: now[key][row : row + 1] for key in self.config.network.observation} for row in range(len(now))]
         return now.set("action", torch.cat([self._act(row) for row in rows]))

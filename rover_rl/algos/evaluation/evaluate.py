@@ -1,4 +1,4 @@
-"""Evaluation: policies drive fixed episodes, or without end as in the original, and are measured.
+"""Evaluation: policies drive fixed episodes, or endlessly as in the original, and are measured.
 
 Example:
     >>> actor = Checkpoint.load("runs/ppo-maze").make_actor()
@@ -8,13 +8,10 @@ Example:
 
 from __future__ import annotations
 
-import math
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, TypeAlias
+from dataclasses import replace
+from typing import TypeAlias
 
 import torch
 from rich.console import Console
@@ -23,23 +20,16 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from rover_rl.algos.config import SECONDS_PER_STEP
 from rover_rl.algos.evaluation.episodes import DEFAULT_SEED, EpisodeSet, draw_episodes
-from rover_rl.algos.evaluation.metrics import (
-    TIME_LIMIT,
-    Estimate,
-    Trajectory,
-    count_runs,
-    endless_metrics,
-    goal_metrics,
-)
+from rover_rl.algos.evaluation.metrics import TIME_LIMIT, Trajectory
+from rover_rl.algos.evaluation.results import EndlessEvaluation, Evaluation
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.networks import single_threaded
-from rover_rl.algos.train.progress import EPISODE_STEPS
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least
-from rover_rl.envs import RoverEnv, StepEvent, TaskConfig
-from rover_rl.sims import BackendLike
-from rover_rl.sims.robots import get_robot
+from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
+from rover_rl.envs.config import require_match
+from rover_rl.sims.rotations import quaternion_to_euler
+from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World, get_world
 
 __all__ = [
@@ -63,175 +53,9 @@ ENDINGS = {
     StepEvent.STUCK: "stuck",
     StepEvent.GOAL: "goal",
 }
-"""How an episode can end before its time, by the phase of its last step."""
-_LEAST_ROWS = 32
-"""Rows that a policy is given at least: matrix products of few rows round differently."""
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """How a policy fared on episodes with one goal each.
-
-    Attributes:
-        name: of the policy.
-        episodes: what it drove.
-        repeat: steps that each action was held for.
-        seconds: that an episode could last.
-        trajectories: what was recorded of each episode.
-    """
-
-    name: str
-    episodes: EpisodeSet
-    repeat: int
-    seconds: float
-    trajectories: list[Trajectory]
-
-    @property
-    def endings(self) -> list[str]:
-        """How each episode ended: ``"goal"``, ``"time limit"``, or the kind of its early ending."""
-        return [trajectory.ending for trajectory in self.trajectories]
-
-    @property
-    def steps(self) -> Tensor:
-        """Each episode took, int64 ``[count]``."""
-        return torch.tensor([len(trajectory) for trajectory in self.trajectories])
-
-    @property
-    def paths(self) -> list[Tensor]:
-        """Where each rover was, at the start and after each step: ``[T + 1, 2]`` each, m."""
-        return [trajectory.path for trajectory in self.trajectories]
-
-    @property
-    def reached(self) -> Tensor:
-        """Which episodes reached their goal, bool ``[count]``."""
-        return torch.tensor([ending == "goal" for ending in self.endings])
-
-    @cached_property
-    def metrics(self) -> dict[str, Estimate]:
-        """Everything measured, by name: see :mod:`rover_rl.algos.evaluation.metrics`."""
-        return goal_metrics(
-            self.trajectories, self.episodes.shortest, self.episodes.world, robot=get_robot("rover_zero")
-        )
-
-    @property
-    def success_rate(self) -> float:
-        """Share of episodes that reached their goal."""
-        return self.reached.double().mean().item()
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Where the true success rate lies, with 95 % confidence."""
-        estimate = self.metrics["success_rate"]
-        return estimate.low, estimate.high
-
-    @property
-    def mean_time(self) -> float:
-        """Seconds to the goal, where it was reached; nan if it never was."""
-        return self.metrics["mean_time_to_traverse"].value
-
-    @property
-    def goals_per_2000_steps(self) -> float:
-        """Goals reached in as many steps as a full episode has."""
-        return int(self.reached.sum()) * EPISODE_STEPS / int(self.steps.sum())
-
-    @property
-    def title(self) -> str:
-        """What was driven, for a table of it."""
-        return f"{len(self.episodes)} episodes in {self.episodes.name}: one goal within {self.seconds:g} s"
-
-    def summary(self) -> dict[str, Any]:
-        """What was driven, as plain data."""
-        episodes = self.episodes
-        shared = _summary(self.name, episodes.name, "one goal", episodes.seed, self.repeat, self.trajectories)
-        return shared | {"time_limit": self.seconds}
-
-    def to_json(self) -> dict[str, Any]:
-        """Everything but the trajectories, as plain data."""
-        episodes = self.episodes
-        columns = (episodes.start.tolist(), episodes.goal.tolist(), episodes.shortest.tolist())
-        rows = zip(*columns, self.trajectories, strict=True)
-        return {
-            **_results(self),
-            "episodes": [
-                {"start": start, "goal": goal, "shortest": shortest, "length": t.length, **_episode(t)}
-                for start, goal, shortest, t in rows
-            ],
-        }
-
-
-@dataclass(frozen=True)
-class EndlessEvaluation:
-    """How a policy fared where goals keep coming, as in the original's episodes.
-
-    Attributes:
-        name: of the policy.
-        world_name: of the world as it was asked for.
-        world: where it drove.
-        seed: of the first episode.
-        repeat: steps that each action was held for.
-        jam: whether a long collision ended an episode.
-        length: steps that an episode could last.
-        trajectories: what was recorded of each episode.
-    """
-
-    name: str
-    world_name: str
-    world: World
-    seed: int
-    repeat: int
-    jam: bool
-    length: int
-    trajectories: list[Trajectory]
-
-    @cached_property
-    def metrics(self) -> dict[str, Estimate]:
-        """Everything measured, by name: see :mod:`rover_rl.algos.evaluation.metrics`."""
-        return endless_metrics(self.trajectories, self.world, robot=get_robot("rover_zero"))
-
-    @property
-    def title(self) -> str:
-        """What was driven, for a table of it."""
-        count, limit = len(self.trajectories), f"{self.length:,} steps"
-        jam = "" if self.jam else ", without the jam ending"
-        return f"{count} episodes in {self.world_name}: goals without end, {limit} each{jam}"
-
-    def summary(self) -> dict[str, Any]:
-        """What was driven, as plain data."""
-        shared = _summary(self.name, self.world_name, "endless", self.seed, self.repeat, self.trajectories)
-        return shared | {"time_limit": self.length * SECONDS_PER_STEP, "jam": self.jam}
-
-    def to_json(self) -> dict[str, Any]:
-        """Everything but the trajectories, as plain data."""
-        episodes = [{"goals": int(t.goal.sum()), **_episode(t)} for t in self.trajectories]
-        return {**_results(self), "episodes": episodes}
-
-
-def _summary(
-    name: str, world: str, mode: str, seed: int, repeat: int, trajectories: Sequence[Trajectory]
-) -> dict[str, Any]:
-    return {
-        "policy": name,
-        "world": world,
-        "mode": mode,
-        "seed": seed,
-        "repeat": repeat,
-        "count": len(trajectories),
-        "goals": sum(int(t.goal.sum()) for t in trajectories),
-        "collisions": sum(count_runs(t.collision) for t in trajectories),
-    }
-
-
-def _results(evaluation: Evaluation | EndlessEvaluation) -> dict[str, Any]:
-    metrics = {
-        key: {field: number if math.isfinite(number) else None for field, number in vars(estimate).items()}
-        for key, estimate in evaluation.metrics.items()
-    }
-    endings = Counter(trajectory.ending for trajectory in evaluation.trajectories)
-    return {**evaluation.summary(), "metrics": metrics, "endings": dict(endings)}
-
-
-def _episode(trajectory: Trajectory) -> dict[str, Any]:
-    return {"ending": trajectory.ending, "seconds": round(trajectory.seconds, 3)}
+"""Endings of an episode before its time limit, by the event of its last step."""
+_MIN_ROWS = 32
+"""Least number of rows that a policy is called with: matrix products of few rows round differently."""
 
 
 def evaluate(
@@ -239,52 +63,45 @@ def evaluate(
     episodes: EpisodeSet,
     *,
     name: str | None = None,
-    repeat: int = 1,
+    action_repeat: int = 1,
     seconds: float = 60.0,
     rows: int = 32,
-    lidar_points: int = 32,
-    task: TaskConfig | None = None,
-    backend: BackendLike = "bullet",
-    physics: str | None = None,
+    env: EnvConfig | None = None,
 ) -> Evaluation:
     """Drives every episode once: one goal, within a time limit.
 
-    An episode comes out the same to the last bit whatever ``rows`` is and whatever else is driven, for policies that
-    treat rows apart; those with matrix products are held to that by never being given few rows.
+    An episode gives the same result to the last bit whatever ``rows`` is and whatever else is driven, if the policy
+    treats rows independently. Policies with matrix products are called with at least 32 rows for that reason.
 
     Args:
-        policy: a module from observation to action, taken without exploration; ``None`` acts at random. It is called
-            on 32 rows or more, of which the last may be repeated to fill up.
-        episodes: to drive.
-        name: of the policy, for tables and pictures.
-        repeat: steps that each action is held for; 1 decides at 20 Hz.
-        seconds: for each episode.
-        rows: rovers that drive at once, each the next episode when its own has ended.
-        lidar_points: readings that the policy sees.
-        task: thresholds of the task.
-        backend: what moves the rovers.
-        physics: preset of a backend given by its name.
+        policy: a module from observation to action, used without exploration; ``None`` acts at random. It is called
+            with at least 32 rows; the last row may be repeated to fill them up.
+        episodes: episodes to drive.
+        name: name of the policy, for tables and pictures.
+        action_repeat: number of steps that each action is held for; 1 decides at 20 Hz.
+        seconds: time limit of each episode.
+        rows: number of rovers that drive at once; each takes the next episode when its own has ended.
+        env: environment to drive in: robot, lidar, action, task, heading PID, randomization and simulator are used;
+            ``None``: that of a checkpoint's policy, else the defaults.
 
     Raises:
-        ValueError: for ``repeat`` or ``rows`` below 1, or a time below one step.
+        ValueError: for a number out of its range, or a policy that was made for another environment.
     """
-    check_at_least(SECONDS_PER_STEP, MAX_SECONDS, seconds=seconds)
-    check_at_least(1, MAX_COUNT, rows=rows)
+    check_at_least(CONTROL_DT, MAX_SECONDS, seconds=seconds)
+    check_at_least(1, MAX_COUNT, rows=rows, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
-    env = RoverEnv(
-        world_n=episodes.world,
+    described = replace(
+        _environment(policy, env),
+        world=episodes.world,
         num_envs=min(rows, len(episodes)),
-        length=round(seconds / SECONDS_PER_STEP),
-        lidar_points=lidar_points,
         end_on_goal=True,
         seed=episodes.seed,
-        task=task,
-        backend=backend,
-        physics=physics,
     )
+    rovers = RoverEnv(**described.arguments())
+    rovers.length = max(1, round(seconds / rovers.control_dt))
     policy = policy or RandomPolicy(episodes.seed)
-    trajectories = _drive(env, policy, repeat, name, {"start": episodes.start, "goal": episodes.goal})
-    return Evaluation(name, episodes, repeat, seconds, trajectories)
+    trajectories = _drive(rovers, policy, action_repeat, name, {"start": episodes.start, "goal": episodes.goal})
+    return Evaluation(name, episodes, action_repeat, seconds, trajectories, replace(described, world=episodes.name))
 
 
 def evaluate_endless(
@@ -295,71 +112,79 @@ def evaluate_endless(
     rows: int = 32,
     seed: int = DEFAULT_SEED,
     jam: bool = True,
-    steps: int = EPISODE_STEPS,
-    repeat: int = 1,
-    lidar_points: int = 32,
-    task: TaskConfig | None = None,
-    backend: BackendLike = "bullet",
-    physics: str | None = None,
+    steps: int = EnvConfig.length,
+    action_repeat: int = 1,
+    env: EnvConfig | None = None,
 ) -> EndlessEvaluation:
     """Drives the original's episodes: up to 2,000 steps, with a new goal whenever one is reached.
 
     Args:
         policy: as for :func:`evaluate`.
-        world: where.
-        name: of the policy.
-        rows: rovers, each of which drives one episode.
-        seed: of the first episode; episode ``i`` is that of an environment seeded ``seed + i``.
-        jam: whether a collision of more than 15 steps ends an episode, as the contract has it. In the original it never
+        world: world to drive in.
+        name: name of the policy.
+        rows: number of rovers, each of which drives one episode.
+        seed: seed of the first episode; episode ``i`` is that of an environment seeded ``seed + i``.
+        jam: whether a collision of more than 15 steps ends an episode, as in the contract. In the original it never
             does: its counter is never incremented.
-        steps: that an episode lasts at most.
-        repeat: steps that each action is held for.
-        lidar_points: readings that the policy sees.
-        task: thresholds of the task.
-        backend: what moves the rovers.
-        physics: preset of a backend given by its name.
+        steps: number of steps after which an episode ends.
+        action_repeat: number of steps that each action is held for.
+        env: environment to drive in, as for :func:`evaluate`.
 
     Raises:
-        ValueError: for ``repeat``, ``rows`` or ``steps`` below 1, or an unknown world.
+        ValueError: for a number out of its range, an unknown world, or a policy that was made for another environment.
     """
-    check_at_least(1, MAX_COUNT, rows=rows, steps=steps)
+    check_at_least(1, MAX_COUNT, rows=rows, steps=steps, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
-    task = task or TaskConfig()
-    place = get_world(world)
-    env = RoverEnv(
-        world_n=place,
-        num_envs=rows,
-        length=steps,
-        lidar_points=lidar_points,
-        seed=seed,
-        task=task if jam else replace(task, collision_window=steps),
-        backend=backend,
-        physics=physics,
-    )
-    trajectories = _drive(env, policy or RandomPolicy(seed), repeat, name)
+    described, place = _environment(policy, env), get_world(world)
+    task = described.task if jam else replace(described.task, collision_window=steps)
+    described = replace(described, world=place, num_envs=rows, length=steps, end_on_goal=False, seed=seed, task=task)
+    trajectories = _drive(RoverEnv(**described.arguments()), policy or RandomPolicy(seed), action_repeat, name)
     world_name = world if isinstance(world, str) else place.name
-    return EndlessEvaluation(name, world_name, place, seed, repeat, jam, steps, trajectories)
+    described = replace(described, world=world_name)
+    return EndlessEvaluation(name, world_name, place, seed, action_repeat, jam, steps, trajectories, described)
+
+
+def _environment(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:
+    """The environment to drive in, without what it adds for training.
+
+    Raises:
+        ValueError: if the policy was made for another one.
+    """
+    made_for: EnvConfig | None = getattr(policy, "made_for", None)
+    if env is None:
+        # Policies are compared without randomization and on the CPU, whatever they were trained with.
+        parts = made_for or EnvConfig()
+        return EnvConfig(
+            robot=parts.robot,
+            lidar=parts.lidar,
+            action=parts.action,
+            task=parts.task,
+            heading_gains=parts.heading_gains,
+        )
+    if made_for is not None:
+        require_match(made_for, env)
+    return replace(env, privileged=False)
 
 
 @torch.no_grad()
 @single_threaded()
 def _drive(
-    env: RoverEnv, policy: Policy, repeat: int, name: str, places: Mapping[str, Tensor] | None = None
+    env: RoverEnv, policy: Policy, action_repeat: int, name: str, places: Mapping[str, Tensor] | None = None
 ) -> list[Trajectory]:
-    """Drives episodes, and closes the environment: a rover takes the next episode when its own has ended.
+    """Drives episodes, and closes the environment. A rover takes the next episode when its own has ended.
 
     Args:
-        env: the rovers.
-        policy: decides.
-        repeat: steps that each action is held for.
-        name: of the policy, for the progress bar.
-        places: ``start [count, 3]`` and ``goal [count, 2]`` of every episode; ``None``: each rover drives one, as the
-            environment places it.
+        env: the environment.
+        policy: the policy.
+        action_repeat: number of steps that each action is held for.
+        name: name of the policy, for the progress bar.
+        places: ``start [count, 3]`` and ``goal [count, 2]`` of every episode; ``None``: each rover drives one episode,
+            with the start and goal that the environment draws.
     """
-    check_at_least(1, MAX_COUNT, repeat=repeat)
+    check_at_least(1, MAX_COUNT, action_repeat=action_repeat)
     places = places or {}
     count = len(places["start"]) if places else env.num_envs
-    log = _Log(count, env.length)
+    log = _Recorder(count, env.length, env.control_dt)
     waiting = iter(range(env.num_envs, count))
     episode = torch.arange(env.num_envs)
     driving = torch.ones(env.num_envs, dtype=torch.bool)
@@ -372,7 +197,7 @@ def _drive(
         now = env.reset(**placed())
         log.add(env, now, episode, driving)
         while driving.any():
-            due = now["outcome", "steps"] % repeat == 0
+            due = now["outcome", "steps"] % action_repeat == 0
             action = torch.where(due, _decide(policy, now.set("episode", episode[:, None])), action)
             now = env.step(now.set("action", action).set("_step", driving))["next"]
             log.add(env, now, episode, driving)
@@ -385,55 +210,56 @@ def _drive(
             if again.any():
                 now = env.reset(now.set("_reset", again[:, None]), **placed())
                 log.add(env, now, episode, again)
-            show(log.share)
+            show(log.progress)
     return log.trajectories
 
 
 def _decide(policy: Policy, observation: TensorDictBase) -> Tensor:
-    """The policy's action ``[N, 2]``, computed on 32 rows or more, which all round alike."""
+    """The policy's action ``[N, 2]``, computed on at least 32 rows, so that it rounds alike for any number."""
     rows = len(observation)
-    filled = observation[torch.arange(max(rows, _LEAST_ROWS)).clamp(max=rows - 1)]
+    filled = observation[torch.arange(max(rows, _MIN_ROWS)).clamp(max=rows - 1)]
     return policy(filled)["action"][:rows]
 
 
-class _Log:
-    """What happens in episodes, step by step, in one tensor for all of them.
+class _Recorder:
+    """Records episodes step by step, in one tensor for all of them.
 
     Args:
-        count: episodes.
-        length: steps of the longest.
+        count: number of episodes.
+        length: number of steps of the longest episode.
+        dt: duration of a step, s.
     """
 
-    def __init__(self, count: int, length: int) -> None:
+    def __init__(self, count: int, length: int, dt: float) -> None:
+        self._dt = dt
         # Position (3), angles (3), collision, goal.
         self._records = torch.zeros(count, length + 1, 8)
         self._steps = torch.zeros(count, dtype=torch.int64)
         self._endings = [""] * count
 
     def add(self, env: RoverEnv, now: TensorDictBase, episode: Tensor, rows: Tensor) -> None:
-        """Notes where the rovers of ``rows`` (bool ``[N]``) are, in the episode ``[N]`` that each drives."""
-        pitch, roll, yaw = now["imu"].split(1, -1)
-        outcome = now["outcome"]
+        """Records the rovers of ``rows`` (bool ``[N]``), in the episode ``[N]`` that each drives."""
+        outcome, rover = now["outcome"], env.rover_state
         events = (outcome["collision"], outcome["goal_reached"])
-        record = torch.cat((env.rover_state.position, roll, pitch, yaw, *events), -1)
+        record = torch.cat((rover.position, quaternion_to_euler(rover.orientation), *events), -1)
         steps = outcome["steps"].squeeze(-1)
         self._records[episode[rows], steps[rows]] = record[rows]
         self._steps[episode[rows]] = steps[rows]
 
     def end(self, now: TensorDictBase, episode: int) -> None:
-        """Notes how an episode ended, from what its rover saw last."""
+        """Records the ending of an episode from its last step."""
         early = bool(now["terminated"])
         self._endings[episode] = ENDINGS[StepEvent(int(now["outcome", "phase"]))] if early else TIME_LIMIT
 
     @property
-    def share(self) -> float:
-        """Of all episodes that is done."""
+    def progress(self) -> float:
+        """Fraction of the work that is done."""
         ended = torch.tensor([bool(ending) for ending in self._endings])
         return torch.where(ended, 1.0, self._steps / (self._records.shape[1] - 1)).mean().item()
 
     @property
     def trajectories(self) -> list[Trajectory]:
-        """The episodes, in order."""
+        """Trajectories of the episodes, in order."""
         recorded = zip(self._records, self._steps.tolist(), self._endings, strict=True)
         return [
             Trajectory(
@@ -442,6 +268,7 @@ class _Log:
                 collision=record[1 : steps + 1, 6].bool(),
                 goal=record[1 : steps + 1, 7].bool(),
                 ending=ending,
+                dt=self._dt,
             )
             for record, steps, ending in recorded
         ]
@@ -449,8 +276,8 @@ class _Log:
 
 @contextmanager
 def _progress_bar(name: str) -> Iterator[Callable[[float], None]]:
-    """A function that shows the share done, on a terminal; nothing is left of it in the end."""
+    """Yields a function that shows the progress on a terminal. The bar disappears at the end."""
     columns = (TextColumn(name), BarColumn(20), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, transient=True, disable=not Console().is_terminal) as progress:
         task = progress.add_task("", total=1.0)
-        yield lambda share: progress.update(task, completed=share)
+        yield lambda progress: progress.update(task, completed=progress)

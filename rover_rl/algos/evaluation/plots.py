@@ -155,7 +155,7 @@ class _Group:
 
     @property
     def world(self) -> str:
-        return ", ".join(self.runs[0].config.worlds)
+        return ", ".join(self.runs[0].config.env.world_names)
 
     @property
     def end(self) -> float:

@@ -88,7 +88,7 @@ class Checkpoint:
         return checkpoint
 
     def make_actor(self) -> ProbabilisticActor:
-        """The policy, as a TorchRL module.
+        """The policy, as a TorchRL module, with the environment that it was made for as ``made_for``.
 
         Raises:
             ValueError: if weights and settings do not belong together.
@@ -100,6 +100,8 @@ class Checkpoint:
             actor.load_state_dict(self.actor)
         except RuntimeError as error:
             raise ValueError(f"the checkpoint's weights do not fit hidden={network.hidden}") from error
+        # An attribute of the module, so that whoever drives the policy can compare environments.
+        actor.made_for = env
         return actor
 
 

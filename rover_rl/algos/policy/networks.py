@@ -14,24 +14,23 @@ from torch import Tensor, nn
 from torchrl.data import Bounded
 from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 
-from rover_rl.envs.specs import ACTION, Bounds, bounded_spec
+from rover_rl.envs.config import ActionConfig
+from rover_rl.envs.specs import action_bounds, bounded_spec
 
-FORWARD = Bounds(low=(0.0, ACTION.low[1]), high=ACTION.high)
-"""Bounds of actions that do not drive backwards."""
 DEFAULT_KEYS = ("lidar", "imu", "target", "velocities")
 """Entries of the observation that networks read by default. With the pose, a policy would memorize the map."""
 WAVELENGTHS = (64.0, 16.0, 4.0)
 """Wavelengths of the sine and cosine features of a position, m. The largest world is 64 m wide."""
 
 
-def action_spec(reverse: bool = True, device: torch.device | str | None = None) -> Bounded:
+def action_spec(action: ActionConfig | None = None, device: torch.device | str | None = None) -> Bounded:
     """Returns the action spec of one rover, ``[2]``.
 
     Args:
-        reverse: whether actions may drive backwards.
+        action: bounds of the action; ``None``: the contract's.
         device: device of the spec; ``None``: the CPU.
     """
-    return bounded_spec(ACTION if reverse else FORWARD, (), device)
+    return bounded_spec(action_bounds(action or ActionConfig()), (), device)
 
 
 def middle_and_half(spec: Bounded) -> tuple[Tensor, Tensor]:
@@ -147,7 +146,7 @@ class EncodedNetwork(nn.Module):
 def make_actor(
     encoder: ObservationEncoder | None = None,
     hidden: Sequence[int] = (128, 128),
-    reverse: bool = True,
+    action: ActionConfig | None = None,
     max_std: float = 2.0,
     device: torch.device | str | None = None,
 ) -> ProbabilisticActor:
@@ -156,7 +155,7 @@ def make_actor(
     Args:
         encoder: encoder of the observation; ``None``: an encoder of the default entries.
         hidden: number of units of each hidden layer.
-        reverse: whether the policy may drive backwards.
+        action: bounds of the action; ``None``: the contract's.
         max_std: largest standard deviation of the normal distribution, before squashing.
         device: device of the policy; ``None``: the CPU.
 
@@ -170,7 +169,7 @@ def make_actor(
         >>> actor(env.reset())["action"].shape
         torch.Size([2, 2])
     """
-    encoder, spec = encoder or ObservationEncoder(), action_spec(reverse, device)
+    encoder, spec = encoder or ObservationEncoder(), action_spec(action, device)
     # With small weights in the last layer, the first actions are near the center of their bounds for any observation.
     body = _mlp(encoder.features, hidden, 2 * spec.shape[-1], gain=0.01)
     network = EncodedNetwork(encoder, nn.Sequential(body, NormalParameters(max_std)))
@@ -237,7 +236,7 @@ def make_critic(
 def make_action_critic(
     features: int,
     hidden: Sequence[int] = (128, 128),
-    reverse: bool = True,
+    action: ActionConfig | None = None,
     device: torch.device | str | None = None,
 ) -> ValueOperator:
     """Creates an action-value function from ``features [..., n]`` and action to ``state_action_value [..., 1]``.
@@ -245,10 +244,10 @@ def make_action_critic(
     Args:
         features: number n of features of an :class:`ObservationEncoder`.
         hidden: number of units of each hidden layer.
-        reverse: whether actions may drive backwards.
+        action: bounds of the action; ``None``: the contract's.
         device: device of the network; ``None``: the CPU.
     """
-    network = _ActionCritic(features, hidden, action_spec(reverse))
+    network = _ActionCritic(features, hidden, action_spec(action))
     return ValueOperator(network.to(device), in_keys=["features", "action"])
 
 

@@ -1,4 +1,4 @@
-"""Where decisions come from: TorchRL's collectors, in this process, in one a core, or on a Ray cluster."""
+"""Data collection with TorchRL's collectors: in this process, in several processes, or on a Ray cluster."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -26,43 +26,38 @@ from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.train.env import SESSION_SEEDS, make_training_env
 
 _LAST_LINES = 60
-"""Of what a worker that failed has said."""
+"""Number of lines of a failed worker's output that are reported."""
 _PATIENCE = 1.0
-"""Seconds between two looks at whether the workers live."""
+"""Seconds between two checks of whether the workers are alive."""
 _RAY_PATIENCE = 10.0
-"""Seconds that Ray has to say which worker has ended."""
+"""Seconds to wait for Ray to report which worker has ended."""
 
 
 class WorkerError(ChildProcessError):
-    """A process that simulates has failed; its last words are in the message."""
+    """A worker process has failed. The message holds the end of its output."""
 
 
 @contextmanager
-def collecting(
-    config: TrainingConfig, actor: ProbabilisticActor, decisions: int, session: int = 0
-) -> Iterator[Iterator[TensorDictBase]]:
-    """Batches ``[num_envs, decisions]`` without end; what makes them is closed in the end.
+def collect(config: TrainingConfig, actor: ProbabilisticActor, session: int = 0) -> Iterator[Iterator[TensorDictBase]]:
+    """Opens a collector; a context manager that gives an endless iterator over batches ``[num_envs, rollout_length]``.
 
-    Where the algorithm is ``asynchronous`` and there are several workers, each batch is of one worker's rows alone,
-    ``[rovers_each, decisions]``, and the others go on while it is learned from. When a batch is asked for, workers are
-    told the actor's weights of that moment.
+    If the algorithm is ``asynchronous`` and there are several workers, each batch holds the rows of one worker,
+    ``[rovers_per_worker, rollout_length]``, and the other workers continue in the meantime. Workers get the actor's
+    present weights whenever a batch is requested.
 
     Args:
-        config: of the training.
-        actor: takes the actions.
-        decisions: of each rover in a batch.
+        config: settings of the training.
+        actor: chooses the actions.
         session: how often the run has been resumed.
 
     Raises:
-        WorkerError: by the iterator, within seconds of a worker's end.
+        WorkerError: from the iterator, within seconds after a worker ends.
     """
-    frames = config.num_envs * decisions
-    if config.backend == "ray":
-        make = _on_a_cluster
-    else:
-        make = _in_processes if config.processes > 1 else _in_this_process
-    # An asynchronous collector's batch is one worker's.
-    with make(config, actor, frames // config.processes if config.asynchronous else frames, session) as batches:
+    frames = config.num_envs * config.algorithm.rollout_length
+    if config.algorithm.asynchronous:
+        # A batch of an asynchronous collector comes from one worker.
+        frames //= config.workers
+    with _COLLECTORS[config.collector](config, actor, frames, session) as batches:
         yield batches
 
 
@@ -88,15 +83,15 @@ def _in_processes(
     config: TrainingConfig, actor: ProbabilisticActor, frames: int, session: int
 ) -> Iterator[Iterator[TensorDictBase]]:
     with TemporaryDirectory(prefix="rover_rl-") as folder:
-        logs = [Path(folder) / f"worker-{worker}" for worker in range(config.processes)]
+        logs = [Path(folder) / f"worker-{worker}" for worker in range(config.workers)]
         collector = Collector(
             [partial(_make_worker_env, config, worker, session, log) for worker, log in enumerate(logs)],
             actor,
-            num_collectors=config.processes,
-            sync=not config.asynchronous,
+            num_collectors=config.workers,
+            sync=not config.algorithm.asynchronous,
             frames_per_batch=frames,
-            # One worker's batch needs not be put together with others.
-            cat_results=None if config.asynchronous else 0,
+            # Batches of single workers are not concatenated.
+            cat_results=None if config.algorithm.asynchronous else 0,
             use_buffers=True,
             num_threads=1,
             auto_register_policy_transforms=False,
@@ -108,28 +103,28 @@ def _in_processes(
 
 
 def _watched(collector: BaseCollector, logs: list[Path]) -> Iterator[TensorDictBase]:
-    """The collector's batches, until one of its workers fails."""
+    """Yields the collector's batches until a worker fails."""
     batches = iter(collector)
     while True:
         try:
             batch = next(batches)
             yield batch
-            _tell_weights(collector)
+            _send_weights(collector)
         except (RuntimeError, OSError, EOFError) as error:
-            raise WorkerError("\n".join((str(error), *map(_last_words, logs)))) from error
+            raise WorkerError("\n".join((str(error), *map(_last_output, logs)))) from error
 
 
-def _tell_weights(collector: BaseCollector) -> None:
-    """Tells the workers the actor's weights; TorchRL by itself would wait for the answer of a dead one for ever."""
+def _send_weights(collector: BaseCollector) -> None:
+    """Sends the actor's weights to the workers. TorchRL alone would wait forever for the answer of a dead worker."""
     done: Future[None] = Future()
 
-    def tell() -> None:
+    def send() -> None:
         try:
             done.set_result(collector.update_policy_weights_())
         except Exception as error:
             done.set_exception(error)
 
-    Thread(target=tell, daemon=True).start()
+    Thread(target=send, daemon=True).start()
     while True:
         try:
             return done.result(timeout=_PATIENCE)
@@ -139,17 +134,17 @@ def _tell_weights(collector: BaseCollector) -> None:
                     raise RuntimeError(f"worker {number} ended (exit code {process.exitcode})") from None
 
 
-def _last_words(log: Path) -> str:
+def _last_output(log: Path) -> str:
     lines = log.read_text(errors="replace").splitlines() if log.exists() else []
-    return "\n".join((f"{log.name}:", *lines[-_LAST_LINES:])) if lines else f"{log.name} has said nothing"
+    return "\n".join((f"{log.name}:", *lines[-_LAST_LINES:])) if lines else f"{log.name} printed nothing"
 
 
 def _make_worker_env(config: TrainingConfig, worker: int, session: int, log: Path) -> EnvBase:
-    """A worker's rovers, in its process, which leaves Ctrl-C to the one that trains."""
+    """The environment of a worker process, which leaves Ctrl-C to the training process."""
     if multiprocessing.parent_process() is not None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         torch.manual_seed(config.seed + worker + session * SESSION_SEEDS)
-        # Its traceback, or what Bullet or the interpreter say as they crash, is for the process that trains to tell.
+        # The training process reports its traceback, and what Bullet or the interpreter print when they crash.
         with log.open("wb", buffering=0) as file:
             os.dup2(file.fileno(), 2)
         faulthandler.enable(all_threads=False)
@@ -163,16 +158,16 @@ def _on_a_cluster(
     from ray.exceptions import RayError
 
     collector = Collector(
-        [partial(_make_remote_env, config, worker, session) for worker in range(config.processes)],
+        [partial(_make_remote_env, config, worker, session) for worker in range(config.workers)],
         actor,
-        num_collectors=config.processes,
-        sync=not config.asynchronous,
+        num_collectors=config.workers,
+        sync=not config.algorithm.asynchronous,
         backend="ray",
         frames_per_batch=frames,
         total_frames=sys.maxsize,
         backend_options={
             "remote_configs": {"num_cpus": 1},
-            # At any other moment this would wait for workers that are driving.
+            # At any other time this would wait for workers that are collecting.
             "update_after_each_batch": True,
             "collector_kwargs": {"track_traj_ids": False, "auto_register_policy_transforms": False},
         },
@@ -181,14 +176,14 @@ def _on_a_cluster(
     def batches() -> Iterator[TensorDictBase]:
         try:
             collector.update_policy_weights_()
-            # Iterating the collector itself would end all workers before the one that failed is known.
+            # Iterating over the collector itself would end all workers before the failed one is known.
             for batch in collector.iterator():
-                # Those of several workers come stacked.
-                yield batch if config.asynchronous else batch.flatten(0, 1)
+                # Batches of several workers are stacked.
+                yield batch if config.algorithm.asynchronous else batch.flatten(0, 1)
         except RayError as error:
             raise WorkerError(str(error)) from error
         except RuntimeError as error:
-            # All that the connection for weights knows is that it is closed.
+            # The connection for weights knows only that it is closed.
             raise WorkerError("\n".join((str(error), *_ended_actors(collector)))) from error
 
     try:
@@ -198,20 +193,28 @@ def _on_a_cluster(
 
 
 def _ended_actors(collector: BaseCollector) -> list[str]:
-    """What Ray says of the workers that have ended; it can take some seconds to know."""
+    """Ray's reports on the workers that have ended, which can take some seconds."""
     import ray
 
     answers = [worker.__ray_ready__.remote() for worker in collector.remote_collectors]
-    said = []
+    reports = []
     for answer in ray.wait(answers, num_returns=len(answers), timeout=_RAY_PATIENCE)[0]:
         try:
             ray.get(answer)
         except ray.exceptions.RayError as error:
-            said.append(str(error))
-    return said
+            reports.append(str(error))
+    return reports
 
 
 def _make_remote_env(config: TrainingConfig, worker: int, session: int) -> EnvBase:
     torch.set_num_threads(1)
     torch.manual_seed(config.seed + worker + session * SESSION_SEEDS)
     return make_training_env(config, worker, session)
+
+
+_COLLECTORS: dict[str, Callable[..., AbstractContextManager[Iterator[TensorDictBase]]]] = {
+    "process": _in_this_process,
+    "processes": _in_processes,
+    "ray": _on_a_cluster,
+}
+"""Collectors, by the name of their kind."""

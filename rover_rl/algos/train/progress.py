@@ -20,11 +20,12 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from tensordict import TensorDictBase
 
+from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.transforms.step_clock import NAMES
 from rover_rl.files import STANDARD_OUTPUT, errors_name, written_whole
 
-EPISODE_STEPS = 2000
-"""Steps of a full episode, as the contract has it."""
+EPISODE_STEPS = EnvConfig.length
+"""Number of steps of a full episode of the contract."""
 _RECENT_STEPS = 80_000
 """Steps that the progress bar looks back over."""
 
@@ -58,7 +59,7 @@ class BatchStatistics:
             "steps": self.steps,
             "goals_per_2000_steps": int(outcome["goals"].sum()) * EPISODE_STEPS / taken,
             "episodes": int(ended.sum()),
-            "episodes_reached": int((after["episode_goal_reward"][ended] > 0).sum()),
+            "episodes_reached": int((after["episode_goals"][ended] > 0).sum()),
             "episode_steps": outcome["steps"][ended].float().mean().item(),
             "episode_return": after["episode_reward"][ended].mean().item(),
         }

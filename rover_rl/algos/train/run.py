@@ -1,6 +1,6 @@
-"""What every training has around its algorithm: a folder, a log, checkpoints, and an end.
+"""Training loop, independent of the algorithm: budget, folder, log and checkpoints.
 
-A :class:`TrainingRun` hands out batches until the budget is used or somebody stops it, and saves what was learned.
+A :class:`TrainingRun` yields batches until the budget is used or the user stops it, and saves what was learned.
 The algorithms are in :mod:`rover_rl.algos.train.ppo` and :mod:`rover_rl.algos.train.sac`.
 """
 
@@ -9,65 +9,58 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.modules import ProbabilisticActor
 
-from rover_rl.algos.config import TrainingConfig, default_workers, write_config
-from rover_rl.algos.policy.checkpoint import (
-    CHECKPOINT,
-    SETTINGS,
-    STATE,
-    Checkpoint,
-    first_not_finite,
-    load_state,
-    new_run_folder,
-    save_run,
-)
-from rover_rl.algos.train.collectors import WorkerError, collecting
-from rover_rl.algos.train.env import LIDAR_POINTS
+from rover_rl.algos.archives import first_not_finite
+from rover_rl.algos.config import TrainingConfig, default_workers, with_settings
+from rover_rl.algos.config_files import write_config
+from rover_rl.algos.policy.checkpoint import CHECKPOINT, SETTINGS, Checkpoint
+from rover_rl.algos.train.collectors import WorkerError, collect
 from rover_rl.algos.train.progress import BatchStatistics, ProgressLog, Stopwatch
 from rover_rl.algos.train.ray_cluster import connect
+from rover_rl.algos.train.run_folder import STATE, load_state, new_run_folder, save_run
 from rover_rl.envs.devices import available_device
+from rover_rl.envs.rewards import reward_components
+from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import get_world
-
-_Config = TypeVar("_Config", bound=TrainingConfig)
 
 
 class Learner(Protocol):
-    """What an algorithm brings to a :class:`TrainingRun`."""
+    """An algorithm, as :class:`TrainingRun` uses it."""
 
     actor: ProbabilisticActor
 
     def weights(self) -> dict[str, Tensor]:
-        """All that is learned, by name."""
+        """All learned tensors, by name."""
         ...
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that learning goes on from: plain data and tensors."""
+        """State from which learning continues: plain data and tensors."""
         ...
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Goes on from there."""
+        """Continues from a state."""
         ...
 
 
 @dataclass(frozen=True)
 class TrainingSummary:
-    """What a training run came to.
+    """Result of a training run.
 
     Attributes:
-        folder: of the run.
-        steps: trained for, 20 Hz steps of one rover.
-        minutes: it took, all sessions together.
-        interrupted: whether it was stopped before its end.
-        shares: of this session's wall clock, by what it was spent on: see :class:`Stopwatch`.
+        folder: folder of the run.
+        steps: number of steps, all rovers together.
+        minutes: duration of all sessions together.
+        interrupted: whether the user stopped the run.
+        shares: shares of this session's wall-clock time, by activity: see :class:`Stopwatch`.
     """
 
     folder: Path
@@ -83,18 +76,18 @@ class TrainingSummary:
 
 
 class TrainingRun:
-    """One training, from its start or from where it was left, to its end; a context manager.
+    """One training, new or resumed; a context manager.
 
-    The folder gets ``config.yaml``, ``progress.csv`` (a row a batch), ``checkpoint.pt`` (the policy),
-    ``training_state.pt`` (all that is needed to go on), ``snapshots/`` (policies from along the way) and, where
-    TensorBoard is installed, ``tensorboard/``. Files are replaced as a whole, every ``checkpoint_minutes`` and in
-    the end. Ctrl-C and SIGTERM end the run after the batch in hand; a second one ends it at once. A run whose weights
-    are no longer finite numbers, or whose files cannot be written, ends with the checkpoint that it had.
+    The run's folder holds ``config.yaml``, ``progress.csv`` (one row per batch), ``checkpoint.pt`` (the policy),
+    ``training_state.pt`` (the state from which training continues), ``snapshots/`` (earlier policies) and, if
+    TensorBoard is installed, ``tensorboard/``. Files are replaced as a whole, every ``checkpoint_minutes`` and at
+    the end. Ctrl-C and SIGTERM end the run after the current batch; a second one ends it immediately. A run whose
+    weights are not finite any more, or whose files cannot be written, keeps its last checkpoint.
 
     Args:
-        config: of the training.
-        learner: what learns.
-        folder: of a run to go on with; ``None`` begins a new one.
+        config: settings of the training.
+        learner: the algorithm.
+        folder: folder of a run to continue; ``None`` begins a new one.
 
     Raises:
         ValueError: for an unknown world, a setting out of range, or a training state that does not fit.
@@ -105,7 +98,7 @@ class TrainingRun:
     Example:
         >>> learner = PPOLearner(config)
         >>> with TrainingRun(config, learner) as run:
-        ...     for batch in run.batches(config.decisions):
+        ...     for batch in run.batches():
         ...         run.record(learner.update(batch, run.share, run.stopwatch))
         >>> run.summary.checkpoint
         PosixPath('runs/ppo-maze/checkpoint.pt')
@@ -119,8 +112,8 @@ class TrainingRun:
         self._saved_steps: int | None = None
         self._stopping = False
         if folder is None:
-            default = "-".join((config.algo, *config.worlds)).replace(":", "-")
-            self.folder = new_run_folder(config.runs, config.name, default)
+            default = "-".join((config.algo, *config.env.world_names)).replace(":", "-")
+            self.folder = new_run_folder(config.run.runs, config.run.name, default)
         else:
             self.folder = folder
             self._go_on()
@@ -128,8 +121,8 @@ class TrainingRun:
         write_config(self.folder / SETTINGS, config)
         self._updates_before = self.updates
         self.stopwatch = Stopwatch()
-        self._last_snapshot = int(self.share * config.snapshots)
-        self._statistics = BatchStatistics(config.repeat, self.steps)
+        self._last_snapshot = int(self.share * config.run.snapshots)
+        self._statistics = BatchStatistics(config.collection.action_repeat, self.steps)
         self._log = ProgressLog(self.folder, self.updates, self.steps)
 
     def _go_on(self) -> None:
@@ -165,8 +158,8 @@ class TrainingRun:
     @property
     def share(self) -> float:
         """Share of the budget that is used: of the steps or of the time, whichever is more; at most 1."""
-        limit = self.config.max_minutes
-        return min(1.0, max(self.steps / self.config.total_steps, self.minutes / limit if limit else 0.0))
+        limit = self.config.run.max_minutes
+        return min(1.0, max(self.steps / self.config.run.total_steps, self.minutes / limit if limit else 0.0))
 
     @property
     def summary(self) -> TrainingSummary:
@@ -206,18 +199,18 @@ class TrainingRun:
         self._stopping = True
         self._log.say(f"{signal.Signals(number).name}: stopping after this batch; once more stops at once")
 
-    def batches(self, decisions: int) -> Iterator[TensorDictBase]:
+    def batches(self) -> Iterator[TensorDictBase]:
         """Batches until the run is over, at least one in a new run.
 
-        Learn from each, then :meth:`record` it. See :func:`~rover_rl.algos.train.collectors.collecting`.
+        Learn from each, then :meth:`record` it. See :func:`~rover_rl.algos.train.collectors.collect`.
         """
         if self.updates and self.share >= 1:
             return
-        with collecting(self.config, self.learner.actor, decisions, self._session) as batches:
+        with collect(self.config, self.learner.actor, self._session) as batches:
             while not self.updates or (self.share < 1 and not self._stopping):
                 asked = self.stopwatch.elapsed
                 batch = next(batches)
-                self.stopwatch.collected(batch, self.config.rovers_each, self.stopwatch.elapsed - asked)
+                self.stopwatch.collected(batch, self.config.rovers_per_worker, self.stopwatch.elapsed - asked)
                 self._counted = self._statistics(batch)
                 yield batch
 
@@ -226,11 +219,11 @@ class TrainingRun:
         self.steps, self.updates = self._statistics.steps, self.updates + 1
         self._log.add({"updates": self.updates, "minutes": self.minutes, **self._counted, **learned})
         self._require_finite()
-        due = int(self.share * self.config.snapshots)
+        due = int(self.share * self.config.run.snapshots)
         if due > self._last_snapshot:
             self._last_snapshot = due
             self._checkpoint().save(self.folder / "snapshots" / f"{self.steps:09d}.pt")
-        if self.minutes - self._saved_at >= self.config.checkpoint_minutes:
+        if self.minutes - self._saved_at >= self.config.run.checkpoint_minutes:
             self._save()
         try:
             self._log.show(self.share)
@@ -242,7 +235,7 @@ class TrainingRun:
     def _checkpoint(self) -> Checkpoint:
         state = self.learner.actor.state_dict()
         weights = {name: value.detach().to("cpu", copy=True) for name, value in state.items()}
-        return Checkpoint(config=self.config, lidar_points=LIDAR_POINTS, steps=self.steps, actor=weights)
+        return Checkpoint(config=self.config, steps=self.steps, actor=weights)
 
     def _save(self) -> None:
         self._saved_at = self.minutes
@@ -268,7 +261,7 @@ class TrainingRun:
         infected = first_not_finite(self.learner.weights())
         if infected is None:
             return
-        lower = f"--learning-rate {self.config.learning_rate / 3:.1g}"
+        lower = f"--learning-rate {self.config.algorithm.learning_rate / 3:.1g}"
         if self._saved_steps is None:
             advice = f"there is no checkpoint yet; begin a new run with a lower learning rate, such as {lower}"
         else:
@@ -281,35 +274,38 @@ class TrainingRun:
         )
 
 
-def prepare(config: _Config) -> _Config:
-    """Refuses settings that cannot work, and seeds torch: what comes before a learner is made.
+def prepare(config: TrainingConfig) -> TrainingConfig:
+    """Checks the settings and seeds PyTorch, before a learner is made.
 
     Returns:
-        The settings, with the number of workers if they left it open.
+        The settings, with the number of workers if it was left open.
 
     Raises:
-        ValueError: for an unknown world, a device that is not there, or a setting out of range.
-        ImportError: if the backend's extra is missing.
-        ConnectionError: if there is no Ray cluster where there should be one.
+        ValueError: for an unknown world, robot or reward, a device that does not exist, or a setting out of range.
+        ImportError: if the extra of the backend or the collector is missing.
+        ConnectionError: if no Ray cluster answers.
     """
     config.check()
-    for world in config.worlds:
+    env = config.env
+    for world in env.worlds:
         get_world(world)
+    get_robot(env.robot)
+    reward_components(env.reward, env.contract_reward)
     available_device(config.device)
-    cores = None
-    if config.backend == "ray":
-        # Before a TrainingRun takes over SIGTERM, which Ray does, too.
-        cores = connect()
-        if (config.workers or 1) > cores:
-            raise ValueError(f"workers={config.workers} need a processor each, and the Ray cluster has {cores}")
+    workers = config.workers
+    if config.collector == "ray":
+        # Before a TrainingRun handles SIGTERM: Ray handles it, too.
+        cores, given = connect(), config.collection.workers
+        if (given or 1) > cores:
+            raise ValueError(f"workers={given} need a processor each, and the Ray cluster has {cores}")
+        workers = given or default_workers(config.num_envs, cores)
     torch.manual_seed(config.seed)
-    processes = config.processes if cores is None else config.workers or default_workers(config.num_envs, cores)
-    return replace(config, workers=processes)
+    return with_settings(config, workers=workers)
 
 
 def set_learning_rate(optimizer: torch.optim.Optimizer, config: TrainingConfig, share: float) -> float:
     """Gives the optimizer the learning rate that belongs to the ``share`` of the training done; returns it."""
-    learning_rate = config.learning_rate * (1 - share if config.anneal else 1.0)
+    learning_rate = config.algorithm.learning_rate * (1 - share if config.algorithm.anneal else 1.0)
     for group in optimizer.param_groups:
         group["lr"] = learning_rate
     return learning_rate

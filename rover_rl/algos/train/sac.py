@@ -78,22 +78,22 @@ class SACLearner:
         self.config, self._settings = config, config.algorithm
         settings, network, device = config.algorithm, config.network, config.device
         self._encoder = ObservationEncoder(network.observation, config.env.lidar.points, network.north_up)
-        spec = action_spec(config.env.action, config.device)
-        self.actor = make_actor(self._encoder, network.hidden, config.env.action, network.max_std, config.device)
+        spec = action_spec(config.env.action, device)
+        self.actor = make_actor(self._encoder, network.hidden, config.env.action, network.max_std, device)
         self._loss = SACLoss(
             on_features(self.actor),
-            make_action_critic(self._encoder.features, network.hidden, config.env.action, config.device),
+            make_action_critic(self._encoder.features, network.hidden, config.env.action, device),
             num_qvalue_nets=2,
             loss_function="l2",
             action_spec=spec,
             alpha_init=settings.alpha,
             # TorchRL's entropy is that of actions in their own units, whose range is wider by this factor.
             target_entropy=settings.target_entropy + math.log(middle_and_half(spec)[1].prod().item()),
-        ).to(config.device)
+        ).to(device)
         self._loss.make_value_estimator(gamma=settings.gamma)
         self._slow_copies = SoftUpdate(self._loss, tau=settings.tau)
         self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=settings.learning_rate, fused=True)
-        storage = LazyTensorStorage(settings.buffer_size, device=config.device)
+        storage = LazyTensorStorage(settings.buffer_size, device=device)
         self._memory = ReplayBuffer(storage=storage, batch_size=settings.minibatch)
         self._due = 0.0
         after = ("reward", "done", "terminated", *network.observation)

@@ -1,0 +1,197 @@
+"""Results of evaluations."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from rover_rl.algos.evaluation.episodes import EpisodeSet
+from rover_rl.algos.evaluation.metrics import Estimate, Trajectory, count_runs, endless_metrics, goal_metrics
+from rover_rl.envs.config import EnvConfig, plain_env
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.worlds import World
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Results of a policy on episodes with one goal each.
+
+    Attributes:
+        name: name of the policy.
+        episodes: the episodes.
+        action_repeat: number of steps that each action was held for.
+        seconds: time limit of an episode.
+        trajectories: trajectory of each episode.
+        env: description of the environment.
+    """
+
+    name: str
+    episodes: EpisodeSet
+    action_repeat: int
+    seconds: float
+    trajectories: list[Trajectory]
+    env: EnvConfig = field(default_factory=EnvConfig)
+
+    @property
+    def endings(self) -> list[str]:
+        """Ending of each episode: ``"goal"``, ``"time limit"``, or an early ending."""
+        return [trajectory.ending for trajectory in self.trajectories]
+
+    @property
+    def steps(self) -> Tensor:
+        """Number of steps of each episode, int64 ``[count]``."""
+        return torch.tensor([len(trajectory) for trajectory in self.trajectories])
+
+    @property
+    def paths(self) -> list[Tensor]:
+        """Positions at the start and after each step: ``[T + 1, 2]`` each, m."""
+        return [trajectory.path for trajectory in self.trajectories]
+
+    @property
+    def reached(self) -> Tensor:
+        """Whether each episode reached its goal, bool ``[count]``."""
+        return torch.tensor([ending == "goal" for ending in self.endings])
+
+    @cached_property
+    def metrics(self) -> dict[str, Estimate]:
+        """Metrics, by name: see :mod:`rover_rl.algos.evaluation.metrics`."""
+        return goal_metrics(
+            self.trajectories, self.episodes.shortest, self.episodes.world, robot=get_robot(self.env.robot)
+        )
+
+    @property
+    def success_rate(self) -> float:
+        """Fraction of episodes that reached their goal."""
+        return self.reached.double().mean().item()
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % confidence interval of the success rate."""
+        estimate = self.metrics["success_rate"]
+        return estimate.low, estimate.high
+
+    @property
+    def mean_time(self) -> float:
+        """Mean time to the goal over the episodes that reached it, s; nan if none did."""
+        return self.metrics["mean_time_to_traverse"].value
+
+    @property
+    def goals_per_2000_steps(self) -> float:
+        """Goals reached per 2,000 steps, the length of a full episode."""
+        return int(self.reached.sum()) * EnvConfig.length / int(self.steps.sum())
+
+    @property
+    def title(self) -> str:
+        """Title of a table with these results."""
+        return f"{len(self.episodes)} episodes in {self.episodes.name}: one goal within {self.seconds:g} s"
+
+    def summary(self) -> dict[str, Any]:
+        """Policy, world and counts, as plain data."""
+        episodes = self.episodes
+        shared = _summary(self.name, episodes.name, "one goal", episodes.seed, self.action_repeat, self.trajectories)
+        return shared | {"time_limit": self.seconds}
+
+    def to_json(self) -> dict[str, Any]:
+        """All results without the trajectories, as plain data."""
+        episodes = self.episodes
+        columns = (episodes.start.tolist(), episodes.goal.tolist(), episodes.shortest.tolist())
+        rows = zip(*columns, self.trajectories, strict=True)
+        return {
+            **_results(self),
+            "episodes": [
+                {"start": start, "goal": goal, "shortest": shortest, "length": t.length, **_episode(t)}
+                for start, goal, shortest, t in rows
+            ],
+        }
+
+
+@dataclass(frozen=True)
+class EndlessEvaluation:
+    """Results of a policy in endless mode, where each goal is followed by another, as in the original's episodes.
+
+    Attributes:
+        name: name of the policy.
+        world_name: name of the world, as the user gave it.
+        world: the world.
+        seed: seed of the first episode.
+        action_repeat: number of steps that each action was held for.
+        jam: whether a long collision ended an episode.
+        length: number of steps after which an episode ended.
+        trajectories: trajectory of each episode.
+        env: description of the environment.
+    """
+
+    name: str
+    world_name: str
+    world: World
+    seed: int
+    action_repeat: int
+    jam: bool
+    length: int
+    trajectories: list[Trajectory]
+    env: EnvConfig = field(default_factory=EnvConfig)
+
+    @cached_property
+    def metrics(self) -> dict[str, Estimate]:
+        """Metrics, by name: see :mod:`rover_rl.algos.evaluation.metrics`."""
+        return endless_metrics(self.trajectories, self.world, robot=get_robot(self.env.robot))
+
+    @property
+    def title(self) -> str:
+        """Title of a table with these results."""
+        count, limit = len(self.trajectories), f"{self.length:,} steps"
+        jam = "" if self.jam else ", without the jam ending"
+        return f"{count} episodes in {self.world_name}: endless goals, {limit} each{jam}"
+
+    def summary(self) -> dict[str, Any]:
+        """Policy, world and counts, as plain data."""
+        shared = _summary(self.name, self.world_name, "endless", self.seed, self.action_repeat, self.trajectories)
+        return shared | {"time_limit": self.length * self.trajectories[0].dt, "jam": self.jam}
+
+    def to_json(self) -> dict[str, Any]:
+        """All results without the trajectories, as plain data."""
+        episodes = [{"goals": int(t.goal.sum()), **_episode(t)} for t in self.trajectories]
+        return {**_results(self), "episodes": episodes}
+
+
+def _summary(
+    name: str, world: str, mode: str, seed: int, action_repeat: int, trajectories: Sequence[Trajectory]
+) -> dict[str, Any]:
+    return {
+        "policy": name,
+        "world": world,
+        "mode": mode,
+        "seed": seed,
+        "action_repeat": action_repeat,
+        "count": len(trajectories),
+        "goals": sum(int(t.goal.sum()) for t in trajectories),
+        "collisions": sum(count_runs(t.collision) for t in trajectories),
+    }
+
+
+def _results(evaluation: Evaluation | EndlessEvaluation) -> dict[str, Any]:
+    metrics = {
+        key: {field: number if math.isfinite(number) else None for field, number in vars(estimate).items()}
+        for key, estimate in evaluation.metrics.items()
+    }
+    endings = Counter(trajectory.ending for trajectory in evaluation.trajectories)
+    return {**evaluation.summary(), "env": _described(evaluation.env), "metrics": metrics, "endings": dict(endings)}
+
+
+def _described(env: EnvConfig) -> dict[str, Any] | None:
+    """The environment as plain data; ``None`` if a part of it is an object, which has none."""
+    try:
+        return plain_env(env)
+    except ValueError:
+        return None
+
+
+def _episode(trajectory: Trajectory) -> dict[str, Any]:
+    return {"ending": trajectory.ending, "seconds": round(trajectory.seconds, 3)}
