@@ -4,8 +4,8 @@
 
 The controller turns the rover toward its goal and steers away from obstacles ahead. The first part prints the distance
 and direction of the goal every two seconds, and the result of the episode. The second part counts the goals that the
-sixteen rovers reach. The controller fails where a wall stands between the rover and its goal: driving around walls takes
-a trained policy.
+sixteen rovers reach. The controller fails where a wall stands between the rover and its goal; driving around walls
+takes a trained policy.
 """
 
 from __future__ import annotations

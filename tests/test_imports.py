@@ -1,4 +1,4 @@
-"""The package's import graph: free of cycles, and along its layers. Names and lengths of its modules."""
+"""The package's import graph has no cycle and follows the layers; its modules are short and have specific names."""
 
 from __future__ import annotations
 
@@ -53,20 +53,19 @@ SEPARATE = {
     "algos.evaluation": ("algos.train",),
     "algos.train": ("algos.evaluation",),
 }
-"""Imports that the layers would permit and that are forbidden all the same."""
+"""Packages, and other packages that they do not import although the layers would permit it."""
 
 
 class Import(NamedTuple):
-    """One import statement: ``importer`` imports ``imported`` in line ``line``. Names are relative to ``rover_rl``."""
+    """Module ``importer`` imports module ``imported`` in line ``line``. Names are relative to ``rover_rl``."""
 
     importer: str
     imported: str
     line: int
 
     def __str__(self) -> str:
-        return (
-            f"{file_of(self.importer).relative_to(PACKAGE.parent)}:{self.line} imports {PACKAGE.name}.{self.imported}"
-        )
+        path = file_of(self.importer).relative_to(PACKAGE.parent)
+        return f"{path}:{self.line} imports {PACKAGE.name}.{self.imported}"
 
 
 # -----------------------------------------------------------------------------------------------------------
@@ -100,7 +99,7 @@ def is_type_checking(node: ast.AST) -> bool:
 
 
 def runtime_nodes(node: ast.AST, in_package: bool) -> Iterator[ast.AST]:
-    """All nodes but those under ``if TYPE_CHECKING:`` and, in a package, those of a lazy ``__getattr__``."""
+    """All nodes below ``node``, except for ``if TYPE_CHECKING:`` blocks and, in a package, its lazy ``__getattr__``."""
     for child in node.orelse if is_type_checking(node) else ast.iter_child_nodes(node):
         if in_package and isinstance(child, ast.FunctionDef) and child.name == "__getattr__":
             continue
@@ -109,11 +108,11 @@ def runtime_nodes(node: ast.AST, in_package: bool) -> Iterator[ast.AST]:
 
 
 def imported_names(node: ast.AST, package: list[str]) -> Iterator[str]:
-    """Dotted names that a node imports. ``from a import b`` gives ``a.b`` where that is a module, otherwise ``a``.
+    """Dotted names that a node imports. ``from a import b`` gives ``a.b`` if that is a module, otherwise ``a``.
 
     Args:
-        node: any node of a syntax tree.
-        package: parts of the name of the package that holds the code, for relative imports.
+        node: node of a syntax tree.
+        package: parts of the name of the enclosing package, for relative imports.
     """
     if isinstance(node, ast.Import):
         yield from (alias.name for alias in node.names)
@@ -128,7 +127,7 @@ def imported_names(node: ast.AST, package: list[str]) -> Iterator[str]:
 
 
 def read_imports(module: str, source: str) -> Iterator[Import]:
-    """The imports of a module from the package, those within functions included."""
+    """Imports of a module from the package, including those in functions."""
     package = [PACKAGE.name, *module.split(".")[:-1]]
     for node in runtime_nodes(ast.parse(source), in_package=module.endswith("__init__")):
         for name in imported_names(node, package):
@@ -139,7 +138,7 @@ def read_imports(module: str, source: str) -> Iterator[Import]:
 
 @lru_cache
 def imports() -> tuple[Import, ...]:
-    """All imports within the package, each once."""
+    """All imports within the package, without duplicates."""
     edges = (edge for module in sorted(modules()) for edge in read_imports(module, file_of(module).read_text()))
     return tuple(dict.fromkeys(edges))
 
@@ -194,7 +193,7 @@ def test_separate_parts_do_not_import_each_other():
     assert not forbidden, "\n".join(forbidden)
 
 
-def test_the_graph_holds_imports_in_functions_and_of_import_module_and_none_for_type_checking():
+def test_imports_in_functions_and_import_module_calls_count_and_type_checking_blocks_do_not():
     source = """
 from typing import TYPE_CHECKING
 import rover_rl.checks
