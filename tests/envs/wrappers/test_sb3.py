@@ -199,7 +199,8 @@ def test_ppo_learns_on_the_batch():
 
 def test_a_missing_library_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
-    monkeypatch.delitem(sys.modules, "rover_rl.envs.sb3")
+    for module in ("rover_rl.envs.sb3", "rover_rl.envs.wrappers.sb3"):
+        monkeypatch.delitem(sys.modules, module)
     with pytest.raises(ImportError, match=r"pip install \"rover_rl\[sb3\]\""):
         importlib.import_module("rover_rl.envs.sb3")
 
