@@ -1,10 +1,11 @@
-"""A hand-written driver in the Gymnasium environment: first one rover to its goal, then sixteen at once.
+"""A hand-written controller in the Gymnasium environment, for one rover and for a batch of sixteen.
 
     python examples/gymnasium_drive.py
 
-The rover turns towards its goal and drives, but away from what it sees right in front. The first part prints where the
-goal is every two seconds, and in the end how the episode went; the second counts the goals that sixteen rovers reach.
-Such a driver gets stuck wherever a wall stands between it and the goal. That is what learning is for.
+The controller turns the rover toward its goal and steers away from obstacles ahead. The first part prints the distance
+and direction of the goal every two seconds, and the result of the episode. The second part counts the goals that the
+sixteen rovers reach. The controller fails where a wall stands between the rover and its goal; driving around walls
+takes a trained policy.
 """
 
 from __future__ import annotations
@@ -13,14 +14,14 @@ import gymnasium
 import numpy as np
 import tyro
 
-import rover_rl  # noqa: F401, it makes the environment known to Gymnasium
+import rover_rl  # noqa: F401, registers the environment with Gymnasium
 
 
-def drive(observation: dict[str, np.ndarray]) -> np.ndarray:
-    """Forward speed (m/s) and heading offset (rad) of one rover, or of many: ``[..., 2]``.
+def compute_action(observation: dict[str, np.ndarray]) -> np.ndarray:
+    """Forward speed (m/s) and heading offset (rad) of one rover or of a batch: ``[..., 2]``.
 
-    ``target`` is the distance and the relative angle of the goal. The readings of ``lidar`` go counter-clockwise from
-    straight ahead, so that the first ones are ahead to the left, and the last ones ahead to the right.
+    ``target`` holds the distance and relative angle of the goal. ``lidar`` readings are ordered counterclockwise from
+    straight ahead: the first ones are ahead to the left, the last ones ahead to the right.
     """
     angle = observation["target"][..., 1]
     left, right = observation["lidar"][..., :4].min(-1), observation["lidar"][..., -4:].min(-1)
@@ -30,13 +31,13 @@ def drive(observation: dict[str, np.ndarray]) -> np.ndarray:
     return np.stack((speed, np.clip(heading, -np.pi, np.pi)), -1)
 
 
-def drive_one(world: str, steps: int) -> None:
-    """One rover, one goal."""
+def run_single(world: str, steps: int) -> None:
+    """Drives one rover to one goal and prints its progress."""
     env = gymnasium.make("rover_rl/Rover-v0", world_n=world, end_on_goal=True, time_limit="truncated", length=steps)
     observation, info = env.reset(seed=1)
     total, ended = 0.0, False
     while not ended:
-        observation, reward, terminated, truncated, info = env.step(drive(observation))
+        observation, reward, terminated, truncated, info = env.step(compute_action(observation))
         total += reward
         ended = terminated or truncated
         if info["steps"] % 40 == 0:
@@ -47,30 +48,30 @@ def drive_one(world: str, steps: int) -> None:
     env.close()
 
 
-def drive_many(world: str, steps: int, rovers: int = 16) -> None:
-    """A batch of rovers, stepped as one; each gets a new goal when it has reached one."""
+def run_batch(world: str, steps: int, rovers: int = 16) -> None:
+    """Drives a batch of rovers and prints the number of goals. A rover that reaches its goal gets a new one."""
     envs = gymnasium.make_vec(
         "rover_rl/Rover-v0", num_envs=rovers, vectorization_mode="vector_entry_point", world_n=world
     )
     observations, _ = envs.reset(seed=0)
     goals = jams = 0
     for _ in range(steps):
-        observations, _, _, _, infos = envs.step(drive(observations))
+        observations, _, _, _, infos = envs.step(compute_action(observations))
         goals += np.sum(infos.get("goal_reached", 0))
         jams += np.sum(infos.get("jammed", 0))
-    print(f"{rovers} rovers reached {goals} goals in {steps / 20:.0f} s, and {jams} times one ran into something")
+    print(f"{rovers} rovers reached {goals} goals in {steps / 20:.0f} s and jammed at obstacles {jams} times")
     envs.close()
 
 
 def main(world: str = "inspect", steps: int = 1000) -> None:
-    """Drives by hand-written rules.
+    """Drives with a hand-written controller.
 
     Args:
-        world: to drive in.
-        steps: of 0.05 s, at most.
+        world: name of the world.
+        steps: maximum number of steps of 0.05 s.
     """
-    drive_one(world, steps)
-    drive_many(world, steps)
+    run_single(world, steps)
+    run_batch(world, steps)
 
 
 if __name__ == "__main__":

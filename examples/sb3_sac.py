@@ -1,11 +1,12 @@
-"""Stable-Baselines3's SAC on a batch of rovers.
+"""Training with SAC of Stable-Baselines3 on a batch of rovers.
 
     pip install -e ".[sb3]"
-    python examples/sb3_sac.py                    # 200,000 steps: some minutes
-    python examples/sb3_sac.py --steps 600000     # what `rover-rl train --algo sac` takes by default
+    python examples/sb3_sac.py                    # 200,000 steps: a few minutes
+    python examples/sb3_sac.py --steps 600000     # the default of `rover-rl train --algo sac`
 
-All rovers are one `VecEnv`, stepped as one batch in this process. SB3 prints its table while it trains; `success_rate`
-is the share of the latest episodes with a goal in them. In the end the policy drives without exploration.
+All rovers form one `VecEnv`, which steps them as one batch in this process. SB3 prints a table during training, where
+`success_rate` is the fraction of recent episodes that reached a goal. The script then evaluates the policy without
+exploration.
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ from rover_rl.algos.policy.networks import ObservationEncoder
 from rover_rl.envs.sb3 import SB3VecEnv
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 
-REPEAT = 4  # steps of 0.05 s that an action is held for: noise at 20 Hz averages out, and explores nothing
+ACTION_REPEAT = 4  # steps of 0.05 s per action: exploration noise at 20 Hz averages out
 
 
 class RoverFeatures(BaseFeaturesExtractor):
-    """What the networks see: the observation, scaled for this task. Learning depends on it."""
+    """Features of the networks: the observation, scaled for this task. Unscaled observations do not train well."""
 
     def __init__(self, observation_space: spaces.Dict) -> None:
         encoder = ObservationEncoder()
@@ -40,18 +41,18 @@ class RoverFeatures(BaseFeaturesExtractor):
 
 
 def make_rovers(world: str, rovers: int, seed: int) -> VecMonitor:
-    """A batch of rovers that decide at 5 Hz, in episodes of 30 s; VecMonitor tells SB3 of returns."""
+    """A batch of rovers with actions at 5 Hz and episodes of 30 s. ``VecMonitor`` reports returns to SB3."""
     env = make_env(world_n=world, num_envs=rovers, length=600, seed=seed)
-    env = env.append_transform(ActionRepeat(REPEAT)).append_transform(RewardScaling(loc=0.0, scale=0.05))
+    env = env.append_transform(ActionRepeat(ACTION_REPEAT)).append_transform(RewardScaling(loc=0.0, scale=0.05))
     return VecMonitor(SB3VecEnv(env))
 
 
-def drive(model: SAC, world: str, rovers: int, decisions: int) -> None:
-    """Counts the goals that the policy reaches."""
+def evaluate(model: SAC, world: str, rovers: int, actions: int) -> None:
+    """Prints how many rovers reach a goal within ``actions`` actions, without exploration."""
     envs = make_rovers(world, rovers, seed=1_000)
     observation = envs.reset()
     reached = np.zeros(rovers, bool)
-    for _ in range(decisions):
+    for _ in range(actions):
         action, _ = model.predict(observation, deterministic=True)
         observation, _, ended, infos = envs.step(action)
         reached |= [bool(end and info["is_success"]) for end, info in zip(ended, infos, strict=True)]
@@ -60,14 +61,14 @@ def drive(model: SAC, world: str, rovers: int, decisions: int) -> None:
 
 
 def main(steps: int = 200_000, world: str = "maze", rovers: int = 64) -> None:
-    """Trains a policy with SAC, and drives with it.
+    """Trains a policy with SAC and evaluates it.
 
     Args:
-        steps: to train for, all rovers together.
-        world: to drive in.
-        rovers: that drive at once.
+        steps: total number of environment steps of all rovers.
+        world: name of the world.
+        rovers: number of rovers in the batch.
     """
-    torch.set_num_threads(1)  # networks this small gain nothing from more
+    torch.set_num_threads(1)  # small networks do not gain from more threads
     envs = make_rovers(world, rovers, seed=0)
     model = SAC(
         "MultiInputPolicy",
@@ -83,9 +84,9 @@ def main(steps: int = 200_000, world: str = "maze", rovers: int = 64) -> None:
         seed=0,
         verbose=1,
     )
-    model.learn(steps // REPEAT, log_interval=50)
+    model.learn(steps // ACTION_REPEAT, log_interval=50)
     envs.close()
-    drive(model, world, rovers, decisions=min(150, steps // REPEAT))
+    evaluate(model, world, rovers, actions=min(150, steps // ACTION_REPEAT))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The examples run; with their own settings they take minutes."""
+"""The examples run, here with fewer steps than by default."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 @pytest.fixture
 def run(monkeypatch, capsys):
-    """Runs an example with arguments, and returns what it prints."""
+    """A function that runs an example with arguments and returns its standard output."""
     threads = torch.get_num_threads()
 
     def run_example(name: str, *arguments: str) -> str:
@@ -26,7 +26,7 @@ def run(monkeypatch, capsys):
     torch.set_num_threads(threads)
 
 
-def test_each_has_a_test():
+def test_every_example_has_a_test():
     assert {path.name for path in EXAMPLES.iterdir()} - {"__pycache__"} == {
         "gymnasium_drive.py",
         "sb3_sac.py",

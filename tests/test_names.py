@@ -1,3 +1,5 @@
+"""Public names of the package."""
+
 from __future__ import annotations
 
 import subprocess
@@ -8,20 +10,20 @@ import pytest
 import rover_rl
 
 
-def test_every_public_name_is_there() -> None:
+def test_every_public_name_exists() -> None:
     for name in rover_rl.__all__:
         assert getattr(rover_rl, name) is not None
         assert name in dir(rover_rl)
 
 
-def test_another_name_is_an_error_as_always() -> None:
+def test_an_unknown_name_raises() -> None:
     with pytest.raises(AttributeError, match="module 'rover_rl' has no attribute 'Rover'"):
         _ = rover_rl.Rover
     with pytest.raises(ImportError, match="cannot import name 'Rover'"):
         from rover_rl import Rover  # noqa: F401
 
 
-def test_help_and_registration_need_no_pytorch() -> None:
+def test_help_and_registration_do_not_import_pytorch() -> None:
     program = (
         "import sys, gymnasium, rover_rl\n"
         "from rover_rl.cli.main import main\n"

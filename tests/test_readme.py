@@ -1,4 +1,4 @@
-"""What the README and the page on TorchRL show, runs."""
+"""The Python blocks of the README and of ``docs/torchrl.md`` run."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ BLOCKS = [
     for page in PAGES
     for number, block in enumerate(re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL))
 ]
-PROGRAMS = [block for block in BLOCKS if "__main__" not in block.values[0]]
-SCRIPTS = [block for block in BLOCKS if "__main__" in block.values[0]]
+INLINE_BLOCKS = [block for block in BLOCKS if "__main__" not in block.values[0]]
+SCRIPT_BLOCKS = [block for block in BLOCKS if "__main__" in block.values[0]]
 
 
-def test_the_pages_have_programs():
-    assert len(PROGRAMS) >= 10
-    assert len(SCRIPTS) >= 2
+def test_the_pages_have_python_blocks():
+    assert len(INLINE_BLOCKS) >= 10
+    assert len(SCRIPT_BLOCKS) >= 2
 
 
-@pytest.mark.parametrize("block", PROGRAMS)
-def test_programs_run(block, capsys):
-    # Training is tested elsewhere, in less time.
+@pytest.mark.parametrize("block", INLINE_BLOCKS)
+def test_blocks_run(block, capsys):
+    # Shortens or skips training, which has its own tests.
     code = re.sub(r"\.learn\([\d_]+\)", "", block)
     code = re.sub(r"\b1_000\b", "100", code)
     code = re.sub(r"total_frames=\d+_000", "total_frames=320", code)
@@ -37,8 +37,8 @@ def test_programs_run(block, capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("block", SCRIPTS)
-def test_scripts_that_start_processes_run(block, tmp_path):
+@pytest.mark.parametrize("block", SCRIPT_BLOCKS)
+def test_blocks_that_start_processes_run(block, tmp_path):
     script = tmp_path / "script.py"
     script.write_text(block)
     environment = {**os.environ, "PYTHONPATH": str(README.parent)}
@@ -47,11 +47,11 @@ def test_scripts_that_start_processes_run(block, tmp_path):
     assert "(" in done.stdout
 
 
-def test_files_that_it_shows_exist():
+def test_linked_files_exist():
     for name in re.findall(r"\]\((docs/[^)]+)\)", README.read_text()):
         assert (README.parent / name).is_file(), name
 
 
-def test_it_names_the_two_commands():
+def test_the_readme_names_make_demo_and_make_test():
     assert "make demo" in README.read_text()
     assert "make test" in README.read_text()

@@ -1,4 +1,4 @@
-"""A simulator that tells what it is given: each rover's sensors follow a script, whatever is commanded."""
+"""Simulator whose sensor values follow a script, regardless of the commands."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
 DT = 0.05
+"""Control step in seconds."""
 
 
 @dataclass(frozen=True)
 class Moment:
-    """What the sensors of one rover tell at one moment: metres, radians, m/s, rad/s.
+    """Sensor values of one rover at one step: meters, radians, m/s, rad/s.
 
-    ``ranges`` is one reading for all beams, or one a beam.
+    ``ranges`` is one lidar reading for all beams, or a reading for each.
     """
 
     x: float = 0.0
@@ -36,7 +37,7 @@ class Moment:
 
 
 class ScriptedBackend:
-    """Settings of the simulator below; it has none."""
+    """Backend of :class:`ScriptedSimulator`. It has no settings."""
 
     def make(
         self,
@@ -51,14 +52,14 @@ class ScriptedBackend:
 
 
 class ScriptedSimulator:
-    """Plays one list of moments a row: the first after a reset, the next after each step, the last for ever.
+    """Plays one list of moments per row: the first after a reset, the next after each step. The last one repeats.
 
     Set :attr:`scripts` before the environment's first reset.
 
     Attributes:
-        scripts: moments of each row.
-        commands: what was commanded in each step, ``[N, 2]`` each.
-        poses: the poses of the last reset, ``[N, 3]``.
+        scripts: list of moments of each row.
+        commands: commanded linear and angular velocity of each step so far, ``[N, 2]`` each.
+        poses: requested poses (x, y, yaw) of the last reset, ``[N, 3]``.
     """
 
     robot_connected = True
@@ -71,31 +72,31 @@ class ScriptedSimulator:
         self.scripts: Sequence[Sequence[Moment]] = [[Moment()]] * self.num_envs
         self.commands: list[Tensor] = []
         self.poses = torch.zeros(self.num_envs, 3)
-        self._at = [0] * self.num_envs
+        self._step = [0] * self.num_envs
         self._stamp = torch.zeros(self.num_envs, 1, dtype=torch.float64)
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
         for row in mask.nonzero().flatten().tolist():
-            self._at[row] = 0
+            self._step[row] = 0
         self.poses = poses
         return self.state()
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         active = torch.ones(self.num_envs, dtype=torch.bool) if active is None else active
         self.commands.append(commands)
-        self._at = [at + int(moves) for at, moves in zip(self._at, active.tolist(), strict=True)]
+        self._step = [step + int(moves) for step, moves in zip(self._step, active.tolist(), strict=True)]
         self._stamp = self._stamp + DT * active[:, None]
         return self.state()
 
     def state(self) -> RoverState:
-        now = [script[min(at, len(script) - 1)] for script, at in zip(self.scripts, self._at, strict=True)]
+        moments = [script[min(step, len(script) - 1)] for script, step in zip(self.scripts, self._step, strict=True)]
         beams = len(self.ray_angles)
         return RoverState.pack(
-            position=torch.tensor([(m.x, m.y, m.z) for m in now], dtype=torch.float32),
-            orientation=torch.tensor([_quaternion(m.roll, m.pitch, m.yaw) for m in now], dtype=torch.float32),
-            linear_velocity=torch.tensor([[m.v] for m in now], dtype=torch.float32),
-            angular_velocity=torch.tensor([[m.w] for m in now], dtype=torch.float32),
-            ranges=torch.stack([torch.as_tensor(m.ranges, dtype=torch.float32).expand(beams) for m in now]),
+            position=torch.tensor([(m.x, m.y, m.z) for m in moments], dtype=torch.float32),
+            orientation=torch.tensor([_quaternion(m.roll, m.pitch, m.yaw) for m in moments], dtype=torch.float32),
+            linear_velocity=torch.tensor([[m.v] for m in moments], dtype=torch.float32),
+            angular_velocity=torch.tensor([[m.w] for m in moments], dtype=torch.float32),
+            ranges=torch.stack([torch.as_tensor(m.ranges, dtype=torch.float32).expand(beams) for m in moments]),
             dt=torch.full((self.num_envs, 1), DT),
             stamp=self._stamp,
         )
@@ -108,7 +109,7 @@ class ScriptedSimulator:
 
 
 def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """(x, y, z, w) of a turn by roll, pitch and yaw about the fixed axes x, y, z, in this order."""
+    """Quaternion (x, y, z, w) of rotations by roll, pitch and yaw about the fixed axes x, y and z, in this order."""
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a / 2), math.sin(a / 2)) for a in (roll, pitch, yaw))
     return (
         sr * cp * cy - cr * sp * sy,

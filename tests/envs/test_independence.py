@@ -1,4 +1,4 @@
-"""A rover's numbers do not depend on its company or on its history: bit for bit."""
+"""Each rover is independent of the other rovers in its batch and of earlier episodes, bit for bit."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ OBSERVED = ("lidar", "pose", "imu", "target", "velocities", "reward", "done", "t
 
 
 def actions(steps: int, rows: int, low: torch.Tensor, high: torch.Tensor, seed: int = 0) -> torch.Tensor:
-    """Random actions held for ten steps each, mostly forward: ``[steps, rows, 2]``."""
+    """Random actions, mostly forward, each held for ten steps: ``[steps, rows, 2]``."""
     generator = torch.Generator().manual_seed(seed)
     unit = torch.rand((steps + 9) // 10, rows, 2, generator=generator)
     unit[..., 0] = 0.4 + 0.6 * unit[..., 0]
@@ -20,19 +20,19 @@ def actions(steps: int, rows: int, low: torch.Tensor, high: torch.Tensor, seed: 
     return (low + unit * (high - low)).repeat_interleave(10, 0)[:steps]
 
 
-def trajectory(env, steps: int, row: int, own: torch.Tensor) -> dict[str, torch.Tensor]:
-    """What ``row`` sees and gets in ``steps`` steps with its own actions ``[steps, 2]``, the others with theirs."""
+def trajectory(env, steps: int, row: int, row_actions: torch.Tensor) -> dict[str, torch.Tensor]:
+    """Results of ``row`` over ``steps`` steps with ``row_actions [steps, 2]``. The other rows act at random."""
     spec = env.action_spec.space
-    others = actions(steps, env.batch_size[0], spec.low[0], spec.high[0], seed=1)
-    others[:, row] = own
-    td, seen = env.reset(), []
-    for action in others:
+    all_actions = actions(steps, env.batch_size[0], spec.low[0], spec.high[0], seed=1)
+    all_actions[:, row] = row_actions
+    td, records = env.reset(), []
+    for action in all_actions:
         step, td = env.step_and_maybe_reset(td.set("action", action))
-        seen.append({key: step["next", key][row] for key in OBSERVED})
-    return {key: torch.stack([s[key] for s in seen]) for key in OBSERVED}
+        records.append({key: step["next", key][row] for key in OBSERVED})
+    return {key: torch.stack([record[key] for record in records]) for key in OBSERVED}
 
 
-def own_actions(env, steps: int) -> torch.Tensor:
+def actions_of_one_row(env, steps: int) -> torch.Tensor:
     spec = env.action_spec.space
     return actions(steps, 1, spec.low[0], spec.high[0])[:, 0]
 
@@ -54,24 +54,24 @@ def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
         pytest.param("warp", "inspect", 33, 0, 250, marks=needs_warp),
     ],
 )
-def test_a_rover_alone_and_in_company_are_the_same(backend, world, num_envs, row, steps):
+def test_a_rover_is_the_same_alone_and_in_a_batch(backend, world, num_envs, row, steps):
     settings = {"backend": backend, "world_n": world, "lidar_beams": 32, "length": 200}
-    alone = make_env(num_envs=1, seed=40 + row, **settings)
-    own = own_actions(alone, steps)
-    expected = trajectory(alone, steps, 0, own)
-    company = make_env(num_envs=num_envs, seed=40, **settings)
-    assert_same(trajectory(company, steps, row, own), expected)
-    # The trajectory is worth comparing: the rover moved, and episodes ended within it.
+    single = make_env(num_envs=1, seed=40 + row, **settings)
+    row_actions = actions_of_one_row(single, steps)
+    expected = trajectory(single, steps, 0, row_actions)
+    batch = make_env(num_envs=num_envs, seed=40, **settings)
+    assert_same(trajectory(batch, steps, row, row_actions), expected)
+    # The comparison is meaningful: the rover moved, and episodes ended.
     assert expected["pose"].std(0)[:2].max() > 0.05
     assert expected["done"].any()
 
 
 @pytest.mark.parametrize("backend", ["bullet", pytest.param("warp", marks=needs_warp)])
 @pytest.mark.parametrize("world", ["maze", "inspect"])
-def test_after_fifty_resets_of_itself_and_others_a_rover_is_the_same(world, backend):
+def test_a_rover_is_the_same_after_fifty_resets_of_itself_and_others(world, backend):
     env = make_env(backend=backend, world_n=world, num_envs=8, seed=3, lidar_beams=32, length=300)
-    own = own_actions(env, 300)
-    expected = trajectory(env, 300, 2, own)
+    row_actions = actions_of_one_row(env, 300)
+    expected = trajectory(env, 300, 2, row_actions)
     td = env.reset()
     for k in range(50):
         reset = torch.zeros(8, 1, dtype=torch.bool)
@@ -79,10 +79,10 @@ def test_after_fifty_resets_of_itself_and_others_a_rover_is_the_same(world, back
         td = env.reset(td.set("_reset", reset))
         td = env.step(td.set("action", env.action_spec.rand()))["next"]
     env.set_seed(3)
-    assert_same(trajectory(env, 300, 2, own), expected)
+    assert_same(trajectory(env, 300, 2, row_actions), expected)
 
 
-def test_another_seed_is_another_trajectory():
+def test_another_seed_gives_another_trajectory():
     env = make_env(world_n="maze", num_envs=2, seed=3, lidar_beams=32)
     first = env.reset()["pose"].clone()
     env.set_seed(4)
@@ -91,7 +91,7 @@ def test_another_seed_is_another_trajectory():
     assert torch.equal(first[1], second[0])
 
 
-def test_partial_resets_touch_nothing_else():
+def test_partial_resets_leave_other_rows_unchanged():
     env = make_env(world_n="maze", num_envs=4, seed=0, lidar_beams=32)
     td = env.rollout(5, break_when_any_done=False)[:, -1]["next"].exclude("reward", "reward_components")
     before = td.clone()

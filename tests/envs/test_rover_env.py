@@ -1,6 +1,8 @@
-"""RoverEnv as its users meet it: worlds and robots of their own, starts and goals, bad input, closing."""
+"""RoverEnv: custom worlds and robots, starts and goals, seeding, input validation, closing."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -34,9 +36,7 @@ def test_rows_of_one_batch_in_several_worlds():
     assert torch.equal(alone.reset()["lidar"][0], env.reset()["lidar"][5])
 
 
-def test_a_robot_of_ones_own():
-    from dataclasses import replace
-
+def test_a_custom_robot():
     slow = replace(get_robot("rover_zero"), name="slow", max_linear_acceleration=0.5)
     env = RoverEnv(world_n="maze", robot=slow, seed=0, lidar_beams=32)
     td = env.reset()
@@ -45,7 +45,7 @@ def test_a_robot_of_ones_own():
     assert 0 < td["velocities"][0, 0] < 0.12
 
 
-def test_start_and_goal_are_taken_as_arguments_and_through_transforms():
+def test_reset_takes_start_and_goal_as_arguments_and_through_transforms():
     start = torch.tensor([[0.5, 0.5, 1.0], [-2.0, 3.0, -1.0]])
     goal = torch.tensor([[3.0, 3.0], [1.0, -1.0]])
     world = World("flat", Terrain.flat((20, 20)))
@@ -74,14 +74,14 @@ def test_end_on_goal_ends_the_episode_at_the_goal():
         assert (td["target"][0, 0].item() < 0.5) is end
 
 
-def test_render_is_a_picture(env):
+def test_render_returns_an_image(env):
     env.reset()
     assert env.render(row=2, view="top", width=40, height=30).shape == (30, 40, 3)
     with pytest.raises(ValueError, match="row must be between 0 and 2, got 3"):
         env.render(row=3)
 
 
-def test_seeding_reproduces_and_none_draws_anew(env):
+def test_a_seed_reproduces_episodes_and_none_draws_a_random_seed(env):
     env.set_seed(7)
     first = env.reset()["pose"]
     env.set_seed(7)
@@ -90,7 +90,7 @@ def test_seeding_reproduces_and_none_draws_anew(env):
     assert not torch.equal(a, b)
 
 
-def test_the_global_generators_are_left_alone(env):
+def test_the_global_random_generators_are_not_used(env):
     state, numpy_state = torch.random.get_rng_state(), np.random.get_state()[1].copy()
     td = env.reset()
     env.step(td.set("action", torch.zeros(3, 2)))
@@ -114,12 +114,12 @@ def test_the_global_generators_are_left_alone(env):
         ({"world_n": []}, "between 1 and num_envs=1 worlds, got 0"),
     ],
 )
-def test_bad_settings_are_refused_in_words(settings, message):
+def test_invalid_settings_are_refused_with_a_message(settings, message):
     with pytest.raises(ValueError, match=message):
         RoverEnv(**{"world_n": "maze", **settings})
 
 
-def test_an_unknown_reward_is_refused_in_words():
+def test_an_unknown_reward_is_refused_with_the_known_ones():
     with pytest.raises(ValueError, match="unknown reward 'dense'.*'contract', 'task'"):
         make_env(world_n="maze", reward="dense")
 
@@ -133,13 +133,13 @@ def test_actions_that_are_not_finite_are_refused(env, value):
         env.step(td.set("action", action))
 
 
-def test_actions_of_another_shape_are_refused(env):
+def test_actions_of_the_wrong_shape_are_refused(env):
     td = env.reset()
     with pytest.raises(ValueError, match=r"action must have shape \(3, 2\), got \(3, 3\)"):
         env.step(td.set("action", torch.zeros(3, 3)))
 
 
-def test_starts_of_another_shape_are_refused(env):
+def test_starts_of_the_wrong_shape_are_refused(env):
     with pytest.raises(ValueError, match=r"start must be finite numbers of shape \(3, 3\), got shape \(3, 2\)"):
         env.reset(start=torch.zeros(3, 2))
 
@@ -157,14 +157,14 @@ def test_stepping_before_reset_and_after_close_are_refused():
             call()
 
 
-def test_moving_to_another_device_is_refused_in_words(env):
+def test_moving_to_another_device_is_refused_with_the_alternative(env):
     assert env.to("cpu") is env
     with pytest.raises(ValueError, match=r"build RoverEnv\(device='cuda:0'\)"):
         env.to("cuda:0")
 
 
 @pytest.mark.parametrize("world", ["inspect", "moon", "maze"])
-def test_fresh_rovers_stand_free_and_still(world):
+def test_rovers_stand_still_and_clear_of_obstacles_after_a_reset(world):
     env = RoverEnv(world_n=world, num_envs=100, seed=11, lidar_beams=32)
     td = env.reset()
     assert (td["lidar"] >= 0.4).all()

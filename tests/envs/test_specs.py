@@ -1,4 +1,4 @@
-"""Specs, and what they say of the environment; rewards made of other components."""
+"""Specs of the environment, and rewards with custom components."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ OBSERVATION = ("lidar", "pose", "imu", "target", "velocities")
 
 
 class TiltPenalty(RewardComponent):
-    """A component of a user's own, active in every step."""
+    """Custom component that is active in every step."""
 
     name = "tilt"
 
@@ -28,7 +28,7 @@ class TiltPenalty(RewardComponent):
 
 
 class CollisionHeat(RewardComponent):
-    """One that is active in collisions alone."""
+    """Custom component that is active only in collisions."""
 
     name = "heat"
     phases = (StepEvent.COLLISION,)
@@ -55,19 +55,19 @@ def rollout(env, steps: int = 12):
 @pytest.mark.parametrize("reward", ["task", "contract"])
 @pytest.mark.parametrize("num_envs", [1, 7, 64])
 @pytest.mark.parametrize("world", ["inspect", "moon", "maze"])
-def test_the_environment_is_what_its_specs_say(world, num_envs, reward):
+def test_the_environment_matches_its_specs(world, num_envs, reward):
     env = make_env(world_n=world, num_envs=num_envs, seed=0, lidar_beams=32, reward=reward)
     check_env_specs(env, break_when_any_done="both")
     env.close()
 
 
-def test_the_environment_is_what_its_specs_say_with_rows_in_several_worlds():
+def test_the_environment_matches_its_specs_with_rows_in_several_worlds():
     env = make_env(world_n=["maze", "moon"], num_envs=5, seed=0, lidar_beams=32)
     check_env_specs(env, break_when_any_done="both")
     env.close()
 
 
-def test_the_batch_is_the_rovers_and_leaves_have_a_feature_dimension():
+def test_the_batch_has_a_row_per_rover_and_leaves_have_a_feature_dimension():
     env = rovers(3, reward="task")
     assert env.batch_size == torch.Size([3])
     assert env.batch_locked
@@ -85,13 +85,13 @@ def test_the_observation_spec_holds_the_contracts_five_keys_and_the_outcome():
     env.close()
 
 
-def test_done_terminated_and_truncated_are_all_there():
+def test_the_done_spec_has_done_terminated_and_truncated():
     env = rovers()
     assert set(env.full_done_spec.keys()) == {"done", "terminated", "truncated"}
     env.close()
 
 
-def test_the_bare_environment_has_one_reward_and_the_contracts_one_more_for_each_component():
+def test_the_bare_environment_has_one_reward_and_the_contracts_has_one_more_per_component():
     bare, env = rovers(reward="task"), rovers()
     assert isinstance(bare, RoverEnv)
     assert bare.reward_keys == ["reward"]
@@ -109,7 +109,7 @@ def test_observations_of_a_rollout_lie_in_the_spec():
         assert all(spec[key].is_in(td[key][:, k]) for key in OBSERVATION)
 
 
-def test_what_a_step_hands_out_is_not_written_to_again():
+def test_later_steps_do_not_write_to_returned_tensordicts():
     env = rovers()
     td = env.reset()
     kept, copies = [], []
@@ -124,7 +124,7 @@ def test_what_a_step_hands_out_is_not_written_to_again():
 
 
 # -----------------------------------------------------------------------------------------------------------
-# Rewards of other components
+# Custom rewards
 
 
 def test_the_contracts_reward_has_its_components_in_order():
@@ -144,15 +144,15 @@ def test_a_single_component_is_the_whole_reward():
     assert torch.equal(td["reward"], 7.0 * td["outcome", "goal_reached"])
 
 
-def test_components_can_be_weighed_otherwise():
-    plain = rollout(rovers())
-    heavy = RewardConfig(distance_delta_scale=0.6, idle_penalty=-0.06, velocity_scale=0.25, turn_scale=-0.003)
-    weighed = rollout(rovers(reward=heavy))
-    assert torch.equal(plain["pose"], weighed["pose"])
+def test_component_weights_can_be_changed():
+    default = rollout(rovers())
+    config = RewardConfig(distance_delta_scale=0.6, idle_penalty=-0.06, velocity_scale=0.25, turn_scale=-0.003)
+    changed = rollout(rovers(reward=config))
+    assert torch.equal(default["pose"], changed["pose"])
     for name, factor in (("progress", 2), ("velocity", 100), ("turn", 2)):
-        assert plain["reward_components", name].any()
-        torch.testing.assert_close(weighed["reward_components", name], factor * plain["reward_components", name])
-    torch.testing.assert_close(weighed["reward"], sum(weighed["reward_components"].values()))
+        assert default["reward_components", name].any()
+        torch.testing.assert_close(changed["reward_components", name], factor * default["reward_components", name])
+    torch.testing.assert_close(changed["reward"], sum(changed["reward_components"].values()))
 
 
 @pytest.mark.parametrize(
@@ -168,12 +168,12 @@ def test_components_can_be_weighed_otherwise():
         ("min_alignment", "progress"),
     ],
 )
-def test_each_number_of_the_reward_reaches_its_component(field, component):
+def test_each_field_of_the_config_reaches_its_component(field, component):
     components = {c.name: c for c in contract_reward(RewardConfig(**{field: 3}))}
     assert getattr(components[component], field) == 3
 
 
-def test_components_of_ones_own_are_added_and_counted_in_the_total():
+def test_custom_components_are_added_to_the_total():
     env = rovers(reward=[*contract_reward(), TiltPenalty(), CollisionHeat()])
     check_env_specs(env, break_when_any_done="both")
     td = rollout(env)
@@ -185,16 +185,16 @@ def test_components_of_ones_own_are_added_and_counted_in_the_total():
     torch.testing.assert_close(td["reward"], sum(td["reward_components"].values()))
 
 
-def test_components_are_0_outside_of_their_phases():
+def test_components_are_0_outside_of_their_events():
     td = rollout(rovers(4), 30)
-    phase, components = td["outcome", "phase"], td["reward_components"]
+    event, components = td["outcome", "phase"], td["reward_components"]
     for name in ("progress", "velocity", "turn"):
-        assert not components[name][phase != StepEvent.DENSE].any()
-    assert not components["goal"][phase != StepEvent.GOAL].any()
-    assert not components["collision"][phase != StepEvent.COLLISION].any()
+        assert not components[name][event != StepEvent.DENSE].any()
+    assert not components["goal"][event != StepEvent.GOAL].any()
+    assert not components["collision"][event != StepEvent.COLLISION].any()
 
 
-def test_the_reward_goes_onto_an_environment_that_is_there():
+def test_add_reward_adds_a_reward_to_an_existing_environment():
     env = add_reward(RoverEnv(world_n="maze", seed=0, lidar_beams=32), [ProgressReward(), TurnPenalty()])
     assert set(rollout(env)["reward_components"].keys()) == {"progress", "turn"}
 
@@ -221,7 +221,7 @@ def test_reward_sum_adds_up_each_component_over_an_episode():
     torch.testing.assert_close(td["episode_reward"], sum(td[total] for total in sums))
 
 
-def test_reward_sum_begins_anew_with_each_episode():
+def test_reward_sum_restarts_with_each_episode():
     env = rovers(2, length=4).append_transform(RewardSum(in_keys=[COMPONENTS[1]], out_keys=["episode_progress"]))
     td = rollout(env, 6)
     progress, total = td[COMPONENTS[1]], td["episode_progress"]

@@ -1,4 +1,4 @@
-"""What TorchRL's own code relies on: nesting, closing, devices, batches of environments, and its Gymnasium wrapper."""
+"""Compatibility with TorchRL: nesting, closing, devices, batches of environments, and ``GymWrapper``."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def assert_same(a, b) -> None:
 # Nesting
 
 
-def test_transforms_that_are_nested_around_it_are_counted_from_0():
+def test_nested_transforms_are_indexed_from_0():
     counter, sums = StepCounter(), RewardSum()
     env = TransformedEnv(make(), Compose(counter, sums))
     assert [env.transform[0], env.transform[1]] == [counter, sums]
@@ -60,7 +60,7 @@ def test_transforms_that_are_nested_around_it_are_counted_from_0():
     env.close()
 
 
-def test_nesting_says_nothing():
+def test_nesting_does_not_warn():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         env = TransformedEnv(make(), StepCounter())
@@ -82,7 +82,7 @@ def test_nested_and_appended_transforms_are_the_same(num_envs):
     nested.close()
 
 
-def test_a_clone_of_the_users_transforms_goes_around_another_environment():
+def test_a_clone_of_the_transforms_works_on_another_environment():
     train = TransformedEnv(make(), Compose(StepCounter(max_steps=4), RewardSum()))
     other = TransformedEnv(make(seed=50), train.transform.clone())
     other.load_state_dict(train.state_dict())
@@ -94,7 +94,7 @@ def test_a_clone_of_the_users_transforms_goes_around_another_environment():
     other.close()
 
 
-def test_transforms_for_one_reward_go_on_it_without_its_components():
+def test_transforms_for_a_single_reward_work_without_the_components():
     env = make(num_envs=None)
     components = [key for key in env.reward_keys if key != "reward"]
     env = TransformedEnv(env, Compose(ExcludeTransform(*components), FrameSkipTransform(4)))
@@ -104,7 +104,7 @@ def test_transforms_for_one_reward_go_on_it_without_its_components():
 
 
 @pytest.mark.parametrize("num_envs", [None, 2])
-def test_torchrl_batches_it(num_envs):
+def test_serial_env_takes_it(num_envs):
     env = SerialEnv(2, partial(make, num_envs))
     env.set_seed(0)
     check_env_specs(env, break_when_any_done="both")
@@ -119,7 +119,7 @@ def test_torchrl_batches_it(num_envs):
 
 @pytest.mark.parametrize("backend", ["bullet", pytest.param("warp", marks=needs_warp)])
 @pytest.mark.parametrize("num_envs", [None, 3])
-def test_a_reset_after_closing_goes_on_as_if_it_had_not_been_closed(num_envs, backend):
+def test_a_reset_after_closing_continues_as_without_closing(num_envs, backend):
     settings = {"backend": backend, "randomization": Randomization.typical()}
     closed, open_ = make(num_envs, **settings), make(num_envs, **settings)
     for _ in range(3):
@@ -151,7 +151,7 @@ def test_closing_releases_the_simulator_and_a_reset_builds_another():
 
 
 @pytest.mark.parametrize("num_envs", [None, 3])
-def test_moving_it_to_the_cpu_names_the_device(num_envs):
+def test_moving_it_to_the_cpu_sets_the_device(num_envs):
     plain, moved = TransformedEnv(make(num_envs), StepCounter()), TransformedEnv(make(num_envs), StepCounter())
     assert moved.device is None
     assert moved.to("cpu") is moved
@@ -169,22 +169,22 @@ def test_moving_it_to_the_cpu_names_the_device(num_envs):
     moved.close()
 
 
-def test_a_collector_names_the_device_too():
+def test_a_collector_sets_the_device():
     env = make()
     for batch in Collector(env, None, frames_per_batch=12, total_frames=12, device="cpu"):
         assert batch.device == env.device == torch.device("cpu")
 
 
 @pytest.mark.parametrize("device", ["cuda:99", "nonsense", torch.device("cuda", 99)])
-def test_a_device_that_is_not_there_is_refused_in_words(device):
-    said = rf"device='{device}' is not available: PyTorch \S+ finds cpu"
+def test_an_unavailable_device_is_refused_with_the_available_ones(device):
+    message = rf"device='{device}' is not available: PyTorch \S+ finds cpu"
     for refuse in (available_device, partial(make, device=device), lambda: RoverEnv(device=device)):
-        with pytest.raises(ValueError, match=said):
+        with pytest.raises(ValueError, match=message):
             refuse(device) if refuse is available_device else refuse()
 
 
 # -----------------------------------------------------------------------------------------------------------
-# TorchRL's wrapper of Gymnasium's vector environments
+# TorchRL's GymWrapper around Gymnasium environments
 
 
 def make_vec(mode, **settings):
@@ -200,11 +200,11 @@ def make_vec(mode, **settings):
     )
 
 
-def test_torchrls_wrapper_around_the_vector_environment_is_the_environment():
+def test_gym_wrapper_around_the_vector_environment_equals_the_native_environment():
     env = GymWrapper(make_vec(AutoresetMode.DISABLED))
     native = make(length=5)
     env.set_seed(0)
-    # TorchRL resets as it seeds.
+    # GymWrapper resets when it is seeded.
     native.reset()
     seen, expected = rollout(env), rollout(native)
     for key in OBSERVED:
@@ -215,7 +215,7 @@ def test_torchrls_wrapper_around_the_vector_environment_is_the_environment():
     native.close()
 
 
-def test_torchrls_wrapper_takes_gymnasiums_own_vector_environments():
+def test_gym_wrapper_takes_vector_environments_of_gymnasium():
     kwargs = {"world_n": "maze", "length": 5, "vector_kwargs": {"autoreset_mode": AutoresetMode.DISABLED}}
     env = GymWrapper(gymnasium.make_vec("rover_rl/Rover-v0", num_envs=2, vectorization_mode="sync", **kwargs))
     check_env_specs(env)
@@ -223,7 +223,7 @@ def test_torchrls_wrapper_takes_gymnasiums_own_vector_environments():
     env.close()
 
 
-def test_torchrls_wrapper_reads_the_infos():
+def test_gym_wrapper_reads_the_infos():
     env = GymWrapper(make_vec(AutoresetMode.DISABLED)).auto_register_info_dict()
     check_env_specs(env)
     td = rollout(env)
@@ -232,7 +232,7 @@ def test_torchrls_wrapper_reads_the_infos():
     env.close()
 
 
-def test_torchrls_wrapper_takes_environments_that_begin_anew_in_the_same_step():
+def test_gym_wrapper_takes_environments_that_reset_in_the_same_step():
     env = GymWrapper(make_vec(AutoresetMode.SAME_STEP, seed=0))
     native = make(length=5)
     check_env_specs(env)

@@ -1,4 +1,4 @@
-"""Programs as TorchRL's tutorials write them, with this environment in the place of theirs."""
+"""TorchRL's tutorials, run with this environment."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ BATCHES = pytest.mark.parametrize(
 CELLS = 16
 
 pytestmark = [
-    # TorchRL's own, on its own defaults.
+    # Warnings of TorchRL about its own defaults.
     pytest.mark.filterwarnings("ignore:The env passed to Collector is missing transforms:FutureWarning"),
     pytest.mark.filterwarnings("ignore:Support of VecNormV2 for containers with non-empty batch-size:UserWarning"),
 ]
@@ -49,7 +49,7 @@ pytestmark = [
 
 @BATCHES
 def test_the_ppo_tutorial(num_envs, backend, device):
-    """Reinforcement learning (PPO) with TorchRL tutorial."""
+    """The tutorial "Reinforcement learning (PPO) with TorchRL", shortened."""
     frames_per_batch, total_frames, sub_batch_size = 64, 192, 32
     torch.manual_seed(0)
     base_env = make_env(world_n="maze", num_envs=num_envs, backend=backend, device=device, seed=0)
@@ -62,7 +62,7 @@ def test_the_ppo_tutorial(num_envs, backend, device):
             StepCounter(),
         ),
     )
-    # Of a batch, time is the second dimension, and its rows are averaged over, too.
+    # A batch has time as its second dimension, and the statistics also average over its rows.
     dims = {"reduce_dim": 0, "cat_dim": 0} if num_envs is None else {"reduce_dim": (0, 1), "cat_dim": 1}
     env.transform[0].init_stats(num_iter=30, **dims)
     assert env.transform[0].loc.shape == (32,)
@@ -142,7 +142,7 @@ def test_the_ppo_tutorial(num_envs, backend, device):
 
 @BATCHES
 def test_the_structure_of_the_sac_example(num_envs, backend, device, tmp_path):
-    """``sota-implementations/sac``, in small."""
+    """TorchRL's ``sota-implementations/sac``, shortened."""
     torch.manual_seed(0)
     settings = {"world_n": "maze", "num_envs": num_envs, "backend": backend, "device": device}
     train_env = TransformedEnv(

@@ -1,4 +1,4 @@
-"""``num_envs=None``: one rover without a batch dimension, which is the batch of one in all else."""
+"""``num_envs=None``: one rover without a batch dimension, otherwise equal to ``num_envs=1``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.extras import needs_warp
 
 
 class TiltPenalty(RewardComponent):
-    """A component of a user's own, written for batches."""
+    """Custom component written for batches."""
 
     name = "tilt"
 
@@ -38,18 +38,18 @@ def rollout(env, steps=40, **options) -> TensorDictBase:
     return env.rollout(steps, **{"break_when_any_done": False, **options})
 
 
-def assert_same(alone, batch) -> None:
-    """Every entry of ``batch``'s only row, to the last bit."""
-    assert alone.batch_size == batch.batch_size[1:]
-    assert set(alone.keys(True, True)) == set(batch.keys(True, True))
-    for key, value in alone.items(True, True):
-        # Seconds are not the same twice.
+def assert_same(single, batch) -> None:
+    """Asserts that ``single`` equals the only row of ``batch``, bit for bit."""
+    assert single.batch_size == batch.batch_size[1:]
+    assert set(single.keys(True, True)) == set(batch.keys(True, True))
+    for key, value in single.items(True, True):
+        # Measured durations differ.
         if "clock" not in key:
             assert torch.equal(value, batch[key][0]), key
 
 
 @pytest.mark.parametrize("settings", [{}, {"reward": "task"}], ids=["rewarded", "bare"])
-def test_the_environment_is_what_its_specs_say(settings):
+def test_the_environment_matches_its_specs(settings):
     env = make(None, **settings)
     check_env_specs(env, break_when_any_done="both")
     assert env.batch_size == ()
@@ -81,40 +81,40 @@ def test_a_rollouts_only_dimension_is_time():
     ],
     ids=["maze", "randomized", "ends on goal", "warp"],
 )
-def test_its_numbers_are_those_of_the_batch_of_one(settings):
-    alone, batch = make(None, **settings), make(1, **settings)
-    assert_same(alone.reset(), batch.reset())
+def test_it_equals_a_batch_of_one(settings):
+    single, batch = make(None, **settings), make(1, **settings)
+    assert_same(single.reset(), batch.reset())
     for options in ({}, {"break_when_all_done": True, "break_when_any_done": False}, {"break_when_any_done": True}):
-        assert_same(rollout(alone, **options), rollout(batch, **options))
-    alone.close()
+        assert_same(rollout(single, **options), rollout(batch, **options))
+    single.close()
     batch.close()
 
 
 def test_starts_and_goals_have_no_row_dimension():
     start, goal = torch.tensor([1.0, -2.0, 0.5]), torch.tensor([2.0, 1.0])
-    alone, batch = make(None), make(1)
-    td = alone.reset(start=start, goal=goal)
+    single, batch = make(None), make(1)
+    td = single.reset(start=start, goal=goal)
     torch.testing.assert_close(td["pose"][:2], start[:2], atol=1e-3, rtol=0)
     assert_same(td, batch.reset(start=start[None], goal=goal[None]))
-    assert torch.equal(alone.goal, goal[None])
+    assert torch.equal(single.goal, goal[None])
     bare = RoverEnv(world_n="maze", num_envs=None)
     td = bare.reset(TensorDict({"start": start, "goal": goal}))
     torch.testing.assert_close(td["imu"][2], start[2], atol=1e-3, rtol=0)
     with pytest.raises(ValueError, match=r"start must be finite numbers of shape \(3,\), got shape \(1, 3\)"):
-        alone.reset(start=start[None])
+        single.reset(start=start[None])
     with pytest.raises(ValueError, match=r"action must have shape \(2,\), got \(3,\)"):
-        alone.step(alone.reset().set("action", torch.zeros(3)))
-    for env in (alone, batch, bare):
+        single.step(single.reset().set("action", torch.zeros(3)))
+    for env in (single, batch, bare):
         env.close()
 
 
-def test_a_world_has_to_be_one():
+def test_it_takes_a_single_world():
     with pytest.raises(ValueError, match="between 1 and num_envs=1 worlds, got 2"):
         make(None, world_n=["maze", "moon"])
 
 
 @pytest.mark.parametrize("nested", [False, True])
-def test_the_transforms_of_the_package_go_on_it(nested):
+def test_it_takes_the_transforms_of_the_package(nested):
     rollouts = []
     for num_envs in (None, 1):
         env = make(num_envs)
@@ -137,14 +137,14 @@ def test_the_transforms_of_the_package_go_on_it(nested):
         env.set_seed(0)
         rollouts.append((rollout(env), rollout(env, break_when_all_done=True)))
         env.close()
-    for alone, batch in zip(*rollouts, strict=True):
-        assert_same(alone, batch)
+    for single, batch in zip(*rollouts, strict=True):
+        assert_same(single, batch)
     assert (rollouts[0][0]["action"][..., 0] >= 0).all()
     assert rollouts[0][1].shape == (4,)
 
 
 @pytest.mark.parametrize("make_bare", [RoverEnv, make_env])
-def test_the_gymnasium_classes_take_it(make_bare):
+def test_the_gymnasium_wrappers_take_it(make_bare):
     traces = []
     for num_envs in (None, 1):
         env = GymWrapper(make_bare(world_n="maze", num_envs=num_envs, length=5))

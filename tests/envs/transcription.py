@@ -1,6 +1,6 @@
-"""The contract once more, in plain Python for one rover: what the environment is held against.
+"""Reference implementation of the contract in plain Python, for one rover.
 
-Written from the contract's text alone. It shares no code, no number and no library with the package.
+It transcribes the text of the contract and shares no code, constant or dependency with the package.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ Pair = tuple[float, float]
 
 @dataclass(frozen=True)
 class WorldParameters:
-    """One column of the contract's table: ``(low, high)`` pairs in metres."""
+    """One column of the contract's table of worlds: ``(low, high)`` pairs in meters."""
 
     rand_goal_x_range: Pair
     rand_goal_y_range: Pair
@@ -63,7 +63,7 @@ WORLDS = {
 
 @dataclass(frozen=True)
 class Reading:
-    """Raw sensor values of one moment: metres, radians, m/s, rad/s."""
+    """Raw sensor values at one step: meters, radians, m/s, rad/s."""
 
     x: float
     y: float
@@ -78,10 +78,10 @@ class Reading:
 
 @dataclass(frozen=True)
 class Step:
-    """What one step should have given.
+    """Expected result of one step.
 
     ``decided_by`` is ``flip``, ``jam``, ``out_of_bounds``, ``stuck``, ``goal``, ``collision`` or ``dense``.
-    ``margin`` tells how far the distance reward's two conditions were from going the other way.
+    ``margin`` is the smaller distance of the distance reward's two conditions from their thresholds.
     """
 
     events: dict[str, bool]
@@ -97,11 +97,12 @@ class Step:
 
 
 def normalize(angle: float) -> float:
+    """``angle`` wrapped to [-pi, pi]."""
     return math.atan2(math.sin(angle), math.cos(angle))
 
 
 def euler(quaternion: Sequence[float]) -> tuple[float, float, float]:
-    """Roll, pitch, yaw about fixed x, y, z ('sxyz') of a unit quaternion (x, y, z, w)."""
+    """Roll, pitch and yaw about the fixed axes x, y and z ('sxyz') of a unit quaternion (x, y, z, w)."""
     x, y, z, w = quaternion
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - x * z))))
@@ -110,13 +111,14 @@ def euler(quaternion: Sequence[float]) -> tuple[float, float, float]:
 
 
 def clean(reading: float, max_range: float = MAX_LIDAR_RANGE) -> float:
+    """A lidar reading clipped to [0, ``max_range``]; NaN becomes ``max_range``."""
     if math.isnan(reading):
         return max_range
     return min(max(reading, 0.0), max_range)
 
 
 def pool(ranges: Sequence[float], points: int = LIDAR_POINTS, max_range: float = MAX_LIDAR_RANGE) -> list[float]:
-    """The minimum of each of ``points`` runs of beams, the first ones longer by one if need be."""
+    """The minimum of each of ``points`` segments of neighboring beams; the first ones hold one more beam if needed."""
     short, longer = divmod(len(ranges), points)
     pooled, first = [], 0
     for k in range(points):
@@ -127,11 +129,13 @@ def pool(ranges: Sequence[float], points: int = LIDAR_POINTS, max_range: float =
 
 
 def target_info(x: float, y: float, yaw: float, goal: Pair) -> Pair:
+    """Distance (m) and relative angle (rad) of the goal."""
     distance = math.sqrt((goal[0] - x) ** 2 + (goal[1] - y) ** 2)
     return distance, normalize(math.atan2(goal[1] - y, goal[0] - x) - yaw)
 
 
 def heading_alignment(angle: float) -> float:
+    """Alignment of the heading with the goal: 1 straight ahead, 0 at a right angle, -1 behind."""
     return 1 - 2 * abs(angle) / math.pi
 
 
@@ -140,7 +144,7 @@ def is_flipped(roll: float, pitch: float) -> bool:
 
 
 class HeadingPid:
-    """The contract's ``heading_controller``, its derivative over the control step."""
+    """The contract's ``heading_controller``, with the derivative taken over the control step."""
 
     def __init__(self, kp: float = KP, ki: float = KI, kd: float = KD, max_output: float = MAX_OUTPUT) -> None:
         self.kp, self.ki, self.kd, self.max_output = kp, ki, kd, max_output
@@ -160,12 +164,13 @@ class HeadingPid:
 
 
 class ContractRover:
-    """One rover under the contract: fed raw values, it says what the environment must answer.
+    """Computes the contract's observations, commands, rewards and endings of one rover from raw sensor values.
 
     Args:
-        bounds: ``(too_far_away_x, too_far_away_y)``.
-        length: steps of an episode.
-        stuck_window: entries of the position history.
+        bounds: bounds of the world, ``(too_far_away_x, too_far_away_y)``.
+        length: maximum number of steps per episode.
+        stuck_window: maximum number of entries of the position history.
+        lidar_points: number of points of the downsampled scan.
     """
 
     def __init__(
@@ -208,14 +213,19 @@ class ContractRover:
         }
 
     def command(self, action: Sequence[float]) -> Pair:
-        """The twist of an action: called once a step, before :meth:`step`."""
+        """Linear and angular velocity for an action. Call once per step, before :meth:`step`."""
         speed = max(-1.0, min(1.0, action[0]))
         offset = max(-math.pi, min(math.pi, action[1]))
         yaw = self.reading.yaw
         return speed, self.pid(yaw + offset, yaw)
 
     def step(self, reading: Reading, next_goal: Pair) -> Step:
-        """Judges the state that the step led to; ``next_goal`` is what a goal reached is replaced by."""
+        """Computes the result of a step from the readings after it.
+
+        Args:
+            reading: sensor values after the step.
+            next_goal: goal that replaces the current one if it is reached.
+        """
         self.reading = reading
         self.steps += 1
         self.total_steps += 1
@@ -258,8 +268,8 @@ class ContractRover:
             components["collision"] = COLLISION_PENALTY
         else:
             decided_by = "dense"
-            gains = abs(delta) > MIN_DELTA and alignment > 0
-            distance_reward = delta * DISTANCE_DELTA_SCALE if gains else IDLE_PENALTY
+            paid = abs(delta) > MIN_DELTA and alignment > 0
+            distance_reward = delta * DISTANCE_DELTA_SCALE if paid else IDLE_PENALTY
             components["progress"] = distance_reward * FINAL_REWARD_MULTIPLIER
             components["velocity"] = reading.v * VELOCITY_BONUS
             components["turn"] = abs(reading.w) * TURN_PENALTY

@@ -1,3 +1,5 @@
+"""The Gymnasium environment with one rover: ``rover_rl.envs.gym.RoverEnv`` and ``GymWrapper``."""
+
 from __future__ import annotations
 
 import inspect
@@ -19,12 +21,10 @@ from rover_rl import GymWrapper, RewardConfig, TaskConfig, contract_reward, make
 from rover_rl import RoverEnv as BatchedRoverEnv
 from rover_rl.envs.gym import RoverEnv
 
-ENDINGS = ("flipped", "jammed", "out_of_bounds", "stuck", "invalid_action")
-
 
 @pytest.fixture(scope="module")
 def shared():
-    """One environment for the tests that only look, or that begin with a reset."""
+    """One environment for tests that do not change it or that begin with a reset."""
     env = RoverEnv(world_n="maze", seed=0, render_mode="rgb_array")
     yield env
     env.close()
@@ -51,10 +51,12 @@ def rollout(env, seed, steps):
 
 
 def assert_same(a, b):
-    np.testing.assert_equal(a, b)  # dictionaries, tuples and arrays, bit for bit
+    """Asserts equality of nested dictionaries, tuples and arrays, bit for bit."""
+    np.testing.assert_equal(a, b)
 
 
-# The constructor and the spaces
+# -----------------------------------------------------------------------------------------------------------
+# Constructor and spaces
 
 
 def test_the_constructor_is_the_contracts():
@@ -94,7 +96,7 @@ def test_the_spaces_are_the_contracts(shared):
 
 @pytest.fixture
 def pygame(monkeypatch):
-    """Pygame without a display: nothing is seen, and the window's content can be read."""
+    """Pygame with a dummy display, whose content can be read."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -112,6 +114,7 @@ def test_gymnasium_check_env(render_mode, pygame):
     env.close()
 
 
+# -----------------------------------------------------------------------------------------------------------
 # Reset and step
 
 
@@ -137,14 +140,14 @@ def test_a_seed_may_be_any_integer_in_range(env):
     assert_same(first, second)
 
 
-def test_without_a_seed_reset_goes_on_to_another_episode(env):
+def test_reset_without_a_seed_starts_another_episode(env):
     first, _ = env.reset(seed=3)
     second, info = env.reset()
     assert info == {}
     assert (first["pose"] != second["pose"]).any()
 
 
-def test_a_seed_is_that_of_the_batched_environment(env):
+def test_a_seed_gives_the_episode_of_the_batched_environment(env):
     observation, _ = env.reset(seed=11)
     batched = BatchedRoverEnv(world_n="maze", num_envs=3, seed=10)
     expected = batched.reset()
@@ -171,7 +174,7 @@ def test_other_options_are_refused(env, options, message):
         env.reset(options=options)
 
 
-def test_step_returns_what_gymnasium_asks_for(env):
+def test_step_returns_the_types_of_gymnasium(env):
     observation, reward, terminated, truncated, info = env.step([1.0, 0.0])
     assert observation in env.observation_space
     assert type(reward) is float
@@ -180,7 +183,7 @@ def test_step_returns_what_gymnasium_asks_for(env):
     assert all(type(value) in (int, float, bool) for value in info.values())
 
 
-def test_observations_are_the_receivers_own(env):
+def test_returned_observations_are_copies(env):
     for call in (lambda: env.reset(seed=0)[0], lambda: env.step([0.5, 0.1])[0], env.get_observation):
         observation = call()
         kept = env.get_observation()
@@ -189,7 +192,7 @@ def test_observations_are_the_receivers_own(env):
         assert_same(env.get_observation(), kept)
 
 
-def test_the_action_is_not_kept(env):
+def test_the_action_is_copied(env):
     action = np.float32([0.3, 0.2])
     env.step(action)
     action[:] = math.nan
@@ -220,7 +223,7 @@ def test_step_needs_a_reset():
 
 
 @pytest.mark.parametrize(("time_limit", "flags"), [("terminated", (True, False)), ("truncated", (False, True))])
-def test_the_time_limit_is_what_was_asked_for(time_limit, flags):
+def test_the_time_limit_sets_the_configured_flag(time_limit, flags):
     env = make(length=3, time_limit=time_limit)
     env.reset()
     steps = [env.step([0.0, 0.0]) for _ in range(3)]
@@ -243,7 +246,7 @@ def test_a_goal_pays_and_the_episode_goes_on(env):
     assert env.step([0.0, 0.0])[4]["is_success"]
 
 
-def test_an_ending_goal_is_a_success():
+def test_a_goal_that_ends_the_episode_is_a_success():
     env = make(end_on_goal=True)
     env.reset(options={"start": (0.0, 0.0, 0.0), "goal": (0.6, 0.0)})
     ended = False
@@ -255,7 +258,7 @@ def test_an_ending_goal_is_a_success():
     env.close()
 
 
-def test_total_steps_go_on_over_episodes():
+def test_total_steps_continue_across_episodes():
     env = make(length=3)
     for episode in range(3):
         env.reset()
@@ -266,10 +269,11 @@ def test_total_steps_go_on_over_episodes():
     env.close()
 
 
+# -----------------------------------------------------------------------------------------------------------
 # The contract's methods
 
 
-def test_get_observation_is_that_of_the_step(env):
+def test_get_observation_returns_the_observation_of_the_step(env):
     observation, _ = env.reset(seed=1)
     assert_same(env.get_observation(), observation)
     observation, *_ = env.step([0.4, 0.1])
@@ -281,7 +285,7 @@ def test_get_target_info_is_distance_and_angle(env):
     np.testing.assert_allclose(env.get_target_info(), (2.0, math.pi / 2 - 1.0), atol=1e-5)
 
 
-def test_task_reward_is_that_of_the_step_and_asking_changes_nothing(env):
+def test_task_reward_returns_the_reward_of_the_step_without_side_effects(env):
     assert env.task_reward() == 0.0
     other = rollout(env, 2, 5)
     rng = np.random.default_rng(1)
@@ -333,7 +337,7 @@ def test_heading_controller_is_the_contracts_pid(env):
     assert type(env.heading_controller(np.float32(0.1), 0)) is float
 
 
-def test_asking_the_heading_controller_disturbs_nothing(env):
+def test_heading_controller_has_no_side_effects(env):
     expected = rollout(env, 4, 10)
     rng = np.random.default_rng(1)
     trace = [env.reset(seed=4)]
@@ -351,22 +355,22 @@ def test_too_far_away_is_outside_of_the_worlds_bounds(env, monkeypatch, x, y, ou
     assert env.too_far_away() is outside
 
 
-def test_render_is_a_picture(env):
-    picture = env.render()
-    assert picture.shape == (480, 640, 3)
-    assert picture.dtype == np.uint8
-    assert picture.std() > 0
+def test_render_returns_an_image(env):
+    image = env.render()
+    assert image.shape == (480, 640, 3)
+    assert image.dtype == np.uint8
+    assert image.std() > 0
 
 
-def test_the_camera_can_be_above(env):
+def test_the_top_camera_renders_another_image(env):
     other = make(render_mode="rgb_array", camera="top")
     other.reset(seed=0)
     assert (other.render() != env.render()).any()
     other.close()
 
 
-def shown(pygame):
-    """What is in the window."""
+def window_content(pygame):
+    """The image in the window."""
     return pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
 
 
@@ -377,7 +381,7 @@ def test_a_window_shows_each_reset_and_step(pygame, env, monkeypatch):
     for act in (lambda each: each.reset(seed=0), lambda each: each.step([1.0, 0.0])):
         act(human)
         act(env)
-        np.testing.assert_array_equal(shown(pygame), env.render())
+        np.testing.assert_array_equal(window_content(pygame), env.render())
     assert human.render() is None
     assert waits == [20, 20]
     human.close()
@@ -385,7 +389,7 @@ def test_a_window_shows_each_reset_and_step(pygame, env, monkeypatch):
     assert pygame.display.get_surface() is None
 
 
-def test_a_window_that_is_closed_stays_closed(pygame):
+def test_a_window_stays_closed_after_the_user_closes_it(pygame):
     human = make(render_mode="human")
     human.reset(seed=0)
     pygame.event.post(pygame.event.Event(pygame.QUIT))
@@ -411,7 +415,7 @@ def test_without_a_render_mode_render_does_nothing():
     env.close()
 
 
-def test_close_may_be_called_again_and_use_after_it_raises():
+def test_close_is_idempotent_and_use_after_it_raises():
     env = make(render_mode="rgb_array")
     env.reset()
     env.close()
@@ -421,7 +425,7 @@ def test_close_may_be_called_again_and_use_after_it_raises():
             use()
 
 
-def test_attributes_have_the_originals_names(env):
+def test_attributes_have_the_names_of_the_original_environment(env):
     expected = {
         "size": (64, 64),
         "length": 2000,
@@ -453,7 +457,7 @@ def test_attributes_have_the_originals_names(env):
     assert {name: getattr(env, name) for name in expected} == expected
 
 
-def test_state_has_the_originals_names(env):
+def test_state_has_the_names_of_the_original_environment(env):
     observation, *_ = env.step([0.6, 0.3])
     np.testing.assert_array_equal(env.lidar_data, observation["lidar"])
     np.testing.assert_array_equal(env.rover_position, observation["pose"])
@@ -477,13 +481,13 @@ CALLBACKS = {
 
 
 @pytest.mark.parametrize("kind", CALLBACKS)
-def test_callbacks_are_refused_where_the_backend_makes_its_own_data(env, kind):
+def test_callbacks_raise_if_the_backend_simulates_its_sensors(env, kind):
     name, msg = CALLBACKS[kind]
     with pytest.raises(RuntimeError, match="makes its own sensor data; callbacks are for backend='ros2'"):
         getattr(env, name)(msg)
 
 
-def test_callbacks_hand_over_to_a_live_backend(env, monkeypatch):
+def test_callbacks_pass_messages_to_a_live_backend(env, monkeypatch):
     received = {}
     monkeypatch.setattr(env.base_env.simulator, "receive", received.__setitem__, raising=False)
     for name, msg in CALLBACKS.values():
@@ -491,26 +495,28 @@ def test_callbacks_hand_over_to_a_live_backend(env, monkeypatch):
     assert received == {kind: msg for kind, (_, msg) in CALLBACKS.items()}
 
 
-# What may be wrapped, and with which reward
+# -----------------------------------------------------------------------------------------------------------
+# Wrapped environments and rewards
 
 
-def test_it_is_for_one_rover():
+def test_it_takes_one_rover_only():
     batched = BatchedRoverEnv(world_n="maze", num_envs=2)
     with pytest.raises(ValueError, match="num_envs=2; use GymVectorWrapper"):
         GymWrapper(batched)
     batched.close()
 
 
-def test_it_is_for_rovers():
+def test_it_takes_rover_environments_only():
     with pytest.raises(TypeError, match=r"rover_rl\.RoverEnv.* is needed; got object"):
         GymWrapper(object())
 
 
 def rewards_of(wrapper):
-    return [wrapper.reset(seed=0)] and [wrapper.step([0.8, 0.4])[1] for _ in range(4)]
+    wrapper.reset(seed=0)
+    return [wrapper.step([0.8, 0.4])[1] for _ in range(4)]
 
 
-def test_wrapping_make_env_is_the_same_as_wrapping_the_bare_environment(env):
+def test_wrapping_make_env_equals_wrapping_the_bare_environment(env):
     expected = rewards_of(env)
     wrapped = GymWrapper(make_env(world_n="maze"))
     assert rewards_of(wrapped) == expected
@@ -519,7 +525,7 @@ def test_wrapping_make_env_is_the_same_as_wrapping_the_bare_environment(env):
     wrapped.close()
 
 
-def test_the_reward_may_be_chosen(env):
+def test_the_reward_can_be_chosen(env):
     contract = rewards_of(env)
     task = make(reward="task")
     assert rewards_of(task) == [0.0] * 4
@@ -541,7 +547,7 @@ def test_a_second_reward_is_refused():
     inner.close()
 
 
-def test_a_transform_must_leave_the_observation():
+def test_transforms_must_keep_the_observation_keys():
     inner = TransformedEnv(BatchedRoverEnv(world_n="maze"), CatTensors(["imu", "target"], "vector"))
     with pytest.raises(ValueError, match="lacks \\['imu', 'target'\\]"):
         GymWrapper(inner)
@@ -554,10 +560,11 @@ def test_unknown_options_are_refused(option, value):
         make(**{option: value})
 
 
-# With Gymnasium's own tools
+# -----------------------------------------------------------------------------------------------------------
+# Gymnasium's tools
 
 
-def test_gymnasium_make_makes_it():
+def test_gymnasium_make_builds_it():
     env = gymnasium.make("rover_rl/Rover-v0", world_n="maze", length=4)
     assert isinstance(env.unwrapped, RoverEnv)
     env = RecordEpisodeStatistics(env)
@@ -573,9 +580,9 @@ def test_record_video_records_it(tmp_path):
     pytest.importorskip("moviepy")
     env = gymnasium.make("rover_rl/Rover-v0", world_n="maze", length=2, render_mode="rgb_array")
     assert env.metadata["render_fps"] == 20
-    env = RecordVideo(env, str(tmp_path / "films"), episode_trigger=lambda episode: True, disable_logger=True)
+    env = RecordVideo(env, str(tmp_path / "videos"), episode_trigger=lambda episode: True, disable_logger=True)
     env.reset(seed=0)
     for _ in range(2):
         env.step(env.action_space.sample())
     env.close()
-    assert [path.suffix for path in (tmp_path / "films").glob("*.mp4")] == [".mp4"]
+    assert [path.suffix for path in (tmp_path / "videos").glob("*.mp4")] == [".mp4"]

@@ -1,3 +1,5 @@
+"""The Gymnasium vector environment, ``GymVectorWrapper``."""
+
 from __future__ import annotations
 
 import math
@@ -14,7 +16,7 @@ from rover_rl import RoverEnv as BatchedRoverEnv
 from rover_rl.envs.gym import RoverEnv
 
 ROWS = 3
-# Goals that end episodes, at different times in different rows; and a time limit that ends them together.
+# Episodes that end at a goal, at different times in different rows, and episodes that end together at a time limit.
 ENDING_APART = {"length": 12, "end_on_goal": True, "task": TaskConfig(success_distance=2.5)}
 ENDING_TOGETHER = {"length": 3}
 
@@ -64,7 +66,7 @@ def endings(results) -> np.ndarray:
 
 
 def assert_same(a, b):
-    """Equal to the last bit, in shape and in type."""
+    """Asserts equality of values bit for bit, of shapes and of types."""
     assert type(a) is type(b)
     if isinstance(a, dict):
         assert a.keys() == b.keys()
@@ -84,18 +86,18 @@ def assert_same(a, b):
 
 
 def without_reward(results):
-    """``results`` whose infos do not repeat the reward."""
+    """``results`` without the reward in their infos."""
     for *_, infos in results:
-        for told in (infos, infos.get("final_info", {})):
-            told.pop("reward", None)
-            told.pop("_reward", None)
+        for info in (infos, infos.get("final_info", {})):
+            info.pop("reward", None)
+            info.pop("_reward", None)
     return results
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode), ids=lambda mode: mode.name)
 @pytest.mark.parametrize("settings", [ENDING_APART, ENDING_TOGETHER], ids=["apart", "together"])
-def test_it_is_what_gymnasium_makes_of_single_rovers(mode, settings):
-    """Every observation, reward, flag and info but the reward, over several endings and a second seed."""
+def test_it_equals_gymnasiums_vector_environment_of_single_rovers(mode, settings):
+    """Compares observations, rewards, flags and infos (except the reward) over several episodes and two seeds."""
     time_limit = "truncated" if mode is AutoresetMode.SAME_STEP else "terminated"
     batch, single = native(mode, time_limit=time_limit, **settings), one_by_one(mode, time_limit, **settings)
     for seed in (7, 100):
@@ -127,13 +129,13 @@ def test_the_default_is_next_step(shared):
     assert shared.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
 
 
-def test_a_mode_may_be_named():
+def test_the_mode_can_be_a_string():
     envs = native("SameStep", length=5)
     assert envs.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     envs.close()
 
 
-def test_next_step_ignores_the_action_of_a_row_that_begins_anew(envs):
+def test_next_step_ignores_the_action_of_a_row_that_is_reset(envs):
     for _ in range(5):
         _, _, terminated, *_ = envs.step(np.zeros((ROWS, 2)))
     assert terminated.all()
@@ -145,7 +147,7 @@ def test_next_step_ignores_the_action_of_a_row_that_begins_anew(envs):
     assert envs.step(np.zeros((ROWS, 2)))[4]["steps"].tolist() == [1] * ROWS
 
 
-def test_same_step_tells_the_last_observation():
+def test_same_step_returns_the_final_observation():
     envs = native(AutoresetMode.SAME_STEP, length=2)
     envs.reset(seed=0)
     envs.step(np.full((ROWS, 2), 0.5))
@@ -160,7 +162,7 @@ def test_same_step_tells_the_last_observation():
     envs.close()
 
 
-def test_disabled_wants_ended_rows_reset():
+def test_disabled_requires_a_reset_of_ended_rows():
     envs = native(AutoresetMode.DISABLED, length=2)
     envs.reset(seed=0)
     for _ in range(2):
@@ -173,7 +175,7 @@ def test_disabled_wants_ended_rows_reset():
     envs.close()
 
 
-def test_a_partial_reset_touches_no_other_row(envs):
+def test_a_partial_reset_leaves_other_rows_unchanged(envs):
     before = envs.step(np.full((ROWS, 2), 0.5))[0]
     after, _ = envs.reset(options={"reset_mask": np.array([False, True, False])})
     for key in before:
@@ -205,7 +207,7 @@ def test_other_options_are_refused(envs):
         envs.reset(options={"strat": 0})
 
 
-def test_seeds_may_be_listed(envs):
+def test_seeds_can_be_a_list(envs):
     assert_same(envs.reset(seed=[4, 5, 6]), envs.reset(seed=4))
     envs.reset(seed=[None] * ROWS)
 
@@ -236,7 +238,7 @@ def test_step_needs_a_reset():
     envs.close()
 
 
-def test_everything_is_the_receivers_own(envs):
+def test_returned_arrays_are_copies(envs):
     first = envs.step(np.full((ROWS, 2), 0.3))
     kept = envs._batch.observation()
     for value in (*first[0].values(), *first[1:4], *first[4].values()):
@@ -245,8 +247,8 @@ def test_everything_is_the_receivers_own(envs):
     assert envs.step(np.full((ROWS, 2), 0.3))[4]["steps"].tolist() == [2] * ROWS
 
 
-def test_transforms_with_a_memory_are_reset_by_row():
-    """A sum over the episode, kept by TorchRL, against one made here."""
+def test_stateful_transforms_are_reset_by_row():
+    """Compares TorchRL's ``RewardSum`` with a sum computed here."""
     inner = make_env(world_n="maze", num_envs=ROWS, **ENDING_APART)
     inner.append_transform(RewardSum(in_keys=["reward"], out_keys=["sum"]))
     envs = GymVectorWrapper(inner, autoreset_mode="SameStep")
@@ -263,7 +265,7 @@ def test_transforms_with_a_memory_are_reset_by_row():
     envs.close()
 
 
-def test_one_row_will_do():
+def test_a_single_row_works():
     envs = native(rows=1, length=2)
     for _ in range(2):
         envs.reset(seed=0)
@@ -272,12 +274,12 @@ def test_one_row_will_do():
     envs.close()
 
 
-def test_render_gives_a_picture_a_row():
+def test_render_returns_an_image_per_row():
     envs = GymVectorWrapper(BatchedRoverEnv(world_n="maze", num_envs=2), render_mode="rgb_array")
     envs.reset(seed=0)
-    pictures = envs.render()
-    assert [picture.shape for picture in pictures] == [(480, 640, 3)] * 2
-    assert (pictures[0] != pictures[1]).any()
+    images = envs.render()
+    assert [image.shape for image in images] == [(480, 640, 3)] * 2
+    assert (images[0] != images[1]).any()
     envs.close()
 
 
@@ -285,7 +287,7 @@ def test_without_a_render_mode_render_does_nothing(envs):
     assert envs.render() is None
 
 
-def test_close_may_be_called_again_and_use_after_it_raises():
+def test_close_is_idempotent_and_use_after_it_raises():
     envs = native()
     envs.reset()
     envs.close()
@@ -297,7 +299,7 @@ def test_close_may_be_called_again_and_use_after_it_raises():
         envs.reset()
 
 
-def test_make_vec_makes_it():
+def test_make_vec_builds_it():
     envs = gymnasium.make_vec(
         "rover_rl/Rover-v0",
         num_envs=4,
@@ -319,13 +321,13 @@ def test_make_vec_makes_it():
     envs.close()
 
 
-def test_make_vec_takes_single_rovers_too():
+def test_make_vec_also_builds_single_rovers():
     envs = gymnasium.make_vec("rover_rl/Rover-v0", num_envs=2, vectorization_mode="sync", world_n="maze")
     assert envs.reset(seed=0)[0]["lidar"].shape == (2, 32)
     envs.close()
 
 
-def test_a_window_is_for_one_rover():
+def test_a_window_needs_a_single_rover():
     batched = BatchedRoverEnv(world_n="maze", num_envs=2)
     with pytest.raises(ValueError, match=r"render_mode must be one of \[None, 'rgb_array'\], got 'human'"):
         GymVectorWrapper(batched, render_mode="human")

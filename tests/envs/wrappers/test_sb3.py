@@ -1,3 +1,5 @@
+"""The Stable-Baselines3 vector environment, ``SB3VecEnv``."""
+
 from __future__ import annotations
 
 import importlib
@@ -39,8 +41,8 @@ def test_sb3_check_env():
     env.close()
 
 
-def test_it_is_what_sb3_makes_of_single_rovers(shared):
-    """Observations, rewards and dones, and what is told of an ending, over several of them."""
+def test_it_equals_sb3s_vector_environment_of_single_rovers(shared):
+    """Compares observations, rewards, dones and the infos of ended rows over several episodes."""
 
     def single():
         return RoverEnv(world_n="maze", length=5, time_limit="truncated")
@@ -62,7 +64,7 @@ def test_it_is_what_sb3_makes_of_single_rovers(shared):
     single_envs.close()
 
 
-def test_a_time_limit_is_told(shared):
+def test_a_time_limit_is_in_the_infos(shared):
     shared.reset()
     for _ in range(5):
         _, _, dones, infos = shared.step(np.zeros((ROWS, 2)))
@@ -71,7 +73,7 @@ def test_a_time_limit_is_told(shared):
     assert all(info["terminal_observation"] in shared.observation_space for info in infos)
 
 
-def test_an_ending_in_the_last_step_is_no_time_limit():
+def test_a_termination_in_the_last_step_is_no_time_limit():
     tilted = BatchedRoverEnv(world_n="moon", num_envs=ROWS, length=1, seed=0, task=TaskConfig(flip_threshold=0.0))
     envs = SB3VecEnv(tilted, time_limit="truncated")
     envs.reset()
@@ -81,7 +83,7 @@ def test_an_ending_in_the_last_step_is_no_time_limit():
     envs.close()
 
 
-def test_the_contracts_time_limit_may_be_had():
+def test_the_contracts_time_limit_can_be_chosen():
     envs = make(length=1, time_limit="terminated")
     envs.reset()
     _, _, dones, infos = envs.step(np.zeros((ROWS, 2)))
@@ -103,7 +105,7 @@ def test_episodes_are_counted_by_vec_monitor(shared):
         assert infos[row]["episode"]["is_success"] in (True, False)
 
 
-def test_a_seed_holds_for_one_reset(shared):
+def test_a_seed_applies_to_one_reset(shared):
     shared.seed(3)
     first = shared.reset()
     second = shared.reset()
@@ -112,14 +114,14 @@ def test_a_seed_holds_for_one_reset(shared):
     assert (first["pose"] != second["pose"]).any()
 
 
-def test_options_hold_for_one_reset(shared):
+def test_options_apply_to_one_reset(shared):
     shared.set_options({"start": (0.0, 0.0, 0.5), "goal": (2.0, 0.0)})
     observation = shared.reset()
     np.testing.assert_allclose(observation["target"], [(2.0, -0.5)] * ROWS, atol=1e-5)
     assert (shared.reset()["target"][:, 0] != 2.0).any()
 
 
-def test_options_are_for_all_rows(shared):
+def test_options_must_be_equal_for_all_rows(shared):
     shared.set_options([{"goal": (2.0, 0.0)}, {}, {}])
     with pytest.raises(ValueError, match="every row must have the same options"):
         shared.reset()
@@ -152,7 +154,7 @@ def test_step_wait_needs_actions():
     envs.close()
 
 
-def test_close_may_be_called_again_and_use_after_it_raises():
+def test_close_is_idempotent_and_use_after_it_raises():
     envs = make()
     envs.reset()
     envs.close()
@@ -197,12 +199,13 @@ def test_ppo_learns_on_the_batch():
 
 def test_a_missing_library_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
-    monkeypatch.delitem(sys.modules, "rover_rl.envs.sb3")
+    for module in ("rover_rl.envs.sb3", "rover_rl.envs.wrappers.sb3"):
+        monkeypatch.delitem(sys.modules, module)
     with pytest.raises(ImportError, match=r"pip install \"rover_rl\[sb3\]\""):
         importlib.import_module("rover_rl.envs.sb3")
 
 
-def test_a_window_is_for_one_rover():
+def test_a_window_needs_a_single_rover():
     with pytest.raises(ValueError, match=r"render_mode must be one of \[None, 'rgb_array'\], got 'human'"):
         make(rows=2, render_mode="human")
 

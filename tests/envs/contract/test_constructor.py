@@ -1,0 +1,102 @@
+"""Constructor: arguments, default values, and settings out of range."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import asdict, fields
+
+import pytest
+
+from rover_rl import RewardConfig, RoverEnv, TaskConfig
+from rover_rl.envs.control import HeadingGains
+from tests.envs.contract.scripted_env import flat_world
+
+
+def test_the_constructor_takes_the_contracts_ten_arguments_in_order_with_their_defaults():
+    parameters = inspect.signature(RoverEnv.__init__).parameters.values()
+    positional = [(p.name, p.default) for p in parameters if p.kind is p.POSITIONAL_OR_KEYWORD]
+    assert positional[1:] == [
+        ("size", (64, 64)),
+        ("length", 2000),
+        ("scan_topic", "/scan"),
+        ("imu_topic", "/imu/data"),
+        ("cmd_vel_topic", "/cmd_vel"),
+        ("camera_topic", "/camera/image_raw"),
+        ("world_n", "inspect"),
+        ("connection_check_timeout", 30),
+        ("lidar_points", 32),
+        ("max_lidar_range", 12.0),
+    ]
+
+
+def test_further_settings_are_keyword_only_with_the_defaults_of_the_design():
+    parameters = inspect.signature(RoverEnv.__init__).parameters.values()
+    keywords = {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY}
+    expected = {
+        "num_envs": 1,
+        "backend": "bullet",
+        "robot": "rover_zero",
+        "lidar_beams": 128,
+        "seed": None,
+        "device": None,
+        "end_on_goal": False,
+    }
+    assert expected.items() <= keywords.items()
+
+
+def test_the_task_has_the_contracts_thresholds():
+    assert asdict(TaskConfig()) == {
+        "success_distance": 0.5,
+        "min_goal_distance": 1.0,
+        "collision_threshold": 0.3,
+        "collision_window": 15,
+        "flip_threshold": 1.48,
+        "stuck_window": 600,
+        "stuck_threshold": 0.001,
+    }
+
+
+def test_the_reward_has_the_contracts_numbers():
+    assert asdict(RewardConfig()) == {
+        "goal_reward": 100.0,
+        "distance_delta_scale": 0.3,
+        "final_reward_multiplier": 1.5,
+        "idle_penalty": -0.03,
+        "min_progress": 0.001,
+        "min_alignment": 0.0,
+        "velocity_scale": 0.0025,
+        "turn_scale": -0.0015,
+        "collision_penalty": -0.5,
+        "stuck_penalty": -25.0,
+        "general_penalty": -20.0,
+        "flip_grace_steps": 500,
+        "out_of_bounds_penalty": -10.0,
+    }
+
+
+def test_the_heading_pid_has_the_contracts_gains():
+    assert asdict(HeadingGains()) == {"kp": 2.0, "ki": 0.0, "kd": 0.1, "max_output": 7.0}
+
+
+def test_configurations_are_frozen():
+    for config in (TaskConfig(), RewardConfig(), HeadingGains()):
+        for field in fields(config):
+            with pytest.raises(AttributeError):
+                setattr(config, field.name, 1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"world_n": "mars"}, "inspect.*maze.*moon"),
+        ({"backend": "gazebo"}, "bullet"),
+        ({"num_envs": 0}, "num_envs"),
+        ({"length": 0}, "length"),
+        ({"lidar_points": 0}, "lidar_points"),
+        ({"lidar_beams": 31}, "lidar_beams"),
+        ({"max_lidar_range": 0.0}, "max_lidar_range"),
+    ],
+)
+def test_a_setting_out_of_its_range_raises_and_says_what_is_allowed(settings, message):
+    with pytest.raises(ValueError, match=message):
+        RoverEnv(**{"world_n": flat_world(), **settings})

@@ -1,0 +1,123 @@
+"""Scripted and simulated rollouts, compared with the transcription of the contract."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from rover_rl import RoverEnv, TaskConfig, World, make_env
+from rover_rl.sims.worlds import Terrain
+from tests.envs import transcription as contract
+from tests.envs.contract.scripted_env import AREA, WORLD_NAMES, bare, scripted
+from tests.envs.contract.witness import NAME_OF_PHASE, Witness, check_witnessed, witness
+from tests.envs.scripted import Moment
+
+
+def test_scripts_of_every_kind_give_what_the_transcription_says():
+    rng = np.random.default_rng(0)
+    rows, steps = 24, 150
+
+    def script() -> list[Moment]:
+        x, y, near = *rng.uniform(-2, 2, 2), 0.0
+        moments = []
+        for _ in range(steps):
+            if rng.random() < 0.9:
+                x, y = np.clip(np.array((x, y)) + rng.normal(0, 0.3, 2), -32, 32)
+            near = rng.uniform(0, 25) if rng.random() < 0.15 else near
+            ranges = rng.uniform(0, 14, 50) + (near > 3) * 0.4
+            ranges[rng.integers(50)] = rng.choice([math.inf, math.nan, -math.inf if near < 0.5 else 5.0])
+            tilt = rng.normal(0, 0.3, 2) if rng.random() < 0.99 else rng.normal(0, 1.2, 2)
+            v, w = rng.normal(0, 5, 2)
+            moments.append(Moment(x, y, rng.normal(0, 5), *tilt, rng.uniform(-3.1, 3.1), v, w, ranges.tolist()))
+        return moments
+
+    scripts = [script() for _ in range(rows)]
+    # Some rovers stand still long enough to be stuck.
+    for k in range(0, rows, 3):
+        scripts[k] = [scripts[k][0], *[scripts[k][1]] * 40, *scripts[k][2:]]
+    world = World("small", Terrain.flat((8, 8)), spawn_range=AREA, bounds=((-4, 5), (-6, 4)))
+    env = scripted(*scripts, world_n=world, lidar_beams=50, length=60, task=TaskConfig(stuck_window=20))
+
+    def policy(td: TensorDict, _: RoverEnv, k: int) -> Tensor:
+        return torch.from_numpy(rng.uniform(-1.5, 1.5, (rows, 2))).float() * torch.tensor([1.0, 2.0])
+
+    seen = witness(env, world.bounds, steps, policy, length=60, stuck_window=20)
+    check_witnessed(seen)
+    assert {v.expected.decided_by for v in seen.verdicts} == set(NAME_OF_PHASE.values())
+    assert any(v.truncated for v in seen.verdicts)
+
+
+ROLLOUT_ROWS, ROLLOUT_STEPS, ROLLOUT_LENGTH = 8, 250, 150
+EDGES = {"inspect": (-13.7, -20.0, 0.0), "moon": (9.5, 3.0, 0.0), "maze": (0.0, 0.0, 0.0)}
+"""Poses near the bounds, facing outward. Walls keep rovers from the bounds of the maze: its pose is the origin."""
+
+
+def mixed_policies(td: TensorDict, env: RoverEnv, k: int) -> Tensor:
+    """One policy per row: two drive to the goal, two to an obstacle, two at random, one straight on, one in curves."""
+    angle = td["target"][:, 1]
+    ranges, angles = env.rover_state.ranges, env.simulator.ray_angles
+    nearest = angles[ranges.nan_to_num(posinf=99.0).argmin(-1)]
+    nearest = torch.atan2(nearest.sin(), nearest.cos())
+    generator = torch.Generator().manual_seed(k)
+    action = (torch.rand(ROLLOUT_ROWS, 2, generator=generator) * 2 - 1) * torch.tensor([1.0, math.pi])
+    action[:2, 0], action[:2, 1] = angle[:2].cos().clamp(min=0.2), angle[:2].clamp(-0.8, 0.8)
+    action[2:4, 0], action[2:4, 1] = 0.8, nearest[2:4].clamp(-0.8, 0.8)
+    action[6] = torch.tensor([1.0, 0.0])
+    action[7] = torch.tensor([math.cos(k / 25), 1.5 * math.sin(k / 40)])
+    return action
+
+
+@pytest.fixture(scope="module", params=WORLD_NAMES)
+def rollout(request) -> Witness:
+    """A record of 2,000 steps in one world: 8 rovers, 250 steps each, with automatic resets."""
+    name = request.param
+    env = make_env(world_n=name, num_envs=ROLLOUT_ROWS, seed=11, length=ROLLOUT_LENGTH, lidar_beams=100)
+    env.reset()
+    state = bare(env).rover_state
+    yaw = torch.tensor([contract.euler(q)[2] for q in state.orientation.tolist()])
+    start = torch.cat((state.position[:, :2], yaw[:, None]), -1)
+    goal = bare(env).goal
+    # The first two rovers have goals 0.9 m straight ahead.
+    ahead = torch.stack((yaw.cos(), yaw.sin()), -1)
+    goal[:2] = start[:2, :2] + 0.9 * ahead[:2]
+    start[6] = torch.tensor(EDGES[name])
+    table = contract.WORLDS[name]
+    bounds = (table.too_far_away_x, table.too_far_away_y)
+    seen = witness(env, bounds, ROLLOUT_STEPS, mixed_policies, start, goal, length=ROLLOUT_LENGTH)
+    env.close()
+    return seen
+
+
+def test_recorded_rollouts_give_what_the_transcription_says(rollout):
+    assert len(rollout.verdicts) == 2000
+    check_witnessed(rollout)
+
+
+def test_recorded_rollouts_hold_goals_collisions_endings_and_time_limits(rollout):
+    decided = [v.expected.decided_by for v in rollout.verdicts]
+    assert decided.count("goal") >= 2
+    assert decided.count("collision") >= 15
+    assert {"jam", "out_of_bounds"} & set(decided)
+    assert any(v.truncated for v in rollout.verdicts)
+    assert decided.count("dense") > 1000
+
+
+def test_recorded_rollouts_keep_the_goal_until_it_is_reached_and_then_set_one_1_m_away_or_more(rollout):
+    x_range, y_range = bare(rollout.env).worlds[0].goal_range
+    for v in rollout.verdicts:
+        if v.expected.decided_by != "goal":
+            assert v.goal == v.goal_before
+        else:
+            assert math.dist(v.goal, v.position) >= 1 - 1e-5
+            assert x_range[0] <= v.goal[0] <= x_range[1]
+            assert y_range[0] <= v.goal[1] <= y_range[1]
+
+
+def test_recorded_rollouts_total_is_the_sum_of_the_components(rollout):
+    for v in rollout.verdicts:
+        assert v.reward == pytest.approx(sum(v.components.values()), abs=1e-5)

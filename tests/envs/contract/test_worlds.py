@@ -1,0 +1,89 @@
+"""World-specific parameters: spawn ranges, goal ranges, drop heights and bounds."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from rover_rl.envs.placement import Placement
+from rover_rl.envs.rng import row_keys
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.worlds import get_world
+from tests.envs import transcription as contract
+from tests.envs.contract.scripted_env import CPU, WORLD_NAMES, play, scripted
+from tests.envs.scripted import Moment
+
+
+@pytest.mark.parametrize("name", WORLD_NAMES)
+def test_each_world_has_the_contracts_ranges_and_bounds(name):
+    world, table = get_world(name), contract.WORLDS[name]
+    assert world.name == name
+    assert world.goal_range == (table.rand_goal_x_range, table.rand_goal_y_range)
+    assert world.spawn_range == (table.rand_x_range, table.rand_y_range)
+    assert world.bounds == (table.too_far_away_x, table.too_far_away_y)
+
+
+def test_inspect_drops_the_rover_from_5_5_m_and_from_6_5_m_in_its_south_west_corner():
+    points = torch.tensor([[-20.0, -20.0], [-25.0, -25.0], [-24.5, -25.0], [-25.0, -24.5], [-25.0, -20.0]])
+    assert get_world("inspect").drop_height(points).tolist() == [5.5, 6.5, 5.5, 5.5, 5.5]
+
+
+@pytest.mark.parametrize("name", ["moon", "maze"])
+def test_the_other_worlds_drop_the_rover_from_0_75_m(name):
+    assert get_world(name).drop_height(torch.tensor([[0.0, 0.0], [-3.9, -3.9]])).tolist() == [0.75, 0.75]
+
+
+@pytest.mark.parametrize("name", WORLD_NAMES)
+def test_starts_and_goals_are_drawn_in_the_worlds_ranges_with_goals_1_m_away(name):
+    rows, table = 2000, contract.WORLDS[name]
+    placement = Placement([get_world(name)] * rows, get_robot("rover_zero"), 1.0, CPU)
+    keys = row_keys(0, rows, CPU)
+    start = placement.draw_start(keys)
+    goal = placement.draw_goal(keys, torch.zeros_like(keys), start[:, :2])
+    for points, x_range, y_range in (
+        (start, table.rand_x_range, table.rand_y_range),
+        (goal, table.rand_goal_x_range, table.rand_goal_y_range),
+    ):
+        for axis, (low, high) in enumerate((x_range, y_range)):
+            assert points[:, axis].min() >= low
+            assert points[:, axis].max() <= high
+            # Free cells cover nearly the whole range.
+            assert points[:, axis].min() < low + 1
+            assert points[:, axis].max() > high - 1
+    assert (goal - start[:, :2]).norm(dim=-1).min() >= 1.0
+
+
+@pytest.mark.parametrize("name", ["moon", "maze"])
+def test_the_starting_yaw_is_anything_from_minus_pi_to_pi(name):
+    keys = row_keys(0, 4000, CPU)
+    yaw = Placement([get_world(name)] * 4000, get_robot("rover_zero"), 1.0, CPU).draw_start(keys)[:, 2]
+    assert yaw.abs().max() <= math.pi
+    assert min(torch.histc(yaw, 8, -math.pi, math.pi).tolist()) > 250
+
+
+@pytest.mark.parametrize("side", ["x_low", "x_high", "y_low", "y_high"])
+@pytest.mark.parametrize("name", WORLD_NAMES)
+def test_too_far_away_is_outside_of_the_worlds_bounds_on_every_side(name, side):
+    table = contract.WORLDS[name]
+    limits = table.too_far_away_x if side[0] == "x" else table.too_far_away_y
+    limit, outward = (limits[0], -1) if side.endswith("low") else (limits[1], 1)
+    middle = [sum(table.too_far_away_x) / 2, sum(table.too_far_away_y) / 2]
+
+    def script(beyond: float) -> list[Moment]:
+        position = list(middle)
+        position[side[0] == "y"] = limit + outward * beyond
+        return [Moment(*middle), Moment(*position)]
+
+    env = scripted(script(-0.01), script(0.01), world_n=name)
+    result = play(env, 1, goal=(100.0, 100.0))[0]
+    assert result["outcome", "out_of_bounds"].flatten().tolist() == [False, True]
+    assert result["reward"][1].item() == -10.0
+
+
+def test_rows_in_different_worlds_have_their_own_bounds():
+    leaves_inspect = [Moment(x=-20.0, y=-20.0), Moment(x=-12.0, y=-20.0)]
+    env = scripted(leaves_inspect, leaves_inspect, world_n=["inspect", "maze"])
+    result = play(env, 1)[0]
+    assert result["terminated"].flatten().tolist() == [True, False]

@@ -1,0 +1,234 @@
+"""The package's import graph has no cycle and follows the layers; its modules are short and have specific names."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from functools import lru_cache
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "rover_rl"
+MAX_LINES = 450
+VAGUE_NAMES = {"utils.py", "helpers.py", "common.py"}
+
+LAYERS = (
+    ("checks", "files", "registry", "tensordicts"),
+    (
+        "sims.base",
+        "sims.connection",
+        "sims.differential_drive",
+        "sims.native",
+        "sims.robots",
+        "sims.rotations",
+        "sims.timing",
+        "sims.worlds",
+    ),
+    ("sims.rendering",),
+    ("sims.bullet", "sims.ros2", "sims.warp"),
+    ("sims.backends",),
+    ("sims.__init__",),
+    ("envs",),
+    ("algos.config",),
+    ("algos.policy", "algos.pretrained"),
+    ("algos.evaluation", "algos.train"),
+    ("algos.deploy", "algos.video"),
+    ("algos.__init__",),
+    ("cli",),
+    ("__init__",),
+)
+"""Layers of the package, bottom first. A module imports from its own layer and from layers below.
+
+A name stands for a module or for a package with everything in it; ``sims.__init__`` stands for that file alone.
+"""
+
+SEPARATE = {
+    "sims.bullet": ("sims.ros2", "sims.warp"),
+    "sims.ros2": ("sims.bullet", "sims.warp"),
+    "sims.warp": ("sims.bullet", "sims.ros2"),
+    "envs": ("sims.bullet", "sims.ros2", "sims.warp"),
+    "algos.evaluation": ("algos.train",),
+    "algos.train": ("algos.evaluation",),
+}
+"""Packages, and other packages that they do not import although the layers would permit it."""
+
+
+class Import(NamedTuple):
+    """Module ``importer`` imports module ``imported`` in line ``line``. Names are relative to ``rover_rl``."""
+
+    importer: str
+    imported: str
+    line: int
+
+    def __str__(self) -> str:
+        path = file_of(self.importer).relative_to(PACKAGE.parent)
+        return f"{path}:{self.line} imports {PACKAGE.name}.{self.imported}"
+
+
+# -----------------------------------------------------------------------------------------------------------
+# The graph
+
+
+def module_name(path: Path) -> str:
+    """``sims/base.py`` is ``sims.base``, and ``sims/__init__.py`` is ``sims.__init__``."""
+    return ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
+
+
+def file_of(module: str) -> Path:
+    return PACKAGE.joinpath(*module.split(".")).with_suffix(".py")
+
+
+@lru_cache
+def modules() -> frozenset[str]:
+    return frozenset(module_name(path) for path in PACKAGE.rglob("*.py"))
+
+
+def resolve(name: str) -> str | None:
+    """The module of a dotted name, or ``None`` outside of the package."""
+    first, _, rest = name.partition(".")
+    if first != PACKAGE.name:
+        return None
+    return next((module for module in (rest, f"{rest}.__init__".lstrip(".")) if module in modules()), None)
+
+
+def is_type_checking(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING")
+
+
+def runtime_nodes(node: ast.AST, in_package: bool) -> Iterator[ast.AST]:
+    """All nodes below ``node``, except for ``if TYPE_CHECKING:`` blocks and, in a package, its lazy ``__getattr__``."""
+    for child in node.orelse if is_type_checking(node) else ast.iter_child_nodes(node):
+        if in_package and isinstance(child, ast.FunctionDef) and child.name == "__getattr__":
+            continue
+        yield child
+        yield from runtime_nodes(child, in_package)
+
+
+def imported_names(node: ast.AST, package: list[str]) -> Iterator[str]:
+    """Dotted names that a node imports. ``from a import b`` gives ``a.b`` if that is a module, otherwise ``a``.
+
+    Args:
+        node: node of a syntax tree.
+        package: parts of the name of the enclosing package, for relative imports.
+    """
+    if isinstance(node, ast.Import):
+        yield from (alias.name for alias in node.names)
+    elif isinstance(node, ast.ImportFrom):
+        relative = package[: len(package) - node.level + 1] if node.level else []
+        source = ".".join([*relative, *filter(None, [node.module])])
+        for alias in node.names:
+            name = f"{source}.{alias.name}"
+            yield name if resolve(name) else source
+    elif isinstance(node, ast.Call) and ast.unparse(node.func) in ("import_module", "importlib.import_module"):
+        yield from (str(value.value) for value in node.args if isinstance(value, ast.Constant))
+
+
+def read_imports(module: str, source: str) -> Iterator[Import]:
+    """Imports of a module from the package, including those in functions."""
+    package = [PACKAGE.name, *module.split(".")[:-1]]
+    for node in runtime_nodes(ast.parse(source), in_package=module.endswith("__init__")):
+        for name in imported_names(node, package):
+            imported = resolve(name)
+            if imported is not None:
+                yield Import(module, imported, node.lineno)
+
+
+@lru_cache
+def imports() -> tuple[Import, ...]:
+    """All imports within the package, without duplicates."""
+    edges = (edge for module in sorted(modules()) for edge in read_imports(module, file_of(module).read_text()))
+    return tuple(dict.fromkeys(edges))
+
+
+def contains(name: str, module: str) -> bool:
+    return module == name or module.startswith(f"{name}.")
+
+
+def layer_of(module: str) -> int | None:
+    """Index of a module's layer, or ``None`` if the table does not list it."""
+    return next((k for k, names in enumerate(LAYERS) if any(contains(name, module) for name in names)), None)
+
+
+# -----------------------------------------------------------------------------------------------------------
+# Cycles and layers
+
+
+def test_the_import_graph_has_no_cycle():
+    graph: dict[str, set[str]] = {module: set() for module in modules()}
+    for edge in imports():
+        graph[edge.importer].add(edge.imported)
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        # The error lists the modules against the direction of the imports.
+        pytest.fail("import cycle: " + " -> ".join(reversed(error.args[1])))
+
+
+def test_every_module_has_a_layer():
+    unlisted = [module for module in sorted(modules()) if layer_of(module) is None]
+    assert not unlisted, f"add to LAYERS: {unlisted}"
+
+
+def test_every_name_in_the_tables_exists():
+    names = {name for layer in LAYERS for name in layer} | {*SEPARATE, *(n for many in SEPARATE.values() for n in many)}
+    missing = {name for name in names if not any(contains(name, module) for module in modules())}
+    assert not missing, f"no such module or package: {sorted(missing)}"
+
+
+def test_no_module_imports_from_a_layer_above():
+    layers = {module: layer_of(module) for module in modules()}
+    listed = [edge for edge in imports() if None not in (layers[edge.importer], layers[edge.imported])]
+    upward = [str(edge) for edge in listed if layers[edge.importer] < layers[edge.imported]]
+    assert not upward, "\n".join(upward)
+
+
+def test_separate_parts_do_not_import_each_other():
+    forbidden = [
+        str(edge)
+        for edge in imports()
+        for name, others in SEPARATE.items()
+        if contains(name, edge.importer) and any(contains(other, edge.imported) for other in others)
+    ]
+    assert not forbidden, "\n".join(forbidden)
+
+
+def test_imports_in_functions_and_import_module_calls_count_and_type_checking_blocks_do_not():
+    source = """
+from typing import TYPE_CHECKING
+import rover_rl.checks
+from rover_rl.envs import specs, StepEvent
+if TYPE_CHECKING:
+    from rover_rl.files import written_whole
+else:
+    from rover_rl.sims import worlds
+
+def build():
+    from . import rows
+    from ..sims.base import Simulator
+    return import_module("rover_rl.sims.bullet.simulator"), import_module("torch")
+
+def __getattr__(name):
+    return import_module("rover_rl.registry")
+"""
+    shared = ["checks", "envs.specs", "envs.__init__", "sims.worlds.__init__", "envs.rows", "sims.base"]
+    expected = [*shared, "sims.bullet.simulator"]
+    assert [edge.imported for edge in read_imports("envs.__init__", source)] == expected
+    assert [edge.imported for edge in read_imports("envs.task", source)] == [*expected, "registry"]
+
+
+# -----------------------------------------------------------------------------------------------------------
+# Names and lengths
+
+
+def test_no_module_has_a_vague_name():
+    vague = [module for module in sorted(modules()) if file_of(module).name in VAGUE_NAMES]
+    assert not vague, f"name these modules for what they hold: {vague}"
+
+
+def test_no_module_has_more_than_450_lines():
+    lengths = {module: len(file_of(module).read_text().splitlines()) for module in sorted(modules())}
+    long = {module: lines for module, lines in lengths.items() if lines > MAX_LINES}
+    assert not long, f"split these modules: {long}"
