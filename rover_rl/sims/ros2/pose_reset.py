@@ -23,7 +23,7 @@ _SUBSCRIBER_TIMEOUT = 5.0
 """Time to wait for a subscriber of the reset topic, s."""
 _DISCOVERY_TIMEOUT = 1.0
 """Time to wait for a subscriber in automatic selection, after the rover's sensors have been received, s."""
-_ANSWER_MS = 2000
+_SERVICE_TIMEOUT_MS = 2000
 """Timeout of a Gazebo service call, ms."""
 
 
@@ -82,14 +82,14 @@ class GazeboPlacer:
     """Message package of each command."""
 
     def __init__(self, command: str, world: str, model: str) -> None:
-        found = shutil.which(command)
-        if found is None:
+        program = shutil.which(command)
+        if program is None:
             others = [choice for choice in get_args(PoseReset) if choice != command]
             raise FileNotFoundError(
                 f"reset={command!r} needs Gazebo's command {command!r}, which is not on the PATH; install it, or "
                 f"choose another backend=Ros2Settings(reset=...): {', '.join(map(repr, others))}"
             )
-        self._program, self._package, self._world, self._model = found, self.MESSAGES[command], world, model
+        self._program, self._package, self._world, self._model = program, self.MESSAGES[command], world, model
 
     def place(self, target: TargetPose) -> None:
         """Calls Gazebo's service: see :meth:`Placer.place`."""
@@ -102,10 +102,15 @@ class GazeboPlacer:
         )
         arguments = [self._program, "service", "-s", f"/world/{self._world}/set_pose"]
         arguments += ["--reqtype", f"{self._package}.Pose", "--reptype", f"{self._package}.Boolean"]
-        arguments += ["--timeout", str(_ANSWER_MS), "--req", request]
+        arguments += ["--timeout", str(_SERVICE_TIMEOUT_MS), "--req", request]
         try:
             answer = subprocess.run(
-                arguments, capture_output=True, text=True, errors="replace", timeout=2 * _ANSWER_MS / 1000, check=False
+                arguments,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=2 * _SERVICE_TIMEOUT_MS / 1000,
+                check=False,
             )
         except subprocess.TimeoutExpired as error:
             raise PoseResetError(f"{self._program} did not finish within {error.timeout:g} s") from error
@@ -115,7 +120,7 @@ class GazeboPlacer:
 
 
 def succeeded(output: str, errors: str) -> bool:
-    """Whether a Gazebo service call succeeded: it answers ``data: true`` and prints no failure.
+    """Whether a Gazebo service call succeeded: its answer is ``data: true``, and it prints no failure.
 
     Args:
         output: standard output of the call.

@@ -40,7 +40,7 @@ from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.worlds import World
 
 COMMAND_LIFETIME = 0.5
-"""Simulation time without a command after which the rover stops, as real ones do, s."""
+"""Simulation time without a command after which the rover stops, as real rovers do, s."""
 RANGE_MIN = 0.15
 """Minimum range of the original's lidar, m."""
 NOT_MEASURED = -1.0

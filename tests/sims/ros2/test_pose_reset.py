@@ -77,7 +77,7 @@ def test_a_target_that_is_not_finite_is_rejected(fake_command):
 
 
 def test_a_hanging_command_times_out(fake_command, monkeypatch):
-    monkeypatch.setattr("rover_rl.sims.ros2.pose_reset._ANSWER_MS", 100)
+    monkeypatch.setattr("rover_rl.sims.ros2.pose_reset._SERVICE_TIMEOUT_MS", 100)
     fake_command(extra="exec sleep 60")
     with pytest.raises(PoseResetError, match="did not finish within"):
         GazeboPlacer("ign", "maze", "rover").place(TARGET)

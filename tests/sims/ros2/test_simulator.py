@@ -148,7 +148,7 @@ def test_step_sends_the_command_and_returns_the_next_state(wire, rover):
     rover.start()
     sim = simulator()
     sim.reset(ALL, torch.tensor([[1.0, 2.0, 0.5]]))
-    rover.ranges[0] = 1.5  # the environment's first beam, which points forward
+    rover.ranges[0] = 1.5  # the lidar's first beam, which points forward
     state = sim.step(torch.tensor([[0.5, -0.25]]))
     command = wire.sent["/cmd_vel"][-1]
     assert (command.linear.x, command.angular.z) == (0.5, -0.25)
@@ -609,7 +609,7 @@ def test_a_deleted_simulator_stops_the_rover_and_closes_the_connection(wire, rov
     drive(sim, steps=2)
     assert wire.sent["/cmd_vel"][-1] == Twist(Vector3(x=0.5))
     del sim
-    until(lambda: wire.closed)  # the rover's thread may hold a reference for a moment
+    until(lambda: wire.closed)
     assert wire.sent["/cmd_vel"][-1] == Twist()
 
 
