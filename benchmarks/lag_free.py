@@ -1,11 +1,11 @@
-"""Command reversals on a drive without lag, with and without the limits of live rovers.
+"""Command reversals of a rover without drive lag, with and without the command limits of live rovers.
 
     python -m benchmarks.lag_free
 
-Policies are trained on a drive that accelerates at a limited rate and on wheels that slip. Here a rover moves exactly
-as it is commanded. Without the limits (``rover_rl.sims.ros2.limits``) the heading PID's yaw rate then changes its sign
-in nearly every step. The table has success, SPL, reversals a second and the share of steps at the PID's maximum, each
-without and with the limits, over the same stored episodes. Results are in ``runs/lag_free/lag_free.json``.
+In training, the drive accelerates at a limited rate and the wheels slip. Here, a rover follows its commands exactly.
+Without the limits (``rover_rl.sims.ros2.limits``), the yaw rate of the heading PID then changes its sign in nearly
+every step. The table shows success, SPL, reversals per second and the share of steps at the PID's maximum,
+without and with the limits, over the same stored episodes. Writes the results to ``runs/lag_free/lag_free.json``.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ DT = 0.05
 
 @dataclass
 class LagFree:
-    """Settings of :class:`LagFreeRovers`, which also hold what they were commanded.
+    """Settings of :class:`LagFreeRovers`. Also records their commands.
 
     Attributes:
-        limited: whether commands go through the limits of live rovers.
-        commands: of each step, ``[N, 2]``, m/s and rad/s; nan on rows that were not active.
+        limited: whether the command limits of live rovers apply.
+        commands: forward speeds (m/s) and yaw rates (rad/s) of each step, ``[N, 2]``; NaN in inactive rows.
     """
 
     limited: bool
@@ -63,24 +63,24 @@ class LagFree:
         connection: Connection | None = None,
         device: torch.device | None = None,
     ) -> LagFreeRovers:
-        """The simulator with these settings."""
+        """Creates the simulator."""
         return LagFreeRovers(worlds, robot, lidar_beams, self)
 
     def reversals(self) -> float:
-        """Changes of the commanded turning direction a second."""
-        turns = torch.stack(self.commands)[..., 1]
-        driven = turns.isfinite()
-        count = sum(count_reversals(turns[driven[:, row], row].tolist()) for row in range(turns.shape[1]))
-        return count / (DT * driven.sum().item())
+        """Returns the number of changes of the commanded turning direction per second."""
+        yaw_rates = torch.stack(self.commands)[..., 1]
+        active = yaw_rates.isfinite()
+        count = sum(count_reversals(yaw_rates[active[:, row], row].tolist()) for row in range(yaw_rates.shape[1]))
+        return count / (DT * active.sum().item())
 
     def at_maximum(self) -> float:
-        """Share of the steps at the heading PID's maximum."""
-        turns = torch.stack(self.commands)[..., 1]
-        return (turns[turns.isfinite()].abs() >= HeadingGains.max_output).float().mean().item()
+        """Returns the share of steps at the heading PID's maximum."""
+        yaw_rates = torch.stack(self.commands)[..., 1]
+        return (yaw_rates[yaw_rates.isfinite()].abs() >= HeadingGains.max_output).float().mean().item()
 
 
 class LagFreeRovers:
-    """Rovers that move exactly as they are commanded, on the ground of one world."""
+    """Rovers that follow their commands exactly, on the ground of one world."""
 
     def __init__(self, worlds: Sequence[World], robot: Robot, lidar_beams: int, settings: LagFree) -> None:
         self.num_envs, self.device, self.robot_connected = len(worlds), torch.device("cpu"), True
@@ -88,13 +88,13 @@ class LagFreeRovers:
         self.ray_angles = torch.arange(lidar_beams, dtype=torch.float32) * (2 * math.pi / lidar_beams)
         self._world, self._robot, self._settings = worlds[0], robot, settings
         self._lidar = Lidar(worlds[0], robot, self.ray_angles.double().numpy())
-        limits = CommandLimits.of(robot)
+        limits = CommandLimits.from_robot(robot)
         self._limiters = [CommandLimiter(limits) for _ in worlds] if settings.limited else []
         self._pose = torch.zeros(self.num_envs, 3, dtype=torch.float64)
         self._twist = torch.zeros(self.num_envs, 2)
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
-        """Puts rovers at ``poses``, at rest."""
+        """Places rovers at ``poses``, at rest."""
         self._pose = torch.where(mask[:, None], poses.double(), self._pose)
         self._twist = self._twist.masked_fill(mask[:, None], 0.0)
         for row in mask.nonzero().flatten().tolist() if self._limiters else ():
@@ -102,25 +102,29 @@ class LagFreeRovers:
         return self.state()
 
     def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
-        """There is nothing to vary."""
-        raise ValueError("rovers without lag have no dynamics to vary")
+        """Not supported.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError("rovers without drive lag have no dynamics to vary")
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
-        """Moves as commanded for a control step."""
+        """Executes the commands for one control step."""
         active = torch.ones(self.num_envs, dtype=torch.bool) if active is None else active
         for row in active.nonzero().flatten().tolist() if self._limiters else ():
-            last, wanted = tuple(self._twist[row].tolist()), tuple(commands[row].tolist())
-            commands[row] = torch.tensor(self._limiters[row](last, wanted, DT))
+            last, desired = tuple(self._twist[row].tolist()), tuple(commands[row].tolist())
+            commands[row] = torch.tensor(self._limiters[row](last, desired, DT))
         self._settings.commands.append(commands.masked_fill(~active[:, None], math.nan))
         self._twist = torch.where(active[:, None], commands, self._twist)
-        speed, turn = commands.double().unbind(-1)
-        middle = self._pose[:, 2] + turn * DT / 2
-        moved = torch.stack((speed * middle.cos(), speed * middle.sin(), turn), -1) * DT
-        self._pose = torch.where(active[:, None], self._pose + moved, self._pose)
+        speed, yaw_rate = commands.double().unbind(-1)
+        middle = self._pose[:, 2] + yaw_rate * DT / 2
+        displacement = torch.stack((speed * middle.cos(), speed * middle.sin(), yaw_rate), -1) * DT
+        self._pose = torch.where(active[:, None], self._pose + displacement, self._pose)
         return self.state()
 
     def state(self) -> RoverState:
-        """Where they are, and what they see."""
+        """Returns poses, velocities and scans."""
         position, rotation = rest_on_ground(self._world, self._robot, self._pose)
         ranges = self._lidar.scan(position.numpy(), np.ascontiguousarray(rotation.numpy()))
         return RoverState.pack(
@@ -134,46 +138,46 @@ class LagFreeRovers:
         )
 
     def close(self) -> None:
-        """Disconnects from Bullet, which casts the rays."""
+        """Disconnects from Bullet, which computes the scans."""
         if pybullet.isConnected(self._lidar.client):
             pybullet.disconnect(self._lidar.client)
 
 
 @dataclass
 class Options:
-    """What to measure."""
+    """Measure command reversals without and with the command limits."""
 
     policies: tuple[str, ...] = ("inspect-ppo", "maze-ppo", "moon-sac")
-    """Policies of the package, each in the world that it was trained in."""
+    """Names of pretrained policies. Each drives in the world that it was trained in."""
     count: int = 64
-    """Stored episodes to drive."""
+    """Number of stored episodes."""
     seconds: float = 60.0
     """Time limit of an episode, s."""
     out: Path = Path("runs/lag_free")
-    """Folder to write to."""
+    """Output folder."""
 
 
 def measure(policy: str, count: int, seconds: float) -> dict[str, dict[str, float]]:
-    """Drives the same episodes without and with the limits."""
+    """Evaluates a policy on the same episodes without and with the limits."""
     checkpoint = load_pretrained(policy)
     actor, (world, *_) = checkpoint.make_actor(), checkpoint.config.worlds
     results = {}
     for name, limited in (("without limits", False), ("with limits", True)):
         settings = LagFree(limited)
         episodes = stored_episodes(world).first(count)
-        driven = evaluate(actor, episodes, rows=count, seconds=seconds, backend=settings)
+        evaluation = evaluate(actor, episodes, rows=count, seconds=seconds, backend=settings)
         results[name] = {
-            "success": driven.success_rate,
-            "SPL": driven.metrics["spl"].value,
+            "success": evaluation.success_rate,
+            "SPL": evaluation.metrics["spl"].value,
             "reversals a second": settings.reversals(),
-            "steps at the maximum": settings.at_maximum(),
+            "steps at the PID's maximum": settings.at_maximum(),
         }
     return results
 
 
 def main(options: Options) -> dict[str, Any]:
-    """Measures, prints and writes."""
-    table = Table("policy", "", "success", "SPL", "reversals a second", "steps at the maximum")
+    """Measures all policies, writes the results and prints a table."""
+    table = Table("policy", "", "success", "SPL", "reversals a second", "steps at the PID's maximum")
     results = {}
     for policy in options.policies:
         results[policy] = measure(policy, options.count, options.seconds)

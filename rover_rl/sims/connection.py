@@ -1,4 +1,4 @@
-"""The contract's way to a live rover."""
+"""Topics and timeout of the connection to a live rover."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Connection:
-    """The contract's way to a live rover; simulators that make their own sensor data do without.
+    """Topics and timeout of the connection to a live rover, as in the original environment's arguments.
+
+    Simulators that generate their own sensor data ignore it.
 
     Args:
-        scan_topic: its ``sensor_msgs/LaserScan``.
-        imu_topic: its ``sensor_msgs/Imu``.
-        cmd_vel_topic: its command, ``geometry_msgs/Twist``.
-        camera_topic: its camera, reserved for vision as in the original.
-        timeout: seconds to wait for its first scan.
+        scan_topic: topic of the ``sensor_msgs/LaserScan``.
+        imu_topic: topic of the ``sensor_msgs/Imu``.
+        cmd_vel_topic: topic of the command, a ``geometry_msgs/Twist``.
+        camera_topic: topic of the camera; reserved for vision, as in the original.
+        timeout: time to wait for the first scan, s.
     """
 
     scan_topic: str = "/scan"

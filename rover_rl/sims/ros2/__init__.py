@@ -1,4 +1,4 @@
-"""A live rover through ROS 2: real, in Gazebo, or ``rover-rl robot``."""
+"""ROS 2 backend: a real rover, one in Gazebo, or ``rover-rl robot``."""
 
 from __future__ import annotations
 

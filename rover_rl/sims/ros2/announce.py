@@ -1,7 +1,7 @@
-"""Telling ROS 2 which nodes are here, so that ``ros2 node list`` and ``ros2 node info`` show them.
+"""Announcement of nodes to ROS 2, so that ``ros2 node list`` and ``ros2 node info`` show them.
 
-Topics need none of this. ROS 2 keeps a list of nodes for each DDS participant (``rmw_dds_common``), with identifiers of
-24 bytes up to Humble and of 16 from Iron on; which it is, only the name of the distribution tells.
+Topics work without it. ROS 2 keeps a list of nodes for each DDS participant (``rmw_dds_common``). Identifiers have 24
+bytes up to Humble and 16 bytes since Iron; only the name of the distribution distinguishes them.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import numpy as np
 from rover_rl.sims.ros2.messages import Bytes16, Bytes24, Message
 
 TOPIC = "ros_discovery_info"
-"""Name of the DDS topic; it has no prefix, as ROS's own topics have."""
+"""DDS name of the topic. Unlike the names of ROS topics, it has no prefix."""
 LONG_IDENTIFIERS = ("foxy", "galactic", "humble")
-"""Distributions whose identifiers have 24 bytes."""
+"""Distributions with identifiers of 24 bytes."""
 
 
 @dataclass
 class LongGid(Message):
-    """An identifier up to Humble."""
+    """Identifier of a DDS entity, up to Humble."""
 
     ros_type = "rmw_dds_common/msg/Gid"
     data: Bytes24 = field(default_factory=lambda: np.zeros(24, np.uint8))
@@ -31,7 +31,7 @@ class LongGid(Message):
 
 @dataclass
 class Gid(Message):
-    """An identifier from Iron on."""
+    """Identifier of a DDS entity, since Iron."""
 
     ros_type = "rmw_dds_common/msg/Gid"
     data: Bytes16 = field(default_factory=lambda: np.zeros(16, np.uint8))
@@ -39,7 +39,7 @@ class Gid(Message):
 
 @dataclass
 class LongNode(Message):
-    """A node, and what it reads and writes, up to Humble."""
+    """A node with its readers and writers, up to Humble."""
 
     ros_type = "rmw_dds_common/msg/NodeEntitiesInfo"
     node_namespace: str = "/"
@@ -50,7 +50,7 @@ class LongNode(Message):
 
 @dataclass
 class Node(Message):
-    """A node, and what it reads and writes, from Iron on."""
+    """A node with its readers and writers, since Iron."""
 
     ros_type = "rmw_dds_common/msg/NodeEntitiesInfo"
     node_namespace: str = "/"
@@ -61,7 +61,7 @@ class Node(Message):
 
 @dataclass
 class LongParticipant(Message):
-    """A participant's nodes, up to Humble."""
+    """Nodes of a participant, up to Humble."""
 
     ros_type = "rmw_dds_common/msg/ParticipantEntitiesInfo"
     gid: LongGid = field(default_factory=LongGid)
@@ -70,7 +70,7 @@ class LongParticipant(Message):
 
 @dataclass
 class Participant(Message):
-    """A participant's nodes, from Iron on."""
+    """Nodes of a participant, since Iron."""
 
     ros_type = "rmw_dds_common/msg/ParticipantEntitiesInfo"
     gid: Gid = field(default_factory=Gid)
@@ -78,41 +78,48 @@ class Participant(Message):
 
 
 def participant_message(distribution: str) -> type[Message]:
-    """The message that a ROS distribution, for example ``"jazzy"``, tells a participant's nodes with."""
+    """Returns the message type that announces nodes in a ROS distribution, for example ``"jazzy"``."""
     return LongParticipant if distribution in LONG_IDENTIFIERS else Participant
 
 
 class NodeList:
-    """The nodes of one participant; whenever they change, everybody is told.
+    """List of a participant's nodes, published at each change.
 
     Args:
-        kind: as :func:`participant_message` gives it.
-        identifier: of the participant.
-        publish: sends messages of that kind, and keeps the last for those who come later.
+        kind: message type from :func:`participant_message`.
+        identifier: identifier of the participant.
+        publish: function that publishes messages of that type with transient-local durability.
     """
 
     def __init__(self, kind: type[Message], identifier: UUID, publish: Callable[[Any], None]) -> None:
-        forms: tuple[Any, Any] = (LongGid, LongNode) if kind is LongParticipant else (Gid, Node)
+        types: tuple[Any, Any] = (LongGid, LongNode) if kind is LongParticipant else (Gid, Node)
         self._kind: Any = kind
-        self._gid, self._node = forms
+        self._gid_type, self._node_type = types
         self._identifier, self._publish = identifier, publish
         self._nodes: dict[int, Any] = {}
 
-    def tell(self, owner: int, name: str, readers: Iterable[UUID], writers: Iterable[UUID]) -> None:
-        """What the node of ``owner`` reads and writes now."""
-        reads, writes = ([self._of(entity) for entity in entities] for entities in (readers, writers))
-        self._nodes[owner] = self._node("/", name, reads, writes)
-        self._send()
+    def update(self, owner: int, name: str, readers: Iterable[UUID], writers: Iterable[UUID]) -> None:
+        """Adds or replaces a node.
 
-    def forget(self, owner: int) -> None:
-        """The node of ``owner`` is gone."""
+        Args:
+            owner: key of the node.
+            name: name of the node.
+            readers: identifiers of its readers.
+            writers: identifiers of its writers.
+        """
+        reader_gids, writer_gids = ([self._gid(entity) for entity in entities] for entities in (readers, writers))
+        self._nodes[owner] = self._node_type("/", name, reader_gids, writer_gids)
+        self._publish_nodes()
+
+    def remove(self, owner: int) -> None:
+        """Removes the node of ``owner``, if any."""
         if self._nodes.pop(owner, None) is not None:
-            self._send()
+            self._publish_nodes()
 
-    def _send(self) -> None:
-        self._publish(self._kind(self._of(self._identifier), [*self._nodes.values()]))
+    def _publish_nodes(self) -> None:
+        self._publish(self._kind(self._gid(self._identifier), [*self._nodes.values()]))
 
-    def _of(self, identifier: UUID) -> Any:
-        gid = self._gid()
+    def _gid(self, identifier: UUID) -> Any:
+        gid = self._gid_type()
         gid.data[:16] = np.frombuffer(identifier.bytes, np.uint8)
         return gid

@@ -1,7 +1,8 @@
-"""CDR, the bytes that ROS 2 messages are on the wire: OMG's Common Data Representation, version 1.
+"""Serialization of ROS 2 messages: OMG's Common Data Representation (CDR), version 1.
 
-Four bytes say which representation follows; then the fields in order, each aligned to its own size, counted from there;
-strings with their length and a closing zero; sequences with their count.
+A header of four bytes names the representation. The fields follow in order, each aligned to its own size relative to
+the end of the header. A string has its length in front and a zero byte at the end; a sequence has its number of
+elements in front.
 
 Example:
     >>> decode(Time, encode(Time(1, 500_000_000))).seconds
@@ -25,24 +26,24 @@ _HEADER = b"\x00\x01\x00\x00"
 
 
 class MalformedError(ValueError):
-    """Bytes that are no message of the type that was expected."""
+    """The bytes are not a message of the expected type."""
 
 
 def encode(message: Message) -> bytes:
-    """The message's bytes, little endian."""
+    """Serializes a message, little endian."""
     writer = _Writer()
     _codec(type(message)).write(writer, message)
     return _HEADER + bytes(writer.data)
 
 
 def decode(kind: type[M], data: bytes) -> M:
-    """The message of type ``kind`` that ``data`` holds; bytes after its end are not looked at.
+    """Deserializes a message of type ``kind``. Bytes after its end are ignored.
 
     Raises:
-        MalformedError: if there is none.
+        MalformedError: if ``data`` is not such a message.
     """
     if len(data) < 4 or data[0] != 0 or data[1] > 1:
-        raise MalformedError(f"{kind.ros_type}: {len(data)} bytes that do not begin as plain CDR")
+        raise MalformedError(f"{kind.ros_type}: {len(data)} bytes without a header of plain CDR")
     reader = _Reader(data, "<" if data[1] else ">")
     try:
         return _codec(kind).read(reader)
@@ -57,30 +58,30 @@ class _Writer:
     def align(self, size: int) -> None:
         self.data.extend(bytes(-len(self.data) % size))
 
-    def number(self, letter: str, value: float) -> None:
-        self.align(struct.calcsize(letter))
-        self.data.extend(struct.pack("<" + letter, value))
+    def number(self, format: str, value: float) -> None:
+        self.align(struct.calcsize(format))
+        self.data.extend(struct.pack("<" + format, value))
 
 
 class _Reader:
-    def __init__(self, data: bytes, order: Literal["<", ">"]) -> None:
-        self.data, self.at = data, len(_HEADER)
-        self.order: Literal["<", ">"] = order
+    def __init__(self, data: bytes, byte_order: Literal["<", ">"]) -> None:
+        self.data, self.offset = data, len(_HEADER)
+        self.byte_order: Literal["<", ">"] = byte_order
 
     def align(self, size: int) -> None:
-        self.at += (len(_HEADER) - self.at) % size
+        self.offset += (len(_HEADER) - self.offset) % size
 
-    def number(self, letter: str) -> Any:
-        self.align(struct.calcsize(letter))
-        (value,) = struct.unpack_from(self.order + letter, self.data, self.at)
-        self.at += struct.calcsize(letter)
+    def number(self, format: str) -> Any:
+        self.align(struct.calcsize(format))
+        (value,) = struct.unpack_from(self.byte_order + format, self.data, self.offset)
+        self.offset += struct.calcsize(format)
         return value
 
-    def take(self, size: int) -> bytes:
-        if size > len(self.data) - self.at:
-            raise ValueError(f"{size} bytes are announced, {max(0, len(self.data) - self.at)} are there")
-        self.at += size
-        return self.data[self.at - size : self.at]
+    def read_bytes(self, size: int) -> bytes:
+        if size > len(self.data) - self.offset:
+            raise ValueError(f"{size} bytes are announced, {max(0, len(self.data) - self.offset)} are left")
+        self.offset += size
+        return self.data[self.offset - size : self.offset]
 
 
 class _Codec(Protocol):
@@ -90,13 +91,13 @@ class _Codec(Protocol):
 
 
 class _Number(NamedTuple):
-    letter: str
+    format: str
 
     def write(self, writer: _Writer, value: float) -> None:
-        writer.number(self.letter, value)
+        writer.number(self.format, value)
 
     def read(self, reader: _Reader) -> Any:
-        return reader.number(self.letter)
+        return reader.number(self.format)
 
 
 class _String:
@@ -106,20 +107,20 @@ class _String:
         writer.data.extend(text)
 
     def read(self, reader: _Reader) -> str:
-        return reader.take(reader.number("I")).removesuffix(b"\x00").decode()
+        return reader.read_bytes(reader.number("I")).removesuffix(b"\x00").decode()
 
 
-class _Numbers(NamedTuple):
+class _NumberArray(NamedTuple):
     array: Array
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        return np.dtype(self.array.letter)
+        return np.dtype(self.array.format)
 
     def write(self, writer: _Writer, value: NDArray[Any]) -> None:
         numbers = np.asarray(value, self.dtype.newbyteorder("<"))
         if numbers.ndim != 1 or len(numbers) != (self.array.length or len(numbers)):
-            raise ValueError(f"expected {self.array.length or 'a row of'} numbers, got shape {numbers.shape}")
+            raise ValueError(f"expected {self.array.length or 'a list of'} numbers, got shape {numbers.shape}")
         if self.array.length is None:
             writer.number("I", len(numbers))
         if len(numbers):
@@ -131,11 +132,11 @@ class _Numbers(NamedTuple):
         if not count:
             return np.zeros(0, self.dtype)
         reader.align(self.dtype.itemsize)
-        data = reader.take(count * self.dtype.itemsize)
-        return np.frombuffer(data, self.dtype.newbyteorder(reader.order)).astype(self.dtype)
+        data = reader.read_bytes(count * self.dtype.itemsize)
+        return np.frombuffer(data, self.dtype.newbyteorder(reader.byte_order)).astype(self.dtype)
 
 
-class _Messages(NamedTuple):
+class _MessageSequence(NamedTuple):
     kind: type[Message]
 
     def write(self, writer: _Writer, value: list[Message]) -> None:
@@ -145,42 +146,42 @@ class _Messages(NamedTuple):
 
     def read(self, reader: _Reader) -> list[Message]:
         codec, count = _codec(self.kind), reader.number("I")
-        if count > len(reader.data) - reader.at:  # no message of ours is empty: each takes a byte at least
-            raise ValueError(f"{count} messages are announced in {len(reader.data) - reader.at} bytes")
+        if count > len(reader.data) - reader.offset:  # every message type takes at least one byte
+            raise ValueError(f"{count} messages are announced in {len(reader.data) - reader.offset} bytes")
         return [codec.read(reader) for _ in range(count)]
 
 
 class _Struct(NamedTuple):
     kind: type[Message]
-    members: tuple[tuple[str, _Codec], ...]
+    fields: tuple[tuple[str, _Codec], ...]
 
     def write(self, writer: _Writer, value: Message) -> None:
-        for name, codec in self.members:
+        for name, codec in self.fields:
             codec.write(writer, getattr(value, name))
 
     def read(self, reader: _Reader) -> Any:
-        return self.kind(**{name: codec.read(reader) for name, codec in self.members})
+        return self.kind(**{name: codec.read(reader) for name, codec in self.fields})
 
 
 _codecs: dict[type[Message], _Struct] = {}
 
 
 def _codec(kind: type[Message]) -> _Struct:
-    """How a message is written and read, worked out once."""
+    """Returns the cached codec of a message type."""
     if kind not in _codecs:
         hints = get_type_hints(kind, include_extras=True)
-        members = tuple((name, _member(hint)) for name, hint in hints.items() if name != "ros_type")
-        _codecs[kind] = _Struct(kind, members)
+        fields = tuple((name, _field_codec(hint)) for name, hint in hints.items() if name != "ros_type")
+        _codecs[kind] = _Struct(kind, fields)
     return _codecs[kind]
 
 
-def _member(hint: Any) -> _Codec:
-    """How a field with that annotation is written and read."""
+def _field_codec(hint: Any) -> _Codec:
+    """Returns the codec of a field from its annotation."""
     if hint is str:
         return _String()
     if get_origin(hint) is Annotated:
-        (form,) = hint.__metadata__
-        return _Numbers(form) if isinstance(form, Array) else _Number(form)
+        (layout,) = hint.__metadata__
+        return _NumberArray(layout) if isinstance(layout, Array) else _Number(layout)
     if get_origin(hint) is list:
-        return _Messages(*get_args(hint))
+        return _MessageSequence(*get_args(hint))
     return _codec(hint)

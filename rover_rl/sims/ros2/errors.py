@@ -1,11 +1,11 @@
-"""What can go wrong with a live rover."""
+"""Errors of a live rover."""
 
 from __future__ import annotations
 
 
 class RobotLostError(ConnectionError):
-    """A live rover no longer says where it is or what it sees. It was told to stop."""
+    """A live rover no longer sends usable sensor data. A stop command was sent."""
 
 
 class PoseResetError(OSError):
-    """A live rover could not be put where the episode starts."""
+    """A live rover could not be moved to the start pose of an episode."""

@@ -1,4 +1,4 @@
-"""Guard of the command path: a live rover does not move towards what no lidar beam covers."""
+"""Guard that blocks motion towards directions that no lidar beam covers."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import torch
 from torch import Tensor
 
 SECTOR = math.radians(45)
-"""Half of the angle around the direction of travel that must be seen, rad.
+"""Half-angle of the sector around the direction of travel in which every beam must be seen, rad.
 
-A rover with a footprint radius of 0.35 m that stops within 0.35 m sweeps nothing outside of it that it has not seen
-before from farther away."""
+A rover with a footprint radius of 0.35 m and a stopping distance of 0.35 m sweeps no area outside of this sector that
+it has not already seen from farther away."""
 
 
 class UnseenGuard:
-    """Cancels the forward speed of commands that lead towards unseen directions.
+    """Blocks forward speeds towards unseen directions.
 
-    Turning on the spot stays allowed: it is how a rover looks elsewhere.
+    Turning on the spot stays allowed, so that a rover can look in other directions.
 
     Args:
-        angles: direction of each beam, ``[beams]``, rad from straight ahead.
+        angles: direction of each beam, counter-clockwise from straight ahead, ``[beams]``, rad.
     """
 
     def __init__(self, angles: Tensor) -> None:
@@ -28,8 +28,13 @@ class UnseenGuard:
         behind = angles.cos() <= -math.cos(SECTOR) + 1e-6
         self._sectors = torch.stack((ahead, behind))
 
-    def blocked(self, speed: float, seen: Tensor) -> bool:
-        """Whether a forward speed (m/s) leads towards a direction that is not ``seen`` (bool ``[beams]``)."""
+    def blocks(self, speed: float, seen: Tensor) -> bool:
+        """Whether a forward speed leads towards an unseen direction.
+
+        Args:
+            speed: forward speed, m/s; negative speeds lead backward.
+            seen: whether each beam is seen, bool ``[beams]``.
+        """
         if speed == 0.0:
             return False
         return bool((self._sectors[0 if speed > 0 else 1] & ~seen).any())

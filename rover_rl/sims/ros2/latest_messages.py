@@ -1,4 +1,4 @@
-"""The newest of each kind of message, and when it came."""
+"""Thread-safe store of the latest message of each kind."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Arrival:
-    """What a message said, and when.
+class ReceivedMessage:
+    """A message's value, with its time of arrival.
 
     Attributes:
-        value: that was read from it.
-        time: of its arrival by :func:`time.monotonic`, s. The message's own stamp may be a simulation's.
-        number: of its kind, counted from 1.
+        value: value that was read from the message.
+        time: arrival by :func:`time.monotonic`, s. The message's own stamp may be simulation time.
+        number: sequence number among messages of its kind, starting at 1.
     """
 
     value: Any
@@ -24,37 +24,46 @@ class Arrival:
 
     @property
     def age(self) -> float:
-        """Seconds since it came."""
+        """Time since arrival, s."""
         return time.monotonic() - self.time
 
 
 class LatestMessages:
-    """Filled by the transport's thread, read and waited on by others."""
+    """Stores the latest message of each kind. The transport's thread writes; other threads read and wait."""
 
     def __init__(self) -> None:
-        self._newest: dict[str, Arrival] = {}
+        self._latest: dict[str, ReceivedMessage] = {}
         self._changed = threading.Condition()
 
     def put(self, kind: str, value: Any) -> None:
-        """Keeps ``value`` as the newest of its kind."""
+        """Stores ``value`` as the latest of its kind."""
         with self._changed:
-            known = self._newest.get(kind)
-            self._newest[kind] = Arrival(value, time.monotonic(), known.number + 1 if known else 1)
+            previous = self._latest.get(kind)
+            self._latest[kind] = ReceivedMessage(value, time.monotonic(), previous.number + 1 if previous else 1)
             self._changed.notify_all()
 
-    def newest(self, kind: str) -> Arrival | None:
-        """The newest of its kind; ``None`` before the first."""
+    def latest(self, kind: str) -> ReceivedMessage | None:
+        """Returns the latest message of a kind, or ``None`` before the first one."""
         with self._changed:
-            return self._newest.get(kind)
+            return self._latest.get(kind)
 
     def count(self, kind: str) -> int:
-        """How many have come."""
-        arrival = self.newest(kind)
-        return arrival.number if arrival else 0
+        """Returns the number of messages of a kind that have arrived."""
+        message = self.latest(kind)
+        return message.number if message else 0
 
-    def wait(self, kind: str, after: int, timeout: float) -> Arrival | None:
-        """The first to come after number ``after``, or a later one; ``None`` if none comes in time (s)."""
+    def wait(self, kind: str, after: int, timeout: float) -> ReceivedMessage | None:
+        """Waits for a message of a kind.
+
+        Args:
+            kind: kind of the message.
+            after: sequence number that the message must exceed.
+            timeout: time to wait, s.
+
+        Returns:
+            The latest message, or ``None`` if none arrives in time.
+        """
         with self._changed:
-            if self._changed.wait_for(lambda: kind in self._newest and self._newest[kind].number > after, timeout):
-                return self._newest[kind]
+            if self._changed.wait_for(lambda: kind in self._latest and self._latest[kind].number > after, timeout):
+                return self._latest[kind]
             return None

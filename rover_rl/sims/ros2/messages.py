@@ -1,9 +1,8 @@
-"""The ROS 2 messages that the rover speaks, as plain dataclasses with ROS's own field names.
+"""ROS 2 messages of the rover as plain dataclasses with the field names of ROS.
 
-They need no ROS: :mod:`rover_rl.sims.ros2.cdr` writes and reads them as the bytes that go over the wire. Fields and
-their order are those of ``common_interfaces`` (``std_msgs``, ``geometry_msgs``, ``sensor_msgs``, ``nav_msgs``), the
-same since Humble. How a field lies on the wire is in its annotation: a letter of :mod:`struct`, or an :class:`Array` of
-them.
+They do not require ROS: :mod:`rover_rl.sims.ros2.cdr` serializes and deserializes them. Fields and their order are
+those of ``common_interfaces`` (``std_msgs``, ``geometry_msgs``, ``sensor_msgs``, ``nav_msgs``), unchanged since Humble.
+The annotation of a field gives its binary format: a format character of :mod:`struct`, or an :class:`Array`.
 """
 
 from __future__ import annotations
@@ -18,9 +17,14 @@ from numpy.typing import NDArray
 
 
 class Array(NamedTuple):
-    """Numbers in a row: of a fixed ``length``, or ``None`` for a sequence of any."""
+    """Binary format of an array of numbers.
 
-    letter: str
+    Attributes:
+        format: format character of :mod:`struct`.
+        length: number of elements; ``None`` for a sequence of variable length.
+    """
+
+    format: str
     length: int | None = None
 
 
@@ -40,10 +44,10 @@ _zeros36: Callable[[], NDArray[np.float64]] = partial(np.zeros, 36)
 
 
 class Message:
-    """What all messages have: the name of their type.
+    """Base class of all messages.
 
     Attributes:
-        ros_type: as ROS 2 writes it, for example ``"geometry_msgs/msg/Twist"``.
+        ros_type: ROS 2 name of the type, for example ``"geometry_msgs/msg/Twist"``.
     """
 
     ros_type: ClassVar[str]
@@ -51,27 +55,27 @@ class Message:
 
 @dataclass
 class Time(Message):
-    """A moment, or a time since one."""
+    """A point in time or a duration."""
 
     ros_type = "builtin_interfaces/msg/Time"
     sec: Int32 = 0
     nanosec: UInt32 = 0
 
     @classmethod
-    def of(cls, seconds: float) -> Time:
-        """From seconds."""
+    def from_seconds(cls, seconds: float) -> Time:
+        """Converts seconds."""
         nanoseconds = round(seconds * 1e9)
         return cls(nanoseconds // 1_000_000_000, nanoseconds % 1_000_000_000)
 
     @property
     def seconds(self) -> float:
-        """As one number."""
+        """Time in seconds."""
         return self.sec + self.nanosec * 1e-9
 
 
 @dataclass
 class Header(Message):
-    """When and in which frame."""
+    """Time stamp and frame of a message."""
 
     ros_type = "std_msgs/msg/Header"
     stamp: Time = field(default_factory=Time)
@@ -80,7 +84,7 @@ class Header(Message):
 
 @dataclass
 class Vector3(Message):
-    """A vector: m/s, rad/s or m/s^2."""
+    """A vector, in m/s, rad/s or m/s^2."""
 
     ros_type = "geometry_msgs/msg/Vector3"
     x: Float64 = 0.0
@@ -90,7 +94,7 @@ class Vector3(Message):
 
 @dataclass
 class Point(Message):
-    """A place, m."""
+    """A position, m."""
 
     ros_type = "geometry_msgs/msg/Point"
     x: Float64 = 0.0
@@ -100,7 +104,7 @@ class Point(Message):
 
 @dataclass
 class Quaternion(Message):
-    """A rotation."""
+    """An orientation as a quaternion."""
 
     ros_type = "geometry_msgs/msg/Quaternion"
     x: Float64 = 0.0
@@ -111,7 +115,7 @@ class Quaternion(Message):
 
 @dataclass
 class Pose(Message):
-    """A place and a rotation."""
+    """A position and an orientation."""
 
     ros_type = "geometry_msgs/msg/Pose"
     position: Point = field(default_factory=Point)
@@ -120,7 +124,7 @@ class Pose(Message):
 
 @dataclass
 class PoseStamped(Message):
-    """A pose at a moment."""
+    """A pose with a time stamp and a frame."""
 
     ros_type = "geometry_msgs/msg/PoseStamped"
     header: Header = field(default_factory=Header)
@@ -129,7 +133,7 @@ class PoseStamped(Message):
 
 @dataclass
 class PoseArray(Message):
-    """Poses; the rover's is the first."""
+    """Poses in one frame. The rover's pose is the first."""
 
     ros_type = "geometry_msgs/msg/PoseArray"
     header: Header = field(default_factory=Header)
@@ -138,7 +142,7 @@ class PoseArray(Message):
 
 @dataclass
 class PoseWithCovariance(Message):
-    """A pose and how sure it is."""
+    """A pose with its covariance."""
 
     ros_type = "geometry_msgs/msg/PoseWithCovariance"
     pose: Pose = field(default_factory=Pose)
@@ -147,7 +151,7 @@ class PoseWithCovariance(Message):
 
 @dataclass
 class Twist(Message):
-    """A velocity; the rover's is ``linear.x`` (m/s) and ``angular.z`` (rad/s)."""
+    """Linear and angular velocity. The rover uses ``linear.x`` (m/s) and ``angular.z`` (rad/s)."""
 
     ros_type = "geometry_msgs/msg/Twist"
     linear: Vector3 = field(default_factory=Vector3)
@@ -156,7 +160,7 @@ class Twist(Message):
 
 @dataclass
 class TwistStamped(Message):
-    """A velocity at a moment."""
+    """A velocity with a time stamp and a frame."""
 
     ros_type = "geometry_msgs/msg/TwistStamped"
     header: Header = field(default_factory=Header)
@@ -165,7 +169,7 @@ class TwistStamped(Message):
 
 @dataclass
 class TwistWithCovariance(Message):
-    """A velocity and how sure it is."""
+    """A velocity with its covariance."""
 
     ros_type = "geometry_msgs/msg/TwistWithCovariance"
     twist: Twist = field(default_factory=Twist)
@@ -174,7 +178,7 @@ class TwistWithCovariance(Message):
 
 @dataclass
 class Odometry(Message):
-    """Pose and velocity as the wheels tell them."""
+    """Pose and velocity by odometry."""
 
     ros_type = "nav_msgs/msg/Odometry"
     header: Header = field(default_factory=Header)
@@ -185,7 +189,7 @@ class Odometry(Message):
 
 @dataclass
 class Imu(Message):
-    """Orientation, rotation (rad/s) and acceleration (m/s^2)."""
+    """Orientation, angular velocity (rad/s) and linear acceleration (m/s^2)."""
 
     ros_type = "sensor_msgs/msg/Imu"
     header: Header = field(default_factory=Header)
@@ -199,7 +203,7 @@ class Imu(Message):
 
 @dataclass
 class LaserScan(Message):
-    """A scan; angles in rad counter-clockwise from straight ahead of the lidar, times in s, ranges in m."""
+    """A lidar scan. Angles in rad, counter-clockwise from the lidar's x axis; times in s; ranges in m."""
 
     ros_type = "sensor_msgs/msg/LaserScan"
     header: Header = field(default_factory=Header)
@@ -216,7 +220,7 @@ class LaserScan(Message):
 
 @dataclass
 class Clock(Message):
-    """The simulation's time."""
+    """Simulation time."""
 
     ros_type = "rosgraph_msgs/msg/Clock"
     clock: Time = field(default_factory=Time)

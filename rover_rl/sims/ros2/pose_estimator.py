@@ -1,4 +1,4 @@
-"""Where a live rover is: put together from what tells its pose, and the IMU."""
+"""Pose of a live rover in the world, estimated from pose messages and the IMU."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.ros2.messages import Message, Odometry, PoseArray, PoseStamped
-from rover_rl.sims.ros2.pose_reset import Target
-from rover_rl.sims.ros2.readings import Place, read_pose, read_pose_array
+from rover_rl.sims.ros2.pose_reset import TargetPose
+from rover_rl.sims.ros2.readings import MeasuredPose, read_pose, read_pose_array
 from rover_rl.sims.ros2.settings import PoseSource
 from rover_rl.sims.rotations import quaternion_product, quaternion_to_euler
 
-UPRIGHT = torch.tensor([0.0, 0.0, 0.0, 1.0])
-"""An attitude: level, with yaw 0."""
-NOWHERE = Place(torch.zeros(3), UPRIGHT)
-"""A place before there are any."""
-FACING = 0.3
-"""How far from where it was put to face a rover may face, rad."""
+IDENTITY_ORIENTATION = torch.tensor([0.0, 0.0, 0.0, 1.0])
+"""Level orientation with yaw 0, as (x, y, z, w)."""
+ORIGIN_POSE = MeasuredPose(torch.zeros(3), IDENTITY_ORIENTATION)
+"""Pose before the first pose message."""
+YAW_TOLERANCE = 0.3
+"""Maximum yaw error of a rover that has reached its target pose, rad."""
 
 
 class PoseMessage(NamedTuple):
-    """A message that tells poses, and how it is read."""
+    """Type of a pose message and the function that reads it."""
 
     kind: type[Message]
-    read: Callable[[Any], Place]
+    read: Callable[[Any], MeasuredPose]
 
 
 POSE_MESSAGES: dict[PoseSource, PoseMessage] = {
@@ -39,76 +39,104 @@ POSE_MESSAGES: dict[PoseSource, PoseMessage] = {
 
 
 class PoseEstimator:
-    """Turns poses and attitudes into the world's.
+    """Combines measured poses and IMU orientations into poses in the world.
+
+    The positions of a pose array and the IMU's heading are in the world's frame. A localizer provides the heading in
+    its map; between two of its poses the IMU provides the change. Wheel odometry has a frame of its own, which is
+    aligned with the world at the start of each episode.
 
     Args:
-        source: of the poses. Those of a pose array are the world's, as the IMU's heading is. A localiser knows the
-            heading in its map, and the IMU how it changes between two poses. Wheels know neither: they have a frame of
-            their own, which is laid into the world when an episode begins.
+        source: source of the poses.
     """
 
     def __init__(self, source: PoseSource) -> None:
         self._source = source
-        self._frame = _Frame()
+        self._frame = _OdometryFrame()
 
-    def located(self, place: Place, attitude: Tensor) -> Place:
-        """A pose as it is kept: with how far its frame is turned from the IMU's, which just told ``attitude [4]``."""
-        if self._source in ("pose_stamped", "odometry"):
-            return place._replace(turn=_yaw(place.orientation) - _yaw(attitude))
-        return place
-
-    def of(self, place: Place, attitude: Tensor) -> tuple[Tensor, Tensor]:
-        """Position ``[3]`` and orientation ``[4]`` in the world, from the newest pose and attitude."""
-        if self._source == "wheels":
-            return self._frame.position(place.position), _turned(attitude, self._frame.imu_turn)
-        return place.position, _turned(attitude, place.turn) if place.turn else attitude
-
-    def begin(self, place: Place, attitude: Tensor, target: Target | None, ground: float = 0.0) -> None:
-        """An episode begins here: wheels take the present pose for ``target``, or their own for the world's.
+    def align_imu(self, pose: MeasuredPose, imu_orientation: Tensor) -> MeasuredPose:
+        """Adds the yaw offset of the IMU to a localizer's pose; returns other poses unchanged.
 
         Args:
-            place: the newest pose.
-            attitude: of the IMU, ``[4]``.
-            target: where the rover was put; ``None`` where nobody did.
-            ground: height of the ground there, m.
+            pose: pose that has just arrived.
+            imu_orientation: latest orientation of the IMU, ``[4]``.
         """
-        wheels, imu = _yaw(place.orientation), _yaw(attitude)
-        if target is None:
-            self._frame = _Frame(imu_turn=wheels - imu)
-        else:
-            here = torch.tensor([target.x, target.y, ground])
-            self._frame = _Frame(target.yaw - wheels, place.position, here, target.yaw - imu)
+        if self._source in ("pose_stamped", "odometry"):
+            return pose._replace(imu_yaw_offset=_yaw(pose.orientation) - _yaw(imu_orientation))
+        return pose
 
-    def arrived(self, place: Place, target: Target, tolerance: float) -> bool:
-        """Whether a pose is within ``tolerance`` (m) of ``target``, and faces as it; wheels alone cannot tell."""
+    def estimate(self, pose: MeasuredPose, imu_orientation: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns position ``[3]`` and orientation ``[4]`` in the world.
+
+        Args:
+            pose: latest pose, from :meth:`align_imu`.
+            imu_orientation: latest orientation of the IMU, ``[4]``.
+        """
+        if self._source == "wheels":
+            return self._frame.to_world(pose.position), _rotate_yaw(imu_orientation, self._frame.imu_yaw_offset)
+        offset = pose.imu_yaw_offset
+        return pose.position, _rotate_yaw(imu_orientation, offset) if offset else imu_orientation
+
+    def start_episode(
+        self, pose: MeasuredPose, imu_orientation: Tensor, target: TargetPose | None, ground: float = 0.0
+    ) -> None:
+        """Aligns the frame of the wheel odometry with the world.
+
+        Args:
+            pose: latest pose.
+            imu_orientation: latest orientation of the IMU, ``[4]``.
+            target: pose that the rover was moved to; ``None`` if it was not moved: the odometry's frame is the world's.
+            ground: height of the ground at the target, m.
+        """
+        odometry_yaw, imu_yaw = _yaw(pose.orientation), _yaw(imu_orientation)
+        if target is None:
+            self._frame = _OdometryFrame(imu_yaw_offset=odometry_yaw - imu_yaw)
+        else:
+            world_origin = torch.tensor([target.x, target.y, ground])
+            self._frame = _OdometryFrame(target.yaw - odometry_yaw, pose.position, world_origin, target.yaw - imu_yaw)
+
+    def matches_target(self, pose: MeasuredPose, target: TargetPose, tolerance: float) -> bool:
+        """Whether a pose matches a target; always true for wheel odometry, which does not measure it.
+
+        Args:
+            pose: latest pose.
+            target: pose that the rover was moved to.
+            tolerance: maximum distance from the target, m.
+        """
         if self._source == "wheels":
             return True
-        x, y, _ = place.position.tolist()
+        x, y, _ = pose.position.tolist()
         near = math.hypot(x - target.x, y - target.y) <= tolerance
-        away = 0.0 if place.orientation is None else _yaw(place.orientation) - target.yaw
-        return near and abs(math.remainder(away, 2 * math.pi)) <= FACING
+        yaw_error = 0.0 if pose.orientation is None else _yaw(pose.orientation) - target.yaw
+        return near and abs(math.remainder(yaw_error, 2 * math.pi)) <= YAW_TOLERANCE
 
 
-class _Frame(NamedTuple):
-    """Where the wheels' frame lies in the world, and how far the IMU's north is turned from it, rad."""
+class _OdometryFrame(NamedTuple):
+    """Frame of the wheel odometry in the world.
 
-    turn: float = 0.0
+    Attributes:
+        yaw: yaw of the frame in the world, rad.
+        origin: position in the frame at the start of the episode, ``[3]``, m.
+        world_origin: position in the world at the start of the episode, ``[3]``, m.
+        imu_yaw_offset: yaw of the IMU's frame in the world, rad.
+    """
+
+    yaw: float = 0.0
     origin: Tensor = torch.zeros(3)
-    target: Tensor = torch.zeros(3)
-    imu_turn: float = 0.0
+    world_origin: Tensor = torch.zeros(3)
+    imu_yaw_offset: float = 0.0
 
-    def position(self, wheels: Tensor) -> Tensor:
-        """A position ``[3]`` of the wheels' in the world."""
-        dx, dy, dz = (wheels - self.origin).tolist()
-        cosine, sine = math.cos(self.turn), math.sin(self.turn)
-        return self.target + torch.tensor([cosine * dx - sine * dy, sine * dx + cosine * dy, dz])
+    def to_world(self, position: Tensor) -> Tensor:
+        """Converts a position ``[3]`` (m) from this frame to the world."""
+        dx, dy, dz = (position - self.origin).tolist()
+        cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
+        return self.world_origin + torch.tensor([cosine * dx - sine * dy, sine * dx + cosine * dy, dz])
 
 
 def _yaw(orientation: Tensor | None) -> float:
-    """Of ``orientation [4]``, rad; 0 where there is none."""
+    """Returns the yaw of an orientation ``[4]``, rad; 0 for ``None``."""
     return 0.0 if orientation is None else quaternion_to_euler(orientation)[2].item()
 
 
-def _turned(orientation: Tensor, yaw: float) -> Tensor:
-    """``orientation [4]``, turned by ``yaw`` (rad) about the vertical."""
+def _rotate_yaw(orientation: Tensor, yaw: float) -> Tensor:
+    """Rotates an orientation ``[4]`` by ``yaw`` (rad) about the world's vertical axis."""
     return quaternion_product(torch.tensor([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)]), orientation)

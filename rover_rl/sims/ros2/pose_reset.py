@@ -1,4 +1,4 @@
-"""Putting a live rover where an episode starts: by Gazebo's command, by a topic, by a person, or not at all."""
+"""Ways to move a live rover to the start of an episode: Gazebo's command, a topic, a person, or none."""
 
 from __future__ import annotations
 
@@ -18,17 +18,24 @@ from rover_rl.sims.ros2.transport import Transport
 _log = logging.getLogger(__name__)
 
 _FAILURES = ("ERROR", "Unable", "timed out", "failed")
-"""What a Gazebo service call prints when it did not work; its exit code is 0 all the same."""
-_LISTENER_TIMEOUT = 5.0
-"""Seconds to wait for somebody who listens to a topic."""
+"""Words in the output of a failed Gazebo service call, whose exit code is 0 as well."""
+_SUBSCRIBER_TIMEOUT = 5.0
+"""Time to wait for a subscriber of the reset topic, s."""
 _DISCOVERY_TIMEOUT = 1.0
-"""Seconds in which a node that listens is discovered, once the rover's sensors are heard."""
-_ANSWER_MS = 2000
-"""Milliseconds that a Gazebo service call waits for its answer."""
+"""Time to wait for a subscriber in automatic selection, after the rover's sensors have been received, s."""
+_SERVICE_TIMEOUT_MS = 2000
+"""Timeout of a Gazebo service call, ms."""
 
 
-class Target(NamedTuple):
-    """Where the rover is to be: m, and rad counter-clockwise from the world's x axis."""
+class TargetPose(NamedTuple):
+    """Pose to move the rover to.
+
+    Attributes:
+        x: position along the world's x axis, m.
+        y: position along the world's y axis, m.
+        z: height, m.
+        yaw: heading, counter-clockwise from the world's x axis, rad.
+    """
 
     x: float
     y: float
@@ -37,34 +44,34 @@ class Target(NamedTuple):
 
     @property
     def quaternion(self) -> tuple[float, float, float, float]:
-        """Its heading as (x, y, z, w)."""
+        """Heading as a quaternion (x, y, z, w)."""
         return 0.0, 0.0, math.sin(self.yaw / 2), math.cos(self.yaw / 2)
 
 
 class Placer(Protocol):
-    """Puts the rover somewhere."""
+    """Moves the rover to a pose."""
 
     @property
     def moves(self) -> bool:
-        """Whether the rover is put anywhere at all."""
+        """Whether the placer moves the rover at all."""
         ...
 
-    def place(self, target: Target) -> None:
-        """Asks for it. That it was done shows on the pose's topic.
+    def place(self, target: TargetPose) -> None:
+        """Requests the move. The topic of the pose shows its completion.
 
         Raises:
-            PoseResetError: if it was refused.
+            PoseResetError: if the request fails.
         """
         ...
 
 
 class GazeboPlacer:
-    """Gazebo's service ``/world/<world>/set_pose``, by its command line.
+    """Moves the rover by Gazebo's service ``/world/<world>/set_pose``, through Gazebo's command.
 
     Args:
         command: ``"ign"`` (Fortress) or ``"gz"`` (Harmonic).
         world: name of the world in Gazebo.
-        model: name of the rover in it.
+        model: name of the rover in Gazebo.
 
     Raises:
         FileNotFoundError: if the command is not installed.
@@ -72,20 +79,20 @@ class GazeboPlacer:
 
     moves = True
     MESSAGES = {"ign": "ignition.msgs", "gz": "gz.msgs"}  # noqa: RUF012
-    """Where each command's messages are."""
+    """Message package of each command."""
 
     def __init__(self, command: str, world: str, model: str) -> None:
-        found = shutil.which(command)
-        if found is None:
-            others = [way for way in get_args(PoseReset) if way != command]
+        program = shutil.which(command)
+        if program is None:
+            others = [choice for choice in get_args(PoseReset) if choice != command]
             raise FileNotFoundError(
                 f"reset={command!r} needs Gazebo's command {command!r}, which is not on the PATH; install it, or "
                 f"choose another backend=Ros2Settings(reset=...): {', '.join(map(repr, others))}"
             )
-        self._program, self._package, self._world, self._model = found, self.MESSAGES[command], world, model
+        self._program, self._package, self._world, self._model = program, self.MESSAGES[command], world, model
 
-    def place(self, target: Target) -> None:
-        """Calls the service: see :meth:`Placer.place`."""
+    def place(self, target: TargetPose) -> None:
+        """Calls Gazebo's service: see :meth:`Placer.place`."""
         if not all(map(math.isfinite, target)):
             raise PoseResetError(f"a pose must be finite numbers, got {tuple(target)}")
         _, _, z, w = target.quaternion
@@ -95,31 +102,41 @@ class GazeboPlacer:
         )
         arguments = [self._program, "service", "-s", f"/world/{self._world}/set_pose"]
         arguments += ["--reqtype", f"{self._package}.Pose", "--reptype", f"{self._package}.Boolean"]
-        arguments += ["--timeout", str(_ANSWER_MS), "--req", request]
+        arguments += ["--timeout", str(_SERVICE_TIMEOUT_MS), "--req", request]
         try:
             answer = subprocess.run(
-                arguments, capture_output=True, text=True, errors="replace", timeout=2 * _ANSWER_MS / 1000, check=False
+                arguments,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=2 * _SERVICE_TIMEOUT_MS / 1000,
+                check=False,
             )
         except subprocess.TimeoutExpired as error:
-            raise PoseResetError(f"{self._program} did not come back in {error.timeout:g} s") from error
+            raise PoseResetError(f"{self._program} did not finish within {error.timeout:g} s") from error
         if not succeeded(answer.stdout, answer.stderr):
-            told = (answer.stdout + answer.stderr).strip() or "nothing"
-            raise PoseResetError(f"{' '.join(arguments[:4])} did not put {self._model!r} back; it said: {told}")
+            output = (answer.stdout + answer.stderr).strip() or "nothing"
+            raise PoseResetError(f"{' '.join(arguments[:4])} did not move {self._model!r}; its output: {output}")
 
 
 def succeeded(output: str, errors: str) -> bool:
-    """Whether a Gazebo service call worked: its answer is ``data: true``, and it complained of nothing."""
-    said = output + "\n" + errors
-    return "data: true" in map(str.strip, output.splitlines()) and not any(word in said for word in _FAILURES)
+    """Whether a Gazebo service call succeeded: its answer is ``data: true``, and it prints no failure.
+
+    Args:
+        output: standard output of the call.
+        errors: standard error of the call.
+    """
+    printed = output + "\n" + errors
+    return "data: true" in map(str.strip, output.splitlines()) and not any(word in printed for word in _FAILURES)
 
 
 class TopicPlacer:
-    """A ``geometry_msgs/PoseStamped`` that somebody listens to, as ``rover-rl robot`` does.
+    """Moves the rover by a ``geometry_msgs/PoseStamped`` to a node that subscribes to it, such as ``rover-rl robot``.
 
     Args:
-        transport: to publish on.
-        topic: that it listens on.
-        frame_id: of the pose.
+        transport: transport to publish on.
+        topic: topic of the pose.
+        frame_id: frame of the pose.
     """
 
     moves = True
@@ -129,8 +146,8 @@ class TopicPlacer:
         self._transport, self._topic = transport, topic
         self._frame_id = frame_id
 
-    def heard(self, timeout: float) -> bool:
-        """Whether a node listens, or begins to within ``timeout`` (s)."""
+    def wait_for_subscriber(self, timeout: float) -> bool:
+        """Waits at most ``timeout`` (s) for a node that subscribes to the topic; returns whether there is one."""
         deadline = time.monotonic() + timeout
         while not self._transport.subscribers(self._topic):
             if time.monotonic() > deadline:
@@ -138,19 +155,19 @@ class TopicPlacer:
             time.sleep(0.01)
         return True
 
-    def place(self, target: Target) -> None:
-        """Publishes the pose, once a node listens: see :meth:`Placer.place`."""
-        if not self.heard(_LISTENER_TIMEOUT):
-            raise PoseResetError(f"nobody listens to {self._topic}, so the rover cannot be put back")
+    def place(self, target: TargetPose) -> None:
+        """Publishes the pose once a node subscribes: see :meth:`Placer.place`."""
+        if not self.wait_for_subscriber(_SUBSCRIBER_TIMEOUT):
+            raise PoseResetError(f"no node subscribes to {self._topic}, so the rover cannot be moved to the start")
         pose = Pose(Point(target.x, target.y, target.z), Quaternion(*target.quaternion))
         self._publish(PoseStamped(Header(frame_id=self._frame_id), pose))
 
 
 class ManualPlacer:
-    """A person, who is told where to put the rover, and says when it is there.
+    """Asks a person to move the rover, and waits for the person's answer.
 
     Args:
-        ask: shows a text to that person, and comes back when it is answered; ``None`` asks on the terminal.
+        ask: function that shows a prompt and returns once it is answered; ``None`` asks on the terminal.
     """
 
     moves = True
@@ -158,13 +175,15 @@ class ManualPlacer:
     def __init__(self, ask: Callable[[str], object] | None = None) -> None:
         self._ask = ask or input
 
-    def place(self, target: Target) -> None:
-        """Tells where to, and waits: see :meth:`Placer.place`."""
+    def place(self, target: TargetPose) -> None:
+        """Shows the pose, and waits for an answer: see :meth:`Placer.place`."""
         where = f"x {target.x:.2f} m, y {target.y:.2f} m, heading {math.degrees(target.yaw):.0f} degrees"
         try:
             self._ask(f"Put the rover at {where}, and press Enter: ")
         except EOFError as error:
-            raise PoseResetError(f"the rover is to be put at {where}, and there is nobody to ask") from error
+            raise PoseResetError(
+                f"nobody answers the prompt to put the rover at {where}: standard input is closed"
+            ) from error
 
 
 class NoPlacer:
@@ -172,53 +191,59 @@ class NoPlacer:
 
     moves = False
 
-    def place(self, target: Target) -> None:
-        """Does nothing."""
+    def place(self, target: TargetPose) -> None:
+        """Does nothing: see :meth:`Placer.place`."""
 
 
 class AutoPlacer:
-    """Chooses a way when the rover is first put somewhere, and keeps it.
+    """Selects a placer at the first reset, and keeps it.
 
-    A node that listens to the reset topic goes first, then Gazebo's command, then nothing.
+    The order is: the reset topic if a node subscribes to it, Gazebo's command if it is installed, none.
 
     Args:
-        settings: of the connection.
+        settings: settings of the connection.
         world: name of the world in Gazebo.
-        transport: to publish on.
+        transport: transport to publish on.
     """
 
     def __init__(self, settings: Ros2Settings, world: str, transport: Transport) -> None:
         self._settings, self._world, self._transport = settings, world, transport
         self._topic = TopicPlacer(transport, settings.reset_topic)
-        self._chosen: Placer | None = None
+        self._selected: Placer | None = None
 
     @property
     def moves(self) -> bool:
-        """Whether the way that was chosen puts the rover anywhere."""
-        return self._chosen is not None and self._chosen.moves
+        """Whether the selected placer moves the rover; False before the first reset."""
+        return self._selected is not None and self._selected.moves
 
-    def place(self, target: Target) -> None:
-        """Puts the rover there in the way that was chosen: see :meth:`Placer.place`."""
-        if self._chosen is None:
-            self._chosen = self._choose()
-        self._chosen.place(target)
+    def place(self, target: TargetPose) -> None:
+        """Moves the rover by the selected placer: see :meth:`Placer.place`."""
+        if self._selected is None:
+            self._selected = self._select()
+        self._selected.place(target)
 
-    def _choose(self) -> Placer:
-        if self._topic.heard(_DISCOVERY_TIMEOUT):
+    def _select(self) -> Placer:
+        if self._topic.wait_for_subscriber(_DISCOVERY_TIMEOUT):
             return self._topic
         for command in GazeboPlacer.MESSAGES:
             if shutil.which(command):
                 return GazeboPlacer(command, self._world, self._settings.model)
         _log.warning(
-            "no node listens to %s, and neither ign nor gz is installed: episodes start where the rover is "
-            "(Ros2Settings(reset=...) has other ways)",
+            "no node subscribes to %s, and neither ign nor gz is installed: episodes start where the rover is; "
+            "choose another way to move it with Ros2Settings(reset=...)",
             self._settings.reset_topic,
         )
         return NoPlacer()
 
 
 def make_placer(settings: Ros2Settings, world: str, transport: Transport) -> Placer:
-    """The placer that the settings ask for."""
+    """Creates the placer that the settings select.
+
+    Args:
+        settings: settings of the connection.
+        world: name of the world in Gazebo.
+        transport: transport to publish on.
+    """
     if settings.reset == "auto":
         return AutoPlacer(settings, world, transport)
     if settings.reset in GazeboPlacer.MESSAGES:

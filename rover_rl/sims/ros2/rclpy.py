@@ -1,4 +1,4 @@
-"""ROS 2 by ROS 2's own client library, for those who have ROS sourced: whatever middleware it uses."""
+"""ROS 2 transport through ROS 2's own client library, rclpy. Supports every ROS middleware; requires a sourced ROS."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ try:
     from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 except ImportError as error:
     raise ImportError(
-        "transport='rclpy' needs ROS 2's Python library: source ROS first (/opt/ros/.../setup.bash), with the Python "
-        "that it was built for; transport='dds' needs no ROS"
+        "transport='rclpy' requires ROS 2's Python library: source ROS first (/opt/ros/.../setup.bash), and use the "
+        "Python that it was built for; transport='dds' requires no ROS"
     ) from error
 
 from rover_rl.sims.ros2.messages import Message
@@ -26,12 +26,13 @@ M = TypeVar("M", bound=Message)
 
 
 class RclpyTransport:
-    """A node of its own, spun in a thread: see :class:`~rover_rl.sims.ros2.transport.Transport`.
+    """Transport through an rclpy node: see :class:`~rover_rl.sims.ros2.transport.Transport`.
 
-    What it receives are ROS's own messages, which have the same attributes as ours.
+    The node spins in a thread of its own. Received messages are instances of ROS's own classes, which have the same
+    attributes as :mod:`rover_rl.sims.ros2.messages`.
 
     Args:
-        node: its name.
+        node: name of the node.
     """
 
     def __init__(self, node: str) -> None:
@@ -46,26 +47,26 @@ class RclpyTransport:
         self._closed = False
 
     def subscribe(self, topic: str, kind: type[M], receive: Callable[[M], object], *, reliable: bool = False) -> None:
-        """Calls ``receive`` with each message on ``topic``: see :meth:`Transport.subscribe`."""
-        self._node.create_subscription(_ros_type(kind), topic, receive, _quality(reliable))
+        """Subscribes to a topic: see :meth:`Transport.subscribe`."""
+        self._node.create_subscription(_ros_type(kind), topic, receive, _qos_profile(reliable))
 
     def publisher(self, topic: str, kind: type[M], *, reliable: bool = False) -> Publisher[M]:
-        """A function that sends messages on ``topic``: see :meth:`Transport.publisher`."""
+        """Creates a publisher: see :meth:`Transport.publisher`."""
         ros_type = _ros_type(kind)
-        publisher = self._node.create_publisher(ros_type, topic, _quality(reliable))
+        publisher = self._node.create_publisher(ros_type, topic, _qos_profile(reliable))
         self._publishers[topic] = publisher
         return lambda message: publisher.publish(_to_ros(message, ros_type()))
 
     def subscribers(self, topic: str) -> int:
-        """How many listen to ``topic``."""
+        """Returns the number of subscribers of ``topic``."""
         return self._publishers[topic].get_subscription_count()
 
     def publishers(self, topic: str) -> int:
-        """How many publishers there are on ``topic``."""
+        """Returns the number of publishers of ``topic``."""
         return self._node.count_publishers(topic)
 
     def close(self) -> None:
-        """Ends the thread and the node. Idempotent."""
+        """Stops the thread and destroys the node. Idempotent."""
         if self._closed:
             return
         self._closed = True
@@ -81,7 +82,7 @@ class RclpyTransport:
             return
 
 
-def _quality(reliable: bool) -> QoSProfile:
+def _qos_profile(reliable: bool) -> QoSProfile:
     return QoSProfile(
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.VOLATILE,
@@ -91,13 +92,13 @@ def _quality(reliable: bool) -> QoSProfile:
 
 
 def _ros_type(kind: type[Message]) -> Any:
-    """ROS's class for a message of ours."""
+    """Returns ROS's class for a message type."""
     package, folder, name = kind.ros_type.split("/")
     return getattr(import_module(f"{package}.{folder}"), name)
 
 
 def _to_ros(message: Any, ros: Any) -> Any:
-    """Copies a message of ours into one of ROS's."""
+    """Copies a message into an instance of ROS's class, and returns that."""
     for field in fields(message):
         value = getattr(message, field.name)
         if is_dataclass(value):

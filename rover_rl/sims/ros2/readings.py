@@ -1,4 +1,4 @@
-"""From ROS messages to tensors. Any object with a message's attributes will do, real ROS messages too."""
+"""Conversion of ROS messages to tensors. Accepts any object with a message's attributes, such as ROS's own classes."""
 
 from __future__ import annotations
 
@@ -10,37 +10,38 @@ import torch
 from torch import Tensor
 
 MAX_INVALID = 0.1
-"""Default share of a scan's readings that may be invalid before the whole scan counts as none."""
+"""Default maximum share of invalid readings in a usable scan."""
 
 
 class Scan(NamedTuple):
     """A lidar scan in the lidar's own layout, counter-clockwise.
 
     Attributes:
-        ranges: ``[beams]``, m; ``inf`` is no return, ``-inf`` an object that is too close (REP 117).
-        valid: whether each reading tells anything, bool ``[beams]``.
-        first: angle of the first beam in the lidar's frame, rad.
-        increment: from one beam to the next, rad, positive.
-        stamp: by the sender's clock, s.
+        ranges: ranges of the beams, ``[beams]``, m; ``inf`` is no return, ``-inf`` an object that is too close
+            (REP 117).
+        valid: whether each reading is valid, bool ``[beams]``.
+        angle_min: angle of the first beam in the lidar's frame, rad.
+        angle_increment: angle between two beams, rad, positive.
+        stamp: time of the scan by the sender's clock, s.
     """
 
     ranges: Tensor
     valid: Tensor
-    first: float
-    increment: float
+    angle_min: float
+    angle_increment: float
     stamp: float
 
     @property
     def field_of_view(self) -> float:
         """Angle that the scan covers, at most a full turn, rad."""
-        return min(2 * math.pi, len(self.ranges) * self.increment)
+        return min(2 * math.pi, len(self.ranges) * self.angle_increment)
 
 
 class AlignedScan(NamedTuple):
-    """A scan in the environment's layout: over the full turn, from straight ahead counter-clockwise.
+    """A scan in the environment's layout: a full turn, counter-clockwise from straight ahead.
 
     Attributes:
-        ranges: ``[beams]``, m; ``inf`` where ``seen`` is False.
+        ranges: ranges of the beams, ``[beams]``, m; ``inf`` where ``seen`` is False.
         seen: whether a valid reading covers each beam, bool ``[beams]``.
     """
 
@@ -48,68 +49,71 @@ class AlignedScan(NamedTuple):
     seen: Tensor
 
 
-class Place(NamedTuple):
-    """A pose.
+class MeasuredPose(NamedTuple):
+    """A pose from a message.
 
     Attributes:
-        position: ``[3]``, m.
-        orientation: unit quaternion ``[4]`` as (x, y, z, w); ``None`` where it is not known.
-        turn: how far its frame is turned from the IMU's, rad.
+        position: position, ``[3]``, m.
+        orientation: unit quaternion ``[4]`` as (x, y, z, w); ``None`` if it is unknown.
+        imu_yaw_offset: yaw of the IMU's frame in the frame of the pose, rad.
     """
 
     position: Tensor
     orientation: Tensor | None
-    turn: float = 0.0
+    imu_yaw_offset: float = 0.0
 
 
 def read_scan(msg: Any, max_invalid: float = MAX_INVALID) -> Scan:
     """Reads a ``sensor_msgs/LaserScan``.
 
-    A reading is invalid if it is NaN, or a finite number outside of the limits ``range_min`` and ``range_max`` of the
-    message (REP 117). Readings that the angles announce and ``ranges`` lacks count as invalid, too. A message whose
-    ``range_max`` is not above its ``range_min`` states no limits.
+    A reading is invalid if it is NaN, or a finite number outside of the message's limits ``range_min`` and
+    ``range_max`` (REP 117). Readings that the angles announce and ``ranges`` lacks also count as invalid. The limits
+    apply only if ``range_max`` is greater than ``range_min``.
 
     Args:
-        msg: the message.
-        max_invalid: share of the readings that may be invalid, from 0 to 1.
+        msg: message to read.
+        max_invalid: maximum share of invalid readings, from 0 to 1.
 
     Raises:
-        ValueError: for a scan without readings, with unusable angles, or with too many invalid readings.
+        ValueError: if the scan has no readings, unusable angles, or too many invalid readings.
     """
     ranges = torch.from_numpy(np.array(msg.ranges, np.float32))
     if ranges.ndim != 1 or not len(ranges):
         raise ValueError(f"a scan must have a list of ranges, got shape {tuple(ranges.shape)}")
-    first, increment = float(msg.angle_min), float(msg.angle_increment)
-    if not math.isfinite(first) or not 1e-6 < abs(increment) < math.inf:
-        raise ValueError(f"a scan must tell its angles, got angle_min {first}, angle_increment {increment}")
+    angle_min, increment = float(msg.angle_min), float(msg.angle_increment)
+    if not math.isfinite(angle_min) or not 1e-6 < abs(increment) < math.inf:
+        raise ValueError(
+            "a scan must have a finite angle_min and a finite angle_increment other than 0, "
+            f"got angle_min {angle_min}, angle_increment {increment}"
+        )
     low, high = float(msg.range_min), float(msg.range_max)
     valid = ~ranges.isnan()
     if high > low:
         valid &= ranges.isinf() | ((ranges >= low) & (ranges <= high))
-    announced = max(len(ranges), _announced(first, float(msg.angle_max), increment))
+    announced = max(len(ranges), _announced_readings(angle_min, float(msg.angle_max), increment))
     invalid = announced - int(valid.sum())
     if invalid > max_invalid * announced:
         raise ValueError(
             f"{invalid} of {announced} readings of the scan are missing, NaN or outside of its limits of {low:g} to "
-            f"{high:g} m; at most {max_invalid:.0%} may be"
+            f"{high:g} m; the limit is {max_invalid:.0%}"
         )
     if increment < 0:
         ranges, valid = ranges.flip(0), valid.flip(0)
-        first, increment = first + increment * (len(ranges) - 1), -increment
-    return Scan(ranges, valid, first, increment, msg.header.stamp.sec + msg.header.stamp.nanosec * 1e-9)
+        angle_min, increment = angle_min + increment * (len(ranges) - 1), -increment
+    return Scan(ranges, valid, angle_min, increment, msg.header.stamp.sec + msg.header.stamp.nanosec * 1e-9)
 
 
-def _announced(first: float, last: float, increment: float) -> int:
-    """How many readings a scan's angles (rad) announce; 0 where they announce none."""
-    steps = (last - first) / increment
+def _announced_readings(angle_min: float, angle_max: float, increment: float) -> int:
+    """Returns the number of readings that a scan's angles (rad) announce, or 0 if the angles are inconsistent."""
+    steps = (angle_max - angle_min) / increment
     return round(steps) + 1 if 0 <= steps < math.inf else 0
 
 
 def read_orientation(q: Any) -> Tensor:
-    """A ``geometry_msgs/Quaternion`` of length 1, float32 ``[4]`` as (x, y, z, w).
+    """Reads and normalizes a ``geometry_msgs/Quaternion``: float32 ``[4]`` as (x, y, z, w).
 
     Raises:
-        ValueError: for one that is zero or not finite.
+        ValueError: if the quaternion is zero or not finite.
     """
     quaternion = torch.tensor([q.x, q.y, q.z, q.w], dtype=torch.float64)
     norm = torch.linalg.vector_norm(quaternion)
@@ -119,24 +123,24 @@ def read_orientation(q: Any) -> Tensor:
 
 
 def read_imu(msg: Any) -> Tensor:
-    """Orientation of a ``sensor_msgs/Imu``: see :func:`read_orientation`."""
+    """Reads the orientation of a ``sensor_msgs/Imu``: see :func:`read_orientation`."""
     return read_orientation(msg.orientation)
 
 
-def read_pose(pose: Any) -> Place:
-    """A ``geometry_msgs/Pose``.
+def read_pose(pose: Any) -> MeasuredPose:
+    """Reads a ``geometry_msgs/Pose``.
 
     Raises:
-        ValueError: for numbers that are not finite, or an orientation that is none.
+        ValueError: if a number is not finite, or the orientation is zero.
     """
-    return Place(read_position(pose.position), read_orientation(pose.orientation))
+    return MeasuredPose(read_position(pose.position), read_orientation(pose.orientation))
 
 
 def read_position(point: Any) -> Tensor:
-    """A ``geometry_msgs/Point``, float32 ``[3]``.
+    """Reads a ``geometry_msgs/Point``: float32 ``[3]``, m.
 
     Raises:
-        ValueError: for numbers that are not finite.
+        ValueError: if a number is not finite.
     """
     position = torch.tensor([point.x, point.y, point.z], dtype=torch.float32)
     if not torch.isfinite(position).all():
@@ -144,27 +148,27 @@ def read_position(point: Any) -> Tensor:
     return position
 
 
-def read_pose_array(msg: Any) -> Place:
-    """The first pose of a ``geometry_msgs/PoseArray``, whose orientation may be left out.
+def read_pose_array(msg: Any) -> MeasuredPose:
+    """Reads the first pose of a ``geometry_msgs/PoseArray``. Its orientation may be missing or invalid.
 
     Raises:
-        ValueError: for an array without poses, or a position that is not finite.
+        ValueError: if the array is empty, or the position is not finite.
     """
     if not len(msg.poses):
         raise ValueError("a pose array must have at least one pose, got none")
     pose = msg.poses[0]
     position = read_position(pose.position)
     try:
-        return Place(position, read_orientation(pose.orientation))
+        return MeasuredPose(position, read_orientation(pose.orientation))
     except (ValueError, AttributeError):
-        return Place(position, None)
+        return MeasuredPose(position, None)
 
 
 def read_twist(msg: Any) -> Tensor:
-    """Forward speed (m/s) and yaw rate (rad/s) of a ``nav_msgs/Odometry``, float32 ``[2]``.
+    """Reads forward speed (m/s) and yaw rate (rad/s) of a ``nav_msgs/Odometry``: float32 ``[2]``.
 
     Raises:
-        ValueError: for numbers that are not finite.
+        ValueError: if a number is not finite.
     """
     twist = torch.tensor([msg.twist.twist.linear.x, msg.twist.twist.angular.z], dtype=torch.float32)
     if not torch.isfinite(twist).all():
@@ -173,42 +177,48 @@ def read_twist(msg: Any) -> Tensor:
 
 
 class ScanAlignment:
-    """Turns scans into the environment's layout: ``beams`` over the full turn, from straight ahead counter-clockwise.
+    """Converts scans to the environment's layout: a full turn of beams, counter-clockwise from straight ahead.
 
-    Each beam gets the nearest of the valid readings that lie in its share of the turn, or, where the lidar has fewer,
-    the valid reading beside it. A beam that no valid reading covers is unseen, never free.
+    Each beam has a sector, its equal share of the turn. It gets the minimum of the valid readings in its sector. A beam
+    without a valid reading in its sector gets the reading nearest in angle, if that is valid and at most half an angle
+    increment away. Otherwise the beam is unseen, never free.
 
     Args:
-        beams: of the environment.
-        yaw: where the zero of the lidar's angles points, rad counter-clockwise from straight ahead.
+        beams: number of beams of the environment.
+        yaw: direction of the lidar's zero angle, counter-clockwise from straight ahead, rad.
     """
 
     def __init__(self, beams: int, yaw: float) -> None:
         self._beams, self._yaw = beams, yaw
-        self._known: tuple[int, float, float] | None = None
-        self._share = self._beside = torch.zeros(0, dtype=torch.int64)
+        self._layout: tuple[int, float, float] | None = None
+        self._beam_of_reading = self._nearest_reading = torch.zeros(0, dtype=torch.int64)
 
     def __call__(self, scan: Scan) -> AlignedScan:
-        """The scan in the environment's layout."""
-        layout = (len(scan.ranges), scan.first, scan.increment)
-        if layout != self._known:
-            self._known = layout
-            self._share, self._beside = self._indices(*layout)
+        """Converts a scan to the environment's layout."""
+        layout = (len(scan.ranges), scan.angle_min, scan.angle_increment)
+        if layout != self._layout:
+            self._layout = layout
+            self._beam_of_reading, self._nearest_reading = self._indices(*layout)
         ranges = scan.ranges.masked_fill(~scan.valid, math.inf)
-        nearest = torch.full((self._beams,), math.inf).scatter_reduce(0, self._share, ranges, "amin")
+        closest = torch.full((self._beams,), math.inf).scatter_reduce(0, self._beam_of_reading, ranges, "amin")
         covered = torch.zeros(self._beams, dtype=torch.bool)
-        covered[self._share[scan.valid]] = True
-        # One more entry stands for beams that have no reading beside them.
-        beside = torch.nn.functional.pad(ranges, (0, 1), value=math.inf)[self._beside]
-        beside_valid = torch.nn.functional.pad(scan.valid, (0, 1), value=False)[self._beside]
-        return AlignedScan(torch.where(covered, nearest, beside), covered | beside_valid)
+        covered[self._beam_of_reading[scan.valid]] = True
+        # The padded entry stands for beams without a reading nearby.
+        nearest = torch.nn.functional.pad(ranges, (0, 1), value=math.inf)[self._nearest_reading]
+        nearest_valid = torch.nn.functional.pad(scan.valid, (0, 1), value=False)[self._nearest_reading]
+        return AlignedScan(torch.where(covered, closest, nearest), covered | nearest_valid)
 
-    def _indices(self, count: int, first: float, increment: float) -> tuple[Tensor, Tensor]:
-        """The beam ``[count]`` whose share each reading lies in, and the reading ``[beams]`` beside each beam."""
+    def _indices(self, count: int, angle_min: float, increment: float) -> tuple[Tensor, Tensor]:
+        """Indices between readings and beams.
+
+        Returns:
+            Beam whose sector contains each reading, ``[count]``.
+            Reading nearest to each beam, ``[beams]``; ``count`` if none is near enough.
+        """
         turn = 2 * math.pi
-        angles = first + self._yaw + increment * torch.arange(count, dtype=torch.float64)
+        angles = angle_min + self._yaw + increment * torch.arange(count, dtype=torch.float64)
         beams = turn / self._beams * torch.arange(self._beams, dtype=torch.float64)
-        shares = (angles * self._beams / turn).round().long() % self._beams
-        away = (turn / 2 - (beams[:, None] - angles).remainder(turn)).abs().neg() + turn / 2
-        distance, beside = away.min(-1)
-        return shares, torch.where(distance <= increment / 2 + 1e-6, beside, count)
+        beam_of_reading = (angles * self._beams / turn).round().long() % self._beams
+        distances = (turn / 2 - (beams[:, None] - angles).remainder(turn)).abs().neg() + turn / 2
+        distance, nearest = distances.min(-1)
+        return beam_of_reading, torch.where(distance <= increment / 2 + 1e-6, nearest, count)

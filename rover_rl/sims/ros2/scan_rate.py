@@ -1,30 +1,30 @@
-"""Measures how often scans come."""
+"""Measurement of the lidar's scan rate."""
 
 from __future__ import annotations
 
 from collections import deque
 
 WINDOW = 20
-"""Scans that a measurement spans."""
-USABLE = (15.0, 30.0)
-"""Rates that policies trained at 20 Hz are made for, Hz."""
+"""Number of scan periods in a measurement."""
+SUPPORTED_RATES = (15.0, 30.0)
+"""Scan rates that policies trained at 20 Hz support, Hz."""
 
 
 class ScanRate:
-    """Rate of the last scans by their stamps, or by their arrival where the stamps do not advance."""
+    """Measures the rate of the last scans by their stamps, or by their arrival if the stamps do not advance."""
 
     def __init__(self) -> None:
         self._times: deque[tuple[float, float]] = deque(maxlen=WINDOW + 1)
 
     def add(self, stamp: float, arrival: float) -> float | None:
-        """Counts a scan.
+        """Adds a scan and returns the scan rate.
 
         Args:
-            stamp: by the sender's clock, s.
-            arrival: by this machine's, s.
+            stamp: time of the scan by the sender's clock, s.
+            arrival: time of its arrival by the local clock, s.
 
         Returns:
-            Scans a second, Hz; ``None`` before there are enough of them, and while a clock jumps.
+            The scan rate, Hz; ``None`` until the window is full, and while a clock jumps.
         """
         self._times.append((stamp, arrival))
         if len(self._times) <= WINDOW:

@@ -21,47 +21,47 @@ TransportName: TypeAlias = Literal["dds", "rclpy"]
 class Ros2Settings:
     """Settings of the connection to a live rover.
 
-    The defaults are the original environment's topics. Topics of scan, IMU and command are the environment's own
-    arguments.
+    The default topics are those of the original environment. The topics of scan, IMU and command are arguments of the
+    environment itself.
 
     Example:
         >>> env = RoverEnv(backend=Ros2Settings(pose="wheels", reset="manual", lidar_yaw=0.0))  # a real rover
 
     Args:
-        transport: ``"dds"`` needs no ROS (package ``cyclonedds``); ``"rclpy"`` is a node of a ROS that is sourced.
-        odometry_topic: ``nav_msgs/Odometry`` of the wheels: velocities, and the pose where ``pose="wheels"``.
-        pose: source of the pose: ``"pose_array"``, the first of a ``geometry_msgs/PoseArray``, its heading from the
-            IMU, as in the original; ``"pose_stamped"`` or ``"odometry"``, pose and heading of a localiser's
-            ``geometry_msgs/PoseStamped`` or ``nav_msgs/Odometry``; ``"wheels"``, wheel odometry alone, which is taken
-            to be where the episode starts at each reset.
-        pose_topic: topic of the pose, unless it is the wheels'.
-        command: ``"twist"`` or ``"twist_stamped"``, what the rover's driver takes; ``"none"`` sends nothing, to try it
-            out.
+        transport: ROS 2 client: ``"dds"`` requires no ROS (package ``cyclonedds``); ``"rclpy"`` requires a sourced ROS.
+        odometry_topic: topic of the wheels' ``nav_msgs/Odometry``: velocities, and the pose with ``pose="wheels"``.
+        pose: source of the pose: ``"pose_array"``, the first pose of a ``geometry_msgs/PoseArray`` with the heading of
+            the IMU, as in the original; ``"pose_stamped"`` or ``"odometry"``, pose and heading of a localizer's
+            ``geometry_msgs/PoseStamped`` or ``nav_msgs/Odometry``; ``"wheels"``, wheel odometry, aligned with the start
+            pose of the episode at each reset.
+        pose_topic: topic of the pose; unused with ``pose="wheels"``.
+        command: message type of the commands: ``"twist"`` or ``"twist_stamped"``; ``"none"`` sends nothing (dry run).
         frame_id: frame of stamped commands.
-        lidar_yaw: direction of the zero of the scan's angles, counter-clockwise from straight ahead, rad. The
-            original's lidar looks backwards; most others forward: 0.
-        max_invalid: share of a scan's readings that may be invalid (NaN, outside of the scan's own limits, or missing),
-            from 0 to 1. A scan with more of them counts as no scan.
-        unseen_range: reading of directions that no valid beam covers, m. It is neither free nor a collision. The rover
-            is never driven towards these directions.
-        max_speed: highest forward speed that is sent, m/s; ``None``: the robot's.
-        max_yaw_rate: highest yaw rate that is sent, rad/s; ``None``: the robot's.
-        max_acceleration: largest change of the forward speed, m/s^2; ``None``: the robot's. Stops are sent at once.
-        max_yaw_acceleration: largest change of the yaw rate, rad/s^2; ``None``: the robot's.
-        reset: what moves the rover to the start of an episode: ``"ign"`` (Gazebo Fortress) or ``"gz"`` (Harmonic), by
-            its command; ``"topic"``, a ``geometry_msgs/PoseStamped``; ``"manual"``, a person, who is asked on the
-            terminal; ``"none"``, nothing: episodes start where the rover is; ``"auto"``: ``"topic"`` if a node listens
-            to ``reset_topic``, else ``"ign"`` or ``"gz"`` if its command is installed, else ``"none"``.
-        model: the rover's name in Gazebo.
+        lidar_yaw: direction of the lidar's zero angle, counter-clockwise from straight ahead, rad. The original's lidar
+            faces backward; most others face forward: 0.
+        max_invalid: maximum share of invalid readings (NaN, outside of the scan's own limits, or missing) in a usable
+            scan, from 0 to 1.
+        unseen_range: range of directions that no valid beam covers, m. It is neither free space nor a collision. The
+            rover never drives towards these directions.
+        max_speed: maximum forward speed, m/s; ``None``: the robot's.
+        max_yaw_rate: maximum yaw rate, rad/s; ``None``: the robot's.
+        max_acceleration: maximum change of the forward speed, m/s^2; ``None``: the robot's. Stop commands are exempt.
+        max_yaw_acceleration: maximum change of the yaw rate, rad/s^2; ``None``: the robot's.
+        reset: method that moves the rover to the start of an episode: ``"ign"`` (Gazebo Fortress) or ``"gz"``
+            (Harmonic), Gazebo's command; ``"topic"``, a ``geometry_msgs/PoseStamped``; ``"manual"``, a prompt to a
+            person on the terminal; ``"none"``, nothing: episodes start where the rover is; ``"auto"``: ``"topic"`` if a
+            node subscribes to ``reset_topic``, else ``"ign"`` or ``"gz"`` if the command is installed, else ``"none"``.
+        model: name of the rover in Gazebo.
         reset_topic: topic of ``reset="topic"``.
-        reset_timeout: time in which the rover must come to rest where it was put, s.
-        pose_tolerance: distance that it may be away from there, m.
-        settle: time for which the rover must be at rest before an episode begins, s.
-        step_timeout: time without a scan after which the rover is lost, s. It is stopped earlier: after 0.25 s.
+        reset_timeout: time limit for the rover to come to rest at the start pose, s.
+        pose_tolerance: maximum distance from the start pose, m.
+        settle: duration of rest before an episode begins, s.
+        step_timeout: time without a usable scan after which the rover counts as lost, s. The rover is stopped earlier,
+            after 0.25 s.
         node: name of the node.
 
     Raises:
-        ValueError: for an unknown choice, or a number out of its range.
+        ValueError: if a choice is unknown, or a number is out of range.
     """
 
     transport: TransportName = "dds"
@@ -103,9 +103,9 @@ class Ros2Settings:
                 raise ValueError(f"{name} must be one of {allowed}, got {getattr(self, name)!r}")
 
     def limits(self, robot: Robot) -> CommandLimits:
-        """The limits of what is sent to ``robot``: its own, unless these settings have others."""
-        given = {limit: getattr(self, name) for name, limit in _LIMITS.items() if getattr(self, name) is not None}
-        return replace(CommandLimits.of(robot), **given)
+        """Returns the command limits for ``robot``: its own, except where these settings override them."""
+        overrides = {limit: getattr(self, name) for name, limit in _LIMITS.items() if getattr(self, name) is not None}
+        return replace(CommandLimits.from_robot(robot), **overrides)
 
 
 _LIMITS = {
@@ -114,4 +114,4 @@ _LIMITS = {
     "max_acceleration": "acceleration",
     "max_yaw_acceleration": "yaw_acceleration",
 }
-"""Settings that are limits of the command, and what :class:`~rover_rl.sims.ros2.limits.CommandLimits` calls them."""
+"""Settings that override fields of :class:`~rover_rl.sims.ros2.limits.CommandLimits`."""

@@ -1,4 +1,4 @@
-"""How messages come and go: the protocol that every transport keeps."""
+"""Protocol of the transports that send and receive ROS 2 messages."""
 
 from __future__ import annotations
 
@@ -11,59 +11,73 @@ from rover_rl.sims.ros2.messages import Message
 M = TypeVar("M", bound=Message)
 
 Publisher: TypeAlias = Callable[[M], None]
-"""Sends a message."""
+"""Function that publishes a message."""
 
 TRANSPORTS: dict[str, str] = {
     "dds": "rover_rl.sims.ros2.dds:DdsTransport",
     "rclpy": "rover_rl.sims.ros2.rclpy:RclpyTransport",
 }
-"""Transports by name: where their class is, so that only the one asked for is imported."""
+"""Import path of each transport's class, by name. Only the selected transport is imported."""
 
 
 class Transport(Protocol):
-    """One node's connection to the other nodes.
+    """A ROS 2 node's connection to other nodes.
 
-    Messages are those of :mod:`rover_rl.sims.ros2.messages`, or others with the same attributes.
+    Messages are those of :mod:`rover_rl.sims.ros2.messages`, or objects with the same attributes.
     """
 
     def subscribe(self, topic: str, kind: type[M], receive: Callable[[M], object], *, reliable: bool = False) -> None:
-        """Calls ``receive`` with each message on ``topic`` that can be read, from a thread of the transport's own.
+        """Subscribes to a topic.
 
-        The subscription takes what any publisher offers: best effort, volatile; ``reliable`` takes what is sent
-        reliably alone, and misses nothing of it. What cannot be read is left out with a warning. ``receive`` returns
-        False for a message that it cannot use, which does not count in :meth:`publishers`.
+        A message that cannot be decoded is ignored with a warning.
+
+        Args:
+            topic: ROS 2 name of the topic.
+            kind: type of the messages.
+            receive: function that is called with each message, from the transport's thread. It returns False for an
+                unusable message, which :meth:`publishers` does not count.
+            reliable: whether to use reliable quality of service, which matches reliable publishers only. The default,
+                best effort and volatile, matches every publisher.
         """
         ...
 
     def publisher(self, topic: str, kind: type[M], *, reliable: bool = False) -> Publisher[M]:
-        """A function that sends messages of ``kind`` on ``topic``.
+        """Creates a publisher.
 
         Args:
-            topic: as ROS 2 writes it.
-            kind: of the messages.
-            reliable: send again what did not arrive, and keep the last message alone; else as sensors do.
+            topic: ROS 2 name of the topic.
+            kind: type of the messages.
+            reliable: whether to use reliable quality of service with a history of one message. The default is best
+                effort with a history of five messages, as for sensor data.
+
+        Returns:
+            A function that publishes a message.
         """
         ...
 
     def subscribers(self, topic: str) -> int:
-        """How many listen to what is published here on ``topic``."""
+        """Returns the number of subscribers of this transport's publisher on ``topic``."""
         ...
 
     def publishers(self, topic: str) -> int:
-        """How many publishers send usable messages on ``topic``, which is subscribed to here."""
+        """Returns the number of publishers that send usable messages on ``topic``, which must be subscribed to."""
         ...
 
     def close(self) -> None:
-        """Releases all resources. Idempotent. ``receive`` is not called any more afterwards."""
+        """Releases all resources. Idempotent. No subscription's ``receive`` is called afterwards."""
         ...
 
 
 def make_transport(name: str, node: str) -> Transport:
-    """The transport of that name, for a node called ``node``.
+    """Creates a transport by name.
+
+    Args:
+        name: name of the transport: one of :data:`TRANSPORTS`.
+        node: name of the node.
 
     Raises:
-        ValueError: for an unknown name.
-        ImportError: if what it needs is not installed, and how to install it.
+        ValueError: if the name is unknown.
+        ImportError: if a package that the transport requires is not installed.
     """
     if name not in TRANSPORTS:
         raise ValueError(f"unknown transport {name!r}; use one of {sorted(TRANSPORTS)}")

@@ -1,7 +1,8 @@
-"""Stops the rover when the process that drives it dies or hangs: a process of its own that waits for signs of life.
+"""Watchdog: a separate process that stops the rover when the process that drives it dies or hangs.
 
-:class:`Watchdog` is the driver's end. The other end is this module run as a program: it reads signs of life from its
-standard input, and once they stay away sends stops until they come again, or for a while if the driver is gone.
+:class:`Watchdog` runs in the driving process. It starts this module as a program, which reads heartbeats from its
+standard input. Without heartbeats, the program sends stop commands: until the next heartbeat, or for a limited time if
+the driving process is gone.
 """
 
 from __future__ import annotations
@@ -14,51 +15,53 @@ import sys
 import time
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Annotated
 
 import tyro
 
-from rover_rl.sims.ros2.commands import Commands
+from rover_rl.sims.ros2.command_publisher import CommandPublisher
 from rover_rl.sims.ros2.settings import Command, Ros2Settings, TransportName
 from rover_rl.sims.ros2.transport import make_transport
 
 READY = b"ready\n"
-ALIVE = b"."
-DONE = b"q"
-INTERVAL = 0.05
-"""Seconds from one stop to the next."""
-PERSISTENCE = 2.0
-"""Seconds that stops are sent for when the driver is gone."""
-MEET_TIMEOUT = 3.0
-"""Seconds to wait for a rover that listens, before all is said to be ready."""
+"""Output of the watchdog process once it is ready."""
+HEARTBEAT = b"."
+"""Input that reports that the driving process is alive."""
+QUIT = b"q"
+"""Input that ends the watchdog process."""
+STOP_INTERVAL = 0.05
+"""Time between two stop commands, s."""
+STOP_DURATION = 2.0
+"""Time for which stop commands are sent if the driving process is gone, s."""
+DISCOVERY_TIMEOUT = 3.0
+"""Time to wait for a subscriber of the commands before the watchdog reports that it is ready, s."""
 START_TIMEOUT = 60.0
-"""Seconds that the process may take to come up."""
-END_TIMEOUT = 5.0
-"""Seconds that it may take to end."""
+"""Time limit for the process to start, s."""
+EXIT_TIMEOUT = 5.0
+"""Time limit for the process to exit, s."""
 
 
 class Watchdog:
-    """Starts the process; a context manager. The rover should not move before it is entered.
+    """Starts and supervises the watchdog process. A context manager, to be entered before the rover moves.
 
     Args:
-        topic: of the rover's command.
-        settings: how the rover is reached.
-        patience: seconds without a sign of life after which the rover is stopped.
+        topic: topic of the rover's commands.
+        settings: settings of the connection to the rover.
+        timeout: time without a heartbeat after which the rover is stopped, s.
 
     Raises:
-        ChildProcessError: if the process does not come up.
+        ChildProcessError: if the process does not start.
     """
 
-    def __init__(self, topic: str, settings: Ros2Settings, patience: float = 0.5) -> None:
+    def __init__(self, topic: str, settings: Ros2Settings, timeout: float = 0.5) -> None:
         options = {
             "topic": topic,
             "command": settings.command,
             "transport": settings.transport,
             "frame-id": settings.frame_id,
-            "patience": str(patience),
+            "timeout": str(timeout),
         }
         arguments = [word for name, value in options.items() for word in (f"--{name}", value)]
-        # A session of its own: Ctrl-C is for the driver, and this must outlive it.
+        # A new session, so that Ctrl-C does not end the watchdog before the driving process.
         self._process = subprocess.Popen(
             [sys.executable, "-m", "rover_rl.sims.ros2.watchdog", *arguments],
             stdin=subprocess.PIPE,
@@ -66,7 +69,7 @@ class Watchdog:
             start_new_session=True,
         )
         assert self._process.stdin is not None
-        # One that hangs until the pipe is full is as good as gone, and must not hold up the driver.
+        # A full pipe means that the watchdog hangs. It must not block the driving process.
         os.set_blocking(self._process.stdin.fileno(), False)
 
     def __enter__(self) -> Watchdog:
@@ -74,7 +77,7 @@ class Watchdog:
         ready, _, _ = select.select([self._process.stdout], [], [], START_TIMEOUT)
         if not ready or self._process.stdout.readline() != READY:
             self.close()
-            raise ChildProcessError("the watchdog did not come up, so the rover is not driven")
+            raise ChildProcessError("the watchdog did not start, so the rover is not driven")
         return self
 
     def __exit__(
@@ -83,20 +86,20 @@ class Watchdog:
         self.close()
 
     def alive(self) -> None:
-        """Tells that the driver is at work; to be called at every step.
+        """Sends a heartbeat. Call it at every step.
 
         Raises:
-            ChildProcessError: if the watchdog itself is gone.
+            ChildProcessError: if the watchdog process is gone or hangs.
         """
-        self._tell(ALIVE)
+        self._send(HEARTBEAT)
 
     def close(self) -> None:
-        """Ends the process; may be called again."""
+        """Ends the watchdog process. Idempotent."""
         if self._process.poll() is None:
             with contextlib.suppress(ChildProcessError):
-                self._tell(DONE)
+                self._send(QUIT)
             try:
-                self._process.wait(END_TIMEOUT)
+                self._process.wait(EXIT_TIMEOUT)
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()
@@ -104,56 +107,61 @@ class Watchdog:
             if pipe is not None:
                 pipe.close()
 
-    def _tell(self, sign: bytes) -> None:
+    def _send(self, data: bytes) -> None:
         assert self._process.stdin is not None
         try:
-            os.write(self._process.stdin.fileno(), sign)
+            os.write(self._process.stdin.fileno(), data)
         except (OSError, ValueError) as error:
-            raise ChildProcessError("the watchdog is gone, so the rover is not driven on") from error
+            raise ChildProcessError("the watchdog is gone, so the rover is no longer driven") from error
 
 
 @dataclass(frozen=True)
-class Watch:
-    """The process: reads signs of life from standard input, and stops the rover without them."""
+class WatchdogProcess:
+    """Read heartbeats from standard input, and stop the rover if they cease."""
 
     topic: str
+    """Topic of the rover's commands."""
     command: Command
+    """Message type of the commands."""
     transport: TransportName
+    """Transport to publish on."""
     frame_id: str
-    patience: Annotated[float, tyro.conf.arg(help="Seconds without a sign of life.")]
+    """Frame of stamped commands."""
+    timeout: float
+    """Time without a heartbeat after which the rover is stopped, s."""
 
     def __call__(self) -> None:
-        """Watches until the driver is done, or gone and the rover stopped."""
+        """Runs until the driving process ends."""
         transport = make_transport(self.transport, "rover_rl_watchdog")
-        commands = Commands(transport, self.topic, self.command, self.frame_id)
-        deadline = time.monotonic() + MEET_TIMEOUT
+        commands = CommandPublisher(transport, self.topic, self.command, self.frame_id)
+        deadline = time.monotonic() + DISCOVERY_TIMEOUT
         while not transport.subscribers(self.topic) and time.monotonic() < deadline:
-            time.sleep(INTERVAL)
+            time.sleep(STOP_INTERVAL)
         sys.stdout.buffer.write(READY)
         sys.stdout.buffer.flush()
-        wait: float | None = None  # nothing is stopped before the first sign of life
+        timeout: float | None = None  # before the first heartbeat there is nothing to stop
         while True:
-            signs = self._signs(wait)
-            if signs is None:
+            received = self._read_input(timeout)
+            if received is None:
                 commands.stop()
-                wait = INTERVAL
-            elif DONE in signs:
+                timeout = STOP_INTERVAL
+            elif QUIT in received:
                 break
-            elif signs:
-                wait = self.patience
+            elif received:
+                timeout = self.timeout
             else:
-                for _ in range(round(PERSISTENCE / INTERVAL)):
+                for _ in range(round(STOP_DURATION / STOP_INTERVAL)):
                     commands.stop()
-                    time.sleep(INTERVAL)
+                    time.sleep(STOP_INTERVAL)
                 break
         transport.close()
 
     @staticmethod
-    def _signs(timeout: float | None) -> bytes | None:
-        """What has come in: no bytes if the driver is gone, ``None`` if nothing came in time (s)."""
+    def _read_input(timeout: float | None) -> bytes | None:
+        """Reads standard input: empty if the driving process is gone, ``None`` after ``timeout`` (s) without input."""
         ready, _, _ = select.select([sys.stdin], [], [], timeout)
         return os.read(sys.stdin.fileno(), 4096) if ready else None
 
 
 if __name__ == "__main__":
-    tyro.cli(Watch)()
+    tyro.cli(WatchdogProcess)()

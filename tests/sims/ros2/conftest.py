@@ -10,9 +10,9 @@ from tests.sims.ros2.wire import Wire
 
 @pytest.fixture(scope="session")
 def domain() -> dict[str, str]:
-    """Variables of a domain that nobody else should be in, on this machine alone."""
-    # Of its own randomness, for other runs of the tests; workers of one run have odd and even blocks of five, of which
-    # tests use the numbers that follow. Above 101 ports would be those that Linux gives to anybody.
+    """Environment variables of a DDS domain for this test run, on this machine only."""
+    # Not seeded, so that concurrent test runs differ. The workers of one run use odd and even blocks of five domains;
+    # tests also use the domains that follow the first one. Domains above 101 use Linux's ephemeral ports.
     worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
     block = 2 * random.SystemRandom().randrange(10) + worker % 2
     return {"ROS_DOMAIN_ID": str(5 * block), "ROS_LOCALHOST_ONLY": "1"}
@@ -20,7 +20,7 @@ def domain() -> dict[str, str]:
 
 @pytest.fixture
 def in_domain(domain: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
-    """This process's environment, in that domain; for processes that it starts."""
+    """Puts this process in that domain. Returns its environment variables, for processes that it starts."""
     for key, value in domain.items():
         monkeypatch.setenv(key, value)
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
@@ -29,7 +29,7 @@ def in_domain(domain: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> dict[s
 
 @pytest.fixture
 def wire(monkeypatch: pytest.MonkeyPatch) -> Wire:
-    """What all simulators of the test talk over."""
+    """Transport of all simulators in the test."""
     wire = Wire()
     monkeypatch.setattr("rover_rl.sims.ros2.simulator.make_transport", lambda name, node: wire)
     return wire

@@ -1,5 +1,5 @@
-// A node on Fast DDS, the middleware of a default ROS 2: sends one scan 20 times a second, and writes down the twists
-// that it receives, in hexadecimal.
+// A node on Fast DDS, the default middleware of ROS 2. Sends a scan at 20 Hz, and prints the twists that it receives in
+// hexadecimal.
 //
 //     fastdds_peer DOMAIN SCAN_IN_HEXADECIMAL
 
@@ -29,7 +29,7 @@ using eprosima::fastrtps::rtps::InstanceHandle_t;
 using eprosima::fastrtps::rtps::SerializedPayload_t;
 using Bytes = std::vector<std::uint8_t>;
 
-// A type whose samples are the bytes that go over the wire.
+// A type whose samples are serialized messages.
 class Raw : public TopicDataType {
 public:
     explicit Raw(const char* name) {
@@ -73,7 +73,7 @@ int main(int, char** arguments) {
     auto* scans = participant->create_topic("rt/scan", scan_type.get_type_name(), TOPIC_QOS_DEFAULT);
     auto* twists = participant->create_topic("rt/cmd_vel", twist_type.get_type_name(), TOPIC_QOS_DEFAULT);
 
-    // ROS 2's quality of service for sensors.
+    // ROS 2's quality of service for sensor data.
     DataWriterQos sensor = DATAWRITER_QOS_DEFAULT;
     sensor.reliability().kind = BEST_EFFORT_RELIABILITY_QOS;
     auto* writer = participant->create_publisher(PUBLISHER_QOS_DEFAULT)->create_datawriter(scans, sensor);

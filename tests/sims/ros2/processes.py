@@ -1,4 +1,4 @@
-"""Processes for tests, and waiting for what they do."""
+"""Helpers that start processes and wait for conditions."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import time
 from collections.abc import Callable
 
 
-def until(holds: Callable[[], object], seconds: float = 40.0) -> None:
-    """Waits until something holds."""
+def until(condition: Callable[[], object], seconds: float = 40.0) -> None:
+    """Waits until a condition holds, at most for the given time (s)."""
     end = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < end, "it did not come about in time"
+    while not condition():
+        assert time.monotonic() < end, "the condition does not hold in time"
         time.sleep(0.01)
 
 
@@ -20,15 +20,15 @@ COMMAND = (sys.executable, "-c", "import sys; from rover_rl.cli import main; sys
 
 
 def start(environment: dict[str, str], *arguments: str) -> subprocess.Popen[str]:
-    """``rover-rl`` with these arguments; what it says is in ``stdout``."""
+    """Starts ``rover-rl`` with arguments; its output and errors go to ``stdout``."""
     command = [*COMMAND, *arguments]
     return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
 
 def start_robot(environment: dict[str, str], *arguments: str) -> subprocess.Popen[str]:
-    """``rover-rl robot``, which is up."""
+    """Starts ``rover-rl robot``, and waits until it is ready."""
     command = [*COMMAND, "robot", "--lidar-beams", "128", *arguments]
-    # Its errors go to the test's: in a pipe that nobody reads, many of them would hold it up.
+    # Standard error is inherited: a full pipe that nobody reads would block the process.
     robot = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
     assert robot.stdout is not None
     assert "on ROS 2" in robot.stdout.readline()

@@ -1,7 +1,7 @@
-"""Sends random and truncated bytes on a rover's topics, under the names of the right types.
+"""Sends random and truncated bytes on a rover's topics, under the names of the correct types.
 
-Each length of bytes is a DDS type of its own, an array of them. Its description differs from the message's, so both
-sides have to be told to leave descriptions aside: see :data:`TRUSTING`.
+Each length is a DDS type of its own: an array of bytes. Its type description differs from the message's, so both sides
+must ignore type descriptions: see :data:`IGNORE_TYPES`.
 
     python raw_payloads.py DOMAIN COUNT
 """
@@ -12,13 +12,13 @@ import random
 import sys
 import time
 
-TRUSTING = "<Compatibility><IgnoreTypeInformation>1.15,1.16</IgnoreTypeInformation></Compatibility>"
-"""``CYCLONEDDS_URI`` under which types match by their names alone, Cyclone's own (vendor 1.16) too."""
+IGNORE_TYPES = "<Compatibility><IgnoreTypeInformation>1.15,1.16</IgnoreTypeInformation></Compatibility>"
+"""``CYCLONEDDS_URI`` that matches types by name only, also between Cyclone DDS peers (vendor 1.16)."""
 LENGTHS = (1, 3, 4, 8, 17, 40, 47, 48, 100, 300)
 
 
 def main(domain: int, count: int) -> None:
-    """Sends ``count`` payloads on each topic that somebody reads."""
+    """Sends ``count`` payloads on each topic, once it has a subscriber."""
     from cyclonedds.domain import DomainParticipant
     from cyclonedds.idl import IdlStruct, make_idl_struct, types
     from cyclonedds.pub import DataWriter
@@ -35,11 +35,11 @@ def main(domain: int, count: int) -> None:
         def serialize(self, *_: object, **__: object) -> bytes:
             return self.data
 
-    quality = Qos(
+    qos = Qos(
         Policy.Reliability.BestEffort,
         Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
     )
-    own = DdsTransport("raw")
+    transport = DdsTransport("raw")
     topics = {
         "/scan": LaserScan,
         "/imu/data": Imu,
@@ -56,20 +56,20 @@ def main(domain: int, count: int) -> None:
             struct = make_idl_struct(
                 kind, f"{package}.{folder}.dds_.{kind}_", {"bytes": types.array[types.uint8, length]}, bases=(Raw,)
             )
-            writer = DataWriter(participant, Topic(participant, "rt" + name, struct), quality)
+            writer = DataWriter(participant, Topic(participant, "rt" + name, struct), qos)
             deadline = time.monotonic() + 20
             while not writer.get_publication_matched_status().current_count:
-                assert time.monotonic() < deadline, f"nobody reads {name}"
+                assert time.monotonic() < deadline, f"{name} has no subscriber"
                 time.sleep(0.01)
             writers[name] = (writer, struct, encode(message())[4:])
         for number in range(count // len(LENGTHS)):
-            for writer, struct, whole in writers.values():
+            for writer, struct, payload in writers.values():
                 sample = struct.__new__(struct)
-                cut = whole[:length].ljust(length, b"\x00")
-                sample.data = b"\x00\x01\x00\x00" + (cut if number % 4 == 0 else rng.randbytes(length))
+                truncated = payload[:length].ljust(length, b"\x00")
+                sample.data = b"\x00\x01\x00\x00" + (truncated if number % 4 == 0 else rng.randbytes(length))
                 writer.write(sample)
             time.sleep(0.002)
-    own.close()
+    transport.close()
     print("sent", flush=True)
 
 

@@ -13,8 +13,8 @@ from rover_rl.sims.ros2 import messages
 from rover_rl.sims.ros2.cdr import MalformedError, decode, encode
 from rover_rl.sims.ros2.messages import Array, Message
 
-stores = pytest.importorskip("rosbags.typesys", reason="rosbags, the oracle, is not installed")
-ORACLE = stores.get_typestore(stores.Stores.ROS2_HUMBLE)
+stores = pytest.importorskip("rosbags.typesys", reason="rosbags, the reference implementation, is not installed")
+ROSBAGS = stores.get_typestore(stores.Stores.ROS2_HUMBLE)
 
 KINDS = [
     messages.LaserScan,
@@ -26,25 +26,25 @@ KINDS = [
     messages.TwistStamped,
     messages.Clock,
 ]
-WHOLE = {"i": (-(2**31), 2**31 - 1), "I": (0, 2**32 - 1), "B": (0, 255)}
+INTEGER_RANGES = {"i": (-(2**31), 2**31 - 1), "I": (0, 2**32 - 1), "B": (0, 255)}
 
 
-def numbers(letter: str) -> st.SearchStrategy:
-    if letter in WHOLE:
-        return st.integers(*WHOLE[letter])
-    return st.floats(width=32 if letter == "f" else 64)
+def numbers(format: str) -> st.SearchStrategy:
+    if format in INTEGER_RANGES:
+        return st.integers(*INTEGER_RANGES[format])
+    return st.floats(width=32 if format == "f" else 64)
 
 
 def values(hint: object) -> st.SearchStrategy:
-    """Any value that a field with that annotation may have."""
+    """Values of a field, from its annotation."""
     if hint is str:
         return st.text(st.characters(blacklist_categories=["Cs"], blacklist_characters="\0"), max_size=9)
     if typing.get_origin(hint) is typing.Annotated:
-        (form,) = hint.__metadata__
-        if not isinstance(form, Array):
-            return numbers(form)
-        size = {"max_size": 5} if form.length is None else {"min_size": form.length, "max_size": form.length}
-        return st.lists(numbers(form.letter), **size).map(lambda row: np.array(row, form.letter))
+        (layout,) = hint.__metadata__
+        if not isinstance(layout, Array):
+            return numbers(layout)
+        size = {"max_size": 5} if layout.length is None else {"min_size": layout.length, "max_size": layout.length}
+        return st.lists(numbers(layout.format), **size).map(lambda row: np.array(row, layout.format))
     if typing.get_origin(hint) is list:
         return st.lists(values(*typing.get_args(hint)), max_size=3)
     return any_message(hint)
@@ -55,16 +55,16 @@ def any_message(kind: type[Message]) -> st.SearchStrategy:
     return st.builds(kind, **{field.name: values(hints[field.name]) for field in dataclasses.fields(kind)})
 
 
-def to_oracle(message: object) -> object:
-    """The same message as rosbags has it."""
+def to_rosbags(message: object) -> object:
+    """Converts a message to rosbags' class."""
     if not isinstance(message, Message):
-        return [to_oracle(item) for item in message] if isinstance(message, list) else message
-    kind = ORACLE.types[message.ros_type]
-    return kind(**{f.name: to_oracle(getattr(message, f.name)) for f in dataclasses.fields(message)})
+        return [to_rosbags(item) for item in message] if isinstance(message, list) else message
+    kind = ROSBAGS.types[message.ros_type]
+    return kind(**{f.name: to_rosbags(getattr(message, f.name)) for f in dataclasses.fields(message)})
 
 
 def same(a: object, b: object) -> bool:
-    """Whether two messages say the same, NaN included."""
+    """Whether two messages are equal; NaN equals NaN."""
     if isinstance(a, np.ndarray):
         return a.shape == b.shape and a.tobytes() == b.tobytes()
     if isinstance(a, list):
@@ -77,9 +77,9 @@ def same(a: object, b: object) -> bool:
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
 @settings(deadline=None)
 @given(data=st.data())
-def test_bytes_are_those_of_rosbags_both_ways(kind, data):
+def test_encode_and_decode_match_rosbags(kind, data):
     message = data.draw(any_message(kind))
-    expected = bytes(ORACLE.serialize_cdr(to_oracle(message), kind.ros_type))
+    expected = bytes(ROSBAGS.serialize_cdr(to_rosbags(message), kind.ros_type))
     assert encode(message) == expected
     assert same(decode(kind, expected), message)
 
@@ -87,14 +87,14 @@ def test_bytes_are_those_of_rosbags_both_ways(kind, data):
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
 @settings(deadline=None)
 @given(data=st.data())
-def test_big_endian_messages_are_read(kind, data):
+def test_big_endian_messages_are_decoded(kind, data):
     message = data.draw(any_message(kind))
-    big = bytes(ORACLE.serialize_cdr(to_oracle(message), kind.ros_type, little_endian=False))
+    big = bytes(ROSBAGS.serialize_cdr(to_rosbags(message), kind.ros_type, little_endian=False))
     assert same(decode(kind, big), message)
 
 
-def refusal(kind: type[Message], payload: bytes) -> str:
-    """What is said of a payload that is no message; the type's name where it is one."""
+def error_text(kind: type[Message], payload: bytes) -> str:
+    """Returns the error text for a payload that is not a message; the type's name for a valid message."""
     try:
         decode(kind, payload)
     except MalformedError as error:
@@ -105,39 +105,39 @@ def refusal(kind: type[Message], payload: bytes) -> str:
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
 @settings(deadline=None)
 @given(data=st.data())
-def test_what_is_cut_short_or_random_is_refused_or_read_but_never_crashes(kind, data):
-    whole = encode(data.draw(any_message(kind)))
-    cut = whole[: data.draw(st.integers(0, len(whole) - 1))]
-    for payload in (cut, data.draw(st.binary(max_size=200)), whole[:4] + data.draw(st.binary(max_size=200))):
-        assert kind.ros_type in refusal(kind, payload)
+def test_truncated_and_random_bytes_are_decoded_or_rejected_without_a_crash(kind, data):
+    encoded = encode(data.draw(any_message(kind)))
+    truncated = encoded[: data.draw(st.integers(0, len(encoded) - 1))]
+    for payload in (truncated, data.draw(st.binary(max_size=200)), encoded[:4] + data.draw(st.binary(max_size=200))):
+        assert kind.ros_type in error_text(kind, payload)
 
 
-def test_a_message_that_is_cut_short_is_refused():
-    whole = encode(messages.LaserScan(ranges=np.ones(8, np.float32)))
-    for length in range(len(whole)):
+def test_a_truncated_message_is_rejected():
+    encoded = encode(messages.LaserScan(ranges=np.ones(8, np.float32)))
+    for length in range(len(encoded)):
         with pytest.raises(MalformedError):
-            decode(messages.LaserScan, whole[:length])
+            decode(messages.LaserScan, encoded[:length])
 
 
-def test_announced_lengths_are_not_believed():
+def test_announced_lengths_are_checked():
     header = b"\x00\x01\x00\x00" + bytes(8)
     for kind in (messages.LaserScan, messages.PoseArray):
         with pytest.raises(MalformedError, match="announced"):
             decode(kind, header + b"\xff\xff\xff\x7f" + bytes(40))
 
 
-def test_other_representations_are_refused():
+def test_other_representations_are_rejected():
     with pytest.raises(MalformedError, match="plain CDR"):
         decode(messages.Twist, b"\x00\x03\x00\x00" + bytes(48))
 
 
-def test_a_covariance_has_its_length():
+def test_an_array_of_wrong_length_is_rejected():
     with pytest.raises(ValueError, match="expected 9 numbers"):
         encode(messages.Imu(orientation_covariance=np.zeros(4)))
 
 
-def test_seconds_become_whole_seconds_and_nanoseconds():
-    stamp = messages.Time.of(12.25)
+def test_time_converts_from_and_to_seconds():
+    stamp = messages.Time.from_seconds(12.25)
     assert (stamp.sec, stamp.nanosec, stamp.seconds) == (12, 250_000_000, 12.25)
-    assert messages.Time.of(-0.5) == messages.Time(-1, 500_000_000)
-    assert math.isclose(messages.Time.of(1e9 + 0.1).seconds, 1e9 + 0.1)
+    assert messages.Time.from_seconds(-0.5) == messages.Time(-1, 500_000_000)
+    assert math.isclose(messages.Time.from_seconds(1e9 + 0.1).seconds, 1e9 + 0.1)

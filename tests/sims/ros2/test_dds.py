@@ -36,7 +36,7 @@ def pair(domain) -> Iterator[tuple[DdsTransport, DdsTransport]]:
 
 
 @pytest.mark.parametrize("reliable", [False, True])
-def test_messages_arrive_as_they_were(pair, reliable):
+def test_messages_arrive_unchanged(pair, reliable):
     talker, listener = pair
     scan = LaserScan(Header(Time(1, 2), "lidar"), range_max=10.0, ranges=np.arange(640, dtype=np.float32))
     received: list[LaserScan] = []
@@ -50,12 +50,12 @@ def test_messages_arrive_as_they_were(pair, reliable):
     np.testing.assert_array_equal(received[0].ranges, scan.ranges)
 
 
-def test_a_receiver_that_fails_does_not_end_the_others(pair, caplog):
+def test_a_failing_callback_does_not_affect_others(pair, caplog):
     talker, listener = pair
     received: list[Clock] = []
 
     def fail(message: Clock) -> None:
-        raise KeyError("of the test")
+        raise KeyError("test")
 
     listener.subscribe("/clock", Clock, fail)
     listener.subscribe("/clock", Clock, received.append)
@@ -65,15 +65,15 @@ def test_a_receiver_that_fails_does_not_end_the_others(pair, caplog):
         publish(Clock(Time(second)))
         time.sleep(0.02)
     until(lambda: len(received) == 3)
-    assert "could not take in a message" in caplog.text
+    assert "the callback failed" in caplog.text
 
 
-def left() -> tuple[int, int, int]:
-    """Python's threads, open files and sockets, and all threads of this process."""
+def open_resources() -> tuple[int, int, int]:
+    """Returns the numbers of Python threads, open files and sockets, and all threads of this process."""
     return threading.active_count(), len(os.listdir("/proc/self/fd")), len(os.listdir("/proc/self/task"))
 
 
-def test_closing_leaves_nothing(domain):
+def test_close_releases_threads_and_files(domain):
     def once() -> None:
         transport = DdsTransport("once", domain)
         transport.subscribe("/scan", LaserScan, print)
@@ -82,13 +82,13 @@ def test_closing_leaves_nothing(domain):
         transport.close()
 
     once()
-    before = left()
+    before = open_resources()
     for _ in range(100):
         once()
-    assert left() == before
+    assert open_resources() == before
 
 
-def test_a_closed_connection_says_so(domain):
+def test_a_closed_connection_raises_an_error(domain):
     transport = DdsTransport("gone", domain)
     publish = transport.publisher("/cmd_vel", Twist)
     transport.close()
@@ -101,11 +101,11 @@ def test_a_closed_connection_says_so(domain):
 def test_a_topic_has_one_type(pair):
     talker, _ = pair
     talker.publisher("/cmd_vel", Twist)
-    with pytest.raises(ValueError, match=r"/cmd_vel is of geometry_msgs/msg/Twist, and cannot be of"):
+    with pytest.raises(ValueError, match=r"/cmd_vel has type geometry_msgs/msg/Twist, and cannot also have type"):
         talker.subscribe("/cmd_vel", Clock, print)
 
 
-def test_a_fork_is_told_to_spawn(domain):
+def test_a_forked_process_is_rejected(domain):
     transport = DdsTransport("parent", domain)
     child = os.fork()
     if not child:
@@ -120,12 +120,12 @@ def test_a_fork_is_told_to_spawn(domain):
 
 
 @pytest.mark.parametrize("text", ["-1", "233", "five", "1.5"])
-def test_a_domain_is_a_number(text):
+def test_an_invalid_domain_id_is_rejected(text):
     with pytest.raises(ValueError, match="ROS_DOMAIN_ID must be a whole number from 0 to 232"):
         domain_id({"ROS_DOMAIN_ID": text})
 
 
-def test_domains_and_reach_are_chosen_as_in_ros():
+def test_domain_and_discovery_range_follow_ros_variables():
     assert domain_id({}) == domain_id({"ROS_DOMAIN_ID": " "}) == 0
     assert domain_id({"ROS_DOMAIN_ID": "42"}) == 42
     assert "127.0.0.1" not in domain_settings({})
@@ -134,7 +134,7 @@ def test_domains_and_reach_are_chosen_as_in_ros():
     assert domain_settings({"CYCLONEDDS_URI": "file:///mine.xml"}).endswith(",file:///mine.xml")
 
 
-def test_processes_talk(domain, tmp_path):
+def test_processes_exchange_messages(domain, tmp_path):
     program = (
         "from rover_rl.sims.ros2.dds import DdsTransport\n"
         "from rover_rl.sims.ros2.messages import Clock, Time\n"
@@ -155,14 +155,14 @@ def test_processes_talk(domain, tmp_path):
     assert received[0].clock.sec == 7
 
 
-def test_a_hundred_environments_leave_nothing(in_domain):
+def test_a_hundred_environments_release_threads_and_files(in_domain):
     def once() -> None:
         env = RoverEnv(world_n="maze", backend=Ros2Settings(reset="none"), connection_check_timeout=0.0)
         assert not env.robot_connected
         env.close()
 
     once()
-    before = left()
+    before = open_resources()
     for _ in range(100):
         once()
-    assert left() == before
+    assert open_resources() == before

@@ -1,4 +1,4 @@
-"""``rover-rl drive`` on ``rover-rl robot``, each in a process of its own."""
+"""``rover-rl drive`` with ``rover-rl robot``, each in a process of its own."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.cli import main
 from rover_rl.sims.ros2.dds import DdsTransport
 from rover_rl.sims.ros2.messages import Odometry, Point, PoseArray, Twist
-from rover_rl.sims.ros2.pose_reset import Target, TopicPlacer
+from rover_rl.sims.ros2.pose_reset import TargetPose, TopicPlacer
 from tests.sims.ros2.processes import start, start_robot, until
 
 pytestmark = [pytest.mark.ros2, pytest.mark.slow]
 
 FAR = ("--goal", "9", "9")
-"""A goal that is not reached soon."""
+"""Arguments with a goal that is not reached soon."""
 
 
 @pytest.fixture(scope="module")
 def environment(domain) -> dict[str, str]:
-    """Of processes in a domain with a robot."""
+    """Environment variables of processes in the domain of the robot."""
     return {**os.environ, **domain, "ROS_DOMAIN_ID": str(int(domain["ROS_DOMAIN_ID"]) + 3)}
 
 
@@ -45,41 +45,41 @@ def robot(environment) -> Iterator[subprocess.Popen[str]]:
     robot.communicate()
 
 
-class Onlooker:
-    """Hears what is sent to the robot, how fast it is and where."""
+class Observer:
+    """Records commands, speed and position of the robot."""
 
     def __init__(self, environment: dict[str, str]) -> None:
         self.twists: list[Twist] = []
         self.speed = 0.0
-        self.place = Point(math.inf)
-        self.transport = DdsTransport("onlooker", environment)
+        self.position = Point(math.inf)
+        self.transport = DdsTransport("observer", environment)
         self.transport.subscribe("/cmd_vel", Twist, self.twists.append)
-        self.transport.subscribe("/odometry/wheels", Odometry, self._hear_odometry)
-        self.transport.subscribe("/rover/pose_array", PoseArray, self._hear_place)
+        self.transport.subscribe("/odometry/wheels", Odometry, self._receive_odometry)
+        self.transport.subscribe("/rover/pose_array", PoseArray, self._receive_pose)
 
-    def _hear_odometry(self, odometry: Odometry) -> None:
+    def _receive_odometry(self, odometry: Odometry) -> None:
         self.speed = abs(odometry.twist.twist.linear.x)
 
-    def _hear_place(self, poses: PoseArray) -> None:
-        self.place = poses.poses[0].position
+    def _receive_pose(self, poses: PoseArray) -> None:
+        self.position = poses.poses[0].position
 
 
 @pytest.fixture
-def onlooker(environment, robot) -> Iterator[Onlooker]:
-    """With the robot put back to where no wall is near."""
-    onlooker = Onlooker(environment)
+def observer(environment, robot) -> Iterator[Observer]:
+    """Observer of the robot, which stands at a stored start without a wall nearby."""
+    observer = Observer(environment)
     x, y, yaw = stored_episodes("maze").start[0].tolist()
-    until(lambda: onlooker.place.x < math.inf)
-    TopicPlacer(onlooker.transport, "/rover/set_pose").place(Target(x, y, 0.0, yaw))
-    until(lambda: math.hypot(onlooker.place.x - x, onlooker.place.y - y) < 0.05 and onlooker.speed < 0.01)
-    onlooker.twists.clear()
-    yield onlooker
-    onlooker.transport.close()
+    until(lambda: observer.position.x < math.inf)
+    TopicPlacer(observer.transport, "/rover/set_pose").place(TargetPose(x, y, 0.0, yaw))
+    until(lambda: math.hypot(observer.position.x - x, observer.position.y - y) < 0.05 and observer.speed < 0.01)
+    observer.twists.clear()
+    yield observer
+    observer.transport.close()
 
 
 @pytest.fixture
 def driving(environment) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Starts ``rover-rl drive`` with arguments; whatever still drives in the end is killed."""
+    """Starts ``rover-rl drive`` with arguments; kills all started processes at the end."""
     started: list[subprocess.Popen[str]] = []
 
     def drive(*arguments: str, variables: dict[str, str] = environment) -> subprocess.Popen[str]:
@@ -92,13 +92,13 @@ def driving(environment) -> Iterator[Callable[..., subprocess.Popen[str]]]:
         process.communicate()
 
 
-def test_it_drives_and_its_log_is_measured(driving, onlooker, tmp_path):
+def test_drive_writes_a_log_that_evaluate_reads(driving, observer, tmp_path):
     log = tmp_path / "drive.jsonl"
     goals = ("--random", "2", "--seconds", "5", "--clearance", "0")
     drive = driving("pretrained:maze-ppo", *goals, "--log", str(log))
-    told, _ = drive.communicate(timeout=90)
-    assert drive.returncode in (0, 1), told
-    assert told.count("goal 1,") == told.count("goal 2,") == 1
+    output, _ = drive.communicate(timeout=90)
+    assert drive.returncode in (0, 1), output
+    assert output.count("goal 1,") == output.count("goal 2,") == 1
     (drives,) = read_drives(log)
     endings = drives.endings
     assert len(endings) == 2
@@ -108,21 +108,21 @@ def test_it_drives_and_its_log_is_measured(driving, onlooker, tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_stops_the_rover(driving, onlooker, tmp_path, number):
+def test_a_signal_stops_the_rover(driving, observer, tmp_path, number):
     drive = driving("scripted", "--world", "maze", *FAR, "--log", str(tmp_path / "drive.jsonl"))
-    until(lambda: onlooker.speed > 0.1)
+    until(lambda: observer.speed > 0.1)
     drive.send_signal(number)
-    told, _ = drive.communicate(timeout=20)
-    assert drive.returncode == 130, told
-    assert onlooker.twists[-1] == onlooker.twists[-2] == Twist()
-    until(lambda: onlooker.speed < 0.01, seconds=5)
+    output, _ = drive.communicate(timeout=20)
+    assert drive.returncode == 130, output
+    assert observer.twists[-1] == observer.twists[-2] == Twist()
+    until(lambda: observer.speed < 0.01, seconds=5)
 
 
-def test_a_signal_that_a_library_swallows_stops_the_rover_at_the_next_step(
-    environment, onlooker, tmp_path, monkeypatch
+def test_an_interrupt_suppressed_by_a_library_stops_the_rover_at_the_next_step(
+    environment, observer, tmp_path, monkeypatch
 ):
     def steer(lidar: Tensor, target: Tensor) -> Tensor:
-        if onlooker.speed > 0.1:
+        if observer.speed > 0.1:
             with suppress(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGINT)
         return torch.tensor([[1.0, 0.0]])
@@ -136,58 +136,58 @@ def test_a_signal_that_a_library_swallows_stops_the_rover_at_the_next_step(
     before = signal.getsignal(signal.SIGINT)
     assert main(["drive", "scripted", "--world", "maze", *FAR, "--log", str(tmp_path / "drive.jsonl")]) == 130
     assert signal.getsignal(signal.SIGINT) is before
-    assert onlooker.twists[-1] == onlooker.twists[-2] == Twist()
-    until(lambda: onlooker.speed < 0.01, seconds=5)
+    assert observer.twists[-1] == observer.twists[-2] == Twist()
+    until(lambda: observer.speed < 0.01, seconds=5)
 
 
-def test_a_dry_run_sends_nothing(driving, onlooker, tmp_path):
+def test_a_dry_run_sends_nothing(driving, observer, tmp_path):
     options = ("--dry-run", "--seconds", "1", "--log", str(tmp_path / "drive.jsonl"))
     drive = driving("scripted", "--world", "maze", *FAR, *options)
-    told, _ = drive.communicate(timeout=60)
-    assert drive.returncode == 1, told
-    assert told.count("m/s") >= 2 * 5
-    assert "goal 1, 9.00 9.00: time limit" in told
-    assert not onlooker.twists
-    assert onlooker.speed < 0.01
+    output, _ = drive.communicate(timeout=60)
+    assert drive.returncode == 1, output
+    assert output.count("m/s") >= 2 * 5
+    assert "goal 1, 9.00 9.00: time limit" in output
+    assert not observer.twists
+    assert observer.speed < 0.01
 
 
-def test_a_sensor_that_falls_silent_stops_it(driving, robot, onlooker, tmp_path):
+def test_silent_sensors_stop_the_rover(driving, robot, observer, tmp_path):
     log = tmp_path / "drive.jsonl"
     drive = driving("scripted", "--world", "maze", *FAR, "--log", str(log))
-    until(lambda: onlooker.speed > 0.1)
+    until(lambda: observer.speed > 0.1)
     robot.send_signal(signal.SIGSTOP)
     try:
-        told, _ = drive.communicate(timeout=30)
+        output, _ = drive.communicate(timeout=30)
     finally:
         robot.send_signal(signal.SIGCONT)
-    assert drive.returncode == 2, told
-    assert "rover-rl: lost the robot: " in told
+    assert drive.returncode == 2, output
+    assert "rover-rl: lost the robot: " in output
     assert read_drives(log)[0].endings == ["stopped"]
-    until(lambda: onlooker.speed < 0.01)
+    until(lambda: observer.speed < 0.01)
 
 
-def test_a_process_that_dies_leaves_a_rover_that_is_told_to_stop(driving, onlooker, tmp_path):
+def test_the_watchdog_stops_the_rover_if_the_process_is_killed(driving, observer, tmp_path):
     drive = driving("scripted", "--world", "maze", *FAR, "--log", str(tmp_path / "drive.jsonl"))
-    until(lambda: onlooker.speed > 0.1)
+    until(lambda: observer.speed > 0.1)
     drive.kill()
     drive.wait()
-    onlooker.twists.clear()
-    until(lambda: onlooker.twists.count(Twist()) > 10, seconds=5)
-    assert onlooker.twists[-1] == Twist()
+    observer.twists.clear()
+    until(lambda: observer.twists.count(Twist()) > 10, seconds=5)
+    assert observer.twists[-1] == Twist()
 
 
-def test_without_a_robot_it_says_so(driving, tmp_path, domain):
+def test_drive_without_a_robot_reports_an_error(driving, tmp_path, domain):
     alone = {**os.environ, **domain, "ROS_DOMAIN_ID": str(int(domain["ROS_DOMAIN_ID"]) + 4)}
     drive = start(
         alone, "drive", "scripted", "--world", "maze", *FAR, "--wait", "1", "--log", str(tmp_path / "drive.jsonl")
     )
-    told, _ = drive.communicate(timeout=60)
-    assert drive.returncode == 2, told
-    assert "rover-rl: lost the robot: /scan (scan): nothing has come yet" in told
+    output, _ = drive.communicate(timeout=60)
+    assert drive.returncode == 2, output
+    assert "rover-rl: lost the robot: /scan (scan): no message has arrived yet" in output
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (("scripted", "--goal", "1", "1"), "say which --world"),
         (("random", "--world", "maze", "--goal", "1", "1"), "cannot drive a live rover"),
@@ -202,17 +202,17 @@ def test_without_a_robot_it_says_so(driving, tmp_path, domain):
         (("scripted", *FAR, "--max-acceleration", "inf"), "max_acceleration must be positive and finite, got inf"),
     ],
 )
-def test_what_cannot_be_is_told_before_anything_is_announced(arguments, said, capsys, monkeypatch):
+def test_invalid_drive_options_are_rejected_before_connecting(arguments, message, capsys, monkeypatch):
     monkeypatch.setattr("rover_rl.sims.ros2.watchdog.Watchdog", None)
     monkeypatch.setattr("rover_rl.envs.RoverEnv", None)
     assert main(["drive", *arguments]) == 2
     error = capsys.readouterr().err
-    assert said in error
+    assert message in error
     assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (("--rate", "0"), "rate must be positive and at most 1000, got 0"),
         (("--seed", "-1"), "seed must be a whole number from 0 to"),
@@ -221,15 +221,15 @@ def test_what_cannot_be_is_told_before_anything_is_announced(arguments, said, ca
         (("--lidar-view", "0"), "lidar_view must be positive and at most 360, got 0"),
     ],
 )
-def test_what_a_robot_cannot_be_is_told_before_anything_is_published(arguments, said, capsys, monkeypatch):
+def test_invalid_robot_options_are_rejected_before_publishing(arguments, message, capsys, monkeypatch):
     monkeypatch.setattr("rover_rl.sims.ros2.transport.make_transport", None)
     assert main(["robot", *arguments]) == 2
     error = capsys.readouterr().err
-    assert said in error
+    assert message in error
     assert error.count("\n") == 1
 
 
-def test_a_file_of_goals_has_two_numbers_a_line(tmp_path: Path, capsys):
+def test_a_malformed_file_of_goals_is_rejected(tmp_path: Path, capsys):
     goals = tmp_path / "goals.csv"
     goals.write_text("1.0, 2.0\nx, y\n")
     assert main(["drive", "scripted", "--world", "maze", "--goals", str(goals)]) == 2

@@ -30,17 +30,17 @@ GOAL = (-20.4, -24.2)
 
 @pytest.fixture
 def robot(wire: Wire) -> Iterator[RobotNode]:
-    """A rover in inspect that steps when it is told something, or a while after."""
+    """A rover in inspect that steps at each command, or after 0.2 s without one."""
     world, kind = get_world("inspect"), get_robot("rover_zero")
     simulator = make_simulator("bullet", worlds=[world], robot=kind, lidar_beams=128)
     node = RobotNode(simulator, wire, world, kind.lidar_range, start=START)
-    told, stop = threading.Event(), threading.Event()
-    wire.subscribe("/cmd_vel", Twist, lambda twist: told.set())
+    commanded, stop = threading.Event(), threading.Event()
+    wire.subscribe("/cmd_vel", Twist, lambda twist: commanded.set())
 
     def run() -> None:
         while not stop.is_set():
-            told.wait(0.2)
-            told.clear()
+            commanded.wait(0.2)
+            commanded.clear()
             node.step()
 
     thread = threading.Thread(target=run)
@@ -63,7 +63,7 @@ def stopped(wire: Wire) -> bool:
     return wire.sent["/cmd_vel"][-3:] == [Twist()] * 3
 
 
-def test_a_drive_ends_at_its_goal_and_stops_there(env, wire, robot):
+def test_a_drive_ends_and_stops_at_its_goal(env, wire, robot):
     moments: list[Moment] = []
     assert drive_to(env, ScriptedPolicy(), GOAL, watch=moments.append) == "goal"
     assert stopped(wire)
@@ -77,12 +77,12 @@ def test_a_drive_ends_at_its_goal_and_stops_there(env, wire, robot):
     assert moments[-1].command == (last.linear.x, last.angular.z)
 
 
-def test_an_obstacle_that_is_too_near_ends_it(env, wire):
+def test_an_obstacle_that_is_too_close_ends_the_drive(env, wire):
     assert drive_to(env, ScriptedPolicy(), GOAL, clearance=20.0) == TOO_NEAR
     assert stopped(wire)
 
 
-def test_so_does_the_time_limit(env, wire):
+def test_the_time_limit_ends_the_drive(env, wire):
     moments: list[Moment] = []
     assert drive_to(env, ScriptedPolicy(), GOAL, seconds=0.2, watch=moments.append) == TIME_LIMIT
     assert stopped(wire)
@@ -98,7 +98,7 @@ def test_an_error_stops_the_rover(env, wire):
     assert stopped(wire)
 
 
-def test_only_a_live_rover_is_driven():
+def test_other_backends_are_rejected():
     env = RoverEnv(world_n="inspect")
     with pytest.raises(ValueError, match=r"only backend 'ros2' has a live rover, got BulletSimulator"):
         drive_to(env, ScriptedPolicy(), GOAL)
@@ -107,7 +107,7 @@ def test_only_a_live_rover_is_driven():
 
 @pytest.fixture
 def log(env, tmp_path) -> Path:
-    """Of a drive that reached its goal, of one that a person ended, and of one that was cut off."""
+    """Log of three drives: one reached its goal, one was interrupted, one is incomplete."""
     path = tmp_path / "logs" / "drive.jsonl"
 
     def interrupt(moment: Moment) -> None:
@@ -121,7 +121,7 @@ def log(env, tmp_path) -> Path:
     return path
 
 
-def test_a_log_is_measured_as_an_evaluation(log, tmp_path, capsys):
+def test_a_log_is_evaluated(log, tmp_path, capsys):
     (drives,) = read_drives(log)
     assert (drives.name, drives.seconds, drives.endings) == ("scripted", 60.0, ["goal", STOPPED])
     assert drives.success_rate == 0.5
@@ -134,9 +134,9 @@ def test_a_log_is_measured_as_an_evaluation(log, tmp_path, capsys):
     assert "scripted" in capsys.readouterr().out
 
 
-def test_policies_and_worlds_in_one_log_are_kept_apart(log, env):
+def test_policies_in_one_log_are_evaluated_separately(log, env):
     with log.open("a") as file:
-        file.write('{"position": [1.0, ')  # a line that was cut off
+        file.write('{"position": [1.0, ')  # an incomplete line
     with DriveLog(log, "inspect", "other", 60.0) as more:
         drive_to(env, ScriptedPolicy(), (-23.0, -24.0), clearance=20.0, log=more)
     assert {drives.name: drives.endings for drives in read_drives(log)} == {
@@ -145,8 +145,8 @@ def test_policies_and_worlds_in_one_log_are_kept_apart(log, env):
     }
 
 
-def test_times_are_those_of_the_rover(tmp_path):
-    """A lidar at 10 Hz: each step lasts two of the evaluation's."""
+def test_times_are_the_rovers(tmp_path):
+    """With a lidar at 10 Hz, each step lasts two control steps of the evaluation."""
     path = tmp_path / "drive.jsonl"
     lines = [{"format": "rover_rl drive, version 1", "world": "inspect", "policy": "mine", "seconds": 60.0}]
     lines.append({"goal": [-20.0, -24.0], "position": [-22.0, -24.0, 0.0], "angles": [0.0, 0.0, 0.0]})
@@ -162,14 +162,14 @@ def test_times_are_those_of_the_rover(tmp_path):
 
 
 @pytest.mark.parametrize("content", ["", "no log\n", '{"format": "else"}\n', "[1]\n"])
-def test_what_is_no_log_is_refused(tmp_path, content):
+def test_an_invalid_log_is_rejected(tmp_path, content):
     path = tmp_path / "drive.jsonl"
     path.write_text(content)
     with pytest.raises(ValueError, match="is no log of drives"):
         read_drives(path)
 
 
-def test_a_log_without_a_drive_to_its_end_says_so(tmp_path):
+def test_a_log_without_a_finished_drive_is_rejected(tmp_path):
     path = tmp_path / "drive.jsonl"
     with DriveLog(path, "inspect", "scripted", 60.0):
         pass
@@ -177,7 +177,7 @@ def test_a_log_without_a_drive_to_its_end_says_so(tmp_path):
         read_drives(path)
 
 
-def test_an_exported_policy_drives_it(env, tmp_path):
+def test_an_exported_policy_drives_the_rover(env, tmp_path):
     pytest.importorskip("onnxscript", reason="needs rover_rl[onnx]")
     pytest.importorskip("onnxruntime", reason="needs rover_rl[onnx]")
     path = tmp_path / "inspect.onnx"

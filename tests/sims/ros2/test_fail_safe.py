@@ -1,4 +1,4 @@
-"""What a live rover does when its sensors or its drive are not what they should be: a simulated one on a course."""
+"""Reaction of a live rover to faulty sensors, limits and restarts, tested with a simulated rover on a course."""
 
 from __future__ import annotations
 
@@ -27,33 +27,33 @@ from rover_rl.sims.worlds import rest_on_ground
 from tests.sims.ros2.wire import Wire
 
 AHEAD, BEHIND = 3.0, -1.0
-"""Where a wall begins ahead of the start, and where another ends behind it, m along x."""
+"""Positions of the walls ahead of and behind the start, along x, m."""
 COURSE = World(
     "course",
     Terrain.flat((20, 20)),
     obstacles=[box((AHEAD + 0.2, 0, 0.5), (0.4, 8, 1)), box((BEHIND - 0.2, 0, 0.5), (0.4, 8, 1))],
 )
 FRONT, TAIL = 0.265, 0.27
-"""How far the rover reaches ahead and behind, m."""
+"""Length of the rover ahead of and behind its center, m."""
 
 
 class Robot:
-    """A rover on the course that steps when it is told something, or a while after."""
+    """A rover on the course that steps at each command, or after 0.2 s without one."""
 
     def __init__(self, wire: Wire, view: float = 2 * math.pi, yaw: float = 0.0) -> None:
         kind = get_robot("rover_zero")
         self._simulator = make_simulator("bullet", worlds=[COURSE], robot=kind, lidar_beams=128)
         self.node = RobotNode(self._simulator, wire, COURSE, kind.lidar_range, start=(0.0, 0.0, yaw), view=view)
         self.driven: list[float] = []
-        self._told, self._stop = threading.Event(), threading.Event()
-        wire.subscribe("/cmd_vel", Twist, lambda twist: self._told.set())
+        self._commanded, self._stop = threading.Event(), threading.Event()
+        wire.subscribe("/cmd_vel", Twist, lambda twist: self._commanded.set())
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
     def _run(self) -> None:
         while not self._stop.is_set():
-            self._told.wait(0.2)
-            self._told.clear()
+            self._commanded.wait(0.2)
+            self._commanded.clear()
             self.node.step()
             self.driven.append(self.node.pose[0])
 
@@ -65,7 +65,7 @@ class Robot:
 
 @pytest.fixture
 def start(wire: Wire) -> Iterator[Callable[..., RoverEnv]]:
-    """Starts a robot and the environment that drives it."""
+    """Makes the environment that drives a robot; closes both at the end."""
     started: list[tuple[Robot, RoverEnv]] = []
 
     def make(robot: Robot, **settings: object) -> RoverEnv:
@@ -111,11 +111,11 @@ def test_scans_that_become_unusable_stop_the_rover_before_a_wall(wire, start, fa
     with pytest.raises(RobotLostError, match=r"/scan \(scan\): its messages cannot be used"):
         drive_to(env, straight(1.0), (6.0, 0.0), watch=watch)
     assert wire.sent["/cmd_vel"][-1] == Twist()
-    assert max(robot.driven) < 1.6  # it was told to stop within 0.25 s, at 1 m/s
+    assert max(robot.driven) < 1.6  # stopped within 0.25 s at 1 m/s
 
 
 @FAULTS
-def test_a_robot_whose_scans_are_unusable_from_the_start_is_not_driven(wire, start, fault):
+def test_a_robot_with_unusable_scans_is_not_driven(wire, start, fault):
     wire.tamper["/scan"] = fault
     robot = Robot(wire)
     env = start(robot)
@@ -125,7 +125,7 @@ def test_a_robot_whose_scans_are_unusable_from_the_start_is_not_driven(wire, sta
     assert max(robot.driven) < 0.01
 
 
-def test_a_lidar_with_a_narrower_view_than_the_policys_is_refused(wire, start):
+def test_a_lidar_with_a_narrower_view_than_the_policys_is_rejected(wire, start):
     robot = Robot(wire, view=math.pi)
     env = start(robot)
     with pytest.raises(ValueError, match=r"the scan covers 18\d degrees, and the policy was trained with 360"):
@@ -133,7 +133,7 @@ def test_a_lidar_with_a_narrower_view_than_the_policys_is_refused(wire, start):
     assert max(robot.driven) < 0.01
 
 
-def test_with_a_lidar_that_faces_forward_a_rover_never_backs_into_a_wall(wire, start):
+def test_a_rover_with_a_forward_lidar_does_not_back_up(wire, start):
     robot = Robot(wire, view=math.pi)
     env, moments = start(robot), list[Moment]()
     ending = drive_to(env, straight(-1.0), (-6.0, 0.0), seconds=2.0, allow_unseen=True, watch=moments.append)
@@ -142,7 +142,7 @@ def test_with_a_lidar_that_faces_forward_a_rover_never_backs_into_a_wall(wire, s
     assert min(robot.driven) > -0.01
 
 
-def test_nor_does_a_policy_whose_goal_is_behind_the_wall(wire, start):
+def test_a_policy_with_a_forward_lidar_does_not_hit_a_wall(wire, start):
     robot = Robot(wire, view=math.pi)
     policy = load_pretrained("moon-sac").make_actor()
     drive_to(start(robot), policy, (-6.0, 0.0), seconds=5.0, allow_unseen=True, clearance=0.2)
@@ -150,26 +150,29 @@ def test_nor_does_a_policy_whose_goal_is_behind_the_wall(wire, start):
     assert max(robot.driven) + FRONT < AHEAD
 
 
-def test_a_rover_backs_up_where_its_lidar_sees(wire, start):
+def test_a_rover_backs_up_if_its_lidar_sees_behind(wire, start):
     robot = Robot(wire)
     drive_to(start(robot), straight(-0.2), (-6.0, 0.0), seconds=1.0)
     assert min(robot.driven) < -0.1
 
 
-def later(scan: LaserScan) -> LaserScan:
-    return replace(scan, header=Header(Time.of(scan.header.stamp.seconds - 1000.0)))
+def clock_went_back(scan: LaserScan) -> LaserScan:
+    return replace(scan, header=Header(Time.from_seconds(scan.header.stamp.seconds - 1000.0)))
 
 
-def elsewhere(poses: PoseArray) -> PoseArray:
+def pose_jumped(poses: PoseArray) -> PoseArray:
     (pose,) = poses.poses
     return replace(poses, poses=[replace(pose, position=replace(pose.position, y=pose.position.y + 4.0))])
 
 
 @pytest.mark.parametrize(
     ("topic", "fault", "reason"),
-    [("/scan", later, "its clock went back by"), ("/rover/pose_array", elsewhere, "its pose jumped by 4.0 m")],
+    [
+        ("/scan", clock_went_back, "its clock went back by"),
+        ("/rover/pose_array", pose_jumped, "its pose jumped by 4.0 m"),
+    ],
 )
-def test_a_robot_that_restarts_ends_the_drive(wire, start, caplog, topic, fault, reason):
+def test_a_restart_of_the_robot_ends_the_drive(wire, start, caplog, topic, fault, reason):
     robot = Robot(wire)
     env = start(robot)
 
@@ -200,7 +203,7 @@ def test_commands_are_within_their_limits_and_reversals_are_logged(wire, start, 
     assert entries[-1]["reversals"] == count_reversals(turns) >= 5
 
 
-def test_the_course_is_as_it_is_described():
+def test_the_walls_of_the_course_are_where_the_constants_say():
     position, _ = rest_on_ground(COURSE, get_robot("rover_zero"), torch.zeros(1, 3))
     assert abs(position[0, 2].item()) < 0.01
     assert COURSE.inside(torch.tensor([[AHEAD + 0.01, 0.0, 0.5], [BEHIND - 0.01, 0.0, 0.5]])).all()

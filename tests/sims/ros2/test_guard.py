@@ -18,14 +18,14 @@ def test_every_beam_around_the_direction_of_travel_must_be_seen(speed, sector):
     for beam in range(128):
         seen = torch.ones(128, dtype=torch.bool)
         seen[beam] = False
-        assert guard.blocked(speed, seen) == sector[beam].item()
+        assert guard.blocks(speed, seen) == sector[beam].item()
 
 
-def test_standing_and_turning_are_never_blocked():
-    assert not UnseenGuard(ANGLES).blocked(0.0, torch.zeros(128, dtype=torch.bool))
+def test_zero_forward_speed_is_never_blocked():
+    assert not UnseenGuard(ANGLES).blocks(0.0, torch.zeros(128, dtype=torch.bool))
 
 
-def test_a_full_view_blocks_nothing():
+def test_a_full_field_of_view_blocks_nothing():
     guard, seen = UnseenGuard(ANGLES), torch.ones(128, dtype=torch.bool)
-    assert not guard.blocked(1.0, seen)
-    assert not guard.blocked(-1.0, seen)
+    assert not guard.blocks(1.0, seen)
+    assert not guard.blocks(-1.0, seen)

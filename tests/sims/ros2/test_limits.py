@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.ros2 import Ros2Settings
-from rover_rl.sims.ros2.limits import LEAST_REVERSAL, CommandLimiter, CommandLimits
+from rover_rl.sims.ros2.limits import MIN_REVERSAL, CommandLimiter, CommandLimits
 
 LIMITS = CommandLimits(speed=1.0, yaw_rate=2.0, acceleration=5.0, yaw_acceleration=4.0)
 
@@ -19,7 +19,7 @@ LIMITS = CommandLimits(speed=1.0, yaw_rate=2.0, acceleration=5.0, yaw_accelerati
     speed=st.floats(0.05, 3.0),
     yaw_rate=st.floats(0.05, 8.0),
 )
-def test_no_command_is_above_its_limits(wanted, speed, yaw_rate):
+def test_commands_never_exceed_the_limits(wanted, speed, yaw_rate):
     limits = replace(LIMITS, speed=speed, yaw_rate=yaw_rate)
     limiter, last = CommandLimiter(limits), (0.0, 0.0)
     for v, w, dt in wanted:
@@ -38,16 +38,16 @@ def test_commands_within_the_limits_are_reached_and_held():
     assert last == (-0.7, 1.5)
 
 
-def test_a_large_reversal_is_carried_out_and_a_small_one_stops_turning():
+def test_a_large_reversal_is_executed_and_a_small_one_stops_turning():
     limiter = CommandLimiter(LIMITS)
     assert limiter((0.0, 0.0), (0.0, 0.2), 0.05)[1] == pytest.approx(0.2)
-    assert limiter((0.0, 0.2), (0.0, -LEAST_REVERSAL + 0.01), 0.05)[1] == 0.0
-    assert limiter((0.0, 0.0), (0.0, -LEAST_REVERSAL + 0.01), 0.05)[1] == 0.0
-    assert limiter((0.0, 0.0), (0.0, -LEAST_REVERSAL - 0.01), 0.05)[1] == pytest.approx(-0.2)
+    assert limiter((0.0, 0.2), (0.0, -MIN_REVERSAL + 0.01), 0.05)[1] == 0.0
+    assert limiter((0.0, 0.0), (0.0, -MIN_REVERSAL + 0.01), 0.05)[1] == 0.0
+    assert limiter((0.0, 0.0), (0.0, -MIN_REVERSAL - 0.01), 0.05)[1] == pytest.approx(-0.2)
     assert limiter((0.0, -0.2), (0.0, -0.01), 0.05)[1] == pytest.approx(-0.01)  # the same direction
 
 
-def test_an_episode_begins_without_a_turning_direction():
+def test_reset_clears_the_turning_direction():
     limiter = CommandLimiter(LIMITS)
     limiter((0.0, 0.0), (0.0, 0.2), 0.05)
     limiter.reset()
@@ -55,12 +55,12 @@ def test_an_episode_begins_without_a_turning_direction():
 
 
 @pytest.mark.parametrize("wanted", [(math.nan, 0.0), (0.0, math.inf)])
-def test_a_command_that_is_no_number_is_refused(wanted):
+def test_a_command_that_is_not_finite_is_rejected(wanted):
     with pytest.raises(ValueError, match="a command must be finite"):
         CommandLimiter(LIMITS)((0.0, 0.0), wanted, 0.05)
 
 
-def test_the_limits_are_the_robots_unless_the_settings_have_others():
+def test_settings_override_the_limits_of_the_robot():
     robot = get_robot("rover_zero")
     assert Ros2Settings().limits(robot) == CommandLimits(1.0, 7.0, 5.0, 4.0)
     assert Ros2Settings().limits(replace(robot, max_speed=0.4)).speed == 0.4
@@ -70,7 +70,7 @@ def test_the_limits_are_the_robots_unless_the_settings_have_others():
 
 @pytest.mark.parametrize("name", ["max_speed", "max_yaw_rate", "max_acceleration", "max_yaw_acceleration"])
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
-def test_a_limit_that_is_none_is_refused(name, value):
+def test_an_invalid_limit_is_rejected(name, value):
     with pytest.raises(ValueError, match=f"{name} must be positive and finite"):
         Ros2Settings(**{name: value})
     with pytest.raises(ValueError, match="must be positive and finite"):

@@ -1,4 +1,4 @@
-"""With what others make: Fast DDS and Gazebo's command, where they are installed."""
+"""Interoperability with Fast DDS and Gazebo's command, if they are installed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
 from rover_rl.sims.ros2.cdr import encode
 from rover_rl.sims.ros2.dds import DdsTransport
 from rover_rl.sims.ros2.messages import Header, LaserScan, Time, Twist, Vector3
-from rover_rl.sims.ros2.pose_reset import GazeboPlacer, PoseResetError, Target
+from rover_rl.sims.ros2.pose_reset import GazeboPlacer, PoseResetError, TargetPose
 from tests.sims.ros2.processes import start, until
 
 pytestmark = [pytest.mark.ros2, pytest.mark.slow]
@@ -35,7 +35,7 @@ needs_gazebo = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory) -> Path:
-    """The peer, compiled."""
+    """Compiled peer."""
     program = tmp_path_factory.mktemp("peer") / "peer"
     subprocess.run(["g++", "-O0", "-o", program, PEER, "-lfastrtps", "-lfastcdr"], check=True)
     return program
@@ -43,7 +43,7 @@ def program(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def start_peer(program, domain) -> Iterator[Callable[[LaserScan], subprocess.Popen[str]]]:
-    """Starts a peer that sends a scan 20 times a second, and prints the twists that it receives."""
+    """Starts a peer that sends a scan at 20 Hz, and prints the twists that it receives."""
     started: list[subprocess.Popen[str]] = []
 
     def start_peer(scan: LaserScan) -> subprocess.Popen[str]:
@@ -64,7 +64,7 @@ def start_peer(program, domain) -> Iterator[Callable[[LaserScan], subprocess.Pop
 
 @needs_fast_dds
 @pytest.mark.parametrize("peer_first", [True, False])
-def test_fast_dds_is_understood_and_understands(start_peer, domain, peer_first):
+def test_messages_are_exchanged_with_fast_dds(start_peer, domain, peer_first):
     scan = LaserScan(Header(Time(3, 4), "lidar"), range_max=10.0, ranges=np.arange(640, dtype=np.float32))
     twist = Twist(Vector3(x=0.5), Vector3(z=-0.25))
     early = start_peer(scan) if peer_first else None
@@ -98,34 +98,34 @@ def bad_scan(ranges: list[float], increment: float = 2 * math.pi / 640, announce
 
 @needs_fast_dds
 @pytest.mark.parametrize(
-    ("scan", "said"),
+    ("scan", "message"),
     [
         (bad_scan([math.nan] * 640), "640 of 640 readings of the scan are missing, NaN or outside of its limits"),
         (bad_scan([1.0] * 7), "633 of 640 readings of the scan are missing"),
-        (bad_scan([1.0] * 640, increment=0.0), "a scan must tell its angles"),
+        (bad_scan([1.0] * 640, increment=0.0), "a scan must have a finite angle_min"),
         (bad_scan([5.0] * 320, announced=320), "the scan covers 180 degrees, and the policy was trained with 360"),
     ],
     ids=["all NaN", "7 of 640", "increment 0", "180 degrees"],
 )
-def test_a_drive_with_unusable_scans_of_fast_dds_is_refused(start_peer, domain, tmp_path, scan, said):
+def test_a_drive_with_unusable_scans_from_fast_dds_is_rejected(start_peer, domain, tmp_path, scan, message):
     peer = start_peer(scan)
     options = ("--world", "maze", "--goal", "1", "1", "--wait", "20", "--log", str(tmp_path / "drive.jsonl"))
     drive = start({**os.environ, **domain}, "drive", "scripted", *options)
-    told, _ = drive.communicate(timeout=60)
-    assert drive.returncode == 2, told
-    assert [said in line for line in told.splitlines() if line.startswith("rover-rl:")] == [True]
+    output, _ = drive.communicate(timeout=60)
+    assert drive.returncode == 2, output
+    assert [message in line for line in output.splitlines() if line.startswith("rover-rl:")] == [True]
     peer.kill()
     twists, _ = peer.communicate()
     assert set(twists.split()) <= {encode(Twist()).hex()}
 
 
 @needs_gazebo
-def test_gazebos_command_without_gazebo_is_no_success(tmp_path, monkeypatch):
-    # Debian's own wrapper, ``ign``, looks for the command where it is not.
+def test_gazebos_command_fails_without_gazebo(tmp_path, monkeypatch):
+    # Debian's own wrapper, ``ign``, looks for the command in the wrong folder.
     wrapper = tmp_path / "ign"
     wrapper.write_text(f'#!/bin/sh\nshift\nexec {SERVICE} "$@"\n')
     wrapper.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
     monkeypatch.setenv("IGN_PARTITION", str(tmp_path))
     with pytest.raises(PoseResetError, match="Service call timed out"):
-        GazeboPlacer("ign", "maze", "rover_zero4wd").place(Target(1.0, 2.0, 0.5, 0.0))
+        GazeboPlacer("ign", "maze", "rover_zero4wd").place(TargetPose(1.0, 2.0, 0.5, 0.0))

@@ -5,28 +5,28 @@ from pathlib import Path
 
 import pytest
 
-from rover_rl.sims.ros2.pose_reset import GazeboPlacer, PoseResetError, Target, succeeded
+from rover_rl.sims.ros2.pose_reset import GazeboPlacer, PoseResetError, TargetPose, succeeded
 
-TARGET = Target(1.0, -2.0, 0.75, 0.5)
+TARGET = TargetPose(1.0, -2.0, 0.75, 0.5)
 
 OUTPUTS = {
-    # What the command prints, and where; its exit code is 0 for all of them.
+    # Standard output, standard error, and whether the call succeeded. The exit code is 0 for all of them.
     "success": ("data: true\n\n", "", True),
-    "refused": ("\n", "", False),
-    "refused in words": ("data: false\n", "", False),
+    "rejected": ("\n", "", False),
+    "rejected with false": ("data: false\n", "", False),
     "no answer": ("Service call timed out\n", "", False),
     "failure": ("Service call failed\n", "", False),
     "bad type": ("", "Unable to create request of type[ignition.msgs.Pose].\n", False),
     "malformed request": ("data: true\n", "[libprotobuf ERROR google/protobuf] Error parsing text-format\n", False),
-    "malformed request, all in one": ("[libprotobuf ERROR x] Error parsing\ndata: true\n", "", False),
+    "malformed request, all on standard output": ("[libprotobuf ERROR x] Error parsing\ndata: true\n", "", False),
     "nothing": ("", "", False),
     "true elsewhere": ("metadata: trueish\n", "", False),
 }
 
 
 @pytest.fixture
-def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Puts an executable called ``ign`` first on the PATH, which keeps its arguments and says what it is told to."""
+def fake_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Puts an executable first on the PATH that stores its arguments and prints the given output."""
 
     def make(output: str = "data: true\n", errors: str = "", name: str = "ign", extra: str = "") -> Path:
         (tmp_path / "output").write_text(output)
@@ -43,47 +43,47 @@ def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     return make
 
 
-@pytest.mark.parametrize("said", OUTPUTS.values(), ids=OUTPUTS.keys())
-def test_only_the_true_success_counts(stand_in, said):
-    output, errors, works = said
-    stand_in(output, errors)
+@pytest.mark.parametrize("outcome", OUTPUTS.values(), ids=OUTPUTS.keys())
+def test_only_a_successful_service_call_is_accepted(fake_command, outcome):
+    output, errors, succeeds = outcome
+    fake_command(output, errors)
     placer = GazeboPlacer("ign", "maze", "rover_zero")
-    if works:
+    if succeeds:
         placer.place(TARGET)
     else:
-        with pytest.raises(PoseResetError, match="did not put 'rover_zero' back"):
+        with pytest.raises(PoseResetError, match="did not move 'rover_zero'"):
             placer.place(TARGET)
-    assert succeeded(output, errors) is works
+    assert succeeded(output, errors) is succeeds
 
 
 @pytest.mark.parametrize(("command", "package"), [("ign", "ignition.msgs"), ("gz", "gz.msgs")])
-def test_each_gazebo_is_asked_in_its_own_words(stand_in, command, package):
-    arguments = stand_in(name=command)
+def test_each_gazebo_command_uses_its_own_message_package(fake_command, command, package):
+    arguments = fake_command(name=command)
     GazeboPlacer(command, "moon", "rover").place(TARGET)
-    told = arguments.read_text().splitlines()
-    assert told[:3] == ["service", "-s", "/world/moon/set_pose"]
-    assert told[3:7] == ["--reqtype", f"{package}.Pose", "--reptype", f"{package}.Boolean"]
-    assert told[7:10] == ["--timeout", "2000", "--req"]
-    assert told[10].startswith(
+    called_with = arguments.read_text().splitlines()
+    assert called_with[:3] == ["service", "-s", "/world/moon/set_pose"]
+    assert called_with[3:7] == ["--reqtype", f"{package}.Pose", "--reptype", f"{package}.Boolean"]
+    assert called_with[7:10] == ["--timeout", "2000", "--req"]
+    assert called_with[10].startswith(
         'name: "rover", position: {x: 1.0, y: -2.0, z: 0.75}, orientation: {x: 0.0, y: 0.0, z: 0.247'
     )
 
 
-def test_numbers_that_are_none_are_not_sent(stand_in):
-    arguments = stand_in()
+def test_a_target_that_is_not_finite_is_rejected(fake_command):
+    arguments = fake_command()
     with pytest.raises(PoseResetError, match="finite numbers"):
-        GazeboPlacer("ign", "maze", "rover").place(Target(float("nan"), 0.0, 0.0, 0.0))
+        GazeboPlacer("ign", "maze", "rover").place(TargetPose(float("nan"), 0.0, 0.0, 0.0))
     assert not arguments.exists()
 
 
-def test_a_command_that_hangs_is_given_up(stand_in, monkeypatch):
-    monkeypatch.setattr("rover_rl.sims.ros2.pose_reset._ANSWER_MS", 100)
-    stand_in(extra="exec sleep 60")
-    with pytest.raises(PoseResetError, match="did not come back"):
+def test_a_hanging_command_times_out(fake_command, monkeypatch):
+    monkeypatch.setattr("rover_rl.sims.ros2.pose_reset._SERVICE_TIMEOUT_MS", 100)
+    fake_command(extra="exec sleep 60")
+    with pytest.raises(PoseResetError, match="did not finish within"):
         GazeboPlacer("ign", "maze", "rover").place(TARGET)
 
 
-def test_a_command_that_is_missing_is_named(tmp_path, monkeypatch):
+def test_a_missing_command_is_reported(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(FileNotFoundError, match="needs Gazebo's command 'gz'"):
         GazeboPlacer("gz", "maze", "rover")

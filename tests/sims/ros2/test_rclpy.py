@@ -1,4 +1,4 @@
-"""``transport="rclpy"`` against a stand-in for ROS's own library, which is on no package index."""
+"""``transport="rclpy"`` with a fake of ROS's own library, which no package index provides."""
 
 from __future__ import annotations
 
@@ -66,11 +66,11 @@ class Node:
         self.receivers: dict[str, Any] = {}
         Node.made.append(self)
 
-    def create_subscription(self, kind: type, topic: str, receive: Any, quality: Any) -> None:
-        self.topics[topic], self.receivers[topic] = (kind, quality), receive
+    def create_subscription(self, kind: type, topic: str, receive: Any, qos: Any) -> None:
+        self.topics[topic], self.receivers[topic] = (kind, qos), receive
 
-    def create_publisher(self, kind: type, topic: str, quality: Any) -> Any:
-        self.topics[topic] = (kind, quality)
+    def create_publisher(self, kind: type, topic: str, qos: Any) -> Any:
+        self.topics[topic] = (kind, qos)
         return SimpleNamespace(
             publish=lambda message: self.sent.append((topic, message)), get_subscription_count=lambda: 2
         )
@@ -81,7 +81,7 @@ class Node:
 
 @pytest.fixture
 def ros(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A ROS that is sourced; its messages are classes of its own with the same fields as ours."""
+    """Fakes a sourced ROS. Its message classes differ from the package's, and have the same fields."""
     Node.made = []
 
     def module(name: str, **content: Any) -> None:
@@ -111,7 +111,7 @@ def ros(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "rover_rl.sims.ros2.rclpy", raising=False)
 
 
-def test_messages_go_out_as_those_of_ros(ros):
+def test_published_messages_are_instances_of_ros_classes(ros):
     transport = make_transport("rclpy", "rover")
     transport.publisher("/cmd_vel", Twist, reliable=True)(Twist(Vector3(x=0.5)))
     transport.publisher("/scan", LaserScan)(LaserScan(Header(Time(1, 2), "lidar"), ranges=np.ones(3, np.float32)))
@@ -125,19 +125,19 @@ def test_messages_go_out_as_those_of_ros(ros):
     assert (scan.header.stamp.sec, scan.header.frame_id, list(scan.ranges)) == (1, "lidar", [1, 1, 1])
     assert [type(pose) for pose in poses.poses] == [geometry_msgs.Pose]
     assert transport.subscribers("/cmd_vel") == 2
-    quality = {topic: quality for topic, (_, quality) in node.topics.items()}
-    assert (quality["/cmd_vel"].reliability, quality["/cmd_vel"].depth) == (Reliability.RELIABLE, 1)
-    assert (quality["/scan"].reliability, quality["/scan"].durability) == (Reliability.BEST_EFFORT, Durability.VOLATILE)
+    qos = {topic: qos for topic, (_, qos) in node.topics.items()}
+    assert (qos["/cmd_vel"].reliability, qos["/cmd_vel"].depth) == (Reliability.RELIABLE, 1)
+    assert (qos["/scan"].reliability, qos["/scan"].durability) == (Reliability.BEST_EFFORT, Durability.VOLATILE)
     transport.close()
 
 
-def test_messages_come_in_best_effort(ros):
+def test_subscriptions_are_best_effort_by_default(ros):
     received: list[Any] = []
     transport = make_transport("rclpy", "rover")
     transport.subscribe("/scan", LaserScan, received.append)
     (node,) = Node.made
-    kind, quality = node.topics["/scan"]
-    assert quality.reliability is Reliability.BEST_EFFORT
+    kind, qos = node.topics["/scan"]
+    assert qos.reliability is Reliability.BEST_EFFORT
     transport.subscribe("/rover/set_pose", PoseArray, received.append, reliable=True)
     assert node.topics["/rover/set_pose"][1].reliability is Reliability.RELIABLE
     node.receivers["/scan"](kind())
@@ -148,7 +148,7 @@ def test_messages_come_in_best_effort(ros):
     assert not [thread for thread in threading.enumerate() if "spins rclpy" in thread.name]
 
 
-def test_without_ros_it_says_what_to_do(monkeypatch):
+def test_without_ros_the_error_says_what_to_do(monkeypatch):
     monkeypatch.setitem(sys.modules, "rclpy", None)
     monkeypatch.delitem(sys.modules, "rover_rl.sims.ros2.rclpy", raising=False)
     with pytest.raises(ImportError, match="source ROS first"):

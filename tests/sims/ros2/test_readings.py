@@ -40,13 +40,13 @@ def scan(ranges, first=0.0, increment=None) -> LaserScan:
     )
 
 
-def test_a_scan_keeps_its_ranges_as_they_are():
+def test_ranges_are_unchanged():
     read = read_scan(scan([1.0, math.inf, math.nan, -math.inf]), max_invalid=0.25)
     np.testing.assert_array_equal(read.ranges, np.float32([1.0, math.inf, math.nan, -math.inf]))
     assert read.valid.tolist() == [True, True, False, True]
 
 
-def test_readings_outside_of_the_scans_own_limits_are_invalid():
+def test_readings_outside_of_the_range_limits_are_invalid():
     message = scan([0.1, 0.15, 10.0, 10.1, -1.0, 0.0, math.inf, -math.inf])
     assert read_scan(message).valid.all()  # the message states no limits
     message.range_min, message.range_max = 0.125, 10.0
@@ -54,7 +54,7 @@ def test_readings_outside_of_the_scans_own_limits_are_invalid():
 
 
 @pytest.mark.parametrize(
-    ("ranges", "announced", "said"),
+    ("ranges", "announced", "message_start"),
     [
         ([math.nan] * 640, 640, "640 of 640 readings"),
         ([1.0] * 7, 640, "633 of 640 readings"),
@@ -63,46 +63,46 @@ def test_readings_outside_of_the_scans_own_limits_are_invalid():
     ],
     ids=["all NaN", "7 of 640", "7 of 640 valid", "a tenth and one beyond range_max"],
 )
-def test_a_scan_with_too_many_invalid_readings_is_none(ranges, announced, said):
+def test_a_scan_with_too_many_invalid_readings_is_rejected(ranges, announced, message_start):
     message = scan(ranges, increment=2 * math.pi / announced)
     message.angle_max = (announced - 1) * message.angle_increment
     message.range_min, message.range_max = 0.15, 12.0
-    with pytest.raises(ValueError, match=f"{said} of the scan are missing, NaN or outside of its limits"):
+    with pytest.raises(ValueError, match=f"{message_start} of the scan are missing, NaN or outside of its limits"):
         read_scan(message)
     assert read_scan(message, max_invalid=1.0).ranges.shape == (len(ranges),)
 
 
-def test_a_few_invalid_readings_are_none_of_a_scans_business():
+def test_a_few_invalid_readings_are_accepted():
     message = scan([math.nan] * 64 + [1.0] * 576)
     assert (~read_scan(message).valid).sum() == 64
 
 
 @pytest.mark.parametrize("last", [0.0, math.nan, math.inf, -1.0])
-def test_angles_that_announce_no_number_of_readings_announce_none(last):
+def test_an_inconsistent_angle_max_announces_no_readings(last):
     message = scan([1.0, 2.0], first=0.0, increment=0.1)
     message.angle_max = last
     assert len(read_scan(message).ranges) == 2
 
 
-def test_a_scan_tells_how_much_it_covers():
+def test_field_of_view():
     assert read_scan(scan([1.0] * 64)).field_of_view == pytest.approx(2 * math.pi)
     assert read_scan(scan([1.0] * 100, increment=0.01)).field_of_view == pytest.approx(1.0)
     assert read_scan(scan([1.0] * 100, increment=-0.01)).field_of_view == pytest.approx(1.0)
     assert read_scan(scan([1.0] * 1000, increment=0.01)).field_of_view == 2 * math.pi
 
 
-def test_a_scan_is_copied():
+def test_ranges_are_copied():
     message = scan([1.0, 1.0])
     read_scan(message).ranges[0] = 7
     assert message.ranges[0] == 1
 
 
-def test_a_scan_tells_its_time():
+def test_stamp_in_seconds():
     assert read_scan(scan([1.0])).stamp == 3.5
 
 
 @pytest.mark.parametrize("ranges", [[], 3.0, [[1.0], [2.0]]])
-def test_a_scan_needs_a_list_of_ranges(ranges):
+def test_ranges_must_be_a_list_of_numbers(ranges):
     message = scan([1.0])
     message.ranges = ranges
     with pytest.raises(ValueError, match="list of ranges"):
@@ -110,32 +110,32 @@ def test_a_scan_needs_a_list_of_ranges(ranges):
 
 
 @pytest.mark.parametrize(("first", "increment"), [(math.nan, 0.1), (0.0, 0.0), (0.0, math.inf), (math.inf, 0.1)])
-def test_a_scan_needs_angles(first, increment):
-    with pytest.raises(ValueError, match="must tell its angles"):
+def test_angles_must_be_finite_with_an_increment_other_than_zero(first, increment):
+    with pytest.raises(ValueError, match="must have a finite angle_min"):
         read_scan(scan([1.0, 2.0], first, increment))
 
 
-def test_a_clockwise_scan_is_turned_round():
+def test_a_clockwise_scan_is_reversed():
     message = scan([1.0, 2.0, 3.0], first=0.5, increment=-0.1)
     message.angle_max = 0.3
     turned = read_scan(message)
     assert turned.ranges.tolist() == [3, 2, 1]
-    assert turned.first == pytest.approx(0.3)
-    assert turned.increment == pytest.approx(0.1)
+    assert turned.angle_min == pytest.approx(0.3)
+    assert turned.angle_increment == pytest.approx(0.1)
 
 
-def by_hand(message: LaserScan, beams: int, yaw: float) -> list[float | None]:
-    """The nearest valid reading in each beam's share of the turn, or else the one beside it, or ``None``."""
+def reference_alignment(message: LaserScan, beams: int, yaw: float) -> list[float | None]:
+    """Reference implementation: nearest valid reading in each beam's sector, else the adjacent one, else ``None``."""
     angles = [message.angle_min + yaw + k * message.angle_increment for k in range(len(message.ranges))]
     ranges = message.ranges.tolist()
     expected: list[float | None] = []
     for beam in range(beams):
         middle = 2 * math.pi * beam / beams
-        away = [abs(math.remainder(angle - middle, 2 * math.pi)) for angle in angles]
-        inside = [r for r, a in zip(ranges, away, strict=True) if a < math.pi / beams and not math.isnan(r)]
-        beside = min(range(len(ranges)), key=away.__getitem__)
-        near = away[beside] <= message.angle_increment / 2 and not math.isnan(ranges[beside])
-        expected.append(min(inside) if inside else ranges[beside] if near else None)
+        distances = [abs(math.remainder(angle - middle, 2 * math.pi)) for angle in angles]
+        inside = [r for r, a in zip(ranges, distances, strict=True) if a < math.pi / beams and not math.isnan(r)]
+        adjacent = min(range(len(ranges)), key=distances.__getitem__)
+        is_adjacent = distances[adjacent] <= message.angle_increment / 2 and not math.isnan(ranges[adjacent])
+        expected.append(min(inside) if inside else ranges[adjacent] if is_adjacent else None)
     return expected
 
 
@@ -146,30 +146,30 @@ def by_hand(message: LaserScan, beams: int, yaw: float) -> list[float | None]:
     yaw=st.sampled_from([0.0, math.pi, 0.3]),
     share=st.floats(0.2, 1.0),
 )
-def test_a_scan_is_turned_into_the_environments_beams(readings, beams, yaw, share):
-    # A little off, so that no reading lies on the border between two beams.
+def test_alignment_matches_a_reference_implementation(readings, beams, yaw, share):
+    # Offset, so that no reading lies on the border between two sectors.
     message = scan(readings, first=-math.pi + 0.00371, increment=share * 2 * math.pi / len(readings))
-    got = ScanAlignment(beams, yaw)(read_scan(message, max_invalid=1.0))
-    expected = by_hand(message, beams, yaw)
-    assert got.seen.tolist() == [reading is not None for reading in expected]
-    assert got.ranges.tolist() == pytest.approx([math.inf if reading is None else reading for reading in expected])
+    aligned = ScanAlignment(beams, yaw)(read_scan(message, max_invalid=1.0))
+    expected = reference_alignment(message, beams, yaw)
+    assert aligned.seen.tolist() == [reading is not None for reading in expected]
+    assert aligned.ranges.tolist() == pytest.approx([math.inf if reading is None else reading for reading in expected])
 
 
-def test_a_full_scan_of_as_many_beams_is_only_turned():
+def test_a_full_scan_with_the_same_number_of_beams_is_only_rotated():
     ranges = torch.arange(8.0)
     behind = scan(ranges.tolist(), first=-math.pi)
     assert ScanAlignment(8, yaw=math.pi)(read_scan(behind)).ranges.tolist() == ranges.tolist()
     assert ScanAlignment(8, yaw=0.0)(read_scan(behind)).ranges.tolist() == ranges.roll(-4).tolist()
 
 
-def test_scans_may_change_their_layout():
+def test_the_layout_of_scans_may_change():
     align = ScanAlignment(4, 0.0)
     assert align(read_scan(scan([1.0, 2.0, 3.0, 4.0]))).ranges.tolist() == [1, 2, 3, 4]
     assert align(read_scan(scan([5.0, 6.0, 7.0, 8.0, 9.0]))).ranges.tolist() == [5, 6, 7, 9]
     assert align(read_scan(scan([1.0, 2.0, 3.0, 4.0]))).ranges.tolist() == [1, 2, 3, 4]
 
 
-def test_too_close_stays_too_close():
+def test_minus_infinity_is_kept():
     assert ScanAlignment(2, 0.0)(read_scan(scan([-math.inf, 1.0]))).ranges.tolist() == [-math.inf, 1.0]
 
 
@@ -193,24 +193,24 @@ def test_an_orientation_is_normalized():
 
 
 @pytest.mark.parametrize("quaternion", [(0, 0, 0, 0), (math.nan, 0, 0, 1), (math.inf, 0, 0, 1)])
-def test_an_orientation_that_is_none_is_refused(quaternion):
+def test_an_invalid_orientation_is_rejected(quaternion):
     with pytest.raises(ValueError, match="finite quaternion other than zero"):
         read_imu(imu(*quaternion))
 
 
-def test_the_first_pose_of_an_array_counts():
+def test_the_first_pose_of_an_array_is_read():
     array = PoseArray(poses=[Pose(Point(1.0, 2.0, 3.0)), Pose(Point(9.0, 9.0, 9.0))])
     assert read_pose_array(array).position.tolist() == [1, 2, 3]
 
 
-def test_an_array_needs_a_pose():
+def test_an_invalid_pose_array_is_rejected():
     with pytest.raises(ValueError, match="at least one pose"):
         read_pose_array(PoseArray())
     with pytest.raises(ValueError, match="position must be finite"):
         read_pose_array(PoseArray(poses=[Pose(Point(math.nan, 0.0, 0.0))]))
 
 
-def test_odometry_gives_speed_and_yaw_rate():
+def test_odometry_provides_speed_and_yaw_rate():
     message = Odometry(twist=TwistWithCovariance(Twist(Vector3(0.5, 7.0, 7.0), Vector3(7.0, 7.0, 0.25))))
     assert read_twist(message).tolist() == [0.5, 0.25]
     message.twist.twist.linear.x = math.nan
@@ -218,6 +218,6 @@ def test_odometry_gives_speed_and_yaw_rate():
         read_twist(message)
 
 
-def test_any_object_with_the_attributes_will_do():
+def test_any_object_with_the_attributes_is_accepted():
     orientation = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=2.0)
     assert read_imu(SimpleNamespace(orientation=orientation)).tolist() == [0, 0, 0, 1]

@@ -1,4 +1,4 @@
-"""An environment over ROS 2 that is reset after it was closed."""
+"""Reset of a ROS 2 environment after close()."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.sims.ros2.wire import Wire
 SETTINGS = {"world_n": "maze", "backend": Ros2Settings(reset="none"), "connection_check_timeout": 0}
 
 
-def test_a_reset_after_closing_connects_again(wire: Wire) -> None:
+def test_reset_after_close_reconnects(wire: Wire) -> None:
     env = RoverEnv(**SETTINGS)
     env.reset()
     env.close()
@@ -23,7 +23,7 @@ def test_a_reset_after_closing_connects_again(wire: Wire) -> None:
     env.close()
 
 
-def test_the_gymnasium_class_stays_closed(wire: Wire) -> None:
+def test_a_closed_gymnasium_env_stays_closed(wire: Wire) -> None:
     env = GymRoverEnv(**SETTINGS)
     env.reset()
     env.close()

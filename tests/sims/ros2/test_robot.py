@@ -30,16 +30,16 @@ from tests.envs import transcription as contract
 from tests.envs.test_contract import check_witnessed, witness
 from tests.sims.ros2 import raw_payloads
 from tests.sims.ros2.processes import start_robot, until
-from tests.sims.ros2.raw_payloads import TRUSTING
+from tests.sims.ros2.raw_payloads import IGNORE_TYPES
 
 pytestmark = pytest.mark.ros2
 
-OBSERVED = ("lidar", "imu", "target", "velocities", "pose")
+OBSERVATIONS = ("lidar", "imu", "target", "velocities", "pose")
 LIVE = Ros2Settings(reset="topic", reset_timeout=20.0, step_timeout=10.0)
-WATCHFUL = replace(LIVE, step_timeout=1.0)
+SHORT_TIMEOUT = replace(LIVE, step_timeout=1.0)
 
 
-def end(robot: subprocess.Popen[str], number: int = signal.SIGTERM) -> int:
+def terminate(robot: subprocess.Popen[str], number: int = signal.SIGTERM) -> int:
     robot.send_signal(signal.SIGCONT)
     robot.send_signal(number)
     return robot.wait(20)
@@ -50,10 +50,10 @@ def robot(in_domain) -> Iterator[subprocess.Popen[str]]:
     robot = start_robot(in_domain, "--world", "maze", "--rate", "4")
     yield robot
     if robot.poll() is None:
-        end(robot, signal.SIGKILL)
+        terminate(robot, signal.SIGKILL)
 
 
-def live(backend: Ros2Settings = LIVE) -> RoverEnv:
+def make_env(backend: Ros2Settings = LIVE) -> RoverEnv:
     return RoverEnv(world_n="maze", backend=backend, seed=0, connection_check_timeout=60)
 
 
@@ -64,31 +64,31 @@ def drive(env: RoverEnv, steps: int) -> None:
 
 @pytest.fixture(scope="module")
 def real_time(domain) -> Iterator[dict[str, str]]:
-    """A robot at half of real time, so that no scan is missed, in a domain of its own, whose variables these are."""
-    own = {**domain, "ROS_DOMAIN_ID": str(int(domain["ROS_DOMAIN_ID"]) + 2)}
-    robot = start_robot({**os.environ, **own}, "--world", "maze", "--rate", "0.5")
-    yield own
-    end(robot)
+    """Environment variables of a domain with a robot, which runs at half of real time so that no scan is missed."""
+    variables = {**domain, "ROS_DOMAIN_ID": str(int(domain["ROS_DOMAIN_ID"]) + 2)}
+    robot = start_robot({**os.environ, **variables}, "--world", "maze", "--rate", "0.5")
+    yield variables
+    terminate(robot)
 
 
 @pytest.fixture
 def with_robot(real_time, monkeypatch) -> None:
-    """This process is in the domain of that robot."""
+    """Puts this process in the domain of that robot."""
     for key, value in real_time.items():
         monkeypatch.setenv(key, value)
 
 
 @pytest.mark.slow
-def test_the_environment_is_what_its_specs_say(with_robot):
+def test_the_environment_matches_its_specs(with_robot):
     env = rover_rl.make_env(world_n="maze", backend=LIVE, seed=0)
     check_env_specs(env, break_when_any_done="both")
     env.close()
 
 
 @pytest.mark.slow
-def test_gymnasium_finds_nothing_wrong(with_robot):
+def test_the_gymnasium_env_checker_passes(with_robot):
     env = gymnasium.make(rover_rl.ENV_ID, world_n="maze", backend=LIVE, seed=0).unwrapped
-    env.spec.nondeterministic = True  # as everything live is
+    env.spec.nondeterministic = True  # as every live rover is
     assert env._robot_connected
     assert env._check_robot_connection(timeout=1.0)
     check_env(env, skip_render_check=True)
@@ -96,7 +96,7 @@ def test_gymnasium_finds_nothing_wrong(with_robot):
 
 
 @pytest.mark.slow
-def test_the_contract_holds(with_robot):
+def test_the_environment_fulfills_the_contract(with_robot):
     env = rover_rl.make_env(world_n="maze", backend=LIVE, seed=0, length=40)
     rng = np.random.default_rng(0)
 
@@ -111,22 +111,22 @@ def test_the_contract_holds(with_robot):
 
 
 @pytest.mark.slow
-def test_a_policy_drives_it_as_it_drives_bullet(with_robot):
+def test_a_policy_performs_as_in_bullet(with_robot):
     policy, episodes = load_pretrained("maze-ppo").make_actor(), stored_episodes("maze").first(2)
-    there = evaluate(policy, episodes, rows=1, backend=LIVE)
-    here = evaluate(policy, episodes)
-    assert there.endings == here.endings == ["goal"] * 2
-    for a, b in zip(there.trajectories, here.trajectories, strict=True):
+    live = evaluate(policy, episodes, rows=1, backend=LIVE)
+    bullet = evaluate(policy, episodes)
+    assert live.endings == bullet.endings == ["goal"] * 2
+    for a, b in zip(live.trajectories, bullet.trajectories, strict=True):
         assert a.length == pytest.approx(b.length, rel=0.25)
 
 
 @pytest.mark.slow
-def test_a_robot_that_dies_stops_and_is_named(robot):
-    env = live(WATCHFUL)
+def test_a_killed_robot_raises_an_error(robot):
+    env = make_env(SHORT_TIMEOUT)
     env.reset()
     env.step(env.rand_action())
     robot.kill()
-    with pytest.raises(RobotLostError, match="it was told to stop"):
+    with pytest.raises(RobotLostError, match="a stop command was sent"):
         drive(env, steps=200)
     assert env.simulator.last_command == (0.0, 0.0)
     assert not env.robot_connected
@@ -134,8 +134,8 @@ def test_a_robot_that_dies_stops_and_is_named(robot):
 
 
 @pytest.mark.slow
-def test_a_robot_that_is_held_may_come_back(robot):
-    env = live(WATCHFUL)
+def test_a_suspended_robot_may_resume(robot):
+    env = make_env(SHORT_TIMEOUT)
     env.reset()
     robot.send_signal(signal.SIGSTOP)
     with pytest.raises(RobotLostError):
@@ -159,17 +159,17 @@ def test_a_robot_may_start_after_the_environment(in_domain):
         drive(env, steps=3)
     finally:
         env.close()
-        end(robot)
+        terminate(robot)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_it_ends_cleanly(in_domain, number):
-    assert end(start_robot(in_domain), number) == 0
+def test_the_robot_exits_cleanly(in_domain, number):
+    assert terminate(start_robot(in_domain), number) == 0
 
 
 @pytest.mark.slow
-def test_it_stops_without_commands_and_keeps_time(robot, domain):
+def test_the_robot_stops_without_commands_and_its_clock_is_regular(robot, domain):
     transport = DdsTransport("test", domain)
     clock: list[float] = []
     speeds: list[float] = []
@@ -185,12 +185,12 @@ def test_it_stops_without_commands_and_keeps_time(robot, domain):
 
 
 @pytest.mark.slow
-def test_random_payloads_on_every_topic_do_no_harm(domain, monkeypatch):
+def test_random_payloads_on_every_topic_are_ignored(domain, monkeypatch):
     number = int(domain["ROS_DOMAIN_ID"]) + 1
-    for key, value in {**domain, "ROS_DOMAIN_ID": str(number), "CYCLONEDDS_URI": TRUSTING}.items():
+    for key, value in {**domain, "ROS_DOMAIN_ID": str(number), "CYCLONEDDS_URI": IGNORE_TYPES}.items():
         monkeypatch.setenv(key, value)
     robot = start_robot(dict(os.environ), "--world", "maze", "--rate", "2")
-    env = live()
+    env = make_env()
     try:
         env.reset()
         sender = subprocess.Popen(
@@ -198,12 +198,12 @@ def test_random_payloads_on_every_topic_do_no_harm(domain, monkeypatch):
         )
         while sender.poll() is None:
             now = env.step(env.rand_action())["next"]
-            assert all(torch.isfinite(value).all() for value in now.select(*OBSERVED).values())
+            assert all(torch.isfinite(value).all() for value in now.select(*OBSERVATIONS).values())
         assert "sent" in sender.communicate()[0]
         assert torch.isfinite(env.reset()["pose"]).all()
         drive(env, steps=5)
     finally:
         env.close()
-        ended = end(robot)
+        exit_code = terminate(robot)
     assert env.simulator.last_command == (0.0, 0.0)
-    assert ended == 0
+    assert exit_code == 0

@@ -44,7 +44,7 @@ ALL = torch.ones(1, dtype=torch.bool)
 
 
 class Rover:
-    """A rover that stands, or does what it is told at once: tells about itself 100 times a second."""
+    """A rover that follows commands immediately, without moving, and publishes its state at 100 Hz."""
 
     def __init__(self, wire: Wire, stamp_step: float = 0.05) -> None:
         self.wire, self.stamp_step = wire, stamp_step
@@ -52,7 +52,7 @@ class Rover:
         self.z = 0.1
         self.imu_offset = self.climb = 0.0
         self.ranges = np.full(BEAMS, 5.0, np.float32)
-        self.layout: tuple[float, float] | None = None  # angle of the first beam, and from one to the next
+        self.layout: tuple[float, float] | None = None  # angle of the first beam, and angle increment
         self.silent: set[str] = set()
         self.stamp = 0.0
         self._publish = {
@@ -60,17 +60,17 @@ class Rover:
             "imu": wire.publisher("/imu/data", Imu),
             "odometry": wire.publisher("/odometry/wheels", Odometry),
             "pose": wire.publisher("/rover/pose_array", PoseArray),
-            "localiser": wire.publisher("/pose", PoseStamped),
+            "localizer": wire.publisher("/pose", PoseStamped),
         }
         wire.subscribe("/cmd_vel", Twist, self.obey)
-        wire.subscribe("/rover/set_pose", PoseStamped, self.put)
+        wire.subscribe("/rover/set_pose", PoseStamped, self.move_to)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def obey(self, twist: Twist) -> None:
         self.speed, self.turn = twist.linear.x, twist.angular.z
 
-    def put(self, msg: PoseStamped) -> None:
+    def move_to(self, msg: PoseStamped) -> None:
         self.x, self.y = msg.pose.position.x, msg.pose.position.y
         self.yaw = 2 * math.atan2(msg.pose.orientation.z, msg.pose.orientation.w)
 
@@ -84,11 +84,11 @@ class Rover:
 
     def _run(self) -> None:
         while not self._stop.wait(0.01):
-            self.tell()
+            self.publish()
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         self.stamp += self.stamp_step
-        header = Header(Time.of(self.stamp))
+        header = Header(Time.from_seconds(self.stamp))
         heading = Quaternion(z=math.sin(self.yaw / 2), w=math.cos(self.yaw / 2))
         imu_yaw = self.yaw + self.imu_offset
         self.z += self.climb
@@ -101,7 +101,7 @@ class Rover:
                 twist=TwistWithCovariance(Twist(Vector3(x=self.speed), Vector3(z=self.turn))),
             ),
             "pose": PoseArray(header, [pose]),
-            "localiser": PoseStamped(header, pose),
+            "localizer": PoseStamped(header, pose),
             "scan": self.scan(header, self.ranges.copy()),
         }
         for kind, message in messages.items():
@@ -110,7 +110,7 @@ class Rover:
 
     def scan(self, header: Header, ranges: np.ndarray) -> LaserScan:
         first, increment = self.layout or (-math.pi, 2 * math.pi / len(ranges))
-        last = first + increment * (639 if len(ranges) == 7 else len(ranges) - 1)  # 7 of 640 that are announced
+        last = first + increment * (639 if len(ranges) == 7 else len(ranges) - 1)  # 7 of 640 announced readings
         return LaserScan(header, angle_min=first, angle_max=last, angle_increment=increment, ranges=ranges)
 
 
@@ -122,7 +122,7 @@ def rover(wire: Wire) -> Iterator[Rover]:
 
 
 def simulator(timeout: float = 2.0, lidar_beams: int = BEAMS, **settings: Any) -> Ros2Simulator:
-    quick = {"max_acceleration": 100.0, "max_yaw_acceleration": 100.0}  # so that commands are sent as they are
+    quick = {"max_acceleration": 100.0, "max_yaw_acceleration": 100.0}  # sends commands unchanged
     settings = {"reset": "topic", "step_timeout": 0.3, "reset_timeout": 1.0, "settle": 0.05, **quick, **settings}
     made = make_simulator(
         Ros2Settings(**settings),
@@ -135,7 +135,7 @@ def simulator(timeout: float = 2.0, lidar_beams: int = BEAMS, **settings: Any) -
     return made
 
 
-def go_on(sim: Ros2Simulator, steps: int) -> None:
+def drive(sim: Ros2Simulator, steps: int) -> None:
     for _ in range(steps):
         sim.step(torch.tensor([[0.5, 0.0]]))
 
@@ -144,7 +144,7 @@ def yaw_of(state) -> float:
     return quaternion_to_euler(state.orientation)[0, 2].item()
 
 
-def test_a_step_sends_the_command_and_returns_what_comes_next(wire, rover):
+def test_step_sends_the_command_and_returns_the_next_state(wire, rover):
     rover.start()
     sim = simulator()
     sim.reset(ALL, torch.tensor([[1.0, 2.0, 0.5]]))
@@ -160,7 +160,7 @@ def test_a_step_sends_the_command_and_returns_what_comes_next(wire, rover):
     assert 0 < sim.latency < 0.3
 
 
-def test_velocities_are_the_wheels(rover):
+def test_velocities_come_from_wheel_odometry(rover):
     rover.start()
     sim = simulator()
     sim.reset(ALL, torch.tensor([[0.0, 0.0, 0.0]]))
@@ -169,7 +169,7 @@ def test_velocities_are_the_wheels(rover):
     assert (state.linear_velocity.item(), state.angular_velocity.item()) == (0.5, -0.25)
 
 
-def test_time_is_the_scans(rover):
+def test_dt_is_the_difference_of_scan_stamps(rover):
     rover.stamp_step = 0.02
     rover.start()
     sim = simulator()
@@ -180,7 +180,7 @@ def test_time_is_the_scans(rover):
     assert sim.step(torch.zeros(1, 2)).dt.item() == pytest.approx(0.05)
 
 
-def test_a_reset_stops_the_rover_and_puts_it_there(wire, rover):
+def test_reset_stops_the_rover_and_moves_it_to_the_pose(wire, rover):
     rover.start()
     sim = simulator()
     sim.step(torch.tensor([[1.0, 1.0]]))
@@ -192,14 +192,14 @@ def test_a_reset_stops_the_rover_and_puts_it_there(wire, rover):
     assert placed.z == pytest.approx(get_world("maze").drop_height(torch.tensor([-3.0, 4.0])).item())
 
 
-def test_no_reset_leaves_it_where_it_is(rover):
+def test_reset_none_does_not_move_the_rover(rover):
     rover.start()
     sim = simulator(reset="none")
     state = sim.reset(ALL, torch.tensor([[-3.0, 4.0, 2.0]]))
     assert state.position[0, :2].tolist() == pytest.approx([1.0, 2.0])
 
 
-def test_a_rover_that_does_not_arrive_is_named(wire, rover):
+def test_reset_fails_if_the_rover_does_not_reach_the_pose(wire, rover):
     wire.receivers["/rover/set_pose"][:] = [lambda msg: None]
     rover.start()
     sim = simulator(reset_timeout=0.3)
@@ -207,7 +207,7 @@ def test_a_rover_that_does_not_arrive_is_named(wire, rover):
         sim.reset(ALL, torch.tensor([[-3.0, 4.0, 2.0]]))
 
 
-def test_a_person_is_asked_and_has_all_the_time(rover, monkeypatch):
+def test_manual_reset_prompts_without_a_time_limit(rover, monkeypatch):
     asked: list[str] = []
 
     def put(text: str) -> str:
@@ -224,32 +224,32 @@ def test_a_person_is_asked_and_has_all_the_time(rover, monkeypatch):
     assert asked == ["Put the rover at x -3.00 m, y 4.00 m, heading 0 degrees, and press Enter: "]
 
 
-def test_without_a_person_it_says_so(rover, monkeypatch):
+def test_manual_reset_fails_without_standard_input(rover, monkeypatch):
     def nobody(text: str) -> str:
         raise EOFError
 
     monkeypatch.setattr("builtins.input", nobody)
     rover.start()
-    with pytest.raises(PoseResetError, match="there is nobody to ask"):
+    with pytest.raises(PoseResetError, match="nobody answers the prompt"):
         simulator(reset="manual").reset(ALL, torch.zeros(1, 3))
 
 
-def test_a_rover_that_faces_elsewhere_has_not_arrived(wire, rover, monkeypatch):
+def test_reset_fails_if_the_heading_is_wrong(wire, rover, monkeypatch):
     rover.start()
-    monkeypatch.setattr(rover, "put", lambda msg: None)
+    monkeypatch.setattr(rover, "move_to", lambda msg: None)
     wire.receivers["/rover/set_pose"][:] = [lambda msg: vars(rover).update(x=-3.0, y=4.0)]
     with pytest.raises(PoseResetError, match=r"it is at x -3.00 m, y 4.00 m"):
         simulator(reset_timeout=0.3).reset(ALL, torch.tensor([[-3.0, 4.0, -2.0]]))
 
 
-def test_a_rover_that_falls_is_not_at_rest(rover):
+def test_a_falling_rover_is_not_at_rest(rover):
     rover.start()
     rover.climb = -1.0
     with pytest.raises(PoseResetError, match=r"z -\d+\.90 m, and its wheels are at rest"):
         simulator(reset_timeout=0.5, settle=0.2).reset(ALL, torch.tensor([[-3.0, 4.0, 0.0]]))
 
 
-def test_a_rover_that_is_lost_while_it_is_put_back_is_named(rover):
+def test_reset_fails_if_the_rover_is_lost(rover):
     rover.start()
     sim = simulator(reset_timeout=5.0)
     rover.speed = 1.0
@@ -259,7 +259,7 @@ def test_a_rover_that_is_lost_while_it_is_put_back_is_named(rover):
         sim.reset(ALL, torch.tensor([[-3.0, 4.0, 0.0]]))
 
 
-def test_wheels_alone_are_taken_to_be_where_the_episode_starts(rover, monkeypatch):
+def test_wheel_odometry_is_aligned_with_the_start_pose(rover, monkeypatch):
     rover.start()
     rover.imu_offset = 1.1
     monkeypatch.setattr("builtins.input", lambda text: "")
@@ -267,7 +267,7 @@ def test_wheels_alone_are_taken_to_be_where_the_episode_starts(rover, monkeypatc
     state = sim.reset(ALL, torch.tensor([[-3.0, 4.0, 2.0]]))
     assert state.position[0, :2].tolist() == pytest.approx([-3.0, 4.0], abs=1e-5)
     assert yaw_of(state) == pytest.approx(2.0, abs=1e-5)
-    # A metre ahead by the wheels, which believe to face 0.5 rad, is a metre ahead in the world, at 2.0 rad.
+    # One meter ahead in the odometry's frame (yaw 0.5 rad) is one meter ahead in the world (yaw 2.0 rad).
     rover.x, rover.y = rover.x + math.cos(0.5), rover.y + math.sin(0.5)
     rover.yaw += 0.25
     for _ in range(3):
@@ -276,15 +276,15 @@ def test_wheels_alone_are_taken_to_be_where_the_episode_starts(rover, monkeypatc
     assert yaw_of(state) == pytest.approx(2.25, abs=1e-5)
 
 
-def test_wheels_that_nobody_puts_back_have_a_frame_of_their_own(rover):
+def test_wheel_odometry_without_reset_keeps_its_own_frame(rover):
     rover.start()
     rover.imu_offset = 1.1
     state = simulator(pose="wheels", reset="none").reset(ALL, torch.tensor([[-3.0, 4.0, 2.0]]))
     assert state.position[0, :2].tolist() == pytest.approx([1.0, 2.0], abs=1e-5)
-    assert yaw_of(state) == pytest.approx(0.5, abs=1e-5)  # the wheels' heading, not the IMU's
+    assert yaw_of(state) == pytest.approx(0.5, abs=1e-5)  # the heading of the odometry, not of the IMU
 
 
-def test_a_localiser_gives_pose_and_heading(rover):
+def test_a_localizer_provides_pose_and_heading(rover):
     rover.imu_offset = -0.7
     rover.start()
     sim = simulator(pose="pose_stamped", pose_topic="/pose", reset="none")
@@ -293,19 +293,19 @@ def test_a_localiser_gives_pose_and_heading(rover):
     assert yaw_of(state) == pytest.approx(0.5, abs=1e-5)
 
 
-def test_between_two_poses_of_a_localiser_the_imu_tells_the_heading(rover):
+def test_the_imu_updates_the_heading_between_poses_of_a_localizer(rover):
     rover.imu_offset = -0.7
     rover.start()
     sim = simulator(pose="pose_stamped", pose_topic="/pose", reset="none")
     sim.reset(ALL, torch.zeros(1, 3))
-    rover.silent.add("localiser")
-    go_on(sim, steps=2)
+    rover.silent.add("localizer")
+    drive(sim, steps=2)
     rover.yaw += 0.4
-    go_on(sim, steps=2)
+    drive(sim, steps=2)
     assert yaw_of(sim.state()) == pytest.approx(0.9, abs=1e-5)
 
 
-def test_an_array_may_tell_the_position_alone(rover):
+def test_a_pose_array_without_orientation_is_accepted(rover):
     rover.start()
     sim = simulator(reset="none")
     rover.stop()
@@ -314,7 +314,7 @@ def test_an_array_may_tell_the_position_alone(rover):
     assert sim.state().position[0].tolist() == [7.0, 8.0, 0.5]
 
 
-def test_a_lidar_that_is_faster_than_control_is_waited_for(rover):
+def test_scans_of_a_fast_lidar_are_skipped(rover):
     rover.stamp_step = 0.01
     rover.start()
     sim = simulator(reset="none")
@@ -323,7 +323,7 @@ def test_a_lidar_that_is_faster_than_control_is_waited_for(rover):
         assert sim.step(torch.zeros(1, 2)).dt.item() >= 0.0375 - 1e-6
 
 
-def test_commands_may_be_stamped(wire, rover):
+def test_stamped_commands(wire, rover):
     wire.receivers["/cmd_vel"].clear()
     rover.start()
     sim = simulator(command="twist_stamped", reset="none")
@@ -335,7 +335,7 @@ def test_commands_may_be_stamped(wire, rover):
     assert (sent.twist.linear.x, sent.twist.angular.z) == (0.5, -0.25)
 
 
-def test_without_a_robot_there_is_nothing_and_a_warning(wire, caplog):
+def test_without_a_robot_observations_are_empty_with_a_warning(wire, caplog):
     sim = simulator(timeout=0.05)
     assert "no usable scan on /scan within 0.05 s" in caplog.text
     assert not sim.robot_connected
@@ -344,12 +344,12 @@ def test_without_a_robot_there_is_nothing_and_a_warning(wire, caplog):
     assert torch.isposinf(state.ranges).all()
     assert (state.position == 0).all()
     assert state.orientation.tolist() == [[0, 0, 0, 1]]
-    with pytest.raises(RobotLostError, match=r"/scan \(scan\): nothing has come yet"):
+    with pytest.raises(RobotLostError, match=r"/scan \(scan\): no message has arrived yet"):
         sim.step(torch.tensor([[1.0, 0.0]]))
-    assert set(map(repr, wire.sent["/cmd_vel"])) == {repr(Twist())}  # nobody saw where it would have gone
+    assert set(map(repr, wire.sent["/cmd_vel"])) == {repr(Twist())}  # no motion without a scan
 
 
-def test_a_rover_that_died_is_not_connected(rover):
+def test_a_silent_rover_is_not_connected(rover):
     rover.start()
     sim = simulator()
     assert sim.wait_for_robot(0.0)
@@ -358,7 +358,7 @@ def test_a_rover_that_died_is_not_connected(rover):
     assert not sim.wait_for_robot(0.0)
 
 
-def test_a_robot_may_appear_later(wire, rover):
+def test_a_robot_may_appear_after_the_simulator(wire, rover):
     sim = simulator(timeout=0.05)
     rover.start()
     assert sim.wait_for_robot(2.0)
@@ -367,7 +367,7 @@ def test_a_robot_may_appear_later(wire, rover):
 
 
 @pytest.mark.parametrize("kind", ["imu", "odometry", "pose"])
-def test_a_topic_may_begin_later_than_the_scan(rover, kind):
+def test_a_topic_may_start_after_the_scan(rover, kind):
     rover.silent.add(kind)
     rover.start()
     sim = simulator(step_timeout=5.0)
@@ -375,10 +375,10 @@ def test_a_topic_may_begin_later_than_the_scan(rover, kind):
     assert sim.reset(ALL, torch.tensor([[0.0, 1.0, 0.0]])).position[0, :2].tolist() == pytest.approx([0.0, 1.0])
 
 
-def test_a_topic_that_never_begins_is_named(rover):
+def test_a_topic_that_never_starts_is_reported(rover):
     rover.silent.add("imu")
     rover.start()
-    with pytest.raises(RobotLostError, match=r"/imu/data \(imu\): nothing has come yet"):
+    with pytest.raises(RobotLostError, match=r"/imu/data \(imu\): no message has arrived yet"):
         simulator().reset(ALL, torch.zeros(1, 3))
 
 
@@ -391,18 +391,18 @@ def test_a_topic_that_never_begins_is_named(rover):
         ("pose", "/rover/pose_array"),
     ],
 )
-def test_a_topic_that_falls_silent_stops_the_rover(wire, rover, kind, topic):
+def test_a_silent_topic_stops_the_rover(wire, rover, kind, topic):
     rover.start()
     sim = simulator()
     sim.reset(ALL, torch.tensor([[0.0, 1.0, 0.0]]))
     sim.step(torch.tensor([[0.5, 0.0]]))
     rover.silent.add(kind)
     with pytest.raises(RobotLostError, match=rf"lost the robot: {topic} \({kind}\): the last message is \d.\d s old"):
-        go_on(sim, steps=100)
+        drive(sim, steps=100)
     assert wire.sent["/cmd_vel"][-2:] == [Twist(), Twist()]
 
 
-def test_malformed_messages_are_refused_and_the_last_good_value_stays(rover, caplog):
+def test_malformed_messages_are_ignored_and_the_last_valid_value_remains(rover, caplog):
     rover.start()
     sim = simulator()
     sim.reset(ALL, torch.tensor([[0.0, 1.0, 0.5]]))
@@ -418,12 +418,12 @@ def test_malformed_messages_are_refused_and_the_last_good_value_stays(rover, cap
         caplog.clear()
         sim.receive(kind, message)
         sim.receive(kind, message)
-        assert caplog.text.count("left out a message") == 1
+        assert caplog.text.count("ignored a message") == 1
     after = sim.state()
     assert all(torch.equal(before.get(key), after.get(key)) for key in before.keys())  # noqa: SIM118
 
 
-def test_the_gymnasium_classs_callbacks_are_the_topics(wire):
+def test_gymnasium_callbacks_process_messages(wire):
     env = GymRoverEnv(world_n="maze", backend=Ros2Settings(reset="none"), connection_check_timeout=0)
     assert not env._robot_connected
     assert not env._check_robot_connection(timeout=0.0)
@@ -445,14 +445,14 @@ def test_the_gymnasium_classs_callbacks_are_the_topics(wire):
     ("ranges", "seen"),
     [
         ([-1.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0], 0.0),
-        ([math.nan] + [2.0] * 15, 2.0),  # two readings a beam: the other one tells
-        ([math.nan] * 3 + [2.0] * 13, 1.0),  # nothing tells what is there
+        ([math.nan] + [2.0] * 15, 2.0),  # two readings per beam: the other one is valid
+        ([math.nan] * 3 + [2.0] * 13, 1.0),  # no valid reading
         ([math.inf, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0], 12.0),
         ([-math.inf, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0], 0.0),
         ([1.0, 2.0], 1.0),
     ],
 )
-def test_what_a_lidar_may_say_becomes_an_observation(rover, ranges, seen):
+def test_every_lidar_reading_becomes_a_valid_observation(rover, ranges, seen):
     rover.ranges = np.array(ranges, np.float32)
     rover.start()
     backend = Ros2Settings(reset="none", lidar_yaw=math.pi, max_invalid=0.2, settle=0.05)
@@ -463,16 +463,16 @@ def test_what_a_lidar_may_say_becomes_an_observation(rover, ranges, seen):
     env.close()
 
 
-def forwards(sim: Ros2Simulator, wire: Wire, speed: float = 0.5) -> float:
-    """The forward speed that is sent when ``speed`` is asked for."""
+def sent_speed(sim: Ros2Simulator, wire: Wire, speed: float = 0.5) -> float:
+    """Returns the forward speed that is sent for a desired ``speed``."""
     for _ in range(2):
         sim.step(torch.tensor([[speed, 0.2]]))
-    assert wire.sent["/cmd_vel"][-1].angular.z == pytest.approx(0.2)  # it may always turn
+    assert wire.sent["/cmd_vel"][-1].angular.z == pytest.approx(0.2)  # turning is always allowed
     return wire.sent["/cmd_vel"][-1].linear.x
 
 
-def covering(front: float, behind: float) -> np.ndarray:
-    """A scan of 64 beams from straight behind, whose readings around ahead and behind are invalid or not."""
+def ranges_with(front: float, behind: float) -> np.ndarray:
+    """Ranges of 64 beams from straight behind, with the given readings ahead and behind."""
     ranges = np.full(64, 5.0, np.float32)
     ranges[[31, 32, 33]] = front
     ranges[[63, 0, 1]] = behind
@@ -483,18 +483,18 @@ def covering(front: float, behind: float) -> np.ndarray:
     ("front", "behind", "speed", "sent"),
     [(5.0, 5.0, 0.5, 0.5), (math.nan, 5.0, 0.5, 0.0), (math.nan, 5.0, -0.5, -0.5), (5.0, math.nan, -0.5, 0.0)],
 )
-def test_a_rover_does_not_move_towards_what_nothing_sees(wire, rover, caplog, front, behind, speed, sent):
-    rover.ranges = covering(front, behind)
+def test_a_rover_does_not_move_towards_unseen_directions(wire, rover, caplog, front, behind, speed, sent):
+    rover.ranges = ranges_with(front, behind)
     rover.start()
     sim = simulator(reset="none", lidar_yaw=0.0, lidar_beams=64)
     sim.reset(ALL, torch.zeros(1, 3))
-    assert forwards(sim, wire, speed) == sent
+    assert sent_speed(sim, wire, speed) == sent
     assert sim.held == (sent == 0.0)
-    assert ("no beam covers all of it" in caplog.text) == sim.held
+    assert ("no beam covers all of that direction" in caplog.text) == sim.held
 
 
-def test_directions_that_a_lidar_does_not_cover_are_unknown_and_not_free(wire, rover):
-    """A lidar of 180 degrees: what is behind reads 1 m, and the rover does not back up."""
+def test_directions_without_beams_are_unknown_not_free(wire, rover):
+    """With a lidar of 180 degrees, directions behind read 1 m, and the rover does not back up."""
     rover.ranges, rover.layout = np.full(64, 5.0, np.float32), (-math.pi / 2, math.pi / 64)
     rover.start()
     sim = simulator(reset="none", lidar_yaw=0.0, lidar_beams=64)
@@ -504,31 +504,31 @@ def test_directions_that_a_lidar_does_not_cover_are_unknown_and_not_free(wire, r
     behind = sim.ray_angles.cos() < -0.1
     assert (state.ranges[0, ahead] == 5.0).all()
     assert (state.ranges[0, behind] == 1.0).all()
-    assert forwards(sim, wire, 0.5) == 0.5
-    assert forwards(sim, wire, -0.5) == 0.0
+    assert sent_speed(sim, wire, 0.5) == 0.5
+    assert sent_speed(sim, wire, -0.5) == 0.0
 
 
 @pytest.mark.parametrize("bad", ["nan", "few", "increment"])
-def test_scans_that_cannot_be_used_stop_the_rover_before_it_is_lost(wire, rover, bad):
+def test_unusable_scans_stop_the_rover_before_it_is_lost(wire, rover, bad):
     rover.start()
     sim = simulator(reset="none", step_timeout=5.0)
     sim.reset(ALL, torch.zeros(1, 3))
-    assert forwards(sim, wire) == 0.5
+    assert sent_speed(sim, wire) == 0.5
     if bad == "nan":
         rover.ranges = np.full(BEAMS, math.nan, np.float32)
     elif bad == "few":
         rover.layout, rover.ranges = (-math.pi, 2 * math.pi / 640), np.full(7, 5.0, np.float32)
     else:
         rover.layout = (-math.pi, 0.0)
-    go = threading.Thread(target=go_on, args=(sim, 3), daemon=True)
+    go = threading.Thread(target=drive, args=(sim, 3), daemon=True)
     go.start()
-    until(lambda: wire.sent["/cmd_vel"][-1] == Twist(), seconds=2.0)  # long before the five seconds are over
+    until(lambda: wire.sent["/cmd_vel"][-1] == Twist(), seconds=2.0)  # well before step_timeout
     rover.ranges, rover.layout = np.full(BEAMS, 5.0, np.float32), None
     go.join(5.0)
-    assert forwards(sim, wire) == 0.5  # it goes on when it sees again
+    assert sent_speed(sim, wire) == 0.5  # drives on with usable scans
 
 
-def test_a_robot_whose_scans_cannot_be_used_is_not_waited_for_and_named(wire, rover, caplog):
+def test_unusable_scans_end_the_wait_for_a_robot_and_are_reported(wire, rover, caplog):
     rover.ranges = np.full(BEAMS, math.nan, np.float32)
     rover.start()
     sim = simulator(timeout=60.0)
@@ -538,29 +538,29 @@ def test_a_robot_whose_scans_cannot_be_used_is_not_waited_for_and_named(wire, ro
 
 
 @pytest.mark.parametrize(("step", "warned"), [(0.05, False), (0.1, True), (0.01, True)])
-def test_a_scan_rate_that_policies_are_not_made_for_is_warned_of(rover, caplog, step, warned):
+def test_an_unsupported_scan_rate_logs_a_warning(rover, caplog, step, warned):
     rover.stamp_step = step
     sim = simulator(reset="none", timeout=0.01)
     for _ in range(25):
-        rover.tell()
-    assert ("scans a second; policies need 15 to 30" in caplog.text) == warned
+        rover.publish()
+    assert ("scans per second; policies require 15 to 30" in caplog.text) == warned
     sim.close()
 
 
-def test_two_robots_on_one_topic_are_noticed(wire, rover):
+def test_two_robots_on_one_topic_are_detected(wire, rover):
     rover.start()
     sim = simulator(reset="none")
     sim.reset(ALL, torch.zeros(1, 3))
-    forwards(sim, wire)
+    sent_speed(sim, wire)
     wire.robots = 2
     with pytest.raises(RobotLostError, match=r"2 publishers send on /\S+: there may be several robots"):
-        go_on(sim, steps=200)
+        drive(sim, steps=200)
     assert wire.sent["/cmd_vel"][-1] == Twist()
     with pytest.raises(RobotLostError, match=r"2 publishers send on /"):
         sim.reset(ALL, torch.zeros(1, 3))
 
 
-def test_commands_on_the_wire_are_within_the_limits(wire, rover):
+def test_sent_commands_are_within_the_limits(wire, rover):
     rover.start()
     limits = {"max_speed": 0.4, "max_yaw_rate": 0.6, "max_acceleration": 1.0, "max_yaw_acceleration": 2.0}
     sim = simulator(reset="none", **limits)
@@ -574,28 +574,28 @@ def test_commands_on_the_wire_are_within_the_limits(wire, rover):
     assert max(np.abs(np.diff(turns))) <= 2.0 * 0.05 + 1e-6
 
 
-def test_the_default_reset_takes_what_there_is(wire, rover, monkeypatch, caplog):
+def test_automatic_reset_selects_an_available_placer(wire, rover, monkeypatch, caplog):
     monkeypatch.setattr("shutil.which", lambda command: None)
     rover.start()
     sim = simulator(reset="auto")
     state = sim.reset(ALL, torch.tensor([[-3.0, 4.0, 2.0]]))
-    assert state.position[0, :2].tolist() == pytest.approx([-3.0, 4.0])  # the rover listens to the reset topic
+    assert state.position[0, :2].tolist() == pytest.approx([-3.0, 4.0])  # the rover subscribes to the reset topic
     wire.receivers["/rover/set_pose"].clear()
     monkeypatch.setattr("rover_rl.sims.ros2.pose_reset._DISCOVERY_TIMEOUT", 0.01)
     state = simulator(reset="auto").reset(ALL, torch.tensor([[1.0, 1.0, 0.0]]))
     assert state.position[0, :2].tolist() == pytest.approx([-3.0, 4.0])
-    assert "no node listens to /rover/set_pose, and neither ign nor gz is installed" in caplog.text
+    assert "no node subscribes to /rover/set_pose, and neither ign nor gz is installed" in caplog.text
 
 
-def test_only_one_rover(wire):
+def test_several_rovers_are_rejected(wire):
     with pytest.raises(ValueError, match="drives one live rover, got num_envs=2"):
         make_simulator("ros2", worlds=[get_world("maze")] * 2, robot=get_robot("rover_zero"), lidar_beams=8)
 
 
-def test_closing_stops_the_rover_and_the_connection(wire, rover):
+def test_close_stops_the_rover_and_closes_the_connection(wire, rover):
     rover.start()
     sim = simulator()
-    go_on(sim, steps=2)  # the first of them before anything is seen
+    drive(sim, steps=2)  # no motion in the first step, before the first scan
     assert wire.sent["/cmd_vel"][-1] == Twist(Vector3(x=0.5))
     sim.close()
     sim.close()
@@ -603,22 +603,22 @@ def test_closing_stops_the_rover_and_the_connection(wire, rover):
     assert wire.sent["/cmd_vel"][-1] == Twist()
 
 
-def test_a_forgotten_simulator_stops_the_rover_and_closes_its_connection(wire, rover):
+def test_a_deleted_simulator_stops_the_rover_and_closes_the_connection(wire, rover):
     rover.start()
     sim = simulator()
-    go_on(sim, steps=2)
+    drive(sim, steps=2)
     assert wire.sent["/cmd_vel"][-1] == Twist(Vector3(x=0.5))
     del sim
-    until(lambda: wire.closed)  # the rover's thread may hold it for a moment
+    until(lambda: wire.closed)
     assert wire.sent["/cmd_vel"][-1] == Twist()
 
 
-def test_one_that_sent_nothing_says_nothing(wire):
+def test_close_sends_no_stop_without_earlier_commands(wire):
     simulator(timeout=0.01).close()
     assert not wire.sent.get("/cmd_vel")
 
 
-def test_unknown_settings_are_refused():
+def test_invalid_settings_are_rejected():
     with pytest.raises(ValueError, match="reset must be one of"):
         Ros2Settings(reset="later")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="step_timeout must be positive and finite"):

@@ -22,7 +22,7 @@ pytestmark = [pytest.mark.ros2, pytest.mark.slow]
 
 @pytest.fixture
 def commands(in_domain, domain) -> Iterator[list[Twist]]:
-    """What arrives at the rover."""
+    """Commands that arrive at the rover."""
     received: list[Twist] = []
     transport = DdsTransport("rover", domain)
     transport.subscribe("/cmd_vel", Twist, received.append)
@@ -33,33 +33,33 @@ def commands(in_domain, domain) -> Iterator[list[Twist]]:
 LIVE = Ros2Settings(frame_id="base")
 
 
-def give_signs(watchdog: Watchdog, count: int) -> None:
+def send_heartbeats(watchdog: Watchdog, count: int) -> None:
     for _ in range(count):
         watchdog.alive()
 
 
-def test_nothing_is_sent_while_there_are_signs_of_life(commands):
-    with Watchdog("/cmd_vel", LIVE, patience=20.0) as watchdog:
+def test_nothing_is_sent_while_heartbeats_arrive(commands):
+    with Watchdog("/cmd_vel", LIVE, timeout=20.0) as watchdog:
         for _ in range(5):
             watchdog.alive()
             time.sleep(0.1)
         assert not commands
 
 
-def test_silence_stops_the_rover(commands):
-    with Watchdog("/cmd_vel", LIVE, patience=0.2) as watchdog:
+def test_missing_heartbeats_stop_the_rover(commands):
+    with Watchdog("/cmd_vel", LIVE, timeout=0.2) as watchdog:
         time.sleep(0.5)
-        assert not commands  # nobody has begun to drive
+        assert not commands  # before the first heartbeat
         watchdog.alive()
         until(lambda: len(commands) > 10)
     assert all(twist == Twist() for twist in commands)
 
 
-def test_stops_may_be_stamped(in_domain, domain):
+def test_stamped_stop_commands(in_domain, domain):
     received: list[TwistStamped] = []
     transport = DdsTransport("rover", domain)
     transport.subscribe("/cmd_vel", TwistStamped, received.append)
-    with Watchdog("/cmd_vel", Ros2Settings(command="twist_stamped", frame_id="base"), patience=0.1) as watchdog:
+    with Watchdog("/cmd_vel", Ros2Settings(command="twist_stamped", frame_id="base"), timeout=0.1) as watchdog:
         watchdog.alive()
         until(lambda: received)
     transport.close()
@@ -67,25 +67,25 @@ def test_stops_may_be_stamped(in_domain, domain):
     assert received[0].header.stamp.seconds == pytest.approx(time.time(), abs=600)
 
 
-def test_a_watchdog_that_is_gone_or_hangs_ends_the_drive(commands):
-    with Watchdog("/cmd_vel", LIVE, patience=100.0) as watchdog:
+def test_a_watchdog_that_is_gone_or_hangs_raises_an_error(commands):
+    with Watchdog("/cmd_vel", LIVE, timeout=100.0) as watchdog:
         watchdog._process.send_signal(signal.SIGSTOP)
         with pytest.raises(ChildProcessError, match="the watchdog is gone"):
-            give_signs(watchdog, 1 << 20)  # more than a pipe holds
+            send_heartbeats(watchdog, 1 << 20)  # more than a pipe holds
         watchdog._process.kill()
         watchdog._process.wait()
         with pytest.raises(ChildProcessError, match="the watchdog is gone"):
             watchdog.alive()
 
 
-def test_it_ends_with_the_drive(commands):
-    with Watchdog("/cmd_vel", LIVE, patience=100.0) as watchdog:
+def test_the_watchdog_exits_with_the_drive(commands):
+    with Watchdog("/cmd_vel", LIVE, timeout=100.0) as watchdog:
         watchdog.alive()
     assert watchdog._process.poll() == 0
     assert not commands
 
 
-def test_a_driver_that_is_killed_leaves_a_rover_that_stands(commands):
+def test_a_killed_driving_process_stops_the_rover(commands):
     program = (
         "import time\n"
         "from rover_rl.sims.ros2 import Ros2Settings\n"

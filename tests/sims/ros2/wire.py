@@ -1,4 +1,4 @@
-"""A transport without a network."""
+"""In-process transport."""
 
 from __future__ import annotations
 
@@ -7,7 +7,15 @@ from typing import Any
 
 
 class Wire:
-    """A transport without a network: what is published reaches who subscribed, in the thread that publishes."""
+    """In-process transport: a published message reaches its subscribers in the publishing thread.
+
+    Attributes:
+        receivers: callbacks of the subscriptions, by topic.
+        sent: published messages, by topic.
+        robots: number of publishers that :meth:`publishers` reports.
+        tamper: function that modifies the messages of a topic, by topic.
+        closed: whether the transport is closed.
+    """
 
     def __init__(self, node: str = "") -> None:
         self.receivers: dict[str, list[Callable[[Any], None]]] = {}
@@ -22,7 +30,7 @@ class Wire:
     def publisher(self, topic: str, kind: type, *, reliable: bool = False):
         def publish(message: Any) -> None:
             assert isinstance(message, kind)
-            message = self.tamper.get(topic, lambda whole: whole)(message)
+            message = self.tamper.get(topic, lambda unchanged: unchanged)(message)
             self.sent.setdefault(topic, []).append(message)
             for receive in self.receivers.get(topic, []):
                 receive(message)

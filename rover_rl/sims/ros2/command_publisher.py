@@ -1,4 +1,4 @@
-"""What a rover is told to do."""
+"""Publisher of a rover's velocity commands."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from rover_rl.sims.ros2.messages import Header, Message, Time, Twist, TwistStamp
 from rover_rl.sims.ros2.settings import Command
 from rover_rl.sims.ros2.transport import Publisher, Transport
 
-STOPS = 3
-"""Times that a stop is sent: one may be lost."""
+STOP_REPEATS = 3
+"""Number of times that a stop command is sent, as a message may be lost."""
 
 
-class Commands:
-    """Sends forward speed and yaw rate, and remembers them.
+class CommandPublisher:
+    """Publishes velocity commands and keeps the last one.
 
     Args:
-        transport: to send over.
-        topic: that the rover listens on.
-        kind: of message; ``"none"`` sends nothing.
-        frame_id: of stamped messages.
+        transport: transport to publish on.
+        topic: topic of the commands.
+        kind: message type of the commands; ``"none"`` sends nothing.
+        frame_id: frame of stamped commands.
 
     Attributes:
-        last: what was sent last, m/s and rad/s.
+        last: forward speed (m/s) and yaw rate (rad/s) of the last command.
     """
 
     def __init__(self, transport: Transport, topic: str, kind: Command, frame_id: str) -> None:
@@ -34,15 +34,15 @@ class Commands:
             message: type[Message] = TwistStamped if self._stamped else Twist
             self._publish = transport.publisher(topic, message, reliable=True)
 
-    def send(self, speed: float, turn: float) -> None:
-        """Forward speed, m/s, and yaw rate, rad/s."""
-        self.last = (speed, turn)
+    def send(self, speed: float, yaw_rate: float) -> None:
+        """Sends a forward speed (m/s) and a yaw rate (rad/s)."""
+        self.last = (speed, yaw_rate)
         if self._publish is not None:
-            twist = Twist(Vector3(x=speed), Vector3(z=turn))
-            stamp = Time.of(time.time())
+            twist = Twist(Vector3(x=speed), Vector3(z=yaw_rate))
+            stamp = Time.from_seconds(time.time())
             self._publish(TwistStamped(Header(stamp, self._frame_id), twist) if self._stamped else twist)
 
     def stop(self) -> None:
-        """Neither forwards nor round, more than once."""
-        for _ in range(STOPS):
+        """Sends zero velocity, several times."""
+        for _ in range(STOP_REPEATS):
             self.send(0.0, 0.0)
