@@ -14,14 +14,14 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from rover_rl.algos.config import SECONDS_PER_STEP
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import Evaluation
 from rover_rl.algos.evaluation.metrics import Trajectory, count_reversals
-from rover_rl.envs import TaskConfig
+from rover_rl.envs import EnvConfig, TaskConfig
 from rover_rl.sims import RoverState
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.rotations import quaternion_to_euler
+from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import get_world
 from rover_rl.sims.worlds.shortest_paths import shortest_paths
 
@@ -35,16 +35,18 @@ class DriveLog:
         path: of the file; drives are added to one that is there.
         world: name of the world.
         policy: name of the policy.
-        seconds: time for each drive.
+        seconds: time limit of each drive.
+        robot: name of the robot.
     """
 
-    def __init__(self, path: Path, world: str, policy: str, seconds: float) -> None:
+    def __init__(self, path: Path, world: str, policy: str, seconds: float, robot: str = "rover_zero") -> None:
         self._turns: list[float] = []
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file: TextIO = path.open("a", buffering=1)
         if path.stat().st_size:
             self._file.write("\n")  # the last line may have been cut off
-        self._write({"format": FORMAT, "world": world, "policy": policy, "seconds": seconds, "time": time.time()})
+        header = {"world": world, "policy": policy, "robot": robot, "seconds": seconds, "time": time.time()}
+        self._write({"format": FORMAT, **header})
 
     def __enter__(self) -> DriveLog:
         return self
@@ -109,14 +111,21 @@ def read_drives(path: Path) -> list[Evaluation]:
     entries = _entries(path)
     if not entries or entries[0].get("format") != FORMAT:
         raise ValueError(f"{path} is no log of drives")
-    groups: dict[tuple[str, str, float], list[_Drive]] = {}
+    groups: dict[tuple[str, str, str, float], list[_Drive]] = {}
     for drive in _drives(entries):
-        groups.setdefault((drive.world, drive.policy, drive.seconds), []).append(drive)
+        groups.setdefault((drive.world, drive.policy, drive.robot, drive.seconds), []).append(drive)
     if not groups:
         raise ValueError(f"no drive in {path} has come to its end")
     return [
-        Evaluation(policy, _episodes(world, drives), 1, seconds, [drive.trajectory() for drive in drives])
-        for (world, policy, seconds), drives in groups.items()
+        Evaluation(
+            policy,
+            _episodes(world, robot, drives),
+            1,
+            seconds,
+            [drive.trajectory() for drive in drives],
+            EnvConfig(world=world, robot=robot, backend="ros2", end_on_goal=True),
+        )
+        for (world, policy, robot, seconds), drives in groups.items()
     ]
 
 
@@ -139,6 +148,7 @@ class _Drive:
 
     world: str
     policy: str
+    robot: str
     seconds: float
     goal: list[float]
     position: list[list[float]]
@@ -152,10 +162,10 @@ class _Drive:
     def trajectory(self) -> Trajectory:
         """As if it had been recorded at 20 Hz, whatever came late or was missed."""
         times = torch.tensor(self.time)
-        steps = max(1, round(self.time[-1] / SECONDS_PER_STEP))
-        grid = SECONDS_PER_STEP * torch.arange(steps + 1)
+        steps = max(1, round(self.time[-1] / CONTROL_DT))
+        grid = CONTROL_DT * torch.arange(steps + 1)
         nearest = (times[None] - grid[:, None]).abs().argmin(-1)
-        step_of = (times[1:] / SECONDS_PER_STEP).round().long().clamp(1, steps) - 1
+        step_of = (times[1:] / CONTROL_DT).round().long().clamp(1, steps) - 1
         return Trajectory(
             position=torch.tensor(self.position)[nearest],
             angles=torch.tensor(self.angles)[nearest],
@@ -175,11 +185,13 @@ def _any_in(step_of: Tensor, events: list[bool], steps: int) -> Tensor:
 
 def _drives(entries: list[dict[str, Any]]) -> Iterator[_Drive]:
     """The drives that came to an end."""
-    header: tuple[str, str, float] = ("", "", 0.0)
+    header: tuple[str, str, str, float] = ("", "", "", 0.0)
     drive: _Drive | None = None
     for entry in entries:
         if entry.get("format") == FORMAT:
-            header, drive = (entry["world"], entry["policy"], entry["seconds"]), None
+            # Logs of version 0.1 do not name the robot.
+            robot = entry.get("robot", EnvConfig.robot)
+            header, drive = (entry["world"], entry["policy"], robot, entry["seconds"]), None
         elif "goal" in entry:
             drive = _Drive(*header, entry["goal"], [entry["position"]], [entry["angles"]])
         elif drive is not None and "ending" in entry:
@@ -195,11 +207,11 @@ def _drives(entries: list[dict[str, Any]]) -> Iterator[_Drive]:
             drive.turns.append(entry["command"][1] if "command" in entry else 0.0)
 
 
-def _episodes(world_name: str, drives: list[_Drive]) -> EpisodeSet:
+def _episodes(world_name: str, robot: str, drives: list[_Drive]) -> EpisodeSet:
     """Where the drives began and were to end."""
     world = get_world(world_name)
     start = torch.tensor([[*drive.position[0][:2], drive.angles[0][2]] for drive in drives])
     goal = torch.tensor([drive.goal for drive in drives])
     straight = ((goal - start[:, :2]).norm(dim=-1) - TaskConfig().success_distance).clamp(min=0.0)
-    shortest = shortest_paths(world, get_robot("rover_zero"), start, goal)
+    shortest = shortest_paths(world, get_robot(robot), start, goal)
     return EpisodeSet(world_name, world, 0, start, goal, torch.where(shortest.isfinite(), shortest, straight))

@@ -23,13 +23,14 @@ from rover_rl.algos.evaluation.evaluate import ENDINGS, Policy
 from rover_rl.algos.evaluation.metrics import RESTARTED, STOPPED, TIME_LIMIT, TOO_NEAR
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.envs import RoverEnv, StepEvent
+from rover_rl.envs.config import require_match
 from rover_rl.sims import RoverState
 from rover_rl.sims.ros2.simulator import Ros2Simulator
 
 _log = logging.getLogger(__name__)
 
-POLICY_VIEW = 2 * math.pi
-"""Angle that the lidar of policies covers in training, rad."""
+TRAINED_VIEW = 2 * math.pi
+"""Field of view of the lidar in simulation, where policies are trained, rad."""
 VIEW_TOLERANCE = math.radians(10)
 """A lidar that covers this much less counts as one with the same view."""
 CLOCK_TOLERANCE = 0.5
@@ -91,9 +92,12 @@ def drive_to(
 
     Raises:
         RobotLostError: if the rover's sensors fall silent, or several robots answer.
-        ValueError: for an environment of another backend, or a lidar that covers less than the policy was trained with.
+        ValueError: for an environment of another backend, a policy that was made for another environment, or a lidar that
+            covers less than the policy was trained with.
     """
     rover = live_rover(env)
+    if made_for := getattr(policy, "made_for", None):
+        require_match(made_for, env.config)
     rover.require_robot()
     if not allow_unseen:
         require_view(rover.field_of_view)
@@ -128,10 +132,10 @@ def require_view(field_of_view: float) -> None:
     Raises:
         ValueError: if it does.
     """
-    if field_of_view < POLICY_VIEW - VIEW_TOLERANCE:
+    if field_of_view < TRAINED_VIEW - VIEW_TOLERANCE:
         raise ValueError(
             f"the scan covers {math.degrees(field_of_view):.0f} degrees, and the policy was trained with "
-            f"{math.degrees(POLICY_VIEW):.0f}; --allow-unseen drives all the same, but not towards what no beam covers"
+            f"{math.degrees(TRAINED_VIEW):.0f}; --allow-unseen drives all the same, but not towards what no beam covers"
         )
 
 

@@ -19,6 +19,7 @@ import logging
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -31,6 +32,7 @@ from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl.algos.archives import checked_copy
+from rover_rl.algos.config import with_settings
 from rover_rl.algos.config_files import config_from, plain
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import action_spec, middle_and_half
@@ -246,8 +248,8 @@ class OnnxPolicy:
         path: of a file that :func:`export` wrote.
 
     Attributes:
-        config: that the policy was trained with.
-        lidar_points: readings that it sees.
+        config: settings that the policy was trained with.
+        made_for: environment that the policy was made for.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -266,7 +268,11 @@ class OnnxPolicy:
         if settings is None:
             raise ValueError(f"{path} was not written by rover-rl export")
         self.config = config_from(settings, str(path))
-        self.lidar_points = next((entry.shape[1] for entry in session.get_inputs() if entry.name == "lidar"), 32)
+        lidar = next((entry.shape[1] for entry in session.get_inputs() if entry.name == "lidar"), None)
+        if lidar is not None and lidar != self.config.env.lidar.points:
+            # Files of version 0.1 do not hold the number of lidar points in their settings.
+            self.config = with_settings(self.config, lidar=replace(self.config.env.lidar, points=lidar))
+        self.made_for = self.config.env
         self._act = _function(session)
 
     def __call__(self, now: TensorDictBase) -> TensorDictBase:

@@ -91,7 +91,7 @@ def evaluate(
     check_at_least(1, MAX_COUNT, rows=rows, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
     described = replace(
-        _environment(policy, env),
+        environment_for(policy, env),
         world=episodes.world,
         num_envs=min(rows, len(episodes)),
         end_on_goal=True,
@@ -135,7 +135,7 @@ def evaluate_endless(
     """
     check_at_least(1, MAX_COUNT, rows=rows, steps=steps, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
-    described, place = _environment(policy, env), get_world(world)
+    described, place = environment_for(policy, env), get_world(world)
     task = described.task if jam else replace(described.task, collision_window=steps)
     described = replace(described, world=place, num_envs=rows, length=steps, end_on_goal=False, seed=seed, task=task)
     trajectories = _drive(RoverEnv(**described.arguments()), policy or RandomPolicy(seed), action_repeat, name)
@@ -144,15 +144,15 @@ def evaluate_endless(
     return EndlessEvaluation(name, world_name, place, seed, action_repeat, jam, steps, trajectories, described)
 
 
-def _environment(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:
-    """The environment to drive in, without what it adds for training.
+def environment_for(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:
+    """The environment to drive in: see :func:`evaluate`.
 
     Raises:
         ValueError: if the policy was made for another one.
     """
     made_for: EnvConfig | None = getattr(policy, "made_for", None)
     if env is None:
-        # Policies are compared without randomization and on the CPU, whatever they were trained with.
+        # By default policies are compared without randomization and in Bullet, whatever they were trained with.
         parts = made_for or EnvConfig()
         return EnvConfig(
             robot=parts.robot,
@@ -278,6 +278,6 @@ class _Recorder:
 def _progress_bar(name: str) -> Iterator[Callable[[float], None]]:
     """Yields a function that shows the progress on a terminal. The bar disappears at the end."""
     columns = (TextColumn(name), BarColumn(20), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, transient=True, disable=not Console().is_terminal) as progress:
-        task = progress.add_task("", total=1.0)
-        yield lambda progress: progress.update(task, completed=progress)
+    with Progress(*columns, transient=True, disable=not Console().is_terminal) as bar:
+        task = bar.add_task("", total=1.0)
+        yield lambda progress: bar.update(task, completed=progress)

@@ -26,7 +26,8 @@ from matplotlib.ticker import EngFormatter, PercentFormatter
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from rover_rl.algos.config import TrainingConfig, experiments, run_config
+from rover_rl.algos.config import TrainingConfig
+from rover_rl.algos.config_files import experiments, run_config
 from rover_rl.algos.evaluation.evaluate import ENDINGS, Evaluation
 from rover_rl.algos.evaluation.metrics import TIME_LIMIT, Trajectory
 from rover_rl.algos.train.progress import EPISODE_STEPS, read_progress

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from contextlib import closing
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -18,13 +19,14 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from rover_rl.algos.config import SECONDS_PER_STEP
-from rover_rl.algos.evaluation.evaluate import ENDINGS, Policy
+from rover_rl.algos.evaluation.evaluate import ENDINGS, Policy, environment_for
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.video.views import ChaseView, Moment, TopView
 from rover_rl.checks import MAX_ROVERS, MAX_SECONDS, check_at_least, check_positive
-from rover_rl.envs import StepEvent, make_env
+from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
+from rover_rl.envs.make import add_reward
+from rover_rl.envs.rewards import reward_components
 from rover_rl.files import written_whole
 from rover_rl.sims.base import View
 from rover_rl.sims.worlds import World
@@ -48,7 +50,7 @@ def film(
     height: int = 480,
     fps: int | None = None,
     speed: float = 1.0,
-    lidar_points: int = 32,
+    env: EnvConfig | None = None,
 ) -> TensorDictBase:
     """Films rovers that drive without end: a new goal after each, and a new start after an ending.
 
@@ -63,7 +65,7 @@ def film(
         width, height: of the picture, pixels.
         fps: pictures a second; ``None``: 20 for MP4, 10 for GIF.
         speed: of the film; 2 shows everything twice as fast as it is.
-        lidar_points: readings that the policy sees.
+        env: environment to drive in, as for :func:`~rover_rl.algos.evaluation.evaluate.evaluate`; its reward is recorded.
 
     Returns:
         What the first rover did, ``[T]``, with the components of its reward.
@@ -80,11 +82,16 @@ def film(
     check_positive(MAX_SIDE, width=width, height=height)
     if view not in _VIEWS:
         raise ValueError(f"unknown view {view!r}; use one of {sorted(_VIEWS)}")
-    steps = max(1, round(seconds / SECONDS_PER_STEP))
-    env = make_env(world_n=world, num_envs=rows, length=steps + 1, lidar_points=lidar_points, seed=seed)
-    with closing(env), set_exploration_type(ExplorationType.DETERMINISTIC):
-        drive = _Drive(env, policy or RandomPolicy(seed))
-        camera = _VIEWS[view](env.base_env, width, height)
+    described = environment_for(policy, env)
+    described = replace(described, world=world, num_envs=rows, end_on_goal=False, seed=seed)
+    reward_components(described.reward, described.contract_reward)
+    rovers = RoverEnv(**described.arguments())
+    steps = max(1, round(seconds / rovers.control_dt))
+    rovers.length = steps + 1
+    rewarded = add_reward(rovers, described.reward, described)
+    with closing(rewarded), set_exploration_type(ExplorationType.DETERMINISTIC):
+        drive = _Drive(rewarded, rovers, policy or RandomPolicy(seed))
+        camera = _VIEWS[view](rovers, width, height)
         # The steps after which a picture is taken.
         moments = np.linspace(0, steps, max(1, round(seconds / speed * fps)) + 1)[1:].round().astype(int)
         pictures = (camera.picture(drive.moment_after(step)) for step in moments)
@@ -101,16 +108,17 @@ class _Drive:
     """Rovers under a policy, and what has become of them.
 
     Args:
-        env: of the rovers.
-        policy: that drives them.
+        env: the environment with its reward.
+        rovers: the environment under it.
+        policy: the policy.
 
     Attributes:
         steps: what the first rover did, step by step.
     """
 
-    def __init__(self, env: EnvBase, policy: Policy) -> None:
+    def __init__(self, env: EnvBase, rovers: RoverEnv, policy: Policy) -> None:
         self.steps: list[TensorDict] = []
-        self._env, self._policy = env, policy
+        self._env, self._rovers, self._policy = env, rovers, policy
         self._now = env.reset()
         self._goals = self._episodes = torch.zeros(env.batch_size, dtype=torch.int64)
         self._endings: list[str] = []
@@ -120,7 +128,7 @@ class _Drive:
         """Drives until so many steps are taken."""
         while len(self.steps) < steps:
             self._step()
-        rovers, seconds = self._env.base_env, len(self.steps) * SECONDS_PER_STEP
+        rovers, seconds = self._rovers, len(self.steps) * self._rovers.control_dt
         counts = (self._goals, self._episodes, self._endings)
         return Moment(seconds, rovers.rover_state, rovers.goal, *counts, self._news)
 
@@ -134,7 +142,7 @@ class _Drive:
         self._endings = self._endings + endings
         if done[0] or reached[0]:
             news = f"{endings[0]}: a new start" if done[0] else "goal reached"
-            self._news = news, len(self.steps) * SECONDS_PER_STEP
+            self._news = news, len(self.steps) * self._rovers.control_dt
 
 
 _Writer = Callable[[Path, Iterable[np.ndarray], int], None]
