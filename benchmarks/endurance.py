@@ -1,4 +1,4 @@
-"""Whether Warp holds: random actions by the million, and not a NaN, a rover in the air or one in the ground."""
+"""Robustness of the Warp backend under millions of random actions: counts NaNs, and records extreme heights."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from benchmarks.options import Options
 from rover_rl import RoverEnv
 
 WORLDS = ("inspect", "moon", "maze")
-HELD = 10
-"""Steps that an action is held for."""
+ACTION_REPEAT = 10
+"""Number of steps for which an action is held."""
 
 
 def measure(options: Options) -> list[dict[str, Any]]:
-    """A row for each world, of an equal share of the steps."""
-    return [_driven(world, options.warp_envs, options.endurance // len(WORLDS)) for world in WORLDS]
+    """Runs an equal share of the steps in each world."""
+    return [_drive_randomly(world, options.warp_envs, options.endurance // len(WORLDS)) for world in WORLDS]
 
 
-def _driven(world: str, rovers: int, total: int) -> dict[str, Any]:
+def _drive_randomly(world: str, rovers: int, total: int) -> dict[str, Any]:
+    """Runs ``total`` steps of random actions and returns the extremes found."""
     env = RoverEnv(world_n=world, num_envs=rovers, lidar_beams=32, backend="warp", seed=0)
     ground = env.worlds[0]
     random = torch.Generator().manual_seed(0)
@@ -28,10 +29,10 @@ def _driven(world: str, rovers: int, total: int) -> dict[str, Any]:
     steps = broken = 0
     highest, lowest = -float("inf"), float("inf")
     while steps < total:
-        if steps // rovers % HELD == 0:
+        if steps // rovers % ACTION_REPEAT == 0:
             action = space.low + (space.high - space.low) * torch.rand(rovers, 2, generator=random)
         after = env.step(td.set("action", action))["next"]
-        # Before the rovers whose episode has ended start anew.
+        # Measured before the rovers whose episodes have ended are reset.
         state = env.rover_state
         above = state.position[:, 2] - ground.height_at(state.position[:, :2])
         finite = torch.isfinite(state.position).all(-1) & torch.isfinite(state.orientation).all(-1)
@@ -44,8 +45,8 @@ def _driven(world: str, rovers: int, total: int) -> dict[str, Any]:
 
 
 def table(rows: list[dict[str, Any]]) -> Table:
-    """For the terminal."""
-    table = Table("world", "steps", "NaN or infinite", "highest, m", "lowest, m", title="Warp under random actions")
+    """Formats the results as a table for the terminal."""
+    table = Table("world", "steps", "NaN or infinite", "highest, m", "lowest, m", title="Warp: random actions")
     for row in rows:
         figures = f"{row['highest_m']:.2f}", f"{row['lowest_m']:.2f}"
         table.add_row(row["world"], f"{row['steps']:,}", str(row["broken"]), *figures)

@@ -1,8 +1,8 @@
-"""Warp beside Bullet: the simulator alone with 128 and 640 beams, two threads beside one, and the whole environment.
+"""Speed of the Warp backend compared with Bullet: simulator alone, whole environment, and scaling to two threads.
 
-Bullet has its default preset and 64 rovers, with which it is fastest; Warp has more. Each has one core, and both are
-measured in turn in one run. Where there is a GPU, Warp's steps a second there come after: of physics, of lidar, and of
-the whole environment.
+Bullet uses its default preset and 64 rovers, the number at which it is fastest; Warp uses more. Each runs on one core,
+and the two are measured alternately in one run. On machines with a GPU, also measures Warp's steps per second there:
+physics, lidar and whole environment.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ def _environment(world: str, rovers: int, beams: int, backend: str | Backend, de
     return env
 
 
-def simulating(env: EnvBase) -> Callable[[], int]:
-    """Steps of the simulator alone, with commands that change."""
+def simulator_work(env: EnvBase) -> Callable[[], int]:
+    """Returns a function that steps the simulator alone, with changing commands, and returns the number of steps."""
     simulator, rovers = env.base_env.simulator, env.batch_size[0]
     random = torch.Generator().manual_seed(0)
-    spread, least = torch.tensor((1.2, 2.0)), torch.tensor((-0.2, -1.0))
-    commands = [least + spread * torch.rand(rovers, 2, generator=random) for _ in range(16)]
+    low, width = torch.tensor((-0.2, -1.0)), torch.tensor((1.2, 2.0))
+    commands = [low + width * torch.rand(rovers, 2, generator=random) for _ in range(16)]
     calls = iter(range(10**9))
 
     def work() -> int:
@@ -48,8 +48,8 @@ def simulating(env: EnvBase) -> Callable[[], int]:
     return work
 
 
-def driving(env: EnvBase) -> Callable[[], int]:
-    """Steps of the whole environment with rewards and resets, under random actions."""
+def environment_work(env: EnvBase) -> Callable[[], int]:
+    """Returns a function that steps the environment with random actions and resets, and returns the number of steps."""
     rovers = env.batch_size[0]
     actions = [env.action_spec.rand() for _ in range(16)]
     state = {"now": env.reset(), "calls": 0}
@@ -63,11 +63,11 @@ def driving(env: EnvBase) -> Callable[[], int]:
 
 
 def measure(options: Options) -> dict[str, Any]:
-    """Rows of ratios; those of a GPU are missing where there is none."""
+    """Measures the speed ratios, and the speed on a GPU; ``"gpu"`` is ``None`` on machines without one."""
     one_core = WarpSettings(threads=1)
     rows = []
 
-    def beside(what: str, one: EnvBase, other: EnvBase, work: Callable[[EnvBase], Callable[[], int]]) -> None:
+    def compare(what: str, one: EnvBase, other: EnvBase, work: Callable[[EnvBase], Callable[[], int]]) -> None:
         rows.append({"what": what, **asdict(paired(work(one), work(other), options.seconds, options.rounds))})
         one.close()
         other.close()
@@ -76,24 +76,25 @@ def measure(options: Options) -> dict[str, Any]:
         for beams in BEAMS:
             warp = _environment(world, options.warp_rovers, beams, one_core)
             bullet = _environment(world, options.rovers, beams, "bullet")
-            beside(f"simulator, {world}, {beams} beams", warp, bullet, simulating)
+            compare(f"simulator, {world}, {beams} beams", warp, bullet, simulator_work)
     for world in WORLDS:
         warp = _environment(world, options.warp_envs, BEAMS[0], one_core)
         bullet = _environment(world, options.rovers, BEAMS[0], "bullet")
-        beside(f"environment, {world}, {options.warp_envs:,} rovers", warp, bullet, driving)
+        compare(f"environment, {world}, {options.warp_envs:,} rovers", warp, bullet, environment_work)
     one, two = (
         _environment("inspect", options.warp_rovers, BEAMS[0], WarpSettings(threads=threads)) for threads in (1, 2)
     )
-    beside("two threads beside one", two, one, simulating)
-    return {"ratios": rows, "gpu": _on_a_gpu(options) if torch.cuda.is_available() else None}
+    compare("two threads / one thread", two, one, simulator_work)
+    return {"ratios": rows, "gpu": _measure_gpu(options) if torch.cuda.is_available() else None}
 
 
-def _on_a_gpu(options: Options) -> list[dict[str, Any]]:
+def _measure_gpu(options: Options) -> list[dict[str, Any]]:
+    """Measures Warp's steps per second on a GPU, with a row for each number of rovers."""
     rows = []
     for rovers in GPU_ROVERS:
         env = _environment("maze", rovers, BEAMS[0], "warp", "cuda")
 
-        def finished(work: Callable[[], int]) -> Callable[[], int]:
+        def synchronized(work: Callable[[], int]) -> Callable[[], int]:
             def timed() -> int:
                 steps = sum(work() for _ in range(10))
                 torch.cuda.synchronize()
@@ -101,30 +102,31 @@ def _on_a_gpu(options: Options) -> list[dict[str, Any]]:
 
             return timed
 
-        # Rovers that drive, not that stand.
-        drive = driving(env)
+        # Measures physics and lidar with the rovers in motion.
+        step_environment = environment_work(env)
         for _ in range(20):
-            drive()
+            step_environment()
         launch = env.base_env.simulator.launch
         works = {
             "physics": lambda launch=launch, rovers=rovers: launch(lidar=False) or rovers,
             "lidar": lambda launch=launch, rovers=rovers: launch(physics=False) or rovers,
-            "environment": drive,
+            "environment": step_environment,
         }
-        rates = {name: rate(finished(work), options.seconds) for name, work in works.items()}
+        rates = {name: rate(synchronized(work), options.seconds) for name, work in works.items()}
         rows.append({"rovers": rovers, **rates})
         env.close()
     return rows
 
 
 def table(found: dict[str, Any]) -> Group:
-    """For the terminal."""
-    ratios = Table("what", "Warp's steps/s", "Bullet's, or one thread's", "times as fast", title="Warp beside Bullet")
+    """Formats the results as tables for the terminal."""
+    headings = "measured", "Warp, steps/s", "Bullet or one thread, steps/s", "speedup"
+    ratios = Table(*headings, title="Warp and Bullet: speed")
     for row in found["ratios"]:
         ratio = f"{row['median']:.2f} ({row['least']:.2f} to {row['most']:.2f})"
         ratios.add_row(row["what"], f"{row['rate']:,.0f}", f"{row['other']:,.0f}", ratio)
     if found["gpu"] is None:
-        return Group(ratios, "On a GPU: skipped, torch finds no CUDA device here")
+        return Group(ratios, "GPU: skipped, torch finds no CUDA device")
     gpu = Table("rovers", "physics", "lidar", "environment", title="Warp on a GPU, steps/s")
     for row in found["gpu"]:
         gpu.add_row(*(f"{row[name]:,.0f}" for name in ("rovers", "physics", "lidar", "environment")))

@@ -1,4 +1,4 @@
-"""The lidar of the simulators, against distances computed by hand."""
+"""Lidar of every simulator, compared with analytic distances."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def scan(backend: str, world: World, pose: tuple[float, float, float], beams: in
 
 
 def to_walls(x: float, y: float, angles: np.ndarray, width: float, depth: float) -> np.ndarray:
-    """Distance from a point to the walls of a room in the plane."""
+    """Distances from a point to the walls of a rectangular room, along ``angles``."""
     with np.errstate(divide="ignore"):
         along_x = np.where(np.cos(angles) > 0, width / 2 - x, -width / 2 - x) / np.cos(angles)
         along_y = np.where(np.sin(angles) > 0, depth / 2 - y, -depth / 2 - y) / np.sin(angles)
@@ -39,7 +39,7 @@ def to_walls(x: float, y: float, angles: np.ndarray, width: float, depth: float)
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.5, math.pi / 2])
 @pytest.mark.parametrize("beams", [7, 64, 640])
-def test_ranges_in_a_room_are_those_computed_by_hand(backend, yaw, beams):
+def test_ranges_in_a_room_match_analytic_distances(backend, yaw, beams):
     world = World("room", Terrain.flat((30, 30)), room(8, 6))
     x, y = 0.9 + MOUNT * math.cos(yaw), -0.4 + MOUNT * math.sin(yaw)
     angles = yaw + 2 * math.pi * np.arange(beams) / beams
@@ -49,14 +49,14 @@ def test_ranges_in_a_room_are_those_computed_by_hand(backend, yaw, beams):
 
 @pytest.mark.parametrize("tilt", [5.0, 12.0])
 @pytest.mark.parametrize("yaw", [0.0, math.pi])
-def test_a_tilted_scan_reaches_further_by_its_slope(backend, tilt, yaw):
-    """On a slope along x, beams ahead and behind meet upright walls at d / cos(tilt), beams aside as if level."""
+def test_tilted_scan_measures_slanted_distances(backend, tilt, yaw):
+    """On a slope along x, beams ahead and behind hit vertical walls at d / cos(tilt), beams to the sides at d."""
     count, cell = 121, 0.25
     rise = math.tan(math.radians(tilt)) * (torch.arange(count) * cell - 15)
     world = World("ramp", Terrain(rise.expand(count, -1), cell), room(8, 6, height=12))
     ranges = scan(backend, world, (0.0, 0.0, yaw), 4)
     cos, sin = math.cos(math.radians(tilt)), math.sin(math.radians(tilt))
-    # The lidar in the plane of the slope: MOUNT ahead along it, and 0.321 m less the wheels' play above it.
+    # The lidar is MOUNT ahead along the slope; its height above the slope is corrected for the wheels' clearance.
     up = ROVER.lidar_position[2] - 0.003 + 0.0005
     x = math.cos(yaw) * MOUNT * cos - up * sin
     expected = [(4 - x) / cos, 3.0, (4 + x) / cos, 3.0]
@@ -74,17 +74,17 @@ def test_beam_0_points_forward_and_beams_go_counter_clockwise(backend):
     assert ranges[1] == pytest.approx(2.8, abs=0.01)
 
 
-def test_nothing_in_reach_is_infinite(backend):
+def test_no_return_is_infinite(backend):
     assert torch.isinf(scan(backend, World("plain", Terrain.flat((60, 60))), (0.0, 0.0, 0.0))).all()
 
 
-def test_a_wall_beyond_the_range_is_not_seen(backend):
+def test_wall_beyond_the_range_is_not_seen(backend):
     world = World("far", Terrain.flat((60, 60)), [box((ROVER.lidar_range + MOUNT + 0.55, 0, 1), (1, 4, 2))])
     assert torch.isinf(scan(backend, world, (0.0, 0.0, 0.0))).all()
     assert scan(backend, world, (0.1, 0.0, 0.0))[0] == pytest.approx(11.95, abs=0.01)
 
 
-def test_a_scan_from_inside_something_reads_zero(backend):
+def test_scan_from_inside_an_obstacle_is_zero(backend):
     world = World("block", Terrain.flat((30, 30)), [box((0, 0, 1), (2, 2, 2))])
     assert (scan(backend, world, (0.0, 0.0, 0.0)) == 0).all()
     assert (scan(backend, world, (-1.3, 0.0, 0.0))[1:] > 0).any()
@@ -97,7 +97,7 @@ def test_rovers_are_invisible_to_one_another(backend):
     assert torch.isinf(state.ranges).all()
 
 
-def test_scans_of_more_rays_than_one_call_takes_agree_with_single_ones(backend):
+def test_large_batches_match_single_scans(backend):
     world = World("room", Terrain.flat((30, 30)), room(8, 6))
     rovers = RAYS_PER_CALL // 640 + 40
     poses = torch.stack([torch.linspace(-2, 2, rovers), torch.zeros(rovers), torch.linspace(-3, 3, rovers)], 1)
@@ -107,7 +107,7 @@ def test_scans_of_more_rays_than_one_call_takes_agree_with_single_ones(backend):
     assert torch.equal(ranges[0], scan(backend, world, tuple(poses[0].tolist()), 640))
 
 
-def test_terrain_is_seen_where_it_stands_in_the_way(backend):
+def test_terrain_blocks_beams(backend):
     heights = torch.zeros(81, 81)
     heights[:, 52:] = 3.0  # a step up between x = 2.75 and x = 3
     ranges = scan(backend, World("step", Terrain(heights, 0.25)), (0.0, 0.0, 0.0), 4)

@@ -1,4 +1,4 @@
-"""The physics of the simulators, against what a rover of these figures must do."""
+"""Physics of every simulator, compared with analytic expectations for the rover."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def simulate(backend: str | Backend, world: World, poses: list[tuple[float, floa
 
 
 def settings_of(backend: str):
-    """The class of a backend's settings."""
+    """Returns the settings class of a backend."""
     module, name = BACKENDS[backend].split(":")
     return getattr(import_module(module), name)
 
 
 def drive(simulator, commands: list[tuple[float, float]], steps: int):
-    """The states of ``steps`` steps of constant commands, one a rover."""
+    """Returns the states of ``steps`` steps with constant commands, one per rover."""
     return [simulator.step(torch.tensor(commands)) for _ in range(steps)]
 
 
@@ -66,7 +66,7 @@ def test_stops_within_its_acceleration_limit(backend, flat):
     moving = drive(simulator, [(1.0, 0.0)], 40)[-1]
     states = [moving, *drive(simulator, [(0.0, 0.0)], 20)]
     speeds = torch.stack([s.linear_velocity[0, 0] for s in states])
-    # 1 m/s at 5 m/s^2: 0.2 s and 0.1 m.
+    # Braking from 1 m/s at 5 m/s^2 takes 0.2 s and 0.1 m.
     assert (speeds[1:] - speeds[:-1]).abs().max() <= ROVER.max_linear_acceleration * DT * 1.05
     assert speeds[5:].abs().max() < 0.02
     braking = (states[-1].position - moving.position).norm().item()
@@ -90,7 +90,7 @@ def test_climbs_and_descends_15_degrees(backend, heading):
     assert gained.item() == pytest.approx(40 * DT * math.sin(math.radians(15)) * math.cos(heading), abs=0.06)
 
 
-# A thousandth of a degree makes the ground a mesh of triangles.
+# A slope of a thousandth of a degree makes the simulator use a triangle mesh instead of a plane.
 @pytest.mark.parametrize("world", [World("plane", Terrain.flat((40, 40))), slope(0.001)], ids=["plane", "mesh"])
 def test_spin_rate_hardly_depends_on_heading(backend, world):
     headings = [2 * math.pi * k / 16 for k in range(16)]
@@ -98,10 +98,10 @@ def test_spin_rate_hardly_depends_on_heading(backend, world):
         backend, world, [(2.0 * (k % 4) - 3, 2.0 * (k // 4) - 3, yaw) for k, yaw in enumerate(headings)]
     )
     drive(simulator, [(0.0, 2.0)] * 16, 20)
-    # A quarter turn's worth would average the directions away: half a second keeps each rover near its heading.
+    # Half a second keeps each rover near its heading; a longer turn would average over headings.
     rates = yaw_rate(drive(simulator, [(0.0, 2.0)] * 16, 11))
     assert (rates.max() - rates.min()) / rates.mean() <= 0.25
-    # Isotropic Coulomb friction, by hand: 0.82 rad/s.
+    # Analytic yaw rate under isotropic Coulomb friction: 0.82 rad/s.
     assert rates.mean().item() == pytest.approx(0.82, rel=0.15)
 
 
@@ -118,8 +118,8 @@ def test_stands_still_for_600_steps(backend, degrees):
 
 
 @pytest.mark.parametrize(("friction", "holds"), [(0.20, False), (0.35, True)])
-def test_friction_is_what_the_settings_say(backend, friction: float, holds: bool):
-    # On 15 degrees a body holds from a coefficient of tan(15 degrees) = 0.27 on.
+def test_friction_follows_the_settings(backend, friction: float, holds: bool):
+    # A body holds on a slope of 15 degrees if the coefficient exceeds tan(15 degrees) = 0.27.
     simulator = simulate(settings_of(backend)(ground_friction=friction), slope(15), [(0.0, 0.0, 0.0)])
     before = simulator.state().position
     moved = (drive(simulator, [(0.0, 0.0)], 40)[-1].position - before).norm()
@@ -140,8 +140,8 @@ def test_odometry_reports_the_wheels_not_the_body(backend, flat):
     assert yaw_rate(states[20:]).item() < 1.1
 
 
-def test_a_flipped_rover_is_seen_as_flipped(backend):
-    # Driving off a wall of 1.2 m: nose down, then over.
+def test_flipped_rover_reports_its_orientation(backend):
+    # Driving off an edge of 1.2 m, the rover pitches nose down and rolls over.
     heights = torch.zeros(41, 41)
     heights[:, :20] = 1.2
     simulator = simulate(backend, World("cliff", Terrain(heights, 0.25)), [(-0.8, 0.0, 0.0)])
@@ -176,7 +176,7 @@ def test_resting_pose_needs_no_settling(backend):
 
 
 def test_base_frame_is_level_on_level_ground(backend, flat):
-    # The inertial frame of the description is turned by a degree against the base frame.
+    # The chassis' principal axes of inertia are rotated by a degree against the base frame; the pose is not.
     state = drive(simulate(backend, flat, [(1.0, 2.0, 0.5)]), [(0.0, 0.0)], 20)[-1]
     euler = quaternion_to_euler(state.orientation)
     torch.testing.assert_close(euler, torch.tensor([[0.0, 0.0, 0.5]]), atol=1e-3, rtol=0)

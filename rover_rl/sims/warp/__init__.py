@@ -1,6 +1,6 @@
-"""The Warp backend: a simulator made for this rover, on the CPU or a GPU, about twenty times as fast as Bullet.
+"""Warp backend: a simulator specialized for this rover, for CPUs and NVIDIA GPUs; see ``docs/warp.md``.
 
-Importing this needs no Warp; making a simulator does.
+Importing this module does not require Warp; building a simulator does.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""NVIDIA Warp, with a clear error where it is missing and without its greetings."""
+"""Import and configuration of NVIDIA Warp; raises a clear error if it is not installed."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ except ImportError as error:
     raise ImportError("backend='warp' needs NVIDIA Warp: pip install 'rover_rl[warp]'") from error
 
 wp.config.log_level = wp.LOG_ERROR
-# Nothing is differentiated, and gradients take a minute to compile.
+# The simulator is not differentiated, and adjoint kernels take a minute to compile.
 wp.config.enable_backward = False
-# That there is no GPU is nothing to warn of.
+# Warp prints a warning on machines without a GPU.
 with native_output_silenced():
     wp.init()
 

@@ -9,20 +9,21 @@ from rover_rl.sims.timing import CONTROL_DT
 
 @dataclass(frozen=True)
 class WarpSettings:
-    """How the Warp backend simulates. The defaults are as near to Bullet's default as the two can be.
+    """Settings of the Warp backend. The defaults match the default preset of the Bullet backend as closely as possible.
 
     Args:
         control_dt: duration of a control step, s; the contract controls at 20 Hz.
-        substeps: physics steps in a control step.
-        solver_iterations: of the contact solver in a substep; it begins with the impulses of the one before.
-        stiffness: of a wheel on the ground, N/m. Four rigid wheels could share the load in any way; these share it as
-            the ground has it.
-        damping: of the same, N s/m.
-        max_correction: greatest speed at which a penetration is taken away, m/s, so that nothing is thrown up.
-        margin: gap from which on a wheel's contact is left out of the solver, m.
+        substeps: number of physics steps per control step.
+        solver_iterations: iterations of the contact solver per substep, warm-started with the last substep's impulses.
+        stiffness: contact stiffness of a wheel, N/m. The load on four rigid wheels is indeterminate; compliant wheels
+            share it according to the shape of the ground.
+        damping: contact damping of a wheel, N s/m.
+        max_correction: maximum speed at which a penetration is removed, m/s; keeps deep penetrations from launching a
+            rover.
+        margin: gap above which a wheel contact is ignored by the solver, m.
         ground_friction: Coulomb coefficient between rover and ground, the same in every direction.
-        obstacle_friction: the same for obstacles.
-        threads: of the CPU; ``None``: as many as torch uses. They change no number.
+        obstacle_friction: Coulomb coefficient between rover and obstacles, the same in every direction.
+        threads: number of CPU threads; ``None`` uses as many as torch. Results do not depend on it.
 
     Raises:
         ValueError: for a number that is out of range.
@@ -55,12 +56,12 @@ class WarpSettings:
 
     @property
     def substep(self) -> float:
-        """Duration of a physics step, s."""
+        """Duration of a substep, s."""
         return self.control_dt / self.substeps
 
     @classmethod
     def preset(cls, name: str) -> WarpSettings:
-        """The settings of that name: there is ``"default"``.
+        """Returns the settings of a preset by name; the only preset is ``"default"``.
 
         Raises:
             ValueError: for an unknown name.

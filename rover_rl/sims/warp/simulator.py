@@ -1,4 +1,4 @@
-"""The Warp backend behind the :class:`Simulator` seam."""
+"""Simulator of the Warp backend, an implementation of :class:`rover_rl.sims.base.Simulator`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from rover_rl.sims.warp.kernels.dynamics import place, step_dynamics
 from rover_rl.sims.warp.kernels.lidar import scan
 from rover_rl.sims.warp.kernels.types import Solver
 from rover_rl.sims.warp.library import wp
-from rover_rl.sims.warp.scene import make_rover, make_scene
+from rover_rl.sims.warp.scene import make_robot_model, make_scene
 from rover_rl.sims.warp.settings import WarpSettings
 from rover_rl.sims.warp.state_buffers import StateBuffers
 from rover_rl.sims.worlds import World, rest_on_ground
@@ -30,24 +30,27 @@ from rover_rl.sims.worlds import World, rest_on_ground
 if TYPE_CHECKING:
     from rover_rl.sims.rendering.renderer import Renderer
 
-ROWS_A_THREAD = 16
-"""Rovers that another thread of the CPU is worth."""
-BLOCK_THREADS = 32
-"""Of a GPU, one warp: a few thousand rovers are spread over all multiprocessors. A CPU has no blocks."""
+MIN_ROVERS_PER_THREAD = 16
+"""Minimum number of rovers per CPU thread; with fewer, another thread does not pay."""
+GPU_BLOCK_SIZE = 32
+"""Threads per block on a GPU: one warp, so that a few thousand rovers spread over all multiprocessors."""
 
 
 class WarpSimulator:
-    """Rovers in Warp: a kernel for the physics of a control step and one for the lidar, a thread a rover.
+    """Batch of rovers simulated by Warp kernels: one for the physics of a control step and one for the lidar.
+
+    A kernel thread simulates one rover. Consecutive rovers of the same world share a launch; rovers do not interact.
 
     Args:
-        worlds: the world of each rover. Neighbours in the same world are launched together, and do not notice.
-        robot: the rover.
-        lidar_beams: beams of a scan, spread evenly over the full turn from straight ahead counter-clockwise.
-        settings: of the physics.
-        device: where it runs and where its tensors are; ``None``: the CPU.
+        worlds: world of each rover.
+        robot: robot to simulate.
+        lidar_beams: number of beams of a scan, equally spaced counter-clockwise from straight ahead.
+        settings: settings of the physics; ``None`` uses the defaults.
+        device: device of the simulation and of its tensors; ``None`` is the CPU.
 
     Raises:
-        ValueError: for a robot that the kernels have no room for, or that is not made of boxes and wheels.
+        ValueError: for a robot with too many wheels, or whose URDF is not supported: see
+            :func:`rover_rl.sims.warp.inertial_model.read_inertial_model`.
     """
 
     def __init__(
@@ -70,9 +73,9 @@ class WarpSimulator:
         self._drive = SimulatedDrive(robot, self.control_dt, count, self.device)
         self._renderers: dict[World, Renderer] = {}
 
-        model = read_inertial_model(robot)
-        self._buffers = StateBuffers(model, robot, count, lidar_beams, self.device)
-        self._rover = make_rover(robot, model, self._wp_device)
+        inertial_model = read_inertial_model(robot)
+        self._buffers = StateBuffers(inertial_model, robot, count, lidar_beams, self.device)
+        self._model = make_robot_model(robot, inertial_model, self._wp_device)
         self._worlds = [
             (world, slice((rows := list(block))[0], rows[-1] + 1))
             for world, block in groupby(range(count), key=worlds.__getitem__)
@@ -88,55 +91,55 @@ class WarpSimulator:
         return wp.device_from_torch(self.device)
 
     @property
-    def _where(self) -> dict[str, Any]:
-        """Arguments of every launch."""
-        blocks = {"block_dim": BLOCK_THREADS} if self.device.type == "cuda" else {}
+    def _launch_options(self) -> dict[str, Any]:
+        """Keyword arguments of every launch: the device, and the block size on a GPU."""
+        blocks = {"block_dim": GPU_BLOCK_SIZE} if self.device.type == "cuda" else {}
         return {"device": self._wp_device, **blocks}
 
     def _record(self, beams: wp.array) -> list[_Shard]:
-        """The launches of each thread: a part of the rovers of every world."""
+        """Records the launches of each CPU thread: a share of the rovers of every world."""
         threads = self.settings.threads or torch.get_num_threads()
-        # Launches on a GPU return at once.
-        most = 1 if self.device.type == "cuda" else max(1, self.num_envs // ROWS_A_THREAD)
-        shards = [_Shard() for _ in range(min(threads, most))]
+        # Launches on a GPU are asynchronous: one host thread suffices.
+        max_threads = 1 if self.device.type == "cuda" else max(1, self.num_envs // MIN_ROVERS_PER_THREAD)
+        shards = [_Shard() for _ in range(min(threads, max_threads))]
         solver, rovers = _solver(self.settings), self._buffers.rovers
         for world, rows in self._worlds:
-            scene = make_scene(world, self._rover.reach, self._wp_device)
+            scene = make_scene(world, self._model.bounding_radius, self._wp_device)
             ends = np.linspace(rows.start, rows.stop, len(shards) + 1).astype(int).tolist()
             for shard, first, last in zip(shards, ends[:-1], ends[1:], strict=True):
-                launch = {"dim": last - first, "record_cmd": True, **self._where}
+                launch = {"dim": last - first, "record_cmd": True, **self._launch_options}
                 if last > first:
-                    inputs = [scene, self._rover, solver, rovers, first]
-                    shard.drives.append(wp.launch(step_dynamics, inputs=inputs, **launch))
-                    shard.scans.append(wp.launch(scan, inputs=[scene, self._rover, rovers, beams, first], **launch))
+                    inputs = [scene, self._model, solver, rovers, first]
+                    shard.dynamics.append(wp.launch(step_dynamics, inputs=inputs, **launch))
+                    shard.scans.append(wp.launch(scan, inputs=[scene, self._model, rovers, beams, first], **launch))
         return shards
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
-        """Puts the rovers of ``mask`` on the ground at ``poses``: see :meth:`Simulator.reset`."""
+        """Places the rovers of ``mask`` at rest on the ground at ``poses``: see :meth:`Simulator.reset`."""
         for world, rows in self._worlds:
-            self._stand(world, rows, mask[rows], poses[rows])
+            self._set_rest_poses(world, rows, mask[rows], poses[rows])
         self._buffers.active.copy_(mask)
-        inputs = [self._rover, self._buffers.rovers, self._poses]
-        wp.launch(place, dim=self.num_envs, inputs=inputs, stream=self._stream, **self._where)
+        inputs = [self._model, self._buffers.rovers, self._poses]
+        wp.launch(place, dim=self.num_envs, inputs=inputs, stream=self._stream, **self._launch_options)
         self.launch(physics=False)
         self._drive.reset(mask)
         return self.state()
 
-    def _stand(self, world: World, rows: slice, mask: Tensor, poses: Tensor) -> None:
-        """Works out how the rovers of ``mask`` stand on the ground of their world."""
+    def _set_rest_poses(self, world: World, rows: slice, mask: Tensor, poses: Tensor) -> None:
+        """Computes the resting poses of the rovers of ``mask`` on the ground of their world."""
         target = self._buffers.poses[rows]
-        # On the CPU the few rows of a reset are looked for; on a GPU that would wait for the device.
+        # On the CPU, computes only the rows of the mask. On a GPU, selecting rows would synchronize with the device.
         chosen = mask.nonzero().squeeze(-1) if self.device.type == "cpu" else slice(None)
         position, rotation = rest_on_ground(world, self._robot, poses[chosen])
         target[chosen] = torch.cat((position, matrix_to_quaternion(rotation)), -1).to(target.dtype)
 
     def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
-        """Gives the rovers of ``mask`` these dynamics: see :meth:`Simulator.set_dynamics`."""
+        """Sets the dynamics of the rovers of ``mask``: see :meth:`Simulator.set_dynamics`."""
         self._buffers.set_dynamics(mask, dynamics)
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
-        """Drives one control step of ``substeps`` physics steps: see :meth:`Simulator.step`."""
-        self._buffers.speeds.copy_(self._drive.advance(commands, active))
+        """Simulates one control step of ``settings.substeps`` substeps: see :meth:`Simulator.step`."""
+        self._buffers.target_speeds.copy_(self._drive.advance(commands, active))
         if active is None:
             self._buffers.active.fill_(True)
         else:
@@ -145,47 +148,28 @@ class WarpSimulator:
         return self.state()
 
     def state(self) -> RoverState:
-        """The present state, in tensors of its own."""
-        return self._drive.state(self._buffers.body.clone(), self._buffers.ranges.clone())
-
-    def scan_from(self, position: Tensor, orientation: Tensor) -> Tensor:
-        """What the lidars would see from other poses of their base frames; moves nothing.
-
-        Args:
-            position: ``[N, 3]``, m.
-            orientation: unit quaternions (x, y, z, w), ``[N, 4]``.
-
-        Returns:
-            Ranges ``[N, beams]``, m.
-        """
-        body, ranges = self._buffers.body.clone(), self._buffers.ranges.clone()
-        self._buffers.body[:, :7] = torch.cat((position, orientation), -1)
-        self._buffers.active.fill_(True)
-        self.launch(physics=False)
-        seen = self._buffers.ranges.clone()
-        self._buffers.body.copy_(body)
-        self._buffers.ranges.copy_(ranges)
-        return seen
+        """Returns a copy of the current state."""
+        return self._drive.state(self._buffers.base_state.clone(), self._buffers.ranges.clone())
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
-        """A picture by Bullet's software renderer: see :meth:`Simulator.render`."""
+        """Renders an image with Bullet's software renderer: see :meth:`Simulator.render`."""
         from rover_rl.sims.rendering.renderer import Renderer
 
         world = next(world for world, rows in self._worlds if rows.start <= row < rows.stop)
         if world not in self._renderers:
             self._renderers[world] = Renderer(world, self._robot)
-        pose = self._buffers.body[row].double().cpu().numpy()
+        pose = self._buffers.base_state[row].double().cpu().numpy()
         return self._renderers[world].picture(
             pose[:3], pose[3:7], view, width, height, None if goal is None else goal.tolist()
         )
 
     @property
     def robot_connected(self) -> bool:
-        """Always."""
+        """Always true: simulated rovers are always connected."""
         return True
 
     def close(self) -> None:
-        """Ends its threads and lets go of its renderers; may be called again."""
+        """Stops the threads and releases the renderers. Idempotent."""
         if self._pool is not None:
             self._pool.shutdown()
         for renderer in self._renderers.values():
@@ -194,11 +178,16 @@ class WarpSimulator:
 
     @property
     def _stream(self) -> wp.Stream | None:
-        """Torch's stream, so that kernels and tensors wait for one another."""
+        """Torch's current CUDA stream, which orders kernels and tensor operations; ``None`` on the CPU."""
         return wp.stream_from_torch(self.device) if self.device.type == "cuda" else None
 
     def launch(self, *, physics: bool = True, lidar: bool = True) -> None:
-        """Runs the kernels for all active rovers: a control step's physics, and the lidar."""
+        """Launches the kernels for all active rovers and waits for them on the CPU; on a GPU, returns immediately.
+
+        Args:
+            physics: launch the physics of a control step.
+            lidar: launch the lidar scan.
+        """
         run = partial(_Shard.launch, physics=physics, lidar=lidar, stream=self._stream)
         others = [self._pool.submit(run, shard) for shard in self._shards[1:]] if self._pool else []
         run(self._shards[0])
@@ -207,28 +196,31 @@ class WarpSimulator:
 
 
 class _Shard:
-    """The recorded launches of one thread: for each world a part of its rovers."""
+    """Recorded launches of one CPU thread: for each world, those for a share of its rovers."""
 
     def __init__(self) -> None:
-        self.drives: list[wp.Launch] = []
+        self.dynamics: list[wp.Launch] = []
         self.scans: list[wp.Launch] = []
 
     def launch(self, *, physics: bool, lidar: bool, stream: wp.Stream | None) -> None:
-        for drives, scans in zip(self.drives, self.scans, strict=True):
+        for dynamics_launch, scan_launch in zip(self.dynamics, self.scans, strict=True):
             if physics:
-                drives.launch(stream)
+                dynamics_launch.launch(stream)
             if lidar:
-                scans.launch(stream)
+                scan_launch.launch(stream)
 
 
 def _solver(settings: WarpSettings) -> Solver:
+    """Converts settings to the solver parameters of the kernels."""
     solver = Solver()
     solver.dt = settings.substep
     solver.substeps = settings.substeps
     solver.iterations = settings.solver_iterations
-    # Half of a wheel's: it has two contacts. An implicit spring and damper (R. Smith, Open Dynamics Engine, 3.8).
+    # A wheel has two contacts, each with half of its stiffness k and damping d. Implicit spring-damper with the time
+    # step h: ERP = h k / (h k + d), and CFM = 1 / (h k + d) for forces, divided by h for impulses (R. Smith, Open
+    # Dynamics Engine user guide, 3.8).
     spring, damper = settings.stiffness / 2 * settings.substep, settings.damping / 2
-    solver.correction = spring / (spring + damper)
+    solver.error_reduction = spring / (spring + damper)
     solver.softness = 1 / (settings.substep * (spring + damper))
     solver.max_correction = settings.max_correction
     solver.margin = settings.margin

@@ -1,4 +1,4 @@
-"""Warp on a GPU: compiled ahead of time everywhere, run where there is one."""
+"""Warp kernels on a GPU: ahead-of-time compilation on every machine, execution where a GPU is available."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from rover_rl.sims.warp.kernels import dynamics, lidar
 from rover_rl.sims.warp.library import wp
 
 HOPPER = 90
-"""Compute capability 9.0, that of an H100 or H200."""
+"""Compute capability 9.0 (H100, H200)."""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("module", "kernels"), [(dynamics, ("drive", "place")), (lidar, ("scan",))])
+@pytest.mark.parametrize(("module", "kernels"), [(dynamics, ("step_dynamics", "place")), (lidar, ("scan",))])
 def test_kernels_compile_for_a_gpu(module, kernels, tmp_path):
     wp.compile_aot_module(module, arch=HOPPER, module_dir=str(tmp_path), use_ptx=True)
     (code,) = tmp_path.glob("*.ptx")
@@ -29,16 +29,16 @@ def test_kernels_compile_for_a_gpu(module, kernels, tmp_path):
 
 @pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
-def test_a_gpu_drives_as_the_cpu_does():
-    rolled = []
+def test_gpu_matches_cpu():
+    rollouts = []
     for device in ("cpu", "cuda"):
         env = make_env(backend="warp", world_n=["inspect", "maze"], num_envs=64, seed=0, device=device)
         td = env.reset()
         for _ in range(20):
             td = env.step(td.set("action", torch.tensor([[0.7, 0.2]] * 64, device=device)))["next"]
         assert td["lidar"].device.type == device
-        rolled.append(td.to("cpu"))
-    on_cpu, on_gpu = rolled
-    # Their roundings differ, and contacts make more of that.
+        rollouts.append(td.to("cpu"))
+    on_cpu, on_gpu = rollouts
+    # CPU and GPU round differently, and contacts amplify the differences.
     torch.testing.assert_close(on_gpu["pose"], on_cpu["pose"], atol=0.01, rtol=0)
     assert ((on_gpu["lidar"] - on_cpu["lidar"]).abs() < 0.05).float().mean() > 0.97

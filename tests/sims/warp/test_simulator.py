@@ -1,9 +1,10 @@
-"""What is Warp's own; what every simulator does is in ``tests/sims``."""
+"""Tests specific to the Warp simulator; those of every simulator are in ``tests/sims``."""
 
 from __future__ import annotations
 
 import sys
 
+import numpy as np
 import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
@@ -17,7 +18,7 @@ from rover_rl.sims.worlds import Terrain, World, boulder, box, get_world
 ROVER = get_robot("rover_zero")
 
 
-def test_without_warp_the_error_says_how_to_install_it(monkeypatch):
+def test_missing_warp_raises_with_install_command(monkeypatch):
     for name in [name for name in sys.modules if name.startswith("rover_rl.sims.warp.")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "warp", None)
@@ -36,12 +37,12 @@ def test_without_warp_the_error_says_how_to_install_it(monkeypatch):
         ({"ground_friction": -0.1}, "ground_friction must not be negative, got -0.1"),
     ],
 )
-def test_settings_out_of_range_are_refused(settings, message):
+def test_settings_out_of_range_are_rejected(settings, message):
     with pytest.raises(ValueError, match=message):
         WarpSettings(**settings)
 
 
-def test_bullets_presets_are_not_its_own():
+def test_presets_of_bullet_are_unknown():
     with pytest.raises(ValueError, match="unknown physics 'fast'; backend 'warp' has one preset, 'default'"):
         RoverEnv(backend="warp", physics="fast")
     assert RoverEnv(backend="warp", physics="default").simulator.settings == WarpSettings()
@@ -55,26 +56,26 @@ def warp():
     return pytest.importorskip("warp", reason="needs rover_rl[warp]")
 
 
-def test_it_is_an_environment_as_any_other():
+def test_environment_specs():
     check_env_specs(make_env(backend="warp", world_n=["inspect", "maze"], num_envs=4, seed=0))
 
 
-def test_the_number_of_threads_changes_no_number():
-    rolled = []
+def test_results_do_not_depend_on_the_number_of_threads():
+    rollouts = []
     for threads in (1, 2, 3):
         env = make_env(
             backend=WarpSettings(threads=threads), world_n=["inspect", "maze", "moon"], num_envs=100, seed=1, length=30
         )
         torch.manual_seed(0)
-        rolled.append(env.rollout(80, break_when_any_done=False))
+        rollouts.append(env.rollout(80, break_when_any_done=False))
         env.close()
-    assert rolled[0]["next", "done"].any()
-    for other in rolled[1:]:
-        assert (rolled[0] == other).all()
+    assert rollouts[0]["next", "done"].any()
+    for other in rollouts[1:]:
+        assert (rollouts[0] == other).all()
 
 
 def test_random_driving_stays_on_the_ground_and_out_of_obstacles():
-    """Nothing is thrown up, sinks in or becomes NaN; wheels and chassis get into obstacles by a centimetre at most."""
+    """Rovers are not launched, do not sink in or become NaN; wheels penetrate obstacles by at most 1 cm."""
     for name in ("inspect", "moon", "maze"):
         world = get_world(name)
         env = make_env(backend="warp", world_n=name, num_envs=256, seed=0, lidar_beams=32, length=400)
@@ -94,12 +95,12 @@ def test_random_driving_stays_on_the_ground_and_out_of_obstacles():
             for obstacle in world.obstacles:
                 planes = obstacle.planes.float()
                 outside = (hubs @ planes[:, :3].T + planes[:, 3]).amax(-1)
-                # The hub keeps the least distance at which a wheel may be beside a wall: half of its width.
+                # The least distance of a hub to a wall, with the wheel parallel to it, is half of the wheel's width.
                 assert outside.min() > ROVER.wheel_width / 2 - 0.01
 
 
 def _hubs(state) -> torch.Tensor:
-    """Centres of all wheels in the world, ``[N * W, 3]``."""
+    """Centers of all wheels in the world frame, ``[N * W, 3]``."""
     x, y, z, w = (part[:, None] for part in state.orientation.split(1, -1))
     vector, hubs = torch.cat((x, y, z), -1), torch.tensor(ROVER.wheel_positions)[None]
     vector = vector.expand(-1, hubs.shape[1], 3)
@@ -109,22 +110,20 @@ def _hubs(state) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.5, 1.2])
-def test_a_boulder_stops_the_rover(yaw):
-    import numpy as np
-
+def test_boulder_stops_the_rover(yaw):
     rock = boulder((2.0, 0.0, 0.2), 0.8, np.random.default_rng(0))
     world = World("rock", Terrain.flat((20, 20)), [rock])
     simulator = make_simulator("warp", worlds=[world], robot=ROVER, lidar_beams=8)
     simulator.reset(torch.ones(1, dtype=torch.bool), torch.tensor([[0.0, 0.0, 0.1 * yaw]]))
     for _ in range(100):
         state = simulator.step(torch.tensor([[1.0, 0.0]]))
-    # Its front stays before the rock's middle.
+    # The front of the rover does not pass the middle of the rock.
     assert state.position[0, 0] < 2.0 - 0.26
     assert torch.isfinite(state.position).all()
 
 
-def test_a_ridge_between_the_wheels_carries_the_rover():
-    """High-centring: a ridge that is higher than the belly lifts the chassis, and the wheels lose their grip."""
+def test_ridge_between_the_wheels_carries_the_rover():
+    """High-centering: a ridge that is higher than the ground clearance lifts the chassis."""
     heights = torch.zeros(161, 161)
     heights[81, :] = 0.30
     world = World("ridge", Terrain(heights, 0.25))
@@ -139,7 +138,7 @@ def test_a_ridge_between_the_wheels_carries_the_rover():
     assert torch.isfinite(state.orientation).all()
 
 
-def test_worlds_without_obstacles_and_with_one_behind_the_edge():
+def test_worlds_without_obstacles_and_with_one_outside_the_terrain():
     worlds = [
         World("plain", Terrain.flat((8, 8))),
         World("edge", Terrain.flat((8, 8)), [box((30.0, 30.0, 0.5), (1.0, 1.0, 1.0))]),
@@ -148,22 +147,25 @@ def test_worlds_without_obstacles_and_with_one_behind_the_edge():
     state = simulator.reset(torch.ones(2, dtype=torch.bool), torch.tensor([[0.0, 0.0, 0.0], [3.0, 3.0, 1.0]]))
     assert torch.isinf(state.ranges).all()
     for _ in range(100):
-        # Out of the terrain, where the nearest edge goes on.
+        # The rovers leave the terrain, where the height of the nearest edge continues.
         state = simulator.step(torch.tensor([[1.0, 0.0]] * 2))
     assert (state.position[:, 2].abs() < 0.02).all()
 
 
-def test_scans_from_other_poses_move_nothing():
+def test_scan_depends_on_the_pose_alone():
     world = get_world("maze")
     simulator = make_simulator("warp", worlds=[world] * 3, robot=ROVER, lidar_beams=32)
-    before = simulator.state().clone()
-    elsewhere = simulator.scan_from(before.position + torch.tensor((0.3, 0.2, 0.0)), before.orientation)
-    assert not torch.equal(elsewhere, before.ranges)
+    poses = torch.tensor([[0.0, 0.0, 0.0], [0.5, 0.0, 1.0], [0.0, 0.5, 2.0]])
+    everyone, first = torch.ones(3, dtype=torch.bool), torch.tensor([True, False, False])
+    before = simulator.reset(everyone, poses)
+    elsewhere = simulator.reset(first, poses + torch.tensor((0.3, 0.2, 0.0)))
+    assert not torch.equal(elsewhere.ranges[0], before.ranges[0])
+    assert (elsewhere[1:] == before[1:]).all()
+    assert (simulator.reset(first, poses) == before).all()
     assert (simulator.state() == before).all()
-    assert torch.equal(simulator.scan_from(before.position, before.orientation), before.ranges)
 
 
-def test_it_can_be_closed_twice():
+def test_close_is_idempotent():
     simulator = make_simulator(WarpSettings(threads=2), worlds=[get_world("maze")] * 64, robot=ROVER, lidar_beams=8)
     simulator.close()
     simulator.close()

@@ -1,5 +1,22 @@
-"""What runs on the device: functions in Warp's subset of Python, compiled when they are first launched.
+"""Warp kernels: physics and lidar of one rover per thread.
 
-A rover is a thread. Nothing here depends on another thread, so that a rover's numbers do not depend on its company, and
-are the same on any number of threads.
+Kernels and functions are written in Warp's subset of Python and compiled on first launch. Every thread reads and writes
+only the rows of its own rover, so that a result depends neither on the other rovers of a batch nor on the number of
+threads, to the last bit.
+
+Modules:
+    types: structs passed to the kernels (scene, robot model, solver parameters, rover state).
+    ground: height, slope and normal of the terrain.
+    convex: penetration of a box or wheel into a convex obstacle.
+    contacts: collision detection and the constraint rows of a contact.
+    dynamics: constraint solver and time integration.
+    lidar: planar lidar scan.
+
+Frames, used by all modules:
+    world: z up, m.
+    base: base link of the URDF; x forward, y left, z up.
+    body: axes of the base frame, origin at the center of mass of the whole rover. The solver works in this frame.
+    wheel: axes of the body frame, origin at the hub; the axle points along +y.
+    contact: ``normal`` (from the other surface to the rover), ``longitudinal`` and ``lateral``, orthonormal vectors
+        in the body frame.
 """

@@ -1,69 +1,91 @@
-"""Where a rover touches the world: under its wheels, under its chassis, and at obstacles.
+"""Collision detection, and the constraint rows of each contact.
 
-A thread keeps its contacts in an array: two for each wheel, one at each edge of its tread, then a few more.
+Contacts are found between wheels and ground, chassis and ground, and the whole rover and obstacles. A thread stores
+them in one array: first the two ground contacts of every wheel, at fixed indices (one at each edge of the tread), then
+up to ``EXTRA_CONTACTS`` others.
+
+Frames: arms, normals and tangents are in the body frame (axes of the base frame, origin at the center of mass); terrain
+and obstacles are queried in the world frame. Lengths in m.
+
+Constraint rows. The generalized velocity is ``u = (v, w, s_1, ..., s_W)``: velocity of the center of mass (m/s) and
+angular velocity (rad/s), both in the body frame, and the absolute spin rate of each wheel about its axle e_y (rad/s). A
+wheel's center of mass lies on its axle, so that the mass matrix is ``M = diag(m, I, J, ..., J)`` with the axle inertia
+J of the wheels kept out of I. A point at ``arm`` on a wheel with the hub at ``arm - lever`` moves along a direction d
+with
+
+    d . v + (arm x d - a e_y) . w + a s,    a = e_y . (lever x d) = lever_z d_x - lever_x d_z,
+
+and a point on the chassis with a = 0. The coefficients are one row of the Jacobian: direction, ``moment`` and ``axle``
+entry. ``response`` is ``I^-1 moment``, the change of w per unit impulse, and ``1 / (row M^-1 row^T)`` is the effective
+mass (E. Catto, "Iterative Dynamics with Temporal Coherence", GDC 2005).
 """
 
 from __future__ import annotations
 
-from rover_rl.sims.warp.kernels.convex import is_near, overlap, part_center, part_radius
-from rover_rl.sims.warp.kernels.ground import gap_to, ground_at, normal_of
-from rover_rl.sims.warp.kernels.types import MAX_WHEELS, Rover, Scene, Solver
+from rover_rl.sims.warp.kernels.convex import find_overlap, is_near, part_center, part_radius
+from rover_rl.sims.warp.kernels.ground import ground_at, ground_gap, ground_normal
+from rover_rl.sims.warp.kernels.types import MAX_WHEELS, RobotModel, Scene, Solver
 from rover_rl.sims.warp.library import wp
 
-MORE_CONTACTS = 8
-"""Contacts besides those of wheels with the ground; of more, the deepest count."""
-MAX_CONTACTS = 2 * MAX_WHEELS + MORE_CONTACTS
+EXTRA_CONTACTS = 8
+"""Maximum number of contacts besides those of the wheels with the ground; the deepest are kept."""
+MAX_CONTACTS = 2 * MAX_WHEELS + EXTRA_CONTACTS
 NO_WHEEL = -1
+"""Wheel index of a contact of the chassis."""
 SAMPLES = 3
-"""Points of a wheel's edge below which the ground is looked at: at the bottom, ahead of it and behind."""
+"""Points of a wheel's edge that are tested against the ground: the lowest point, one behind it and one ahead of it."""
 SAMPLE_COS, SAMPLE_SIN = 0.76604444, 0.64278761
-"""Of the 40 degrees between them."""
-GRIP = 0.57735027
-"""Where between a tread's middle (0) and its edge (1) friction acts: with two points at 1 / sqrt(3), it resists turning
-on the spot as that of a line of even pressure does (Gauss's quadrature)."""
+"""Cosine and sine of the angle between two samples, 40 degrees."""
+FRICTION_POINT = 0.57735027
+"""Where friction acts between the middle (0) and the edge (1) of a tread: 1 / sqrt(3). Two forces there resist turning
+on the spot as a line of uniform pressure does (two-point Gauss-Legendre quadrature)."""
 
 
 @wp.struct
 class Contact:
-    """A contact and its three rows of the solver: along the normal and two tangents. In the rover's frame.
+    """A contact and its three constraint rows: normal, longitudinal and lateral. Body frame.
 
-    For each direction: the moment that a unit impulse gives the body, what this makes of its angular velocity, and the
-    moment that it gives the wheel about its axle.
+    ``*_moment`` and ``*_axle`` are the Jacobian entries of the angular velocity and of the wheel's spin, ``*_response``
+    is the change of the angular velocity per unit impulse.
     """
 
-    live: int
-    # Where an impulse of the substep before is kept under; equal for the same two things.
+    # 1 if the contact takes part in the current substep, else 0.
+    active: int
+    # Identifies the same pair of features in the next substep, for the warm start.
     key: int
+    # Index of the touching wheel, or NO_WHEEL.
     wheel: int
+    # Distance of the two surfaces (m), negative for a penetration, and friction coefficient.
     gap: float
     friction: float
-    # Speed along the normal that is asked for, m/s.
+    # Target speed along the normal, m/s: removes penetration, admits approach across a gap.
     bias: float
     normal: wp.vec3
     normal_moment: wp.vec3
-    normal_turn: wp.vec3
-    normal_spin: float
-    ahead: wp.vec3
-    ahead_moment: wp.vec3
-    ahead_turn: wp.vec3
-    ahead_spin: float
-    side: wp.vec3
-    side_moment: wp.vec3
-    side_turn: wp.vec3
-    side_spin: float
-    # Inverse of the velocity that a unit impulse gives, along the normal and along the slower tangent.
+    normal_response: wp.vec3
+    normal_axle: float
+    longitudinal: wp.vec3
+    longitudinal_moment: wp.vec3
+    longitudinal_response: wp.vec3
+    longitudinal_axle: float
+    lateral: wp.vec3
+    lateral_moment: wp.vec3
+    lateral_response: wp.vec3
+    lateral_axle: float
+    # Effective masses, kg: along the normal (with softness), and one for both tangents.
     normal_mass: float
     tangent_mass: float
-    # Impulses so far, N s: along the normal, ahead, to the side.
+    # Accumulated impulses, N s: normal, longitudinal, lateral.
     impulse: wp.vec3
 
 
 @wp.struct
 class Body:
-    """A rover in its own frame, for one substep.
+    """Pose, velocity and inertia of a rover in one substep.
 
-    ``center`` is its centre of mass in the base frame, ``position`` where that is in the world; velocities are those
-    of the centre of mass and about it.
+    ``center`` is the center of mass in the base frame, ``position`` the same point in the world frame (m), ``rotation``
+    the rotation from the body to the world frame. Velocities (m/s, rad/s) and inertia are in the body frame;
+    ``inverse_spin`` is ``1 / J`` of a wheel.
     """
 
     center: wp.vec3
@@ -77,116 +99,130 @@ class Body:
 
 
 @wp.func
-def moment_of(arm: wp.vec3, direction: wp.vec3, spin: float) -> wp.vec3:
-    """Moment of a unit impulse on the body, without what goes into the wheel's spin."""
+def body_moment(arm: wp.vec3, direction: wp.vec3, axle: float) -> wp.vec3:
+    """Jacobian entry of the angular velocity, ``arm x d - a e_y``: the moment that goes into the body (m)."""
     moment = wp.cross(arm, direction)
-    return wp.vec3(moment[0], moment[1] - spin, moment[2])
+    return wp.vec3(moment[0], moment[1] - axle, moment[2])
 
 
 @wp.func
-def spin_of(lever: wp.vec3, direction: wp.vec3, wheel: int) -> float:
-    """Moment of a unit impulse about the wheel's axle, of which ``lever`` is the arm."""
+def axle_moment(lever: wp.vec3, direction: wp.vec3, wheel: int) -> float:
+    """Jacobian entry of the wheel's spin, ``a = e_y . (lever x d)`` (m); 0 for the chassis."""
     return wp.where(wheel == NO_WHEEL, 0.0, lever[2] * direction[0] - lever[0] * direction[2])
 
 
 @wp.func
-def set_contact(
+def prepare_contact(
     contacts: wp.array[Contact],
     k: int,
     body: Body,
-    rover: Rover,
+    model: RobotModel,
     solver: Solver,
     wheel: int,
     arm: wp.vec3,
-    grip: wp.vec3,
+    friction_arm: wp.vec3,
     normal: wp.vec3,
     gap: float,
     friction: float,
 ):
-    """Fills in everything of contact ``k`` but its key and its impulse.
+    """Fills in the constraint rows of contact ``k``; its key and accumulated impulse stay as they are.
+
+    Effective masses: ``m_n = 1 / (1/m + moment . response + a^2 / J + softness)``, and for friction the smaller of the
+    two tangents' masses without softness. Target speed along the normal:
+
+        gap > 0:   bias = -gap / dt, the surfaces may just meet at the end of the substep (speculative contact)
+        gap <= 0:  bias = min(ERP depth / dt, max_correction), the penetration is reduced
 
     Args:
-        contacts: of a thread.
-        k: which of them.
-        body: the rover.
-        rover: its figures.
-        solver: numbers of the physics.
-        wheel: that touches, or ``NO_WHEEL``.
-        arm: from the centre of mass to the contact.
-        grip: from there to where friction acts.
-        normal: from what is touched to the rover.
-        gap: distance of the two, m; negative if they overlap.
-        friction: coefficient.
+        contacts: contacts of the thread.
+        k: index of the contact.
+        body: pose and inertia of the rover.
+        model: model of the robot.
+        solver: solver parameters.
+        wheel: index of the touching wheel, or ``NO_WHEEL``.
+        arm: contact point relative to the center of mass, m.
+        friction_arm: point where friction acts, relative to the center of mass, m.
+        normal: unit normal from the other surface to the rover.
+        gap: distance of the two surfaces, m; negative for a penetration.
+        friction: friction coefficient.
     """
     lever = arm
     if wheel != NO_WHEEL:
-        lever = arm - (rover.hubs[wheel] - body.center)
-    # Ahead is the way that a wheel rolls, where there is one.
-    ahead = wp.vec3(normal[2], 0.0, -normal[0])
+        lever = arm - (model.hubs[wheel] - body.center)
+    # Longitudinal: the rolling direction of a wheel, axle x normal. On contacts near the axle's direction, where that
+    # vanishes, normal x z.
+    longitudinal = wp.vec3(normal[2], 0.0, -normal[0])
     if wp.abs(normal[1]) > 0.9:
-        ahead = wp.vec3(normal[1], -normal[0], 0.0)
-    ahead = wp.normalize(ahead)
-    side = wp.cross(normal, ahead)
-    normal_spin = spin_of(lever, normal, wheel)
-    ahead_spin = spin_of(lever, ahead, wheel)
-    side_spin = spin_of(lever, side, wheel)
-    normal_moment = moment_of(arm, normal, normal_spin)
-    ahead_moment = moment_of(grip, ahead, ahead_spin)
-    side_moment = moment_of(grip, side, side_spin)
-    normal_turn = body.inverse_inertia * normal_moment
-    ahead_turn = body.inverse_inertia * ahead_moment
-    side_turn = body.inverse_inertia * side_moment
+        longitudinal = wp.vec3(normal[1], -normal[0], 0.0)
+    longitudinal = wp.normalize(longitudinal)
+    lateral = wp.cross(normal, longitudinal)
+    normal_axle = axle_moment(lever, normal, wheel)
+    longitudinal_axle = axle_moment(lever, longitudinal, wheel)
+    lateral_axle = axle_moment(lever, lateral, wheel)
+    normal_moment = body_moment(arm, normal, normal_axle)
+    longitudinal_moment = body_moment(friction_arm, longitudinal, longitudinal_axle)
+    lateral_moment = body_moment(friction_arm, lateral, lateral_axle)
+    normal_response = body.inverse_inertia * normal_moment
+    longitudinal_response = body.inverse_inertia * longitudinal_moment
+    lateral_response = body.inverse_inertia * lateral_moment
 
-    contacts[k].live = 1
+    contacts[k].active = 1
     contacts[k].wheel = wheel
     contacts[k].gap = gap
     contacts[k].friction = friction
     contacts[k].normal = normal
     contacts[k].normal_moment = normal_moment
-    contacts[k].normal_turn = normal_turn
-    contacts[k].normal_spin = normal_spin
-    contacts[k].ahead = ahead
-    contacts[k].ahead_moment = ahead_moment
-    contacts[k].ahead_turn = ahead_turn
-    contacts[k].ahead_spin = ahead_spin
-    contacts[k].side = side
-    contacts[k].side_moment = side_moment
-    contacts[k].side_turn = side_turn
-    contacts[k].side_spin = side_spin
+    contacts[k].normal_response = normal_response
+    contacts[k].normal_axle = normal_axle
+    contacts[k].longitudinal = longitudinal
+    contacts[k].longitudinal_moment = longitudinal_moment
+    contacts[k].longitudinal_response = longitudinal_response
+    contacts[k].longitudinal_axle = longitudinal_axle
+    contacts[k].lateral = lateral
+    contacts[k].lateral_moment = lateral_moment
+    contacts[k].lateral_response = lateral_response
+    contacts[k].lateral_axle = lateral_axle
     contacts[k].normal_mass = 1.0 / (
         body.inverse_mass
-        + wp.dot(normal_moment, normal_turn)
-        + normal_spin * normal_spin * body.inverse_spin
+        + wp.dot(normal_moment, normal_response)
+        + normal_axle * normal_axle * body.inverse_spin
         + solver.softness
     )
-    # One step for both tangents keeps the friction's direction: with two it would turn away from the slip.
+    # Both tangents take steps of the same size, so that the friction stays opposite to the slip; with a step of its own
+    # for each, it would turn toward the tangent with the larger mass.
     contacts[k].tangent_mass = 1.0 / (
         body.inverse_mass
         + wp.max(
-            wp.dot(ahead_moment, ahead_turn) + ahead_spin * ahead_spin * body.inverse_spin,
-            wp.dot(side_moment, side_turn) + side_spin * side_spin * body.inverse_spin,
+            wp.dot(longitudinal_moment, longitudinal_response)
+            + longitudinal_axle * longitudinal_axle * body.inverse_spin,
+            wp.dot(lateral_moment, lateral_response) + lateral_axle * lateral_axle * body.inverse_spin,
         )
     )
     if gap > 0.0:
         contacts[k].bias = -gap / solver.dt
     else:
-        contacts[k].bias = wp.min(-gap * solver.correction / solver.dt, solver.max_correction)
+        contacts[k].bias = wp.min(-gap * solver.error_reduction / solver.dt, solver.max_correction)
 
 
 @wp.func
-def wheels_on_ground(
-    contacts: wp.array[Contact], scene: Scene, body: Body, rover: Rover, solver: Solver, friction: float
+def collide_wheels_with_ground(
+    contacts: wp.array[Contact], scene: Scene, body: Body, model: RobotModel, solver: Solver, friction: float
 ):
-    """Two contacts for each wheel: where each edge of its tread is deepest in the ground."""
-    back = wp.transpose(body.rotation)
-    down = back * wp.vec3(0.0, 0.0, -1.0)
-    # The way down within the planes of the wheels; of a rover on its side, any will do.
+    """Finds two contacts per wheel: the deepest point of each edge of its tread.
+
+    A wheel is a cylinder; each of its two end circles is a candidate contact. Tests the circle's lowest point, the
+    points 40 degrees behind and ahead, which find steps and peaks, and the exact deepest point with respect to the
+    terrain plane of the deepest sample, ``arm = middle - r n_xz / |n_xz|``. Keeps the point with the least gap.
+    """
+    to_body = wp.transpose(body.rotation)
+    down = to_body * wp.vec3(0.0, 0.0, -1.0)
+    # Downward direction in the planes of the wheels; undefined for a rover on its side, where any direction will do.
     bottom = wp.vec3(down[0], 0.0, down[2])
     bottom = wp.where(wp.length_sq(bottom) > 1.0e-6, wp.normalize(bottom), wp.vec3(0.0, 0.0, -1.0))
-    for k in range(2 * rover.wheels):
+    for k in range(2 * model.wheels):
         wheel = k // 2
-        offset = wp.where(k % 2 == 0, rover.wheel_half_width, -rover.wheel_half_width)
-        middle = rover.hubs[wheel] - body.center + wp.vec3(0.0, offset, 0.0)
+        offset = wp.where(k % 2 == 0, model.wheel_half_width, -model.wheel_half_width)
+        middle = model.hubs[wheel] - body.center + wp.vec3(0.0, offset, 0.0)
         best_gap = float(1.0e9)
         best_arm = middle
         best_normal = wp.vec3(0.0, 0.0, 1.0)
@@ -197,22 +233,24 @@ def wheels_on_ground(
             elif n == 2:
                 direction = SAMPLE_COS * bottom - SAMPLE_SIN * wp.vec3(bottom[2], 0.0, -bottom[0])
             elif n == SAMPLES:
-                # The point of the edge that is deepest below the plane of the deepest sample.
-                towards = wp.vec3(-best_normal[0], 0.0, -best_normal[2])
-                direction = wp.where(wp.length_sq(towards) > 1.0e-6, wp.normalize(towards), bottom)
-            arm = middle + rover.wheel_radius * direction
+                # Deepest point of the circle below the terrain plane of the deepest sample.
+                inward = wp.vec3(-best_normal[0], 0.0, -best_normal[2])
+                direction = wp.where(wp.length_sq(inward) > 1.0e-6, wp.normalize(inward), bottom)
+            arm = middle + model.wheel_radius * direction
             point = body.position + body.rotation * arm
             ground = ground_at(scene, point[0], point[1])
-            gap = gap_to(ground, point[2])
+            gap = ground_gap(ground, point[2])
             if gap < best_gap:
                 best_gap = gap
                 best_arm = arm
-                best_normal = back * normal_of(ground)
+                best_normal = to_body * ground_normal(ground)
         if best_gap < solver.margin:
-            grip = best_arm - wp.vec3(0.0, (1.0 - GRIP) * offset, 0.0)
-            set_contact(contacts, k, body, rover, solver, wheel, best_arm, grip, best_normal, best_gap, friction)
+            friction_arm = best_arm - wp.vec3(0.0, (1.0 - FRICTION_POINT) * offset, 0.0)
+            prepare_contact(
+                contacts, k, body, model, solver, wheel, best_arm, friction_arm, best_normal, best_gap, friction
+            )
         else:
-            contacts[k].live = 0
+            contacts[k].active = 0
             contacts[k].impulse = wp.vec3(0.0, 0.0, 0.0)
 
 
@@ -221,7 +259,7 @@ def add_contact(
     contacts: wp.array[Contact],
     count: int,
     body: Body,
-    rover: Rover,
+    model: RobotModel,
     solver: Solver,
     key: int,
     wheel: int,
@@ -230,106 +268,142 @@ def add_contact(
     gap: float,
     friction: float,
 ) -> int:
-    """Adds a contact to the ``count`` that there are; if there is no room, in the place of the shallowest."""
-    first = 2 * rover.wheels
+    """Appends an extra contact and returns the new contact count.
+
+    If the array is full, replaces the shallowest of the extra contacts, or drops the new one if that is shallower
+    still.
+    """
+    first = 2 * model.wheels
     k = count
-    if count == first + MORE_CONTACTS:
+    if count == first + EXTRA_CONTACTS:
         k = first
         for other in range(first + 1, count):
             if contacts[other].gap > contacts[k].gap:
                 k = other
         if contacts[k].gap <= gap:
             return count
-    set_contact(contacts, k, body, rover, solver, wheel, arm, arm, normal, gap, friction)
+    prepare_contact(contacts, k, body, model, solver, wheel, arm, arm, normal, gap, friction)
     contacts[k].key = key
     contacts[k].impulse = wp.vec3(0.0, 0.0, 0.0)
     return wp.max(count, k + 1)
 
 
 @wp.func
-def chassis_on_ground(
-    contacts: wp.array[Contact], count: int, scene: Scene, body: Body, rover: Rover, solver: Solver, friction: float
+def collide_chassis_with_ground(
+    contacts: wp.array[Contact],
+    count: int,
+    scene: Scene,
+    body: Body,
+    model: RobotModel,
+    solver: Solver,
+    friction: float,
 ) -> int:
-    """Contacts of the chassis' points with the ground."""
-    back = wp.transpose(body.rotation)
-    for n in range(rover.points.shape[0]):
-        arm = rover.points[n] - body.center
+    """Adds a contact for each sample point of the chassis that is below the ground; returns the contact count."""
+    to_body = wp.transpose(body.rotation)
+    for n in range(model.chassis_points.shape[0]):
+        arm = model.chassis_points[n] - body.center
         point = body.position + body.rotation * arm
         ground = ground_at(scene, point[0], point[1])
-        gap = gap_to(ground, point[2])
+        gap = ground_gap(ground, point[2])
         if gap < 0.0:
-            normal = back * normal_of(ground)
-            count = add_contact(contacts, count, body, rover, solver, n + 1, NO_WHEEL, arm, normal, gap, friction)
+            normal = to_body * ground_normal(ground)
+            # Keys: 1 to the number of points.
+            count = add_contact(contacts, count, body, model, solver, n + 1, NO_WHEEL, arm, normal, gap, friction)
     return count
 
 
 @wp.func
-def ground_in_chassis(
-    contacts: wp.array[Contact], count: int, scene: Scene, body: Body, rover: Rover, solver: Solver, friction: float
+def collide_peaks_with_chassis(
+    contacts: wp.array[Contact],
+    count: int,
+    scene: Scene,
+    body: Body,
+    model: RobotModel,
+    solver: Solver,
+    friction: float,
 ) -> int:
-    """Contacts of the ground's peaks, which are corners of its triangles, with the boxes of the chassis."""
-    back = wp.transpose(body.rotation)
+    """Adds a contact for each grid point of the ground inside a chassis box; returns the contact count.
+
+    Complements :func:`collide_chassis_with_ground`: a narrow peak between the sample points of the chassis is a vertex
+    of the terrain. The contact normal is the box face of least penetration, among the sides and the face that looks
+    down.
+    """
+    to_body = wp.transpose(body.rotation)
     columns = scene.heights.shape[1]
+    # -1 for a rover upside down, whose roof looks down.
     upright = wp.sign(body.rotation[2, 2])
-    for box in range(rover.box_centers.shape[0]):
-        center = rover.box_centers[box] - body.center
-        half = rover.box_halves[box]
+    for box in range(model.box_centers.shape[0]):
+        center = model.box_centers[box] - body.center
+        half = model.box_halves[box]
         middle = body.position + body.rotation * center
+        # Grid points below the bounding sphere of the box.
         reach = wp.length(half)
-        left = wp.max(int(wp.ceil((middle[0] - reach - scene.corner[0]) / scene.cell)), 0)
-        right = wp.min(int(wp.floor((middle[0] + reach - scene.corner[0]) / scene.cell)), columns - 1)
-        bottom = wp.max(int(wp.ceil((middle[1] - reach - scene.corner[1]) / scene.cell)), 0)
-        top = wp.min(int(wp.floor((middle[1] + reach - scene.corner[1]) / scene.cell)), scene.heights.shape[0] - 1)
+        left = wp.max(int(wp.ceil((middle[0] - reach - scene.origin[0]) / scene.cell)), 0)
+        right = wp.min(int(wp.floor((middle[0] + reach - scene.origin[0]) / scene.cell)), columns - 1)
+        bottom = wp.max(int(wp.ceil((middle[1] - reach - scene.origin[1]) / scene.cell)), 0)
+        top = wp.min(int(wp.floor((middle[1] + reach - scene.origin[1]) / scene.cell)), scene.heights.shape[0] - 1)
         for j in range(bottom, top + 1):
             for i in range(left, right + 1):
-                x = scene.corner[0] + float(i) * scene.cell
-                y = scene.corner[1] + float(j) * scene.cell
-                peak = back * (wp.vec3(x, y, scene.heights[j, i]) - body.position)
+                x = scene.origin[0] + float(i) * scene.cell
+                y = scene.origin[1] + float(j) * scene.cell
+                peak = to_body * (wp.vec3(x, y, scene.heights[j, i]) - body.position)
                 local = peak - center
-                free_x = wp.abs(local[0]) - half[0]
-                free_y = wp.abs(local[1]) - half[1]
-                # A peak has ground below it, so that it comes in from the side that looks down.
-                free_z = -half[2] - upright * local[2]
-                gap = wp.max(free_x, wp.max(free_y, free_z))
+                gap_x = wp.abs(local[0]) - half[0]
+                gap_y = wp.abs(local[1]) - half[1]
+                # The ground is solid below a peak, which therefore enters through the face that looks down.
+                gap_z = -half[2] - upright * local[2]
+                gap = wp.max(gap_x, wp.max(gap_y, gap_z))
                 if gap < 0.0 and wp.abs(local[2]) < half[2]:
                     normal = wp.vec3(0.0, 0.0, upright)
-                    if gap == free_x:
+                    if gap == gap_x:
                         normal = wp.vec3(-wp.sign(local[0]), 0.0, 0.0)
-                    elif gap == free_y:
+                    elif gap == gap_y:
                         normal = wp.vec3(0.0, -wp.sign(local[1]), 0.0)
+                    # Keys: negative.
                     key = -1 - (j * columns + i)
                     count = add_contact(
-                        contacts, count, body, rover, solver, key, NO_WHEEL, peak, normal, gap, friction
+                        contacts, count, body, model, solver, key, NO_WHEEL, peak, normal, gap, friction
                     )
     return count
 
 
 @wp.func
-def rover_at_obstacles(
-    contacts: wp.array[Contact], count: int, scene: Scene, body: Body, rover: Rover, solver: Solver, friction: float
+def collide_with_obstacles(
+    contacts: wp.array[Contact],
+    count: int,
+    scene: Scene,
+    body: Body,
+    model: RobotModel,
+    solver: Solver,
+    friction: float,
 ) -> int:
-    """Contacts of the boxes and wheels with obstacles, one for each pair."""
-    if scene.near_columns == 0:
+    """Adds a contact for each overlapping pair of a part (box or wheel) and an obstacle; returns the contact count.
+
+    Broad phase: a uniform grid over (x, y) lists the obstacles near the rover; bounding spheres and face planes reject
+    most pairs. Narrow phase: :func:`rover_rl.sims.warp.kernels.convex.find_overlap`.
+    """
+    if scene.grid_columns == 0:
         return count
-    column = wp.clamp(int((body.position[0] - scene.near_corner[0]) / scene.near_cell), 0, scene.near_columns - 1)
-    row = wp.clamp(int((body.position[1] - scene.near_corner[1]) / scene.near_cell), 0, scene.near_rows - 1)
-    cell = row * scene.near_columns + column
-    boxes = rover.box_centers.shape[0]
-    for n in range(scene.near_starts[cell], scene.near_starts[cell + 1]):
-        obstacle = scene.near[n]
-        if is_near(scene, obstacle, body.position, rover.reach):
-            for part in range(boxes + rover.wheels):
-                middle = body.position + body.rotation * (part_center(rover, part) - body.center)
-                if is_near(scene, obstacle, middle, part_radius(rover, part)):
-                    hit = overlap(scene, rover, body.center, body.position, body.rotation, part, obstacle)
+    column = wp.clamp(int((body.position[0] - scene.grid_origin[0]) / scene.grid_cell), 0, scene.grid_columns - 1)
+    row = wp.clamp(int((body.position[1] - scene.grid_origin[1]) / scene.grid_cell), 0, scene.grid_rows - 1)
+    cell = row * scene.grid_columns + column
+    boxes = model.box_centers.shape[0]
+    for n in range(scene.grid_starts[cell], scene.grid_starts[cell + 1]):
+        obstacle = scene.grid_obstacles[n]
+        if is_near(scene, obstacle, body.position, model.bounding_radius):
+            for part in range(boxes + model.wheels):
+                middle = body.position + body.rotation * (part_center(model, part) - body.center)
+                if is_near(scene, obstacle, middle, part_radius(model, part)):
+                    hit = find_overlap(scene, model, body.center, body.position, body.rotation, part, obstacle)
                     if hit.depth > 0.0:
-                        key = 1024 + obstacle * (boxes + rover.wheels) + part
+                        # Keys: from 1024, above those of the chassis points.
+                        key = 1024 + obstacle * (boxes + model.wheels) + part
                         wheel = wp.where(part < boxes, NO_WHEEL, part - boxes)
                         count = add_contact(
                             contacts,
                             count,
                             body,
-                            rover,
+                            model,
                             solver,
                             key,
                             wheel,
@@ -342,13 +416,19 @@ def rover_at_obstacles(
 
 
 @wp.func
-def remembered(contacts: wp.array[Contact], first: int, count: int, keys: wp.array[int], impulses: wp.array[wp.vec3]):
-    """Gives contacts from ``first`` on the impulses of the substep before, by their keys."""
+def restore_impulses(
+    contacts: wp.array[Contact], first: int, count: int, keys: wp.array[int], impulses: wp.array[wp.vec3]
+):
+    """Restores the impulses of the extra contacts, from index ``first`` on, by their keys (warm start).
+
+    ``keys`` and ``impulses`` hold those of the last substep; ``keys`` is updated for the next one, with 0 for no
+    contact. Wheel contacts need no matching, as their indices are fixed.
+    """
     for k in range(first, count):
-        for n in range(MORE_CONTACTS):
+        for n in range(EXTRA_CONTACTS):
             if keys[n] == contacts[k].key:
                 contacts[k].impulse = impulses[n]
-    for n in range(MORE_CONTACTS):
+    for n in range(EXTRA_CONTACTS):
         k = first + n
         if k < count:
             keys[n] = contacts[k].key

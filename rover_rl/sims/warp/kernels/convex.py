@@ -1,30 +1,38 @@
-"""Where a part of a rover, a box or a wheel, gets into a convex obstacle.
+"""Narrow phase: penetration of a part of the rover, a box or a wheel, into a convex obstacle.
 
-By Minkowski portal refinement (G. Snethen, "XenoCollide: complex collision made simple", Game Programming Gems 7,
-2008): the direction in which the two overlap least, looked for from a point of each on the line between them. The line
-is taken across the face of the obstacle that the part is before, so that the direction found is that of least overlap
-also beside long walls.
+Method: Minkowski portal refinement (G. Snethen, "XenoCollide: Complex Collision Made Simple", Game Programming Gems 7,
+2008). Part A and obstacle B overlap where the origin lies in the Minkowski difference A - B. The algorithm casts a ray
+from a point ``v0`` inside A - B through the origin, finds a triangle of support points (the portal) that the ray passes
+through, and moves the portal outward until it lies on the surface of A - B. Its normal and distance from the origin are
+the contact normal and the penetration depth.
+
+The direction found depends on ``v0``. Here, the point of B behind ``v0`` is just inside the obstacle face nearest to
+the part, rather than the obstacle's center. The ray then crosses that face, and the result is close to the direction of
+least penetration even beside long walls.
+
+Frames: obstacles are given in the world frame; the Minkowski difference, normals and arms are in the body frame (axes
+of the base frame, origin at the center of mass). Lengths in m.
 """
 
 from __future__ import annotations
 
-from rover_rl.sims.warp.kernels.types import Rover, Scene
+from rover_rl.sims.warp.kernels.types import RobotModel, Scene
 from rover_rl.sims.warp.library import wp
 
-PORTALS = 24
-"""Portals tried at most."""
+MAX_PORTALS = 24
+"""Maximum number of iterations, of the portal's discovery and of its refinement."""
 TOLERANCE = 1.0e-4
-"""Metres to which a depth is found."""
+"""Accuracy of the penetration depth, m."""
 INSET = 0.02
-"""Depth (m) of the point within an obstacle that is looked from."""
+"""Depth of the interior point of an obstacle below its nearest face, m."""
 
 
 @wp.struct
 class Overlap:
-    """How far a part is within an obstacle.
+    """Penetration of a part into an obstacle, in the body frame.
 
-    ``depth`` (m) is negative without an overlap; ``normal`` points from the obstacle to the rover, ``arm`` from its
-    centre of mass to the contact, both in its frame.
+    ``depth`` (m) is negative without an overlap, ``normal`` points from the obstacle to the rover, and ``arm`` (m) is
+    the contact point relative to the center of mass.
     """
 
     depth: float
@@ -34,15 +42,18 @@ class Overlap:
 
 @wp.struct
 class Support:
-    """A point of the difference of two shapes, and the rover's point in it."""
+    """A support point of the Minkowski difference part - obstacle, and the part's point that it comes from (m)."""
 
     difference: wp.vec3
     arm: wp.vec3
 
 
 @wp.func
-def foremost_plane(scene: Scene, obstacle: int, point: wp.vec3) -> wp.vec4:
-    """The plane of an obstacle that a point is farthest outside of: its normal, and the distance (m)."""
+def max_separation_plane(scene: Scene, obstacle: int, point: wp.vec3) -> wp.vec4:
+    """Face plane of an obstacle with the greatest signed distance to a world point: unit normal and distance (m).
+
+    The distance is a lower bound of the true distance outside, and minus the depth inside.
+    """
     best = wp.vec4(0.0, 0.0, 1.0, -1.0e9)
     for k in range(scene.plane_starts[obstacle], scene.plane_starts[obstacle + 1]):
         plane = scene.planes[k]
@@ -54,52 +65,59 @@ def foremost_plane(scene: Scene, obstacle: int, point: wp.vec3) -> wp.vec4:
 
 @wp.func
 def is_near(scene: Scene, obstacle: int, point: wp.vec3, radius: float) -> bool:
-    """Whether an obstacle may be within ``radius`` of a point: first by the sphere around it, then by its planes."""
+    """Conservative test whether an obstacle is within ``radius`` (m) of a world point.
+
+    Tests the bounding sphere first, which is cheaper, then the face planes.
+    """
     sphere = scene.spheres[obstacle]
     reach = sphere[3] + radius
     if wp.length_sq(wp.vec3(sphere[0], sphere[1], sphere[2]) - point) > reach * reach:
         return False
-    return foremost_plane(scene, obstacle, point)[3] < radius
+    return max_separation_plane(scene, obstacle, point)[3] < radius
 
 
 @wp.func
-def part_center(rover: Rover, part: int) -> wp.vec3:
-    """Middle of a part in the base frame: boxes of the chassis come first, then wheels."""
-    boxes = rover.box_centers.shape[0]
+def part_center(model: RobotModel, part: int) -> wp.vec3:
+    """Center of a part in the base frame. Parts are numbered with the chassis boxes first, then the wheels."""
+    boxes = model.box_centers.shape[0]
     if part < boxes:
-        return rover.box_centers[part]
-    return rover.hubs[part - boxes]
+        return model.box_centers[part]
+    return model.hubs[part - boxes]
 
 
 @wp.func
-def part_radius(rover: Rover, part: int) -> float:
-    """Radius (m) of the sphere around a part."""
-    if part < rover.box_centers.shape[0]:
-        return wp.length(rover.box_halves[part])
-    return wp.sqrt(rover.wheel_radius * rover.wheel_radius + rover.wheel_half_width * rover.wheel_half_width)
+def part_radius(model: RobotModel, part: int) -> float:
+    """Radius of the bounding sphere of a part, m."""
+    if part < model.box_centers.shape[0]:
+        return wp.length(model.box_halves[part])
+    return wp.sqrt(model.wheel_radius * model.wheel_radius + model.wheel_half_width * model.wheel_half_width)
 
 
 @wp.func
-def part_support(rover: Rover, part: int, direction: wp.vec3) -> wp.vec3:
-    """The point of a part that is farthest in ``direction``, in the base frame."""
-    boxes = rover.box_centers.shape[0]
+def part_support(model: RobotModel, part: int, direction: wp.vec3) -> wp.vec3:
+    """Support point of a part, the point farthest along ``direction``, in the base frame.
+
+    A box has its support point at a corner. A wheel is a cylinder about y and has it on the rim of an end face:
+    ``hub + (r d_x / |d_xz|, sign(d_y) w / 2, r d_z / |d_xz|)`` with radius r and width w.
+    """
+    boxes = model.box_centers.shape[0]
     if part < boxes:
-        half = rover.box_halves[part]
-        return rover.box_centers[part] + wp.vec3(
+        half = model.box_halves[part]
+        return model.box_centers[part] + wp.vec3(
             wp.where(direction[0] < 0.0, -half[0], half[0]),
             wp.where(direction[1] < 0.0, -half[1], half[1]),
             wp.where(direction[2] < 0.0, -half[2], half[2]),
         )
-    across = wp.sqrt(direction[0] * direction[0] + direction[2] * direction[2])
-    scale = rover.wheel_radius / wp.max(across, 1.0e-9)
-    width = wp.where(direction[1] < 0.0, -rover.wheel_half_width, rover.wheel_half_width)
-    return rover.hubs[part - boxes] + wp.vec3(direction[0] * scale, width, direction[2] * scale)
+    radial = wp.sqrt(direction[0] * direction[0] + direction[2] * direction[2])
+    scale = model.wheel_radius / wp.max(radial, 1.0e-9)
+    width = wp.where(direction[1] < 0.0, -model.wheel_half_width, model.wheel_half_width)
+    return model.hubs[part - boxes] + wp.vec3(direction[0] * scale, width, direction[2] * scale)
 
 
 @wp.func
 def support(
     scene: Scene,
-    rover: Rover,
+    model: RobotModel,
     center: wp.vec3,
     position: wp.vec3,
     rotation: wp.mat33,
@@ -107,16 +125,20 @@ def support(
     obstacle: int,
     direction: wp.vec3,
 ) -> Support:
-    """The point of part minus obstacle that is farthest in ``direction``, in the rover's frame."""
+    """Support point of the Minkowski difference part - obstacle along ``direction``, in the body frame.
+
+    ``s_(A - B)(d) = s_A(d) - s_B(-d)``: the part's farthest point minus the obstacle's farthest point the other way.
+    The obstacle's vertices are compared in the world frame, and only the one chosen is transformed.
+    """
     point = Support()
-    point.arm = part_support(rover, part, direction) - center
-    back = rotation * direction
+    point.arm = part_support(model, part, direction) - center
+    world_direction = rotation * direction
     start = scene.vertex_starts[obstacle]
     best = scene.vertices[start]
-    least = wp.dot(best, back)
+    least = wp.dot(best, world_direction)
     for k in range(start + 1, scene.vertex_starts[obstacle + 1]):
         vertex = scene.vertices[k]
-        value = wp.dot(vertex, back)
+        value = wp.dot(vertex, world_direction)
         if value < least:
             least = value
             best = vertex
@@ -125,98 +147,122 @@ def support(
 
 
 @wp.func
-def point_within(scene: Scene, obstacle: int, point: wp.vec3) -> wp.vec3:
-    """A point inside of an obstacle near ``point``."""
+def interior_point(scene: Scene, obstacle: int, point: wp.vec3) -> wp.vec3:
+    """A point inside an obstacle close to ``point``, in the world frame.
+
+    Projects the point to ``INSET`` below the face it is farthest outside of, and repeats for obstacles with edges.
+    """
     for _ in range(6):
-        plane = foremost_plane(scene, obstacle, point)
+        plane = max_separation_plane(scene, obstacle, point)
         if plane[3] > -0.5 * INSET:
             point = point - (plane[3] + INSET) * wp.vec3(plane[0], plane[1], plane[2])
     return point
 
 
 @wp.func
-def overlap(
-    scene: Scene, rover: Rover, center: wp.vec3, position: wp.vec3, rotation: wp.mat33, part: int, obstacle: int
+def find_overlap(
+    scene: Scene, model: RobotModel, center: wp.vec3, position: wp.vec3, rotation: wp.mat33, part: int, obstacle: int
 ) -> Overlap:
-    """How far ``part`` of the rover at ``position`` (of its centre of mass) is within ``obstacle``."""
+    """Penetration of a part into an obstacle by Minkowski portal refinement.
+
+    Args:
+        scene: world of the obstacle.
+        model: model of the robot.
+        center: center of mass in the base frame, m.
+        position: center of mass in the world frame, m.
+        rotation: rotation from the body to the world frame.
+        part: index of the part, see :func:`part_center`.
+        obstacle: index of the obstacle.
+    """
     result = Overlap()
     result.depth = -1.0
-    middle = part_center(rover, part) - center
-    away = position + rotation * middle
-    inner = point_within(scene, obstacle, away)
-    v0 = wp.transpose(rotation) * (away - inner)
+    # v0: a point inside part - obstacle, where the ray to the origin begins.
+    part_arm = part_center(model, part) - center
+    part_position = position + rotation * part_arm
+    inner = interior_point(scene, obstacle, part_position)
+    v0 = wp.transpose(rotation) * (part_position - inner)
     if wp.length_sq(v0) < 1.0e-8:
-        plane = foremost_plane(scene, obstacle, away)
+        # The part's center is the interior point itself: leave through the nearest face.
+        plane = max_separation_plane(scene, obstacle, part_position)
         v0 = wp.transpose(rotation) * wp.vec3(plane[0], plane[1], plane[2]) * 1.0e-3
 
-    one = support(scene, rover, center, position, rotation, part, obstacle, -v0)
-    if wp.dot(one.difference, v0) >= 0.0:
+    # First support point, toward the origin. A support point that does not pass the origin separates the two shapes.
+    v1 = support(scene, model, center, position, rotation, part, obstacle, -v0)
+    if wp.dot(v1.difference, v0) >= 0.0:
         return result
-    n = wp.cross(one.difference, v0)
+    n = wp.cross(v1.difference, v0)
     if wp.length_sq(n) < 1.0e-12:
-        # The nearest point is straight ahead.
+        # v0, the origin and v1 are collinear: the surface point is v1.
         n = wp.normalize(-v0)
-        result.depth = wp.dot(one.difference, n)
+        result.depth = wp.dot(v1.difference, n)
         result.normal = -n
-        result.arm = one.arm
+        result.arm = v1.arm
         return result
-    two = support(scene, rover, center, position, rotation, part, obstacle, n)
-    if wp.dot(two.difference, n) <= 0.0:
+    # Second support point, perpendicular to the plane of v0, v1 and the origin.
+    v2 = support(scene, model, center, position, rotation, part, obstacle, n)
+    if wp.dot(v2.difference, n) <= 0.0:
         return result
-    n = wp.cross(one.difference - v0, two.difference - v0)
+    # Orient the portal so that its normal points away from v0.
+    n = wp.cross(v1.difference - v0, v2.difference - v0)
     if wp.dot(n, v0) > 0.0:
-        swap = one
-        one = two
-        two = swap
+        swap = v1
+        v1 = v2
+        v2 = swap
         n = -n
 
-    # A triangle that the ray from v0 through the origin goes through.
-    three = support(scene, rover, center, position, rotation, part, obstacle, n)
-    found = int(0)
-    for _ in range(PORTALS):
-        if found == 0:
-            if wp.dot(three.difference, n) <= 0.0:
+    # Portal discovery: find a triangle (v1, v2, v3) that the ray from v0 through the origin passes through.
+    v3 = support(scene, model, center, position, rotation, part, obstacle, n)
+    # 0: no portal yet, 1: a portal, 2: a portal on the surface.
+    stage = int(0)
+    for _ in range(MAX_PORTALS):
+        if stage == 0:
+            if wp.dot(v3.difference, n) <= 0.0:
                 return result
-            if wp.dot(wp.cross(one.difference, three.difference), v0) < 0.0:
-                two = three
-                n = wp.cross(one.difference - v0, three.difference - v0)
-                three = support(scene, rover, center, position, rotation, part, obstacle, n)
-            elif wp.dot(wp.cross(three.difference, two.difference), v0) < 0.0:
-                one = three
-                n = wp.cross(three.difference - v0, two.difference - v0)
-                three = support(scene, rover, center, position, rotation, part, obstacle, n)
+            if wp.dot(wp.cross(v1.difference, v3.difference), v0) < 0.0:
+                # The origin is outside the plane (v0, v1, v3): drop v2.
+                v2 = v3
+                n = wp.cross(v1.difference - v0, v3.difference - v0)
+                v3 = support(scene, model, center, position, rotation, part, obstacle, n)
+            elif wp.dot(wp.cross(v3.difference, v2.difference), v0) < 0.0:
+                # The origin is outside the plane (v0, v3, v2): drop v1.
+                v1 = v3
+                n = wp.cross(v3.difference - v0, v2.difference - v0)
+                v3 = support(scene, model, center, position, rotation, part, obstacle, n)
             else:
-                found = 1
-    if found == 0:
+                stage = 1
+    if stage == 0:
         return result
 
-    # The triangle is moved outwards until it lies on the surface.
-    for _ in range(PORTALS):
-        if found == 1:
-            n = wp.normalize(wp.cross(two.difference - one.difference, three.difference - one.difference))
-            four = support(scene, rover, center, position, rotation, part, obstacle, n)
-            beyond = wp.dot(four.difference, n)
+    # Portal refinement: move the triangle outward until it lies on the surface of the Minkowski difference.
+    for _ in range(MAX_PORTALS):
+        if stage == 1:
+            n = wp.normalize(wp.cross(v2.difference - v1.difference, v3.difference - v1.difference))
+            v4 = support(scene, model, center, position, rotation, part, obstacle, n)
+            beyond = wp.dot(v4.difference, n)
             if beyond <= 0.0:
+                # The support plane separates the origin from A - B: no overlap.
                 return result
-            if beyond - wp.dot(three.difference, n) <= TOLERANCE:
-                found = 2
+            if beyond - wp.dot(v3.difference, n) <= TOLERANCE:
+                stage = 2
             else:
-                side = wp.cross(four.difference, v0)
-                if wp.dot(one.difference, side) > 0.0:
-                    if wp.dot(two.difference, side) > 0.0:
-                        one = four
+                # The plane through v0, v4 and the origin tells which of the three new triangles the ray passes.
+                side = wp.cross(v4.difference, v0)
+                if wp.dot(v1.difference, side) > 0.0:
+                    if wp.dot(v2.difference, side) > 0.0:
+                        v1 = v4
                     else:
-                        three = four
-                elif wp.dot(three.difference, side) > 0.0:
-                    two = four
+                        v3 = v4
+                elif wp.dot(v3.difference, side) > 0.0:
+                    v2 = v4
                 else:
-                    one = four
-    result.depth = wp.dot(one.difference, n)
+                    v1 = v4
+    result.depth = wp.dot(v1.difference, n)
     result.normal = -n
-    # The contact is where the origin lies on the triangle.
-    a = wp.max(wp.dot(wp.cross(two.difference, three.difference), n), 0.0)
-    b = wp.max(wp.dot(wp.cross(three.difference, one.difference), n), 0.0)
-    c = wp.max(wp.dot(wp.cross(one.difference, two.difference), n), 0.0)
+    # Contact point: the origin projected on the portal has barycentric coordinates a, b, c; the same combination of the
+    # part's support points is the contact on the part.
+    a = wp.max(wp.dot(wp.cross(v2.difference, v3.difference), n), 0.0)
+    b = wp.max(wp.dot(wp.cross(v3.difference, v1.difference), n), 0.0)
+    c = wp.max(wp.dot(wp.cross(v1.difference, v2.difference), n), 0.0)
     total = wp.max(a + b + c, 1.0e-12)
-    result.arm = (a * one.arm + b * two.arm + c * three.arm) / total
+    result.arm = (a * v1.arm + b * v2.arm + c * v3.arm) / total
     return result

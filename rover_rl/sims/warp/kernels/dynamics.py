@@ -1,162 +1,211 @@
-"""The rover's motion: one body with spinning wheels, driven by motors and held by contacts.
+"""Rigid-body dynamics of a rover: constraint solver and time integration.
 
-Impulses are found by projected Gauss-Seidel, from those of the substep before (E. Catto, "Iterative dynamics with
-temporal coherence", GDC 2005). Wheels turn about their axles and have their centre of mass there, so that the inertia
-of the whole does not depend on how far they have turned; motors and contacts couple their spins to the body.
+A rover is one rigid body with spinning wheels. The wheels are fixed to the chassis but for their rotation about the
+axles, and have their centers of mass there: the inertia of the whole does not depend on the wheels' angles, and motors
+and contacts are all that couples a wheel's spin to the body.
+
+State (world frame unless stated otherwise): position of the center of mass (m), orientation quaternion (x, y, z, w),
+velocity v (m/s), angular velocity w (rad/s), and the absolute spin rate s of each wheel about its axle (rad/s). The
+solver works on v and w in the body frame, see :mod:`rover_rl.sims.warp.kernels.contacts` for the constraint rows.
+
+A substep of duration h:
+
+    1. Unconstrained velocity: ``v += h g``, ``w -= h I^-1 (w x (I w + e_y J sum(s)))`` (gyroscopic term, explicit).
+    2. Collision detection, and preparation of the constraint rows.
+    3. Warm start: apply the accumulated impulses of the last substep.
+    4. Solver: sequential impulses, that is projected Gauss-Seidel on accumulated impulses with warm starting (E. Catto,
+       "Iterative Dynamics with Temporal Coherence", GDC 2005). Each iteration passes over the normals, the friction and
+       the motors.
+    5. Integration: ``x += h v``, ``q += h/2 (w, 0) q``, normalized, with the new velocities (semi-implicit Euler).
+
+Contacts are compliant: an implicit spring-damper with stiffness k and damping d, expressed by
+``ERP = h k / (h k + d)`` and ``softness = 1 / (h (h k + d))`` (R. Smith, Open Dynamics Engine user guide, on ERP and
+CFM). It makes the load on four wheels well defined.
 """
 
 from __future__ import annotations
 
 from rover_rl.sims.warp.kernels.contacts import (
+    EXTRA_CONTACTS,
     MAX_CONTACTS,
-    MORE_CONTACTS,
     NO_WHEEL,
     Body,
     Contact,
-    chassis_on_ground,
-    ground_in_chassis,
-    remembered,
-    rover_at_obstacles,
-    wheels_on_ground,
+    collide_chassis_with_ground,
+    collide_peaks_with_chassis,
+    collide_wheels_with_ground,
+    collide_with_obstacles,
+    restore_impulses,
 )
-from rover_rl.sims.warp.kernels.types import MAX_WHEELS, Rover, Rovers, Scene, Solver
+from rover_rl.sims.warp.kernels.types import MAX_WHEELS, RobotModel, RoverArrays, Scene, Solver
 from rover_rl.sims.warp.library import wp
 
 GRAVITY = 9.81
+"""Gravitational acceleration, m/s^2."""
 
 
 @wp.struct
 class Motion:
-    """Velocity of the centre of mass and angular velocity, in the rover's frame: all that impulses change of a body."""
+    """Velocity of the center of mass (m/s) and angular velocity (rad/s), in the body frame, while the solver runs."""
 
     velocity: wp.vec3
     angular: wp.vec3
 
 
 @wp.func
-def push(
+def apply_impulse(
     motion: Motion,
-    spins: wp.array[float],
+    wheel_spins: wp.array[float],
     contacts: wp.array[Contact],
     k: int,
     impulse: wp.vec3,
     inverse_mass: float,
     inverse_spin: float,
 ) -> Motion:
-    """The motion after an impulse at contact ``k``; the wheel's spin is changed in place."""
+    """Applies an impulse (normal, longitudinal, lateral; N s) at contact ``k``: ``u += M^-1 J^T p``.
+
+    Returns the new motion of the body; the wheel's spin is changed in place.
+    """
     motion.velocity += inverse_mass * (
-        impulse[0] * contacts[k].normal + impulse[1] * contacts[k].ahead + impulse[2] * contacts[k].side
+        impulse[0] * contacts[k].normal + impulse[1] * contacts[k].longitudinal + impulse[2] * contacts[k].lateral
     )
     motion.angular += (
-        impulse[0] * contacts[k].normal_turn + impulse[1] * contacts[k].ahead_turn + impulse[2] * contacts[k].side_turn
+        impulse[0] * contacts[k].normal_response
+        + impulse[1] * contacts[k].longitudinal_response
+        + impulse[2] * contacts[k].lateral_response
     )
     wheel = contacts[k].wheel
     if wheel != NO_WHEEL:
-        spins[wheel] += inverse_spin * (
-            impulse[0] * contacts[k].normal_spin
-            + impulse[1] * contacts[k].ahead_spin
-            + impulse[2] * contacts[k].side_spin
+        wheel_spins[wheel] += inverse_spin * (
+            impulse[0] * contacts[k].normal_axle
+            + impulse[1] * contacts[k].longitudinal_axle
+            + impulse[2] * contacts[k].lateral_axle
         )
     return motion
 
 
 @wp.func
-def speed_along(motion: Motion, spin: float, direction: wp.vec3, moment: wp.vec3, contact_spin: float) -> float:
-    """Speed (m/s) of a contact's point of the rover along a direction."""
-    return wp.dot(direction, motion.velocity) + wp.dot(moment, motion.angular) + contact_spin * spin
+def row_speed(motion: Motion, spin: float, direction: wp.vec3, moment: wp.vec3, axle: float) -> float:
+    """Speed of the rover's contact point along a direction, m/s: the Jacobian row times the velocity, ``J u``."""
+    return wp.dot(direction, motion.velocity) + wp.dot(moment, motion.angular) + axle * spin
 
 
 @wp.func
-def drive_motors(
+def solve_motors(
     motion: Motion,
-    spins: wp.array[float],
+    wheel_spins: wp.array[float],
     motors: wp.array[float],
-    rover: Rover,
-    turn: wp.vec3,
+    model: RobotModel,
+    axle_response: wp.vec3,
     inverse_spin: float,
-    speeds: wp.vec2,
-    most: float,
+    target_speeds: wp.vec2,
+    max_impulse: float,
 ) -> Motion:
-    """One pass over the motors: each holds its wheel's speed against the chassis with at most the impulse ``most``.
+    """One Gauss-Seidel pass over the motors: velocity control with a torque limit.
 
-    ``turn`` is the angular velocity that a unit of moment about the axles gives the body.
+    A motor turns its wheel against the chassis. Its row is ``s - w_y = target``, with effective mass
+    ``1 / (1/J + (I^-1)_yy)``; the accumulated impulse is clamped to +- ``max_impulse``, the torque limit times dt.
+
+    Args:
+        motion: motion of the body.
+        wheel_spins: absolute spin rates of the wheels, rad/s; changed in place.
+        motors: accumulated angular impulses of the motors, N m s; changed in place.
+        model: model of the robot.
+        axle_response: change of the angular velocity per unit of angular impulse about e_y, the column ``I^-1 e_y``.
+        inverse_spin: inverse of a wheel's inertia about its axle, 1 / (kg m^2).
+        target_speeds: target speeds of the left and right wheels relative to the chassis, rad/s.
+        max_impulse: limit of the accumulated impulses, N m s.
     """
-    mass = 1.0 / (inverse_spin + turn[1])
-    for wheel in range(rover.wheels):
-        speed = wp.where(wheel < rover.left_wheels, speeds[0], speeds[1])
+    mass = 1.0 / (inverse_spin + axle_response[1])
+    for wheel in range(model.wheels):
+        target = wp.where(wheel < model.left_wheels, target_speeds[0], target_speeds[1])
         before = motors[wheel]
-        after = wp.clamp(before + mass * (speed - (spins[wheel] - motion.angular[1])), -most, most)
+        after = wp.clamp(before + mass * (target - (wheel_spins[wheel] - motion.angular[1])), -max_impulse, max_impulse)
         motors[wheel] = after
-        spins[wheel] += inverse_spin * (after - before)
-        motion.angular -= (after - before) * turn
+        # Equal and opposite: the wheel gains what the body loses.
+        wheel_spins[wheel] += inverse_spin * (after - before)
+        motion.angular -= (after - before) * axle_response
     return motion
 
 
 @wp.func
-def hold_contacts(
+def solve_contacts(
     motion: Motion,
-    spins: wp.array[float],
+    wheel_spins: wp.array[float],
     contacts: wp.array[Contact],
     count: int,
     softness: float,
     inverse_mass: float,
     inverse_spin: float,
 ) -> Motion:
-    """One pass over the contacts: none is approached, and friction is within its cone."""
+    """One Gauss-Seidel pass over the contacts: all normals first, then all friction.
+
+    Normal row (no penetration, compliant): ``p_n <- max(p_n + m_n (bias - J_n u - softness p_n), 0)``.
+
+    Friction rows (Coulomb, isotropic): the tangential impulse that would stop the slip,
+    ``p_t <- p_t - m_t (J_lon u, J_lat u)``, is scaled back to the circle ``|p_t| <= mu p_n`` of the friction cone.
+    """
     for k in range(count):
-        if contacts[k].live == 1:
+        if contacts[k].active == 1:
             wheel = contacts[k].wheel
             spin = float(0.0)
             if wheel != NO_WHEEL:
-                spin = spins[wheel]
-            speed = speed_along(motion, spin, contacts[k].normal, contacts[k].normal_moment, contacts[k].normal_spin)
+                spin = wheel_spins[wheel]
+            speed = row_speed(motion, spin, contacts[k].normal, contacts[k].normal_moment, contacts[k].normal_axle)
             before = contacts[k].impulse
-            lack = contacts[k].bias - speed - softness * before[0]
-            after = wp.max(before[0] + contacts[k].normal_mass * lack, 0.0)
+            error = contacts[k].bias - speed - softness * before[0]
+            after = wp.max(before[0] + contacts[k].normal_mass * error, 0.0)
             contacts[k].impulse = wp.vec3(after, before[1], before[2])
-            more = after - before[0]
-            motion.velocity += (inverse_mass * more) * contacts[k].normal
-            motion.angular += more * contacts[k].normal_turn
+            change = after - before[0]
+            motion.velocity += (inverse_mass * change) * contacts[k].normal
+            motion.angular += change * contacts[k].normal_response
             if wheel != NO_WHEEL:
-                spins[wheel] += inverse_spin * more * contacts[k].normal_spin
+                wheel_spins[wheel] += inverse_spin * change * contacts[k].normal_axle
     for k in range(count):
-        if contacts[k].live == 1:
+        if contacts[k].active == 1:
             spin = float(0.0)
             if contacts[k].wheel != NO_WHEEL:
-                spin = spins[contacts[k].wheel]
+                spin = wheel_spins[contacts[k].wheel]
             before = contacts[k].impulse
             mass = contacts[k].tangent_mass
-            ahead = before[1] - mass * speed_along(
-                motion, spin, contacts[k].ahead, contacts[k].ahead_moment, contacts[k].ahead_spin
+            longitudinal = before[1] - mass * row_speed(
+                motion, spin, contacts[k].longitudinal, contacts[k].longitudinal_moment, contacts[k].longitudinal_axle
             )
-            side = before[2] - mass * speed_along(
-                motion, spin, contacts[k].side, contacts[k].side_moment, contacts[k].side_spin
+            lateral = before[2] - mass * row_speed(
+                motion, spin, contacts[k].lateral, contacts[k].lateral_moment, contacts[k].lateral_axle
             )
-            most = contacts[k].friction * before[0]
-            scale = wp.min(1.0, most / wp.max(wp.sqrt(ahead * ahead + side * side), 1.0e-12))
-            contacts[k].impulse = wp.vec3(before[0], ahead * scale, side * scale)
-            aside = wp.vec3(0.0, ahead * scale - before[1], side * scale - before[2])
-            motion = push(motion, spins, contacts, k, aside, inverse_mass, inverse_spin)
+            max_friction = contacts[k].friction * before[0]
+            scale = wp.min(
+                1.0, max_friction / wp.max(wp.sqrt(longitudinal * longitudinal + lateral * lateral), 1.0e-12)
+            )
+            contacts[k].impulse = wp.vec3(before[0], longitudinal * scale, lateral * scale)
+            tangential = wp.vec3(0.0, longitudinal * scale - before[1], lateral * scale - before[2])
+            motion = apply_impulse(motion, wheel_spins, contacts, k, tangential, inverse_mass, inverse_spin)
     return motion
 
 
 @wp.kernel
-def step_dynamics(scene: Scene, rover: Rover, solver: Solver, rovers: Rovers, first: int):
-    """One control step of the rovers from ``first`` on; those that are not active stay as they are."""
+def step_dynamics(scene: Scene, model: RobotModel, solver: Solver, rovers: RoverArrays, first: int):
+    """One control step of ``solver.substeps`` substeps; thread ``t`` simulates rover ``first + t``.
+
+    Inactive rovers keep their state. The impulses of the wheel contacts and motors are stored for the warm start of the
+    next control step; those of the extra contacts start from zero.
+    """
     row = first + wp.tid()
     if not rovers.active[row]:
         return
-    wheels = rover.wheels
-    own = 2 * wheels
+    wheels = model.wheels
+    wheel_contacts = 2 * wheels
+    # Working memory of the thread.
     contacts = wp.zeros(shape=(MAX_CONTACTS,), dtype=Contact)
-    keys = wp.zeros(shape=(MORE_CONTACTS,), dtype=int)
-    impulses = wp.zeros(shape=(MORE_CONTACTS,), dtype=wp.vec3)
-    spins = wp.zeros(shape=(MAX_WHEELS,), dtype=float)
+    keys = wp.zeros(shape=(EXTRA_CONTACTS,), dtype=int)
+    impulses = wp.zeros(shape=(EXTRA_CONTACTS,), dtype=wp.vec3)
+    wheel_spins = wp.zeros(shape=(MAX_WHEELS,), dtype=float)
     motors = wp.zeros(shape=(MAX_WHEELS,), dtype=float)
     for wheel in range(wheels):
-        spins[wheel] = rovers.spins[row, wheel]
-        motors[wheel] = rovers.impulses[row, 3 * own + wheel]
-    for k in range(own):
+        wheel_spins[wheel] = rovers.wheel_spins[row, wheel]
+        motors[wheel] = rovers.impulses[row, 3 * wheel_contacts + wheel]
+    for k in range(wheel_contacts):
         contacts[k].impulse = wp.vec3(
             rovers.impulses[row, 3 * k], rovers.impulses[row, 3 * k + 1], rovers.impulses[row, 3 * k + 2]
         )
@@ -166,97 +215,119 @@ def step_dynamics(scene: Scene, rover: Rover, solver: Solver, rovers: Rovers, fi
     body.position = rovers.position[row]
     body.inverse_mass = 1.0 / rovers.mass[row]
     body.inverse_inertia = rovers.inverse_inertia[row]
-    body.inverse_spin = 1.0 / rover.wheel_inertia
+    body.inverse_spin = 1.0 / model.wheel_inertia
     inertia = rovers.inertia[row]
     orientation = rovers.orientation[row]
     velocity = rovers.velocity[row]
     angular_velocity = rovers.angular_velocity[row]
-    speeds = rovers.speeds[row]
-    grip = rovers.grip[row]
-    most = rovers.torque[row] * solver.dt
+    target_speeds = rovers.target_speeds[row]
+    friction_scale = rovers.friction_scale[row]
+    max_impulse = rovers.motor_torque[row] * solver.dt
     dt = solver.dt
 
     for _ in range(solver.substeps):
+        # 1. Unconstrained velocity, in the body frame: gravity and the gyroscopic term.
         body.rotation = wp.quat_to_matrix(orientation)
-        back = wp.transpose(body.rotation)
-        body.velocity = back * (velocity + wp.vec3(0.0, 0.0, -GRAVITY * dt))
-        body.angular_velocity = back * angular_velocity
-        spinning = float(0.0)
+        to_body = wp.transpose(body.rotation)
+        body.velocity = to_body * (velocity + wp.vec3(0.0, 0.0, -GRAVITY * dt))
+        body.angular_velocity = to_body * angular_velocity
+        total_spin = float(0.0)
         for wheel in range(wheels):
-            spinning += spins[wheel]
-        momentum = inertia * body.angular_velocity + wp.vec3(0.0, rover.wheel_inertia * spinning, 0.0)
+            total_spin += wheel_spins[wheel]
+        momentum = inertia * body.angular_velocity + wp.vec3(0.0, model.wheel_inertia * total_spin, 0.0)
         body.angular_velocity -= dt * (body.inverse_inertia * wp.cross(body.angular_velocity, momentum))
 
-        wheels_on_ground(contacts, scene, body, rover, solver, grip * solver.ground_friction)
-        count = own
-        count = chassis_on_ground(contacts, count, scene, body, rover, solver, grip * solver.ground_friction)
-        count = ground_in_chassis(contacts, count, scene, body, rover, solver, grip * solver.ground_friction)
-        count = rover_at_obstacles(contacts, count, scene, body, rover, solver, grip * solver.obstacle_friction)
-        remembered(contacts, own, count, keys, impulses)
+        # 2. Collision detection and constraint rows.
+        collide_wheels_with_ground(contacts, scene, body, model, solver, friction_scale * solver.ground_friction)
+        count = wheel_contacts
+        count = collide_chassis_with_ground(
+            contacts, count, scene, body, model, solver, friction_scale * solver.ground_friction
+        )
+        count = collide_peaks_with_chassis(
+            contacts, count, scene, body, model, solver, friction_scale * solver.ground_friction
+        )
+        count = collide_with_obstacles(
+            contacts, count, scene, body, model, solver, friction_scale * solver.obstacle_friction
+        )
+        restore_impulses(contacts, wheel_contacts, count, keys, impulses)
 
+        # 3. Warm start: few iterations suffice, since the impulses of the last substep are close to the solution.
         motion = Motion()
         motion.velocity = body.velocity
         motion.angular = body.angular_velocity
-        # What held before is a good guess.
-        turn = wp.vec3(body.inverse_inertia[0, 1], body.inverse_inertia[1, 1], body.inverse_inertia[2, 1])
+        axle_response = wp.vec3(body.inverse_inertia[0, 1], body.inverse_inertia[1, 1], body.inverse_inertia[2, 1])
         for wheel in range(wheels):
-            spins[wheel] += body.inverse_spin * motors[wheel]
-            motion.angular -= motors[wheel] * turn
+            wheel_spins[wheel] += body.inverse_spin * motors[wheel]
+            motion.angular -= motors[wheel] * axle_response
         for k in range(count):
-            if contacts[k].live == 1:
-                motion = push(motion, spins, contacts, k, contacts[k].impulse, body.inverse_mass, body.inverse_spin)
-        for _pass in range(solver.iterations):
-            motion = hold_contacts(
-                motion, spins, contacts, count, solver.softness, body.inverse_mass, body.inverse_spin
-            )
-            motion = drive_motors(motion, spins, motors, rover, turn, body.inverse_spin, speeds, most)
-        for n in range(MORE_CONTACTS):
-            impulses[n] = contacts[own + n].impulse
+            if contacts[k].active == 1:
+                motion = apply_impulse(
+                    motion, wheel_spins, contacts, k, contacts[k].impulse, body.inverse_mass, body.inverse_spin
+                )
 
+        # 4. Solver iterations.
+        for _iteration in range(solver.iterations):
+            motion = solve_contacts(
+                motion, wheel_spins, contacts, count, solver.softness, body.inverse_mass, body.inverse_spin
+            )
+            motion = solve_motors(
+                motion, wheel_spins, motors, model, axle_response, body.inverse_spin, target_speeds, max_impulse
+            )
+        for n in range(EXTRA_CONTACTS):
+            impulses[n] = contacts[wheel_contacts + n].impulse
+
+        # 5. Integration, in the world frame.
         velocity = body.rotation * motion.velocity
         angular_velocity = body.rotation * motion.angular
         body.position = body.position + dt * velocity
-        spin = wp.quat(angular_velocity[0], angular_velocity[1], angular_velocity[2], 0.0)
-        orientation = wp.normalize(orientation + (0.5 * dt) * (spin * orientation))
+        rate = wp.quat(angular_velocity[0], angular_velocity[1], angular_velocity[2], 0.0)
+        orientation = wp.normalize(orientation + (0.5 * dt) * (rate * orientation))
 
     rovers.position[row] = body.position
     rovers.orientation[row] = orientation
     rovers.velocity[row] = velocity
     rovers.angular_velocity[row] = angular_velocity
     for wheel in range(wheels):
-        rovers.spins[row, wheel] = spins[wheel]
-        rovers.impulses[row, 3 * own + wheel] = motors[wheel]
-    for k in range(own):
+        rovers.wheel_spins[row, wheel] = wheel_spins[wheel]
+        rovers.impulses[row, 3 * wheel_contacts + wheel] = motors[wheel]
+    for k in range(wheel_contacts):
         for n in range(3):
             rovers.impulses[row, 3 * k + n] = contacts[k].impulse[n]
-    tell(rover, rovers, row)
+    write_base_state(model, rovers, row)
 
 
 @wp.func
-def tell(rover: Rover, rovers: Rovers, row: int):
-    """Writes what the task is told of a rover: base frame, and mean speeds of the left and the right wheels."""
+def write_base_state(model: RobotModel, rovers: RoverArrays, row: int):
+    """Writes the output of a rover: pose of the base frame, and mean speeds of the left and the right wheels.
+
+    The base frame is at ``x - R c``, with the center of mass c in the base frame. Wheel speeds are those that encoders
+    measure, relative to the chassis: ``s - w_y`` with w in the body frame.
+    """
     orientation = rovers.orientation[row]
     base = rovers.position[row] - wp.quat_rotate(orientation, rovers.center[row])
-    pitching = wp.quat_rotate_inv(orientation, rovers.angular_velocity[row])[1]
+    pitch_rate = wp.quat_rotate_inv(orientation, rovers.angular_velocity[row])[1]
     left = float(0.0)
     right = float(0.0)
-    for wheel in range(rover.wheels):
-        speed = rovers.spins[row, wheel] - pitching
-        if wheel < rover.left_wheels:
+    for wheel in range(model.wheels):
+        speed = rovers.wheel_spins[row, wheel] - pitch_rate
+        if wheel < model.left_wheels:
             left += speed
         else:
             right += speed
     for n in range(3):
-        rovers.body[row, n] = base[n]
+        rovers.base_state[row, n] = base[n]
     for n in range(4):
-        rovers.body[row, 3 + n] = orientation[n]
-    rovers.body[row, 7] = left / float(rover.left_wheels)
-    rovers.body[row, 8] = right / float(rover.wheels - rover.left_wheels)
+        rovers.base_state[row, 3 + n] = orientation[n]
+    rovers.base_state[row, 7] = left / float(model.left_wheels)
+    rovers.base_state[row, 8] = right / float(model.wheels - model.left_wheels)
 
 
 @wp.kernel
-def place(rover: Rover, rovers: Rovers, poses: wp.array2d[float]):
-    """Puts the active rovers at rest at poses of their base frames: position, then quaternion (x, y, z, w)."""
+def place(model: RobotModel, rovers: RoverArrays, poses: wp.array2d[float]):
+    """Places the active rovers at rest, with no stored impulses; thread ``t`` places rover ``t``.
+
+    ``poses`` are those of the base frames: position (m) and quaternion (x, y, z, w), ``[N, 7]``.
+    """
     row = wp.tid()
     if not rovers.active[row]:
         return
@@ -266,8 +337,8 @@ def place(rover: Rover, rovers: Rovers, poses: wp.array2d[float]):
     rovers.orientation[row] = orientation
     rovers.velocity[row] = wp.vec3(0.0, 0.0, 0.0)
     rovers.angular_velocity[row] = wp.vec3(0.0, 0.0, 0.0)
-    for n in range(rovers.spins.shape[1]):
-        rovers.spins[row, n] = 0.0
+    for n in range(rovers.wheel_spins.shape[1]):
+        rovers.wheel_spins[row, n] = 0.0
     for n in range(rovers.impulses.shape[1]):
         rovers.impulses[row, n] = 0.0
-    tell(rover, rovers, row)
+    write_base_state(model, rovers, row)

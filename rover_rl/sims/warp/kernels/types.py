@@ -1,110 +1,120 @@
-"""What kernels are told about a world, a robot, and the state of its rovers."""
+"""Structs passed to the kernels: the scene, the robot model, the solver parameters and the rover state.
+
+Units are SI: m, s, kg, rad, N m, N s. :mod:`rover_rl.sims.warp.kernels` defines the frames.
+"""
 
 from __future__ import annotations
 
 from rover_rl.sims.warp.library import wp
 
 MAX_WHEELS = 6
-"""Wheels that a rover may have: the size of what a thread keeps for them."""
+"""Maximum number of wheels of a rover; sizes the arrays of a thread."""
 
 
 @wp.struct
 class Scene:
-    """A world: ground heights on a grid, and convex obstacles as planes, corners and polygons.
+    """A static world: ground heights on a grid, and convex obstacles. World frame, m.
 
-    Lists of lists are flat, with the start of each entry and the end of the last in ``..._starts``.
+    Lists of lists are stored flat: entry ``k`` of a list spans ``starts[k]`` to ``starts[k + 1]``.
     """
 
-    # Ground: heights [rows, columns] (m), its first corner, and the spacing.
+    # Ground: heights [rows, columns], (x, y) of heights[0, 0], and the grid spacing.
     heights: wp.array2d[float]
-    corner: wp.vec2
+    origin: wp.vec2
     cell: float
-    # Blocks of ``block`` x ``block`` cells: slopes of a plane, and its least and greatest height at the block's middle
-    # with all of the block's ground between.
+    # Culling data of the lidar: for each block of block x block cells the slopes (dz/dx, dz/dy) of a fitted plane, and
+    # the least and greatest height that this plane needs at the middle of the block to bound the ground of the block.
     blocks: wp.array2d[wp.vec4]
     block: int
-    # Obstacles: outward planes (a point p is inside where n . p + w < 0), corners, and the sphere around them.
+    # Obstacles: outward planes (n, w) with n . p + w < 0 inside, vertices, and bounding spheres (center, radius).
     planes: wp.array[wp.vec4]
     plane_starts: wp.array[int]
     vertices: wp.array[wp.vec3]
     vertex_starts: wp.array[int]
     spheres: wp.array[wp.vec4]
-    # The polygon of each plane: corners in order, counter-clockwise from outside, and the sphere around them.
+    # Face polygon of each plane: vertices counter-clockwise seen from outside, and bounding spheres (center, radius).
     polygons: wp.array[wp.vec3]
     polygon_starts: wp.array[int]
     polygon_spheres: wp.array[wp.vec4]
-    # Obstacles within reach of a rover whose centre is in a cell of this grid.
-    near_corner: wp.vec2
-    near_cell: float
-    near_columns: int
-    near_rows: int
-    near_starts: wp.array[int]
-    near: wp.array[int]
+    # Broad phase: uniform grid over (x, y) that lists the obstacles within reach of a rover centered in each cell.
+    grid_origin: wp.vec2
+    grid_cell: float
+    grid_columns: int
+    grid_rows: int
+    grid_starts: wp.array[int]
+    grid_obstacles: wp.array[int]
 
 
 @wp.struct
-class Rover:
-    """A robot: what all rovers have in common. Positions (m) are in its base frame."""
+class RobotModel:
+    """Geometry and wheel inertia shared by all rovers. Positions in the base frame, m."""
 
     wheels: int
-    # Those of the left side come first.
+    # Wheels of the left side come first.
     left_wheels: int
     wheel_radius: float
     wheel_half_width: float
+    # Moment of inertia of one wheel about its axle, kg m^2.
     wheel_inertia: float
     hubs: wp.array[wp.vec3]
-    # The chassis: boxes along the axes of the base frame, and points on them that may touch the ground.
+    # Chassis: boxes aligned with the base frame, and sample points on them that are tested against the ground.
     box_centers: wp.array[wp.vec3]
     box_halves: wp.array[wp.vec3]
-    points: wp.array[wp.vec3]
-    # No part of the rover is farther from its centre of mass than this, whatever its chassis weighs.
-    reach: float
-    lidar: wp.vec3
+    chassis_points: wp.array[wp.vec3]
+    # Radius of a sphere around the center of mass that contains the rover, for any mass of the chassis.
+    bounding_radius: float
+    lidar_position: wp.vec3
     lidar_range: float
 
 
 @wp.struct
 class Solver:
-    """Numbers of the physics."""
+    """Parameters of the contact solver and the integrator."""
 
+    # Duration of a substep (s), substeps of a control step, iterations of a substep.
     dt: float
     substeps: int
     iterations: int
-    # A contact yields: share of a penetration that a substep takes away, velocity for each unit of impulse, and the
-    # greatest speed (m/s) at which a penetration is taken away.
-    correction: float
+    # Contact compliance, as an implicit spring-damper: share of the penetration removed in a substep (ODE's ERP),
+    # approach speed admitted per unit of accumulated impulse, m/s per N s (ODE's CFM / dt), and the maximum speed at
+    # which a penetration is removed, m/s.
+    error_reduction: float
     softness: float
     max_correction: float
-    # Gap (m) from which on a wheel's contact is of no interest.
+    # Gap above which a wheel contact is ignored, m.
     margin: float
     ground_friction: float
     obstacle_friction: float
 
 
 @wp.struct
-class Rovers:
-    """The state of all rovers, a row each, and what sets them apart. Vectors are in the world's frame."""
+class RoverArrays:
+    """State and parameters of all rovers, a row each. World frame unless stated otherwise."""
 
-    # Of the centre of mass.
+    # Center of mass of the whole rover (m), orientation of the base frame (x, y, z, w), velocity of the center of mass
+    # (m/s) and angular velocity (rad/s).
     position: wp.array[wp.vec3]
     orientation: wp.array[wp.quat]
     velocity: wp.array[wp.vec3]
     angular_velocity: wp.array[wp.vec3]
-    # Of each wheel about its axle, as seen from the world, rad/s.
-    spins: wp.array2d[float]
-    # What the solver begins with: impulses of the last substep.
+    # Absolute spin rate of each wheel about its axle [N, wheels], rad/s: relative to the world, not to the chassis.
+    wheel_spins: wp.array2d[float]
+    # Warm start [N, 7 * wheels], N s: normal, longitudinal and lateral impulse of the two ground contacts of each
+    # wheel, then the angular impulse (N m s) of each motor.
     impulses: wp.array2d[float]
-    # Mass (kg), centre of mass in the base frame, inertia about it without the wheels' about their axles, its inverse.
+    # Mass (kg), center of mass in the base frame (m), inertia about it in the body frame without the axle inertia of
+    # the wheels (kg m^2), and the inverse of that.
     mass: wp.array[float]
     center: wp.array[wp.vec3]
     inertia: wp.array[wp.mat33]
     inverse_inertia: wp.array[wp.mat33]
-    # Factor of all friction, and the most torque of a wheel's motor, N m.
-    grip: wp.array[float]
-    torque: wp.array[float]
-    # Wheel speeds to hold, left and right (rad/s), and whether time passes.
-    speeds: wp.array[wp.vec2]
+    # Factor of all friction coefficients, and maximum torque of a wheel motor, N m.
+    friction_scale: wp.array[float]
+    motor_torque: wp.array[float]
+    # Inputs: target speed of the left and right wheels relative to the chassis (rad/s), and which rovers are simulated.
+    target_speeds: wp.array[wp.vec2]
     active: wp.array[wp.bool]
-    # For the task: position and orientation of the base frame, and mean speed of the left and right wheels.
-    body: wp.array2d[float]
+    # Outputs: base state [N, 9] (position of the base frame, its orientation, mean speed of the left and of the right
+    # wheels relative to the chassis) and scan [N, beams], m.
+    base_state: wp.array2d[float]
     ranges: wp.array2d[float]

@@ -1,7 +1,8 @@
-"""Warp's physics against what follows from the laws alone."""
+"""Warp's physics compared with analytic solutions."""
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -15,15 +16,13 @@ from rover_rl.sims.worlds import Terrain, World, box
 
 pytest.importorskip("warp", reason="needs rover_rl[warp]")
 
-import itertools
-
 from rover_rl.sims.warp import WarpSettings
 from rover_rl.sims.warp.inertial_model import read_inertial_model
 
 ROVER = get_robot("rover_zero")
-FIGURES = read_inertial_model(ROVER)
+MODEL = read_inertial_model(ROVER)
 MASS, CENTER = (
-    values[0].numpy() for values in FIGURES.total(torch.tensor([FIGURES.chassis_mass], dtype=torch.float64))[:2]
+    values[0].numpy() for values in MODEL.total(torch.tensor([MODEL.chassis_mass], dtype=torch.float64))[:2]
 )
 FLAT = World("flat", Terrain.flat((60, 60)))
 DT, GRAVITY = 0.05, 9.81
@@ -40,33 +39,33 @@ def drive(simulator, command: tuple[float, float], steps: int):
 
 
 @pytest.mark.parametrize("command", [(0.0, 2.0), (0.0, 1.0), (0.5, 1.0), (0.3, 0.5)])
-def test_skid_steering_is_what_coulomb_friction_makes_it(command):
+def test_skid_steering_matches_coulomb_friction(command):
     expected = steady_motion(ROVER, CENTER[0], *command)
     simulator = simulate(FLAT, [(0.0, 0.0, 2 * math.pi * k / 8) for k in range(8)])
     drive(simulator, command, 30)
     states = drive(simulator, command, 21)
     yaws = torch.stack([quaternion_to_euler(state.orientation)[:, 2] for state in states])
     turned = (torch.remainder(yaws[1:] - yaws[:-1] + math.pi, 2 * math.pi) - math.pi).sum(0)
-    # Isotropic: every heading turns alike.
+    # Friction is isotropic: the yaw rate does not depend on the heading.
     torch.testing.assert_close(turned, turned.mean().expand(8), rtol=0.005, atol=0)
     assert turned.mean().item() == pytest.approx(expected.yaw, rel=0.05)
-    way = torch.stack([b.position - a.position for a, b in itertools.pairwise(states)])
-    assert way.norm(dim=-1).sum(0).mean().item() == pytest.approx(expected.forward, rel=0.03, abs=0.02)
+    displacement = torch.stack([b.position - a.position for a, b in itertools.pairwise(states)])
+    assert displacement.norm(dim=-1).sum(0).mean().item() == pytest.approx(expected.forward, rel=0.03, abs=0.02)
 
 
 def test_locked_wheels_brake_by_friction_times_weight():
-    # Down from 1 m/s at once: the drive's own limit is above what the ground gives.
+    # The acceleration limit of the drive exceeds what friction can provide, so that the wheels slip.
     friction = 0.3
     simulator = simulate(FLAT, [(0.0, 0.0, 0.4)], WarpSettings(ground_friction=friction))
     drive(simulator, (1.0, 0.0), 60)
     states = drive(simulator, (0.0, 0.0), 20)
     speed = torch.stack([(b.position - a.position).norm() / DT for a, b in itertools.pairwise(states)])
-    # While all wheels slip; at first they turn faster than the body may slow down.
-    slowing = (speed[1] - speed[4]) / (3 * DT)
-    assert slowing.item() == pytest.approx(friction * GRAVITY, rel=0.02)
+    # Measured while all wheels slip.
+    deceleration = (speed[1] - speed[4]) / (3 * DT)
+    assert deceleration.item() == pytest.approx(friction * GRAVITY, rel=0.02)
 
 
-def test_a_slope_holds_to_the_angle_of_friction():
+def test_rover_holds_on_slopes_up_to_the_friction_angle():
     friction = 0.5
     for degrees, holds in (
         (math.degrees(math.atan(friction)) - 1, True),
@@ -80,8 +79,8 @@ def test_a_slope_holds_to_the_angle_of_friction():
         assert (moved < 0.01) == holds
 
 
-def test_it_tips_where_its_weight_leaves_its_wheels():
-    """Standing across a slope, it falls over the lower wheels' outer edges once the centre of mass is beyond them."""
+def test_rover_tips_over_at_the_static_stability_angle():
+    """Across a slope, a rover tips over the outer edges of the lower wheels once its center of mass passes them."""
     edge = ROVER.wheel_positions[0][1] + ROVER.wheel_width / 2
     height = CENTER[2] - (ROVER.wheel_positions[0][2] - ROVER.wheel_radius)
     tipping = math.degrees(math.atan2(edge, height))
@@ -90,14 +89,14 @@ def test_it_tips_where_its_weight_leaves_its_wheels():
         count = 401
         rise = math.tan(math.radians(degrees)) * (torch.arange(count) * 0.1 - 20)
         world = World("slope", Terrain(rise[:, None].expand(-1, count), 0.1))
-        # Enough friction to tip rather than slide.
+        # With high friction, the rover tips instead of sliding.
         simulator = simulate(world, [(0.0, 0.0, 0.0)], WarpSettings(ground_friction=4.0))
         rolls = [quaternion_to_euler(state.orientation)[0, 0].item() for state in drive(simulator, (0.0, 0.0), 30)]
         assert (math.degrees(max(map(abs, rolls))) < degrees + 5) == stands
 
 
 def test_free_fall():
-    # Off the edge of a cliff of 3 m at 1 m/s, nothing but gravity acts until it lands.
+    # Driving off a cliff of 3 m at 1 m/s: only gravity acts until the rover lands.
     heights = torch.zeros(81, 81)
     heights[:, :40] = 3.0
     simulator = simulate(World("cliff", Terrain(heights, 0.25)), [(-1.0, 0.0, 0.0)])
@@ -117,15 +116,15 @@ def _center(state) -> torch.Tensor:
     return state.position[0].double() + turned
 
 
-def test_obstacles_give_their_own_friction():
-    """A rover that slides along a wall is slowed by the wall's friction."""
+def test_obstacles_have_their_own_friction():
+    """The friction of a wall slows a rover that slides along it."""
     wall = box((0.0, 0.5, 0.5), (30.0, 0.4, 1.0))
     world = World("wall", Terrain.flat((60, 60)), [wall])
-    gained = []
+    distances = []
     for friction in (0.0, 0.25):
         simulator = simulate(world, [(-5.0, -0.05, 0.35)], WarpSettings(obstacle_friction=friction))
         states = drive(simulator, (0.8, 0.6), 80)
-        gained.append((states[-1].position[0, 0] - states[0].position[0, 0]).item())
-        # Neither gets through.
+        distances.append((states[-1].position[0, 0] - states[0].position[0, 0]).item())
+        # Neither rover passes through the wall.
         assert states[-1].position[0, 1] < 0.3 - 0.2
-    assert gained[0] > gained[1] + 0.05
+    assert distances[0] > distances[1] + 0.05

@@ -1,4 +1,4 @@
-"""The plain way to scan: each ray cell by cell through the grid (Amanatides and Woo, 1987), and at each obstacle."""
+"""Reference lidar by ray casting: grid traversal of the terrain (Amanatides and Woo, 1987) and all obstacles."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from rover_rl.sims.worlds import Obstacle, Terrain, World
 
 
 def scan(world: World, origin: np.ndarray, rotation: np.ndarray, beams: int, reach: float) -> np.ndarray:
-    """Ranges ``[beams]`` (m) from ``origin [3]``, ``inf`` where nothing is hit; the lidar is outside of everything."""
+    """Ranges ``[beams]`` (m) from ``origin [3]``, ``inf`` without a hit; the lidar must be in free space."""
     angles = 2 * math.pi * np.arange(beams) / beams
     directions = np.stack((np.cos(angles), np.sin(angles), np.zeros(beams)), -1) @ rotation.T
     return np.array([_cast(world, origin, direction, reach) for direction in directions])
 
 
 def _cast(world: World, origin: np.ndarray, direction: np.ndarray, reach: float) -> float:
-    hits = [_through_obstacle(obstacle, origin, direction) for obstacle in world.obstacles]
-    distance = min([*hits, _through_terrain(world.terrain, origin, direction, reach)])
+    hits = [_hit_obstacle(obstacle, origin, direction) for obstacle in world.obstacles]
+    distance = min([*hits, _hit_terrain(world.terrain, origin, direction, reach)])
     return distance if distance < reach else math.inf
 
 
-def _through_obstacle(obstacle: Obstacle, origin: np.ndarray, direction: np.ndarray) -> float:
-    """Where a ray enters a convex solid: after all planes that it crosses inwards, and before all others."""
+def _hit_obstacle(obstacle: Obstacle, origin: np.ndarray, direction: np.ndarray) -> float:
+    """Distance at which a ray enters a convex solid: the last plane that it crosses inward, before any outward."""
     planes = obstacle.planes.numpy()
     height, slope = planes[:, :3] @ origin + planes[:, 3], planes[:, :3] @ direction
     if (height[slope == 0] > 0).any():
@@ -33,29 +33,29 @@ def _through_obstacle(obstacle: Obstacle, origin: np.ndarray, direction: np.ndar
     return enter if 0 <= enter <= leave else math.inf
 
 
-def _through_terrain(terrain: Terrain, origin: np.ndarray, direction: np.ndarray, reach: float) -> float:
+def _hit_terrain(terrain: Terrain, origin: np.ndarray, direction: np.ndarray, reach: float) -> float:
     heights, cell = terrain.heights.double().numpy(), terrain.cell
-    place, step = (origin[:2] - terrain.origin) / cell, direction[:2] / cell
-    index = np.floor(place).astype(int)
+    position, step = (origin[:2] - terrain.origin) / cell, direction[:2] / cell
+    index = np.floor(position).astype(int)
     forward = np.where(step > 0, 1, -1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        to_border = np.where(step != 0, (index + (step > 0) - place) / step, math.inf)
+        to_border = np.where(step != 0, (index + (step > 0) - position) / step, math.inf)
         between = np.where(step != 0, np.abs(1 / step), math.inf)
-    travelled = 0.0
-    while travelled <= reach:
+    traveled = 0.0
+    while traveled <= reach:
         if (index >= 0).all() and (index < np.array(heights.shape[::-1]) - 1).all():
-            distance = _through_cell(heights, cell, terrain.origin, index, origin, direction)
+            distance = _hit_cell(heights, cell, terrain.origin, index, origin, direction)
             if distance < math.inf:
                 return distance
         axis = int(to_border[1] < to_border[0])
-        travelled = to_border[axis]
+        traveled = to_border[axis]
         index[axis] += forward[axis]
         to_border[axis] += between[axis]
     return math.inf
 
 
-def _through_cell(heights, cell, corner, index, origin, direction) -> float:
-    """Where a ray meets one of a cell's two triangles (Moeller and Trumbore, 1997)."""
+def _hit_cell(heights, cell, corner, index, origin, direction) -> float:
+    """Distance at which a ray hits one of the two triangles of a cell (Moeller and Trumbore, 1997)."""
     i, j = index
     corners = {
         (a, b): np.array((corner[0] + (i + a) * cell, corner[1] + (j + b) * cell, heights[j + b, i + a]))
