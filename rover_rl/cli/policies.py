@@ -1,4 +1,4 @@
-"""Policies by the words that name them on the command line."""
+"""Policies, by the words that name them on the command line."""
 
 from __future__ import annotations
 
@@ -12,68 +12,71 @@ if TYPE_CHECKING:
     from rover_rl.algos.policy.checkpoint import Checkpoint
 
 PRETRAINED = "pretrained:"
-"""What comes before the name of a policy of the package."""
+"""Prefix of the name of a policy of the package."""
 ONNX = ".onnx"
-"""What the name of an exported policy ends with."""
+"""Suffix of an exported policy."""
 
 
 @dataclass(frozen=True)
 class ResolvedPolicy:
-    """A policy to evaluate.
+    """A policy to drive with.
 
     Attributes:
-        name: in tables.
-        policy: itself; ``None`` acts at random.
-        worlds: to drive in; none: all that others drive in.
-        lidar_points: readings that it sees.
-        folder: of its checkpoint.
-        config: it was trained with.
+        name: name in tables.
+        policy: the policy; ``None`` acts at random.
+        worlds: worlds to drive in; none: those of the other policies.
+        folder: folder of its checkpoint.
+        config: settings that it was trained with.
     """
 
     name: str
     policy: Policy | None
     worlds: tuple[str, ...]
-    lidar_points: int = 32
     folder: Path | None = None
     config: TrainingConfig | None = None
 
 
-def resolve_policy(word: str, worlds: tuple[str, ...]) -> ResolvedPolicy:
-    """The policy that a word on the command line means.
+def resolve_policy(word: str, worlds: tuple[str, ...], robot: str | None = None) -> ResolvedPolicy:
+    """The policy that a word on the command line names.
+
+    Args:
+        word: ``random``, ``scripted``, ``pretrained:NAME``, or the path of a run's folder, a checkpoint or an ONNX file.
+        worlds: worlds to drive in; none: the ones that the policy was trained in.
+        robot: robot of the scripted policy; ``None``: the default one.
 
     Raises:
-        FileNotFoundError: if it names no checkpoint.
-        ValueError: if it names something else.
+        FileNotFoundError: if there is no checkpoint.
+        ValueError: if the word names something else.
     """
     from rover_rl.algos.policy.baselines import ScriptedPolicy
 
     if word == "random":
         return ResolvedPolicy(word, None, worlds)
     if word == "scripted":
-        return ResolvedPolicy(word, ScriptedPolicy(), worlds)
+        return ResolvedPolicy(word, ScriptedPolicy(robot) if robot else ScriptedPolicy(), worlds)
     if word.endswith(ONNX):
         from rover_rl.algos.deploy.export import OnnxPolicy
 
         policy = OnnxPolicy(Path(word))
-        trained_in = worlds or policy.config.worlds
-        return ResolvedPolicy(Path(word).stem, policy, trained_in, policy.lidar_points, config=policy.config)
+        return ResolvedPolicy(
+            Path(word).stem, policy, worlds or policy.config.env.world_names, config=policy.config
+        )
     checkpoint, name = load_checkpoint(word)
     return ResolvedPolicy(
         name=name,
         policy=checkpoint.make_actor(),
-        worlds=worlds or checkpoint.config.worlds,
-        lidar_points=checkpoint.lidar_points,
+        worlds=worlds or checkpoint.env.world_names,
         folder=None if word.startswith(PRETRAINED) else _folder(word),
         config=checkpoint.config,
     )
 
 
 def load_checkpoint(word: str) -> tuple[Checkpoint, str]:
-    """The checkpoint that a word on the command line means, and what to call it.
+    """The checkpoint that a word on the command line names, and its name.
 
     Raises:
         FileNotFoundError: if there is none.
-        ValueError: if it is something else.
+        ValueError: if the word names something else.
     """
     from rover_rl.algos.policy.checkpoint import Checkpoint
     from rover_rl.algos.pretrained import load_pretrained

@@ -4,14 +4,29 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import tyro
 
-from rover_rl.algos.config import CONFIGS, PPOConfig, SACConfig, TrainingConfig, read_config, run_config
+from rover_rl.algos.config import (
+    ALGORITHMS,
+    PARTS,
+    AlgorithmConfig,
+    CollectionConfig,
+    NetworkConfig,
+    PPOConfig,
+    RunConfig,
+    SACConfig,
+    TrainingConfig,
+    default_config,
+    with_settings,
+)
+from rover_rl.algos.config_files import read_config, run_config
 from rover_rl.cli.policies import PRETRAINED
+from rover_rl.envs.config import EnvConfig, Randomization
+from rover_rl.sims.backends import name_of
 
 if TYPE_CHECKING:
     from rover_rl.algos.train.run import TrainingSummary
@@ -19,31 +34,54 @@ if TYPE_CHECKING:
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 
+# Options of a part stand without the part's name: --world and --hidden, not --env.world and --network.hidden.
+_Flat = tyro.conf.arg(name="")
+_EnvPart: TypeAlias = Annotated[EnvConfig, _Flat]
+
 
 @dataclass(frozen=True)
 class Train:
-    """Train a policy with PPO or SAC; the settings below are those of the algorithm that --algo names.
+    """Train a policy with PPO or SAC. The settings below are those of the algorithm that --algo names.
 
-    Writes config.yaml, progress.csv, checkpoint.pt, snapshots and a learning curve to a new folder. Ctrl-C ends it with
-    a checkpoint; --resume goes on.
+    Writes config.yaml, progress.csv, checkpoint.pt, snapshots and a learning curve to a new folder. Ctrl-C ends the
+    run with a checkpoint; --resume continues it.
     """
 
-    config: tyro.conf.OmitArgPrefixes[TrainingConfig]
     algo: Literal["ppo", "sac"] = "ppo"
-    """Learning algorithm. See its settings with --algo sac --help."""
+    """Learning algorithm. --algo sac --help shows the settings of SAC."""
     config_file: Annotated[Path | None, tyro.conf.arg(name="config")] = None
-    """Take the settings from this YAML file, such as a run's config.yaml, or those that a policy of the package was
-    trained with, as in pretrained:maze-ppo; options given beside it go first."""
+    """YAML file of settings, such as a run's config.yaml, or pretrained:NAME for those of a policy of the package.
+    Options on the command line override it."""
     resume: Path | None = None
-    """Go on with the run in this folder, with its settings; options given beside it go first."""
+    """Folder of a run to continue, with its settings. Options on the command line override them."""
+    randomize: bool = False
+    """Randomize friction, mass, motors, latency and sensors as much as those of a real rover may be off (docs/warp.md).
+    The --randomization options override single ranges."""
+    env: _EnvPart = field(default_factory=EnvConfig)
+    network: Annotated[NetworkConfig, _Flat] = field(default_factory=NetworkConfig)
+    collection: Annotated[CollectionConfig, _Flat] = field(default_factory=CollectionConfig)
+    algorithm: Annotated[AlgorithmConfig, _Flat] = field(default_factory=PPOConfig)
+    run: Annotated[RunConfig, _Flat] = field(default_factory=RunConfig)
+    backend_settings: tyro.conf.Suppress[Any] = None
+    """Settings of the backend from a file, which have no options."""
+
+    @property
+    def config(self) -> TrainingConfig:
+        """The settings."""
+        env = self.env
+        if self.backend_settings is not None and env.backend == name_of(self.backend_settings):
+            env = replace(env, backend=self.backend_settings)
+        return TrainingConfig(env, self.network, self.collection, self.algorithm, self.run)
 
     def __call__(self) -> int:
-        """Trains, and says where the policy is."""
+        """Trains, and prints where the policy is."""
+        config = self.config
         # Before PyTorch is imported, which takes seconds.
-        self.config.check()
+        config.check()
         from rover_rl.algos.evaluation.plots import draw_learning_curve
+        from rover_rl.algos.train import train
 
-        summary = train(self.config, self.resume)
+        summary = train(config, self.resume)
         print(format_summary(summary), flush=True)
         draw_learning_curve([summary.folder], summary.folder / "learning_curve.png")
         print(f"Try it: rover-rl evaluate {summary.checkpoint}")
@@ -53,66 +91,71 @@ class Train:
 @dataclass(frozen=True)
 class TrainPPO(Train):  # noqa: D101, it has the docstring of Train
     __doc__ = Train.__doc__
-    config: tyro.conf.OmitArgPrefixes[PPOConfig]
+    algorithm: Annotated[PPOConfig, _Flat] = field(default_factory=PPOConfig)
 
 
 @dataclass(frozen=True)
 class TrainSAC(Train):  # noqa: D101, it has the docstring of Train
     __doc__ = Train.__doc__
-    config: tyro.conf.OmitArgPrefixes[SACConfig]
+    algorithm: Annotated[SACConfig, _Flat] = field(default_factory=SACConfig)
 
 
 def train_defaults(args: Sequence[str]) -> Train:
-    """The command before its options are read: its algorithm, and settings from a file if one is named.
+    """The command before its options are parsed: its algorithm, and settings from a file if one is named.
 
     Args:
-        args: of the command line, the command's name first.
+        args: arguments of the command line, the command's name first.
 
     Raises:
         FileNotFoundError: if there is no such file or run.
         ValueError: if its settings cannot be read, or belong to another algorithm.
     """
+    named = _read_first(args)
+    if named.config is not None and named.resume is not None:
+        raise ValueError("--config begins a new run, and --resume continues one: give one of them")
+    if named.config is not None:
+        config = _settings(named.config)
+    else:
+        config = run_config(named.resume) if named.resume else default_config(_known(named.algo))
+    if named.algo in ALGORITHMS and named.algo != config.algo:
+        raise ValueError(f"the settings are those of {config.algo}, and --algo is {named.algo}")
+    if named.randomize:
+        config = with_settings(config, randomization=Randomization.typical())
+    parts = {part: getattr(config, part) for part in PARTS}
+    settings = None
+    if not isinstance(config.env.backend, str):
+        settings = config.env.backend
+        parts["env"] = replace(config.env, backend=name_of(settings))
+    kind = TrainPPO if isinstance(config.algorithm, PPOConfig) else TrainSAC
+    return kind(algo=config.algo, backend_settings=settings, **parts)  # type: ignore[arg-type]
+
+
+def _read_first(args: Sequence[str]) -> argparse.Namespace:
+    """The options that decide on the defaults of the others."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     for option in ("--algo", "--config", "--resume"):
         parser.add_argument(option, nargs="?")
-    named = parser.parse_known_args(args[1:])[0] if args[:1] == ["train"] else argparse.Namespace()
-    algo, file, resume = (getattr(named, name, None) for name in ("algo", "config", "resume"))
-    if file is not None and resume is not None:
-        raise ValueError("--config begins a new run, and --resume goes on with one: give one of them")
-    if file is not None:
-        config = _settings(file)
-    else:
-        config = run_config(resume) if resume else CONFIGS.get(algo or "ppo", PPOConfig)()
-    if algo in CONFIGS and algo != config.algo:
-        raise ValueError(f"the settings are those of {config.algo}, and --algo is {algo}")
-    kind = TrainPPO if isinstance(config, PPOConfig) else TrainSAC
-    return kind(config, algo=config.algo)  # type: ignore[arg-type]
+    parser.add_argument("--randomize", action="store_true")
+    return parser.parse_known_args(args[1:] if args[:1] == ["train"] else [])[0]
+
+
+def _known(algo: str | None) -> str:
+    return algo if algo in ALGORITHMS else PPOConfig.name
 
 
 def _settings(source: str) -> TrainingConfig:
-    """From a YAML file, or those of a policy of the package."""
+    """Settings from a YAML file, or those of a policy of the package."""
     if not source.startswith(PRETRAINED):
         return read_config(source)
     from rover_rl.algos.pretrained import load_pretrained
 
     config = load_pretrained(source.removeprefix(PRETRAINED)).config
-    return replace(config, runs=TrainingConfig.runs, name=None)
-
-
-def train(config: TrainingConfig, folder: Path | None = None) -> TrainingSummary:
-    """Trains with the algorithm that the settings belong to; see :func:`train_ppo` and :func:`train_sac`."""
-    if isinstance(config, PPOConfig):
-        from rover_rl.algos.train.ppo import train_ppo
-
-        return train_ppo(config, folder)
-    assert isinstance(config, SACConfig)
-    from rover_rl.algos.train.sac import train_sac
-
-    return train_sac(config, folder)
+    defaults = {item.name: item.default for item in fields(RunConfig)}
+    return with_settings(config, runs=defaults["runs"], name=None)
 
 
 def format_summary(summary: TrainingSummary) -> str:
-    """What a training came to, and where its time went."""
+    """The result of a training, and the shares of its time."""
     stopped = "Interrupted" if summary.interrupted else "Trained"
     shares = ", ".join(f"{name} {share:.0%}" for name, share in summary.shares.items())
     return (

@@ -1,0 +1,56 @@
+"""Options that describe the environment a policy drives in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rover_rl.algos.config_files import read_yaml
+from rover_rl.envs.config import EnvConfig, env_from_plain
+
+if TYPE_CHECKING:
+    from rover_rl.algos.evaluation.evaluate import Policy
+
+
+@dataclass(frozen=True)
+class EnvOptions:
+    """Environment to drive in. Default: the one that the policy was made for, in Bullet, without randomization."""
+
+    env: Path | None = None
+    """YAML file of an environment: fields of EnvConfig, or a run's config.yaml, whose part env counts."""
+    robot: str | None = None
+    """Robot: rover_zero, or module:attribute."""
+    backend: str | None = None
+    """Simulator: bullet, warp (extra warp), or module:attribute."""
+    physics: str | None = None
+    """Preset of Bullet's physics: default, accurate or fast (docs/physics.md)."""
+
+    def description(self, policy: Policy | None) -> EnvConfig:
+        """The environment for a policy.
+
+        Raises:
+            FileNotFoundError: if the file does not exist.
+            ValueError: if the file describes no environment, or one that the policy was not made for.
+        """
+        from rover_rl.algos.evaluation.evaluate import environment_for
+
+        config = environment_for(policy, None if self.env is None else read_env(self.env))
+        changes = {"robot": self.robot, "backend": self.backend, "physics": self.physics}
+        return environment_for(policy, replace(config, **{key: given for key, given in changes.items() if given}))
+
+
+def read_env(path: Path) -> EnvConfig:
+    """Reads the description of an environment from YAML.
+
+    Args:
+        path: file with fields of :class:`EnvConfig`, or with settings of a training, whose part ``env`` counts.
+
+    Raises:
+        FileNotFoundError: if the file does not exist.
+        ValueError: if the file holds something else.
+    """
+    data = read_yaml(path)
+    if isinstance(data, dict) and isinstance(data.get("env"), dict):
+        data = data["env"]
+    return env_from_plain(data, str(path))
