@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rover_rl.sims.robots.robot import Robot
 
 LENGTH_TOLERANCE = 1e-3
-"""Metres by which positions and widths may differ."""
+"""Meters by which positions and widths may differ."""
 RELATIVE_TOLERANCE = 0.01
 """Share by which radii may differ, and masses and moments of inertia of the wheels among one another."""
 AXIS_TOLERANCE = 0.01

@@ -43,8 +43,8 @@ class Inertial:
 
     Attributes:
         mass: kg.
-        frame: its origin is the centre of mass, in the frame of the link.
-        inertia: about the centre of mass along the axes of ``frame``, ``[3, 3]``, kg m^2.
+        frame: its origin is the center of mass, in the frame of the link.
+        inertia: about the center of mass along the axes of ``frame``, ``[3, 3]``, kg m^2.
     """
 
     mass: float

@@ -14,7 +14,7 @@ class Robot:
     """A differentially driven rover.
 
     Positions are in the base frame: its origin lies on the ground below the middle of the rover, x forward, y left,
-    z up. Lengths in metres, angles in radians.
+    z up. Lengths in meters, angles in radians.
 
     Args:
         name: its name; a live simulator knows it by this.
@@ -102,7 +102,7 @@ class Robot:
         for field, position in positions:
             if len(position) != 3 or not all(map(math.isfinite, position)):
                 raise ValueError(
-                    f"{field} of robot {self.name!r} must have finite coordinates (x, y, z) in metres, got {position}"
+                    f"{field} of robot {self.name!r} must have finite coordinates (x, y, z) in meters, got {position}"
                 )
         sides = [("left", 1)] * len(self.left_wheels) + [("right", -1)] * len(self.right_wheels)
         for name, position, (side, sign) in zip(names, self.wheel_positions, sides, strict=True):

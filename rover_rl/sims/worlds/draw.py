@@ -20,7 +20,7 @@ from rover_rl.sims.worlds.free_space import FreeSpace, free_space, overlap
 from rover_rl.sims.worlds.world import Area, World
 
 MARGIN = 3.0
-"""Metres shown around the bounds."""
+"""Meters shown around the bounds."""
 GROUND = LinearSegmentedColormap.from_list("ground", ["#4d4038", "#86694f", "#b8946a", "#d9c094", "#f1e6cb"])
 LEVEL = "#e6dcc3"
 OBSTACLE, OBSTACLE_EDGE = "#39424e", "#161a20"
@@ -78,10 +78,10 @@ def draw_map(ax: Axes, world: World, area: Area | None = None) -> ScalarMappable
     Args:
         ax: axes to draw on; their limits become those of ``area``.
         world: the place.
-        area: ``((x_low, x_high), (y_low, y_high))`` in metres to show; ``None`` shows the terrain.
+        area: ``((x_low, x_high), (y_low, y_high))`` in meters to show; ``None`` shows the terrain.
 
     Returns:
-        Elevation (m) to colour, for a colour bar; ``None`` where the ground is level.
+        Elevation (m) to color, for a color bar; ``None`` where the ground is level.
     """
     area = area or world.terrain.extent
     shown = overlap(area, world.terrain.extent)
@@ -98,7 +98,7 @@ def draw_map(ax: Axes, world: World, area: Area | None = None) -> ScalarMappable
 
 
 def _draw_ground(ax: Axes, world: World, area: Area) -> ScalarMappable:
-    """Elevation in colour, with light from the north-west."""
+    """Elevation in color, with light from the north-west."""
     step = world.terrain.cell / 2
     x, y = (torch.arange(low + step / 2, high, step, dtype=torch.float64) for low, high in area)
     grid_y, grid_x = torch.meshgrid(y, x, indexing="ij")
@@ -115,7 +115,7 @@ def _draw_ground(ax: Axes, world: World, area: Area) -> ScalarMappable:
 
 def _draw_free_space(ax: Axes, free: FreeSpace) -> None:
     rows, columns = free.passable.shape
-    left, bottom = (centre - free.cell / 2 for centre in free.origin)
+    left, bottom = (center - free.cell / 2 for center in free.origin)
     extent = (left, left + columns * free.cell, bottom, bottom + rows * free.cell)
     passable = free.passable.numpy()
     tint = ListedColormap([FREE])

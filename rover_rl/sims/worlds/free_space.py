@@ -20,23 +20,23 @@ from rover_rl.sims.worlds.world import Area, World
 HEADINGS = 64
 """Bins of headings: bin k covers yaw from ``-pi + 2 pi k / 64`` to ``-pi + 2 pi (k + 1) / 64``."""
 CELL = 0.1
-"""Side of a cell in metres."""
+"""Side of a cell in meters."""
 MAX_SLOPE = math.radians(25)
 """Steeper ground is not passable."""
 MAX_TILT = math.radians(20)
 """A rover does not start with a greater tilt."""
 SIGHT = 0.4
-"""Metres around the lidar that are free of obstacles where a rover starts: no reading is closer."""
+"""Meters around the lidar that are free of obstacles where a rover starts: no reading is closer."""
 GROUND_SIGHT = 0.45
-"""Metres around the lidar within which its tilted scan does not meet the ground where a rover starts."""
+"""Meters around the lidar within which its tilted scan does not meet the ground where a rover starts."""
 NEAR_GROUND = 0.5
-"""Obstacles count for a rover up to this height above the ground, and this far below it, in metres."""
+"""Obstacles count for a rover up to this height above the ground, and this far below it, in meters."""
 MIN_GOAL_DISTANCE = 1.0
-"""From each place of the task there is a goal at least this far away, in metres."""
+"""From each place of the task there is a goal at least this far away, in meters."""
 REACH = 1.0
-"""Metres beyond which the distance to an obstacle is not worth knowing exactly."""
+"""Meters beyond which the distance to an obstacle is not worth knowing exactly."""
 TILT_MARGIN = 0.02
-"""Metres that the lidar may move sideways because the ground tilts the rover differently within a cell."""
+"""Meters that the lidar may move sideways because the ground tilts the rover differently within a cell."""
 CHUNK = 64
 """Cells whose headings are checked at once; bounds the memory to some 15 MB."""
 
@@ -46,18 +46,18 @@ class FreeSpace:
     """The free cells of a world. Made by :func:`free_space`.
 
     All spawn and goal cells hang together: every goal can be reached from every start. A place is drawn as
-    the centre of a cell plus up to half a ``cell`` either way in x and in y, and a heading from anywhere in
+    the center of a cell plus up to half a ``cell`` either way in x and in y, and a heading from anywhere in
     its bin.
 
     Attributes:
-        cell: side of a cell in metres.
-        origin: x, y of the centre of ``passable[0, 0]`` in metres.
-        passable: bool ``[rows, columns]``, row = y: the rover's centre may be anywhere in this cell.
-        spawn_cells: centres ``[S, 2]`` (m, float64) of the cells in which a rover may start.
+        cell: side of a cell in meters.
+        origin: x, y of the center of ``passable[0, 0]`` in meters.
+        passable: bool ``[rows, columns]``, row = y: the rover's center may be anywhere in this cell.
+        spawn_cells: centers ``[S, 2]`` (m, float64) of the cells in which a rover may start.
         spawn_headings: int64 ``[S, HEADINGS]``: the bins allowed in each, ascending, then the first one
             repeated.
         spawn_heading_counts: int64 ``[S]``: how many headings that is, 1 or more.
-        goal_cells: centres ``[G, 2]`` (m, float64) of the cells in which goals may lie.
+        goal_cells: centers ``[G, 2]`` (m, float64) of the cells in which goals may lie.
         goal_extremes: ``[16, 2]``: the goal cells farthest out in 16 directions (m, float64). From wherever a
             rover starts, and from every goal, one of them is at least 1 m away.
     """
@@ -78,7 +78,7 @@ class FreeSpace:
         return replace(self, **moved)
 
     def contains(self, xy: Tensor) -> Tensor:
-        """Whether the rover's centre may be at points ``xy [..., 2]`` (m): bool ``[...]``."""
+        """Whether the rover's center may be at points ``xy [..., 2]`` (m): bool ``[...]``."""
         passable = self.passable.to(xy.device)
         limits = torch.tensor(passable.shape[::-1], device=xy.device)
         index = ((xy - torch.tensor(self.origin, dtype=xy.dtype, device=xy.device)) / self.cell + 0.5).floor()
@@ -110,7 +110,7 @@ def _compute(world: World, robot: Robot) -> FreeSpace:
     # The connected part with the most goals; a rover that starts anywhere else could not reach them.
     parts, count = label(passable)
     part = parts == np.bincount(parts[goal], minlength=count + 1).argmax()
-    goal_cells, spawn_cells = grid.centres[goal & part], grid.centres[spawn & part]
+    goal_cells, spawn_cells = grid.centers[goal & part], grid.centers[spawn & part]
     _check_any(world, robot, "goal", goal_cells)
 
     allowed = torch.cat([_headings(world, robot, grid, clearance, cells) for cells in spawn_cells.split(CHUNK)])
@@ -167,7 +167,7 @@ class _Grid:
         self.area = area
         self.x, self.y = (self._axis(*ends) for ends in area)
         self.origin = (float(self.x[0]), float(self.y[0]))
-        self.centres = torch.from_numpy(np.stack(np.meshgrid(self.x, self.y), -1))
+        self.centers = torch.from_numpy(np.stack(np.meshgrid(self.x, self.y), -1))
         self.half_diagonal = self.cell / math.sqrt(2)
 
     def _axis(self, low: float, high: float) -> np.ndarray:
@@ -183,23 +183,23 @@ class _Grid:
         return in_y[:, None] & in_x
 
     def window(self, low: Tensor, high: Tensor) -> tuple[slice, slice]:
-        """Rows and columns of the cells whose centres lie between two corners ``[2]`` (m)."""
+        """Rows and columns of the cells whose centers lie between two corners ``[2]`` (m)."""
         rows = slice(*np.searchsorted(self.y, (low[1], high[1])))
         columns = slice(*np.searchsorted(self.x, (low[0], high[0])))
         return rows, columns
 
 
 def _clearance(world: World, grid: _Grid, limit: float) -> Tensor:
-    """Distance (m) of each cell's centre to the nearest obstacle seen from above: ``[rows, columns]``.
+    """Distance (m) of each cell's center to the nearest obstacle seen from above: ``[rows, columns]``.
 
     It is 0 inside of one. Obstacles farther than ``limit`` are not looked at.
     """
-    clearance = torch.full(grid.centres.shape[:2], limit, dtype=torch.float64)
+    clearance = torch.full(grid.centers.shape[:2], limit, dtype=torch.float64)
     for obstacle in world.obstacles:
         outline = obstacle.footprint
         if _near_ground(world, obstacle, outline):
             window = grid.window(outline.amin(0) - limit, outline.amax(0) + limit)
-            clearance[window] = clearance[window].minimum(distance_to_polygon(grid.centres[window], outline))
+            clearance[window] = clearance[window].minimum(distance_to_polygon(grid.centers[window], outline))
     return clearance
 
 
@@ -231,7 +231,7 @@ def _passable(world: World, robot: Robot, grid: _Grid, clearance: Tensor) -> np.
     free = clearance.numpy() >= robot.radius + grid.half_diagonal
     # Around each cell, between the directions in which the ground's triangles have their edges.
     around = _ring(8, start=math.pi / 8) * grid.half_diagonal
-    steepest = torch.stack([world.normal_at(grid.centres + offset)[..., 2] for offset in around]).amin(0)
+    steepest = torch.stack([world.normal_at(grid.centers + offset)[..., 2] for offset in around]).amin(0)
     gentle = steepest.numpy() >= math.cos(MAX_SLOPE)
     x, y = ((low + robot.radius, high - robot.radius) for low, high in grid.area)
     return free & gentle & grid.within((x, y))
@@ -272,7 +272,7 @@ def _ring(count: int, start: float = 0.0) -> Tensor:
 
 
 def _interpolate(grid: _Grid, values: Tensor, xy: Tensor) -> Tensor:
-    """A field ``[rows, columns]`` known at the cells' centres, bilinear at points ``[N, 2]``: ``[N]``."""
+    """A field ``[rows, columns]`` known at the cells' centers, bilinear at points ``[N, 2]``: ``[N]``."""
     rows, columns = values.shape
     u = ((xy[:, 0] - grid.origin[0]) / grid.cell).clamp(0, columns - 1)
     v = ((xy[:, 1] - grid.origin[1]) / grid.cell).clamp(0, rows - 1)

@@ -33,7 +33,7 @@ WALLS = (
 )
 WALL_SIZE = (1.8, 0.3)
 SHOWN, SUNK = 0.5, 0.3
-"""Metres that walls and panel fronts rise over the highest ground below them, for the lidar to see them, and
+"""Meters that walls and panel fronts rise over the highest ground below them, for the lidar to see them, and
 reach under the lowest."""
 
 
@@ -85,8 +85,8 @@ def _table(terrain: Terrain, x: float, y: float) -> tuple[Obstacle, Obstacle]:
     bottom = [(u, v, low - SUNK) for u in across for v in along]
     top = [(u, v, z) for u in across for v, z in zip(along, (front, back), strict=True)]
     lift = PANEL[2] / 2
-    centre = (x, y - lift * math.sin(TILT), (front + back) / 2 + lift * math.cos(TILT))
-    return Obstacle(torch.tensor(bottom + top, dtype=torch.float64)), box(centre, PANEL, roll=TILT)
+    center = (x, y - lift * math.sin(TILT), (front + back) / 2 + lift * math.cos(TILT))
+    return Obstacle(torch.tensor(bottom + top, dtype=torch.float64)), box(center, PANEL, roll=TILT)
 
 
 def _wall(terrain: Terrain, x: float, y: float) -> Obstacle:
@@ -96,7 +96,7 @@ def _wall(terrain: Terrain, x: float, y: float) -> Obstacle:
 
 
 def _ground_below(terrain: Terrain, x: float, y: float, length: float, depth: float) -> tuple[float, float]:
-    """Lowest and highest ground in metres below a rectangle around ``(x, y)``."""
+    """Lowest and highest ground in meters below a rectangle around ``(x, y)``."""
     u = torch.linspace(x - length / 2, x + length / 2, 21, dtype=torch.float64)
     v = torch.linspace(y - depth / 2, y + depth / 2, 21, dtype=torch.float64)
     heights = terrain.height_at(torch.cartesian_prod(u, v))

@@ -10,7 +10,7 @@ from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
 
 SIDE = 20
-"""Metres along a side of the floor, and squares of the grid."""
+"""Meters along a side of the floor, and squares of the grid."""
 TASK_AREA = ((-4.0, 4.0), (-4.0, 4.0))
 BLOCKS = 36
 LENGTHS = (1, 2, 3, 4, 5)
@@ -22,7 +22,7 @@ MIDDLE = slice(SIDE // 2 - 4, SIDE // 2 + 4)
 MIDDLE_SHARE = (0.25, 0.4)
 """Share of the task area's squares that blocks may cover: enough for a maze, with room to drive."""
 TRIES = 3000
-NEIGHBOURS = ((np.s_[1:, :], np.s_[:-1, :]), (np.s_[:, 1:], np.s_[:, :-1]))
+NEIGHBORS = ((np.s_[1:, :], np.s_[:-1, :]), (np.s_[:, 1:], np.s_[:, :-1]))
 """Pairs of views of the grid in which a square and the one beside it have the same index."""
 
 
@@ -86,7 +86,7 @@ def _fits(taken: np.ndarray, new: np.ndarray) -> bool:
     if (taken & new).any():
         return False
     solid, block = np.pad(taken, 1, constant_values=True), np.pad(new, 1)
-    return sum((solid[a] & block[b]).sum() + (solid[b] & block[a]).sum() for a, b in NEIGHBOURS) <= 1
+    return sum((solid[a] & block[b]).sum() + (solid[b] & block[a]).sum() for a, b in NEIGHBORS) <= 1
 
 
 def _drivable(taken: np.ndarray) -> bool:

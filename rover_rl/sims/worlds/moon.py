@@ -15,18 +15,18 @@ from rover_rl.sims.worlds.world import World
 HALF_SIDE, CELL = 30.0, 0.25
 TASK_AREA = ((-4.0, 4.0), (-4.0, 4.0))
 SHORE = 23.0
-"""Metres from the middle at which the island begins to fall away."""
+"""Meters from the middle at which the island begins to fall away."""
 FALL = 3.0
-"""Metres from the island to the edge of the terrain."""
+"""Meters from the island to the edge of the terrain."""
 FAR, NEAR = (-20.0, 20.0), (-4.5, 4.5)
 CRATERS = (((FAR, 14), (1.5, 4.5), (0.12, 0.26)), ((NEAR, 3), (0.9, 1.5), (0.10, 0.16)))
 """Craters: where and how many, radius (m), and depth in radii. Those of the task area can be climbed."""
 BOULDERS = ((NEAR, 9), (FAR, 40))
 """Boulders: where, and how many at most."""
 RADIUS = (0.5, 0.85)
-"""Of a boulder, in metres. Smaller rocks would stay below the lidar, which looks 0.32 m above the ground."""
+"""Of a boulder, in meters. Smaller rocks would stay below the lidar, which looks 0.32 m above the ground."""
 GAP = 1.2
-"""Metres left free between two boulders."""
+"""Meters left free between two boulders."""
 TRIES = 400
 """Places tried for the boulders of an area."""
 
@@ -57,8 +57,8 @@ def _ground(rng: np.random.Generator) -> Terrain:
     hills = relief(rng, x.shape, CELL, (4.0, 30.0))
     bumps = relief(rng, x.shape, CELL, (0.8, 3.0), steepness=1.5)
     heights = 0.22 * hills + 0.01 * bumps
-    for centre, radius, depth in _craters(rng):
-        heights += depth * radius * _crater(np.hypot(x - centre[0], y - centre[1]) / radius)
+    for center, radius, depth in _craters(rng):
+        heights += depth * radius * _crater(np.hypot(x - center[0], y - center[1]) / radius)
     beyond = np.clip((np.hypot(x, y) - SHORE) / (HALF_SIDE - SHORE), 0, 1)
     heights -= FALL * beyond**2 * (3 - 2 * beyond)
     middle = side // 2
@@ -66,14 +66,14 @@ def _ground(rng: np.random.Generator) -> Terrain:
 
 
 def _craters(rng: np.random.Generator) -> list[tuple[np.ndarray, float, float]]:
-    """Centre, radius (m), and depth in radii of each crater. The steep ones keep clear of the task area."""
+    """Center, radius (m), and depth in radii of each crater. The steep ones keep clear of the task area."""
     craters: list[tuple[np.ndarray, float, float]] = []
     for (area, count), radii, depths in CRATERS:
         wanted = len(craters) + count
         while len(craters) < wanted:
-            centre, radius, depth = rng.uniform(*area, 2), rng.uniform(*radii), rng.uniform(*depths)
-            if area is NEAR or np.abs(centre).max() > NEAR[1] + 1.5 * radius:
-                craters.append((centre, radius, depth))
+            center, radius, depth = rng.uniform(*area, 2), rng.uniform(*radii), rng.uniform(*depths)
+            if area is NEAR or np.abs(center).max() > NEAR[1] + 1.5 * radius:
+                craters.append((center, radius, depth))
     return craters
 
 

@@ -16,7 +16,7 @@ class Obstacle:
     """A convex solid that stands still.
 
     Args:
-        vertices: corner points ``[V, 3]`` in metres, world frame; the solid is their convex hull.
+        vertices: corner points ``[V, 3]`` in meters, world frame; the solid is their convex hull.
 
     Attributes:
         faces: triangles ``[F, 3]`` into ``vertices``, counter-clockwise from outside.
@@ -34,7 +34,7 @@ class Obstacle:
     def __post_init__(self) -> None:
         points = np.asarray(self.vertices, dtype=np.float64)
         if points.ndim != 2 or points.shape[-1] != 3 or not np.isfinite(points).all():
-            raise ValueError(f"vertices must be finite points [V, 3] in metres, got shape {points.shape}")
+            raise ValueError(f"vertices must be finite points [V, 3] in meters, got shape {points.shape}")
         try:
             hull = ConvexHull(points)
         except (QhullError, ValueError) as error:
@@ -56,7 +56,7 @@ class Obstacle:
 
     @property
     def footprint(self) -> Tensor:
-        """Outline seen from above: a convex polygon ``[K, 2]`` in metres, counter-clockwise."""
+        """Outline seen from above: a convex polygon ``[K, 2]`` in meters, counter-clockwise."""
         flat = self.vertices[:, :2].numpy()
         return torch.from_numpy(flat[ConvexHull(flat).vertices])
 
@@ -74,7 +74,7 @@ def box(
         ValueError: for a size that is not positive.
     """
     if min(size) <= 0:
-        raise ValueError(f"the sides of a box must be positive lengths in metres, got {tuple(size)}")
+        raise ValueError(f"the sides of a box must be positive lengths in meters, got {tuple(size)}")
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * np.asarray(size)
     return Obstacle(torch.from_numpy(corners @ _rotation(roll, pitch, yaw).T + np.asarray(center)))
 

@@ -9,7 +9,7 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.world import World
 
 CLEARANCE = 5e-4
-"""Gap in metres left between the lowest wheel and the ground, so that nothing starts in penetration."""
+"""Gap in meters left between the lowest wheel and the ground, so that nothing starts in penetration."""
 
 
 def rest_on_ground(world: World, robot: Robot, poses: Tensor) -> tuple[Tensor, Tensor]:

@@ -17,8 +17,8 @@ def relief(
     Args:
         rng: where the random numbers come from.
         shape: rows and columns.
-        cell: spacing of the grid in metres.
-        wavelengths: the shortest and the longest wave in metres. The short end fades out softly.
+        cell: spacing of the grid in meters.
+        wavelengths: the shortest and the longest wave in meters. The short end fades out softly.
         steepness: how fast waves lose height as they get shorter: 2 gives rolling hills, 1.5 broken ground.
     """
     shortest, longest = wavelengths

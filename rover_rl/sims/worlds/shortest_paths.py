@@ -1,4 +1,4 @@
-"""Shortest ways over the free ground of a world, for the rover's centre: how long they are, and from everywhere.
+"""Shortest ways over the free ground of a world, for the rover's center: how long they are, and from everywhere.
 
 Example:
     >>> start, goal = torch.tensor([[-3.0, 0.0]]), torch.tensor([[-3.0, 3.0]])
@@ -23,7 +23,7 @@ from rover_rl.sims.worlds.free_space import free_space
 from rover_rl.sims.worlds.world import World
 
 CAUTIOUS = 0.35
-"""Metres from the edge of the passable ground within which caution lengthens the way."""
+"""Meters from the edge of the passable ground within which caution lengthens the way."""
 
 
 GOAL_RADIUS = 0.5
@@ -31,7 +31,7 @@ GOAL_RADIUS = 0.5
 
 
 def shortest_paths(world: World, robot: Robot, start: Tensor, goal: Tensor, goal_radius: float = GOAL_RADIUS) -> Tensor:
-    """Length of the shortest path for the rover's centre from each start to the edge of its goal's disc.
+    """Length of the shortest path for the rover's center from each start to the edge of its goal's disc.
 
     The path leads over the passable cells of :func:`rover_rl.sims.worlds.free_space`, seen from above, and ends 0.5 m
     from the goal, where it is reached. Where the straight way is free the length is exact. Elsewhere Dijkstra's
@@ -55,7 +55,7 @@ def shortest_paths(world: World, robot: Robot, start: Tensor, goal: Tensor, goal
 
 
 def distance_fields(world: World, robot: Robot, goals: Tensor, caution: float = 0.0) -> Tensor:
-    """Length of the shortest path for the rover's centre to each goal, from every cell of the world's free-space grid.
+    """Length of the shortest path for the rover's center to each goal, from every cell of the world's free-space grid.
 
     Paths are those of :func:`shortest_paths` before their string is pulled, and end at the passable cell that is
     nearest to the goal. A cell that is not passable has the value of the nearest one that is.
@@ -64,7 +64,7 @@ def distance_fields(world: World, robot: Robot, goals: Tensor, caution: float = 
         world: where.
         robot: that has to fit.
         goals: ``[G, 2]``, m.
-        caution: how much longer a metre counts right at the edge of the passable ground, in metres; less so farther
+        caution: how much longer a meter counts right at the edge of the passable ground, in meters; less so farther
             from it, and as it is from 0.35 m on.
 
     Returns:
@@ -74,7 +74,7 @@ def distance_fields(world: World, robot: Robot, goals: Tensor, caution: float = 
 
 
 class _Routes:
-    """Shortest paths over the passable cells of a world. Inside, lengths are in cells: centres are whole numbers."""
+    """Shortest paths over the passable cells of a world. Inside, lengths are in cells: centers are whole numbers."""
 
     def __init__(self, world: World, robot: Robot, goal_radius: float = GOAL_RADIUS) -> None:
         space = free_space(world, robot)
@@ -100,9 +100,9 @@ class _Routes:
         weight = 1 + caution * (1 - self._clearance * self._cell / CAUTIOUS).clip(0)
         graph = self._graph.tocoo()
         graph.data = graph.data * (weight[graph.row] + weight[graph.col]) / 2
-        centres = (goals.double().numpy() - self._origin) / self._cell
-        nearest = ((self._points - centres[:, None]) ** 2).sum(-1).argmin(-1)
-        lengths = np.full((len(centres), *self._number.shape), math.inf, dtype=np.float32)
+        centers = (goals.double().numpy() - self._origin) / self._cell
+        nearest = ((self._points - centers[:, None]) ** 2).sum(-1).argmin(-1)
+        lengths = np.full((len(centers), *self._number.shape), math.inf, dtype=np.float32)
         lengths[:, self._number >= 0] = dijkstra(graph.tocsr(), indices=nearest) * self._cell
         # Cells that hang together with the goals; all others are given the value of the nearest of these.
         known = np.isfinite(lengths).all(0)

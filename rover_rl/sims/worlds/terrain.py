@@ -15,15 +15,15 @@ class Terrain:
     """Ground heights on a regular grid.
 
     Each cell is cut into two triangles along the diagonal from ``(i + 1, j)`` to ``(i, j + 1)``, as Bullet
-    does it; heights and normals are those of the triangles (bilinear heights are off by centimetres). Outside
+    does it; heights and normals are those of the triangles (bilinear heights are off by centimeters). Outside
     the grid the nearest edge continues.
 
     Args:
-        heights: heights in metres, ``[rows, columns]``, row ``j`` at ``y = origin[1] + j * cell`` and column
+        heights: heights in meters, ``[rows, columns]``, row ``j`` at ``y = origin[1] + j * cell`` and column
             ``i`` at ``x = origin[0] + i * cell``. Anything that :func:`torch.as_tensor` takes, a NumPy array
             for example.
-        cell: spacing of the grid in metres.
-        origin: ``(x, y)`` of ``heights[0, 0]`` in metres; ``None`` centres the grid on the origin.
+        cell: spacing of the grid in meters.
+        origin: ``(x, y)`` of ``heights[0, 0]`` in meters; ``None`` centers the grid on the origin.
 
     Raises:
         ValueError: for heights that are not a finite 2D grid of at least 2 x 2, or a cell that is not
@@ -44,9 +44,9 @@ class Terrain:
         if heights.ndim != 2 or min(heights.shape) < 2:
             raise ValueError(f"heights must be a grid of at least 2 x 2 values, got shape {tuple(heights.shape)}")
         if not torch.isfinite(heights).all():
-            raise ValueError("heights must be finite numbers (metres), got NaN or infinity")
+            raise ValueError("heights must be finite numbers (meters), got NaN or infinity")
         if not self.cell > 0:
-            raise ValueError(f"cell must be a positive length in metres, got {self.cell}")
+            raise ValueError(f"cell must be a positive length in meters, got {self.cell}")
         rows, columns = heights.shape
         origin = self.origin or (-(columns - 1) * self.cell / 2, -(rows - 1) * self.cell / 2)
         object.__setattr__(self, "heights", heights)
@@ -54,7 +54,7 @@ class Terrain:
 
     @classmethod
     def flat(cls, size: tuple[float, float] = (20.0, 20.0), height: float = 0.0) -> Terrain:
-        """Level ground around the origin, of ``size`` (x, y) metres.
+        """Level ground around the origin, of ``size`` (x, y) meters.
 
         Raises:
             ValueError: for sides that are not positive multiples of 0.1 m.
@@ -74,7 +74,7 @@ class Terrain:
 
     @property
     def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """``((x_low, x_high), (y_low, y_high))`` in metres."""
+        """``((x_low, x_high), (y_low, y_high))`` in meters."""
         x, y = self.origin
         rows, columns = self.heights.shape
         return (x, x + (columns - 1) * self.cell), (y, y + (rows - 1) * self.cell)

@@ -20,7 +20,7 @@ Area: TypeAlias = tuple[Range, Range]
 class World:
     """A place: its ground, what stands on it, and where the task happens in it.
 
-    Every area is ``((x_low, x_high), (y_low, y_high))`` in metres.
+    Every area is ``((x_low, x_high), (y_low, y_high))`` in meters.
 
     Args:
         name: its name, in messages and on a live robot in the pose service ``/world/<name>/set_pose``.
@@ -29,7 +29,7 @@ class World:
         spawn_range: where episodes start; ``None``: the terrain less 1 m on every side.
         goal_range: where goals lie; ``None``: as ``spawn_range``.
         bounds: leaving these ends the episode (``out_of_bounds``); ``None``: the terrain's extent.
-        spawn_height: height in metres at which a live simulator drops the rover (the original's way of
+        spawn_height: height in meters at which a live simulator drops the rover (the original's way of
             placing it).
         spawn_height_areas: ``(area, height)`` pairs with another drop height; the first that holds a point
             decides.
@@ -73,7 +73,7 @@ class World:
                 raise ValueError(f"{message} lie in its bounds {self.bounds}, got {area}")
 
     def height_at(self, xy: Tensor) -> Tensor:
-        """Height of the ground in metres at points ``xy [..., 2]``: ``[...]``. Obstacles do not count."""
+        """Height of the ground in meters at points ``xy [..., 2]``: ``[...]``. Obstacles do not count."""
         return self.terrain.height_at(xy)
 
     def normal_at(self, xy: Tensor) -> Tensor:
@@ -88,7 +88,7 @@ class World:
         return inside
 
     def drop_height(self, xy: Tensor) -> Tensor:
-        """Height in metres at which a live simulator drops the rover at ``xy [..., 2]``: ``[...]``."""
+        """Height in meters at which a live simulator drops the rover at ``xy [..., 2]``: ``[...]``."""
         height = torch.full_like(xy[..., 0], self.spawn_height)
         for ((x_low, x_high), (y_low, y_high)), special in reversed(self.spawn_height_areas):
             x, y = xy[..., 0], xy[..., 1]
