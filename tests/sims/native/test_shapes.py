@@ -23,7 +23,7 @@ def client() -> Iterator[int]:
 
 
 def square(side: float, points: int = 40) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and faces of level ground of ``side`` metres, ``points`` along each side."""
+    """Vertices and faces of level ground of ``side`` meters, ``points`` along each side."""
     vertices, faces = Terrain(np.zeros((points, points)), side / (points - 1)).mesh()
     return vertices.numpy(), faces.numpy()
 

@@ -28,7 +28,7 @@ def test_a_world_is_saved_as_a_picture(name, tmp_path):
         "goal area",
         "bounds",
     ]
-    # A colour bar where there is elevation to read.
+    # A color bar where there is elevation to read.
     assert [other.get_ylabel() for other in figure.axes[1:]] == ([] if name == "maze" else ["elevation (m)"])
 
 

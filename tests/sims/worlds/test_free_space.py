@@ -87,13 +87,13 @@ def test_passable_cells_keep_within_the_bounds_and_off_steep_ground(name):
     world = get_world(name)
     free = free_space(world, ROVER)
     row, column = free.passable.nonzero().unbind(1)
-    centres = torch.stack((column, row), 1).double() * free.cell + torch.tensor(free.origin, dtype=torch.float64)
+    centers = torch.stack((column, row), 1).double() * free.cell + torch.tensor(free.origin, dtype=torch.float64)
     for axis, ends in enumerate(world.bounds):
         extent = world.terrain.extent[axis]
         low, high = max(ends[0], extent[0]), min(ends[1], extent[1])
-        assert centres[:, axis].min() - free.cell / 2 >= low + ROVER.radius - 1e-5
-        assert centres[:, axis].max() + free.cell / 2 <= high - ROVER.radius + 1e-5
-    nudged = centres + torch.from_numpy(np.random.default_rng(0).uniform(-1e-4, 1e-4, centres.shape))
+        assert centers[:, axis].min() - free.cell / 2 >= low + ROVER.radius - 1e-5
+        assert centers[:, axis].max() + free.cell / 2 <= high - ROVER.radius + 1e-5
+    nudged = centers + torch.from_numpy(np.random.default_rng(0).uniform(-1e-4, 1e-4, centers.shape))
     assert world.normal_at(nudged)[:, 2].min() >= math.cos(math.radians(25)) - 1e-9
 
 
@@ -151,9 +151,9 @@ def test_from_every_place_an_extreme_goal_is_a_metre_away(name):
 def test_contains_looks_up_the_cell():
     free = free_space(get_world("maze"), ROVER)
     row, column = (int(i) for i in free.passable.nonzero()[100])
-    centre = torch.tensor([free.origin[0] + column * free.cell, free.origin[1] + row * free.cell])
-    assert free.contains(centre)
-    assert free.contains(centre + 0.049 * torch.tensor([1.0, -1.0]))
+    center = torch.tensor([free.origin[0] + column * free.cell, free.origin[1] + row * free.cell])
+    assert free.contains(center)
+    assert free.contains(center + 0.049 * torch.tensor([1.0, -1.0]))
     outside = torch.tensor([[99.0, 0.0], [0.0, -99.0], [math.nan, 0.0], [-10.01, 0.0], [math.inf, 0.0]])
     assert not free.contains(outside).any()
     assert free.contains(torch.zeros(3, 4, 2)).shape == (3, 4)

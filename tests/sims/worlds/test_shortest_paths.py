@@ -6,7 +6,7 @@ import torch
 from rover_rl import Terrain, World, box
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import free_space
-from rover_rl.sims.worlds.shortest_paths import CAUTIOUS, distance_fields
+from rover_rl.sims.worlds.shortest_paths import CAUTION_DISTANCE, distance_fields
 
 ROVER = get_robot("rover_zero")
 POCKET = World(
@@ -22,7 +22,7 @@ def test_caution_makes_paths_along_walls_longer_and_leaves_others(caution: float
     goal = torch.tensor([[-5.0, -5.0]])
     plain, careful = (distance_fields(POCKET, ROVER, goal, value)[0] for value in (0.0, caution))
     passable = free_space(POCKET, ROVER).passable
-    ratio = (careful / plain)[passable & (plain > CAUTIOUS)]
+    ratio = (careful / plain)[passable & (plain > CAUTION_DISTANCE)]
     assert ratio.min() >= 1 - 1e-5
     assert ratio.max() <= 1 + caution
     assert (careful > plain + 0.1).any()

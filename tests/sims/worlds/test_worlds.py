@@ -104,7 +104,7 @@ class TestInspect:
         assert quantiles == pytest.approx((9, 14, 19), abs=1.0)
 
     def test_no_short_bumps(self):
-        """Ground that a small wheel rolls over: neighbouring slopes are alike."""
+        """Ground that a small wheel rolls over: neighboring slopes are alike."""
         grid = self.world().terrain.heights.numpy()[80:140, 8:80]
         bend = np.abs(np.diff(grid, 2, axis=1))
         assert np.quantile(bend, 0.99) < 0.1
