@@ -89,11 +89,11 @@ class Camera:
         forward = torch.nn.functional.normalize(self.target - self.eye, dim=0)
         right = torch.nn.functional.normalize(torch.linalg.cross(forward, self.up), dim=0)
         axes = torch.stack((right, torch.linalg.cross(forward, right), forward))
-        beside, depth = ((points - self.eye) @ axes.T).split((2, 1), -1)
+        offset, depth = ((points - self.eye) @ axes.T).split((2, 1), -1)
         depth = depth.masked_fill(depth < NEAR, math.nan)
         focal = height / 2 / math.tan(math.radians(FIELD_OF_VIEW / 2))
-        seen = (depth.squeeze(-1) > 0) & ~_hidden(self.world, self.eye, points)
-        return torch.tensor((width / 2, height / 2)) + focal * beside / depth, seen
+        visible = (depth.squeeze(-1) > 0) & ~_hidden(self.world, self.eye, points)
+        return torch.tensor((width / 2, height / 2)) + focal * offset / depth, visible
 
 
 def _hidden(world: World, eye: Tensor, points: Tensor) -> Tensor:
