@@ -8,6 +8,7 @@ import torch
 from rover_rl.sims import Simulator, make_simulator
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, World, box
+from tests.extras import needs_warp
 
 ROVER = get_robot("rover_zero")
 FLAT = World("flat", Terrain.flat((20, 20)))
@@ -87,3 +88,26 @@ def test_rows_may_be_in_different_worlds(backend):
     state = sim.reset(all_rows(3), torch.zeros(3, 3))
     assert torch.isinf(state.ranges[:2, 0]).all()
     assert state.ranges[2, 0] == pytest.approx(2.5 - 0.174, abs=0.01)
+
+
+def test_rendering_after_close_and_in_several_worlds(backend):
+    walled = World("walled", Terrain.flat((20, 20)), [box((3, 0, 1), (1, 10, 2))])
+    sim = simulator(backend, [FLAT, walled, FLAT])
+    flat, other, same = (sim.render(row, "chase", 64, 48, torch.tensor([1.0, 0.0])) for row in range(3))
+    assert not torch.equal(flat, other)
+    assert torch.equal(flat, same)
+    sim.close()
+    sim.close()
+    assert torch.equal(sim.render(0, "chase", 64, 48, torch.tensor([1.0, 0.0])), flat)
+    sim.close()
+
+
+@needs_warp
+def test_all_backends_render_the_same_image():
+    images = []
+    for name in ("bullet", "warp"):
+        sim = simulator(name, [FLAT])
+        sim.reset(all_rows(1), torch.tensor([[1.0, 2.0, 0.5]]))
+        images.append(sim.render(0, "chase", 64, 48, torch.tensor([2.0, 2.0])).float())
+        sim.close()
+    assert (images[0] - images[1]).abs().mean() < 1

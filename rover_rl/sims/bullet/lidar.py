@@ -132,7 +132,7 @@ class _HeightMap:
 
 @contextmanager
 def _gc_paused() -> Iterator[None]:
-    """Pauses the garbage collector, which would traverse the many short-lived tuples of a scan in vain."""
+    """Pauses the garbage collector, which would traverse the short-lived tuples of a scan without freeing any."""
     enabled = gc.isenabled()
     gc.disable()
     try:

@@ -24,7 +24,7 @@ class BulletSettings:
         contact_threshold: gap above which the solver ignores a contact, m. Bullet's default is ``math.inf``.
         ground_friction: Coulomb friction coefficient between rover and ground.
         obstacle_friction: Coulomb friction coefficient between rover and obstacles. From 0.35 on, the wheels climb a
-            wall that the rover pushes against, and the rover tips over backward.
+            wall that the rover pushes against, and the rover flips onto its back.
 
     Raises:
         ValueError: if a number is out of range.

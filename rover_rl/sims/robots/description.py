@@ -198,7 +198,7 @@ def _joint(element: ET.Element) -> Joint:
     try:
         parent, child = (_attribute(_child(element, end), "link") for end in ("parent", "child"))
         axis = element.find("axis")
-        # URDF's default is x.
+        # The default axis of URDF is x.
         direction = np.array((1.0, 0.0, 0.0) if axis is None else _numbers(axis, "xyz", 3))
         return Joint(name, _attribute(element, "type"), parent, child, _frame(element), direction)
     except ValueError as error:

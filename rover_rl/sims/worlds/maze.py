@@ -69,7 +69,7 @@ def _place_blocks(rng: np.random.Generator) -> list[tuple[int, int, int, int]]:
         block = (int(rng.integers(SIDE - rows + 1)), int(rng.integers(SIDE - columns + 1)), rows, columns)
         new = np.zeros_like(taken)
         new[_squares(block)] = True
-        # The largest block would cover too much of the task area, so it must be outside.
+        # The largest block would cover too much of the task area, so it is placed outside.
         largest_in_task_area = not blocks and new[MIDDLE, MIDDLE].any()
         if not largest_in_task_area and _fits(taken, new) and _drivable(taken | new):
             taken |= new

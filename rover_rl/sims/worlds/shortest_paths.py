@@ -124,7 +124,7 @@ class _PathFinder:
         first = np.floor(np.minimum(a, b) + 0.5) + 0.5
         with np.errstate(divide="ignore", invalid="ignore"):
             crossings = (first[:, :, None] + lines - a[:, :, None]) / span[:, :, None]
-        # Along a line of the grid there is no crossing: 0 / 0, or a division by zero.
+        # Lines parallel to an axis of the grid never cross its lines: a division by zero, or 0 / 0.
         crossings = np.nan_to_num(crossings, nan=1.0, posinf=1.0, neginf=1.0).clip(0, 1).reshape(len(a), 2 * len(lines))
         edges = np.sort(np.pad(crossings, ((0, 0), (1, 1)), constant_values=(0, 1)), axis=1)
         middle = (edges[:, 1:] + edges[:, :-1]) / 2
