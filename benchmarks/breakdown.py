@@ -1,4 +1,4 @@
-"""Where the time of a batched step goes, function by function: a sampled profile, as a tree and as a flame graph."""
+"""Sampled profile of batched steps by function, as a tree and as a flame graph."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from rich.text import Text
 
 from benchmarks.collecting import make_worker_env
 from benchmarks.options import Options
-from benchmarks.rollouts import rolled_out
+from benchmarks.rollouts import time_rollout
 from rover_rl.files import written_whole
 
 INTERVAL = 1e-4
-"""Seconds between two looks at the stack."""
+"""Time between two samples of the stack, s."""
 
 
 def measure(options: Options) -> dict[str, Any]:
-    """Profiles rollouts in one process, and writes ``breakdown.html``."""
+    """Profiles rollouts in one process and writes ``breakdown.html``."""
     env = make_worker_env(options.world, options.rovers, 128, 0)
     env.reset()
     with Profiler(interval=INTERVAL) as profiler:
-        rolled_out(env, options.seconds)
+        time_rollout(env, options.seconds)
     env.close()
     with written_whole(options.out / "breakdown.html") as temporary:
         temporary.write_text(profiler.output(HTMLRenderer()))
@@ -30,5 +30,5 @@ def measure(options: Options) -> dict[str, Any]:
 
 
 def table(result: dict[str, Any]) -> Text:
-    """For the terminal."""
+    """Formats the result for the terminal."""
     return Text(result["tree"])

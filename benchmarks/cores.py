@@ -1,4 +1,4 @@
-"""Whether more cores are more steps: all workers beside one, with the same rovers."""
+"""Speedup of rollouts by parallel workers: all workers compared with one, for the same number of rovers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from benchmarks.ratios import paired
 
 
 def measure(options: Options) -> dict[str, Any]:
-    """Steps per second with one worker and with all."""
+    """Measures steps per second with one worker and with all workers."""
     beams = 128
     with (
         rollouts(options.world, options.rovers, beams, options.workers) as all_workers,
@@ -24,8 +24,8 @@ def measure(options: Options) -> dict[str, Any]:
 
 
 def table(result: dict[str, Any]) -> Table:
-    """For the terminal."""
-    table = Table("workers", "steps/s", "steps/s with one", "ratio", title="All cores beside one")
+    """Formats the result for the terminal."""
+    table = Table("workers", "steps/s", "steps/s with one", "ratio", title="All workers compared with one")
     table.add_row(
         str(result["workers"]),
         f"{result['rate']:,.0f}",

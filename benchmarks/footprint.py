@@ -1,4 +1,4 @@
-"""What rovers cost before they drive: memory and time to start."""
+"""Startup time and memory of environments."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ MEGABYTE = 2**20
 
 
 def start(world: str, rovers: int) -> dict[str, Any]:
-    """Starts rovers in this process, which should be a fresh one; the import of the package is told apart."""
+    """Creates and resets an environment, and returns its startup time and memory. Needs a fresh process.
+
+    The time to import the package is a separate entry.
+    """
     begin = time.perf_counter()
     from rover_rl import make_env
 
@@ -26,19 +29,19 @@ def start(world: str, rovers: int) -> dict[str, Any]:
     before = psutil.Process().memory_info().rss
     env = make_env(world_n=world, num_envs=rovers, seed=0)
     env.reset()
-    made = time.perf_counter()
+    ready = time.perf_counter()
     after = psutil.Process().memory_info().rss
     env.close()
     return {
         "rovers": rovers,
         "import_s": imported - begin,
-        "start_s": made - imported,
+        "start_s": ready - imported,
         "megabytes": (after - before) / MEGABYTE,
     }
 
 
 def measure(options: Options) -> list[dict[str, Any]]:
-    """A row a number of rovers, each in a process of its own."""
+    """Measures each number of rovers in a separate process. Returns a row for each."""
     rows = []
     for rovers in options.num_envs:
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
@@ -47,8 +50,8 @@ def measure(options: Options) -> list[dict[str, Any]]:
 
 
 def table(rows: list[dict[str, Any]]) -> Table:
-    """For the terminal."""
-    table = Table("rovers", "import s", "start s", "MB", "MB a further rover", title="Start and memory")
+    """Formats the rows for the terminal."""
+    table = Table("rovers", "import s", "start s", "MB", "MB per further rover", title="Startup time and memory")
     first = rows[0]
     for row in rows:
         further = row["rovers"] - first["rovers"]

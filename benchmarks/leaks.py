@@ -1,9 +1,9 @@
-"""Memory that environments leave behind after they are closed.
+"""Memory leaks of environments.
 
     python -m benchmarks.leaks
 
-Opens, steps, draws and closes an environment again and again, for each world and backend, and prints by how much the
-process has grown. Each backend is measured in a fresh process.
+Opens, steps, renders and closes many environments for each world and backend, and prints the growth of the process.
+Measures each backend in a fresh process.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ from rover_rl import make_env
 from rover_rl.sims.worlds import Terrain, World, boulder
 
 WORLDS = ("inspect", "moon", "maze", "new")
-"""The package's worlds, and one that is made anew for each environment."""
+"""Built-in worlds, and ``"new"`` for a world created for each environment."""
 
 
 @dataclass
 class Options:
-    """What to measure."""
+    """Options of the measurement."""
 
     cycles: int = 30
-    """Environments that are opened and closed in each world."""
+    """Number of environments opened and closed in each world."""
     warmup: int = 5
-    """Environments before the memory is first read."""
+    """Number of environments opened and closed before the first memory reading."""
     backends: tuple[str, ...] = ("bullet", "warp")
-    """Simulators."""
+    """Names of the backends."""
 
 
 def growth(backend: str, cycles: int, warmup: int) -> dict[str, float]:
-    """MB by which this process grows over ``cycles`` environments in each of :data:`WORLDS`."""
+    """Returns the growth of this process over ``cycles`` environments in each of :data:`WORLDS`, MB."""
     torch.set_num_threads(1)
     return {name: _growth(name, backend, cycles, warmup) for name in WORLDS}
 
 
 def in_fresh_process(backend: str, cycles: int, warmup: int) -> dict[str, float]:
-    """:func:`growth` of a process that has done nothing else."""
+    """Returns :func:`growth`, measured in a fresh process."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         return pool.submit(growth, backend, cycles, warmup).result()
 
@@ -79,13 +79,13 @@ def _hills(seed: int) -> World:
 
 
 def _memory() -> float:
-    """Memory of this process, MB."""
+    """Returns the resident memory of this process, MB."""
     gc.collect()
     return psutil.Process().memory_info().rss / 1e6
 
 
 def main(options: Options) -> None:
-    """Measures and prints."""
+    """Measures all backends and prints a table."""
     table = Table("backend", *WORLDS, title=f"Growth in MB over {options.cycles} environments")
     for backend in options.backends:
         grown = in_fresh_process(backend, options.cycles, options.warmup)

@@ -1,9 +1,9 @@
-"""What physics costs, and how far it is from the truth.
+"""Speed and accuracy of the Bullet physics presets.
 
-Rovers drive the same commands for 5 s on flat ground, on a slope and on rough ground, and are compared with Bullet at
-steps of 1 ms and with all contacts: how far apart they end, in position and yaw, and how far roll and pitch are apart
-in the mean. The reference beside itself, its start moved by 1 mm, tells how much of that is chance. Speed is that of a
-control step of the simulator beside one with Bullet's own contacts at 200 Hz, in turn in one run.
+Rovers execute the same commands for 5 s on flat ground, on a slope and on rough ground. The benchmark compares them
+with a reference, Bullet at steps of 1 ms with all contacts: final difference in position and yaw, and mean difference
+in roll and pitch. A second run of the reference, with the start moved by 1 mm, measures the sensitivity to the initial
+state. Speed is that of a control step relative to Bullet with all contacts at 200 Hz, measured alternately in one run.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ NUDGE = 0.001
 
 
 def grounds() -> dict[str, World]:
-    """Flat, a slope of 10 degrees, and the moon without its boulders."""
+    """Returns flat ground, a slope of 10 degrees, and the moon without its boulders."""
     x = torch.arange(161) * 0.25 - 20
     slope = Terrain((math.tan(math.radians(10)) * x).expand(161, -1), 0.25)
     return {
@@ -43,14 +43,19 @@ def grounds() -> dict[str, World]:
 
 
 @dataclass(frozen=True)
-class Drive:
-    """Where rovers went: position ``[T, N, 3]`` and roll, pitch, yaw ``[T, N, 3]``."""
+class Trajectories:
+    """Poses of rovers over time.
+
+    Attributes:
+        position: positions ``[T, N, 3]``, m.
+        euler: roll, pitch and yaw ``[T, N, 3]``, rad.
+    """
 
     position: Tensor
     euler: Tensor
 
-    def distance(self, other: Drive) -> dict[str, float]:
-        """Medians over the rovers: of positions (m) and yaw (rad) in the end, and of mean roll and pitch (rad)."""
+    def difference(self, other: Trajectories) -> dict[str, float]:
+        """Returns medians over the rovers: final position (m), final yaw (rad), and mean roll and pitch (rad)."""
         position = (self.position[-1, :, :2] - other.position[-1, :, :2]).norm(dim=-1)
         turned = wrap_angle(self.euler - other.euler).abs()
         return {
@@ -60,8 +65,15 @@ class Drive:
         }
 
 
-def driven(world: World, settings: BulletSettings, count: int, nudge: float = 0.0) -> Drive:
-    """The same drives whatever the settings: five seconds, with another command each second."""
+def simulate(world: World, settings: BulletSettings, count: int, nudge: float = 0.0) -> Trajectories:
+    """Simulates rovers for 5 s with random commands that change every second and do not depend on the settings.
+
+    Args:
+        world: world of the rovers.
+        settings: settings of the physics.
+        count: number of rovers.
+        nudge: offset of the start in x, m.
+    """
     random = torch.Generator().manual_seed(0)
     starts = torch.rand(count, 3, generator=random) * torch.tensor((16, 16, 2 * math.pi)) - torch.tensor((8, 8, 0))
     commands = torch.rand(SECONDS, count, 2, generator=random) * torch.tensor((1.6, 3.0)) - torch.tensor((0.6, 1.5))
@@ -70,22 +82,22 @@ def driven(world: World, settings: BulletSettings, count: int, nudge: float = 0.
     simulator.reset(torch.ones(count, dtype=torch.bool), starts)
     states = [simulator.step(command) for command in commands for _ in range(STEPS_PER_SECOND)]
     simulator.close()
-    return Drive(
+    return Trajectories(
         torch.stack([state.position for state in states]),
         torch.stack([quaternion_to_euler(state.orientation) for state in states]),
     )
 
 
 def measure(options: Options) -> list[dict[str, Any]]:
-    """A row for each ground and settings."""
+    """Measures each ground with each preset. Returns a row for each."""
     rows = []
     for name, world in grounds().items():
-        reference = driven(world, REFERENCE, options.rovers)
-        chance = driven(world, REFERENCE, options.rovers, NUDGE).distance(reference)
-        rows.append({"ground": name, "physics": "1 ms, moved by 1 mm", "substeps": REFERENCE.substeps, **chance})
+        reference = simulate(world, REFERENCE, options.rovers)
+        sensitivity = simulate(world, REFERENCE, options.rovers, NUDGE).difference(reference)
+        rows.append({"ground": name, "physics": "1 ms, moved by 1 mm", "substeps": REFERENCE.substeps, **sensitivity})
         for physics, settings in {"all contacts": ALL_CONTACTS, **PRESETS}.items():
             ratio = _speed(world, settings, options)
-            error = driven(world, settings, options.rovers).distance(reference)
+            error = simulate(world, settings, options.rovers).difference(reference)
             rows.append({"ground": name, "physics": physics, "substeps": settings.substeps, **error, **ratio})
     return rows
 
@@ -111,7 +123,7 @@ def _speed(world: World, settings: BulletSettings, options: Options) -> dict[str
 
 
 def table(rows: list[dict[str, Any]]) -> Table:
-    """For the terminal."""
+    """Formats the rows for the terminal."""
     headings = (
         "ground",
         "physics",
@@ -119,9 +131,9 @@ def table(rows: list[dict[str, Any]]) -> Table:
         "cm after 5 s",
         "yaw deg",
         "tilt deg",
-        "times as fast as with all contacts",
+        "speedup over all contacts",
     )
-    table = Table(*headings, title="Physics: distance from steps of 1 ms, and speed")
+    table = Table(*headings, title="Physics: difference from steps of 1 ms, and speed")
     for row in rows:
         table.add_row(
             row["ground"],

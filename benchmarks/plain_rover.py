@@ -1,8 +1,8 @@
-"""The same task as people write it: one rover, one PyBullet client, a Gymnasium environment in plain NumPy.
+"""Conventional environment for the same task: one rover, one PyBullet client, Gymnasium and NumPy.
 
-It is what ``benchmarks/peers.py`` compares with: the rover, the ground, the obstacles, the physics and the beams of
-:class:`rover_rl.RoverEnv`, and as little around them as such an environment can have: observation, a dense reward,
-endings. It places the rover with rover_rl's maps, off the clock, and reads nothing twice.
+This is the baseline of ``benchmarks/peers.py``. Rover, ground, obstacles, physics and lidar beams are those of
+:class:`rover_rl.RoverEnv`. The rest is minimal: an observation, a dense reward, and terminations. Spawn positions come
+from rover_rl's maps, outside the measured time, and no value is read from PyBullet twice.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from rover_rl.sims.rotations import matrix_to_quaternion
 from rover_rl.sims.worlds import free_space, get_world, rest_on_ground
 
 _RAYS, _ROVER, _STATIC = 1, 2, 4
-"""Collision groups; Bullet has rays in the first."""
+"""Collision groups. Bullet assigns rays to the first."""
 
 
 class PlainRover(gymnasium.Env):
     """Point navigation with one rover.
 
     Args:
-        world: by name.
-        beams: of the lidar.
-        settings: of the physics.
-        length: steps until an episode is truncated.
+        world: name of the world.
+        beams: number of lidar beams.
+        settings: settings of the physics. ``None`` uses the defaults.
+        length: number of steps after which an episode is truncated.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class PlainRover(gymnasium.Env):
         self._client = client = connect(settings)
         self._ground = load_world(client, self._world, settings)
         for body in range(pybullet.getNumBodies(physicsClientId=client)):
-            # Touched by rays and the rover, and not by one another.
+            # Static bodies collide with rays and the rover, not with one another.
             pybullet.setCollisionFilterGroupMask(body, -1, _STATIC, _RAYS | _ROVER, physicsClientId=client)
         self._body = load_rover(client, self._robot, settings)
         names = [*self._robot.left_wheels, *self._robot.right_wheels]
@@ -87,7 +87,7 @@ class PlainRover(gymnasium.Env):
         return self._observe(), {}
 
     def place(self, x: float, y: float, yaw: float) -> None:
-        """Puts the rover at rest on the ground."""
+        """Places the rover on the ground, at rest."""
         pose = torch.tensor([[x, y, yaw]])
         position, rotation = rest_on_ground(self._world, self._robot, pose)
         quaternion = matrix_to_quaternion(rotation)[0].tolist()
@@ -98,7 +98,7 @@ class PlainRover(gymnasium.Env):
             pybullet.resetJointState(self._body, wheel, 0.0, 0.0, physicsClientId=self._client)
         self._drive(0.0, 0.0)
         for link in range(-1, pybullet.getNumJoints(self._body, physicsClientId=self._client)):
-            # Rays do not see the rover. Said again, it makes Bullet forget old contacts.
+            # Rays do not hit the rover. Setting the mask at every reset also clears old contacts.
             pybullet.setCollisionFilterGroupMask(self._body, link, _ROVER, _STATIC, physicsClientId=self._client)
         self._twist, self._error = np.zeros(2), 0.0
 

@@ -1,8 +1,8 @@
-"""How fast batched rollouts are, and how much of the time Bullet takes.
+"""Speed of batched rollouts, and the share of the time spent in Bullet.
 
-Steps are those of ``step_and_maybe_reset`` with the contract's reward under random actions. Times are medians over the
-steps in which nothing was reset: inside Bullet's ``stepSimulation`` and ``rayTestBatch``, and all else (read-out and
-motor calls, task, rewards, TorchRL).
+The benchmark calls ``step_and_maybe_reset`` with random actions and the contract's reward. It reports medians over the
+steps without resets: the time in Bullet's ``stepSimulation`` and ``rayTestBatch``, and the rest (state and motor calls
+of PyBullet, task, rewards, TorchRL).
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from benchmarks.ratios import rate
 from rover_rl.sims.native.bullet import pybullet
 
 WARM_UP = 3
-"""Steps that do not count."""
+"""Number of initial steps that are not measured."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """Figures of one environment; times in microseconds.
+    """Results of one environment.
 
     Attributes:
-        num_envs: rovers.
-        beams: of each.
-        steps_per_s: of one process.
-        all_workers: steps per second of all processes together, where they can share the rovers.
-        physics: inside ``stepSimulation``, per rover.
-        rays: inside ``rayTestBatch``, per rover.
-        rest: all else, per batched step.
+        num_envs: number of rovers.
+        beams: number of lidar beams per rover.
+        steps_per_s: steps per second of one process.
+        all_workers: steps per second of all worker processes. ``None`` if the workers cannot share the rovers equally.
+        physics: time in ``stepSimulation`` per rover and step, us.
+        rays: time in ``rayTestBatch`` per rover and step, us.
+        rest: remaining time per batched step, us.
     """
 
     num_envs: int
@@ -50,12 +50,16 @@ class Row:
 
     @property
     def share(self) -> float:
-        """Of a step, what is not inside Bullet."""
+        """Fraction of a step outside Bullet."""
         return self.rest / (self.rest + self.num_envs * (self.physics + self.rays))
 
 
 class Stopwatch:
-    """Adds up the time inside one function of PyBullet."""
+    """Wraps a function and accumulates the time of its calls.
+
+    Args:
+        function: function to time.
+    """
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.seconds = 0.0
@@ -68,14 +72,14 @@ class Stopwatch:
         return result
 
     def take(self) -> float:
-        """The time since the last call, in seconds."""
+        """Returns the accumulated time and resets it to 0, s."""
         seconds, self.seconds = self.seconds, 0.0
         return seconds
 
 
 @contextmanager
-def watched(*names: str) -> Iterator[list[Stopwatch]]:
-    """Stopwatches in the place of functions of PyBullet."""
+def timed_pybullet(*names: str) -> Iterator[list[Stopwatch]]:
+    """Replaces functions of PyBullet by stopwatches."""
     functions = {name: getattr(pybullet, name) for name in names}
     watches = [Stopwatch(function) for function in functions.values()]
     try:
@@ -87,14 +91,14 @@ def watched(*names: str) -> Iterator[list[Stopwatch]]:
             setattr(pybullet, name, function)
 
 
-def rolled_out(env: EnvBase, seconds: float) -> dict[str, float]:
-    """Drives with random actions for about ``seconds``, and tells where the time went."""
+def time_rollout(env: EnvBase, seconds: float) -> dict[str, float]:
+    """Steps an environment with random actions for about ``seconds``. Returns speed and times as in :class:`Row`."""
     count = env.batch_size[0]
     actions = [env.action_spec.rand() for _ in range(16)]
     td = env.reset()
     times: list[tuple[float, float, float]] = []
     total = steps = 0.0
-    with watched("stepSimulation", "rayTestBatch") as watches:
+    with timed_pybullet("stepSimulation", "rayTestBatch") as watches:
         begin, number = time.perf_counter(), 0
         while time.perf_counter() - begin < seconds or len(times) < 5:
             td.set("action", actions[number % 16])
@@ -102,37 +106,37 @@ def rolled_out(env: EnvBase, seconds: float) -> dict[str, float]:
                 watch.take()
             start = time.perf_counter()
             result, td = env.step_and_maybe_reset(td)
-            passed = time.perf_counter() - start
+            elapsed = time.perf_counter() - start
             physics, rays = (watch.take() for watch in watches)
             number += 1
             if number <= WARM_UP:
                 continue
-            steps, total = steps + count, total + passed
+            steps, total = steps + count, total + elapsed
             if not result["next", "done"].any() or number > 500:
-                times.append((physics / count, rays / count, passed - physics - rays))
+                times.append((physics / count, rays / count, elapsed - physics - rays))
     physics, rays, rest = (statistics.median(column) * 1e6 for column in zip(*times, strict=True))
     return {"steps_per_s": steps / total, "physics": physics, "rays": rays, "rest": rest}
 
 
 def measure(options: Options) -> list[dict[str, Any]]:
-    """A row for each number of beams and of rovers."""
+    """Measures each number of beams and rovers. Returns a row for each."""
     rows = []
     for beams in options.beams:
         for num_envs in options.num_envs:
             env = make_worker_env(options.world, num_envs, beams, 0)
-            figures = rolled_out(env, options.seconds)
+            times = time_rollout(env, options.seconds)
             env.close()
             shared = None
             if options.workers > 1 and num_envs % options.workers == 0:
                 with rollouts(options.world, num_envs, beams, options.workers) as batch:
                     batch()
                     shared = rate(batch, options.seconds)
-            rows.append(asdict(Row(num_envs=num_envs, beams=beams, all_workers=shared, **figures)))
+            rows.append(asdict(Row(num_envs=num_envs, beams=beams, all_workers=shared, **times)))
     return rows
 
 
 def table(rows: list[dict[str, Any]]) -> Table:
-    """For the terminal."""
+    """Formats the rows for the terminal."""
     headings = "rovers", "beams", "steps/s", "all workers", "us/rover: physics", "rays", "us/batch: rest", "share"
     table = Table(*headings, title="Batched rollouts")
     for row in (Row(**row) for row in rows):

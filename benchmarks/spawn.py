@@ -1,9 +1,9 @@
-"""Whether freshly reset rovers stand free and still: resets many times and lets them stand for 20 steps.
+"""Check of spawn poses: resets many rovers and applies zero actions for 20 steps.
 
     python benchmarks/spawn.py --resets 10000
 
-Prints for each world how many rovers flipped, jammed, collided, left the bounds or were stuck within 20 steps of zero
-action, the nearest lidar reading, and how far the furthest one moved.
+Prints for each world how many rovers flipped, jammed, collided, left the bounds or were stuck, the smallest lidar
+reading, and the largest displacement.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ EVENTS = ("flipped", "jammed", "collision", "out_of_bounds", "stuck")
 
 @dataclass
 class Options:
-    """What to check."""
+    """Options of the check."""
 
     worlds: list[str] = field(default_factory=lambda: ["inspect", "moon", "maze"])
-    """Worlds, by name."""
+    """Names of the worlds."""
     resets: int = 10_000
-    """Rovers reset in each world."""
+    """Number of resets in each world."""
     num_envs: int = 250
-    """Rovers at once."""
+    """Number of rovers in the batch."""
     seed: int = 0
-    """Of the first rover."""
+    """Seed of the first rover."""
 
 
 def check(world: str, options: Options) -> None:
-    """Prints the counts of one world."""
+    """Checks one world and prints the results."""
     env = RoverEnv(world_n=world, num_envs=options.num_envs, seed=options.seed)
     zero = torch.zeros(options.num_envs, 2)
     counts = dict.fromkeys(EVENTS, 0)

@@ -1,4 +1,4 @@
-"""The small pieces of a step, each by itself, with pytest-benchmark: what a regression shows in.
+"""Microbenchmarks of the parts of a step with pytest-benchmark, for the detection of regressions.
 
 pytest benchmarks/test_pieces.py --benchmark-autosave
 pytest benchmarks/test_pieces.py --benchmark-compare --benchmark-compare-fail=median:25%
@@ -32,14 +32,14 @@ def env(request: pytest.FixtureRequest) -> Iterator[EnvBase]:
 
 def test_step_with_reward(benchmark, env: EnvBase) -> None:
     action = env.action_spec.rand()
-    now = env.reset().set("action", action)
-    benchmark(env.step, now)
+    current = env.reset().set("action", action)
+    benchmark(env.step, current)
 
 
-def test_step_of_the_bare_task(benchmark, env: EnvBase) -> None:
-    bare = env.base_env
-    now = bare.reset().set("action", bare.action_spec.rand())
-    benchmark(bare.step, now)
+def test_step_without_reward(benchmark, env: EnvBase) -> None:
+    base = env.base_env
+    current = base.reset().set("action", base.action_spec.rand())
+    benchmark(base.step, current)
 
 
 def test_reset_of_all_rovers(benchmark, env: EnvBase) -> None:
@@ -52,12 +52,12 @@ def test_simulator_step(benchmark, env: EnvBase) -> None:
 
 
 def test_rewards(benchmark, env: EnvBase) -> None:
-    now = env.reset().set("action", env.action_spec.rand())
-    after = env.base_env.step(now)["next"]
+    current = env.reset().set("action", env.action_spec.rand())
+    following = env.base_env.step(current)["next"]
 
     def rewards() -> None:
-        # Into a copy, as each step has one of its own.
-        env.transform._step(now, after.copy())
+        # Each step writes to a new TensorDict, so the benchmark writes to a copy.
+        env.transform._step(current, following.copy())
 
     benchmark(rewards)
 

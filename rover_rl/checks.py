@@ -1,4 +1,4 @@
-"""Checks of the numbers that users give. Imports no torch, so that settings can be checked without it."""
+"""Validation of numbers given by users. Does not import PyTorch, so that settings can be validated without it."""
 
 from __future__ import annotations
 
@@ -6,30 +6,30 @@ import operator
 from typing import Any
 
 MAX_SEED = 2**63 - 1
-"""The largest seed; the smallest is 0."""
+"""Largest seed. The smallest is 0."""
 MAX_COUNT = 10**12
-"""More than there is memory or time for."""
+"""Upper limit of counts, such as steps: beyond any practical run."""
 MAX_ROVERS = 10**6
-"""More than a batch has had."""
+"""Upper limit of the number of rovers in a batch."""
 MAX_NUMBER = 1e30
-"""What 32-bit floats can be multiplied with and stay finite."""
+"""Upper limit of real-valued settings: products with 32-bit floats stay finite."""
 MAX_SECONDS = 1e6
-"""The longest drive that can be evaluated or filmed."""
+"""Longest drive that can be evaluated or filmed, s."""
 
 
 def check_seed(seed: Any, count: int = 1) -> int:
-    """The seed as an ``int``.
+    """Validates a seed and returns it as an ``int``.
 
     Args:
-        seed: a whole number of any integer type.
-        count: seeds that are counted on from it, itself included, such as one a row: they must be in range, too.
+        seed: whole number of any integer type.
+        count: number of consecutive seeds used from ``seed`` on, for example one per row. All must be in range.
 
     Raises:
-        ValueError: naming what is allowed.
+        ValueError: if the seed is not a whole number or out of range.
     """
     most = MAX_SEED - count + 1
     try:
-        # True would count as 1, but nobody who writes it means that.
+        # operator.index(True) is 1, but a bool is most likely a mistake.
         whole = -1 if isinstance(seed, bool) else operator.index(seed)
     except TypeError:
         whole = -1
@@ -39,10 +39,10 @@ def check_seed(seed: Any, count: int = 1) -> int:
 
 
 def check_at_least(least: float, most: float, **numbers: float) -> None:
-    """Refuses numbers that are NaN, or not between ``least`` and ``most``.
+    """Checks that all numbers are between ``least`` and ``most``.
 
     Raises:
-        ValueError: naming the first of them.
+        ValueError: for the first number that is NaN or out of range, with its name.
     """
     for name, number in numbers.items():
         if not least <= number <= most:
@@ -50,10 +50,10 @@ def check_at_least(least: float, most: float, **numbers: float) -> None:
 
 
 def check_positive(most: float, **numbers: float) -> None:
-    """Refuses numbers that are NaN, not above 0, or above ``most``.
+    """Checks that all numbers are positive and at most ``most``.
 
     Raises:
-        ValueError: naming the first of them.
+        ValueError: for the first number that is NaN or out of range, with its name.
     """
     for name, number in numbers.items():
         if not 0 < number <= most:

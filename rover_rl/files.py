@@ -1,4 +1,4 @@
-"""Writing files so that nobody ever sees half of one, and errors that say which file could not be written."""
+"""Atomic file writes, and file errors that name the file."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from pathlib import Path
 from typing import Any
 
 STANDARD_OUTPUT = Path("standard output")
-"""What to call it in an error."""
+"""Name of the standard output in error messages."""
 
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """A temporary path beside ``path`` to write to, moved there in the end: nobody sees half a file.
+    """Writes a file atomically: yields a temporary path next to ``path`` and renames it to ``path`` at the end.
 
     Raises:
-        OSError: naming ``path``, if the disk is full, or ``path`` is a folder or may not be written.
+        OSError: if ``path`` is a folder or cannot be written, for example on a full disk. The error names ``path``.
     """
-    # The suffix stays, because it decides on the format of pictures.
+    # The suffix stays because it determines the format of images.
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     with errors_name(path, temporary):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -36,7 +36,7 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def errors_name(path: Path, temporary: Path | None = None) -> Iterator[None]:
-    """Makes the system's errors name ``path``: a write that fails names no file, or the ``temporary`` one."""
+    """Adds ``path`` to errors of the operating system that name no file, or the ``temporary`` one."""
     try:
         yield
     except OSError as error:
@@ -46,10 +46,10 @@ def errors_name(path: Path, temporary: Path | None = None) -> Iterator[None]:
 
 
 def write_through(path: Path, data: bytes | memoryview) -> None:
-    """Writes a file, and waits until the disk has all of it.
+    """Writes a file and flushes it to disk (``fsync``).
 
     Raises:
-        OSError: naming ``path``.
+        OSError: if the file cannot be written. The error names ``path``.
     """
     with errors_name(path), path.open("wb") as file:
         file.write(data)
@@ -58,6 +58,6 @@ def write_through(path: Path, data: bytes | memoryview) -> None:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Writes plain data as JSON."""
+    """Writes plain data as JSON, atomically."""
     with written_whole(path) as temporary:
         temporary.write_text(json.dumps(data, indent=2) + "\n")

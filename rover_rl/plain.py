@@ -79,7 +79,7 @@ def _one_of(converter: Converter, value: Any, hint: Any) -> Any:
     """``value`` as the first type of a union that it fits."""
     kinds: Any = get_args(hint)
     for kind in kinds:
-        if kind is NoneType:
+        if kind is NoneType:  # type: ignore[comparison-overlap]
             if value is None:
                 return None
             continue

@@ -1,7 +1,7 @@
-"""Registry: parts of an environment (worlds, robots, rewards, backends) by name.
+"""Registry of the parts of an environment (worlds, robots, rewards, backends) by name.
 
-A name is looked up among the parts of the package, those that were registered, the entry points of installed packages,
-and as ``module:attribute``. Imports no PyTorch.
+A name refers to a built-in part, a registered part, an entry point of an installed package, or a Python object in the
+form ``module:attribute``, in this order. Does not import PyTorch.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import sys
 from collections.abc import Mapping
 from importlib import import_module
 from importlib.metadata import entry_points
+from types import ModuleType
 from typing import Any
 
 
@@ -18,11 +19,11 @@ class Registry:
     """Parts of one kind, by name.
 
     Args:
-        kind: what a part is called in messages, for example ``"world"``.
-        built_in: the package's own parts. A value ``"module:attribute"`` is imported when it is asked for.
-        also: what else than a name is allowed, for the message about an unknown name.
+        kind: name of the kind in error messages, for example ``"world"``.
+        built_in: built-in parts by name. A value ``"module:attribute"`` is imported on first use.
+        also: text for the error message about an unknown name: what is accepted besides a name.
 
-    Entry points of installed packages are in the group ``rover_rl.KINDs``, for example ``rover_rl.worlds``::
+    Installed packages add parts with entry points in the group ``rover_rl.<kind>s``, for example ``rover_rl.worlds``::
 
         [project.entry-points."rover_rl.worlds"]
         canyon = "my_package.worlds:canyon"
@@ -35,40 +36,42 @@ class Registry:
         self._parts = dict(built_in)
 
     def register(self, name: str, part: Any) -> None:
-        """Adds a part.
+        """Registers a part. Registering the same object again under its name has no effect.
 
         Args:
-            name: letters, digits, ``_``, ``-`` and ``.``.
-            part: the part, or ``"module:attribute"``, which is imported when it is asked for.
+            name: name of letters, digits, ``_``, ``-`` and ``.``.
+            part: part to register, or its ``"module:attribute"``, which is imported on first use.
 
         Raises:
-            ValueError: for another name, or one that is taken by another part.
+            ValueError: if the name has other characters, or another part has this name.
         """
         if not re.fullmatch(r"[\w.-]+", name):
-            raise ValueError(f"the name of a {self._kind} must be letters, digits, '_', '-' and '.', got {name!r}")
+            raise ValueError(
+                f"the name of a {self._kind} must consist of letters, digits, '_', '-' and '.', got {name!r}"
+            )
         if self._parts.get(name, part) is not part:
-            raise ValueError(f"there is a {self._kind} {name!r} already; choose another name")
+            raise ValueError(f"a {self._kind} named {name!r} already exists; choose another name")
         self._parts[name] = part
 
     def names(self) -> list[str]:
-        """All names, sorted, without those in the form ``module:attribute``."""
+        """Returns the names of all built-in, registered and installed parts, sorted."""
         return sorted({*self._parts, *(entry.name for entry in self._entry_points())})
 
     def find(self, name: str) -> Any:
-        """The part of that name.
+        """Returns the part of the given name.
 
         Raises:
-            ValueError: for an unknown name, or one whose module or attribute does not exist.
+            ValueError: if the name is unknown, or its module or attribute cannot be imported.
         """
         if name in self._parts:
             part = self._parts[name]
-            return self._imported(name, part) if isinstance(part, str) else part
+            return self._import(name, part) if isinstance(part, str) else part
         for entry in self._entry_points():
             if entry.name == name:
-                return self._imported(name, entry.value)
+                return self._import(name, entry.value)
         if is_path(name):
-            self._refuse_standard_library(name)
-            return self._imported(name, name)
+            self._check_not_standard_library(name, name.split(":")[0])
+            return self._import(name, name)
         raise ValueError(self._unknown(name))
 
     def _unknown(self, name: str) -> str:
@@ -77,7 +80,7 @@ class Registry:
     def _entry_points(self) -> Any:
         return entry_points(group=f"rover_rl.{self._kind}s")
 
-    def _imported(self, name: str, path: str) -> Any:
+    def _import(self, name: str, path: str) -> Any:
         module, _, attribute = path.partition(":")
         try:
             part: Any = import_module(module)
@@ -86,17 +89,19 @@ class Registry:
                 raise ValueError(self._unknown(name)) from error
             raise ValueError(f"{self._kind} {name!r} cannot be imported: {error}") from error
         for step in attribute.split("."):
-            if not hasattr(part, step):
+            # What a module imports is not its own: "my_package.files:os.abort" must not be called either.
+            if not hasattr(part, step) or isinstance(getattr(part, step), ModuleType):
                 raise ValueError(f"{self._kind} {name!r} cannot be imported: {module!r} has no {attribute!r}")
             part = getattr(part, step)
+        self._check_not_standard_library(name, getattr(part, "__module__", None) or module)
         return part
 
-    def _refuse_standard_library(self, name: str) -> None:
-        # Names also come from checkpoints of others: "os:abort" must not be called because a file says so.
-        if name.split(":")[0].split(".")[0] in sys.stdlib_module_names:
-            raise ValueError(f"{self._kind} {name!r} is in Python's standard library, which has none")
+    def _check_not_standard_library(self, name: str, module: str) -> None:
+        # Names also come from checkpoints of other users, which must not call functions such as "os:abort".
+        if module.split(".")[0] in sys.stdlib_module_names:
+            raise ValueError(f"{self._kind} {name!r} is in Python's standard library, which has no {self._kind}s")
 
 
 def is_path(name: str) -> bool:
-    """Whether a name has the form ``module:attribute``."""
+    """Returns whether a name has the form ``module:attribute``."""
     return re.fullmatch(r"[^\W\d][\w.]*:[^\W\d][\w.]*", name) is not None

@@ -1,7 +1,7 @@
 """TensorDicts without checks, for the step of an environment.
 
-TensorDict's public constructors check every entry's shape and device, which takes longer than a step of a small batch.
-The entries made here have the right shapes by construction. These are the only calls of TensorDict's private API.
+The public constructors of TensorDict check the shape and device of every entry, which takes longer than a step of a
+small batch. The callers guarantee both. This is the only use of TensorDict's private API.
 """
 
 from __future__ import annotations
@@ -16,5 +16,11 @@ from tensordict import TensorDict
 def unchecked_tensordict(
     entries: Mapping[str, Any], batch_size: Sequence[int], device: torch.device | None = None
 ) -> TensorDict:
-    """A TensorDict of ``entries`` that are known to fit its batch size and device."""
+    """Creates a TensorDict without checking its entries.
+
+    Args:
+        entries: tensors or nested TensorDicts by name, whose shapes start with ``batch_size``.
+        batch_size: batch size of the TensorDict.
+        device: device of all entries. ``None`` leaves the device of the TensorDict unset.
+    """
     return TensorDict._new_unsafe(dict(entries), batch_size=torch.Size(batch_size), device=device)

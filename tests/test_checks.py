@@ -14,25 +14,25 @@ from rover_rl.checks import MAX_SEED, check_at_least, check_positive, check_seed
 
 
 @pytest.mark.parametrize("seed", [0, MAX_SEED, np.int32(7), np.uint64(MAX_SEED), torch.tensor(7)])
-def test_seeds_may_be_of_any_integer_type(seed: Any) -> None:
+def test_seeds_of_any_integer_type_are_accepted(seed: Any) -> None:
     assert check_seed(seed) == int(seed)
     assert type(check_seed(seed)) is int
 
 
 @pytest.mark.parametrize("seed", [-1, MAX_SEED + 1, 10**30, 1.0, math.nan, True, np.True_, "7", None, np.arange(2)])
-def test_other_seeds_are_refused_with_what_is_allowed(seed: Any) -> None:
+def test_invalid_seeds_raise_with_the_allowed_range(seed: Any) -> None:
     with pytest.raises(ValueError, match="^seed must be a whole number from 0 to 9223372036854775807, got "):
         check_seed(seed)
 
 
-def test_the_last_of_seeds_that_are_counted_on_is_in_range_too() -> None:
+def test_consecutive_seeds_must_all_be_in_range() -> None:
     assert check_seed(MAX_SEED - 3, 4) == MAX_SEED - 3
     with pytest.raises(ValueError, match=f"from 0 to {MAX_SEED - 3}, got {MAX_SEED - 2}"):
         check_seed(MAX_SEED - 2, 4)
 
 
 @pytest.mark.parametrize("seed", [-1, 2**70, 0.5, True])
-def test_everything_refuses_the_same_seeds(seed: Any) -> None:
+def test_all_users_of_seeds_reject_the_same_seeds(seed: Any) -> None:
     env = RoverEnv(world_n="maze", num_envs=2, seed=MAX_SEED - 1)
     uses = (
         lambda: RoverEnv(world_n="maze", num_envs=2, seed=seed),
@@ -47,7 +47,7 @@ def test_everything_refuses_the_same_seeds(seed: Any) -> None:
 
 
 @pytest.mark.parametrize("number", [0, -1, math.nan, math.inf, 11])
-def test_numbers_out_of_range_are_named(number: float) -> None:
+def test_errors_name_the_number_out_of_range(number: float) -> None:
     with pytest.raises(ValueError, match=f"^speed must be positive and at most 10, got {number}$"):
         check_positive(10, seconds=10, speed=number)
     with pytest.raises(ValueError, match=f"^count must be at least 1 and at most 10, got {number}$"):

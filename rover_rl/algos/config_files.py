@@ -51,7 +51,7 @@ def config_from(data: Any, source: str) -> TrainingConfig:
     if unknown := sorted(set(parts) - set(PARTS), key=str):
         raise ValueError(f"{source} has parts that do not exist: {unknown}; use some of {[*PARTS]}")
     default = default_config(algo)
-    read = {}
+    read: dict[str, Any] = {}
     for part, given in parts.items():
         place = f"{part} in {source}"
         if not isinstance(given, dict):

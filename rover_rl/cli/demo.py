@@ -2,43 +2,44 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from rover_rl.algos.config import ENDLESS, PPOConfig
-from rover_rl.cli.train import INTERRUPTED, format_summary, train
+from rover_rl.algos.config import UNLIMITED_STEPS, with_settings
+from rover_rl.cli.train import INTERRUPTED, format_summary
 
 FILMED = 12.0
-"""Seconds of the film."""
+"""Duration of the video, s."""
 
 
 @dataclass(frozen=True)
 class Demo:
-    """Train PPO for some minutes, drive fixed starts and goals beside others, and film the policy of the package.
+    """Train PPO for some minutes, evaluate the policy beside others, and film the package's policy.
 
-    The training has the settings of the package's policy for the world.
+    The training uses the settings of the package's policy for the world.
     """
 
     world: str = "moon"
     """World to train and drive in: inspect, moon or maze."""
     minutes: float = 4.0
-    """Of training."""
+    """Duration of the training, minutes."""
     seed: int = 0
-    """Of the training."""
-    num_envs: int = PPOConfig.num_envs
-    """Rovers that drive at once in training."""
+    """Seed of the training."""
+    num_envs: int = 64
+    """Number of rovers in training."""
     count: int = 64
-    """Episodes to evaluate on, each with one goal to be reached within 60 s."""
+    """Number of episodes to evaluate on, each with one goal and a time limit of 60 s."""
     runs: str = "runs"
     """Folder that the run is written into."""
 
     def __call__(self) -> int:
-        """Trains, evaluates, draws, films, and says where the pictures are."""
+        """Trains, evaluates, draws, films, and prints where the pictures are."""
         from rover_rl.algos.evaluation.episodes import draw_episodes
         from rover_rl.algos.evaluation.evaluate import evaluate
         from rover_rl.algos.evaluation.plots import draw_learning_curve, draw_paths
         from rover_rl.algos.evaluation.report import print_table, write_evaluation
         from rover_rl.algos.policy.checkpoint import Checkpoint
         from rover_rl.algos.pretrained import load_pretrained
+        from rover_rl.algos.train import train
         from rover_rl.algos.video.film import film
         from rover_rl.sims.worlds import get_world
 
@@ -46,10 +47,10 @@ class Demo:
         name = f"{self.world.split(':')[0]}-ppo"
         package = load_pretrained(name)
         expert = package.make_actor()
-        config = replace(
+        config = with_settings(
             package.config,
             world=self.world,
-            total_steps=ENDLESS,
+            total_steps=UNLIMITED_STEPS,
             max_minutes=self.minutes,
             seed=self.seed,
             num_envs=self.num_envs,

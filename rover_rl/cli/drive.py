@@ -7,7 +7,7 @@ import math
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -51,7 +51,9 @@ class Drive:
     random: int = 0
     """Number of goals drawn at random, as in training."""
     world: str | None = None
-    """World that the rover is in; by default the one that the policy was trained in."""
+    """World that the rover is in. Default: the one that the policy was trained in."""
+    robot: str | None = None
+    """Robot that is driven. Default: the one that the policy was made for."""
     wait: float = 30.0
     """Time to wait for the rover's first scan, s."""
     clearance: float = 0.2
@@ -108,13 +110,13 @@ class Drive:
             from rover_rl.algos.evaluation.metrics import RESTARTED
             from rover_rl.sims.ros2.watchdog import Watchdog
 
-            driver = self._driver()
-            assert driver.policy is not None
-            goals, settings = self._goals(driver.worlds[0]), self._settings()
+            policy = self._policy()
+            assert policy.module is not None
+            goals, settings = self._goals(policy.worlds[0]), self._settings()
             watchdog = None if self.dry_run else stack.enter_context(Watchdog(self.cmd_vel_topic, settings, STALE))
-            env = self._env(driver, settings)
+            env = self._env(policy, settings)
             stack.callback(env.close)
-            log = stack.enter_context(DriveLog(self.log, driver.worlds[0], driver.name, self.seconds))
+            log = stack.enter_context(DriveLog(self.log, policy.worlds[0], policy.name, self.seconds, env.robot.name))
             show = stack.enter_context(_display(Console(), each_step=self.dry_run))
             for number, goal in enumerate(goals, 1):
 
@@ -129,7 +131,7 @@ class Drive:
                     watchdog.alive()  # from here on it stops the rover where the next sign stays away
                 ending = drive_to(
                     env,
-                    driver.policy,
+                    policy.module,
                     goal,
                     seconds=self.seconds,
                     clearance=self.clearance,
@@ -161,7 +163,7 @@ class Drive:
         check_seed(self.seed)
         self._settings()
 
-    def _driver(self) -> ResolvedPolicy:
+    def _policy(self) -> ResolvedPolicy:
         """The policy, and where it is.
 
         Raises:
@@ -169,12 +171,12 @@ class Drive:
         """
         from rover_rl.cli.policies import resolve_policy
 
-        driver = resolve_policy(self.policy, (self.world,) if self.world else ())
-        if driver.policy is None or not driver.worlds:
+        policy = resolve_policy(self.policy, (self.world,) if self.world else (), self.robot)
+        if policy.module is None or not policy.worlds:
             raise ValueError(
                 f"{self.policy} cannot drive a live rover; say which --world it is in, or name a checkpoint"
             )
-        return driver
+        return policy
 
     def _settings(self) -> Ros2Settings:
         """How the rover is reached."""
@@ -194,22 +196,23 @@ class Drive:
             step_timeout=STALE,
         )
 
-    def _env(self, driver: ResolvedPolicy, settings: Ros2Settings) -> RoverEnv:
+    def _env(self, policy: ResolvedPolicy, settings: Ros2Settings) -> RoverEnv:
         """The live rover, as an environment without a limit of its own to the steps of a drive."""
+        from rover_rl.algos.evaluation.evaluate import environment_for
         from rover_rl.envs import RoverEnv
 
-        return RoverEnv(
-            length=UNLIMITED,
-            scan_topic=self.scan_topic,
-            imu_topic=self.imu_topic,
-            cmd_vel_topic=self.cmd_vel_topic,
-            connection_check_timeout=self.wait,
-            world_n=driver.worlds[0],
-            lidar_points=driver.lidar_points,
+        made_for = environment_for(policy.module, None)
+        described = replace(
+            made_for,
+            world=policy.worlds[0],
+            robot=self.robot or made_for.robot,
             backend=settings,
+            connection=Connection(self.scan_topic, self.imu_topic, self.cmd_vel_topic, timeout=self.wait),
+            length=UNLIMITED,
             end_on_goal=True,
             seed=self.seed,
         )
+        return RoverEnv(**environment_for(policy.module, described).arguments())
 
     def _goals(self, world: str) -> list[tuple[float, float]]:
         """All goals that were asked for.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rover_rl.algos.config_files import read_yaml
 from rover_rl.envs.config import EnvConfig, env_from_plain
@@ -36,8 +36,9 @@ class EnvOptions:
         from rover_rl.algos.evaluation.evaluate import environment_for
 
         config = environment_for(policy, None if self.env is None else read_env(self.env))
-        changes = {"robot": self.robot, "backend": self.backend, "physics": self.physics}
-        return environment_for(policy, replace(config, **{key: given for key, given in changes.items() if given}))
+        options = {"robot": self.robot, "backend": self.backend, "physics": self.physics}
+        changes: dict[str, Any] = {key: given for key, given in options.items() if given}
+        return environment_for(policy, replace(config, **changes))
 
 
 def read_env(path: Path) -> EnvConfig:

@@ -11,17 +11,17 @@ import tyro
 
 @dataclass(frozen=True)
 class Export:
-    """Write a trained policy for machines without TorchRL, and hold it against the original on 1,000 observations."""
+    """Export a trained policy for machines without TorchRL, and compare it with the original on 1,000 observations."""
 
     policy: tyro.conf.Positional[str]
     """Folder of a run, a checkpoint, or pretrained:NAME."""
     format: Literal["onnx", "torch"] = "onnx"
-    """onnx, or torch: a program of torch.export."""
+    """Format: onnx, or torch (a torch.export program)."""
     out: Path | None = None
-    """File to write; by default the policy's name, with .onnx or .pt2."""
+    """File to write. Default: the policy's name with .onnx or .pt2."""
 
     def __call__(self) -> int:
-        """Writes it, and says how near it comes."""
+        """Exports, and prints the largest difference."""
         from rover_rl.algos.deploy.export import SUFFIXES, export
         from rover_rl.cli.policies import load_checkpoint
 

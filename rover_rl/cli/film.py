@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
+from rover_rl.cli.environment import EnvOptions
 from rover_rl.cli.policies import resolve_policy
 
 
 @dataclass(frozen=True)
 class Film:
-    """Film a policy that drives: one rover from behind with the beams of its lidar, or many of them from above."""
+    """Film a policy: one rover from behind with its lidar beams, or many rovers from above."""
 
     policy: tyro.conf.Positional[str]
     """Folder of a run, checkpoint file, pretrained:NAME, scripted or random."""
@@ -22,34 +23,35 @@ class Film:
     view: Literal["chase", "top"] = "chase"
     """Behind the first rover, or above all of them."""
     world: str | None = None
-    """World to drive in; by default the one that the policy was trained in, or maze."""
+    """World to drive in. Default: the one that the policy was trained in, or maze."""
     seconds: float = 20.0
-    """Of driving."""
+    """Duration of the drive, s."""
     seed: int = 0
-    """Of starts and goals."""
+    """Seed of starts and goals."""
     rovers: int | None = None
-    """Rovers that drive at once; by default 1, or 16 from above."""
+    """Number of rovers. Default: 1, or 16 from above."""
     width: int = 640
-    """Of the picture, pixels."""
+    """Width of the picture, pixels."""
     height: int = 480
-    """Of the picture, pixels."""
+    """Height of the picture, pixels."""
     fps: int | None = None
-    """Pictures a second; by default 20 for .mp4, 10 for .gif."""
+    """Frames per second. Default: 20 for .mp4, 10 for .gif."""
     speed: float = 1.0
-    """2 shows everything twice as fast as it is."""
+    """Playback speed; 2 is twice as fast as real time."""
     rewards: Path | None = None
-    """Draw what the first rover is paid for into this file, such as rewards.png."""
+    """File for a plot of the first rover's reward components, such as rewards.png."""
+    environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
 
     def __call__(self) -> int:
-        """Films, and says where the film is."""
+        """Films, and prints where the video is."""
         from rover_rl.algos.evaluation.plots import draw_reward_components
         from rover_rl.algos.video.film import film
 
-        driver = resolve_policy(self.policy, () if self.world is None else (self.world,))
+        policy = resolve_policy(self.policy, () if self.world is None else (self.world,), self.environment.robot)
         rollout = film(
-            driver.policy,
+            policy.module,
             self.out,
-            world=driver.worlds[0] if driver.worlds else "maze",
+            world=policy.worlds[0] if policy.worlds else "maze",
             view=self.view,
             seconds=self.seconds,
             seed=self.seed,
@@ -58,7 +60,7 @@ class Film:
             height=self.height,
             fps=self.fps,
             speed=self.speed,
-            lidar_points=driver.lidar_points,
+            env=self.environment.description(policy.module),
         )
         print(f"Film: {self.out}")
         if self.rewards is not None:

@@ -23,14 +23,14 @@ class ResolvedPolicy:
 
     Attributes:
         name: name in tables.
-        policy: the policy; ``None`` acts at random.
+        module: the policy; ``None`` acts at random.
         worlds: worlds to drive in; none: those of the other policies.
         folder: folder of its checkpoint.
         config: settings that it was trained with.
     """
 
     name: str
-    policy: Policy | None
+    module: Policy | None
     worlds: tuple[str, ...]
     folder: Path | None = None
     config: TrainingConfig | None = None
@@ -40,7 +40,7 @@ def resolve_policy(word: str, worlds: tuple[str, ...], robot: str | None = None)
     """The policy that a word on the command line names.
 
     Args:
-        word: ``random``, ``scripted``, ``pretrained:NAME``, or the path of a run's folder, a checkpoint or an ONNX file.
+        word: ``random``, ``scripted``, ``pretrained:NAME``, or the path of a run's folder, checkpoint or ONNX file.
         worlds: worlds to drive in; none: the ones that the policy was trained in.
         robot: robot of the scripted policy; ``None``: the default one.
 
@@ -58,13 +58,11 @@ def resolve_policy(word: str, worlds: tuple[str, ...], robot: str | None = None)
         from rover_rl.algos.deploy.export import OnnxPolicy
 
         policy = OnnxPolicy(Path(word))
-        return ResolvedPolicy(
-            Path(word).stem, policy, worlds or policy.config.env.world_names, config=policy.config
-        )
+        return ResolvedPolicy(Path(word).stem, policy, worlds or policy.config.env.world_names, config=policy.config)
     checkpoint, name = load_checkpoint(word)
     return ResolvedPolicy(
         name=name,
-        policy=checkpoint.make_actor(),
+        module=checkpoint.make_actor(),
         worlds=worlds or checkpoint.env.world_names,
         folder=None if word.startswith(PRETRAINED) else _folder(word),
         config=checkpoint.config,

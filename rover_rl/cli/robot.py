@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from types import FrameType
 
 from rover_rl.checks import check_at_least, check_positive, check_seed
+from rover_rl.envs.config import DEFAULT_PHYSICS, EnvConfig
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2.settings import Ros2Settings
 
@@ -20,7 +21,7 @@ MAX_BEAMS = 16_383
 
 @dataclass(frozen=True)
 class RobotCommand:
-    """Run a simulated ROS 2 robot: PyBullet's rover, which publishes scan, IMU, odometry, pose array and clock.
+    """Run a simulated ROS 2 robot that publishes scan, IMU, odometry, pose array and clock.
 
     Drive it with backend="ros2", rover-rl drive, or any ROS 2 tool. Ctrl-C ends it.
     """
@@ -31,6 +32,12 @@ class RobotCommand:
     """Simulation speed as a multiple of real time."""
     seed: int = 0
     """Seed of the place where the rover starts."""
+    robot: str = "rover_zero"
+    """Robot: rover_zero, or module:attribute."""
+    backend: str = EnvConfig.backend
+    """Simulator: bullet, warp (extra warp), or module:attribute."""
+    physics: str = EnvConfig.physics
+    """Preset of Bullet's physics: default, accurate or fast (docs/physics.md)."""
     lidar_beams: int = 640
     """Beams in a full turn of the lidar; the original's has 640."""
     lidar_view: float = 360.0
@@ -69,10 +76,16 @@ class RobotCommand:
 
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, end)
-        world, robot = get_world(self.world), get_robot("rover_zero")
-        start = draw_episodes(world, 1, self.seed).start[0].tolist()
-        transport = make_transport("dds", "rover_zero")
-        simulator = make_simulator("bullet", worlds=[world], robot=robot, lidar_beams=self.lidar_beams)
+        world, robot = get_world(self.world), get_robot(self.robot)
+        start = draw_episodes(world, 1, self.seed, robot=robot).start[0].tolist()
+        transport = make_transport("dds", robot.name)
+        simulator = make_simulator(
+            self.backend,
+            worlds=[world],
+            robot=robot,
+            lidar_beams=self.lidar_beams,
+            physics=None if self.physics == DEFAULT_PHYSICS else self.physics,
+        )
         settings = Ros2Settings(
             odometry_topic=self.odometry_topic, pose_topic=self.pose_topic, reset_topic=self.reset_topic
         )

@@ -10,6 +10,10 @@ from pathlib import Path
 class Worlds:
     """List the worlds, and draw a map of each."""
 
+    world: tuple[str, ...] = ()
+    """Worlds to draw, also module:attribute. Default: all that have a name."""
+    robot: str = "rover_zero"
+    """Robot that the free space is for."""
     out: Path = Path("worlds")
     """Folder for the maps."""
 
@@ -17,13 +21,14 @@ class Worlds:
         """Draws the maps."""
         from rover_rl.files import written_whole
         from rover_rl.sims.robots import get_robot
-        from rover_rl.sims.worlds import WORLDS, get_world
+        from rover_rl.sims.worlds import get_world, world_names
         from rover_rl.sims.worlds.draw import draw_world
 
-        for name in WORLDS:
-            world, path = get_world(name), self.out / f"{name}.png"
+        robot = get_robot(self.robot)
+        for name in self.world or world_names():
+            world, path = get_world(name), self.out / f"{name.replace(':', '-')}.png"
             with written_whole(path) as temporary:
-                draw_world(world, get_robot("rover_zero"), temporary)
+                draw_world(world, robot, temporary)
             width, depth = (f"{high - low:.0f}" for low, high in world.spawn_range)
             print(f"{name:8} {len(world.obstacles):3} obstacles, starts on {width} x {depth} m: {path}")
         return 0

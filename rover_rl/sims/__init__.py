@@ -1,6 +1,6 @@
-"""Simulation and hardware backends: each is one implementation of :class:`rover_rl.sims.base.Simulator`.
+"""Simulation and hardware backends: implementations of :class:`rover_rl.sims.base.Simulator`.
 
-``RoverState`` and ``Simulator``, which need PyTorch, are imported when they are asked for.
+``RoverState`` and ``Simulator`` need PyTorch and are imported on first use.
 """
 
 from __future__ import annotations

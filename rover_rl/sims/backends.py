@@ -1,4 +1,4 @@
-"""Backends by name, and how a simulator is built from one. Imports no PyTorch and no simulator until one is built."""
+"""Backend registry and simulator factory. Imports PyTorch and a simulator only when the simulator is built."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ BACKENDS: dict[str, str] = {
     "ros2": "rover_rl.sims.ros2.settings:Ros2Settings",
     "warp": "rover_rl.sims.warp.settings:WarpSettings",
 }
-"""The package's backends: the class of their settings, by name."""
+"""Settings classes of the built-in backends, by name."""
 
 BackendLike: TypeAlias = Any
-"""What names a backend: a name, the settings of one, or a :class:`Backend`."""
+"""A backend: its name, its settings, or a :class:`Backend` object."""
 
 _REGISTRY = Registry("backend", BACKENDS)
 
 
 @runtime_checkable
 class Backend(Protocol):
-    """A backend of your own: an object, usually its settings, that builds its simulator.
+    """Interface of a custom backend: an object, usually its settings, that builds the simulator.
 
     Example:
         >>> @dataclass(frozen=True)
@@ -53,40 +53,39 @@ class Backend(Protocol):
         connection: Connection | None = None,
         device: torch.device | None = None,
     ) -> Simulator:
-        """Builds the simulator: see :func:`make_simulator`."""
+        """Builds the simulator. See :func:`make_simulator`."""
         ...
 
 
 def register_backend(name: str, backend: Any) -> None:
-    """Gives a backend a name, for ``RoverEnv``, ``EnvConfig`` and ``--backend``.
+    """Registers a backend under a name, for ``RoverEnv``, ``EnvConfig`` and ``--backend``.
 
     Args:
-        name: its name.
-        backend: a class whose instances are :class:`Backend` objects, such an object, or the ``"module:attribute"`` of
-            either.
+        name: new name of letters, digits, ``_``, ``-`` and ``.``.
+        backend: :class:`Backend` object, class of such objects, or ``"module:attribute"`` of either.
 
     Raises:
-        ValueError: for a name that is taken, or that has other characters than letters, digits, ``_``, ``-`` and ``.``.
+        ValueError: if the name is taken or has other characters.
     """
     _REGISTRY.register(name, backend)
 
 
 def backend_names() -> list[str]:
-    """Names of the backends of the package, of those registered, and of those of installed packages."""
+    """Returns the names of all backends: built-in, registered, and from installed packages."""
     return _REGISTRY.names()
 
 
 def find_settings(name: str) -> Any:
-    """The class of a backend's settings, or the :class:`Backend` registered under the name.
+    """Returns the settings class of a backend, or the :class:`Backend` registered under the name.
 
     Raises:
-        ValueError: for an unknown name.
+        ValueError: if the name is unknown.
     """
     return _REGISTRY.find(name)
 
 
 def name_of(backend: Any) -> str:
-    """The name of the backend that an object belongs to: what :func:`find_settings` takes."""
+    """Returns the name of the backend of a settings object, as :func:`find_settings` takes it."""
     path = f"{type(backend).__module__}:{type(backend).__qualname__}"
     return next((name for name, known in BACKENDS.items() if known == path), path)
 
@@ -104,41 +103,41 @@ def make_simulator(
     """Builds a simulator.
 
     Args:
-        backend: a name in :func:`backend_names`, for a backend with its default settings; a backend's settings, for
+        backend: name in :func:`backend_names`, for a backend with its default settings; settings of a backend, for
             example ``BulletSettings(substeps=20)``; or a :class:`Backend`.
-        worlds: the world of each rover, N entries; equal ones share a simulation.
-        robot: the rover.
+        worlds: world of each rover, N entries. Consecutive rovers in the same world share a simulation.
+        robot: robot model.
         lidar_beams: number of beams of a raw scan over the full turn.
-        physics: name of a preset of a backend that is given by its name; ``None``: its default settings.
-        connection: topics of a live rover; ``None``: the contract's.
-        device: device of the task's tensors; a backend that can run there does. ``None``: the CPU.
+        physics: name of a physics preset of a backend that is given by name. ``None`` uses the default settings.
+        connection: topics of a real rover. ``None`` uses those of the contract.
+        device: device of the task's tensors, on which the backend runs if it can. ``None`` is the CPU.
 
     Raises:
-        ValueError: for an unknown backend or preset.
+        ValueError: if the backend or the preset is unknown.
     """
     if physics is not None and not isinstance(backend, str):
-        raise ValueError(f"physics={physics!r} is for a backend given by its name; this one has settings of its own")
+        raise ValueError(f"physics={physics!r} needs a backend given by name; this backend has settings of its own")
     settings = _settings(backend, physics) if isinstance(backend, str) else backend
     build = settings.make if isinstance(settings, Backend) else _builder(settings)
     return build(worlds=worlds, robot=robot, lidar_beams=lidar_beams, connection=connection, device=device)
 
 
 def _settings(name: str, physics: str | None) -> Any:
-    """The settings of the backend of that name: its defaults, or a preset."""
+    """Returns the default settings, or a preset, of the named backend."""
     kind = find_settings(name)
     if physics is None:
         return kind() if isinstance(kind, type) else kind
     if not hasattr(kind, "preset"):
-        raise ValueError(f"backend {name!r} has no presets of physics, got physics={physics!r}")
+        raise ValueError(f"backend {name!r} has no presets for its physics, got physics={physics!r}")
     return kind.preset(physics)
 
 
 def _builder(settings: Any) -> Callable[..., Simulator]:
-    """What builds the simulator for settings of the package's own backends."""
+    """Returns the function that builds the simulator of a built-in backend from its settings."""
     name = name_of(settings)
     if name not in _BUILDERS:
         raise ValueError(
-            f"backend must be one of {backend_names()}, the settings of one, or an object with a method make(), "
+            f"backend must be one of {backend_names()}, settings of one, or an object with a make() method, "
             f"got {settings!r}"
         )
 

@@ -1,4 +1,4 @@
-"""The seam between the task and what moves the rover."""
+"""Interface between the task and the simulation and hardware backends."""
 
 from __future__ import annotations
 
@@ -6,23 +6,25 @@ from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias, runtime_checkable
 
 import torch
-from tensordict import TensorClass, TensorDict
+from tensordict import TensorClass
 from torch import Tensor
+
+from rover_rl.tensordicts import unchecked_tensordict
 
 View: TypeAlias = Literal["chase", "top"]
 
 
 class RoverState(TensorClass):
-    """What is known of every rover at one moment. Batch size ``[N]``; float32 unless said otherwise.
+    """Batched rover state and sensor readings, with batch size ``[N]``. Tensors are float32 unless stated otherwise.
 
     Attributes:
-        position: of the base frame in the world, ``[N, 3]``, m.
-        orientation: of the base frame, unit quaternion ``[N, 4]`` as (x, y, z, w).
-        linear_velocity: by wheel odometry, forward, ``[N, 1]``, m/s.
-        angular_velocity: by wheel odometry, counter-clockwise, ``[N, 1]``, rad/s.
-        ranges: the raw scan, ``[N, beams]``, m: beam 0 points forward, beams go counter-clockwise; ``inf`` is no
-            return, 0 a beam that starts inside something.
-        dt: time since the scan before, ``[N, 1]``, s.
+        position: position of the base frame in the world frame, ``[N, 3]``, m.
+        orientation: orientation of the base frame, unit quaternion (x, y, z, w), ``[N, 4]``.
+        linear_velocity: forward speed from wheel odometry, ``[N, 1]``, m/s.
+        angular_velocity: counter-clockwise yaw rate from wheel odometry, ``[N, 1]``, rad/s.
+        ranges: raw lidar scan, ``[N, beams]``, m. Beam 0 points forward, the beams are ordered counter-clockwise.
+            ``inf`` means no return, 0 a beam that starts inside a solid.
+        dt: time since the previous scan, ``[N, 1]``, s.
         stamp: time of the scan, ``[N, 1]``, s, float64.
     """
 
@@ -36,19 +38,18 @@ class RoverState(TensorClass):
 
     @classmethod
     def pack(cls, **fields: Tensor) -> RoverState:
-        """A state from tensors of the right shapes, unchecked: for the hot path."""
-        batch_size = fields["position"].shape[:1]
-        return cls._from_tensordict(TensorDict._new_unsafe(fields, batch_size=batch_size))
+        """Creates a state without checking the shapes of its tensors, which saves time in every step."""
+        return cls.from_tensordict(unchecked_tensordict(fields, fields["position"].shape[:1]))
 
 
 @dataclass(frozen=True)
 class Dynamics:
-    """Factors of what simulated rovers are by their description, float32 ``[N]`` each.
+    """Scale factors of the dynamics of simulated rovers, relative to the robot description. Float32 ``[N]`` each.
 
     Attributes:
-        friction: of all friction coefficients.
-        chassis_mass: of the mass and the inertia of the chassis, not of the wheels.
-        motor_torque: of the most torque that the wheels' motors give.
+        friction: factor of all friction coefficients.
+        chassis_mass: factor of the mass and inertia of the chassis. The wheels keep theirs.
+        motor_torque: factor of the maximum torque of the wheel motors.
     """
 
     friction: Tensor
@@ -58,15 +59,15 @@ class Dynamics:
 
 @runtime_checkable
 class Simulator(Protocol):
-    """A batch of rovers somewhere: in a simulation, or one real rover.
+    """Interface of a backend: a batch of simulated rovers, or one real rover.
 
-    A backend that lives on a GPU takes and returns GPU tensors. Tensors handed out are never written to again.
+    A backend that runs on a GPU takes and returns GPU tensors. A backend never writes to a tensor after returning it.
 
     Attributes:
-        num_envs: number of rovers, the rows of every tensor.
+        num_envs: number of rovers N, the number of rows of every tensor.
         control_dt: duration of a control step, s.
-        device: where its tensors live.
-        ray_angles: direction of each lidar beam in the rover's frame, ``[beams]``, rad, from 0 counter-clockwise.
+        device: device of the tensors.
+        ray_angles: direction of each lidar beam in the rover's frame, counter-clockwise from 0, ``[beams]``, rad.
     """
 
     num_envs: int
@@ -76,41 +77,64 @@ class Simulator(Protocol):
 
     @property
     def robot_connected(self) -> bool:
-        """Whether there are rovers to drive: of simulated ones always."""
+        """Whether the rovers are connected. Always true in simulation."""
         ...
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
-        """Puts the rovers of ``mask`` (bool ``[N]``) on the ground at ``poses`` (``[N, 3]``: x, y in m, yaw in rad).
+        """Places the selected rovers on the ground, at rest. The other rovers do not change.
 
-        They are at rest then; the other rows stay as they are.
+        Args:
+            mask: rovers to reset, bool ``[N]``.
+            poses: planar poses ``[N, 3]``: x, y (m) and yaw (rad).
+
+        Returns:
+            The state of all rovers.
         """
         ...
 
     def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
-        """Gives the rovers of ``mask`` (bool ``[N]``) these dynamics; they are to be reset next.
+        """Sets the dynamics of the selected rovers, which the caller resets next.
+
+        Args:
+            mask: rovers to change, bool ``[N]``.
+            dynamics: new scale factors of all rovers.
 
         Raises:
-            ValueError: for live rovers, which are what they are.
+            ValueError: if the rovers are real.
         """
         ...
 
     def state(self) -> RoverState:
-        """The present state, without moving anything."""
+        """Returns the current state without advancing time."""
         ...
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
-        """Drives one control step.
+        """Advances the rovers by one control step.
 
         Args:
-            commands: ``[N, 2]``: forward speed (m/s) and yaw rate (rad/s, counter-clockwise).
-            active: bool ``[N]``; for the rows that are not active no time passes. ``None``: all are.
+            commands: forward speed (m/s) and counter-clockwise yaw rate (rad/s), ``[N, 2]``.
+            active: rovers to advance, bool ``[N]``. No time passes for the others. ``None`` advances all.
+
+        Returns:
+            The state of all rovers.
         """
         ...
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
-        """A picture of one rover and of its ``goal`` (``[2]``, m): uint8 ``[height, width, 3]``."""
+        """Renders one rover and its goal.
+
+        Args:
+            row: index of the rover.
+            view: ``"chase"`` (from behind) or ``"top"`` (from above).
+            width: width of the image, pixels.
+            height: height of the image, pixels.
+            goal: position of the goal, ``[2]``, m. ``None`` draws no goal.
+
+        Returns:
+            RGB image, uint8 ``[height, width, 3]``.
+        """
         ...
 
     def close(self) -> None:
-        """Lets go of everything; may be called again."""
+        """Releases all resources. Idempotent."""
         ...

@@ -1,6 +1,7 @@
-"""The differential drive: from a twist command to wheel speeds, and back to wheel odometry. Batched torch.
+"""Differential drive: wheel speeds from twist commands, and odometry from wheel speeds. Batched torch.
 
-:class:`DifferentialDrive` is its kinematics, :class:`SimulatedDrive` what simulated rovers keep between two steps.
+:class:`DifferentialDrive` implements the kinematics and limits, :class:`SimulatedDrive` holds the state of the drives
+of simulated rovers.
 """
 
 from __future__ import annotations
@@ -13,12 +14,12 @@ from rover_rl.sims.robots import Robot
 
 
 class DifferentialDrive:
-    """Kinematics and acceleration limits of a robot's drive; holds no state.
+    """Stateless kinematics and acceleration limits of a robot's drive.
 
     Args:
-        robot: gives wheel radius, wheel separation and limits.
+        robot: robot that defines the wheel radius, the wheel separation and the acceleration limits.
         dt: time between two commands, s.
-        device: where commands are.
+        device: device of the commands.
     """
 
     def __init__(self, robot: Robot, dt: float, device: torch.device | str | None = None) -> None:
@@ -31,30 +32,38 @@ class DifferentialDrive:
         self._from_right = torch.tensor((linear, angular), device=device)
 
     def ramp(self, current: Tensor, command: Tensor) -> Tensor:
-        """The twist (m/s, rad/s; ``[N, 2]``) ``dt`` after ``current``, on the way to ``command`` within the limits."""
+        """Returns the twist after ``dt``, limited in acceleration.
+
+        Args:
+            current: current twist, ``[N, 2]``: forward speed (m/s) and yaw rate (rad/s).
+            command: commanded twist, ``[N, 2]``.
+
+        Returns:
+            Twist after ``dt``, ``[N, 2]``.
+        """
         return current + torch.clamp(command - current, -self._limit, self._limit)
 
     def wheel_speeds(self, twist: Tensor) -> Tensor:
-        """Speeds of the left and right wheels (rad/s, ``[N, 2]``) that drive ``twist`` without slip."""
+        """Returns the left and right wheel speeds (rad/s, ``[N, 2]``) that produce ``twist`` without slip."""
         return torch.addcmul(twist[:, :1] * self._inverse_radius, twist[:, 1:], self._left_right)
 
     def odometry(self, wheel_speeds: Tensor) -> Tensor:
-        """What a differential drive reports from its wheels' speeds ``[N, 2]``: forward speed and yaw rate, ``[N, 2]``.
+        """Returns the forward speed and yaw rate ``[N, 2]`` computed from the wheel speeds ``[N, 2]``.
 
-        ``v = r (wR + wL) / 2`` (m/s) and ``w = r (wR - wL) / separation`` (rad/s): the wheels' motion, not the body's,
-        which differs when they slip.
+        ``v = r (wR + wL) / 2`` (m/s) and ``w = r (wR - wL) / separation`` (rad/s). This is the motion of the wheels,
+        from which the motion of the body differs when the wheels slip.
         """
         return torch.addcmul(wheel_speeds[:, :1] * self._from_left, wheel_speeds[:, 1:], self._from_right)
 
 
 class SimulatedDrive:
-    """The drives and clocks of a batch of simulated rovers.
+    """State of the drives and clocks of a batch of simulated rovers.
 
     Args:
-        robot: gives the drive.
+        robot: robot that defines the drive.
         dt: duration of a control step, s.
-        num_envs: rovers.
-        device: where commands are.
+        num_envs: number of rovers.
+        device: device of the commands.
     """
 
     def __init__(self, robot: Robot, dt: float, num_envs: int, device: torch.device | str | None = None) -> None:
@@ -65,18 +74,21 @@ class SimulatedDrive:
         self._stamp = torch.zeros(num_envs, 1, dtype=torch.float64, device=device)
 
     def reset(self, mask: Tensor) -> None:
-        """Brings the rovers of ``mask`` (bool ``[N]``) to rest; their clocks go on."""
+        """Sets the twist of the rovers in ``mask`` (bool ``[N]``) to zero. Their clocks continue."""
         self._twist = torch.where(mask[:, None], torch.zeros_like(self._twist), self._twist)
 
     def advance(self, commands: Tensor, active: Tensor | None) -> Tensor:
-        """Speeds that the left and right wheels are to hold in the next control step, ``[N, 2]``, rad/s.
+        """Advances the drives and clocks by one control step.
 
         Args:
-            commands: ``[N, 2]``: forward speed (m/s) and yaw rate (rad/s).
-            active: bool ``[N]``; for the other rows no time passes. ``None``: all are.
+            commands: forward speed (m/s) and yaw rate (rad/s), ``[N, 2]``.
+            active: rovers to advance, bool ``[N]``. No time passes for the others. ``None`` advances all.
+
+        Returns:
+            Target speeds of the left and right wheels for this step, ``[N, 2]``, rad/s.
         """
         twist = self._drive.ramp(self._twist, commands)
-        # The motors hold the mean of the ramp, so that the way driven is that of the limited acceleration.
+        # The motors hold the mean speed of the ramp, so that the distance driven matches the limited acceleration.
         speeds = self._drive.wheel_speeds((self._twist + twist) * 0.5)
         stamp = self._stamp + self._step
         if active is not None:
@@ -86,12 +98,12 @@ class SimulatedDrive:
         return speeds
 
     def state(self, body: Tensor, ranges: Tensor) -> RoverState:
-        """The rovers' state, made of these tensors.
+        """Returns the state of the rovers.
 
         Args:
-            body: position (m), orientation (x, y, z, w), and mean speed of the left and the right wheels (rad/s),
+            body: position (m), orientation (x, y, z, w), and mean speeds of the left and right wheels (rad/s),
                 ``[N, 9]``.
-            ranges: scans, ``[N, beams]``, m.
+            ranges: lidar scans, ``[N, beams]``, m.
         """
         twist = self._drive.odometry(body[:, 7:])
         return RoverState.pack(

@@ -1,7 +1,7 @@
 """Rotations: quaternions (x, y, z, w), matrices and Euler angles, batched in torch.
 
-Rows never influence one another to the last bit: :func:`torch.atan2` rounds differently in its vectorised body and in
-the tail of a contiguous tensor, so :func:`angle_of` feeds it strided columns, for which it has one path.
+The result of a row is bit-identical in every batch. :func:`torch.atan2` rounds differently in the vectorized body and
+in the tail of a contiguous tensor, so :func:`angle_of` passes strided columns, which take a single code path.
 """
 
 from __future__ import annotations
@@ -14,18 +14,21 @@ from torch import Tensor
 
 
 def angle_of(vectors: Tensor) -> Tensor:
-    """Angle of ``vectors [..., 2]`` from the x axis: ``[...]``, rad, in [-pi, pi]."""
+    """Returns the angle between the x axis and each of ``vectors [..., 2]``: ``[...]``, rad, in [-pi, pi]."""
     vectors = vectors.contiguous()
     return torch.atan2(vectors[..., 1], vectors[..., 0])
 
 
 def wrap_angle(angle: Tensor) -> Tensor:
-    """``angle`` (rad) brought into (-pi, pi], as ``atan2(sin(angle), cos(angle))``."""
+    """Wraps ``angle`` (rad) to (-pi, pi], as ``atan2(sin(angle), cos(angle))`` does."""
     return math.pi - torch.remainder(math.pi - angle, 2 * math.pi)
 
 
 def quaternion_to_euler(quaternion: Tensor) -> Tensor:
-    """Roll, pitch, yaw (rad, ``[..., 3]``) of unit quaternions ``[..., 4]``, as transforms3d's ``quat2euler``."""
+    """Returns roll, pitch and yaw (rad, ``[..., 3]``) of unit quaternions ``[..., 4]``.
+
+    The convention is that of ``transforms3d.euler.quat2euler`` (static x, y, z axes).
+    """
     products = (quaternion[..., :, None] * quaternion[..., None, :]).flatten(-2)
     forms = _euler_forms(quaternion.device, quaternion.dtype)
     sines_cosines = (products[..., None, :] * forms).sum(-1)
@@ -37,7 +40,7 @@ def quaternion_to_euler(quaternion: Tensor) -> Tensor:
 
 @lru_cache(maxsize=16)
 def _euler_forms(device: torch.device, dtype: torch.dtype) -> Tensor:
-    """Cosine and sine parts of roll and of yaw, and the sine of pitch, as linear forms in a quaternion's products."""
+    """Coefficients of cosine and sine of roll and yaw, and sine of pitch, in a quaternion's products: ``[5, 16]``."""
     x, y, z, w = torch.eye(4)
     xx, yy, zz, ww = (torch.outer(a, a) for a in (x, y, z, w))
     xy, xz, yz, xw, yw, zw = (2 * torch.outer(*pair) for pair in ((x, y), (x, z), (y, z), (x, w), (y, w), (z, w)))
@@ -46,11 +49,11 @@ def _euler_forms(device: torch.device, dtype: torch.dtype) -> Tensor:
 
 
 def matrix_to_quaternion(matrix: Tensor) -> Tensor:
-    """Unit quaternions ``[..., 4]`` (w >= 0) of rotation matrices ``[..., 3, 3]``."""
+    """Returns unit quaternions ``[..., 4]`` (w >= 0) of rotation matrices ``[..., 3, 3]``."""
     m = matrix
     trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
     squares = torch.stack([1 + 2 * m[..., k, k] - trace for k in range(3)] + [1 + trace], -1)
-    # Each candidate is the quaternion times one of its own components; the largest is the safe one to divide by.
+    # Each candidate is the quaternion times one of its components. Dividing by the largest component is stable.
     xy, xz, yz = (m[..., i, j] + m[..., j, i] for i, j in ((0, 1), (0, 2), (1, 2)))
     xw, yw, zw = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
     xx, yy, zz, ww = squares.unbind(-1)
@@ -65,7 +68,7 @@ def matrix_to_quaternion(matrix: Tensor) -> Tensor:
 
 
 def quaternion_product(a: Tensor, b: Tensor) -> Tensor:
-    """The rotation ``b`` followed by ``a``, both ``[..., 4]``."""
+    """Returns the quaternion of rotation ``b`` followed by rotation ``a``, both ``[..., 4]``."""
     ax, ay, az, aw = a.unbind(-1)
     bx, by, bz, bw = b.unbind(-1)
     return torch.stack(

@@ -1,6 +1,9 @@
-"""The rate of control. Imports no PyTorch."""
+"""Default control rate. Does not import PyTorch."""
 
 from __future__ import annotations
 
 CONTROL_DT = 0.05
-"""Duration of a control step by default, s: the contract controls at 20 Hz. A simulator's own is ``control_dt``."""
+"""Default duration of a control step, s: the control rate of the contract, 20 Hz.
+
+``Simulator.control_dt`` is the value that a simulator uses.
+"""

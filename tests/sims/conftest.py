@@ -1,4 +1,4 @@
-"""Tests here that take ``backend`` hold for every simulator."""
+"""Fixture for tests that run with every simulator."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ from tests.extras import needs_warp
 
 @pytest.fixture(params=["bullet", pytest.param("warp", marks=needs_warp)])
 def backend(request: pytest.FixtureRequest) -> str:
-    """The name of a simulator."""
+    """Name of a simulation backend."""
     return request.param

@@ -1,4 +1,4 @@
-"""The differential drive's kinematics and limits."""
+"""Kinematics and acceleration limits of the differential drive."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ def test_odometry_inverts_the_wheel_speeds(v, w):
     torch.testing.assert_close(DRIVE.odometry(DRIVE.wheel_speeds(twist)), twist, atol=1e-5, rtol=1e-5)
 
 
-def test_wheel_speeds_by_hand():
+def test_wheel_speeds_of_a_known_twist():
     speeds = DRIVE.wheel_speeds(torch.tensor([[1.0, 2.0]]))
     torch.testing.assert_close(speeds, torch.tensor([[(1 - 0.24) / 0.122, (1 + 0.24) / 0.122]]))
 
 
 @given(SPEED, SPEED, SPEED, SPEED)
-def test_the_ramp_keeps_the_acceleration_limits_and_never_overshoots(v0, w0, v1, w1):
+def test_ramp_respects_the_acceleration_limits_and_does_not_overshoot(v0, w0, v1, w1):
     current, command = torch.tensor([[v0, w0]]), torch.tensor([[v1, w1]])
     after = DRIVE.ramp(current, command)
     limit = torch.tensor([[5.0 * 0.05, 4.0 * 0.05]])
@@ -35,7 +35,7 @@ def test_the_ramp_keeps_the_acceleration_limits_and_never_overshoots(v0, w0, v1,
     assert ((command - after).abs() <= (command - current).abs() + 1e-6).all()
 
 
-def test_the_robots_figures_are_those_of_rover_zero():
+def test_parameters_of_rover_zero():
     assert ROVER.wheel_radius == 0.122
     assert ROVER.wheel_separation == 0.24
     assert ROVER.max_linear_acceleration == 5.0
@@ -45,7 +45,7 @@ def test_the_robots_figures_are_those_of_rover_zero():
     assert ROVER.lidar_range == 12.0
 
 
-def test_bad_figures_are_refused_in_words():
+def test_invalid_parameters_raise():
     from dataclasses import replace
 
     with pytest.raises(ValueError, match="wheel_radius .* positive"):

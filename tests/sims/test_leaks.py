@@ -1,4 +1,4 @@
-"""Environments that come and go leave no memory behind."""
+"""Closed environments release their memory."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from tests.extras import needs_warp
 
 WARMUP, CYCLES = 2, 4
 LIMIT = 20.0
-"""MB. Lists that PyBullet leaked once made it 21 to 115 MB for each environment, except in the maze."""
+"""Allowed growth in MB. The lists leaked by PyBullet's own functions take 21 to 115 MB per environment, except in the
+maze."""
 
 
 @pytest.fixture(scope="module", params=["bullet", pytest.param("warp", marks=needs_warp)])
-def grown(request: pytest.FixtureRequest) -> dict[str, float]:
+def growth(request: pytest.FixtureRequest) -> dict[str, float]:
     return in_fresh_process(request.param, CYCLES, WARMUP)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("world", WORLDS)
-def test_opening_and_closing_environments_leaks_no_memory(grown: dict[str, float], world: str) -> None:
-    assert grown[world] < LIMIT
+def test_opening_and_closing_environments_leaks_no_memory(growth: dict[str, float], world: str) -> None:
+    assert growth[world] < LIMIT

@@ -1,4 +1,4 @@
-"""Rotations against SciPy, and their rows' independence."""
+"""Rotations compared with SciPy, and independence of the rows of a batch."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def random_quaternions(count: int) -> torch.Tensor:
     return q / q.norm(dim=-1, keepdim=True)
 
 
-def test_euler_angles_are_those_of_static_xyz_axes():
+def test_euler_angles_use_static_xyz_axes():
     q = random_quaternions(500)
     expected = torch.from_numpy(Rotation.from_quat(q.numpy()).as_euler("xyz"))
     torch.testing.assert_close(quaternion_to_euler(q), expected, atol=1e-6, rtol=0)
@@ -53,7 +53,7 @@ def test_wrap_angle_is_atan2_of_sine_and_cosine(angle):
 
 
 @pytest.mark.parametrize("function", [angle_of, quaternion_to_euler])
-def test_a_row_is_the_same_to_the_last_bit_in_any_batch(function):
+def test_a_row_is_bit_identical_in_every_batch(function):
     width = 2 if function is angle_of else 4
     rows = torch.randn(257, width, generator=torch.Generator().manual_seed(1))
     rows = rows / rows.norm(dim=-1, keepdim=True)

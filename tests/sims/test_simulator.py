@@ -1,4 +1,4 @@
-"""The simulators behind the seam: what each promises."""
+"""The Simulator interface, implemented by every simulation backend."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import torch
 from rover_rl.sims import Simulator, make_simulator
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, World, box
+from tests.extras import needs_warp
 
 ROVER = get_robot("rover_zero")
 FLAT = World("flat", Terrain.flat((20, 20)))
@@ -21,11 +22,11 @@ def all_rows(count):
     return torch.ones(count, dtype=torch.bool)
 
 
-def test_it_is_a_simulator(backend):
+def test_backend_implements_the_simulator_interface(backend):
     assert isinstance(simulator(backend, [FLAT]), Simulator)
 
 
-def test_state_has_the_shapes_and_units_that_the_seam_promises(backend):
+def test_state_has_the_shapes_and_dtypes_of_the_interface(backend):
     state = simulator(backend, [FLAT] * 3).state()
     assert state.batch_size == (3,)
     shapes = {
@@ -43,16 +44,16 @@ def test_state_has_the_shapes_and_units_that_the_seam_promises(backend):
     torch.testing.assert_close(state.dt, torch.full((3, 1), 0.05))
 
 
-def test_states_handed_out_are_not_written_to_again(backend):
+def test_returned_states_do_not_change(backend):
     sim = simulator(backend, [FLAT])
     first = sim.step(torch.tensor([[1.0, 0.0]]))
-    kept = first.clone()
+    copy = first.clone()
     for _ in range(5):
         sim.step(torch.tensor([[1.0, 0.0]]))
-    assert (first == kept).all()
+    assert (first == copy).all()
 
 
-def test_reset_touches_only_the_rows_asked_for(backend):
+def test_reset_changes_only_the_selected_rows(backend):
     sim = simulator(backend, [FLAT] * 3)
     poses = torch.tensor([[0.0, 0, 0], [2.0, 0, 0], [4.0, 0, 0]])
     sim.reset(all_rows(3), poses)
@@ -66,7 +67,7 @@ def test_reset_touches_only_the_rows_asked_for(backend):
     assert after.linear_velocity[1] == 0
 
 
-def test_no_time_passes_for_rows_that_are_not_active(backend):
+def test_no_time_passes_for_inactive_rows(backend):
     sim = simulator(backend, [FLAT] * 2)
     sim.reset(all_rows(2), torch.tensor([[0.0, 0, 0], [3.0, 0, 0]]))
     for _ in range(10):
@@ -77,7 +78,7 @@ def test_no_time_passes_for_rows_that_are_not_active(backend):
     assert held.stamp[1] == before.stamp[1]
     assert held.position[0, 0] > before.position[0, 0] + 0.4
     after = sim.step(torch.tensor([[1.0, 0.0]] * 2))
-    # It drives on at the speed that it had.
+    # It continues at its previous speed.
     assert after.position[1, 0] - before.position[1, 0] == pytest.approx(0.05, abs=0.005)
 
 
@@ -87,3 +88,26 @@ def test_rows_may_be_in_different_worlds(backend):
     state = sim.reset(all_rows(3), torch.zeros(3, 3))
     assert torch.isinf(state.ranges[:2, 0]).all()
     assert state.ranges[2, 0] == pytest.approx(2.5 - 0.174, abs=0.01)
+
+
+def test_rendering_after_close_and_in_several_worlds(backend):
+    walled = World("walled", Terrain.flat((20, 20)), [box((3, 0, 1), (1, 10, 2))])
+    sim = simulator(backend, [FLAT, walled, FLAT])
+    flat, other, same = (sim.render(row, "chase", 64, 48, torch.tensor([1.0, 0.0])) for row in range(3))
+    assert not torch.equal(flat, other)
+    assert torch.equal(flat, same)
+    sim.close()
+    sim.close()
+    assert torch.equal(sim.render(0, "chase", 64, 48, torch.tensor([1.0, 0.0])), flat)
+    sim.close()
+
+
+@needs_warp
+def test_all_backends_render_the_same_image():
+    images = []
+    for name in ("bullet", "warp"):
+        sim = simulator(name, [FLAT])
+        sim.reset(all_rows(1), torch.tensor([[1.0, 2.0, 0.5]]))
+        images.append(sim.render(0, "chase", 64, 48, torch.tensor([2.0, 2.0])).float())
+        sim.close()
+    assert (images[0] - images[1]).abs().mean() < 1

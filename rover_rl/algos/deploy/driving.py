@@ -92,8 +92,8 @@ def drive_to(
 
     Raises:
         RobotLostError: if the rover's sensors fall silent, or several robots answer.
-        ValueError: for an environment of another backend, a policy that was made for another environment, or a lidar that
-            covers less than the policy was trained with.
+        ValueError: for an environment of another backend, a policy made for another environment, or a lidar that covers
+            less than the policy was trained with.
     """
     rover = live_rover(env)
     if made_for := getattr(policy, "made_for", None):

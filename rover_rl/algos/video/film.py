@@ -65,7 +65,8 @@ def film(
         width, height: of the picture, pixels.
         fps: pictures a second; ``None``: 20 for MP4, 10 for GIF.
         speed: of the film; 2 shows everything twice as fast as it is.
-        env: environment to drive in, as for :func:`~rover_rl.algos.evaluation.evaluate.evaluate`; its reward is recorded.
+        env: environment to drive in, whose reward is recorded: as for
+            :func:`~rover_rl.algos.evaluation.evaluate.evaluate`.
 
     Returns:
         What the first rover did, ``[T]``, with the components of its reward.

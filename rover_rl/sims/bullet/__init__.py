@@ -1,4 +1,4 @@
-"""PyBullet worlds; lidar by ``rayTestBatch``."""
+"""Bullet backend: rigid-body physics in PyBullet, lidar with ``rayTestBatch``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The static geometry of a world as Bullet bodies."""
+"""Static geometry of a world as Bullet bodies."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from rover_rl.sims.native.shapes import make_hull, make_mesh, terrain_strips
 from rover_rl.sims.worlds import Obstacle, World
 
 GROUND_MARGIN = 3.0
-"""Ground beyond a world's bounds, m."""
+"""Width of the ground mesh beyond a world's bounds, m."""
 
 GROUND_TURN = math.pi / 8
-"""The ground's frame is turned by this about the vertical, rad, for the sake of :data:`FRICTION_AXES`."""
+"""Rotation of the ground's frame about the vertical, rad. See :data:`FRICTION_AXES`."""
 
 FRICTION_AXES = ((1, 1, 1), (1, -1, 1))
-"""Scales of the friction directions in the ground's frame, in turn from one physics step to the next.
+"""Scales of the friction directions in the ground's frame, which alternate between physics steps.
 
-Bullet bounds friction by a square along the world's axes: grip is up to sqrt(2) higher along its diagonals, and a
-skid-steer's yaw rate depends on where it faces. Mirrored in a frame turned by 22.5 degrees, the square is turned by 45;
-the mean of the two is an octagon, which is round within 8 %.
+Bullet bounds the friction force by a square along the world's axes. Grip is up to sqrt(2) higher along its diagonals,
+and the yaw rate of a skid-steer rover depends on its heading. Mirroring the square in a frame rotated by 22.5 degrees
+rotates it by 45 degrees. The mean of the two squares is an octagon, which is round within 8 %.
 """
 
 
 def add_mesh_bodies(client: int, world: World) -> None:
-    """Adds terrain and obstacles as concave triangle meshes: what rays are cast at."""
+    """Adds terrain and obstacles as concave triangle meshes, the targets of the lidar rays."""
     meshes = [world.terrain.mesh(*strip) for strip in terrain_strips(world.terrain)]
     if world.obstacles:
         offsets = torch.tensor([0] + [len(o.vertices) for o in world.obstacles]).cumsum(0)
@@ -40,9 +40,12 @@ def add_mesh_bodies(client: int, world: World) -> None:
 
 
 def add_ground(client: int, world: World) -> list[int]:
-    """Adds the ground that wheels touch, as a plane or triangle meshes in a frame turned by :data:`GROUND_TURN`.
+    """Adds the ground for wheel contacts: a plane or triangle meshes, in a frame rotated by :data:`GROUND_TURN`.
 
-    A mesh reaches :data:`GROUND_MARGIN` beyond the world's bounds: a rover that leaves them has ended its episode.
+    A mesh reaches :data:`GROUND_MARGIN` beyond the world's bounds, where episodes end.
+
+    Returns:
+        Ids of the ground's bodies.
     """
     terrain = world.terrain
     turn = Rotation.from_euler("z", GROUND_TURN)
@@ -50,7 +53,7 @@ def add_ground(client: int, world: World) -> list[int]:
         shapes = [pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)]
         height = terrain.heights[0, 0].item()
     else:
-        # Not as a heightfield, which would stand along the axes of its body's frame.
+        # A heightfield would align with the axes of the rotated frame, so the ground is a mesh.
         shapes = []
         (x_low, x_high), (y_low, y_high) = world.bounds
         area = (x_low - GROUND_MARGIN, x_high + GROUND_MARGIN), (y_low - GROUND_MARGIN, y_high + GROUND_MARGIN)
@@ -67,10 +70,10 @@ def add_ground(client: int, world: World) -> list[int]:
 
 
 def add_obstacles(client: int, obstacles: Iterable[Obstacle]) -> list[int]:
-    """Adds every obstacle that the rover touches as a convex hull."""
+    """Adds obstacles for contacts with rovers, as convex hulls. Returns the ids of their bodies."""
     bodies = []
     for obstacle in obstacles:
-        # Corners relative to the body keep their precision far from the origin.
+        # Vertices relative to the body keep their precision far from the origin.
         center = obstacle.vertices.mean(0)
         shape = make_hull(client, (obstacle.vertices - center).numpy())
         bodies.append(pybullet.createMultiBody(0, shape, basePosition=center.tolist(), physicsClientId=client))

@@ -1,6 +1,6 @@
-"""The lidar: ``rayTestBatch`` in a client that holds the static geometry alone.
+"""Lidar with ``rayTestBatch``, in a Bullet client that contains only the static geometry.
 
-In the rovers' own client every ray would also visit the boxes of all rovers in the broad phase.
+In the client of the physics, the broad phase would also test every ray against the bounding boxes of all rovers.
 """
 
 from __future__ import annotations
@@ -19,22 +19,25 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
 RAYS_PER_CALL = 1024
-"""Rays in one call. The answer is ten objects a ray: few of them stay in the processor's cache, which makes reading and
-freeing them a fifth cheaper. From 16,384 rays on, ``rayTestBatch`` would return nothing and raise no error."""
+"""Rays per call of ``rayTestBatch``.
 
-RAYS_AT_ONCE = 8192
-"""Rays that are worked out at once."""
+A result has ten Python objects per ray. The results of a small call stay in the processor's cache, which makes reading
+and freeing them 20 % cheaper. With 16,384 rays or more, ``rayTestBatch`` returns nothing and raises no error.
+"""
 
-_CEILING_CELL = 0.1
+RAYS_PER_BLOCK = 8192
+"""Rays whose start and end points are computed at once."""
+
+_HEIGHT_MAP_CELL = 0.1
 _fraction = itemgetter(2)
 
 
 class Lidar:
-    """Scans the static geometry of one world.
+    """Lidar that scans the static geometry of one world.
 
     Args:
-        world: what is scanned.
-        robot: gives the lidar's mount and range.
+        world: world to scan.
+        robot: robot that defines the position and range of the lidar.
         angles: direction of each beam in the rover's frame, ``[beams]``, rad.
     """
 
@@ -45,38 +48,43 @@ class Lidar:
         self._mount = np.array(robot.lidar_position)
         self._range = robot.lidar_range
         self._directions = self._range * np.stack((np.cos(angles), np.sin(angles)))
-        self._ceiling = _Ceiling(world)
-        # Used again and again: fresh memory would be paged in anew.
-        rovers = max(1, RAYS_AT_ONCE // len(angles))
+        self._height_map = _HeightMap(world)
+        # Reused buffers: new memory would have to be paged in for every scan.
+        rovers = max(1, RAYS_PER_BLOCK // len(angles))
         self._starts, self._ends = np.empty((2, rovers, len(angles), 3))
 
     def scan(self, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-        """Ranges ``[k, beams]`` (m) of rovers whose base frames are at ``position [k, 3]``, ``rotation [k, 3, 3]``.
+        """Scans from the given poses.
 
-        ``inf`` where nothing is hit, 0 for all beams of a lidar that is inside something.
+        Args:
+            position: positions of the base frames, ``[k, 3]``, m.
+            rotation: rotation matrices of the base frames, ``[k, 3, 3]``.
+
+        Returns:
+            Ranges ``[k, beams]``, m: ``inf`` where a beam hits nothing, 0 for all beams of a lidar inside a solid.
         """
         origins = position + (rotation * self._mount).sum(-1)
         ranges = self._range * self._cast(origins, rotation)
         ranges[ranges >= self._range] = np.inf
-        suspects = self._ceiling.above(origins)
-        if suspects.any():
-            rows = np.flatnonzero(suspects)
+        maybe_inside = self._height_map.may_contain(origins)
+        if maybe_inside.any():
+            rows = np.flatnonzero(maybe_inside)
             inside = self._world.inside(torch.from_numpy(origins[rows])).numpy()
             ranges[rows[inside]] = 0.0
         return ranges
 
     def _cast(self, origins: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-        """Fraction of each ray that is free, 1 for all of it: ``[k, beams]``."""
+        """Returns the fraction of each ray that is free, 1 if it hits nothing: ``[k, beams]``."""
         fractions = np.empty((len(origins), self._directions.shape[1]))
         rovers = len(self._starts)
-        with _collector_paused():
+        with _gc_paused():
             for first in range(0, len(origins), rovers):
-                part = slice(first, first + rovers)
-                self._cast_some(origins[part], rotation[part], fractions[part].reshape(-1))
+                block = slice(first, first + rovers)
+                self._cast_block(origins[block], rotation[block], fractions[block].reshape(-1))
         return fractions
 
-    def _cast_some(self, origins: np.ndarray, rotation: np.ndarray, fractions: np.ndarray) -> None:
-        """Fills ``fractions [k * beams]`` for as many rovers as there is room for in the buffers of rays."""
+    def _cast_block(self, origins: np.ndarray, rotation: np.ndarray, fractions: np.ndarray) -> None:
+        """Writes ``fractions [k * beams]`` for at most as many rovers as the ray buffers hold."""
         starts, ends = self._starts[: len(origins)], self._ends[: len(origins)]
         ahead, left = self._directions
         starts[...] = origins[:, None]
@@ -85,26 +93,26 @@ class Lidar:
         ends += starts
         starts, ends = starts.reshape(-1, 3), ends.reshape(-1, 3)
         for ray in range(0, len(starts), RAYS_PER_CALL):
-            some = slice(ray, ray + RAYS_PER_CALL)
-            hits = pybullet.rayTestBatch(starts[some], ends[some], physicsClientId=self.client)
-            if len(hits) != len(starts[some]):
-                raise RuntimeError(f"Bullet answered {len(hits)} of {len(starts[some])} lidar rays")
-            fractions[some] = np.fromiter(map(_fraction, hits), np.float64, len(hits))
+            call = slice(ray, ray + RAYS_PER_CALL)
+            hits = pybullet.rayTestBatch(starts[call], ends[call], physicsClientId=self.client)
+            if len(hits) != len(starts[call]):
+                raise RuntimeError(f"Bullet returned {len(hits)} of {len(starts[call])} lidar rays")
+            fractions[call] = np.fromiter(map(_fraction, hits), np.float64, len(hits))
 
 
-class _Ceiling:
-    """Highest solid point of each cell of a world: a cheap test that spares most points the exact one."""
+class _HeightMap:
+    """Upper bound of the height of all solids in each cell of a grid, as a cheap first test for points in solids."""
 
     def __init__(self, world: World) -> None:
         (x_low, x_high), (y_low, y_high) = world.terrain.extent
-        xs = np.arange(x_low - 1, x_high + 1, _CEILING_CELL)
-        ys = np.arange(y_low - 1, y_high + 1, _CEILING_CELL)
+        xs = np.arange(x_low - 1, x_high + 1, _HEIGHT_MAP_CELL)
+        ys = np.arange(y_low - 1, y_high + 1, _HEIGHT_MAP_CELL)
         self._origin = np.array((xs[0], ys[0]))
-        # The highest terrain point of a cell is no higher than that of the terrain's own grid cell and its neighbours.
+        # The terrain in a cell is no higher than the nearest vertex of the terrain and its neighbors.
         heights = torch.nn.functional.max_pool2d(world.terrain.heights[None, None], 3, 1, 1)[0, 0].numpy()
         (x0, y0), cell = world.terrain.origin, world.terrain.cell
-        i = np.clip(np.rint((xs + _CEILING_CELL / 2 - x0) / cell).astype(int), 0, heights.shape[1] - 1)
-        j = np.clip(np.rint((ys + _CEILING_CELL / 2 - y0) / cell).astype(int), 0, heights.shape[0] - 1)
+        i = np.clip(np.rint((xs + _HEIGHT_MAP_CELL / 2 - x0) / cell).astype(int), 0, heights.shape[1] - 1)
+        j = np.clip(np.rint((ys + _HEIGHT_MAP_CELL / 2 - y0) / cell).astype(int), 0, heights.shape[0] - 1)
         self._heights = heights[np.ix_(j, i)]
         for obstacle in world.obstacles:
             low, high = obstacle.vertices.min(0).values.numpy(), obstacle.vertices.max(0).values.numpy()
@@ -112,19 +120,19 @@ class _Ceiling:
             block = self._heights[bottom:top, left:right]
             np.maximum(block, high[2], out=block)
 
-    def above(self, points: np.ndarray) -> np.ndarray:
-        """Which of ``points [k, 3]`` may be inside something, as some solid in their cell is higher: bool ``[k]``."""
+    def may_contain(self, points: np.ndarray) -> np.ndarray:
+        """Returns which of ``points [k, 3]`` are not above all solids in their cell: bool ``[k]``."""
         cells = self._cells(points)
         return points[:, 2] <= self._heights[cells[:, 1], cells[:, 0]]
 
     def _cells(self, points: np.ndarray) -> np.ndarray:
-        cells = ((points[:, :2] - self._origin) / _CEILING_CELL).astype(int)
+        cells = ((points[:, :2] - self._origin) / _HEIGHT_MAP_CELL).astype(int)
         return np.clip(cells, 0, (self._heights.shape[1] - 1, self._heights.shape[0] - 1))
 
 
 @contextmanager
-def _collector_paused() -> Iterator[None]:
-    """A scan makes hundreds of thousands of tuples that die at once; the collector would walk over them for nothing."""
+def _gc_paused() -> Iterator[None]:
+    """Pauses the garbage collector, which would traverse the short-lived tuples of a scan without freeing any."""
     enabled = gc.isenabled()
     gc.disable()
     try:

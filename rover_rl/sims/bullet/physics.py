@@ -1,4 +1,4 @@
-"""Many rovers on one static world, in one Bullet client."""
+"""Rigid-body physics of the rovers in one world, in Bullet."""
 
 from __future__ import annotations
 
@@ -14,24 +14,27 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
 ROVERS_PER_CLIENT = 64
-"""Rovers that share a Bullet client. More of them no longer fit in the processor's cache together, and cost two to
-three times as much each; company changes nothing else."""
+"""Maximum number of rovers in a Bullet client.
+
+More rovers no longer fit in the processor's cache and take two to three times as long each. The results do not depend
+on this number.
+"""
 
 _CONJUGATE = np.array((-1.0, -1.0, -1.0, 1.0))
 
 _STATIC, _ROVERS = 1, 2
-"""Collision groups: rovers touch the world and pass through one another."""
+"""Collision groups. Rovers collide with the world and not with one another."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """Where rovers are and how their wheels turn: float64 arrays of ``k`` rows.
+    """Poses and wheel speeds of ``k`` rovers, as float64 arrays.
 
     Attributes:
-        position: of the base frame, ``[k, 3]``, m.
-        orientation: of the base frame, ``[k, 4]``, quaternion (x, y, z, w).
-        rotation: the same as a matrix, ``[k, 3, 3]``; columns are forward, left, up.
-        wheel_speeds: mean of the left and of the right wheels, ``[k, 2]``, rad/s.
+        position: positions of the base frames, ``[k, 3]``, m.
+        orientation: orientations of the base frames, quaternions (x, y, z, w), ``[k, 4]``.
+        rotation: the orientations as matrices, ``[k, 3, 3]``. The columns are forward, left and up.
+        wheel_speeds: mean speeds of the left and right wheels, ``[k, 2]``, rad/s.
     """
 
     position: np.ndarray
@@ -41,19 +44,19 @@ class Reading:
 
 
 class RoverPhysics:
-    """Steps ``count`` rovers in a world of their own; each behaves as if it were alone.
+    """Physics of a number of rovers in one world. The rovers do not interact.
 
-    Bullet speaks of a body's inertial frame, which sits in the centre of mass and is turned to the principal axes of
-    inertia; here all poses are those of the base frame.
+    Bullet states the pose of a body's inertial frame, whose origin is the center of mass and whose axes are the
+    principal axes of inertia. The poses of this class are those of the base frame.
 
     Args:
-        world: where they are.
-        robot: what they are.
-        count: how many.
-        settings: of the physics.
+        world: world of the rovers.
+        robot: robot model.
+        count: number of rovers.
+        settings: settings of the physics.
 
     Attributes:
-        clients: the Bullet clients that the rovers are in.
+        clients: ids of the Bullet clients.
     """
 
     def __init__(self, world: World, robot: Robot, count: int, settings: BulletSettings) -> None:
@@ -84,17 +87,23 @@ class RoverPhysics:
         return [index[name] for name in (*robot.left_wheels, *robot.right_wheels)]
 
     def place(self, rows: Sequence[int], positions: np.ndarray, orientations: np.ndarray) -> None:
-        """Puts rovers at rest at poses of their base frames: ``positions [k, 3]``, ``orientations [k, 4]``."""
-        inertial = _times(orientations, self._inertial_orientation)
-        centers = positions + (_matrix(orientations) * self._inertial_position).sum(-1)
-        still = [0.0] * len(self._wheels)
+        """Places rovers at rest.
+
+        Args:
+            rows: indices of the rovers, k entries.
+            positions: positions of the base frames, ``[k, 3]``, m.
+            orientations: orientations of the base frames, quaternions (x, y, z, w), ``[k, 4]``.
+        """
+        inertial = _quaternion_products(orientations, self._inertial_orientation)
+        centers = positions + (_rotation_matrices(orientations) * self._inertial_position).sum(-1)
+        zeros = [0.0] * len(self._wheels)
         for row, center, orientation in zip(rows, centers.tolist(), inertial.tolist(), strict=True):
-            self._restore(row, center, orientation, [0, 0, 0], [0, 0, 0], still, still)
-            self._drive(row, still)
-            _forget_contacts(*self._rovers[row])
+            self._restore(row, center, orientation, [0, 0, 0], [0, 0, 0], zeros, zeros)
+            self._set_motors(row, zeros)
+            _clear_contacts(*self._rovers[row])
 
     def set_dynamics(self, row: int, friction: float, chassis_mass: float, motor_torque: float) -> None:
-        """Multiplies what a rover is by its description with these factors."""
+        """Scales the dynamics of one rover relative to its description. See :class:`~rover_rl.sims.base.Dynamics`."""
         client, body = self._rovers[row]
         for link in range(-1, pybullet.getNumJoints(body, physicsClientId=client)):
             _set_contact(client, body, link, friction, self._settings)
@@ -108,16 +117,16 @@ class RoverPhysics:
         self._forces[row] = [self._torque * motor_torque] * len(self._wheels)
 
     def step(self, speeds: list[list[float]], held: Sequence[int] = ()) -> None:
-        """Steps the world through one control step.
+        """Advances the world by one control step.
 
         Args:
             speeds: left and right wheel speed (rad/s) of every rover.
-            held: rows for which no time passes: they are put back to where they were.
+            held: rows for which no time passes. Their states are restored after the step.
         """
         left, right = self._sides
         before = [self._snapshot(row) for row in held]
         for row, (left_speed, right_speed) in enumerate(speeds):
-            self._drive(row, [left_speed] * left + [right_speed] * right)
+            self._set_motors(row, [left_speed] * left + [right_speed] * right)
         for client, grounds in zip(self.clients, self._grounds, strict=True):
             for substep in range(self._settings.substeps):
                 for ground in grounds:
@@ -129,21 +138,21 @@ class RoverPhysics:
             self._restore(row, *snapshot)
 
     def read(self, rows: Sequence[int]) -> Reading:
-        """Reads the rovers of ``rows``."""
+        """Returns the poses and wheel speeds of the given rovers."""
         poses: list[float] = []
         speeds: list[float] = []
         wheels = self._wheels
         for row in rows:
             client, body = self._rovers[row]
-            # Keyword arguments cost more than the calls; these are by position, the client last.
+            # Keyword arguments would take longer than the calls themselves. The last argument is the client.
             position, orientation = pybullet.getBasePositionAndOrientation(body, client)
             poses += position
             poses += orientation
             speeds += [joint[1] for joint in pybullet.getJointStates(body, wheels, client)]
         pose = np.array(poses).reshape(-1, 7)
         wheel = np.array(speeds).reshape(len(pose), -1)
-        orientation = _times(pose[:, 3:], self._inertial_orientation * _CONJUGATE)
-        rotation = _matrix(orientation)
+        orientation = _quaternion_products(pose[:, 3:], self._inertial_orientation * _CONJUGATE)
+        rotation = _rotation_matrices(orientation)
         left = self._sides[0]
         return Reading(
             position=pose[:, :3] - (rotation * self._inertial_position).sum(-1),
@@ -152,7 +161,7 @@ class RoverPhysics:
             wheel_speeds=np.stack((wheel[:, :left].mean(1), wheel[:, left:].mean(1)), 1),
         )
 
-    def _drive(self, row: int, speeds: list[float]) -> None:
+    def _set_motors(self, row: int, speeds: list[float]) -> None:
         client, body = self._rovers[row]
         pybullet.setJointMotorControlArray(
             body,
@@ -182,16 +191,17 @@ class RoverPhysics:
 
 
 def connect(settings: BulletSettings) -> int:
-    """A Bullet client with these settings and gravity, and nothing in it."""
+    """Creates an empty Bullet client with gravity and the given settings. Returns its id."""
     client = pybullet.connect(pybullet.DIRECT)
     pybullet.setGravity(0, 0, -9.81, physicsClientId=client)
     pybullet.setPhysicsEngineParameter(
         fixedTimeStep=settings.substep,
         numSolverIterations=settings.solver_iterations,
         solverResidualThreshold=settings.solver_residual,
-        # Bullet's implicit cone turns friction away from the slip, and halves a skid-steer's yaw rate.
+        # Bullet's implicit friction cone rotates friction away from the slip, which halves the yaw rate of a
+        # skid-steer rover.
         enableConeFriction=0,
-        # Contacts in the same order in every run and in every company.
+        # Keeps the order of contacts the same in every run and batch.
         deterministicOverlappingPairs=1,
         physicsClientId=client,
     )
@@ -199,7 +209,7 @@ def connect(settings: BulletSettings) -> int:
 
 
 def load_world(client: int, world: World, settings: BulletSettings) -> list[int]:
-    """Adds what rovers touch of a world; returns the bodies of its ground."""
+    """Adds the collision bodies of a world. Returns the ids of the ground's bodies."""
     ground = add_ground(client, world)
     frictions = dict.fromkeys(ground, settings.ground_friction)
     frictions |= dict.fromkeys(add_obstacles(client, world.obstacles), settings.obstacle_friction)
@@ -210,15 +220,15 @@ def load_world(client: int, world: World, settings: BulletSettings) -> list[int]
 
 
 def load_rover(client: int, robot: Robot, settings: BulletSettings) -> int:
-    """Loads a rover without damping that never sleeps; returns its body.
+    """Loads a rover without damping and sleeping. Returns the id of its body.
 
     Raises:
-        ValueError: if a link of its description has several collision shapes.
+        ValueError: if a link of the robot description has several collision shapes.
     """
     flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER
     body = pybullet.loadURDF(str(robot.urdf), flags=flags | pybullet.URDF_IGNORE_VISUAL_SHAPES, physicsClientId=client)
     for link in range(-1, pybullet.getNumJoints(body, physicsClientId=client)):
-        # Bullet sorts contacts by link; among those of one link their order depends on the other rovers.
+        # Bullet sorts contacts by link. The order of a link's contacts would depend on the other rovers.
         if (shapes := len(pybullet.getCollisionShapeData(body, link, physicsClientId=client))) > 1:
             raise ValueError(f"{robot.urdf}: a link may have one collision shape, link {link} has {shapes}")
         pybullet.changeDynamics(
@@ -230,14 +240,14 @@ def load_rover(client: int, robot: Robot, settings: BulletSettings) -> int:
             activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
             physicsClientId=client,
         )
-        # In the same call the friction would not reach the wheels.
+        # In the call above, the friction would not apply to the wheels.
         _set_contact(client, body, link, 1.0, settings)
-    _forget_contacts(client, body)
+    _clear_contacts(client, body)
     return body
 
 
 def _set_contact(client: int, body: int, link: int, friction: float, settings: BulletSettings) -> None:
-    """Gives a link its friction, which Bullet multiplies with that of what it touches."""
+    """Sets the friction coefficient of a link. Bullet multiplies the coefficients of two bodies in contact."""
     pybullet.changeDynamics(
         body,
         link,
@@ -247,29 +257,29 @@ def _set_contact(client: int, body: int, link: int, friction: float, settings: B
     )
 
 
-def _forget_contacts(client: int, body: int) -> None:
-    """Drops a rover's contacts, which Bullet would keep from before a reset where the new pose is near the old one."""
+def _clear_contacts(client: int, body: int) -> None:
+    """Removes a rover's contacts, which Bullet would keep over a reset to a nearby pose."""
     for link in range(-1, pybullet.getNumJoints(body, physicsClientId=client)):
-        # Setting the filter, even to what it is, makes Bullet find the link's overlapping pairs anew.
+        # Setting the filter, even to its current value, makes Bullet recompute the link's overlapping pairs.
         pybullet.setCollisionFilterGroupMask(body, link, _ROVERS, _STATIC, physicsClientId=client)
 
 
-def _times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Quaternions ``a`` ``[k, 4]`` times one quaternion ``b`` ``[4]``, (x, y, z, w)."""
+def _quaternion_products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Multiplies quaternions ``a`` ``[k, 4]`` by one quaternion ``b`` ``[4]`` from the right, (x, y, z, w)."""
     x, y, z, w = b
-    # Multiplication by b from the right is linear in a.
+    # The product is linear in a.
     matrix = np.array([[w, z, -y, x], [-z, w, x, y], [y, -x, w, z], [-x, -y, -z, w]])
     return (a[:, None, :] * matrix).sum(-1)
 
 
-def _matrix(quaternions: np.ndarray) -> np.ndarray:
-    """Rotation matrices ``[k, 3, 3]`` of unit quaternions ``[k, 4]``."""
+def _rotation_matrices(quaternions: np.ndarray) -> np.ndarray:
+    """Returns rotation matrices ``[k, 3, 3]`` of unit quaternions ``[k, 4]``."""
     products = quaternions[:, :, None] * quaternions[:, None, :]
     return (products.reshape(-1, 1, 16) * _ROTATION).sum(-1).reshape(-1, 3, 3)
 
 
 def _rotation_forms() -> np.ndarray:
-    """Each entry of a rotation matrix, row by row, as a linear form in the products of its quaternion: ``[9, 16]``."""
+    """Coefficients of each entry of a rotation matrix, row by row, in the quaternion's products: ``[9, 16]``."""
     x, y, z, w = np.eye(4)
     xx, yy, zz, ww = (np.outer(a, a) for a in (x, y, z, w))
     xy, xz, yz, xw, yw, zw = (2 * np.outer(*pair) for pair in ((x, y), (x, z), (y, z), (x, w), (y, w), (z, w)))

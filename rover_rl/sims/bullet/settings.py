@@ -1,4 +1,4 @@
-"""Settings of the Bullet physics."""
+"""Settings and presets of the Bullet physics."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from rover_rl.sims.timing import CONTROL_DT
 
 @dataclass(frozen=True)
 class BulletSettings:
-    """How Bullet simulates. The defaults keep a standing rover where it is, and turn it alike in every heading.
+    """Settings of the Bullet physics.
 
-    ``docs/physics.md`` tells what each preset costs and how far it is from steps of 1 ms.
+    With the defaults a standing rover stays in place, and the yaw rate does not depend on the heading.
+    ``docs/physics.md`` lists the speed of each preset and its error relative to steps of 1 ms.
 
     Args:
-        control_dt: duration of a control step, s; the contract controls at 20 Hz.
-        substeps: physics steps in a control step; 10 of 5 ms are those of the original's inspect world. Their number is
-            even, since friction takes turns with them.
-        solver_iterations: at most so many iterations of the contact solver in a substep.
-        solver_residual: the solver stops early below this residual. Bullet's own 1e-7 lets a standing rover creep by a
-            millimetre in 30 seconds; 1e-9 holds it to a fifth of that.
-        contact_threshold: contacts that are open farther than this, m, are left out of the solver. Bullet by itself
-            takes all in (``math.inf``).
-        ground_friction: Coulomb coefficient between rover and ground.
-        obstacle_friction: the same for obstacles. At 0.35 and more the wheels climb up a wall that they push against,
-            and the rover falls on its back.
+        control_dt: duration of a control step, s. The contract controls at 20 Hz.
+        substeps: physics steps per control step. The default, 10 steps of 5 ms, is that of the original inspect world.
+            The number must be even because the friction directions alternate between steps.
+        solver_iterations: maximum number of iterations of the contact solver per substep.
+        solver_residual: residual below which the solver stops early. With Bullet's default, 1e-7, a standing rover
+            creeps by a millimeter in 30 seconds; with 1e-9, by a fifth of that.
+        contact_threshold: gap above which the solver ignores a contact, m. Bullet's default is ``math.inf``.
+        ground_friction: Coulomb friction coefficient between rover and ground.
+        obstacle_friction: Coulomb friction coefficient between rover and obstacles. From 0.35 on, the wheels climb a
+            wall that the rover pushes against, and the rover flips onto its back.
 
     Raises:
-        ValueError: for a number that is out of range.
+        ValueError: if a number is out of range.
     """
 
     control_dt: float = CONTROL_DT
@@ -56,10 +56,10 @@ class BulletSettings:
 
     @classmethod
     def preset(cls, name: str) -> BulletSettings:
-        """The settings of that name in :data:`PRESETS`.
+        """Returns the settings of the given name in :data:`PRESETS`.
 
         Raises:
-            ValueError: for an unknown name.
+            ValueError: if the name is unknown.
         """
         if name not in PRESETS:
             raise ValueError(f"unknown physics {name!r}; use one of {list(PRESETS)}")
@@ -71,4 +71,4 @@ PRESETS: dict[str, BulletSettings] = {
     "accurate": BulletSettings(substeps=26),
     "fast": BulletSettings(substeps=6, solver_iterations=30),
 }
-"""Settings by name: the default, steps of about 2 ms, and what is cheaper and somewhat farther from the truth."""
+"""Physics presets by name: the default, steps of about 2 ms, and fewer steps with a larger error."""

@@ -1,4 +1,4 @@
-"""The Bullet backend: batched rovers in one or several worlds behind the :class:`Simulator` seam."""
+"""Bullet backend: batched rovers in one or several worlds."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from rover_rl.sims.bullet.physics import RoverPhysics
 from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.differential_drive import SimulatedDrive
 from rover_rl.sims.native.bullet import disconnect
-from rover_rl.sims.rendering.renderer import Renderer
+from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import matrix_to_quaternion
 from rover_rl.sims.worlds import World, rest_on_ground
 
 
 class BulletSimulator:
-    """Rovers in PyBullet: one pair of clients a world, one for the physics of its rovers and one for their lidar rays.
+    """Simulator in PyBullet. Each world has separate Bullet clients for the physics and the lidar.
 
     Args:
-        worlds: the world of each rover. Neighbours in the same world share its clients, and do not notice.
-        robot: the rover.
-        lidar_beams: beams of a scan, spread evenly over the full turn from straight ahead counter-clockwise.
-        settings: of the physics.
+        worlds: world of each rover. Consecutive rovers in the same world share clients and do not interact.
+        robot: robot model.
+        lidar_beams: number of beams of a scan, evenly spaced counter-clockwise over the full turn, the first forward.
+        settings: settings of the physics. ``None`` uses the defaults.
     """
 
     def __init__(
@@ -47,100 +47,98 @@ class BulletSimulator:
         self.control_dt = self.settings.control_dt
         self._robot = robot
         self._drive = SimulatedDrive(robot, self.control_dt, self.num_envs)
-        self._renderers: dict[int, Renderer] = {}
+        self._renderers = RendererCache(robot)
         self._clients: list[int] = []
         self._finalizer = weakref.finalize(self, disconnect, self._clients)
         angles = np.arange(lidar_beams) * (2 * math.pi / lidar_beams)
-        self._places: list[_Place] = []
+        self._groups: list[_WorldGroup] = []
         for world, block in groupby(range(self.num_envs), key=worlds.__getitem__):
             rows = np.array(list(block))
             physics = RoverPhysics(world, robot, len(rows), self.settings)
             self._clients.extend(physics.clients)
             lidar = Lidar(world, robot, angles)
             self._clients.append(lidar.client)
-            self._places.append(_Place(world, rows, physics, lidar))
+            self._groups.append(_WorldGroup(world, rows, physics, lidar))
 
         count = self.num_envs
-        # Position (3), orientation (4) and wheel speeds (2) side by side, to be handed out at once.
+        # Position (3), orientation (4) and wheel speeds (2) in one array, which is copied at once.
         self._body = np.zeros((count, 9), dtype=np.float32)
         self._ranges = np.full((count, lidar_beams), np.inf, dtype=np.float32)
         self.reset(torch.ones(count, dtype=torch.bool), torch.zeros(count, 3))
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
-        """Puts the rovers of ``mask`` on the ground at ``poses``: see :meth:`Simulator.reset`."""
-        for place in self._places:
-            local = np.flatnonzero(mask.numpy()[place.rows])
+        """Places the selected rovers on the ground, at rest. See :meth:`Simulator.reset`."""
+        for group in self._groups:
+            local = np.flatnonzero(mask.numpy()[group.rows])
             if not len(local):
                 continue
-            rows = place.rows[local]
-            position, rotation = rest_on_ground(place.world, self._robot, poses[torch.from_numpy(rows)])
-            place.physics.place(local.tolist(), position.numpy(), matrix_to_quaternion(rotation).numpy())
-            self._read(place, local)
+            rows = group.rows[local]
+            position, rotation = rest_on_ground(group.world, self._robot, poses[torch.from_numpy(rows)])
+            group.physics.place(local.tolist(), position.numpy(), matrix_to_quaternion(rotation).numpy())
+            self._read(group, local)
         self._drive.reset(mask)
         return self.state()
 
     def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
-        """Gives the rovers of ``mask`` these dynamics: see :meth:`Simulator.set_dynamics`."""
+        """Sets the dynamics of the selected rovers. See :meth:`Simulator.set_dynamics`."""
         factors = torch.stack((dynamics.friction, dynamics.chassis_mass, dynamics.motor_torque), -1).double()
-        for place in self._places:
-            local = np.flatnonzero(mask.numpy()[place.rows])
-            for row, varied in zip(local.tolist(), factors[torch.from_numpy(place.rows[local])].tolist(), strict=True):
-                place.physics.set_dynamics(row, *varied)
+        for group in self._groups:
+            local = np.flatnonzero(mask.numpy()[group.rows])
+            for row, scales in zip(local.tolist(), factors[torch.from_numpy(group.rows[local])].tolist(), strict=True):
+                group.physics.set_dynamics(row, *scales)
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
-        """Drives one control step of ``substeps`` physics steps: see :meth:`Simulator.step`."""
+        """Advances the rovers by one control step of ``substeps`` physics steps. See :meth:`Simulator.step`."""
         speeds = self._drive.advance(commands, active).tolist()
-        for place in self._places:
-            held = [] if active is None else np.flatnonzero(~active.numpy()[place.rows]).tolist()
-            place.physics.step(speeds[place.block], held)
-            self._read(place, place.all if not held else np.setdiff1d(place.all, held))
+        for group in self._groups:
+            held = [] if active is None else np.flatnonzero(~active.numpy()[group.rows]).tolist()
+            group.physics.step(speeds[group.block], held)
+            self._read(group, group.local if not held else np.setdiff1d(group.local, held))
         return self.state()
 
     def state(self) -> RoverState:
-        """The present state, in tensors of its own."""
+        """Returns the current state in new tensors."""
         return self._drive.state(torch.from_numpy(self._body.copy()), torch.from_numpy(self._ranges.copy()))
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
-        """A picture by Bullet's own software renderer: see :meth:`Simulator.render`."""
-        index = next(k for k, place in enumerate(self._places) if row in place.rows)
-        if index not in self._renderers:
-            self._renderers[index] = Renderer(self._places[index].world, self._robot)
-        pose = self._body[row].astype(float)
-        return self._renderers[index].picture(
-            pose[:3], pose[3:7], view, width, height, None if goal is None else goal.tolist()
-        )
+        """Renders one rover with Bullet's software renderer. See :meth:`Simulator.render`."""
+        world = next(group.world for group in self._groups if row in group.rows)
+        return self._renderers.render(world, torch.from_numpy(self._body[row, :7]), view, width, height, goal)
 
     @property
     def robot_connected(self) -> bool:
-        """Always."""
+        """Whether the rovers are connected. Always true in simulation."""
         return True
 
     def close(self) -> None:
-        """Disconnects every client; may be called again."""
+        """Disconnects all Bullet clients. Idempotent."""
         self._finalizer()
-        for renderer in self._renderers.values():
-            renderer.close()
-        self._renderers.clear()
+        self._renderers.close()
 
-    def _read(self, place: _Place, local: np.ndarray) -> None:
-        """Reads rovers of one place and scans for them; ``local`` counts within the place."""
+    def _read(self, group: _WorldGroup, local: np.ndarray) -> None:
+        """Reads the poses and wheel speeds of rovers and updates their scans.
+
+        Args:
+            group: group of the rovers.
+            local: indices of the rovers within the group.
+        """
         if not len(local):
             return
-        reading = place.physics.read(local.tolist())
-        rows = place.block if len(local) == len(place.all) else place.rows[local]
+        reading = group.physics.read(local.tolist())
+        rows = group.block if len(local) == len(group.local) else group.rows[local]
         self._body[rows, :3] = reading.position
         self._body[rows, 3:7] = reading.orientation
         self._body[rows, 7:] = reading.wheel_speeds
-        self._ranges[rows] = place.lidar.scan(reading.position, reading.rotation)
+        self._ranges[rows] = group.lidar.scan(reading.position, reading.rotation)
 
 
-class _Place:
-    """One world with its clients, and the rows of the batch that are in it: a block of neighbours."""
+class _WorldGroup:
+    """Consecutive rows of the batch that are in the same world, with their physics and lidar."""
 
     def __init__(self, world: World, rows: np.ndarray, physics: RoverPhysics, lidar: Lidar) -> None:
         self.world = world
         self.rows = rows
         self.block = slice(int(rows[0]), int(rows[-1]) + 1)
-        self.all = np.arange(len(rows))
+        self.local = np.arange(len(rows))
         self.physics = physics
         self.lidar = lidar

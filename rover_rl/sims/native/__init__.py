@@ -1,1 +1,1 @@
-"""Native libraries: loaded quietly, and used without their leaks."""
+"""Wrappers of native libraries that suppress their import output and avoid their memory leaks."""

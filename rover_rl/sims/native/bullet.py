@@ -1,4 +1,4 @@
-"""PyBullet, imported without the lines that its C library prints to the process's stdout and stderr."""
+"""PyBullet, imported without the output that its C library prints to stdout and stderr."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from rover_rl.sims.native.output import native_output_silenced
 with native_output_silenced():
     import pybullet
 
-# In the C library of Linux (glibc) alone; others have no function of this name.
+# Only the C library of Linux (glibc) has this function.
 _return_free_memory = getattr(ctypes.CDLL(None), "malloc_trim", None)
 
 
 def disconnect(clients: Iterable[int]) -> None:
-    """Disconnects those of ``clients`` that are connected, and returns their memory to the system.
+    """Disconnects the connected ones of ``clients`` and returns their memory to the system.
 
-    The C library would keep up to 80 MB of it for later, more or less by chance.
+    Without this, the C library keeps up to 80 MB for later use.
     """
     for client in clients:
         if pybullet.isConnected(client):

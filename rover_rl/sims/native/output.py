@@ -1,4 +1,4 @@
-"""Native libraries that print to the process's stdout and stderr when they are loaded."""
+"""Suppression of the output of native libraries."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from contextlib import contextmanager
 
 @contextmanager
 def native_output_silenced() -> Iterator[None]:
-    """Sends what C code writes to file descriptors 1 and 2 to nowhere; Python's own errors still pass as exceptions."""
+    """Discards output to file descriptors 1 and 2, including that of C code. Python exceptions still propagate."""
     sys.stdout.flush()
     sys.stderr.flush()
     try:
         saved = os.dup(1), os.dup(2)
-    except OSError:  # a process without standard streams has nothing to silence
+    except OSError:  # The process has no standard streams.
         yield
         return
-    nowhere = os.open(os.devnull, os.O_WRONLY)
+    null = os.open(os.devnull, os.O_WRONLY)
     try:
-        os.dup2(nowhere, 1)
-        os.dup2(nowhere, 2)
+        os.dup2(null, 1)
+        os.dup2(null, 2)
         yield
     finally:
         os.dup2(saved[0], 1)
         os.dup2(saved[1], 2)
-        for descriptor in (*saved, nowhere):
+        for descriptor in (*saved, null):
             os.close(descriptor)

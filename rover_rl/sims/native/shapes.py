@@ -1,10 +1,9 @@
 """Meshes and convex hulls as Bullet shapes, without PyBullet's memory leak.
 
-``createCollisionShape`` and ``createVisualShape`` of PyBullet never release the lists that they are given: neither the
-lists of vertices, normals and indices, nor the list ``[x, y, z]`` of each vertex and normal. The numbers themselves are
-released. Every shape therefore passes through the same lists, which are filled in place: a leaked reference to a list
-that exists anyway costs nothing. What remains in memory is the empty lists of the largest shape so far (80 bytes a
-vertex), however many worlds come and go.
+``createCollisionShape`` and ``createVisualShape`` of PyBullet never release the lists passed to them: neither the lists
+of vertices, normals and indices, nor the list ``[x, y, z]`` of each vertex and normal. They do release the numbers.
+This module therefore reuses the same lists for all shapes and fills them in place, so that a leaked reference has no
+cost. Only the empty lists of the largest shape so far remain in memory (80 bytes per vertex).
 """
 
 from __future__ import annotations
@@ -20,15 +19,18 @@ from rover_rl.sims.worlds import Terrain
 from rover_rl.sims.worlds.world import Area
 
 MESH_CELLS = 60_000
-"""Cells in one strip of a terrain's mesh: Bullet takes at most 524,288 indices a mesh."""
+"""Maximum number of cells in one strip of a terrain mesh. Bullet accepts at most 524,288 indices per mesh."""
 
 
 def terrain_strips(terrain: Terrain, area: Area | None = None) -> list[tuple[slice, slice]]:
-    """Cuts a terrain into strips, as rows and columns, that are small enough for one mesh each and share their borders.
+    """Splits a terrain into strips that are small enough for one mesh each and share their borders.
 
     Args:
-        terrain: the ground.
-        area: what has to be covered, m; all of it by default.
+        terrain: terrain to split.
+        area: area to cover, m. ``None`` covers all of the terrain.
+
+    Returns:
+        Rows and columns of each strip.
     """
     rows, columns = terrain.heights.shape
     (x_low, x_high), (y_low, y_high) = area or terrain.extent
@@ -41,7 +43,7 @@ def terrain_strips(terrain: Terrain, area: Area | None = None) -> list[tuple[sli
 
 
 def make_hull(client: int, vertices: np.ndarray) -> int:
-    """Creates the convex hull of ``vertices [V, 3]`` (m) as a collision shape; returns its id."""
+    """Creates the convex hull of ``vertices [V, 3]`` (m) as a collision shape. Returns its id."""
     with _LISTS as lists:
         return pybullet.createCollisionShape(
             pybullet.GEOM_MESH, vertices=lists.vertices.fill(vertices), physicsClientId=client
@@ -52,12 +54,12 @@ def make_mesh(client: int, vertices: np.ndarray, faces: np.ndarray) -> int:
     """Creates a concave triangle mesh as a collision shape.
 
     Args:
-        client: the Bullet client.
-        vertices: corners ``[V, 3]``, m.
-        faces: triangles ``[F, 3]`` into ``vertices``.
+        client: id of the Bullet client.
+        vertices: vertices ``[V, 3]``, m.
+        faces: triangles as indices into ``vertices``, ``[F, 3]``.
 
     Returns:
-        The id of the shape.
+        Id of the shape.
     """
     with _LISTS as lists:
         return pybullet.createCollisionShape(
@@ -75,14 +77,14 @@ def make_visual_mesh(
     """Creates a triangle mesh as a visual shape.
 
     Args:
-        client: the Bullet client.
-        vertices: corners ``[V, 3]``, m.
-        faces: triangles ``[F, 3]`` into ``vertices``.
+        client: id of the Bullet client.
+        vertices: vertices ``[V, 3]``, m.
+        faces: triangles as indices into ``vertices``, ``[F, 3]``.
         normals: unit normal of each vertex, ``[V, 3]``.
         color: red, green, blue and opacity, 0 to 1.
 
     Returns:
-        The id of the shape.
+        Id of the shape.
     """
     with _LISTS as lists:
         return pybullet.createVisualShape(
@@ -103,7 +105,7 @@ class _Points:
         self._rows: list[list[float]] = []
 
     def fill(self, points: np.ndarray) -> list[list[float]]:
-        """The list with the values of ``points [P, 3]``, until :meth:`clear`."""
+        """Fills the list with ``points [P, 3]`` and returns it. It is valid until :meth:`clear`."""
         self._rows.extend([] for _ in range(len(points) - len(self._rows)))
         self._points[:] = self._rows[: len(points)]
         for row, values in zip(self._points, points.tolist(), strict=True):
@@ -111,14 +113,14 @@ class _Points:
         return self._points
 
     def clear(self) -> None:
-        """Releases the numbers and keeps the lists."""
+        """Releases the numbers. Keeps the lists."""
         for row in self._points:
             row.clear()
         self._points.clear()
 
 
 class _ReusedLists:
-    """The lists that PyBullet is given, for one shape at a time: a thread holds them from ``with`` to its end."""
+    """Reusable argument lists for PyBullet. A thread locks them for one shape with the ``with`` statement."""
 
     def __init__(self) -> None:
         self.vertices, self.normals = _Points(), _Points()
@@ -136,7 +138,7 @@ class _ReusedLists:
         self._lock.release()
 
     def fill_indices(self, faces: np.ndarray) -> list[int]:
-        """The list of indices with the values of ``faces [F, 3]``, one triangle after the other."""
+        """Fills the list of indices with the triangles ``faces [F, 3]`` and returns it."""
         self._indices[:] = faces.ravel().tolist()
         return self._indices
 

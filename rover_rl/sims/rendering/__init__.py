@@ -1,1 +1,1 @@
-"""Pictures of a rover in its world, the same for every simulator."""
+"""Rendering of a rover in its world, shared by all simulators."""

@@ -1,4 +1,4 @@
-"""Pictures of a rover in its world, by Bullet's software renderer: no display and no GPU needed."""
+"""Rendering with Bullet's software renderer, which needs neither a display nor a GPU."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _GOAL = (0.10, 0.75, 0.25, 1.0)
 
 
 class Renderer:
-    """A client of its own with what can be seen: the physics carries no pictures along.
+    """Renderer of one world, in a Bullet client separate from the physics.
 
     Args:
-        world: what is around the rover.
-        robot: the rover.
+        world: world to render.
+        robot: robot model.
     """
 
     def __init__(self, world: World, robot: Robot) -> None:
@@ -41,29 +41,40 @@ class Renderer:
         )
         self._goal = pybullet.createMultiBody(0, -1, post, physicsClientId=self.client)
 
-    def picture(
+    def render(
         self,
-        position: np.ndarray,
-        orientation: np.ndarray,
+        position: Tensor,
+        orientation: Tensor,
         view: View,
         width: int,
         height: int,
-        goal: list[float] | None,
+        goal: Tensor | None = None,
     ) -> Tensor:
-        """What a camera behind (``"chase"``) or high above (``"top"``) the rover sees: uint8 ``[height, width, 3]``.
+        """Renders a rover at a pose, with a post at its goal.
+
+        Args:
+            position: position of the rover, ``[3]``, float64, m.
+            orientation: orientation of the rover, unit quaternion (x, y, z, w), ``[4]``, float64.
+            view: ``"chase"`` (from behind) or ``"top"`` (from above).
+            width: width of the image, pixels.
+            height: height of the image, pixels.
+            goal: position of the goal, ``[2]``, m. ``None`` draws no goal.
+
+        Returns:
+            RGB image, uint8 ``[height, width, 3]``.
 
         Raises:
-            ValueError: for another view.
+            ValueError: if the view is unknown.
         """
-        camera = Camera.on(torch.from_numpy(position), torch.from_numpy(orientation), self._world, view)
-        self._pose(position, orientation, goal)
+        camera = Camera.on(position, orientation, self._world, view)
+        self._place(position, orientation, goal)
         _, _, rgba, _, _ = pybullet.getCameraImage(
             width,
             height,
             pybullet.computeViewMatrix(camera.eye.tolist(), camera.target.tolist(), camera.up.tolist()),
             pybullet.computeProjectionMatrixFOV(FIELD_OF_VIEW, width / height, NEAR, 60),
             lightDirection=(-3, 2, 6),
-            # Shadow maps of this renderer cover large flat ground with stripes.
+            # The shadow maps of this renderer draw stripes on large flat ground.
             shadow=0,
             renderer=pybullet.ER_TINY_RENDERER,
             physicsClientId=self.client,
@@ -72,34 +83,35 @@ class Renderer:
         return torch.from_numpy(pixels.copy())
 
     def close(self) -> None:
-        """Disconnects its client; may be called again."""
+        """Disconnects the Bullet client. Idempotent."""
         self._finalizer()
 
-    def _pose(self, position: np.ndarray, orientation: np.ndarray, goal: list[float] | None) -> None:
-        center = pybullet.multiplyTransforms(position.tolist(), orientation.tolist(), *self._inertial)
-        pybullet.resetBasePositionAndOrientation(self._rover, *center, physicsClientId=self.client)
-        below = (0.0, 0.0, -1e3)
-        place = below
+    def _place(self, position: Tensor, orientation: Tensor, goal: Tensor | None) -> None:
+        """Moves the rover, and the post of the goal, which is far below the ground if there is no goal."""
+        inertial = pybullet.multiplyTransforms(position.tolist(), orientation.tolist(), *self._inertial)
+        pybullet.resetBasePositionAndOrientation(self._rover, *inertial, physicsClientId=self.client)
+        post = (0.0, 0.0, -1e3)
         if goal is not None:
-            ground = self._world.height_at(torch.tensor(goal, dtype=torch.float64)).item()
-            place = (goal[0], goal[1], ground + 0.6)
-        pybullet.resetBasePositionAndOrientation(self._goal, place, (0, 0, 0, 1), physicsClientId=self.client)
+            x, y = goal.tolist()
+            ground = self._world.height_at(torch.tensor((x, y), dtype=torch.float64)).item()
+            post = (x, y, ground + 0.6)
+        pybullet.resetBasePositionAndOrientation(self._goal, post, (0, 0, 0, 1), physicsClientId=self.client)
 
     def _add_scenery(self) -> None:
         terrain = self._world.terrain
         for strip in terrain_strips(terrain):
-            self._add_mesh(*terrain.mesh(*strip), colour=_GROUND)
+            self._add_mesh(*terrain.mesh(*strip), color=_GROUND)
         for obstacle in self._world.obstacles:
-            # Corners of their own for every face give the flat shading of a solid with edges.
+            # Separate vertices for every face give flat shading with visible edges.
             corners = obstacle.vertices[obstacle.faces.flatten()]
-            self._add_mesh(corners, torch.arange(len(corners)).reshape(-1, 3), colour=_OBSTACLE)
+            self._add_mesh(corners, torch.arange(len(corners)).reshape(-1, 3), color=_OBSTACLE)
 
-    def _add_mesh(self, vertices: Tensor, faces: Tensor, colour: tuple[float, float, float, float]) -> None:
+    def _add_mesh(self, vertices: Tensor, faces: Tensor, color: tuple[float, float, float, float]) -> None:
         a, b, c = (vertices[faces[:, k]] for k in range(3))
         flat = torch.linalg.cross(b - a, c - a)
         normals = torch.zeros_like(vertices)
         for k in range(3):
             normals.index_add_(0, faces[:, k], flat)
         normals = normals / normals.norm(dim=-1, keepdim=True)
-        shape = make_visual_mesh(self.client, vertices.numpy(), faces.numpy(), normals.numpy(), colour)
+        shape = make_visual_mesh(self.client, vertices.numpy(), faces.numpy(), normals.numpy(), color)
         pybullet.createMultiBody(0, -1, shape, physicsClientId=self.client)

@@ -1,4 +1,4 @@
-"""Robots: a URDF and one dataclass of figures each."""
+"""Robot models: a URDF file and a dataclass of parameters for each robot."""
 
 from __future__ import annotations
 
@@ -9,39 +9,39 @@ from rover_rl.sims.robots.robot import Robot
 from rover_rl.sims.robots.rover_zero import ROVER_ZERO
 
 ROBOTS: dict[str, Robot] = {ROVER_ZERO.name: ROVER_ZERO}
-"""The robots that come with the package, by name."""
+"""Built-in robots, by name."""
 
 
 _REGISTRY = Registry("robot", ROBOTS, also=", a Robot, or 'module:attribute' of your own")
 
 
 def register_robot(name: str, robot: Robot | Callable[[], Robot] | str) -> None:
-    """Gives a robot a name, for ``RoverEnv``, ``EnvConfig`` and ``--robot``.
+    """Registers a robot under a name, for ``RoverEnv``, ``EnvConfig`` and ``--robot``.
 
     Args:
-        name: its name.
-        robot: the robot, a function that makes it, or the ``"module:attribute"`` of either.
+        name: new name of letters, digits, ``_``, ``-`` and ``.``.
+        robot: robot, function that returns a robot, or ``"module:attribute"`` of either.
 
     Raises:
-        ValueError: for a name that is taken, or that has other characters than letters, digits, ``_``, ``-`` and ``.``.
+        ValueError: if the name is taken or has other characters.
     """
     _REGISTRY.register(name, robot)
 
 
 def robot_names() -> list[str]:
-    """Names of the robots of the package, of those registered, and of those of installed packages."""
+    """Returns the names of all robots: built-in, registered, and from installed packages."""
     return _REGISTRY.names()
 
 
 def get_robot(robot: str | Robot) -> Robot:
-    """The robot of that name, or the one given.
+    """Returns a robot by name. Returns a :class:`Robot` unchanged.
 
     Args:
-        robot: a name in :func:`robot_names`, or the ``module:attribute`` of a robot of your own or of a function that
-            makes it.
+        robot: name in :func:`robot_names`, ``"module:attribute"`` of a robot or of a function that returns one, or a
+            robot.
 
     Raises:
-        ValueError: for a name of no robot.
+        ValueError: if the name is unknown, or refers to something else than a robot.
     """
     if isinstance(robot, Robot):
         return robot

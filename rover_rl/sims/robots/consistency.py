@@ -1,7 +1,7 @@
-"""Whether the figures of a robot agree with its URDF.
+"""Consistency check of a robot's parameters with its URDF.
 
-Backends take some of them from the one and some from the other: where the two differ, the same robot drives differently
-in each simulator.
+Some backends read a value from the parameters and others read it from the URDF. If the two differ, the same robot
+drives differently in each simulator.
 """
 
 from __future__ import annotations
@@ -16,40 +16,40 @@ if TYPE_CHECKING:
     from rover_rl.sims.robots.robot import Robot
 
 LENGTH_TOLERANCE = 1e-3
-"""Metres by which positions and widths may differ."""
+"""Tolerance of positions and widths, m."""
 RELATIVE_TOLERANCE = 0.01
-"""Share by which radii may differ, and masses and moments of inertia of the wheels among one another."""
+"""Relative tolerance of radii, and of masses and moments of inertia between wheels."""
 AXIS_TOLERANCE = 0.01
-"""Radians by which the axes of wheels may be off."""
+"""Tolerance of the directions of wheel axes, rad."""
 
-_LEFTWARD = np.array((0.0, 1.0, 0.0))
+_LEFT = np.array((0.0, 1.0, 0.0))
 
 
 def check_consistency(robot: Robot) -> None:
-    """Checks a robot against its URDF.
+    """Checks the parameters of a robot against its URDF.
 
     Raises:
-        ValueError: for a URDF that cannot be read, wheel joints or wheel shapes that contradict the robot's figures, or
-            a wheel or base without the mass and inertia of a rigid body.
+        ValueError: if the URDF cannot be parsed, if wheel joints or wheel shapes contradict the robot's parameters, or
+            if a wheel or the base has no valid mass and inertia of a rigid body.
     """
     try:
         description = Description(robot.urdf)
         _check_inertial(description.links[description.base], "base link")
-        masses = []
+        wheels = []
         for joint, position in zip(_wheel_joints(robot, description), robot.wheel_positions, strict=True):
             frame = _check_joint(joint, description, position)
             link = description.links[joint.child]
             _check_shape(robot, link, frame)
             inertial = _check_inertial(link, "wheel link")
             rotation = (frame @ inertial.frame).rotation
-            masses.append((joint.name, inertial.mass, rotation @ inertial.inertia @ rotation.T))
-        _check_alike(masses)
+            wheels.append((joint.name, inertial.mass, rotation @ inertial.inertia @ rotation.T))
+        _check_wheels_alike(wheels)
     except ValueError as error:
         raise ValueError(f"robot {robot.name!r} cannot be driven with its URDF {robot.urdf}: {error}") from error
 
 
 def _wheel_joints(robot: Robot, description: Description) -> list[Joint]:
-    """The joints of all wheels, left then right."""
+    """Returns the joints of all wheels, left then right."""
     for field in ("left_wheels", "right_wheels"):
         for name in getattr(robot, field):
             if name not in description.joints:
@@ -61,7 +61,7 @@ def _wheel_joints(robot: Robot, description: Description) -> list[Joint]:
 
 
 def _check_joint(joint: Joint, description: Description, position: tuple[float, float, float]) -> Frame:
-    """Checks the joint of a wheel; returns the wheel's frame in the base frame."""
+    """Checks the joint of a wheel. Returns the wheel's frame in the base frame."""
     wheel = f"wheel joint {joint.name!r}"
     if joint.kind != "continuous":
         raise ValueError(f"{wheel} is {joint.kind}, it must be continuous")
@@ -72,23 +72,23 @@ def _check_joint(joint: Joint, description: Description, position: tuple[float, 
     frame = description.fixed[joint.parent] @ joint.frame
     if not np.allclose(frame.position, position, rtol=0, atol=LENGTH_TOLERANCE):
         raise ValueError(
-            f"wheel_positions has {wheel} at {_told(position)} m, the URDF at {_told(frame.position)} m; "
+            f"wheel_positions has {wheel} at {_rounded(position)} m, the URDF at {_rounded(frame.position)} m; "
             f"each coordinate may differ by {LENGTH_TOLERANCE} m"
         )
     axis = frame.rotation @ joint.axis
-    if not np.linalg.norm(axis - _LEFTWARD) <= AXIS_TOLERANCE:
-        raise ValueError(f"{wheel} must turn about +y, (0, 1, 0), of the base frame, it turns about {_told(axis)}")
+    if not np.linalg.norm(axis - _LEFT) <= AXIS_TOLERANCE:
+        raise ValueError(f"{wheel} must turn about +y, (0, 1, 0), of the base frame, it turns about {_rounded(axis)}")
     return frame
 
 
 def _check_shape(robot: Robot, link: Link, frame: Frame) -> None:
-    """Checks the collision shape of a wheel whose link is at ``frame``."""
+    """Checks the collision shape of a wheel whose link has the pose ``frame``."""
     wheel = f"wheel link {link.name!r}"
     kinds = [shape.kind for shape in link.shapes]
     if kinds not in (["cylinder"], ["sphere"]):
         raise ValueError(f"{wheel} must have one collision shape, a cylinder or a sphere, it has {kinds or 'none'}")
     (shape,) = link.shapes
-    _check_placed(wheel, shape, frame)
+    _check_shape_pose(wheel, shape, frame)
     radius = shape.sizes[0]
     if not abs(radius - robot.wheel_radius) <= RELATIVE_TOLERANCE * robot.wheel_radius:
         raise ValueError(
@@ -102,19 +102,19 @@ def _check_shape(robot: Robot, link: Link, frame: Frame) -> None:
         )
 
 
-def _check_placed(wheel: str, shape: Shape, frame: Frame) -> None:
+def _check_shape_pose(wheel: str, shape: Shape, frame: Frame) -> None:
     offset = np.linalg.norm(shape.frame.position)
     if not offset <= LENGTH_TOLERANCE:
         raise ValueError(
             f"the {shape.kind} of {wheel} is {offset:.6g} m from its joint; {LENGTH_TOLERANCE} m is allowed"
         )
     axis = (frame @ shape.frame).rotation[:, 2]
-    if shape.kind == "cylinder" and not np.linalg.norm(np.cross(axis, _LEFTWARD)) <= AXIS_TOLERANCE:
-        raise ValueError(f"the cylinder of {wheel} must lie along y of the base frame, it lies along {_told(axis)}")
+    if shape.kind == "cylinder" and not np.linalg.norm(np.cross(axis, _LEFT)) <= AXIS_TOLERANCE:
+        raise ValueError(f"the cylinder of {wheel} must lie along y of the base frame, it lies along {_rounded(axis)}")
 
 
 def _check_inertial(link: Link, kind: str) -> Inertial:
-    """Checks that a link has a mass and an inertia that a rigid body can have; returns them."""
+    """Checks that a link has the mass and inertia of a rigid body. Returns them."""
     inertial = link.inertial
     if inertial is None or not inertial.mass > 0:
         mass = "none" if inertial is None else f"{inertial.mass} kg"
@@ -123,21 +123,21 @@ def _check_inertial(link: Link, kind: str) -> Inertial:
     if not moments[0] > 0:
         raise ValueError(
             f"the inertia of {kind} {link.name!r} must be positive definite, its principal moments are "
-            f"{_told(moments)} kg m^2"
+            f"{_rounded(moments)} kg m^2"
         )
     if not moments[2] <= (1 + RELATIVE_TOLERANCE) * (moments[0] + moments[1]):
         raise ValueError(
             f"the inertia of {kind} {link.name!r} is not that of a rigid body: the largest of its principal moments "
-            f"{_told(moments)} kg m^2 may be {RELATIVE_TOLERANCE:.0%} above the sum of the other two"
+            f"{_rounded(moments)} kg m^2 may be {RELATIVE_TOLERANCE:.0%} above the sum of the other two"
         )
     return inertial
 
 
-def _check_alike(wheels: list[tuple[str, float, np.ndarray]]) -> None:
-    """Checks that all wheels are like the first.
+def _check_wheels_alike(wheels: list[tuple[str, float, np.ndarray]]) -> None:
+    """Checks that all wheels have the mass and inertia of the first.
 
     Args:
-        wheels: name, mass (kg) and inertia (kg m^2, ``[3, 3]`` along the axes of the base frame) of each.
+        wheels: name, mass (kg) and inertia (kg m^2, ``[3, 3]`` along the axes of the base frame) of each wheel.
     """
     first, first_mass, first_inertia = wheels[0]
     for name, mass, inertia in wheels[1:]:
@@ -150,12 +150,12 @@ def _check_alike(wheels: list[tuple[str, float, np.ndarray]]) -> None:
             upper = np.triu_indices(3)
             raise ValueError(
                 f"its wheels are not alike: {first!r} has the inertia (xx, xy, xz, yy, yz, zz) = "
-                f"{_told(first_inertia[upper])} kg m^2, {name!r} {_told(inertia[upper])}; "
+                f"{_rounded(first_inertia[upper])} kg m^2, {name!r} {_rounded(inertia[upper])}; "
                 f"they may differ by {RELATIVE_TOLERANCE:.0%} of the largest"
             )
 
 
-def _told(values: np.ndarray | tuple[float, ...]) -> tuple[float, ...]:
-    """Values as a message states them."""
-    # A zero of its own turns -0.0 into 0.0.
+def _rounded(values: np.ndarray | tuple[float, ...]) -> tuple[float, ...]:
+    """Returns values rounded for an error message."""
+    # Adding 0 turns -0.0 into 0.0.
     return tuple(round(float(value), 9) + 0.0 for value in values)

@@ -1,4 +1,4 @@
-"""Robot descriptions: links, joints, masses and collision shapes of a URDF."""
+"""URDF parser: links, joints, masses and collision shapes of a robot."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from typing import TypeVar
 import numpy as np
 
 _SIZES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}
-"""Attributes that hold the sizes of a shape, by its kind."""
+"""URDF attributes with the dimensions of a shape, by kind of shape."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Pose in a parent frame.
+    """Pose of a frame in a parent frame.
 
     Attributes:
-        position: ``[3]``, m.
-        rotation: matrix ``[3, 3]``; its columns are the frame's axes.
+        position: position of the origin, ``[3]``, m.
+        rotation: rotation matrix ``[3, 3]``, whose columns are the axes of the frame.
     """
 
     position: np.ndarray
@@ -29,22 +29,22 @@ class Frame:
 
     @property
     def is_turned(self) -> bool:
-        """Whether its axes are not those of the parent frame."""
+        """Whether the frame is rotated relative to the parent frame."""
         return not np.array_equal(self.rotation, np.eye(3))
 
     def __matmul__(self, inner: Frame) -> Frame:
-        """The pose of ``inner``, which is given in this frame, in the parent frame."""
+        """Returns the pose in the parent frame of ``inner``, which is relative to this frame."""
         return Frame(self.position + self.rotation @ inner.position, self.rotation @ inner.rotation)
 
 
 @dataclass(frozen=True)
 class Inertial:
-    """Mass of a link.
+    """Mass and inertia of a link.
 
     Attributes:
-        mass: kg.
-        frame: its origin is the centre of mass, in the frame of the link.
-        inertia: about the centre of mass along the axes of ``frame``, ``[3, 3]``, kg m^2.
+        mass: mass, kg.
+        frame: pose of the inertial frame in the frame of the link. Its origin is the center of mass.
+        inertia: inertia matrix about the center of mass, along the axes of ``frame``, ``[3, 3]``, kg m^2.
     """
 
     mass: float
@@ -58,8 +58,8 @@ class Shape:
 
     Attributes:
         kind: ``"box"``, ``"cylinder"``, ``"sphere"``, or another element of URDF's ``geometry``.
-        frame: its pose in the frame of the link; a cylinder lies along z.
-        sizes: m. Of a box: x, y, z; of a cylinder: radius, length; of a sphere: radius; of others: empty.
+        frame: pose of the shape in the frame of the link. The axis of a cylinder is z.
+        sizes: dimensions, m: x, y, z of a box; radius, length of a cylinder; radius of a sphere. Empty for others.
     """
 
     kind: str
@@ -69,7 +69,13 @@ class Shape:
 
 @dataclass(frozen=True)
 class Link:
-    """Rigid part of a robot. ``inertial`` is ``None`` where the URDF states no mass."""
+    """Rigid part of a robot.
+
+    Attributes:
+        name: name of the link.
+        inertial: mass and inertia. ``None`` if the URDF states none.
+        shapes: collision shapes.
+    """
 
     name: str
     inertial: Inertial | None
@@ -81,12 +87,12 @@ class Joint:
     """Connection of two links.
 
     Attributes:
-        name: its name.
-        kind: ``"fixed"``, ``"continuous"``, or another type of URDF's.
-        parent: name of the link it is on.
-        child: name of the link it moves.
-        frame: the child's frame in the parent's.
-        axis: direction in ``frame`` about which it turns, ``[3]``.
+        name: name of the joint.
+        kind: ``"fixed"``, ``"continuous"``, or another joint type of URDF.
+        parent: name of the parent link.
+        child: name of the child link.
+        frame: pose of the child link in the frame of the parent link.
+        axis: axis of rotation in ``frame``, ``[3]``.
     """
 
     name: str
@@ -101,19 +107,19 @@ Part = TypeVar("Part", Link, Joint)
 
 
 class Description:
-    """Contents of a URDF.
+    """Contents of a URDF file.
 
     Args:
-        path: the URDF.
+        path: path of the file.
 
     Attributes:
-        links: by name.
-        joints: by name.
-        base: name of the link that is on no other. Its frame is the base frame.
-        fixed: frames of the base and of all links fixed to it, in the base frame, by name of the link.
+        links: links by name.
+        joints: joints by name.
+        base: name of the link that is the child of no joint. Its frame is the base frame.
+        fixed: poses in the base frame of the base and of all links fixed to it, by link name.
 
     Raises:
-        ValueError: for a file that is not XML, or not the URDF of one robot.
+        ValueError: if the file is not XML, or not the URDF of one robot.
     """
 
     def __init__(self, path: Path) -> None:
@@ -140,7 +146,7 @@ class Description:
     def _place_fixed(self) -> dict[str, Frame]:
         frames = {self.base: Frame(np.zeros(3), np.eye(3))}
         fixed = [joint for joint in self.joints.values() if joint.kind == "fixed"]
-        # A link may come before the one that it is fixed to.
+        # A URDF may list a link before the one that it is fixed to, so one pass is not enough.
         for _ in fixed:
             for joint in fixed:
                 if joint.parent in frames and joint.child not in frames:
@@ -158,7 +164,7 @@ def _by_name(parts: Iterable[Part]) -> dict[str, Part]:
 
 
 def _link(element: ET.Element) -> Link:
-    name = _word(element, "name")
+    name = _attribute(element, "name")
     inertial = element.find("inertial")
     try:
         return Link(
@@ -171,14 +177,14 @@ def _link(element: ET.Element) -> Link:
 
 
 def _inertial(element: ET.Element) -> Inertial:
-    mass = _numbers(_part(element, "mass"), "value", 1)[0]
-    moments = _part(element, "inertia")
+    mass = _numbers(_child(element, "mass"), "value", 1)[0]
+    moments = _child(element, "inertia")
     xx, xy, xz, yy, yz, zz = (_numbers(moments, f"i{axes}", 1, "0")[0] for axes in ("xx", "xy", "xz", "yy", "yz", "zz"))
     return Inertial(mass, _frame(element), np.array(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))))
 
 
 def _shape(element: ET.Element) -> Shape:
-    geometry = next(iter(_part(element, "geometry")), None)
+    geometry = next(iter(_child(element, "geometry")), None)
     if geometry is None:
         raise ValueError("a collision shape has an empty geometry")
     sizes: list[float] = []
@@ -188,13 +194,13 @@ def _shape(element: ET.Element) -> Shape:
 
 
 def _joint(element: ET.Element) -> Joint:
-    name = _word(element, "name")
+    name = _attribute(element, "name")
     try:
-        parent, child = (_word(_part(element, end), "link") for end in ("parent", "child"))
+        parent, child = (_attribute(_child(element, end), "link") for end in ("parent", "child"))
         axis = element.find("axis")
-        # URDF's default is x.
+        # The default axis of URDF is x.
         direction = np.array((1.0, 0.0, 0.0) if axis is None else _numbers(axis, "xyz", 3))
-        return Joint(name, _word(element, "type"), parent, child, _frame(element), direction)
+        return Joint(name, _attribute(element, "type"), parent, child, _frame(element), direction)
     except ValueError as error:
         raise ValueError(f"joint {name!r}: {error}") from error
 
@@ -208,7 +214,7 @@ def _frame(element: ET.Element) -> Frame:
 
 
 def _rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
-    """Matrix ``[3, 3]`` of turns about the fixed axes x, y, z, one after the other (rad)."""
+    """Returns the matrix ``[3, 3]`` of successive rotations about the fixed axes x, y and z (rad)."""
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(angle), math.sin(angle)) for angle in (roll, pitch, yaw))
     about_x = np.array(((1, 0, 0), (0, cr, -sr), (0, sr, cr)))
     about_y = np.array(((cp, 0, sp), (0, 1, 0), (-sp, 0, cp)))
@@ -216,23 +222,23 @@ def _rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
     return about_z @ about_y @ about_x
 
 
-def _part(element: ET.Element, tag: str) -> ET.Element:
+def _child(element: ET.Element, tag: str) -> ET.Element:
     part = element.find(tag)
     if part is None:
         raise ValueError(f"{element.tag} has no {tag}")
     return part
 
 
-def _word(element: ET.Element, name: str, default: str | None = None) -> str:
-    word = element.get(name, default)
-    if word is None:
+def _attribute(element: ET.Element, name: str, default: str | None = None) -> str:
+    value = element.get(name, default)
+    if value is None:
         raise ValueError(f"{element.tag} has no {name}")
-    return word
+    return value
 
 
 def _numbers(element: ET.Element, name: str, count: int, default: str | None = None) -> list[float]:
-    """The numbers of an attribute, which must be finite."""
-    text = _word(element, name, default)
+    """Returns the ``count`` finite numbers of an attribute."""
+    text = _attribute(element, name, default)
     try:
         numbers = [float(word) for word in text.split()]
     except ValueError:

@@ -1,4 +1,4 @@
-"""Robot: the figures of a skid-steer rover that a simulator and the task need."""
+"""Robot: parameters of a skid-steer rover for the simulators and the task."""
 
 from __future__ import annotations
 
@@ -11,38 +11,38 @@ from rover_rl.sims.robots.consistency import check_consistency
 
 @dataclass(frozen=True)
 class Robot:
-    """A differentially driven rover.
+    """Parameters of a rover with a differential drive.
 
-    Positions are in the base frame: its origin lies on the ground below the middle of the rover, x forward, y left,
-    z up. Lengths in metres, angles in radians.
+    Positions are in the base frame, whose origin lies on the ground below the center of the rover: x forward, y left,
+    z up. Lengths are in meters, angles in radians.
 
     Args:
-        name: its name; a live simulator knows it by this.
-        urdf: path of its description. The link that is on no other is the base. Every wheel is a continuous joint about
-            +y, on the base or on a link fixed to it, and a cylinder or sphere around its hub. Every link has one
-            collision shape at most.
-        left_wheels, right_wheels: names of the wheel joints of each side.
-        wheel_positions: hub of each wheel, left then right, ``(x, y, z)``.
-        wheel_radius: radius that turns speed over ground into wheel speed, and the radius of the wheel's shape.
+        name: name of the robot, by which a live simulator identifies it.
+        urdf: path of the URDF file. The base is the link that is the child of no joint. Every wheel has a continuous
+            joint about +y, on the base or on a link fixed to it, and one cylinder or sphere around its hub. Every link
+            has at most one collision shape.
+        left_wheels: names of the joints of the left wheels.
+        right_wheels: names of the joints of the right wheels.
+        wheel_positions: hub ``(x, y, z)`` of each wheel, left then right.
+        wheel_radius: radius of the wheels, also for the conversion between ground speed and wheel speed.
         wheel_width: width of a wheel.
-        wheel_separation: distance between left and right that the drive's kinematics assume. Skid steering slips, so
-            that it differs from the geometric track.
-        wheel_torque: the most torque a wheel motor gives, N m.
-        max_linear_acceleration: of the drive's command, m/s^2.
-        max_angular_acceleration: of the drive's command, rad/s^2.
-        lidar_position: where the lidar sits.
-        lidar_range: distance beyond which it sees nothing, m.
-        imu_position: where the IMU sits.
-        radius: of the disc around the origin that has to be free for the rover to stand somewhere.
-        max_speed: highest forward speed that a live robot is commanded, either way, m/s. Simulated robots take what the
-            task commands.
-        max_yaw_rate: the same for the yaw rate, rad/s.
+        wheel_separation: effective distance between the left and right wheels in the kinematics of the drive. It
+            differs from the geometric track because the wheels slip in turns.
+        wheel_torque: maximum torque of a wheel motor, N m.
+        max_linear_acceleration: maximum acceleration of the forward speed command, m/s^2.
+        max_angular_acceleration: maximum acceleration of the yaw rate command, rad/s^2.
+        lidar_position: position of the lidar.
+        lidar_range: maximum range of the lidar, m.
+        imu_position: position of the IMU.
+        radius: radius of the disc around the origin that must be free of obstacles where the rover stands.
+        max_speed: maximum absolute forward speed commanded to a real robot, m/s. Does not limit simulated robots.
+        max_yaw_rate: maximum absolute yaw rate commanded to a real robot, rad/s. Does not limit simulated robots.
 
     Raises:
-        ValueError: for a length, limit or torque that is not positive, positions that are not finite, wheels that do
-            not match their positions or are on the wrong side, or figures that contradict the URDF
+        ValueError: if a length, limit or torque is not positive, a position is not finite, the wheels do not match
+            their positions or are on the wrong side, or the parameters contradict the URDF
             (:mod:`rover_rl.sims.robots.consistency`).
-        FileNotFoundError: if there is no description at ``urdf``.
+        FileNotFoundError: if ``urdf`` does not exist.
     """
 
     name: str
@@ -102,7 +102,7 @@ class Robot:
         for field, position in positions:
             if len(position) != 3 or not all(map(math.isfinite, position)):
                 raise ValueError(
-                    f"{field} of robot {self.name!r} must have finite coordinates (x, y, z) in metres, got {position}"
+                    f"{field} of robot {self.name!r} must have finite coordinates (x, y, z) in meters, got {position}"
                 )
         sides = [("left", 1)] * len(self.left_wheels) + [("right", -1)] * len(self.right_wheels)
         for name, position, (side, sign) in zip(names, self.wheel_positions, sides, strict=True):

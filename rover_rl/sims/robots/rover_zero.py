@@ -1,4 +1,4 @@
-"""Rover Zero 4WD, the skid-steer rover that RoboTerrain drives."""
+"""Rover Zero 4WD, the skid-steer rover of RoboTerrain."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ROVER_ZERO = Robot(
     wheel_radius=0.122,
     wheel_width=0.09,
     wheel_separation=0.24,
-    # More than a wheel can bring to the ground (30 N x 0.122 m), so that traction, not the motor, limits.
+    # Exceeds the torque that a wheel transfers to the ground (30 N x 0.122 m), so traction is the limit.
     wheel_torque=5.0,
     max_linear_acceleration=5.0,
     max_angular_acceleration=4.0,
@@ -24,5 +24,7 @@ ROVER_ZERO = Robot(
     imu_position=(0.0, 0.0, 0.221),
     radius=0.35,
 )
-"""Figures of the original's robot description: masses and mounts in ``rover_zero.urdf``, the drive's limits as its
-differential-drive plugin sets them."""
+"""Rover Zero with the parameters of the original robot description.
+
+Masses and mounts are in ``rover_zero.urdf``, the limits of the drive are those of its differential-drive plugin.
+"""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ from torch import Tensor
 
 from rover_rl.sims.base import Dynamics, RoverState, View
 from rover_rl.sims.differential_drive import SimulatedDrive
+from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import matrix_to_quaternion
 from rover_rl.sims.warp.inertial_model import read_inertial_model
@@ -26,9 +27,6 @@ from rover_rl.sims.warp.scene import make_robot_model, make_scene
 from rover_rl.sims.warp.settings import WarpSettings
 from rover_rl.sims.warp.state_buffers import StateBuffers
 from rover_rl.sims.worlds import World, rest_on_ground
-
-if TYPE_CHECKING:
-    from rover_rl.sims.rendering.renderer import Renderer
 
 MIN_ROVERS_PER_THREAD = 16
 """Minimum number of rovers per CPU thread; with fewer, another thread does not pay."""
@@ -71,7 +69,7 @@ class WarpSimulator:
         self.ray_angles = torch.tensor(angles, dtype=torch.float32, device=self.device)
         self._robot = robot
         self._drive = SimulatedDrive(robot, self.control_dt, count, self.device)
-        self._renderers: dict[World, Renderer] = {}
+        self._renderers = RendererCache(robot)
 
         inertial_model = read_inertial_model(robot)
         self._buffers = StateBuffers(inertial_model, robot, count, lidar_beams, self.device)
@@ -153,15 +151,8 @@ class WarpSimulator:
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders an image with Bullet's software renderer: see :meth:`Simulator.render`."""
-        from rover_rl.sims.rendering.renderer import Renderer
-
         world = next(world for world, rows in self._worlds if rows.start <= row < rows.stop)
-        if world not in self._renderers:
-            self._renderers[world] = Renderer(world, self._robot)
-        pose = self._buffers.base_state[row].double().cpu().numpy()
-        return self._renderers[world].picture(
-            pose[:3], pose[3:7], view, width, height, None if goal is None else goal.tolist()
-        )
+        return self._renderers.render(world, self._buffers.base_state[row, :7], view, width, height, goal)
 
     @property
     def robot_connected(self) -> bool:
@@ -172,9 +163,7 @@ class WarpSimulator:
         """Stops the threads and releases the renderers. Idempotent."""
         if self._pool is not None:
             self._pool.shutdown()
-        for renderer in self._renderers.values():
-            renderer.close()
-        self._renderers.clear()
+        self._renderers.close()
 
     @property
     def _stream(self) -> wp.Stream | None:

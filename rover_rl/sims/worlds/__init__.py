@@ -1,4 +1,4 @@
-"""Places to drive in: the ground, what stands on it, and where a rover can go."""
+"""Worlds: terrain, obstacles, and the free space for a rover."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
 
 WORLDS: dict[str, Callable[[int], World]] = {"inspect": inspect, "moon": moon, "maze": maze}
-"""The worlds that come with the package: functions from a seed to a world, by name."""
+"""Built-in worlds: functions from a seed to a world, by name."""
 
 
 _REGISTRY = Registry("world", WORLDS, also=", 'name:seed', or a World")
 
 
 def register_world(name: str, world: World | Callable[..., World] | str) -> None:
-    """Gives a world a name, for ``world_n``, ``EnvConfig`` and ``--world``.
+    """Registers a world under a name, for ``world_n``, ``EnvConfig`` and ``--world``.
 
     Args:
-        name: its name.
-        world: the world; a function that makes it, with or without a seed (int) as its argument; or the
+        name: new name of letters, digits, ``_``, ``-`` and ``.``.
+        world: world, function that returns a world and takes either a seed (int) or no argument, or
             ``"module:attribute"`` of either.
 
     Raises:
-        ValueError: for a name that is taken, or that has other characters than letters, digits, ``_``, ``-`` and ``.``.
+        ValueError: if the name is taken or has other characters.
 
     Example:
         >>> register_world("canyon", lambda seed: World(f"canyon-{seed}", Terrain.flat(((-9, 9), (-9, 9)))))
@@ -43,20 +43,23 @@ def register_world(name: str, world: World | Callable[..., World] | str) -> None
 
 
 def world_names() -> list[str]:
-    """Names of the worlds of the package, of those registered, and of those of installed packages."""
+    """Returns the names of all worlds: built-in, registered, and from installed packages."""
     return _REGISTRY.names()
 
 
 def get_world(world: str | World) -> World:
-    """The world of that name, or the one given.
+    """Returns a world by name. Returns a :class:`World` unchanged.
 
     Args:
-        world: a name in :func:`world_names`, or the ``module:attribute`` of a world of your own or of a function that
-            makes it; with ``:seed`` after it for another layout, as in ``"maze:7"`` or ``"my_package:canyon:7"``. The
-            same name gives the same object each time.
+        world: name in :func:`world_names`, ``"module:attribute"`` of a world or of a function that returns one, or a
+            world. A suffix ``:seed`` selects another layout, for example ``"maze:7"`` or ``"my_package:canyon:7"``.
+
+    Returns:
+        The world. The same name returns the same object (the last 256 names are cached).
 
     Raises:
-        ValueError: for a name of no world.
+        ValueError: if the name is unknown, refers to something else than a world, or has a seed that the world does
+            not take.
     """
     if isinstance(world, World):
         return world

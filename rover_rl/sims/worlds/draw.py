@@ -1,4 +1,4 @@
-"""Maps of worlds, with Matplotlib's object interface: they need no display."""
+"""Maps of worlds, drawn with Matplotlib's object-oriented interface. Needs no display."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rover_rl.sims.worlds.free_space import FreeSpace, free_space, overlap
 from rover_rl.sims.worlds.world import Area, World
 
 MARGIN = 3.0
-"""Metres shown around the bounds."""
+"""Width of the margin around the bounds of the world, m."""
 GROUND = LinearSegmentedColormap.from_list("ground", ["#4d4038", "#86694f", "#b8946a", "#d9c094", "#f1e6cb"])
 LEVEL = "#e6dcc3"
 OBSTACLE, OBSTACLE_EDGE = "#39424e", "#161a20"
@@ -28,18 +28,18 @@ FREE, SPAWN, GOAL, BOUNDS = "#2a9d8f", "#1d4ed8", "#f97316", "#b91c1c"
 
 
 def draw_world(world: World, robot: Robot, path: str | Path | None = None, ax: Axes | None = None) -> Figure:
-    """Draws a world as a map: ground, obstacles, free space, and the areas of the task.
+    """Draws a map of a world: ground, obstacles, free space, and the areas of the task.
 
     Args:
-        world: the place.
-        robot: the rover that the free space is for.
-        path: where to save the figure; the suffix decides on the format.
-        ax: axes to draw on; ``None`` makes a new figure.
+        world: world to draw.
+        robot: robot for which the free space is computed.
+        path: path of the image file, whose suffix selects the format. ``None`` does not save the figure.
+        ax: axes to draw on. ``None`` creates a new figure.
 
     Returns:
         The figure.
     """
-    view = overlap(_grown(world.bounds, MARGIN), _grown(world.terrain.extent, 0.5))
+    view = overlap(_expanded(world.bounds, MARGIN), _expanded(world.terrain.extent, 0.5))
     if ax is None:
         width, height = (high - low for low, high in view)
         ax = Figure(figsize=(5.2 * width / height + 1.6, 6.4), layout="constrained").add_subplot()
@@ -50,7 +50,7 @@ def draw_world(world: World, robot: Robot, path: str | Path | None = None, ax: A
     _draw_free_space(ax, free_space(world, robot))
     _outline(ax, world.bounds, edgecolor=BOUNDS, linestyle=(0, (6, 4)), linewidth=1.4)
     _outline(ax, world.spawn_range, edgecolor=SPAWN, linewidth=2.2)
-    # Dashes, so that both areas show where they coincide.
+    # Dashed, so that both outlines are visible where they coincide.
     _outline(ax, world.goal_range, edgecolor=GOAL, linestyle=(0, (3, 3)), linewidth=2.2)
     ax.set_title(f"{world.name}: where {robot.name} can drive")
     ax.legend(
@@ -67,21 +67,21 @@ def draw_world(world: World, robot: Robot, path: str | Path | None = None, ax: A
     return figure
 
 
-def _grown(area: Area, margin: float) -> Area:
+def _expanded(area: Area, margin: float) -> Area:
     (x_low, x_high), (y_low, y_high) = area
     return (x_low - margin, x_high + margin), (y_low - margin, y_high + margin)
 
 
 def draw_map(ax: Axes, world: World, area: Area | None = None) -> ScalarMappable | None:
-    """Draws ground and obstacles only, as the base of other figures.
+    """Draws the ground and the obstacles of a world, as the base of other figures.
 
     Args:
-        ax: axes to draw on; their limits become those of ``area``.
-        world: the place.
-        area: ``((x_low, x_high), (y_low, y_high))`` in metres to show; ``None`` shows the terrain.
+        ax: axes to draw on. Sets their limits to ``area``.
+        world: world to draw.
+        area: area to show, ``((x_low, x_high), (y_low, y_high))`` in meters. ``None`` shows all of the terrain.
 
     Returns:
-        Elevation (m) to colour, for a colour bar; ``None`` where the ground is level.
+        Color scale of the elevation (m), for a color bar. ``None`` if the ground is flat.
     """
     area = area or world.terrain.extent
     shown = overlap(area, world.terrain.extent)
@@ -98,15 +98,15 @@ def draw_map(ax: Axes, world: World, area: Area | None = None) -> ScalarMappable
 
 
 def _draw_ground(ax: Axes, world: World, area: Area) -> ScalarMappable:
-    """Elevation in colour, with light from the north-west."""
+    """Draws the elevation in color, shaded with light from the northwest."""
     step = world.terrain.cell / 2
     x, y = (torch.arange(low + step / 2, high, step, dtype=torch.float64) for low, high in area)
     grid_y, grid_x = torch.meshgrid(y, x, indexing="ij")
     heights = world.height_at(torch.stack((grid_x, grid_y), -1)).numpy()
-    # Without the few extremes, a pit in a corner does not wash out the rest.
+    # Quantiles instead of extremes: a single pit would otherwise reduce the contrast of the rest.
     norm = Normalize(*np.quantile(heights, (0.02, 0.98)))
     light = LightSource(azdeg=315, altdeg=45)
-    # A row's index grows with y, as Matplotlib expects of the light only for an image that starts at the top.
+    # The light source expects the first row at the top of the image, where y is largest.
     image = light.shade(heights[::-1], GROUND, blend_mode="soft", vert_exag=2.5, dx=step, dy=step, norm=norm)
     extent = (*area[0], *area[1])
     ax.imshow(image, extent=extent, interpolation="bilinear", zorder=0)
@@ -115,7 +115,7 @@ def _draw_ground(ax: Axes, world: World, area: Area) -> ScalarMappable:
 
 def _draw_free_space(ax: Axes, free: FreeSpace) -> None:
     rows, columns = free.passable.shape
-    left, bottom = (centre - free.cell / 2 for centre in free.origin)
+    left, bottom = (center - free.cell / 2 for center in free.origin)
     extent = (left, left + columns * free.cell, bottom, bottom + rows * free.cell)
     passable = free.passable.numpy()
     tint = ListedColormap([FREE])

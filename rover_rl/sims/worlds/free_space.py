@@ -1,4 +1,4 @@
-"""Where a rover can be, start and go: a grid of free cells of a world for one robot."""
+"""Free space of a world for one robot: a grid of passable cells, spawn poses and goals."""
 
 from __future__ import annotations
 
@@ -18,48 +18,47 @@ from rover_rl.sims.worlds.placement import ground_frame
 from rover_rl.sims.worlds.world import Area, World
 
 HEADINGS = 64
-"""Bins of headings: bin k covers yaw from ``-pi + 2 pi k / 64`` to ``-pi + 2 pi (k + 1) / 64``."""
+"""Number of heading bins. Bin k covers yaw from ``-pi + 2 pi k / 64`` to ``-pi + 2 pi (k + 1) / 64``."""
 CELL = 0.1
-"""Side of a cell in metres."""
+"""Side length of a cell, m."""
 MAX_SLOPE = math.radians(25)
-"""Steeper ground is not passable."""
+"""Maximum slope of passable ground, rad."""
 MAX_TILT = math.radians(20)
-"""A rover does not start with a greater tilt."""
-SIGHT = 0.4
-"""Metres around the lidar that are free of obstacles where a rover starts: no reading is closer."""
-GROUND_SIGHT = 0.45
-"""Metres around the lidar within which its tilted scan does not meet the ground where a rover starts."""
+"""Maximum tilt of a rover at a spawn pose, rad."""
+LIDAR_CLEARANCE = 0.4
+"""Minimum distance of obstacles from the lidar at a spawn pose, m."""
+GROUND_CLEARANCE = 0.45
+"""Minimum distance at which the tilted scan plane meets the ground at a spawn pose, m."""
 NEAR_GROUND = 0.5
-"""Obstacles count for a rover up to this height above the ground, and this far below it, in metres."""
+"""Maximum height above and depth below the ground at which obstacles count, m."""
 MIN_GOAL_DISTANCE = 1.0
-"""From each place of the task there is a goal at least this far away, in metres."""
-REACH = 1.0
-"""Metres beyond which the distance to an obstacle is not worth knowing exactly."""
+"""Minimum distance of the farthest goal from every spawn cell and goal cell, m."""
+EXTRA_CLEARANCE = 1.0
+"""Margin up to which obstacle distances are exact, beyond the robot's radius plus the lidar clearance, m."""
 TILT_MARGIN = 0.02
-"""Metres that the lidar may move sideways because the ground tilts the rover differently within a cell."""
+"""Maximum horizontal displacement of the lidar by different tilts of the rover within a cell, m."""
 CHUNK = 64
-"""Cells whose headings are checked at once; bounds the memory to some 15 MB."""
+"""Number of cells whose headings are checked at once, which limits the memory to about 15 MB."""
 
 
 @dataclass(frozen=True, eq=False)
 class FreeSpace:
-    """The free cells of a world. Made by :func:`free_space`.
+    """Free cells of a world for one robot, created by :func:`free_space`.
 
-    All spawn and goal cells hang together: every goal can be reached from every start. A place is drawn as
-    the centre of a cell plus up to half a ``cell`` either way in x and in y, and a heading from anywhere in
-    its bin.
+    All spawn and goal cells are connected: every goal is reachable from every spawn cell. A sampled position is the
+    center of a cell plus an offset of up to half a ``cell`` in x and y. A sampled heading is anywhere in its bin.
 
     Attributes:
-        cell: side of a cell in metres.
-        origin: x, y of the centre of ``passable[0, 0]`` in metres.
-        passable: bool ``[rows, columns]``, row = y: the rover's centre may be anywhere in this cell.
-        spawn_cells: centres ``[S, 2]`` (m, float64) of the cells in which a rover may start.
-        spawn_headings: int64 ``[S, HEADINGS]``: the bins allowed in each, ascending, then the first one
-            repeated.
-        spawn_heading_counts: int64 ``[S]``: how many headings that is, 1 or more.
-        goal_cells: centres ``[G, 2]`` (m, float64) of the cells in which goals may lie.
-        goal_extremes: ``[16, 2]``: the goal cells farthest out in 16 directions (m, float64). From wherever a
-            rover starts, and from every goal, one of them is at least 1 m away.
+        cell: side length of a cell, m.
+        origin: x, y of the center of ``passable[0, 0]``, m.
+        passable: whether the rover's center may be anywhere in a cell, bool ``[rows, columns]``. Rows are along y.
+        spawn_cells: centers of the cells in which episodes start, ``[S, 2]``, m, float64.
+        spawn_headings: allowed heading bins of each spawn cell in ascending order, padded with the first one, int64
+            ``[S, HEADINGS]``.
+        spawn_heading_counts: number of allowed heading bins of each spawn cell, at least 1, int64 ``[S]``.
+        goal_cells: centers of the cells that may contain goals, ``[G, 2]``, m, float64.
+        goal_extremes: outermost goal cells in 16 directions, ``[16, 2]``, m, float64. For every spawn position and
+            every goal, at least one of them is 1 m or more away.
     """
 
     cell: float
@@ -72,13 +71,13 @@ class FreeSpace:
     goal_extremes: Tensor
 
     def to(self, device: torch.device | str | None) -> FreeSpace:
-        """The same, with tensors on ``device``; ``None``: the CPU."""
+        """Returns a copy with its tensors on ``device``. ``None`` is the CPU."""
         tensors = ("passable", "spawn_cells", "spawn_headings", "spawn_heading_counts", "goal_cells", "goal_extremes")
         moved: dict[str, Any] = {name: getattr(self, name).to(device or "cpu") for name in tensors}
         return replace(self, **moved)
 
     def contains(self, xy: Tensor) -> Tensor:
-        """Whether the rover's centre may be at points ``xy [..., 2]`` (m): bool ``[...]``."""
+        """Returns whether the rover's center may be at points ``xy [..., 2]`` (m): bool ``[...]``."""
         passable = self.passable.to(xy.device)
         limits = torch.tensor(passable.shape[::-1], device=xy.device)
         index = ((xy - torch.tensor(self.origin, dtype=xy.dtype, device=xy.device)) / self.cell + 0.5).floor()
@@ -88,29 +87,29 @@ class FreeSpace:
 
 
 def free_space(world: World, robot: Robot) -> FreeSpace:
-    """Where a rover can be, start and go. Computed once for each world object and robot.
+    """Returns the free space of a world for a robot. Computed once for each world object and robot.
 
     Raises:
-        ValueError: if no place to start or no goal is left, or all goals lie within 1 m.
+        ValueError: if there is no spawn cell or no goal cell, or the goals lie too close together.
     """
-    known = _known.setdefault(world, {})
-    if robot not in known:
-        known[robot] = _compute(world, robot)
-    return known[robot]
+    by_robot = _cache.setdefault(world, {})
+    if robot not in by_robot:
+        by_robot[robot] = _compute(world, robot)
+    return by_robot[robot]
 
 
-_known: WeakKeyDictionary[World, dict[Robot, FreeSpace]] = WeakKeyDictionary()
+_cache: WeakKeyDictionary[World, dict[Robot, FreeSpace]] = WeakKeyDictionary()
 
 
 def _compute(world: World, robot: Robot) -> FreeSpace:
     grid = _Grid(overlap(world.bounds, world.terrain.extent))
-    clearance = _clearance(world, grid, limit=robot.radius + SIGHT + REACH)
+    clearance = _clearance(world, grid, limit=robot.radius + LIDAR_CLEARANCE + EXTRA_CLEARANCE)
     passable = _passable(world, robot, grid, clearance)
     goal, spawn = (passable & grid.within(area) for area in (world.goal_range, world.spawn_range))
-    # The connected part with the most goals; a rover that starts anywhere else could not reach them.
+    # Keep the connected part with the most goals, which are unreachable from all other parts.
     parts, count = label(passable)
     part = parts == np.bincount(parts[goal], minlength=count + 1).argmax()
-    goal_cells, spawn_cells = grid.centres[goal & part], grid.centres[spawn & part]
+    goal_cells, spawn_cells = grid.centers[goal & part], grid.centers[spawn & part]
     _check_any(world, robot, "goal", goal_cells)
 
     allowed = torch.cat([_headings(world, robot, grid, clearance, cells) for cells in spawn_cells.split(CHUNK)])
@@ -136,13 +135,13 @@ def _check_any(world: World, robot: Robot, kind: str, cells: Tensor) -> None:
 
 
 def _allowed_first(allowed: Tensor) -> Tensor:
-    """Indices of the true entries in each row of ``allowed [S, HEADINGS]``, then the first one repeated."""
+    """Returns the indices of the true entries in each row of ``allowed [S, HEADINGS]``, padded with the first one."""
     order = allowed.long().argsort(dim=1, descending=True, stable=True)
     return torch.where(torch.arange(allowed.shape[1]) < allowed.sum(1, keepdim=True), order, order[:, :1])
 
 
 def _extremes(world: World, goal_cells: Tensor, spawn_cells: Tensor, cell: float) -> Tensor:
-    """The goal cells farthest out in 16 directions: ``[16, 2]`` (m)."""
+    """Returns the outermost goal cells in 16 directions: ``[16, 2]``, m."""
     extremes = goal_cells[(goal_cells @ _ring(16).T).argmax(0)]
     farthest = torch.cdist(torch.cat((spawn_cells, goal_cells)), extremes).amax(1)
     if farthest.min() < MIN_GOAL_DISTANCE + cell:
@@ -154,20 +153,20 @@ def _extremes(world: World, goal_cells: Tensor, spawn_cells: Tensor, cell: float
 
 
 def overlap(a: Area, b: Area) -> Area:
-    """The area that two areas share; empty (low >= high) where they are apart."""
+    """Returns the intersection of two areas, which is empty (low >= high) if they are disjoint."""
     x, y = ((max(p[0], q[0]), min(p[1], q[1])) for p, q in zip(a, b, strict=True))
     return x, y
 
 
 class _Grid:
-    """Square cells that tile an area, rows along y; at least two each way, as interpolation needs."""
+    """Square cells that tile an area, with rows along y and at least two cells per axis for interpolation."""
 
     def __init__(self, area: Area) -> None:
         self.cell = CELL
         self.area = area
         self.x, self.y = (self._axis(*ends) for ends in area)
         self.origin = (float(self.x[0]), float(self.y[0]))
-        self.centres = torch.from_numpy(np.stack(np.meshgrid(self.x, self.y), -1))
+        self.centers = torch.from_numpy(np.stack(np.meshgrid(self.x, self.y), -1))
         self.half_diagonal = self.cell / math.sqrt(2)
 
     def _axis(self, low: float, high: float) -> np.ndarray:
@@ -175,7 +174,7 @@ class _Grid:
         return low + self.cell * (np.arange(count) + 0.5)
 
     def within(self, area: Area) -> np.ndarray:
-        """Which cells lie in ``area`` as a whole: bool ``[rows, columns]``."""
+        """Returns which cells lie entirely in ``area``: bool ``[rows, columns]``."""
         half = self.cell / 2 - 1e-6
         (x_low, x_high), (y_low, y_high) = area
         in_x = (self.x - half >= x_low) & (self.x + half <= x_high)
@@ -183,28 +182,28 @@ class _Grid:
         return in_y[:, None] & in_x
 
     def window(self, low: Tensor, high: Tensor) -> tuple[slice, slice]:
-        """Rows and columns of the cells whose centres lie between two corners ``[2]`` (m)."""
+        """Returns the rows and columns of the cells whose centers lie between two corners ``[2]`` (m)."""
         rows = slice(*np.searchsorted(self.y, (low[1], high[1])))
         columns = slice(*np.searchsorted(self.x, (low[0], high[0])))
         return rows, columns
 
 
 def _clearance(world: World, grid: _Grid, limit: float) -> Tensor:
-    """Distance (m) of each cell's centre to the nearest obstacle seen from above: ``[rows, columns]``.
+    """Returns the horizontal distance from each cell's center to the nearest obstacle: ``[rows, columns]``, m.
 
-    It is 0 inside of one. Obstacles farther than ``limit`` are not looked at.
+    The distance is 0 inside an obstacle and at most ``limit``.
     """
-    clearance = torch.full(grid.centres.shape[:2], limit, dtype=torch.float64)
+    clearance = torch.full(grid.centers.shape[:2], limit, dtype=torch.float64)
     for obstacle in world.obstacles:
         outline = obstacle.footprint
         if _near_ground(world, obstacle, outline):
             window = grid.window(outline.amin(0) - limit, outline.amax(0) + limit)
-            clearance[window] = clearance[window].minimum(distance_to_polygon(grid.centres[window], outline))
+            clearance[window] = clearance[window].minimum(distance_to_polygon(grid.centers[window], outline))
     return clearance
 
 
 def _near_ground(world: World, obstacle: Obstacle, outline: Tensor) -> bool:
-    """Whether some of the obstacle may be at a rover's height, judged by the box around it to be safe."""
+    """Returns whether a part of the obstacle may be at a rover's height, conservatively by its bounding box."""
     low, high = outline.amin(0), outline.amax(0)
     steps = min(200, math.ceil(float((high - low).max()) / world.terrain.cell) * 2 + 1)
     share = torch.linspace(0, 1, steps, dtype=torch.float64)
@@ -214,9 +213,11 @@ def _near_ground(world: World, obstacle: Obstacle, outline: Tensor) -> bool:
 
 
 def distance_to_polygon(points: Tensor, polygon: Tensor) -> Tensor:
-    """Distance of ``points [..., 2]`` to a convex ``polygon [K, 2]``, 0 inside it: ``[...]``.
+    """Returns the distance from ``points [..., 2]`` to a convex polygon, 0 inside it: ``[...]``.
 
-    The polygon runs counter-clockwise.
+    Args:
+        points: points, ``[..., 2]``.
+        polygon: vertices in counter-clockwise order, ``[K, 2]``.
     """
     edges = polygon.roll(-1, 0) - polygon
     offsets = points[..., None, :] - polygon
@@ -227,20 +228,20 @@ def distance_to_polygon(points: Tensor, polygon: Tensor) -> Tensor:
 
 
 def _passable(world: World, robot: Robot, grid: _Grid, clearance: Tensor) -> np.ndarray:
-    """Cells where the rover's disc is free and the ground not too steep: bool ``[rows, columns]``."""
+    """Returns the cells with enough clearance for the rover and gentle enough ground: bool ``[rows, columns]``."""
     free = clearance.numpy() >= robot.radius + grid.half_diagonal
-    # Around each cell, between the directions in which the ground's triangles have their edges.
+    # Directions around each cell, between those of the edges of the terrain's triangles.
     around = _ring(8, start=math.pi / 8) * grid.half_diagonal
-    steepest = torch.stack([world.normal_at(grid.centres + offset)[..., 2] for offset in around]).amin(0)
+    steepest = torch.stack([world.normal_at(grid.centers + offset)[..., 2] for offset in around]).amin(0)
     gentle = steepest.numpy() >= math.cos(MAX_SLOPE)
     x, y = ((low + robot.radius, high - robot.radius) for low, high in grid.area)
     return free & gentle & grid.within((x, y))
 
 
 def _headings(world: World, robot: Robot, grid: _Grid, clearance: Tensor, cells: Tensor) -> Tensor:
-    """Which headings are good to start with in cells around ``cells [S, 2]``: bool ``[S, HEADINGS]``.
+    """Returns the allowed heading bins of spawn cells with centers ``cells [S, 2]``: bool ``[S, HEADINGS]``.
 
-    A bin is good if its two ends are; the margins cover the way between them and the whole of the cell.
+    A bin is allowed if its two end headings are. The margins cover all headings in between and the whole cell.
     """
     yaws = torch.arange(HEADINGS, dtype=torch.float64) * (2 * math.pi / HEADINGS) - math.pi
     poses = torch.cat((cells.repeat_interleave(HEADINGS, 0), yaws.repeat(len(cells))[:, None]), -1)
@@ -250,11 +251,11 @@ def _headings(world: World, robot: Robot, grid: _Grid, clearance: Tensor, cells:
 
     half_bin = float(lidar[:2].norm()) * math.pi / HEADINGS
     margin = grid.half_diagonal + half_bin + TILT_MARGIN
-    seen_from = poses[:, :2] + (rotation @ lidar)[:, :2]
-    clear = _interpolate(grid, clearance, seen_from) >= SIGHT + margin
+    lidar_xy = poses[:, :2] + (rotation @ lidar)[:, :2]
+    clear = _interpolate(grid, clearance, lidar_xy) >= LIDAR_CLEARANCE + margin
 
-    # The scan's plane stays above the ground wherever the lidar, leaning any way, has it within GROUND_SIGHT.
-    reach = GROUND_SIGHT + float(lidar[:2].norm() + lidar[2] * math.sin(MAX_TILT)) + grid.half_diagonal
+    # The scan plane must be above the ground within GROUND_CLEARANCE of the lidar, for all positions of the lidar.
+    reach = GROUND_CLEARANCE + float(lidar[:2].norm() + lidar[2] * math.sin(MAX_TILT)) + grid.half_diagonal
     around = (reach / 4 * torch.arange(1, 5)[:, None, None] * _ring(32)).reshape(-1, 2)
     ground = world.height_at(cells[:, None] + around)
     up = rotation[:, :, 2]
@@ -266,13 +267,13 @@ def _headings(world: World, robot: Robot, grid: _Grid, clearance: Tensor, cells:
 
 
 def _ring(count: int, start: float = 0.0) -> Tensor:
-    """Unit vectors, evenly turned from the angle ``start`` (rad): ``[count, 2]``."""
+    """Returns evenly spaced unit vectors, the first at the angle ``start`` (rad): ``[count, 2]``."""
     angle = start + 2 * math.pi * torch.arange(count, dtype=torch.float64) / count
     return torch.stack((angle.cos(), angle.sin()), -1)
 
 
 def _interpolate(grid: _Grid, values: Tensor, xy: Tensor) -> Tensor:
-    """A field ``[rows, columns]`` known at the cells' centres, bilinear at points ``[N, 2]``: ``[N]``."""
+    """Interpolates a field ``[rows, columns]`` at the cells' centers bilinearly to points ``[N, 2]``: ``[N]``."""
     rows, columns = values.shape
     u = ((xy[:, 0] - grid.origin[0]) / grid.cell).clamp(0, columns - 1)
     v = ((xy[:, 1] - grid.origin[1]) / grid.cell).clamp(0, rows - 1)

@@ -1,4 +1,7 @@
-"""The inspection site: hilly ground and rows of solar panels; named apart from the standard ``inspect``."""
+"""Inspection site: hilly ground and rows of solar panels.
+
+The module is not named ``inspect``, to differ from the module of Python's standard library.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,10 @@ SIZE, CELL = (64.0, 100.0), 0.25
 TASK_AREA = ((-27.0, -19.0), (-27.0, -19.0))
 BOUNDS = ((-29.0, -13.0), (-29.0, -17.0))
 CORNER = ((-math.inf, -24.5), (-math.inf, -24.5))
-"""The highest ground of the task area, where a rover is dropped from higher up."""
+"""Highest part of the task area, where a live simulator uses a higher drop height."""
 
 PANEL, TILT = (3.4, 2.0, 0.12), math.radians(28)
-"""Sides of a panel (m), and its tilt towards the south."""
+"""Dimensions of a panel (m) and its tilt toward the south (rad)."""
 PANEL_ROWS = (-17.9, -14.3, -10.7, -7.1)
 PANEL_COLUMNS = (-28.2, -23.4, -18.6, -13.8, -9.0)
 WALLS = (
@@ -32,23 +35,23 @@ WALLS = (
     (-16.2, -9.0),
 )
 WALL_SIZE = (1.8, 0.3)
-SHOWN, SUNK = 0.5, 0.3
-"""Metres that walls and panel fronts rise over the highest ground below them, for the lidar to see them, and
-reach under the lowest."""
+HEIGHT_ABOVE, DEPTH_BELOW = 0.5, 0.3
+"""Height of walls and panel fronts above the highest ground below them, so that the lidar sees them, and their depth
+below the lowest ground, m."""
 
 
 def inspect(seed: int = 0) -> World:
-    """The inspection site: a knoll in the south-west, broken ground, panels and low walls in the north.
+    """Creates the inspection site: a knoll in the southwest, rough ground, panels and low walls in the north.
 
     Args:
-        seed: of the ground; the structures stand in the same places.
+        seed: seed of the ground. The positions of the structures do not depend on it.
     """
     terrain = _ground(np.random.default_rng(seed))
-    tables = [part for y in PANEL_ROWS for x in PANEL_COLUMNS for part in _table(terrain, x, y)]
+    panels = [part for y in PANEL_ROWS for x in PANEL_COLUMNS for part in _panel_on_stand(terrain, x, y)]
     return World(
         name="inspect",
         terrain=terrain,
-        obstacles=(*tables, *(_wall(terrain, x, y) for x, y in WALLS)),
+        obstacles=(*panels, *(_wall(terrain, x, y) for x, y in WALLS)),
         spawn_range=TASK_AREA,
         goal_range=TASK_AREA,
         bounds=BOUNDS,
@@ -58,45 +61,45 @@ def inspect(seed: int = 0) -> World:
 
 
 def _ground(rng: np.random.Generator) -> Terrain:
-    """4.1 to 6.3 m high within the bounds, half of it steeper than 9 degrees, as on the original's site."""
+    """Creates ground 4.1 to 6.3 m high within the bounds with a median slope of 9 degrees, as on the original site."""
     columns, rows = (round(side / CELL) + 1 for side in SIZE)
     y, x = np.meshgrid(np.linspace(-50, 50, rows), np.linspace(-32, 32, columns), indexing="ij")
-    knoll = 1.63 * _smooth((-20.36 - x) / 7.03) * (1 - 0.63 * _smooth((y + 27) / 10))
+    knoll = 1.63 * _smoothstep((-20.36 - x) / 7.03) * (1 - 0.63 * _smoothstep((y + 27) / 10))
     humps = relief(rng, x.shape, CELL, (1.0, 8.0))
     roughness = np.exp(0.65 * relief(rng, x.shape, CELL, (6.0, 20.0)))
-    # The limit keeps the heights in their range whatever the seed; the slopes come from what lies below it.
+    # tanh keeps the heights in range for all seeds and leaves most slopes unchanged.
     humps = 0.25 * np.tanh(0.5 * roughness * humps)
     away = np.hypot(np.maximum(np.abs(x + 21) - 9, 0), np.maximum(np.abs(y + 23) - 7, 0))
-    hills = 1.2 * relief(rng, x.shape, CELL, (12.0, 60.0)) * _smooth(away / 25)
+    hills = 1.2 * relief(rng, x.shape, CELL, (12.0, 60.0)) * _smoothstep(away / 25)
     return Terrain(4.445 + knoll + humps + hills, CELL)
 
 
-def _smooth(t: np.ndarray) -> np.ndarray:
+def _smoothstep(t: np.ndarray) -> np.ndarray:
     t = np.clip(t, 0, 1)
     return t * t * (3 - 2 * t)
 
 
-def _table(terrain: Terrain, x: float, y: float) -> tuple[Obstacle, Obstacle]:
-    """A tilted panel and the closed stand below it, with no overhang under which a rover could get wedged."""
+def _panel_on_stand(terrain: Terrain, x: float, y: float) -> tuple[Obstacle, Obstacle]:
+    """Creates a tilted panel and a closed stand below it, without an overhang that could trap a rover."""
     length, depth = PANEL[0], PANEL[1] * math.cos(TILT)
     low, high = _ground_below(terrain, x, y, length, depth)
-    front, back = high + SHOWN, high + SHOWN + PANEL[1] * math.sin(TILT)
+    front, back = high + HEIGHT_ABOVE, high + HEIGHT_ABOVE + PANEL[1] * math.sin(TILT)
     across, along = np.array((-length / 2, length / 2)) + x, np.array((-depth / 2, depth / 2)) + y
-    bottom = [(u, v, low - SUNK) for u in across for v in along]
+    bottom = [(u, v, low - DEPTH_BELOW) for u in across for v in along]
     top = [(u, v, z) for u in across for v, z in zip(along, (front, back), strict=True)]
     lift = PANEL[2] / 2
-    centre = (x, y - lift * math.sin(TILT), (front + back) / 2 + lift * math.cos(TILT))
-    return Obstacle(torch.tensor(bottom + top, dtype=torch.float64)), box(centre, PANEL, roll=TILT)
+    center = (x, y - lift * math.sin(TILT), (front + back) / 2 + lift * math.cos(TILT))
+    return Obstacle(torch.tensor(bottom + top, dtype=torch.float64)), box(center, PANEL, roll=TILT)
 
 
 def _wall(terrain: Terrain, x: float, y: float) -> Obstacle:
     low, high = _ground_below(terrain, x, y, *WALL_SIZE)
-    bottom, top = low - SUNK, high + SHOWN
+    bottom, top = low - DEPTH_BELOW, high + HEIGHT_ABOVE
     return box((x, y, (bottom + top) / 2), (*WALL_SIZE, top - bottom))
 
 
 def _ground_below(terrain: Terrain, x: float, y: float, length: float, depth: float) -> tuple[float, float]:
-    """Lowest and highest ground in metres below a rectangle around ``(x, y)``."""
+    """Returns the minimum and maximum height (m) of the ground below a rectangle around ``(x, y)``."""
     u = torch.linspace(x - length / 2, x + length / 2, 21, dtype=torch.float64)
     v = torch.linspace(y - depth / 2, y + depth / 2, 21, dtype=torch.float64)
     heights = terrain.height_at(torch.cartesian_prod(u, v))

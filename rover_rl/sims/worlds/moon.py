@@ -1,4 +1,4 @@
-"""The moon: an open island of gentle hills with craters and boulders."""
+"""Moon: a plateau of gentle hills with craters and boulders."""
 
 from __future__ import annotations
 
@@ -14,28 +14,31 @@ from rover_rl.sims.worlds.world import World
 
 HALF_SIDE, CELL = 30.0, 0.25
 TASK_AREA = ((-4.0, 4.0), (-4.0, 4.0))
-SHORE = 23.0
-"""Metres from the middle at which the island begins to fall away."""
-FALL = 3.0
-"""Metres from the island to the edge of the terrain."""
+PLATEAU_RADIUS = 23.0
+"""Radius of the plateau, beyond which the ground descends, m."""
+EDGE_DROP = 3.0
+"""Height of the plateau above the edge of the terrain, m."""
 FAR, NEAR = (-20.0, 20.0), (-4.5, 4.5)
 CRATERS = (((FAR, 14), (1.5, 4.5), (0.12, 0.26)), ((NEAR, 3), (0.9, 1.5), (0.10, 0.16)))
-"""Craters: where and how many, radius (m), and depth in radii. Those of the task area can be climbed."""
+"""Craters: range of x and y (m) and number, range of the radius (m), and range of the depth in radii.
+
+Rovers can climb out of the craters of the task area.
+"""
 BOULDERS = ((NEAR, 9), (FAR, 40))
-"""Boulders: where, and how many at most."""
+"""Boulders: range of x and y (m), and maximum number."""
 RADIUS = (0.5, 0.85)
-"""Of a boulder, in metres. Smaller rocks would stay below the lidar, which looks 0.32 m above the ground."""
+"""Range of the radius of a boulder, m. Smaller ones would be below the scan plane of the lidar, at 0.32 m."""
 GAP = 1.2
-"""Metres left free between two boulders."""
-TRIES = 400
-"""Places tried for the boulders of an area."""
+"""Minimum gap between two boulders, m."""
+MAX_ATTEMPTS = 400
+"""Number of positions tried for the boulders of an area."""
 
 
 def moon(seed: int = 0) -> World:
-    """A moonlike island. A few of its craters and boulders lie among the goals.
+    """Creates a moonlike plateau. Some of its craters and boulders are in the task area.
 
     Args:
-        seed: of hills, craters and boulders.
+        seed: seed of the hills, craters and boulders.
     """
     rng = np.random.default_rng(seed)
     terrain = _ground(rng)
@@ -57,42 +60,44 @@ def _ground(rng: np.random.Generator) -> Terrain:
     hills = relief(rng, x.shape, CELL, (4.0, 30.0))
     bumps = relief(rng, x.shape, CELL, (0.8, 3.0), steepness=1.5)
     heights = 0.22 * hills + 0.01 * bumps
-    for centre, radius, depth in _craters(rng):
-        heights += depth * radius * _crater(np.hypot(x - centre[0], y - centre[1]) / radius)
-    beyond = np.clip((np.hypot(x, y) - SHORE) / (HALF_SIDE - SHORE), 0, 1)
-    heights -= FALL * beyond**2 * (3 - 2 * beyond)
+    for center, radius, depth in _craters(rng):
+        heights += depth * radius * _crater(np.hypot(x - center[0], y - center[1]) / radius)
+    beyond = np.clip((np.hypot(x, y) - PLATEAU_RADIUS) / (HALF_SIDE - PLATEAU_RADIUS), 0, 1)
+    heights -= EDGE_DROP * beyond**2 * (3 - 2 * beyond)
     middle = side // 2
     return Terrain(heights - heights[middle, middle], CELL)
 
 
 def _craters(rng: np.random.Generator) -> list[tuple[np.ndarray, float, float]]:
-    """Centre, radius (m), and depth in radii of each crater. The steep ones keep clear of the task area."""
+    """Samples the center, radius (m), and depth in radii of each crater. The steep craters avoid the task area."""
     craters: list[tuple[np.ndarray, float, float]] = []
     for (area, count), radii, depths in CRATERS:
         wanted = len(craters) + count
         while len(craters) < wanted:
-            centre, radius, depth = rng.uniform(*area, 2), rng.uniform(*radii), rng.uniform(*depths)
-            if area is NEAR or np.abs(centre).max() > NEAR[1] + 1.5 * radius:
-                craters.append((centre, radius, depth))
+            center, radius, depth = rng.uniform(*area, 2), rng.uniform(*radii), rng.uniform(*depths)
+            if area is NEAR or np.abs(center).max() > NEAR[1] + 1.5 * radius:
+                craters.append((center, radius, depth))
     return craters
 
 
 def _crater(distance: np.ndarray) -> np.ndarray:
-    """Profile of a crater of radius 1 and depth 1: a bowl, a raised rim, and ejecta that thin out."""
+    """Returns the height profile of a crater of radius 1 and depth 1: a bowl, and a raised rim that decays outward."""
     bowl = 1.25 * np.minimum(distance, 1.0) ** 2 - 1.0
     rim = 0.25 * np.exp(-(((np.maximum(distance, 1.0) - 1.0) / 0.35) ** 2))
     return np.where(distance < 1, bowl, rim)
 
 
 def _boulders(rng: np.random.Generator, terrain: Terrain) -> list[Obstacle]:
-    """Boulders at random places that keep their distance, as many of them as find one."""
+    """Places boulders at random positions that keep the minimum gap."""
     placed: list[tuple[float, float, float]] = []
     for area, count in BOULDERS:
         full = len(placed) + count
-        for x, y, radius in np.column_stack((rng.uniform(*area, (TRIES, 2)), rng.uniform(*RADIUS, TRIES))):
+        for x, y, radius in np.column_stack(
+            (rng.uniform(*area, (MAX_ATTEMPTS, 2)), rng.uniform(*RADIUS, MAX_ATTEMPTS))
+        ):
             apart = all(math.hypot(x - u, y - v) >= radius + other + GAP for u, v, other in placed)
             if apart and len(placed) < full:
                 placed.append((float(x), float(y), float(radius)))
     ground = terrain.height_at(torch.tensor(placed, dtype=torch.float64)[:, :2])
-    # The middle a quarter of the radius over the ground: sunk, yet high enough for the lidar.
+    # The center is a quarter of the radius above the ground: partly buried, yet high enough for the lidar.
     return [boulder((x, y, z + r / 4), r, rng) for (x, y, r), z in zip(placed, ground.tolist(), strict=True)]

@@ -1,4 +1,4 @@
-"""Obstacles: convex solids, the one kind of thing besides the ground that a rover meets."""
+"""Obstacles: static convex solids."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """A convex solid that stands still.
+    """Static convex solid.
 
     Args:
-        vertices: corner points ``[V, 3]`` in metres, world frame; the solid is their convex hull.
+        vertices: points in the world frame whose convex hull is the solid, ``[V, 3]``, m. Points inside the hull are
+            dropped.
 
     Attributes:
-        faces: triangles ``[F, 3]`` into ``vertices``, counter-clockwise from outside.
-        planes: half-spaces ``[P, 4]``: a point ``p`` is inside where ``planes[:, :3] @ p + planes[:, 3] <=
-            0`` for all.
+        faces: triangles as indices into ``vertices``, counter-clockwise from outside, ``[F, 3]``.
+        planes: half-spaces ``[P, 4]``. A point ``p`` is inside if ``planes[:, :3] @ p + planes[:, 3] <= 0`` for all.
 
     Raises:
-        ValueError: for fewer than four points, non-finite points, or points in one plane.
+        ValueError: if there are fewer than four points, a point is not finite, or all points lie in one plane.
     """
 
     vertices: Tensor
@@ -34,7 +34,7 @@ class Obstacle:
     def __post_init__(self) -> None:
         points = np.asarray(self.vertices, dtype=np.float64)
         if points.ndim != 2 or points.shape[-1] != 3 or not np.isfinite(points).all():
-            raise ValueError(f"vertices must be finite points [V, 3] in metres, got shape {points.shape}")
+            raise ValueError(f"vertices must be finite points [V, 3] in meters, got shape {points.shape}")
         try:
             hull = ConvexHull(points)
         except (QhullError, ValueError) as error:
@@ -50,13 +50,13 @@ class Obstacle:
         object.__setattr__(self, "planes", torch.from_numpy(np.unique(hull.equations.round(12), axis=0)))
 
     def contains(self, points: Tensor) -> Tensor:
-        """Which of ``points [..., 3]`` lie inside: bool ``[...]``."""
+        """Returns which of ``points [..., 3]`` (m) are inside: bool ``[...]``."""
         planes = self.planes.to(points)
         return (points @ planes[:, :3].T + planes[:, 3] <= 0).all(-1)
 
     @property
     def footprint(self) -> Tensor:
-        """Outline seen from above: a convex polygon ``[K, 2]`` in metres, counter-clockwise."""
+        """Outline from above: vertices of a convex polygon in counter-clockwise order, ``[K, 2]``, m."""
         flat = self.vertices[:, :2].numpy()
         return torch.from_numpy(flat[ConvexHull(flat).vertices])
 
@@ -68,22 +68,35 @@ def box(
     pitch: float = 0.0,
     roll: float = 0.0,
 ) -> Obstacle:
-    """A box of ``size`` (x, y, z; m) around ``center``, turned by ``roll``, ``pitch``, ``yaw`` (rad, 'sxyz').
+    """Creates a box.
+
+    Args:
+        center: center ``(x, y, z)``, m.
+        size: side lengths along x, y and z before the rotation, m.
+        yaw: rotation about the fixed z axis, applied last, rad.
+        pitch: rotation about the fixed y axis, rad.
+        roll: rotation about the fixed x axis, applied first, rad.
 
     Raises:
-        ValueError: for a size that is not positive.
+        ValueError: if a side length is not positive.
     """
     if min(size) <= 0:
-        raise ValueError(f"the sides of a box must be positive lengths in metres, got {tuple(size)}")
+        raise ValueError(f"the sides of a box must be positive lengths in meters, got {tuple(size)}")
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * np.asarray(size)
     return Obstacle(torch.from_numpy(corners @ _rotation(roll, pitch, yaw).T + np.asarray(center)))
 
 
 def cylinder(center: tuple[float, float, float], radius: float, height: float, sides: int = 16) -> Obstacle:
-    """An upright pillar around ``center``: a prism of ``sides`` sides with its corners on the circle.
+    """Creates an upright cylinder, approximated by a prism whose vertices lie on the circle.
+
+    Args:
+        center: center ``(x, y, z)``, m.
+        radius: radius, m.
+        height: height, m.
+        sides: number of sides of the prism.
 
     Raises:
-        ValueError: for a radius or height that is not positive, or fewer than three sides.
+        ValueError: if the radius or the height is not positive, or there are fewer than three sides.
     """
     if radius <= 0 or height <= 0 or sides < 3:
         raise ValueError(f"a cylinder needs radius > 0, height > 0, sides >= 3; got {radius}, {height}, {sides}")
@@ -95,14 +108,20 @@ def cylinder(center: tuple[float, float, float], radius: float, height: float, s
 
 
 def boulder(center: tuple[float, float, float], radius: float, rng: np.random.Generator, points: int = 24) -> Obstacle:
-    """A rock: the hull of ``points`` points at 0.75 to 1 times ``radius`` (m) from ``rng``, a little flat.
+    """Creates a random, slightly flattened rock: the convex hull of points at 0.75 to 1 times ``radius``.
+
+    Args:
+        center: center ``(x, y, z)``, m.
+        radius: maximum distance of the surface from the center, m.
+        rng: random number generator.
+        points: number of points.
 
     Raises:
-        ValueError: for a radius that is not positive.
+        ValueError: if the radius is not positive.
     """
     if radius <= 0:
         raise ValueError(f"the radius of a boulder must be positive, got {radius}")
-    # A Fibonacci sphere spreads the directions evenly, so that no rock is a sliver.
+    # A Fibonacci sphere spaces the directions evenly, which avoids thin shapes.
     k = np.arange(points) + 0.5
     polar, azimuth = (
         np.arccos(1 - 2 * k / points),

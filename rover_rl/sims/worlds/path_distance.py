@@ -1,4 +1,4 @@
-"""Distance to a goal along the shortest free path, for a batch of rovers.
+"""Distance to a goal along the shortest free path, batched in torch.
 
 Example:
     >>> distances = PathDistances([get_world("maze")] * 2, get_robot("rover_zero"))
@@ -20,21 +20,22 @@ from rover_rl.sims.worlds.shortest_paths import distance_fields
 from rover_rl.sims.worlds.world import World
 
 ANCHOR_SPACING = 0.5
-"""Distance between the anchors, the points that stand for the goals around them, m."""
+"""Distance between the anchors, which represent the goals around them, m."""
 
 Part = TypeVar("Part")
 
 
 class PathDistance:
-    """Distances in one world, looked up in a distance field for each anchor.
+    """Path distances in one world, from precomputed distance fields.
 
-    Anchors are points of the goal area 0.5 m apart. The distance to a goal is the distance to its nearest anchor.
+    There is one field per anchor. Anchors are points of the goal area, 0.5 m apart. The distance to a goal is the
+    distance to the nearest anchor.
 
     Args:
-        world: the world.
-        robot: the robot that the path must be wide enough for.
-        device: device of positions and goals; ``None``: the CPU.
-        caution: how much a meter right beside an obstacle counts in addition: see
+        world: world of the paths.
+        robot: robot that determines the free space.
+        device: device of positions and goals. ``None`` is the CPU.
+        caution: relative extra cost of a path right beside an obstacle. See
             :func:`~rover_rl.sims.worlds.shortest_paths.distance_fields`.
     """
 
@@ -50,27 +51,35 @@ class PathDistance:
         self._cell = space.cell
 
     def anchor(self, goal: Tensor) -> Tensor:
-        """Index of the anchor nearest to each goal ``[N, 2]``: int64 ``[N]``."""
+        """Returns the index of the anchor nearest to each goal ``[N, 2]``: int64 ``[N]``."""
         return torch.cdist(goal, self._anchors).argmin(-1)
 
     def to_anchor(self, anchor: Tensor, position: Tensor) -> Tensor:
-        """Distance to an anchor, by index, from positions ``[..., 2]``: float32 ``[...]``, m."""
+        """Returns the distance from positions to anchors.
+
+        Args:
+            anchor: indices of the anchors, int64 ``[...]``.
+            position: positions ``[..., 2]``, m.
+
+        Returns:
+            Distances, float32 ``[...]``, m.
+        """
         rows, columns = self._fields.shape[1:]
         column, row = ((position - self._origin) / self._cell).round().long().unbind(-1)
         return self._fields[anchor, row.clamp(0, rows - 1), column.clamp(0, columns - 1)]
 
     def __call__(self, position: Tensor, goal: Tensor) -> Tensor:
-        """Distance from each position ``[N, 2]`` to its goal ``[N, 2]``: float32 ``[N, 1]``, m."""
+        """Returns the distance from each position ``[N, 2]`` to its goal ``[N, 2]``: float32 ``[N, 1]``, m."""
         return self.to_anchor(self.anchor(goal), position)[:, None]
 
 
 class PerWorld(Generic[Part]):
-    """One object for each world of a batch, and a call that sends each row to the object of its world.
+    """One object per distinct world of a batch. Calls process each row with the object of its world.
 
     Args:
-        worlds: the world of each row.
-        make: builds the object of a world.
-        device: device of the rows' tensors; ``None``: the CPU.
+        worlds: world of each row.
+        make: function that creates the object of a world.
+        device: device of the rows' tensors. ``None`` is the CPU.
     """
 
     def __init__(
@@ -78,36 +87,37 @@ class PerWorld(Generic[Part]):
     ) -> None:
         distinct = dict.fromkeys(worlds)
         self._parts = [make(world) for world in distinct]
-        rows = [torch.tensor([row for row, world in enumerate(worlds) if world is place]) for place in distinct]
-        self._rows = [some.to(device) for some in rows]
+        rows = [torch.tensor([row for row, world in enumerate(worlds) if world is other]) for other in distinct]
+        self._rows = [index.to(device) for index in rows]
         self._order = torch.cat(rows).argsort().to(device)
 
     def __call__(self, call: Callable[..., Tensor], *rows: Tensor) -> Tensor:
-        """``call(part, *rows)`` with the rows of each world.
+        """Calls ``call(part, *rows)`` for each world, with the rows of that world.
 
         Args:
-            call: takes the world's object and tensors ``[M, k]``; returns ``[M, j]``.
-            *rows: tensors ``[N, ..., k]`` of the batch; further dimensions are flattened for the call.
+            call: function that takes the world's object and tensors ``[M, k]``, and returns ``[M, j]``.
+            *rows: tensors ``[N, ..., k]`` of the batch. The dimensions before the last are flattened for the call.
 
         Returns:
-            The results in the batch's order, ``[N, ..., j]``.
+            Results in the order of the batch, ``[N, ..., j]``.
         """
         results = []
         for part, index in zip(self._parts, self._rows, strict=True):
-            some = [tensor[index] for tensor in rows]
-            flat = [tensor.reshape(-1, tensor.shape[-1]) for tensor in some]
-            results.append(call(part, *flat).unflatten(0, some[0].shape[:-1]))
+            selected = [tensor[index] for tensor in rows]
+            flat = [tensor.reshape(-1, tensor.shape[-1]) for tensor in selected]
+            results.append(call(part, *flat).unflatten(0, selected[0].shape[:-1]))
         return torch.cat(results)[self._order]
 
 
 class PathDistances:
-    """Distances for a batch whose rows may be in different worlds: see :class:`PathDistance`.
+    """Path distances of a batch whose rows may be in different worlds. See :class:`PathDistance`.
 
     Args:
-        worlds: the world of each row.
-        robot: the robot that the path must be wide enough for.
-        device: device of positions and goals; ``None``: the CPU.
-        caution: as for :class:`PathDistance`.
+        worlds: world of each row.
+        robot: robot that determines the free space.
+        device: device of positions and goals. ``None`` is the CPU.
+        caution: relative extra cost of a path right beside an obstacle. See
+            :func:`~rover_rl.sims.worlds.shortest_paths.distance_fields`.
     """
 
     def __init__(
@@ -120,5 +130,5 @@ class PathDistances:
         self._by_world = PerWorld(worlds, lambda world: PathDistance(world, robot, device, caution), device)
 
     def __call__(self, position: Tensor, goal: Tensor) -> Tensor:
-        """Distance from positions ``[N, ..., 2]`` to goals ``[N, ..., 2]``: float32 ``[N, ..., 1]``, m."""
+        """Returns the distance from positions ``[N, ..., 2]`` to goals ``[N, ..., 2]``: float32 ``[N, ..., 1]``, m."""
         return self._by_world(PathDistance.__call__, position, goal)

@@ -1,4 +1,4 @@
-"""How a rover rests on the ground: its pose in space from a planar pose."""
+"""Placement of rovers on the ground: 3D poses from planar poses."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.world import World
 
 CLEARANCE = 5e-4
-"""Gap in metres left between the lowest wheel and the ground, so that nothing starts in penetration."""
+"""Gap between the lowest wheel and the ground, which avoids initial penetration, m."""
 
 
 def rest_on_ground(world: World, robot: Robot, poses: Tensor) -> tuple[Tensor, Tensor]:
-    """Where the base frame is when the rover stands on the ground at planar poses.
+    """Returns the poses of rovers that stand on the ground.
 
-    The rover takes the plane through the ground below its wheels and is lifted until no wheel is below the
+    A rover is aligned with the plane fitted to the ground below its wheels, and raised until no wheel is below the
     ground.
 
     Args:
-        world: the place.
-        robot: the rover.
-        poses: ``[N, 3]``: x, y (m) and yaw (rad).
+        world: world that defines the ground.
+        robot: robot that defines the wheels.
+        poses: planar poses ``[N, 3]``: x, y (m) and yaw (rad).
 
     Returns:
-        The base frame's position ``[N, 3]`` (m) and its rotation matrix ``[N, 3, 3]`` (columns: forward,
-        left, up), in float64: a batch's numbers do not depend on its size.
+        Position ``[N, 3]`` (m) and rotation matrix ``[N, 3, 3]`` (columns: forward, left, up) of the base frame. Both
+        are float64, so that a result does not depend on the size of the batch.
     """
     poses = poses.double()
     height, rotation = ground_frame(world, robot, poses)
@@ -37,10 +37,15 @@ def rest_on_ground(world: World, robot: Robot, poses: Tensor) -> tuple[Tensor, T
 
 
 def ground_frame(world: World, robot: Robot, poses: Tensor) -> tuple[Tensor, Tensor]:
-    """The plane through the ground below the wheels at planar poses ``[N, 3]`` (x, y in m, yaw in rad).
+    """Fits a plane to the ground below the wheels.
+
+    Args:
+        world: world that defines the ground.
+        robot: robot that defines the wheels.
+        poses: planar poses ``[N, 3]``: x, y (m) and yaw (rad).
 
     Returns:
-        Its height ``[N]`` (m) at x, y, and the rotation ``[N, 3, 3]`` of a rover that stands on it (columns:
+        Height of the plane at x, y, ``[N]`` (m), and rotation of a rover on the plane, ``[N, 3, 3]`` (columns:
         forward, left, up), in the dtype of ``poses``.
     """
     wheels = torch.tensor(robot.wheel_positions, dtype=poses.dtype, device=poses.device)
@@ -49,7 +54,7 @@ def ground_frame(world: World, robot: Robot, poses: Tensor) -> tuple[Tensor, Ten
     left = torch.stack((-yaw.sin(), yaw.cos()), -1)
     below = xy[:, None] + wheels[:, :1] * ahead[:, None] + wheels[:, 1:2] * left[:, None]
     heights = world.height_at(below)
-    # Least squares: the wheels' x and y are uncorrelated, so that each slope is a regression of its own.
+    # Least squares. The wheels' x and y are uncorrelated, so the slopes are separate regressions.
     middle = wheels[:, :2].mean(0)
     arm = wheels[:, :2] - middle
     slopes = (heights[..., None] * arm).sum(1) / (arm**2).sum(0)
@@ -63,7 +68,7 @@ def ground_frame(world: World, robot: Robot, poses: Tensor) -> tuple[Tensor, Ten
 
 
 def _rims(robot: Robot, device: torch.device) -> Tensor:
-    """Points on the lower half of the wheels' rims in the base frame: ``[P, 3]``."""
+    """Returns points on the lower half of the wheels' rims in the base frame: ``[P, 3]``, m."""
     angle = torch.linspace(-1.2, 1.2, 13, dtype=torch.float64, device=device)
     across = torch.tensor((-robot.wheel_width / 2, 0.0, robot.wheel_width / 2), dtype=torch.float64, device=device)
     arc = robot.wheel_radius * torch.stack((angle.sin(), -angle.cos()), -1)

@@ -1,4 +1,4 @@
-"""Smooth random ground: hills of many sizes without steps from cell to cell."""
+"""Smooth random height fields."""
 
 from __future__ import annotations
 
@@ -12,14 +12,18 @@ def relief(
     wavelengths: tuple[float, float],
     steepness: float = 2.0,
 ) -> np.ndarray:
-    """Random heights ``[rows, columns]`` with mean 0 and standard deviation 1.
+    """Samples random heights with mean 0 and standard deviation 1 from a power-law spectrum.
 
     Args:
-        rng: where the random numbers come from.
-        shape: rows and columns.
-        cell: spacing of the grid in metres.
-        wavelengths: the shortest and the longest wave in metres. The short end fades out softly.
-        steepness: how fast waves lose height as they get shorter: 2 gives rolling hills, 1.5 broken ground.
+        rng: random number generator.
+        shape: number of rows and columns.
+        cell: spacing of the grid, m.
+        wavelengths: shortest and longest wavelength, m. The spectrum is cut off smoothly at the shortest.
+        steepness: exponent of the spectrum: amplitudes are proportional to ``wavelength ** steepness``. 2 gives
+            rolling hills, 1.5 rough ground.
+
+    Returns:
+        Heights ``[rows, columns]``.
     """
     shortest, longest = wavelengths
     spectrum = np.fft.rfft2(rng.standard_normal(shape))

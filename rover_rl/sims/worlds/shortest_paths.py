@@ -1,4 +1,4 @@
-"""Shortest ways over the free ground of a world, for the rover's centre: how long they are, and from everywhere.
+"""Lengths of shortest paths through the free space of a world, and distance fields of goals.
 
 Example:
     >>> start, goal = torch.tensor([[-3.0, 0.0]]), torch.tensor([[-3.0, 3.0]])
@@ -22,66 +22,68 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.free_space import free_space
 from rover_rl.sims.worlds.world import World
 
-CAUTIOUS = 0.35
-"""Metres from the edge of the passable ground within which caution lengthens the way."""
-
+CAUTION_DISTANCE = 0.35
+"""Distance from the edge of the passable ground within which caution increases the path cost, m."""
 
 GOAL_RADIUS = 0.5
-"""Distance from the goal at which the contract's task counts it as reached, m."""
+"""Distance at which the contract's task counts a goal as reached, m."""
 
 
 def shortest_paths(world: World, robot: Robot, start: Tensor, goal: Tensor, goal_radius: float = GOAL_RADIUS) -> Tensor:
-    """Length of the shortest path for the rover's centre from each start to the edge of its goal's disc.
+    """Returns the length of the shortest path of the rover's center from each start to the disc around its goal.
 
-    The path leads over the passable cells of :func:`rover_rl.sims.worlds.free_space`, seen from above, and ends 0.5 m
-    from the goal, where it is reached. Where the straight way is free the length is exact. Elsewhere Dijkstra's
-    algorithm finds a path over steps in 32 directions, and the string is pulled tight: of the polylines over free
-    ground through points of that path, the shortest is taken. It is a way that exists, and is longer than the very
-    shortest by 0.6 % in the mean and 1.7 % at most (40 detours in the maze, beside the same cells cut into 25 each).
+    Paths run through the passable cells of :func:`rover_rl.sims.worlds.free_space` and end where the goal is reached,
+    at ``goal_radius`` from it. If the straight line is free, the length is exact. Otherwise, Dijkstra's algorithm finds
+    a path of steps in 32 directions, and string pulling shortens it: the result is the shortest free polyline through
+    points of that path. It exceeds the optimum by 0.6 % in the mean and 1.7 % at most (40 detours in the maze, compared
+    with a grid in which each cell is split into 25).
 
-    A start in a cell that is not passable goes straight to the nearest one that is.
+    A path from a cell that is not passable starts with a straight line to the nearest passable cell.
 
     Args:
-        world: where.
-        robot: that has to fit.
-        start: ``[count, 2]`` or poses ``[count, 3]``, m.
-        goal: ``[count, 2]``, m.
-        goal_radius: radius of the goal's disc, m.
+        world: world of the paths.
+        robot: robot that determines the free space.
+        start: positions ``[count, 2]``, m, or poses ``[count, 3]``.
+        goal: goals ``[count, 2]``, m.
+        goal_radius: distance at which a goal is reached, m.
 
     Returns:
-        float32 ``[count]``, m; ``inf`` where there is no way, 0 where the start is in the disc.
+        Lengths, float32 ``[count]``, m: ``inf`` if there is no path, 0 if the start is within the disc.
     """
-    return _Routes(world, robot, goal_radius).lengths(start, goal)
+    return _PathFinder(world, robot, goal_radius).lengths(start, goal)
 
 
 def distance_fields(world: World, robot: Robot, goals: Tensor, caution: float = 0.0) -> Tensor:
-    """Length of the shortest path for the rover's centre to each goal, from every cell of the world's free-space grid.
+    """Returns the cost of the shortest path of the rover's center to each goal, from every cell of the free-space grid.
 
-    Paths are those of :func:`shortest_paths` before their string is pulled, and end at the passable cell that is
-    nearest to the goal. A cell that is not passable has the value of the nearest one that is.
+    Paths are those of :func:`shortest_paths` before string pulling, and end at the passable cell nearest to the goal. A
+    cell that is not passable has the value of the nearest passable cell.
 
     Args:
-        world: where.
-        robot: that has to fit.
-        goals: ``[G, 2]``, m.
-        caution: how much longer a metre counts right at the edge of the passable ground, in metres; less so farther
-            from it, and as it is from 0.35 m on.
+        world: world of the paths.
+        robot: robot that determines the free space.
+        goals: goals ``[G, 2]``, m.
+        caution: relative extra cost of a path at the edge of the passable ground. It decreases linearly to 0 at a
+            distance of 0.35 m from the edge. With 0, the cost is the length.
 
     Returns:
-        float32 ``[G, rows, columns]``, m, as ``free_space(world, robot).passable``.
+        Costs, float32 ``[G, rows, columns]``, m, on the grid of ``free_space(world, robot).passable``.
     """
-    return _Routes(world, robot).fields(goals, caution)
+    return _PathFinder(world, robot).fields(goals, caution)
 
 
-class _Routes:
-    """Shortest paths over the passable cells of a world. Inside, lengths are in cells: centres are whole numbers."""
+class _PathFinder:
+    """Shortest paths over the passable cells of a world.
+
+    Internal coordinates and lengths are in cells, so that cell centers are whole numbers.
+    """
 
     def __init__(self, world: World, robot: Robot, goal_radius: float = GOAL_RADIUS) -> None:
         space = free_space(world, robot)
         self._cell, self._origin = space.cell, np.array(space.origin)
         self._reach = goal_radius / space.cell
         self._passable = np.pad(space.passable.numpy(), 1)
-        # Of every passable cell: x and y in cells.
+        # x and y of every passable cell, in cells.
         self._points = np.argwhere(space.passable.numpy())[:, ::-1].astype(float)
         self._number = np.full(space.passable.shape, -1)
         self._number[space.passable.numpy()] = np.arange(len(self._points))
@@ -92,37 +94,37 @@ class _Routes:
         entries = self._entries(starts, goals)
         lengths = np.linalg.norm(entries - starts, axis=1)
         for index in np.flatnonzero(~self._visible(starts, entries) & (lengths > 0)):
-            lengths[index] = self._length_around(starts[index], goals[index])
+            lengths[index] = self._detour_length(starts[index], goals[index])
         return torch.from_numpy(lengths * self._cell).float()
 
     def fields(self, goals: Tensor, caution: float) -> Tensor:
         """See :func:`distance_fields`."""
-        weight = 1 + caution * (1 - self._clearance * self._cell / CAUTIOUS).clip(0)
+        weight = 1 + caution * (1 - self._clearance * self._cell / CAUTION_DISTANCE).clip(0)
         graph = self._graph.tocoo()
         graph.data = graph.data * (weight[graph.row] + weight[graph.col]) / 2
-        centres = (goals.double().numpy() - self._origin) / self._cell
-        nearest = ((self._points - centres[:, None]) ** 2).sum(-1).argmin(-1)
-        lengths = np.full((len(centres), *self._number.shape), math.inf, dtype=np.float32)
+        centers = (goals.double().numpy() - self._origin) / self._cell
+        nearest = ((self._points - centers[:, None]) ** 2).sum(-1).argmin(-1)
+        lengths = np.full((len(centers), *self._number.shape), math.inf, dtype=np.float32)
         lengths[:, self._number >= 0] = dijkstra(graph.tocsr(), indices=nearest) * self._cell
-        # Cells that hang together with the goals; all others are given the value of the nearest of these.
+        # Cells that are connected to all goals. The others take the value of the nearest of these cells.
         known = np.isfinite(lengths).all(0)
         rows, columns = distance_transform_edt(~known, return_distances=False, return_indices=True)
         return torch.from_numpy(lengths[:, rows, columns])
 
     def _entries(self, points: np.ndarray, goals: np.ndarray) -> np.ndarray:
-        """Where the straight line from each point to a goal meets its disc; the point itself where it is inside."""
+        """Returns where the straight line from each point to its goal enters the goal's disc (inside: the point)."""
         away = points - goals
         distance = np.linalg.norm(away, axis=-1, keepdims=True)
         return goals + away * np.minimum(self._reach / np.maximum(distance, 1e-12), 1.0)
 
     def _visible(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Whether the straight lines from ``a [M, 2]`` to ``b [M, 2]`` cross passable cells only: bool ``[M]``."""
+        """Returns whether straight lines from ``a [M, 2]`` to ``b [M, 2]`` cross only passable cells: bool ``[M]``."""
         span = b - a
         lines = np.arange(int(np.abs(span).max(initial=0.0)) + 2)
         first = np.floor(np.minimum(a, b) + 0.5) + 0.5
         with np.errstate(divide="ignore", invalid="ignore"):
             crossings = (first[:, :, None] + lines - a[:, :, None]) / span[:, :, None]
-        # Along a line of the grid there is no crossing: 0 / 0, or a division by zero.
+        # Lines parallel to an axis of the grid never cross its lines: a division by zero, or 0 / 0.
         crossings = np.nan_to_num(crossings, nan=1.0, posinf=1.0, neginf=1.0).clip(0, 1).reshape(len(a), 2 * len(lines))
         edges = np.sort(np.pad(crossings, ((0, 0), (1, 1)), constant_values=(0, 1)), axis=1)
         middle = (edges[:, 1:] + edges[:, :-1]) / 2
@@ -130,19 +132,19 @@ class _Routes:
         return np.all(free | (np.diff(edges, axis=1) < 1e-9), axis=1)
 
     def _is_passable(self, points: np.ndarray) -> np.ndarray:
-        """Whether points ``[..., 2]`` lie in passable cells; outside of the grid none is."""
+        """Returns whether points ``[..., 2]`` lie in passable cells. Points outside the grid do not."""
         index = np.floor(points + 1.5).astype(int).clip(0, np.array(self._passable.shape[::-1]) - 1)
         return self._passable[index[..., 1], index[..., 0]]
 
     @cached_property
     def _clearance(self) -> np.ndarray:
-        """Of every passable cell: cells to the nearest that is not, ``[P]``."""
+        """Distance of every passable cell to the nearest cell that is not passable, in cells: ``[P]``."""
         x, y = self._points.astype(int).T
         return distance_transform_edt(self._passable)[y + 1, x + 1]
 
     @cached_property
     def _graph(self) -> csr_array:
-        """Steps between passable cells in 32 directions, and their lengths: sparse ``[P, P]``."""
+        """Lengths of the steps between passable cells in 32 directions: sparse ``[P, P]``."""
         rows, columns, lengths = [], [], []
         for offset in _STEPS:
             ends = self._points + offset
@@ -158,8 +160,8 @@ class _Routes:
         x, y = points.astype(int).T
         return self._number[y, x]
 
-    def _length_around(self, start: np.ndarray, goal: np.ndarray) -> float:
-        """Length of the way around what stands between a start and a goal ``[2]``."""
+    def _detour_length(self, start: np.ndarray, goal: np.ndarray) -> float:
+        """Returns the length of the path from a start ``[2]`` to a goal ``[2]`` whose straight line is blocked."""
         first = int(((self._points - start) ** 2).sum(1).argmin())
         distance, before = dijkstra(self._graph, indices=first, return_predecessors=True)
         near = np.flatnonzero(((self._points - goal) ** 2).sum(1) < (self._reach + 2) ** 2)
@@ -173,14 +175,14 @@ class _Routes:
         while cells[-1] != first:
             cells.append(int(before[cells[-1]]))
         points = np.vstack((start, self._points[cells[::-1]], entries[last]))
-        return self._pulled_tight(points, goal)
+        return self._pull_string(points, goal)
 
-    def _pulled_tight(self, points: np.ndarray, goal: np.ndarray) -> float:
-        """Length of the shortest free polyline from the first of ``points [P, 2]`` through others to the disc."""
+    def _pull_string(self, points: np.ndarray, goal: np.ndarray) -> float:
+        """Returns the length of the shortest free polyline through ``points [P, 2]`` from the first one to the disc."""
         count = len(points)
         ends = np.vstack((points, self._entries(points, goal)))
         i, j = np.indices((count, 2 * count)).reshape(2, -1)
-        # To a later point of the path, or from a point straight to the disc.
+        # Candidates lead to a later point of the path, or straight to the disc.
         wanted = ((j > i) & (j < count)) | (j == i + count)
         i, j = i[wanted], j[wanted]
         free = self._visible(points[i], ends[j]) | (j == i + 1)
@@ -194,4 +196,4 @@ class _Routes:
 
 
 _STEPS = [(x, y) for x in range(-3, 4) for y in range(-3, 4) if math.gcd(x, y) == 1]
-"""Steps to other cells, in 32 directions: ``(x, y)`` in cells."""
+"""Steps ``(x, y)`` to other cells in 32 directions, in cells."""

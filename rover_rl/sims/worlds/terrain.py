@@ -1,4 +1,4 @@
-"""The ground: heights on a regular grid, triangulated exactly as Bullet triangulates a heightfield."""
+"""Terrain: ground heights on a regular grid, triangulated as a heightfield in Bullet."""
 
 from __future__ import annotations
 
@@ -14,20 +14,18 @@ from torch import Tensor
 class Terrain:
     """Ground heights on a regular grid.
 
-    Each cell is cut into two triangles along the diagonal from ``(i + 1, j)`` to ``(i, j + 1)``, as Bullet
-    does it; heights and normals are those of the triangles (bilinear heights are off by centimetres). Outside
-    the grid the nearest edge continues.
+    Each cell consists of two triangles, divided by the diagonal from ``(i + 1, j)`` to ``(i, j + 1)`` as in Bullet.
+    Heights and normals are those of the triangles. (Bilinear interpolation would differ by centimeters.) Outside the
+    grid, the height is that of the nearest point on the edge.
 
     Args:
-        heights: heights in metres, ``[rows, columns]``, row ``j`` at ``y = origin[1] + j * cell`` and column
-            ``i`` at ``x = origin[0] + i * cell``. Anything that :func:`torch.as_tensor` takes, a NumPy array
-            for example.
-        cell: spacing of the grid in metres.
-        origin: ``(x, y)`` of ``heights[0, 0]`` in metres; ``None`` centres the grid on the origin.
+        heights: heights ``[rows, columns]``, m, with row ``j`` at ``y = origin[1] + j * cell`` and column ``i`` at
+            ``x = origin[0] + i * cell``. Any input of :func:`torch.as_tensor`, for example a NumPy array.
+        cell: spacing of the grid, m.
+        origin: ``(x, y)`` of ``heights[0, 0]``, m. ``None`` centers the grid at 0, 0.
 
     Raises:
-        ValueError: for heights that are not a finite 2D grid of at least 2 x 2, or a cell that is not
-            positive.
+        ValueError: if ``heights`` is not a finite 2D grid of at least 2 x 2, or ``cell`` is not positive.
 
     Example:
         >>> ramp = Terrain([[0.0, 1.0], [0.0, 1.0]], cell=10.0, origin=(0.0, 0.0))
@@ -44,9 +42,9 @@ class Terrain:
         if heights.ndim != 2 or min(heights.shape) < 2:
             raise ValueError(f"heights must be a grid of at least 2 x 2 values, got shape {tuple(heights.shape)}")
         if not torch.isfinite(heights).all():
-            raise ValueError("heights must be finite numbers (metres), got NaN or infinity")
+            raise ValueError("heights must be finite numbers (meters), got NaN or infinity")
         if not self.cell > 0:
-            raise ValueError(f"cell must be a positive length in metres, got {self.cell}")
+            raise ValueError(f"cell must be a positive length in meters, got {self.cell}")
         rows, columns = heights.shape
         origin = self.origin or (-(columns - 1) * self.cell / 2, -(rows - 1) * self.cell / 2)
         object.__setattr__(self, "heights", heights)
@@ -54,43 +52,47 @@ class Terrain:
 
     @classmethod
     def flat(cls, size: tuple[float, float] = (20.0, 20.0), height: float = 0.0) -> Terrain:
-        """Level ground around the origin, of ``size`` (x, y) metres.
+        """Creates flat ground around the origin.
+
+        Args:
+            size: side lengths along x and y, m.
+            height: height of the ground, m.
 
         Raises:
-            ValueError: for sides that are not positive multiples of 0.1 m.
+            ValueError: if a side length is not a positive multiple of 0.1 m.
         """
         tenths = [round(10 * side) for side in size]
         if min(tenths) <= 0 or not all(math.isclose(10 * side, n) for side, n in zip(size, tenths, strict=True)):
             raise ValueError(f"the sides of flat ground must be positive multiples of 0.1 m, got {size}")
-        # The largest square that tiles the ground.
+        # The largest square cell that tiles the ground, in tenths of a meter.
         square = math.gcd(*tenths)
         columns, rows = (n // square + 1 for n in tenths)
         return cls(torch.full((rows, columns), float(height)), cell=square / 10)
 
     @cached_property
     def is_flat(self) -> bool:
-        """Whether all heights are equal, so that a simulator may use a plane."""
+        """Whether all heights are equal, so that a simulator can use a plane."""
         return bool((self.heights == self.heights[0, 0]).all())
 
     @property
     def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """``((x_low, x_high), (y_low, y_high))`` in metres."""
+        """Area of the grid, ``((x_low, x_high), (y_low, y_high))``, m."""
         x, y = self.origin
         rows, columns = self.heights.shape
         return (x, x + (columns - 1) * self.cell), (y, y + (rows - 1) * self.cell)
 
     def height_at(self, xy: Tensor) -> Tensor:
-        """Height of the ground (m) at points ``xy [..., 2]``: ``[...]``, dtype and device as ``xy``."""
+        """Returns the ground height (m) at points ``xy [..., 2]``: ``[...]``, with the dtype and device of ``xy``."""
         return self._plane_at(xy)[0]
 
     def normal_at(self, xy: Tensor) -> Tensor:
-        """Unit normal of the triangle at points ``xy [..., 2]``: ``[..., 3]``, pointing up."""
+        """Returns the upward unit normal of the ground at points ``xy [..., 2]``: ``[..., 3]``."""
         _, slope_x, slope_y = self._plane_at(xy)
         normal = torch.stack((-slope_x, -slope_y, torch.ones_like(slope_x)), -1)
         return normal / normal.norm(dim=-1, keepdim=True)
 
     def _heights_as(self, other: Tensor) -> Tensor:
-        """The heights with the dtype and on the device of ``other``, converted once."""
+        """Returns the heights with the dtype and device of ``other``. Caches the conversion."""
         kind = (other.dtype, other.device)
         if kind not in self._copies:
             self._copies[kind] = self.heights.to(device=other.device, dtype=other.dtype)
@@ -101,13 +103,13 @@ class Terrain:
         return {}
 
     def _plane_at(self, xy: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Height and slopes (dz/dx, dz/dy) of the triangle under each point."""
+        """Returns the height and slopes (dz/dx, dz/dy) of the triangle at each point."""
         heights = self._heights_as(xy)
         rows, columns = heights.shape
         x, y = self.origin
         u = ((xy[..., 0] - x) / self.cell).clamp(0, columns - 1)
         v = ((xy[..., 1] - y) / self.cell).clamp(0, rows - 1)
-        # The lower limit is for NaN, which has no integer: its height is NaN, and no index runs off the grid.
+        # The lower limit keeps the index of NaN, whose conversion is undefined, on the grid. Its height is NaN.
         i = u.long().clamp(0, columns - 2)
         j = v.long().clamp(0, rows - 2)
         u, v = u - i, v - j
@@ -120,13 +122,15 @@ class Terrain:
         return height, rise_x / self.cell, rise_y / self.cell
 
     def mesh(self, rows: slice = slice(None), columns: slice = slice(None)) -> tuple[Tensor, Tensor]:
-        """The triangles of a part of the grid.
+        """Returns the triangle mesh of a part of the grid.
 
         Args:
-            rows, columns: which part, as slices without steps; all of it by default.
+            rows: rows of the part, as a slice without a step. All by default.
+            columns: columns of the part, as a slice without a step. All by default.
 
         Returns:
-            Vertices ``[V, 3]`` (m, float64) and indices ``[F, 3]`` (int64), counter-clockwise from above.
+            Vertices ``[V, 3]`` (m, float64), and triangles as vertex indices in counter-clockwise order from above,
+            ``[F, 3]`` (int64).
         """
         heights = self.heights[rows, columns].double()
         n_rows, n_columns = heights.shape

@@ -1,4 +1,4 @@
-"""World: everything about a place that a task needs to know."""
+"""World: terrain, obstacles, and areas of the task."""
 
 from __future__ import annotations
 
@@ -18,25 +18,24 @@ Area: TypeAlias = tuple[Range, Range]
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A place: its ground, what stands on it, and where the task happens in it.
+    """Terrain, obstacles, and areas of the task.
 
-    Every area is ``((x_low, x_high), (y_low, y_high))`` in metres.
+    Areas have the form ``((x_low, x_high), (y_low, y_high))``, in meters.
 
     Args:
-        name: its name, in messages and on a live robot in the pose service ``/world/<name>/set_pose``.
-        terrain: the ground.
-        obstacles: the convex solids on it.
-        spawn_range: where episodes start; ``None``: the terrain less 1 m on every side.
-        goal_range: where goals lie; ``None``: as ``spawn_range``.
-        bounds: leaving these ends the episode (``out_of_bounds``); ``None``: the terrain's extent.
-        spawn_height: height in metres at which a live simulator drops the rover (the original's way of
-            placing it).
-        spawn_height_areas: ``(area, height)`` pairs with another drop height; the first that holds a point
-            decides.
+        name: name of the world, used in messages and in the pose service ``/world/<name>/set_pose`` of a live
+            simulator.
+        terrain: ground of the world.
+        obstacles: static convex solids on the ground.
+        spawn_range: area in which episodes start. ``None`` is the terrain less 1 m on every side.
+        goal_range: area of the goals. ``None`` is ``spawn_range``.
+        bounds: area whose exit ends the episode (``out_of_bounds``). ``None`` is the extent of the terrain.
+        spawn_height: height at which a live simulator drops the rover, as the original environment does, m.
+        spawn_height_areas: ``(area, height)`` pairs with other drop heights. The first area that contains a point
+            applies.
 
     Raises:
-        ValueError: for a range whose ends are not in order, or spawn and goal areas that lie outside of
-            ``bounds``.
+        ValueError: if the ends of an area are not in order, or the spawn or goal area exceeds ``bounds``.
 
     Example:
         >>> import numpy as np
@@ -50,7 +49,7 @@ class World:
     name: str
     terrain: Terrain
     obstacles: Sequence[Obstacle] = ()
-    # Never None once the world is made.
+    # Never None after __post_init__.
     spawn_range: Area = None  # type: ignore[assignment]
     goal_range: Area = None  # type: ignore[assignment]
     bounds: Area = None  # type: ignore[assignment]
@@ -73,25 +72,25 @@ class World:
                 raise ValueError(f"{message} lie in its bounds {self.bounds}, got {area}")
 
     def height_at(self, xy: Tensor) -> Tensor:
-        """Height of the ground in metres at points ``xy [..., 2]``: ``[...]``. Obstacles do not count."""
+        """Returns the height of the ground (m) at points ``xy [..., 2]``, without obstacles: ``[...]``."""
         return self.terrain.height_at(xy)
 
     def normal_at(self, xy: Tensor) -> Tensor:
-        """Unit normal of the ground at points ``xy [..., 2]``: ``[..., 3]``."""
+        """Returns the upward unit normal of the ground at points ``xy [..., 2]``: ``[..., 3]``."""
         return self.terrain.normal_at(xy)
 
     def inside(self, points: Tensor) -> Tensor:
-        """Which of ``points [..., 3]`` (m) lie below the ground or inside an obstacle: bool ``[...]``."""
+        """Returns which of ``points [..., 3]`` (m) are below the ground or inside an obstacle: bool ``[...]``."""
         inside = points[..., 2] < self.height_at(points[..., :2])
         for obstacle in self.obstacles:
             inside = inside | obstacle.contains(points)
         return inside
 
     def drop_height(self, xy: Tensor) -> Tensor:
-        """Height in metres at which a live simulator drops the rover at ``xy [..., 2]``: ``[...]``."""
+        """Returns the height (m) at which a live simulator drops the rover at ``xy [..., 2]``: ``[...]``."""
         height = torch.full_like(xy[..., 0], self.spawn_height)
-        for ((x_low, x_high), (y_low, y_high)), special in reversed(self.spawn_height_areas):
+        for ((x_low, x_high), (y_low, y_high)), other in reversed(self.spawn_height_areas):
             x, y = xy[..., 0], xy[..., 1]
             within = (x > x_low) & (x < x_high) & (y > y_low) & (y < y_high)
-            height = torch.where(within, torch.full_like(height, special), height)
+            height = torch.where(within, torch.full_like(height, other), height)
         return height

@@ -1,4 +1,4 @@
-"""What is Bullet's own of the physics; what a rover must do is in ``tests/sims/test_physics.py``."""
+"""Physics tests specific to Bullet. Tests for every simulator are in ``tests/sims/test_physics.py``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rover_rl.sims.worlds import Terrain, World
 ROVER = get_robot("rover_zero")
 
 
-def test_a_link_of_several_collision_shapes_is_refused(tmp_path):
+def test_a_link_with_several_collision_shapes_raises(tmp_path):
     shape = "<collision><geometry><sphere radius='0.1'/></geometry></collision>"
     urdf = tmp_path / "rover.urdf"
     urdf.write_text(ROVER.urdf.read_text().replace("</link>", f"{shape}</link>", 1))

@@ -1,4 +1,4 @@
-"""Presets of the physics, and settings of one's own."""
+"""Physics presets and custom settings."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from rover_rl.sims.robots import get_robot
 
 
 @pytest.mark.parametrize("name", list(PRESETS))
-def test_a_preset_is_asked_for_by_name(name: str) -> None:
+def test_a_preset_is_selected_by_name(name: str) -> None:
     env = make_env(world_n="maze", num_envs=2, physics=name)
     assert env.base_env.simulator.settings == PRESETS[name]
     env.rollout(3)
     env.close()
 
 
-def test_the_default_needs_no_name() -> None:
+def test_default_settings_are_the_default_preset() -> None:
     assert RoverEnv(world_n="maze").simulator.settings == PRESETS["default"] == BulletSettings()
 
 
 @pytest.mark.parametrize("settings", list(PRESETS.values()), ids=list(PRESETS))
-def test_every_preset_is_controlled_at_20_hz(settings: BulletSettings) -> None:
+def test_every_preset_has_a_control_rate_of_20_hz(settings: BulletSettings) -> None:
     assert settings.control_dt == settings.substep * settings.substeps == 0.05
 
 
-def test_errors_name_what_is_allowed() -> None:
+def test_unknown_presets_raise_with_the_allowed_names() -> None:
     with pytest.raises(ValueError, match=r"unknown physics 'exact'; use one of \['default', 'accurate', 'fast'\]"):
         RoverEnv(physics="exact")
     with pytest.raises(ValueError, match="backend 'ros2' has no presets"):
@@ -51,26 +51,26 @@ def test_errors_name_what_is_allowed() -> None:
         ("ground_friction", math.nan),
     ],
 )
-def test_settings_out_of_range_are_refused(setting: str, value: float) -> None:
+def test_settings_out_of_range_raise(setting: str, value: float) -> None:
     with pytest.raises(ValueError, match=setting):
         BulletSettings(**{setting: value})
 
 
 @pytest.mark.slow
-def test_accurate_is_nearer_to_small_steps_than_fast() -> None:
+def test_accurate_has_a_smaller_error_than_fast() -> None:
     x = torch.arange(81) * 0.25 - 10
     world = World("slope", Terrain((0.15 * x).expand(81, -1), 0.25))
     random = torch.Generator().manual_seed(0)
     starts = torch.rand(24, 3, generator=random) * torch.tensor((8, 8, 2 * math.pi)) - torch.tensor((4, 4, 0))
     commands = torch.rand(24, 2, generator=random) * torch.tensor((1.6, 3.0)) - torch.tensor((0.6, 1.5))
 
-    def driven(settings: BulletSettings) -> torch.Tensor:
+    def final_positions(settings: BulletSettings) -> torch.Tensor:
         simulator = make_simulator(settings, worlds=[world] * 24, robot=get_robot("rover_zero"), lidar_beams=1)
         simulator.reset(torch.ones(24, dtype=torch.bool), starts)
         states = [simulator.step(commands) for _ in range(40)]
         simulator.close()
         return states[-1].position
 
-    truth = driven(BulletSettings(substeps=50))
-    errors = {name: (driven(PRESETS[name]) - truth).norm(dim=-1).median() for name in ("accurate", "fast")}
+    reference = final_positions(BulletSettings(substeps=50))
+    errors = {name: (final_positions(PRESETS[name]) - reference).norm(dim=-1).median() for name in ("accurate", "fast")}
     assert errors["accurate"] < errors["fast"]

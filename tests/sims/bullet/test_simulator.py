@@ -1,4 +1,4 @@
-"""The Bullet backend behind the Simulator seam."""
+"""The Bullet simulator: clients, rendering, processes and memory."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def all_rows(count):
     return torch.ones(count, dtype=torch.bool)
 
 
-def test_a_batch_larger_than_one_client_is_the_same_rover_by_rover():
+def test_rovers_of_a_batch_with_several_clients_move_as_a_single_rover():
     count = ROVERS_PER_CLIENT + 2
     poses = torch.stack((torch.linspace(-5, 5, count), torch.zeros(count), torch.linspace(-3, 3, count)), 1)
     many, one = simulator([FLAT] * count), simulator([FLAT])
@@ -42,32 +42,32 @@ def test_a_batch_larger_than_one_client_is_the_same_rover_by_rover():
     assert torch.equal(a.ranges[-1], b.ranges[0])
 
 
-def test_close_disconnects_its_clients_alone_and_may_be_called_again():
-    kept, closed = simulator([FLAT]), simulator([FLAT])
+def test_close_is_idempotent_and_disconnects_only_its_own_clients():
+    other, closed = simulator([FLAT]), simulator([FLAT])
     clients = list(closed._clients)
     closed.close()
     closed.close()
     assert not any(pybullet.isConnected(client) for client in clients)
-    kept.step(torch.zeros(1, 2))
+    other.step(torch.zeros(1, 2))
 
 
-def test_pictures_show_the_rover_from_behind_and_from_above():
+def test_render_has_a_chase_view_and_a_top_view():
     sim = simulator([get_world("moon")])
     for view in ("chase", "top"):
-        picture = sim.render(0, view, 64, 48, torch.tensor([1.0, 1.0]))
-        assert picture.shape == (48, 64, 3)
-        assert picture.dtype == torch.uint8
-        assert picture.float().std() > 5
+        image = sim.render(0, view, 64, 48, torch.tensor([1.0, 1.0]))
+        assert image.shape == (48, 64, 3)
+        assert image.dtype == torch.uint8
+        assert image.float().std() > 5
     with pytest.raises(ValueError, match="unknown view 'side'.*'chase' or 'top'"):
         sim.render(0, "side", 64, 48)
 
 
-def test_an_unknown_backend_is_refused_in_words():
+def test_an_unknown_backend_raises():
     with pytest.raises(ValueError, match="unknown backend 'gazebo'.*bullet"):
         make_simulator("gazebo", worlds=[FLAT], robot=ROVER, lidar_beams=8)
 
 
-def _drive_in_a_process(queue) -> None:
+def _step_in_a_process(queue) -> None:
     sim = simulator([FLAT])
     queue.put(sim.step(torch.tensor([[1.0, 0.0]])).position[0].tolist())
 
@@ -75,12 +75,12 @@ def _drive_in_a_process(queue) -> None:
 def test_works_in_a_spawned_process():
     context = multiprocessing.get_context("spawn")
     queue = context.Queue()
-    process = context.Process(target=_drive_in_a_process, args=(queue,))
+    process = context.Process(target=_step_in_a_process, args=(queue,))
     process.start()
-    there = queue.get(timeout=120)
+    position = queue.get(timeout=120)
     process.join(timeout=60)
     assert process.exitcode == 0
-    assert there == simulator([FLAT]).step(torch.tensor([[1.0, 0.0]])).position[0].tolist()
+    assert position == simulator([FLAT]).step(torch.tensor([[1.0, 0.0]])).position[0].tolist()
 
 
 def test_importing_and_simulating_prints_nothing():
@@ -93,7 +93,7 @@ def test_importing_and_simulating_prints_nothing():
     assert "pybullet" not in done.stderr
 
 
-def test_256_rovers_take_less_than_a_gigabyte_and_resets_do_not_grow():
+def test_256_rovers_take_less_than_a_gigabyte_and_resets_leak_no_memory():
     code = """
 import torch
 from rover_rl import RoverEnv
@@ -117,19 +117,19 @@ print(peak, megabytes() - warm)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     peak, growth = map(float, done.stdout.split())
     assert peak < 1000
-    # 10,240 resets: a leak of one kilobyte each would show as 10 MB.
+    # 10,240 resets: a leak of one kilobyte per reset would add 10 MB.
     assert growth < 5
 
 
 def connected() -> set[int]:
-    """The Bullet clients of this process."""
+    """Returns the connected Bullet clients of this process."""
     gc.collect()
     return {client for client in range(1024) if pybullet.isConnected(client)}
 
 
 @pytest.mark.parametrize("name", ["bullet", pytest.param("warp", marks=needs_warp)])
-@pytest.mark.parametrize("end", ["closed", "forgotten"])
-def test_a_simulator_that_ends_leaves_no_client_connected(name, end):
+@pytest.mark.parametrize("end", ["closed", "deleted"])
+def test_a_closed_or_deleted_simulator_leaves_no_client_connected(name, end):
     before = connected()
     sim = make_simulator(name, worlds=[FLAT], robot=ROVER, lidar_beams=8)
     sim.render(0, "chase", 8, 8)

@@ -1,4 +1,4 @@
-"""URDFs that differ from Rover Zero's."""
+"""Fixture for modified versions of Rover Zero's URDF."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Edit = Callable[..., Path]
 
 @pytest.fixture
 def edited(tmp_path: Path) -> Edit:
-    """Writes Rover Zero's URDF with text replaced; the first occurrence unless ``count`` says more (-1: all)."""
+    """Writes Rover Zero's URDF with replaced text: the first ``count`` occurrences, or all with -1."""
 
     def write(*replacements: tuple[str, str], count: int = 1) -> Path:
         text = get_robot("rover_zero").urdf.read_text()

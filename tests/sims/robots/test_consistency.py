@@ -1,4 +1,4 @@
-"""A robot whose figures contradict its URDF is refused, with a reason."""
+"""A robot whose parameters contradict its URDF raises an error with the reason."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from rover_rl.sims.robots import get_robot
 ROVER = get_robot("rover_zero")
 FRONT_LEFT, *OTHERS = ROVER.wheel_positions
 
-REFUSED = "robot 'rover_zero' cannot be driven with its URDF"
+ERROR = "robot 'rover_zero' cannot be driven with its URDF"
 
 HUB = '<origin xyz="0.1415 0.18 0.125"/>'
-"""Of the front left wheel's joint."""
+"""Origin of the front left wheel's joint."""
 ON_BASE = f'<parent link="base_link"/>\n    <child link="front_left_wheel_link"/>\n    {HUB}'
 AXIS = '<axis xyz="0 1 0"/>'
 MASS = '<mass value="1.25"/>'
 INERTIA = '<inertia ixx="0.005645" ixy="0" ixz="0" iyy="0.01008" iyz="0" izz="0.005645"/>'
-"""Of a wheel."""
-LYING = '<collision>\n      <origin rpy="1.5707963267948966 0 0"/>'
+"""Inertia of a wheel."""
+SHAPE_POSE = '<collision>\n      <origin rpy="1.5707963267948966 0 0"/>'
 """Pose of a wheel's collision shape."""
 CYLINDER = '<cylinder radius="0.122" length="0.09"/></geometry>\n    </collision>'
-"""Of a wheel that collides."""
+"""Collision shape of a wheel."""
 END = "</geometry>\n    </collision>"
 
 BEAM = (
@@ -32,11 +32,11 @@ BEAM = (
     '<parent link="base_link"/><child link="beam"/><origin xyz="0.09355745 0.09224174 0.125" rpy="0 0 -0.5"/>'
     "</joint></robot>",
 )
-"""A beam that is turned by -0.5 rad, on which the front left wheel's hub is at (0, 0.1, 0)."""
+"""Replacement that adds a beam rotated by -0.5 rad. The front left wheel's hub is at (0, 0.1, 0) of the beam."""
 
 
 @pytest.mark.parametrize(
-    ("figures", "message"),
+    ("parameters", "message"),
     [
         (
             {"wheel_radius": 0.2},
@@ -65,9 +65,9 @@ BEAM = (
         ({"left_wheels": ("front_left_wheel", "payload")}, "wheel joint 'payload' is fixed, it must be continuous"),
     ],
 )
-def test_figures_that_are_not_those_of_the_urdf(figures, message):
-    with pytest.raises(ValueError, match=f"^{REFUSED} .*rover_zero.urdf: {message}"):
-        replace(ROVER, **figures)
+def test_parameters_that_contradict_the_urdf_raise(parameters, message):
+    with pytest.raises(ValueError, match=f"^{ERROR} .*rover_zero.urdf: {message}"):
+        replace(ROVER, **parameters)
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_figures_that_are_not_those_of_the_urdf(figures, message):
             r"must have one collision shape, a cylinder .* it has \['mesh'\]",
         ),
         (
-            f"{LYING}\n      <geometry>{CYLINDER}",
+            f"{SHAPE_POSE}\n      <geometry>{CYLINDER}",
             "",
             "'front_left_wheel_link' must have one collision shape, .* it has none",
         ),
@@ -107,11 +107,15 @@ def test_figures_that_are_not_those_of_the_urdf(figures, message):
             "has .'cylinder', 'box'",
         ),
         (
-            LYING,
-            f'{LYING[:-2]} xyz="0 0.05 0"/>',
+            SHAPE_POSE,
+            f'{SHAPE_POSE[:-2]} xyz="0 0.05 0"/>',
             "the cylinder of wheel link .* is 0.05 m from its joint; 0.001 m is allowed",
         ),
-        (LYING, "<collision>", r"the cylinder .* must lie along y of the base frame, it lies along \(0.0, 0.0, 1.0\)"),
+        (
+            SHAPE_POSE,
+            "<collision>",
+            r"the cylinder .* must lie along y of the base frame, it lies along \(0.0, 0.0, 1.0\)",
+        ),
         # Masses.
         (
             MASS,
@@ -150,18 +154,18 @@ def test_figures_that_are_not_those_of_the_urdf(figures, message):
         ("<robot", "<robot><!--", "it is not XML"),
     ],
 )
-def test_a_urdf_that_contradicts_the_figures_or_physics(edited, old, new, message):
+def test_an_invalid_or_contradicting_urdf_raises(edited, old, new, message):
     urdf = edited((old, new))
-    with pytest.raises(ValueError, match=f"^{REFUSED} .*rover.urdf: .*{message}"):
+    with pytest.raises(ValueError, match=f"^{ERROR} .*rover.urdf: .*{message}"):
         replace(ROVER, urdf=urdf)
 
 
-def test_wheels_may_be_on_a_link_fixed_to_the_base(edited):
+def test_wheels_on_a_link_fixed_to_the_base_are_accepted(edited):
     on_beam = ON_BASE.replace("base_link", "beam").replace(HUB, '<origin xyz="0 0.1 0" rpy="0 0 0.5"/>')
     replace(ROVER, urdf=edited((ON_BASE, on_beam), BEAM))
-    crooked = on_beam.replace("0 0 0.5", "0 0 0.4")
+    misaligned = on_beam.replace("0 0 0.5", "0 0 0.4")
     with pytest.raises(ValueError, match=r"'front_left_wheel' must turn about \+y"):
-        replace(ROVER, urdf=edited((ON_BASE, crooked), BEAM))
+        replace(ROVER, urdf=edited((ON_BASE, misaligned), BEAM))
     with pytest.raises(ValueError, match="wheel_positions has wheel joint 'front_left_wheel'"):
         replace(ROVER, urdf=edited((ON_BASE, on_beam), (BEAM[0], BEAM[1].replace('0.125" rpy', '0.13" rpy'))))
 
@@ -171,14 +175,14 @@ def test_small_differences_are_accepted():
     replace(ROVER, wheel_positions=moved, wheel_radius=0.123, wheel_width=0.0905)
 
 
-def test_wheels_may_be_spheres(edited):
+def test_spheres_are_accepted_as_wheels(edited):
     sphere = f'<sphere radius="0.122"/>{END}'
     replace(ROVER, urdf=edited((CYLINDER, sphere), count=-1), wheel_width=0.05)
 
 
-def test_wheels_may_be_turned_about_their_axles(edited):
-    # Half a turn swaps the signs of an inertia's products with y; the wheels are alike all the same.
-    turned = f'{HUB[:-2]} rpy="0 3.141592653589793 0"/>'
+def test_wheels_rotated_about_their_axles_are_accepted(edited):
+    # Half a turn changes the sign of the products of inertia with y, which must not count as a difference.
+    rotated = f'{HUB[:-2]} rpy="0 3.141592653589793 0"/>'
     tilted = INERTIA.replace('ixy="0"', 'ixy="0.001"')
     mirrored = INERTIA.replace('ixy="0"', 'ixy="-0.001"')
     urdf = edited((INERTIA, tilted), count=-1)
@@ -186,5 +190,5 @@ def test_wheels_may_be_turned_about_their_axles(edited):
     urdf.write_text(text)
     with pytest.raises(ValueError, match="not alike"):
         replace(ROVER, urdf=urdf)
-    urdf.write_text(text.replace(HUB, turned))
+    urdf.write_text(text.replace(HUB, rotated))
     replace(ROVER, urdf=urdf)

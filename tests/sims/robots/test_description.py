@@ -1,4 +1,4 @@
-"""What is read from a URDF."""
+"""The URDF parser."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CHAIN = """<?xml version="1.0"?>
 """
 
 
-def test_links_fixed_to_the_base_are_where_bullet_puts_them(tmp_path):
+def test_poses_of_fixed_links_agree_with_bullet(tmp_path):
     path = tmp_path / "chain.urdf"
     path.write_text(CHAIN)
     description = Description(path)
@@ -97,7 +97,7 @@ def test_masses_shapes_and_joints_of_rover_zero():
         ),
     ],
 )
-def test_what_is_no_urdf_is_refused_in_one_sentence(tmp_path, text, message):
+def test_an_invalid_urdf_raises(tmp_path, text, message):
     path = tmp_path / "robot.urdf"
     path.write_text(text)
     with pytest.raises(ValueError, match=f"^{message}"):

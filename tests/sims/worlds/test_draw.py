@@ -14,7 +14,7 @@ ROVER = get_robot("rover_zero")
 
 
 @pytest.mark.parametrize("name", ["inspect", "maze"])
-def test_a_world_is_saved_as_a_picture(name, tmp_path):
+def test_draw_world_saves_an_image(name, tmp_path):
     path = tmp_path / f"{name}.png"
     figure = draw_world(get_world(name), ROVER, path)
     assert path.read_bytes().startswith(b"\x89PNG")
@@ -28,17 +28,17 @@ def test_a_world_is_saved_as_a_picture(name, tmp_path):
         "goal area",
         "bounds",
     ]
-    # A colour bar where there is elevation to read.
+    # Only worlds with elevation have a color bar.
     assert [other.get_ylabel() for other in figure.axes[1:]] == ([] if name == "maze" else ["elevation (m)"])
 
 
-def test_the_map_shows_what_matters():
+def test_the_map_covers_the_bounds_and_a_margin():
     ax = draw_world(get_world("inspect"), ROVER).axes[0]
     assert ax.get_xlim() == (-32.0, -10.0)
     assert ax.get_ylim() == (-32.0, -14.0)
 
 
-def test_it_draws_on_given_axes():
+def test_draw_world_uses_the_given_axes():
     figure = Figure()
     left, right = figure.subplots(1, 2)
     assert draw_world(get_world("maze"), ROVER, ax=right) is figure
@@ -46,7 +46,7 @@ def test_it_draws_on_given_axes():
     assert not left.get_title()
 
 
-def test_a_map_of_an_area():
+def test_draw_map_of_an_area():
     ax = Figure().add_subplot()
     colors = draw_map(ax, get_world("moon"), ((-4, 4), (-2, 3)))
     assert colors is not None
@@ -56,7 +56,7 @@ def test_a_map_of_an_area():
     assert len(outlines.get_paths()) == len(get_world("moon").obstacles)
 
 
-def test_a_map_of_a_level_world_without_obstacles():
+def test_draw_map_of_a_flat_world_without_obstacles():
     ax = Figure().add_subplot()
     assert draw_map(ax, World("plain", Terrain.flat((10, 8)))) is None
     assert ax.get_xlim() == (-5, 5)

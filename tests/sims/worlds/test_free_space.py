@@ -1,4 +1,4 @@
-"""Free cells, checked by other means than those that found them."""
+"""Free space, checked with independent methods."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NAMES = ["inspect", "moon", "maze", "maze:1"]
 
 
 def distances(world: World, xy: np.ndarray) -> np.ndarray:
-    """Distance (m) of points ``[N, 2]`` to the nearest footprint, by sampling the outlines densely."""
+    """Returns the distance (m) of points ``[N, 2]`` to the nearest footprint, from dense samples of the outlines."""
     nearest = np.full(len(xy), np.inf)
     for obstacle in world.obstacles:
         outline = obstacle.footprint.numpy()
@@ -37,19 +37,19 @@ def distances(world: World, xy: np.ndarray) -> np.ndarray:
 
 
 def in_an_outline(world: World, xy: np.ndarray) -> np.ndarray:
-    """Which points lie in some footprint, by the winding of its corners."""
-    found = np.zeros(len(xy), dtype=bool)
+    """Returns which points are in a footprint, by the winding number of its outline."""
+    inside = np.zeros(len(xy), dtype=bool)
     for obstacle in world.obstacles:
         outline = obstacle.footprint.numpy()
         angles = np.arctan2(*(outline[None] - xy[:, None]).transpose(2, 0, 1)[::-1])
         turns = np.diff(np.concatenate((angles, angles[:, :1]), 1), axis=1)
         turns = (turns + math.pi) % (2 * math.pi) - math.pi
-        found |= np.abs(turns.sum(1)) > 1
-    return found
+        inside |= np.abs(turns.sum(1)) > 1
+    return inside
 
 
-def drawn(cells: torch.Tensor, cell: float, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Places drawn as an episode draws them, and which cells they come from."""
+def sample(cells: torch.Tensor, cell: float, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Samples positions as an episode does. Returns the positions and the indices of their cells."""
     index = rng.integers(len(cells), size=count)
     return cells.numpy()[index] + rng.uniform(-cell / 2, cell / 2, (count, 2)), index
 
@@ -60,20 +60,20 @@ def cell_index(free, xy: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_spawn_and_goal_cells_are_one_connected_part_of_the_free_cells(name):
+def test_spawn_and_goal_cells_are_in_one_connected_part_of_the_free_cells(name):
     free = free_space(get_world(name), ROVER)
-    parts, _ = label(free.passable.numpy())
-    of_goals, of_spawns = (parts[cell_index(free, cells)] for cells in (free.goal_cells, free.spawn_cells))
-    assert of_goals.min() > 0
-    assert {*of_goals, *of_spawns} == {of_goals[0]}
+    labels, _ = label(free.passable.numpy())
+    goal_labels, spawn_labels = (labels[cell_index(free, cells)] for cells in (free.goal_cells, free.spawn_cells))
+    assert goal_labels.min() > 0
+    assert {*goal_labels, *spawn_labels} == {goal_labels[0]}
 
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("kind", ["spawn", "goal"])
-def test_places_are_in_range_and_the_rovers_disc_is_free(name, kind):
+def test_sampled_positions_are_in_range_and_the_rovers_disc_is_free(name, kind):
     world = get_world(name)
     free = free_space(world, ROVER)
-    xy, _ = drawn(getattr(free, f"{kind}_cells"), free.cell, 400, np.random.default_rng(0))
+    xy, _ = sample(getattr(free, f"{kind}_cells"), free.cell, 400, np.random.default_rng(0))
     low, high = np.array(getattr(world, f"{kind}_range")).T
     assert (xy >= low - 1e-5).all()
     assert (xy <= high + 1e-5).all()
@@ -83,22 +83,22 @@ def test_places_are_in_range_and_the_rovers_disc_is_free(name, kind):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_passable_cells_keep_within_the_bounds_and_off_steep_ground(name):
+def test_passable_cells_are_within_the_bounds_and_not_on_steep_ground(name):
     world = get_world(name)
     free = free_space(world, ROVER)
     row, column = free.passable.nonzero().unbind(1)
-    centres = torch.stack((column, row), 1).double() * free.cell + torch.tensor(free.origin, dtype=torch.float64)
+    centers = torch.stack((column, row), 1).double() * free.cell + torch.tensor(free.origin, dtype=torch.float64)
     for axis, ends in enumerate(world.bounds):
         extent = world.terrain.extent[axis]
         low, high = max(ends[0], extent[0]), min(ends[1], extent[1])
-        assert centres[:, axis].min() - free.cell / 2 >= low + ROVER.radius - 1e-5
-        assert centres[:, axis].max() + free.cell / 2 <= high - ROVER.radius + 1e-5
-    nudged = centres + torch.from_numpy(np.random.default_rng(0).uniform(-1e-4, 1e-4, centres.shape))
+        assert centers[:, axis].min() - free.cell / 2 >= low + ROVER.radius - 1e-5
+        assert centers[:, axis].max() + free.cell / 2 <= high - ROVER.radius + 1e-5
+    nudged = centers + torch.from_numpy(np.random.default_rng(0).uniform(-1e-4, 1e-4, centers.shape))
     assert world.normal_at(nudged)[:, 2].min() >= math.cos(math.radians(25)) - 1e-9
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_headings_are_listed_first_and_then_repeated(name):
+def test_spawn_headings_are_ascending_and_padded_with_the_first(name):
     free = free_space(get_world(name), ROVER)
     counts = free.spawn_heading_counts
     assert free.spawn_headings.shape == (len(free.spawn_cells), HEADINGS)
@@ -113,10 +113,10 @@ def test_headings_are_listed_first_and_then_repeated(name):
 
 
 def lidar_poses(world: World, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Position ``[N, 3]`` and rotation ``[N, 3, 3]`` of the lidars of rovers at the start of episodes."""
+    """Samples spawn poses. Returns the position ``[N, 3]`` and rotation ``[N, 3, 3]`` of the lidars."""
     free = free_space(world, ROVER)
     rng = np.random.default_rng(2)
-    xy, index = drawn(free.spawn_cells, free.cell, count, rng)
+    xy, index = sample(free.spawn_cells, free.cell, count, rng)
     slot = (rng.random(count) * free.spawn_heading_counts.numpy()[index]).astype(int)
     bins = free.spawn_headings.numpy()[index, slot]
     yaw = -math.pi + 2 * math.pi * (bins + rng.random(count)) / HEADINGS
@@ -125,7 +125,7 @@ def lidar_poses(world: World, count: int) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_rover_starts_upright_with_nothing_close_to_its_lidar(name):
+def test_spawn_poses_are_upright_with_a_clear_lidar(name):
     world = get_world(name)
     lidar, rotation = lidar_poses(world, 600)
     assert rotation[:, 2, 2].min() >= math.cos(math.radians(21))
@@ -139,27 +139,27 @@ def test_a_rover_starts_upright_with_nothing_close_to_its_lidar(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_from_every_place_an_extreme_goal_is_a_metre_away(name):
+def test_an_extreme_goal_is_a_meter_away_from_every_cell(name):
     free = free_space(get_world(name), ROVER)
     assert free.goal_extremes.shape == (16, 2)
     goals = {tuple(goal) for goal in free.goal_cells.tolist()}
     assert all(tuple(extreme) in goals for extreme in free.goal_extremes.tolist())
-    places = torch.cat((free.spawn_cells, free.goal_cells))
-    assert torch.cdist(places, free.goal_extremes).amax(1).min() >= 1.0
+    cells = torch.cat((free.spawn_cells, free.goal_cells))
+    assert torch.cdist(cells, free.goal_extremes).amax(1).min() >= 1.0
 
 
 def test_contains_looks_up_the_cell():
     free = free_space(get_world("maze"), ROVER)
     row, column = (int(i) for i in free.passable.nonzero()[100])
-    centre = torch.tensor([free.origin[0] + column * free.cell, free.origin[1] + row * free.cell])
-    assert free.contains(centre)
-    assert free.contains(centre + 0.049 * torch.tensor([1.0, -1.0]))
+    center = torch.tensor([free.origin[0] + column * free.cell, free.origin[1] + row * free.cell])
+    assert free.contains(center)
+    assert free.contains(center + 0.049 * torch.tensor([1.0, -1.0]))
     outside = torch.tensor([[99.0, 0.0], [0.0, -99.0], [math.nan, 0.0], [-10.01, 0.0], [math.inf, 0.0]])
     assert not free.contains(outside).any()
     assert free.contains(torch.zeros(3, 4, 2)).shape == (3, 4)
 
 
-def test_it_is_computed_once_for_each_world_and_robot_and_not_kept_for_ever():
+def test_free_space_is_cached_while_the_world_exists():
     world = World("plain", Terrain.flat((10, 10)), [box((0, 0, 0.5), (1, 1, 1))])
     free = free_space(world, ROVER)
     assert free_space(world, ROVER) is free
@@ -169,7 +169,7 @@ def test_it_is_computed_once_for_each_world_and_robot_and_not_kept_for_ever():
     assert gone() is None
 
 
-def test_overhead_and_buried_obstacles_do_not_count():
+def test_overhead_and_buried_obstacles_are_ignored():
     floor = Terrain.flat((10, 10))
     roof, pipe = box((0, 0, 2), (6, 6, 0.5)), box((0, 0, -2), (6, 6, 0.5))
     empty = free_space(World("plain", floor), ROVER)
@@ -178,7 +178,7 @@ def test_overhead_and_buried_obstacles_do_not_count():
     assert not free_space(World("plain", floor, [low_roof]), ROVER).contains(torch.zeros(2))
 
 
-def test_a_pocket_that_cannot_be_left_holds_no_goal_and_no_start():
+def test_an_enclosed_pocket_has_no_goal_and_no_spawn_cell():
     ring = [box((x, y, 0.5), size) for x, y, size in ((0, 1.5, (3.4, 0.4, 1)), (0, -1.5, (3.4, 0.4, 1)))]
     ring += [box((x, 0, 0.5), (0.4, 3.4, 1)) for x in (-1.5, 1.5)]
     free = free_space(World("ring", Terrain.flat((12, 12)), ring), ROVER)
@@ -187,16 +187,16 @@ def test_a_pocket_that_cannot_be_left_holds_no_goal_and_no_start():
         assert cells.abs().amax(1).min() > 1.5
 
 
-def test_beside_a_wall_a_rover_does_not_start_facing_it():
+def test_spawn_headings_next_to_a_wall_do_not_face_it():
     free = free_space(World("wall", Terrain.flat((10, 10)), [box((0, 0, 0.5), (0.4, 6, 1))]), ROVER)
-    beside = (free.spawn_cells - torch.tensor([0.65, 0.05])).norm(dim=1).argmin()
-    bins = free.spawn_headings[beside, : free.spawn_heading_counts[beside]]
+    cell = (free.spawn_cells - torch.tensor([0.65, 0.05])).norm(dim=1).argmin()
+    bins = free.spawn_headings[cell, : free.spawn_heading_counts[cell]]
     yaw = -math.pi + 2 * math.pi * (bins + 0.5) / HEADINGS
     assert (yaw.cos() > -0.2).all()
     assert (yaw.cos() > 0.9).any()
 
 
-def test_a_cliff_is_kept_out_of_the_lidars_sight():
+def test_spawn_poses_keep_the_lidar_away_from_a_cliff():
     heights = np.zeros((101, 101))
     heights[:, 60:] = 2.0
     world = World("cliff", Terrain(heights, 0.1), spawn_range=((-4, 0.9), (-4, 4)), goal_range=((-4, 0.9), (-4, 4)))
@@ -220,7 +220,7 @@ def test_a_cliff_is_kept_out_of_the_lidars_sight():
         ({"bounds": ((50, 60), (50, 60)), "spawn_range": ((51, 52), (51, 52))}, "no free goal cell"),
     ],
 )
-def test_worlds_without_room_are_named(settings, message):
+def test_worlds_without_free_space_raise(settings, message):
     settings = {"goal_range": ((0, 3), (-3, 3)), **settings}
     if "bounds" in settings:
         settings["goal_range"] = settings["spawn_range"]
@@ -237,6 +237,6 @@ def test_distance_to_a_polygon(seed, sides):
     world = World("pillar", Terrain.flat((10, 10)), [pillar])
     xy = rng.uniform(-2, 2, (50, 2))
     expected = np.where(in_an_outline(world, xy), 0.0, distances(world, xy))
-    found = distance_to_polygon(torch.from_numpy(xy), pillar.footprint).numpy()
+    actual = distance_to_polygon(torch.from_numpy(xy), pillar.footprint).numpy()
     near = np.isfinite(expected)
-    assert found[near] == pytest.approx(expected[near], abs=5e-3)
+    assert actual[near] == pytest.approx(expected[near], abs=5e-3)

@@ -1,4 +1,4 @@
-"""A rover at rest on the ground."""
+"""Placement of rovers on the ground."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def ramp(slope_x: float, slope_y: float) -> World:
     return World("ramp", Terrain(slope_x * x + slope_y * y + 3.0, 0.5))
 
 
-def test_on_level_ground_the_base_frame_is_the_pose():
+def test_on_flat_ground_the_base_frame_has_the_planar_pose():
     poses = torch.tensor([[1.0, -2.0, 0.7]])
     position, rotation = rest_on_ground(World("floor", Terrain.flat()), ROVER, poses)
-    # The hubs are 3 mm higher than the wheels' radius.
+    # The hubs are 3 mm higher than the wheel radius.
     height = CLEARANCE + ROVER.wheel_radius - ROVER.wheel_positions[0][2]
     assert position[0].tolist() == pytest.approx([1.0, -2.0, height], abs=1e-6)
     c, s = math.cos(0.7), math.sin(0.7)
@@ -41,7 +41,7 @@ def test_on_level_ground_the_base_frame_is_the_pose():
     x=st.floats(-5, 5),
     y=st.floats(-5, 5),
 )
-def test_on_a_ramp_the_pose_is_that_of_the_plane(slope_x, slope_y, yaw, x, y):
+def test_on_a_ramp_the_rover_is_aligned_with_the_plane(slope_x, slope_y, yaw, x, y):
     position, rotation = rest_on_ground(ramp(slope_x, slope_y), ROVER, torch.tensor([[x, y, yaw]], dtype=torch.float64))
     up = np.array([-slope_x, -slope_y, 1.0]) / math.hypot(slope_x, slope_y, 1.0)
     ahead = np.array([math.cos(yaw), math.sin(yaw), slope_x * math.cos(yaw) + slope_y * math.sin(yaw)])
@@ -57,7 +57,7 @@ def test_on_a_ramp_the_pose_is_that_of_the_plane(slope_x, slope_y, yaw, x, y):
 
 
 def lowest_gap(world: World, position: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
-    """Least height of any point of the wheels' treads above the ground: ``[N]``."""
+    """Returns the minimum height of the wheels' treads above the ground: ``[N]``, m."""
     angle = torch.linspace(0, 2 * math.pi, 181, dtype=torch.float64)
     across = torch.linspace(-ROVER.wheel_width / 2, ROVER.wheel_width / 2, 9, dtype=torch.float64)
     a, w = torch.meshgrid(angle, across, indexing="ij")
@@ -69,7 +69,7 @@ def lowest_gap(world: World, position: torch.Tensor, rotation: torch.Tensor) -> 
 
 
 @pytest.mark.parametrize("name", ["inspect", "moon"])
-def test_on_rough_ground_no_wheel_is_below_it_and_one_touches_it(name):
+def test_on_rough_ground_the_lowest_wheel_touches_the_ground(name):
     world = get_world(name)
     rng = np.random.default_rng(0)
     low, high = np.array(world.spawn_range).T
@@ -79,7 +79,7 @@ def test_on_rough_ground_no_wheel_is_below_it_and_one_touches_it(name):
     assert gap.max() < 2e-3
 
 
-def test_a_pose_does_not_depend_on_its_company():
+def test_a_pose_does_not_depend_on_the_rest_of_the_batch():
     world = get_world("inspect")
     rng = np.random.default_rng(1)
     poses = torch.from_numpy(rng.uniform((-27, -27, -3), (-19, -19, 3), (64, 3)))
@@ -90,7 +90,7 @@ def test_a_pose_does_not_depend_on_its_company():
         assert torch.equal(alone[1][0], rotation[row])
 
 
-def test_an_empty_batch():
+def test_empty_batch():
     position, rotation = rest_on_ground(get_world("maze"), ROVER, torch.zeros(0, 3))
     assert position.shape == (0, 3)
     assert rotation.shape == (0, 3, 3)

@@ -1,4 +1,4 @@
-"""The ground, against triangles computed by hand and against its own mesh."""
+"""Terrain, compared with manually computed triangles and with its own mesh."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rover_rl.sims.worlds import Terrain
 
 ONE_CELL = Terrain([[0.0, 1.0], [2.0, 6.0]], cell=2.0, origin=(10.0, 20.0))
-"""h00 = 0, h10 = 1 (x), h01 = 2 (y), h11 = 6."""
+"""Terrain of one cell with h00 = 0, h10 = 1 (x), h01 = 2 (y), h11 = 6."""
 
 
 @pytest.mark.parametrize(
@@ -26,7 +26,7 @@ ONE_CELL = Terrain([[0.0, 1.0], [2.0, 6.0]], cell=2.0, origin=(10.0, 20.0))
         (12.0, 22.0, 6.0, None),
     ],
 )
-def test_height_and_normal_are_those_of_the_triangle(x, y, height, slopes):
+def test_height_and_normal_of_known_triangles(x, y, height, slopes):
     point = torch.tensor([x, y], dtype=torch.float64)
     assert ONE_CELL.height_at(point).item() == pytest.approx(height)
     if slopes:
@@ -34,7 +34,7 @@ def test_height_and_normal_are_those_of_the_triangle(x, y, height, slopes):
         assert ONE_CELL.normal_at(point).numpy() == pytest.approx(expected)
 
 
-def test_the_edge_continues_outside():
+def test_the_height_outside_is_that_of_the_edge():
     outside = torch.tensor([[0.0, 20.0], [99.0, 20.0], [0.0, 99.0], [99.0, 99.0]])
     assert ONE_CELL.height_at(outside).tolist() == [0.0, 1.0, 2.0, 6.0]
 
@@ -45,7 +45,7 @@ def test_the_height_of_nan_is_nan():
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("shape", [(), (3,), (2, 0), (4, 5)])
-def test_any_leading_shape_and_float_dtype(dtype, shape):
+def test_leading_dimensions_and_float_dtypes(dtype, shape):
     xy = torch.full((*shape, 2), 11.0, dtype=dtype)
     assert ONE_CELL.height_at(xy).shape == shape
     assert ONE_CELL.height_at(xy).dtype == dtype
@@ -54,7 +54,7 @@ def test_any_leading_shape_and_float_dtype(dtype, shape):
 
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10**6), rows=st.integers(2, 6), columns=st.integers(2, 6), cell=st.floats(0.1, 3.0))
-def test_the_surface_is_the_mesh(seed, rows, columns, cell):
+def test_heights_and_normals_agree_with_the_mesh(seed, rows, columns, cell):
     rng = np.random.default_rng(seed)
     terrain = Terrain(rng.uniform(-2, 2, (rows, columns)), cell)
     vertices, faces = terrain.mesh()
@@ -70,7 +70,7 @@ def test_the_surface_is_the_mesh(seed, rows, columns, cell):
     assert torch.allclose(terrain.normal_at(centroids[:, :2]), expected, atol=1e-6)
 
 
-def test_strips_of_the_mesh_make_up_the_whole():
+def test_strips_of_the_mesh_cover_the_whole_mesh():
     terrain = Terrain(np.random.default_rng(0).uniform(size=(6, 4)), 0.5)
     strips = [terrain.mesh(slice(0, 3)), terrain.mesh(slice(2, 6))]
     pieces = torch.cat([vertices[faces] for vertices, faces in strips]).reshape(-1, 9)
@@ -80,7 +80,7 @@ def test_strips_of_the_mesh_make_up_the_whole():
 
 
 @pytest.mark.parametrize("size", [(20, 20), (20.0, 15.0), (0.3, 0.1), (12.5, 7.1)])
-def test_flat_ground_has_the_size_asked_for(size):
+def test_flat_ground_has_the_given_size(size):
     terrain = Terrain.flat(size, height=1.5)
     (x_low, x_high), (y_low, y_high) = terrain.extent
     assert (x_low, x_high, y_low, y_high) == pytest.approx((-size[0] / 2, size[0] / 2, -size[1] / 2, size[1] / 2))
@@ -103,12 +103,12 @@ def test_uneven_ground_is_not_flat():
         ([[0.0, 0.0], [0.0, 0.0]], math.nan, "positive length"),
     ],
 )
-def test_bad_grids_are_named(heights, cell, message):
+def test_invalid_grids_raise(heights, cell, message):
     with pytest.raises(ValueError, match=message):
         Terrain(heights, cell)
 
 
 @pytest.mark.parametrize("size", [(0.0, 5.0), (-1.0, 5.0), (5.0, 2.34)])
-def test_bad_sizes_of_flat_ground_are_named(size):
+def test_invalid_sizes_of_flat_ground_raise(size):
     with pytest.raises(ValueError, match=r"multiples of 0\.1 m"):
         Terrain.flat(size)

@@ -1,4 +1,4 @@
-"""The worlds that come with the package have the figures that they are said to have."""
+"""Properties of the built-in worlds."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def heights(world, area):
 
 
 def slopes(world, area):
-    """Degrees."""
+    """Returns the slopes of the ground in an area, degrees."""
     return np.degrees(np.arccos(world.normal_at(points(area))[:, 2].numpy()))
 
 
@@ -45,13 +45,13 @@ def test_areas_and_spawn_heights_of_the_contract(name, task_area, bounds, spawn_
     assert world.spawn_height == spawn_height
 
 
-def test_the_south_west_corner_of_inspect_has_its_own_spawn_height():
+def test_the_southwest_corner_of_inspect_has_a_different_spawn_height():
     xy = torch.tensor([[-24.6, -24.6], [-24.4, -24.6], [-24.6, -24.4], [-24.5, -24.5]])
     assert get_world("inspect").drop_height(xy).tolist() == [6.5, 5.5, 5.5, 5.5]
 
 
 @pytest.mark.parametrize("name", sorted(WORLDS))
-def test_a_seed_gives_the_same_world_each_time(name):
+def test_a_world_is_determined_by_its_seed(name):
     a, b, other = WORLDS[name](3), WORLDS[name](3), WORLDS[name](4)
     assert torch.equal(a.terrain.heights, b.terrain.heights)
     assert all(torch.equal(p.vertices, q.vertices) for p, q in zip(a.obstacles, b.obstacles, strict=True))
@@ -61,13 +61,13 @@ def test_a_seed_gives_the_same_world_each_time(name):
 
 
 @pytest.mark.parametrize("name", sorted(WORLDS))
-def test_every_seed_comes_to_an_end(name):
+def test_generation_terminates_for_every_seed(name):
     assert all(WORLDS[name](seed).obstacles for seed in range(100, 108))
 
 
 @pytest.mark.parametrize("name", sorted(WORLDS))
 @pytest.mark.parametrize("seed", [1, 2])
-def test_other_seeds_have_room_too(name, seed):
+def test_other_seeds_have_free_space(name, seed):
     free = free_space(get_world(f"{name}:{seed}"), get_robot("rover_zero"))
     assert min(len(free.spawn_cells), len(free.goal_cells)) > 1000
 
@@ -76,7 +76,7 @@ class TestInspect:
     def world(self) -> World:
         return get_world("inspect")
 
-    def test_terrain_is_64_by_100_metres(self):
+    def test_terrain_is_64_by_100_meters(self):
         assert self.world().terrain.extent == ((-32.0, 32.0), (-50.0, 50.0))
         assert self.world().terrain.cell == 0.25
 
@@ -90,7 +90,7 @@ class TestInspect:
         assert square.min() >= 4.3
         assert square.max() <= 6.1
 
-    def test_the_south_west_corner_is_the_highest(self):
+    def test_the_southwest_corner_is_the_highest(self):
         corner = heights(self.world(), ((-27, -26), (-27, -26)))
         assert corner.min() >= 5.9
         assert corner.max() <= 6.1
@@ -103,14 +103,14 @@ class TestInspect:
         quantiles = np.quantile(slopes(self.world(), self.world().bounds), (0.5, 0.75, 0.9))
         assert quantiles == pytest.approx((9, 14, 19), abs=1.0)
 
-    def test_no_short_bumps(self):
-        """Ground that a small wheel rolls over: neighbouring slopes are alike."""
+    def test_the_ground_has_no_short_bumps(self):
+        """Neighboring slopes are similar, so that a small wheel rolls over the ground."""
         grid = self.world().terrain.heights.numpy()[80:140, 8:80]
         bend = np.abs(np.diff(grid, 2, axis=1))
         assert np.quantile(bend, 0.99) < 0.1
 
     @pytest.mark.parametrize("seed", range(4))
-    def test_structures_stand_north_of_the_task_area_and_are_seen(self, seed):
+    def test_structures_are_north_of_the_task_area_and_visible_to_the_lidar(self, seed):
         world = get_world(f"inspect:{seed}")
         for obstacle in world.obstacles:
             outline = obstacle.footprint
@@ -119,7 +119,7 @@ class TestInspect:
             assert (reach > 0.45).all()
 
     def test_panels_have_closed_stands(self):
-        """Below every panel the lidar's height is solid, so that no rover gets under one."""
+        """The space below every panel is solid at the lidar's height, so that rovers cannot drive under it."""
         world = self.world()
         panels = [o for o in world.obstacles if o.planes.shape[0] == 6 and _is_tilted(o)]
         assert len(panels) == 20
@@ -128,7 +128,7 @@ class TestInspect:
             under = torch.cat((xy, world.height_at(xy)[:, None] + 0.32), -1)
             assert world.inside(under).all()
 
-    def test_some_structures_stand_within_the_bounds(self):
+    def test_some_structures_are_within_the_bounds(self):
         middles = torch.stack([o.footprint.mean(0) for o in self.world().obstacles])
         (x_low, x_high), (y_low, y_high) = self.world().bounds
         x, y = middles.unbind(1)
@@ -142,22 +142,22 @@ def _is_tilted(obstacle) -> bool:
 
 class TestMoon:
     @pytest.mark.parametrize("seed", range(4))
-    def test_relief_is_gentle_among_the_goals(self, seed):
+    def test_slopes_of_the_task_area_are_gentle(self, seed):
         world = get_world(f"moon:{seed}")
         assert np.median(slopes(world, world.spawn_range)) < 8
         assert np.quantile(slopes(world, world.spawn_range), 0.9) < 15
 
-    def test_median_slope_of_the_default(self):
+    def test_median_slope_of_the_default_seed(self):
         world = get_world("moon")
         assert 2 < np.median(slopes(world, world.spawn_range)) < 6
 
-    def test_the_island_falls_away_at_its_edges(self):
+    def test_the_ground_descends_toward_the_edges(self):
         terrain = get_world("moon").terrain
         edge = torch.cat((terrain.heights[0], terrain.heights[-1], terrain.heights[:, 0], terrain.heights[:, -1]))
         assert edge.max() < -1.5
 
     @pytest.mark.parametrize("seed", range(4))
-    def test_boulders_are_sunk_and_high_enough_for_the_lidar(self, seed):
+    def test_boulders_are_partly_buried_and_visible_to_the_lidar(self, seed):
         world = get_world(f"moon:{seed}")
         for rock in world.obstacles:
             ground = world.height_at(rock.footprint.mean(0))
@@ -165,13 +165,13 @@ class TestMoon:
             assert rock.vertices[:, 2].max() > ground + 0.38
 
     @pytest.mark.parametrize("seed", range(4))
-    def test_some_boulders_lie_among_the_goals(self, seed):
+    def test_some_boulders_are_in_the_task_area(self, seed):
         middles = torch.stack([rock.footprint.mean(0) for rock in get_world(f"moon:{seed}").obstacles])
         assert (middles.abs().amax(1) < 4).sum() >= 4
 
 
 def squares(world):
-    """How many blocks cover each square of the maze's grid: ``[20, 20]``."""
+    """Returns the number of blocks that cover each square of the maze's grid: ``[20, 20]``."""
     covered = np.zeros((20, 20), dtype=int)
     for block in world.obstacles[4:]:
         (x_low, y_low), (x_high, y_high) = block.footprint.aminmax(dim=0)
@@ -183,12 +183,12 @@ def squares(world):
 
 
 class TestMaze:
-    def test_the_floor_is_level(self):
+    def test_the_floor_is_flat(self):
         terrain = get_world("maze").terrain
         assert terrain.is_flat
         assert terrain.extent == ((-10.0, 10.0), (-10.0, 10.0))
 
-    def test_walls_of_2_metres_close_the_border(self):
+    def test_walls_of_2_meters_enclose_the_floor(self):
         walls = get_world("maze").obstacles[:4]
         assert all(float(wall.vertices[:, 2].max()) == 2.0 for wall in walls)
         angle = torch.linspace(0, 2 * math.pi, 721, dtype=torch.float64)
@@ -198,7 +198,7 @@ class TestMaze:
         assert torch.stack([wall.contains(at) for wall in walls]).any(0).all()
 
     @pytest.mark.parametrize("seed", SEEDS)
-    def test_blocks(self, seed):
+    def test_number_and_sizes_of_blocks(self, seed):
         blocks = WORLDS["maze"](seed).obstacles[4:]
         assert len(blocks) == 36
         sizes = sorted(
@@ -210,16 +210,16 @@ class TestMaze:
         assert all((float(b.vertices[:, 2].min()), float(b.vertices[:, 2].max())) == (0.0, 1.0) for b in blocks)
 
     @pytest.mark.parametrize("seed", SEEDS)
-    def test_corridors(self, seed):
+    def test_corridors_are_connected_and_1_meter_wide(self, seed):
         covered = squares(WORLDS["maze"](seed))
         assert covered.max() == 1
         free = covered == 0
         assert label(free)[1] == 1
-        # Squares that meet at a corner only would leave a gap of no width.
+        # Squares that touch only at a corner would leave a gap without width.
         a, b, c, d = free[:-1, :-1], free[:-1, 1:], free[1:, :-1], free[1:, 1:]
         assert not ((a == d) & (b == c) & (a != b)).any()
 
     @pytest.mark.parametrize("seed", SEEDS)
-    def test_the_task_area_is_a_maze_with_room(self, seed):
+    def test_blocks_cover_25_to_40_percent_of_the_task_area(self, seed):
         middle = squares(WORLDS["maze"](seed))[6:14, 6:14]
         assert 0.25 <= middle.mean() <= 0.4

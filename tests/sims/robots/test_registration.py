@@ -1,0 +1,72 @@
+"""Registration of custom robots."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from rover_rl.sims import robots
+from rover_rl.sims.robots import get_robot, register_robot, robot_names
+
+ROVER = get_robot("rover_zero")
+SLOW_ROVER = replace(ROVER, name="slow", max_speed=0.2)
+
+
+@pytest.fixture(autouse=True)
+def temporary_registry(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Removes registrations after each test, because other tests compare the list of names."""
+    monkeypatch.setattr(robots._REGISTRY, "_parts", dict(robots._REGISTRY._parts))
+
+
+def test_a_registered_robot():
+    register_robot("registered-robot", SLOW_ROVER)
+    assert "registered-robot" in robot_names()
+    assert get_robot("registered-robot") is SLOW_ROVER
+
+
+def test_a_registered_function():
+    register_robot("registered-function", lambda: SLOW_ROVER)
+    assert get_robot("registered-function") is SLOW_ROVER
+
+
+def test_robots_by_import_path(tmp_path, monkeypatch):
+    source = (
+        "from dataclasses import replace\n"
+        "from rover_rl.sims.robots import get_robot\n"
+        "fast = replace(get_robot('rover_zero'), name='fast', max_speed=2.0)\n"
+        "def make():\n    return fast\n"
+    )
+    (tmp_path / "registration_test_robots.py").write_text(source)
+    monkeypatch.syspath_prepend(tmp_path)
+    register_robot("registered-robot-path", "registration_test_robots:make")
+    for name in ("registration_test_robots:fast", "registration_test_robots:make", "registered-robot-path"):
+        assert get_robot(name).name == "fast"
+
+
+def test_a_robot_is_returned_unchanged():
+    assert get_robot(SLOW_ROVER) is SLOW_ROVER
+
+
+@pytest.mark.parametrize(
+    ("name", "part", "kind"), [("registered-number", 4, "int"), ("registered-none", lambda: None, "NoneType")]
+)
+def test_anything_else_than_a_robot_raises(name, part, kind):
+    register_robot(name, part)
+    with pytest.raises(
+        ValueError, match=f"^robot '{name}' must be a Robot or a function that returns one, got {kind}$"
+    ):
+        get_robot(name)
+
+
+def test_the_name_of_the_built_in_robot_is_taken():
+    with pytest.raises(ValueError, match="^a robot named 'rover_zero' already exists; choose another name$"):
+        register_robot("rover_zero", SLOW_ROVER)
+    assert get_robot("rover_zero") is ROVER
+
+
+def test_an_unknown_robot_raises_with_the_known_names():
+    with pytest.raises(
+        ValueError, match=r"^unknown robot 'tank'; use one of \[.*'rover_zero'.*\], a Robot, or 'module:"
+    ):
+        get_robot("tank")

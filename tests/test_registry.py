@@ -1,0 +1,198 @@
+"""Registry: parts by name, by entry point and by import path."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rover_rl.registry import Registry, is_path
+
+PART = object()
+NAMES = st.from_regex(r"[A-Za-z0-9_.-]+", fullmatch=True)
+ModuleWriter = Callable[[str, str], None]
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleWriter:
+    """Writes an importable module. Module names must be unique, because Python keeps imported modules."""
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def write(name: str, source: str) -> None:
+        path = tmp_path.joinpath(*name.split(".")).with_suffix(".py")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(source)
+
+    return write
+
+
+@pytest.fixture
+def entry_point(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str, str], None]:
+    """Adds an entry point, as an installed package does."""
+    installed: list[importlib.metadata.EntryPoint] = []
+
+    def entry_points(*, group: str) -> importlib.metadata.EntryPoints:
+        return importlib.metadata.EntryPoints(installed).select(group=group)
+
+    def add(group: str, name: str, value: str) -> None:
+        installed.append(importlib.metadata.EntryPoint(name, value, group))
+
+    monkeypatch.setattr("rover_rl.registry.entry_points", entry_points)
+    return add
+
+
+@settings(deadline=None)
+@given(NAMES, NAMES)
+def test_registered_parts_are_found_by_name(first: str, second: str) -> None:
+    registry = Registry("part", {"built-in": PART})
+    parts = {first: object(), second: object(), "built-in": PART}
+    for name, part in parts.items():
+        registry.register(name, part)
+    assert registry.names() == sorted(parts)
+    assert all(registry.find(name) is part for name, part in parts.items())
+
+
+@pytest.mark.parametrize("name", ["", "a b", "a:b", "a/b", "tab\t", "new\nline", "name\n"])
+def test_invalid_names_raise(name: str) -> None:
+    registry = Registry("part", {})
+    with pytest.raises(
+        ValueError, match=r"^the name of a part must consist of letters, digits, '_', '-' and '\.', got"
+    ):
+        registry.register(name, PART)
+    assert registry.names() == []
+
+
+def test_a_taken_name_raises_and_keeps_the_first_part() -> None:
+    registry = Registry("part", {"built-in": PART})
+    registry.register("mine", PART)
+    for name in ("built-in", "mine"):
+        with pytest.raises(ValueError, match=f"^a part named '{name}' already exists; choose another name$"):
+            registry.register(name, object())
+        assert registry.find(name) is PART
+
+
+def test_the_same_part_can_be_registered_again() -> None:
+    registry = Registry("part", {})
+    registry.register("mine", PART)
+    registry.register("mine", PART)
+    assert registry.find("mine") is PART
+
+
+def test_registering_does_not_change_the_mapping_of_built_in_parts() -> None:
+    built_in = {"built-in": PART}
+    Registry("part", built_in).register("mine", PART)
+    assert built_in == {"built-in": PART}
+
+
+def test_an_unknown_name_raises_with_the_known_names() -> None:
+    registry = Registry("part", {"b": PART, "a": PART}, also=", or a Part")
+    with pytest.raises(ValueError, match=r"^unknown part 'c'; use one of \['a', 'b'\], or a Part$"):
+        registry.find("c")
+
+
+def test_parts_are_found_by_import_path(module: ModuleWriter) -> None:
+    module("registry_path_part", "class Outer:\n    inner = 'nested'\n\npart = ['part']\n")
+    registry = Registry("part", {})
+    part = registry.find("registry_path_part:part")
+    assert part == ["part"]
+    assert registry.find("registry_path_part:part") is part
+    assert registry.find("registry_path_part:Outer.inner") == "nested"
+    assert registry.names() == []
+
+
+def test_import_paths_into_packages(module: ModuleWriter) -> None:
+    module("registry_package.__init__", "")
+    module("registry_package.parts", "part = 'in a package'\n")
+    registry = Registry("part", {})
+    assert registry.find("registry_package.parts:part") == "in a package"
+    with pytest.raises(ValueError, match="cannot be imported: No module named 'registry_package.others'"):
+        registry.find("registry_package.others:part")
+
+
+def test_registered_and_built_in_import_paths_are_imported_on_first_use(module: ModuleWriter) -> None:
+    registry = Registry("part", {"built-in": "registry_lazy_part:first"})
+    registry.register("mine", "registry_lazy_part:second")
+    # The module does not exist until here.
+    module("registry_lazy_part", "first, second = 1, 2\n")
+    assert (registry.find("built-in"), registry.find("mine")) == (1, 2)
+
+
+def test_a_missing_module_raises_as_an_unknown_name() -> None:
+    with pytest.raises(ValueError, match=r"^unknown part 'registry_no_such_module:part'; use one of \['a'\]"):
+        Registry("part", {"a": PART}).find("registry_no_such_module:part")
+
+
+def test_a_missing_attribute_raises(module: ModuleWriter) -> None:
+    module("registry_without_part", "class Outer:\n    pass\n")
+    for attribute in ("part", "Outer.inner", "Outer.inner.part"):
+        reason = f"'registry_without_part' has no '{attribute}'"
+        with pytest.raises(ValueError, match=f"^part '.*:{attribute}' cannot be imported: {reason}$"):
+            Registry("part", {}).find(f"registry_without_part:{attribute}")
+
+
+@pytest.mark.parametrize(
+    ("name", "source", "reason"),
+    [
+        (
+            "registry_needs_module",
+            "import registry_missing_dependency\n",
+            "No module named 'registry_missing_dependency'",
+        ),
+        ("registry_needs_name", "from math import no_such_name\n", "cannot import name 'no_such_name' from 'math'"),
+    ],
+)
+def test_an_import_error_inside_a_module_is_reported_with_its_reason(
+    module: ModuleWriter, name: str, source: str, reason: str
+) -> None:
+    module(name, source)
+    with pytest.raises(ValueError, match=f"^part '{name}:part' cannot be imported: {reason}") as error:
+        Registry("part", {}).find(f"{name}:part")
+    assert isinstance(error.value.__cause__, ImportError)
+
+
+def test_other_errors_of_a_module_propagate(module: ModuleWriter) -> None:
+    module("registry_raises", "raise ZeroDivisionError('in the module')\n")
+    with pytest.raises(ZeroDivisionError, match="in the module"):
+        Registry("part", {}).find("registry_raises:part")
+
+
+@pytest.mark.parametrize("name", ["os:abort", "os.path:join", "sys:exit", "builtins:exec", "subprocess:run"])
+def test_import_paths_into_the_standard_library_raise(name: str) -> None:
+    with pytest.raises(ValueError, match=f"^part '{name}' is in Python's standard library, which has no parts$"):
+        Registry("part", {}).find(name)
+
+
+def test_entry_points_of_installed_packages_are_found(
+    entry_point: Callable[[str, str, str], None], module: ModuleWriter
+) -> None:
+    module("registry_installed_part", "part = 'installed'\n")
+    entry_point("rover_rl.parts", "theirs", "registry_installed_part:part")
+    entry_point("rover_rl.others", "other", "registry_installed_part:part")
+    registry = Registry("part", {"built-in": PART})
+    assert registry.names() == ["built-in", "theirs"]
+    assert registry.find("theirs") == "installed"
+    with pytest.raises(ValueError, match=r"^unknown part 'other'; use one of \['built-in', 'theirs'\]"):
+        registry.find("other")
+
+
+def test_entry_points_do_not_replace_built_in_or_registered_parts(entry_point: Callable[[str, str, str], None]) -> None:
+    for name in ("built-in", "mine"):
+        entry_point("rover_rl.parts", name, "registry_no_such_module:part")
+    registry = Registry("part", {"built-in": PART})
+    registry.register("mine", PART)
+    assert registry.names() == ["built-in", "mine"]
+    assert registry.find("built-in") is registry.find("mine") is PART
+
+
+@pytest.mark.parametrize("name", ["module:attribute", "package.module:Outer.inner", "_m1:_a"])
+def test_names_that_are_import_paths(name: str) -> None:
+    assert is_path(name)
+
+
+@pytest.mark.parametrize("name", ["", "name", ":attribute", "module:", "1module:a", "module:1", "a:b:c", "my-module:a"])
+def test_names_that_are_not_import_paths(name: str) -> None:
+    assert not is_path(name)
