@@ -52,7 +52,7 @@ def _converter() -> Converter:
     converter = Converter(forbid_extra_keys=True, unstruct_collection_overrides={tuple: list})
     for kind in (bool, int, float, str):
         converter.register_structure_hook(kind, _strict)
-    converter.register_structure_hook_func(lambda hint: get_origin(hint) is Literal, _choice)
+    converter.register_structure_hook_func(_is_choice, _choice)
     converter.register_structure_hook_func(_is_union, lambda value, hint: _one_of(converter, value, hint))
     return converter
 
@@ -63,6 +63,11 @@ def _strict(value: Any, kind: type) -> Any:
     if type(value) is not kind:
         raise ValueError(f"a value of type {kind.__name__} is needed, got {value!r}")
     return value
+
+
+def _is_choice(hint: Any) -> bool:
+    origin: Any = get_origin(hint)
+    return origin is Literal
 
 
 def _choice(value: Any, hint: Any) -> Any:
@@ -77,9 +82,8 @@ def _is_union(hint: Any) -> bool:
 
 def _one_of(converter: Converter, value: Any, hint: Any) -> Any:
     """``value`` as the first type of a union that it fits."""
-    kinds: Any = get_args(hint)
-    for kind in kinds:
-        if kind is NoneType:  # type: ignore[comparison-overlap]
+    for kind in get_args(hint):
+        if kind is NoneType:
             if value is None:
                 return None
             continue

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     BackendLike: TypeAlias = AnyBackend
 else:
     # What the command line and YAML files can say.
-    WorldLike = str | tuple[str, ...]
-    RobotLike = RewardLike = BackendLike = str
+    WorldLike = RewardLike = str | tuple[str, ...]
+    RobotLike = BackendLike = str
 
 OutcomeSource: TypeAlias = Literal["truth", "sensors"]
 """Which state events, rewards and metrics follow."""
@@ -256,7 +256,8 @@ class EnvConfig:
     task: TaskConfig = field(default_factory=TaskConfig)
     """Thresholds of the task."""
     reward: RewardLike = "contract"
-    """Reward: contract, task (1 per goal), or module:attribute."""
+    """Reward: contract, task (1 per goal), or module:attribute of a component or of a function that returns a list of
+    them. Several are added up: "contract my_package:TiltPenalty"."""
     contract_reward: RewardConfig = field(default_factory=RewardConfig)
     """Numbers of the contract's reward."""
     heading_gains: HeadingGains = field(default_factory=HeadingGains)
@@ -365,9 +366,9 @@ def plain_env(config: EnvConfig) -> dict[str, Any]:
     from rover_rl.plain import to_plain
 
     advice = "register it, or name it as module:attribute"
-    for name, kind in (("world", "a World"), ("robot", "a Robot"), ("reward", "a list of components")):
+    for name, kind in (("world", "a World"), ("robot", "a Robot"), ("reward", "a reward object")):
         value = getattr(config, name)
-        parts = value if isinstance(value, tuple) and name == "world" else (value,)
+        parts = value if isinstance(value, tuple) else (value,)
         if not all(isinstance(part, str) for part in parts):
             raise ValueError(f"{kind} cannot be written to a file, and {name}={value!r} is one; {advice}")
     if isinstance(config.backend, str):
