@@ -292,6 +292,8 @@ class TrainingConfig:
         _check_counts(env, "length")
         check_at_least(1, MAX_ROVERS, num_envs=self.num_envs)
         check_seed(self.seed, _SEEDS_OF_A_RUN)
+        if env.backend == "ray":
+            raise ValueError("Ray is a collector: use collector='ray', with backend='bullet' or 'warp'")
         if isinstance(env.backend, str):
             settings = find_settings(env.backend)
             if env.backend == "warp" and env.physics != DEFAULT_PHYSICS:

@@ -41,6 +41,9 @@ def main(args: list[str] | None = None) -> int:
         args: of the command line; ``None`` takes the process's own.
     """
     args = sys.argv[1:] if args is None else args
+    # The user's worlds, robots, rewards and backends may be modules of the current folder, as with "python -m".
+    if os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
     try:
         try:
             return read_command({"train": train_defaults(args), **COMMANDS}, args)()
