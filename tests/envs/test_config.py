@@ -1,0 +1,159 @@
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from tensordict import TensorDictBase
+from torchrl.envs import EnvBase
+
+from rover_rl import RewardConfig, RoverEnv, make_env
+from rover_rl.envs import ActionConfig, EnvConfig, HeadingGains, LidarConfig, Randomization, TaskConfig
+from rover_rl.envs.config import env_from_plain, plain_env, require_match
+from rover_rl.envs.rewards import GoalReward
+from rover_rl.sims.bullet import BulletSettings
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.worlds import get_world
+
+factors = st.floats(0.1, 10.0).flatmap(lambda low: st.tuples(st.just(low), st.floats(low, 20.0)))
+configs = st.builds(
+    EnvConfig,
+    world=st.sampled_from(["maze", "moon:7", ("maze", "inspect")]),
+    lidar=st.builds(LidarConfig, st.integers(1, 64), st.integers(64, 640), st.floats(0.1, 100.0)),
+    action=st.builds(ActionConfig, st.floats(-3.0, 0.0), st.floats(0.1, 3.0), st.floats(0.1, 3.0)),
+    task=st.builds(TaskConfig, success_distance=st.floats(0.1, 2.0), stuck_window=st.integers(1, 1000)),
+    reward=st.sampled_from(["contract", "task", ("contract", "my_package:tilt")]),
+    contract_reward=st.builds(RewardConfig, goal_reward=st.floats(-1e3, 1e3)),
+    heading_gains=st.builds(HeadingGains, st.floats(0.0, 9.0)),
+    randomization=st.builds(Randomization, friction=factors, range_noise=st.floats(0.0, 1.0)),
+    outcome_from=st.sampled_from(["truth", "sensors"]),
+    backend=st.sampled_from(["bullet", "warp", "my_package:Slow", BulletSettings(substeps=20)]),
+    num_envs=st.none() | st.integers(1, 100),
+    seed=st.none() | st.integers(0, 2**40),
+    device=st.none() | st.just("cuda:1"),
+)
+
+
+@given(configs)
+def test_a_description_comes_back_from_yaml_and_from_pickle(config: EnvConfig) -> None:
+    assert env_from_plain(yaml.safe_load(yaml.safe_dump(plain_env(config))), "text") == config
+    assert pickle.loads(pickle.dumps(config)) == config
+
+
+def drive_at_random(env: EnvBase) -> TensorDictBase:
+    generator = torch.Generator().manual_seed(0)
+
+    def policy(td: TensorDictBase) -> TensorDictBase:
+        return td.set("action", torch.rand(*env.batch_size, 2, generator=generator))
+
+    return env.rollout(10, policy, break_when_any_done=False)
+
+
+def test_make_env_of_a_description_and_of_arguments_are_the_same() -> None:
+    config = EnvConfig(world="maze", num_envs=3, seed=5, lidar=LidarConfig(points=16), length=7)
+    described = make_env(config)
+    argued = make_env(world_n="maze", num_envs=3, seed=5, lidar_points=16, length=7)
+    assert (drive_at_random(described) == drive_at_random(argued)).all()
+    assert described.config == argued.config == config
+
+
+def test_every_environment_knows_its_description() -> None:
+    env = RoverEnv(world_n="maze", num_envs=2, seed=1, task=TaskConfig(success_distance=0.7), end_on_goal=True)
+    assert RoverEnv(**env.config.arguments()).config == env.config
+    assert env.config.reward == "task"
+    assert make_env(world_n="maze", reward=RewardConfig(goal_reward=7.0)).config == EnvConfig(
+        world="maze", contract_reward=RewardConfig(goal_reward=7.0)
+    )
+
+
+def test_the_actions_bounds_are_those_of_the_description() -> None:
+    env = RoverEnv(world_n="maze", action=ActionConfig(min_speed=0.0, max_speed=0.5), seed=0)
+    assert env.action_spec.space.low[0, 0] == 0
+    assert env.action_spec.space.high[0, 0] == 0.5
+    td = env.reset()
+    for _ in range(40):
+        td = env.step(td.set("action", torch.tensor([[2.0, 0.0]])))["next"]
+    assert td["velocities"][0, 0].item() == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"wrld": 1}, r"^file: there is no setting wrld; use some of \['action', .*'world'\]$"),
+        ({"lidar": {"points": "3"}}, r"^lidar.points in file: a value of type int is needed, got '3'$"),
+        ({"lidar": {"point": 3}}, r"^lidar in file: there is no setting point; use some of"),
+        ({"world": 3}, r"^world in file: a value of type .* is needed, got 3$"),
+        ({"task": {"stuck_window": 0}}, r"^task in file: stuck_window must be positive, got 0$"),
+        ({"outcome_from": "luck"}, r"^outcome_from in file: one of \['truth', 'sensors'\] is needed, got 'luck'$"),
+        ({"randomization": {"friction": [2, 1]}}, r"^randomization in file: friction must be a range"),
+        ({"length": True}, r"^length in file: a value of type int is needed, got True$"),
+        ({"backend": {"bullet": {"substeps": 3}}}, r"^backend bullet in file: substeps must be an even number"),
+        ({"backend": {"gazebo": {}}}, r"^unknown backend 'gazebo'"),
+        ([1], r"^file must hold settings by name, got \[1\]$"),
+    ],
+)
+def test_a_file_that_describes_no_environment_is_refused_in_one_sentence(data: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as error:
+        env_from_plain(data, "file")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        (EnvConfig(world=get_world("maze")), "a World cannot be written to a file"),
+        (EnvConfig(robot=get_robot("rover_zero")), "a Robot cannot be written to a file"),
+        (EnvConfig(reward=[GoalReward()]), "a reward object cannot be written to a file"),
+    ],
+)
+def test_objects_are_refused_where_only_names_can_be_written(config: EnvConfig, message: str) -> None:
+    with pytest.raises(ValueError, match=rf"{message}.*register it, or name it as module:attribute"):
+        plain_env(config)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"lidar": LidarConfig(points=16)}, "made for lidar points 32, and the environment has 16"),
+        ({"lidar": LidarConfig(max_range=6.0)}, r"made for a lidar range of \(m\) 12.0, and the environment has 6.0"),
+        ({"robot": "my_package:scout"}, "made for the robot rover_zero, and the environment has my_package:scout"),
+        ({"action": ActionConfig(min_speed=0.0)}, r"made for actions .*-1.0.*, and the environment has \(0.0"),
+        ({"heading_gains": HeadingGains(kp=1.0)}, "made for heading gains"),
+    ],
+)
+def test_a_policy_made_for_another_environment_is_refused_in_one_sentence(change: dict[str, Any], message: str) -> None:
+    made_for = EnvConfig(world="maze")
+    with pytest.raises(ValueError, match=message):
+        require_match(made_for, replace(made_for, **change))
+
+
+def test_other_worlds_rewards_and_simulators_match() -> None:
+    other = EnvConfig(
+        world="moon",
+        reward="task",
+        backend="warp",
+        randomization=Randomization.typical(),
+        lidar=LidarConfig(beams=640),
+        length=9,
+    )
+    require_match(EnvConfig(), other)
+    require_match(EnvConfig(robot=get_robot("rover_zero")), EnvConfig())
+
+
+def test_a_description_needs_no_pytorch() -> None:
+    code = "import sys; from rover_rl.envs.config import EnvConfig; EnvConfig(); assert 'torch' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_an_environment_config_stands_alone() -> None:
+    with pytest.raises(TypeError, match="an EnvConfig alone"):
+        make_env(EnvConfig(), num_envs=4)
+    with pytest.raises(ValueError, match="outcome_from must be one of"):
+        EnvConfig(outcome_from="luck")  # type: ignore[arg-type]

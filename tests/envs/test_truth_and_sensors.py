@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+import torch
+from torchrl.envs.utils import check_env_specs
+
+from rover_rl import RewardComponent, RoverEnv, make_env
+from rover_rl.envs import Randomization
+
+NOISY = Randomization(range_noise=0.3, dropout=0.2, odometry_noise=0.3, imu_noise=0.2)
+ROWS = 16
+
+
+def rollouts(**settings):
+    """A rollout of random actions, and the states after its last step."""
+    env = RoverEnv(world_n="maze", num_envs=ROWS, seed=3, **settings)
+    generator = torch.Generator().manual_seed(0)
+
+    def policy(td):
+        return td.set("action", torch.rand(ROWS, 2, generator=generator) * 2 - 1)
+
+    return env.rollout(40, policy, break_when_any_done=False), env
+
+
+def test_states_are_the_same_without_noise():
+    _, env = rollouts()
+    assert env.sensed_state is env.rover_state
+
+
+def test_observations_are_sensed_and_outcomes_are_true():
+    rollout, env = rollouts(randomization=NOISY)
+    truth, sensed = env.rover_state, env.sensed_state
+    assert not torch.equal(truth.ranges, sensed.ranges)
+    assert torch.equal(truth.position, sensed.position)
+    last = rollout[:, -1]["next"]
+    assert torch.equal(last["velocities"][:, :1], sensed.linear_velocity)
+    assert torch.equal(last["outcome", "linear_velocity"], truth.linear_velocity)
+    assert torch.equal(last["lidar"], env.lidar(sensed.ranges))
+    collision = env.lidar(truth.ranges).amin(-1, keepdim=True) < env.task.collision_threshold
+    assert torch.equal(last["outcome", "collision"], collision)
+
+
+def test_outcomes_can_follow_the_sensors_as_on_a_live_robot():
+    rollout, env = rollouts(randomization=NOISY, outcome_from="sensors")
+    last = rollout[:, -1]["next"]
+    assert torch.equal(last["outcome", "linear_velocity"], env.sensed_state.linear_velocity)
+    collision = last["lidar"].amin(-1, keepdim=True) < env.task.collision_threshold
+    assert torch.equal(last["outcome", "collision"], collision)
+    assert not torch.equal(env.sensed_state.linear_velocity, env.rover_state.linear_velocity)
+
+
+def test_the_source_of_the_outcome_changes_nothing_else():
+    by_truth, _ = rollouts(randomization=NOISY)
+    by_sensors, _ = rollouts(randomization=NOISY, outcome_from="sensors")
+    ended = (by_truth["next", "done"] | by_sensors["next", "done"]).squeeze(-1)
+    running = ended.cumsum(1) - ended.long() == 0
+    assert running.sum() > ROWS
+    for key in ("lidar", "imu", "velocities"):
+        assert torch.equal(by_truth[key][running], by_sensors[key][running])
+
+
+def test_the_privileged_observation_holds_the_truth():
+    drawn = Randomization(
+        friction=(0.5, 1.5), chassis_mass=(0.8, 1.2), motor_torque=(0.5, 1.0), latency=(1, 3), imu_noise=0.2
+    )
+    env = make_env(world_n=["maze", "moon"], num_envs=ROWS, seed=0, randomization=drawn, privileged=True)
+    check_env_specs(env)
+    td = env.reset()
+    privileged = td["privileged"]
+    rovers = env.base_env
+    assert torch.equal(privileged["position"], rovers.rover_state.position)
+    assert not torch.equal(privileged["attitude"][:, 2:], td["imu"][:, 2:])
+    straight = (rovers.goal - rovers.rover_state.position[:, :2]).norm(dim=-1, keepdim=True)
+    torch.testing.assert_close(privileged["target"][:, :1], straight)
+    # Distances end at the nearest of points 0.5 m apart, and begin in the middle of a cell.
+    assert (privileged["path_distance"] > straight - 0.6).all()
+    assert (privileged["path_distance"] > straight + 1.0).any()
+    for key, (low, high) in (("friction", (0.5, 1.5)), ("chassis_mass", (0.8, 1.2)), ("motor_torque", (0.5, 1.0))):
+        assert ((privileged[key] >= low) & (privileged[key] <= high)).all()
+        assert privileged[key].std() > 0
+    assert set(privileged["latency"].flatten().tolist()) == {1.0, 2.0, 3.0}
+
+
+def test_there_is_no_privileged_observation_unless_asked_for():
+    assert "privileged" not in RoverEnv(world_n="maze").observation_spec.keys()  # noqa: SIM118
+    single = RoverEnv(world_n="maze", num_envs=None, privileged=True).reset()
+    assert single["privileged", "path_distance"].shape == (1,)
+
+
+def test_a_reward_follows_the_truth():
+    class Speed(RewardComponent):
+        name = "speed"
+
+        def value(self, outcome, observation):
+            return outcome["linear_velocity"]
+
+    env = make_env(world_n="maze", num_envs=ROWS, seed=3, reward=[Speed()], randomization=NOISY)
+    td = env.step(env.reset().set("action", torch.ones(ROWS, 2)))["next"]
+    assert torch.equal(td["reward"], env.base_env.rover_state.linear_velocity)
