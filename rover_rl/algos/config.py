@@ -14,11 +14,9 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Literal, TypeAlias
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_ROVERS, check_at_least, check_positive, check_seed
-from rover_rl.envs.config import DEFAULT_PHYSICS, EnvConfig
+from rover_rl.envs.config import DEFAULT_PHYSICS, OBSERVATION_KEYS, EnvConfig
 from rover_rl.sims.backends import find_settings
 
-OBSERVATION_KEYS = ("lidar", "imu", "target", "velocities", "pose")
-"""Entries of an observation that a policy can read."""
 CollectorName: TypeAlias = Literal["auto", "process", "processes", "ray"]
 """Kinds of collectors."""
 UNLIMITED_STEPS = 10**9

@@ -36,6 +36,9 @@ OutcomeSource: TypeAlias = Literal["truth", "sensors"]
 DEFAULT_PHYSICS = "default"
 """The preset of the physics that every backend has."""
 
+OBSERVATION_KEYS = ("lidar", "imu", "target", "velocities", "pose")
+"""Entries of an observation that a policy can read: those of :mod:`rover_rl.envs.observation`."""
+
 _NONE = (1.0, 1.0)
 
 

@@ -30,6 +30,7 @@ from rover_rl.envs.control import HeadingController
 from rover_rl.envs.devices import available_device
 from rover_rl.envs.inputs import checked_action, checked_place
 from rover_rl.envs.navigation import Navigation
+from rover_rl.envs.observation import Observer, observation_bounds
 from rover_rl.envs.perception import Perception, StepState
 from rover_rl.envs.placement import Placement, assign_rows
 from rover_rl.envs.privileged import PrivilegedObservation
@@ -307,12 +308,12 @@ class RoverEnv(EnvBase):
     def _make_specs(self) -> None:
         batch_size, device, privileged = self.batch_size, self.device, self.config.privileged
         action = specs.action_bounds(self.config.action)
-        bounds = specs.observation_bounds(self.lidar.points, self.lidar.max_range)
+        bounds = observation_bounds(self.config.lidar)
         self.observation_spec = specs.observation_spec(bounds, batch_size, device, privileged)
         self.action_spec = specs.bounded_spec(action, batch_size, device)
         self.reward_spec = specs.reward_spec(batch_size, device)
         self.full_done_spec = specs.done_spec(batch_size, device)
-        self._clip = {key: bounds[key].tensors(self._tensor_device) for key in ("pose", "target", "velocities")}
+        self._observer = Observer(self.config.lidar, self._tensor_device)
         self._action_clip = action.tensors(self._tensor_device)
 
     def _set_seed(self, seed: int | None) -> None:
@@ -400,17 +401,9 @@ class RoverEnv(EnvBase):
 
     def _observation(self) -> dict[str, Any]:
         now, sensed, goal = self._now, self._now.sensed, self._now.task.goal
-        velocities = torch.cat((sensed.rover.linear_velocity, sensed.rover.angular_velocity), -1)
-        roll, pitch, yaw = sensed.euler.split(1, -1)
         same = sensed is now.judged
         target = now.task.target if same else target_info(sensed.position, sensed.yaw, goal)
-        observation = {
-            "lidar": sensed.readings,
-            "pose": torch.clamp(sensed.rover.position, *self._clip["pose"]),
-            "imu": torch.cat((pitch, roll, yaw), -1),
-            "target": torch.clamp(target, *self._clip["target"]),
-            "velocities": torch.clamp(velocities, *self._clip["velocities"]),
-        }
+        observation: dict[str, Any] = self._observer(sensed, target)
         if self._privileged is not None:
             dynamics = draw_dynamics(self.randomization, self._keys)
             observation["privileged"] = self._privileged(now.truth, goal, dynamics, self._delay.steps)

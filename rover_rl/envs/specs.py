@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -36,17 +35,6 @@ ACTION = action_bounds(ActionConfig())
 """The contract's action: forward speed (m/s) and heading offset (rad)."""
 
 
-def observation_bounds(lidar_points: int, max_lidar_range: float) -> dict[str, Bounds]:
-    """The contract's observation space: metres, radians, m/s and rad/s."""
-    return {
-        "lidar": Bounds((0.0,) * lidar_points, (max_lidar_range,) * lidar_points),
-        "pose": Bounds((-30.0, -30.0, -10.0), (30.0, 30.0, 10.0)),
-        "imu": Bounds((-math.pi,) * 3, (math.pi,) * 3),
-        "target": Bounds((0.0, -math.pi), (100.0, math.pi)),
-        "velocities": Bounds((-10.0, -10.0), (10.0, 10.0)),
-    }
-
-
 def bounded_spec(bounds: Bounds, batch_size: Sequence[int], device: torch.device | str | None) -> Bounded:
     """A float32 spec ``[*batch_size, features]``."""
     low, high = (side.expand(*batch_size, -1) for side in bounds.tensors(device))
@@ -62,7 +50,7 @@ def observation_spec(
     """The observation and the nested ``outcome``.
 
     Args:
-        bounds: bounds of each entry, as :func:`observation_bounds` gives them.
+        bounds: bounds of each entry, as :func:`rover_rl.envs.observation.observation_bounds` gives them.
         batch_size: batch size of the environment.
         device: device of the environment.
         privileged: whether to add the nested ``privileged`` observation.

@@ -36,7 +36,7 @@ from rover_rl.algos.config import with_settings
 from rover_rl.algos.config_files import config_from, plain
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import action_spec, middle_and_half
-from rover_rl.envs.specs import observation_bounds
+from rover_rl.envs.observation import observation_bounds
 from rover_rl.files import written_whole
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
 def random_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]:
     """Observations ``[count, n]`` of each entry that the policy reads, from all over its bounds, drawn by seed 0."""
     generator = torch.Generator().manual_seed(0)
-    bounds = observation_bounds(checkpoint.lidar_points, checkpoint.env.lidar.max_range)
+    bounds = observation_bounds(checkpoint.env.lidar)
     drawn = {}
     for key in checkpoint.config.network.observation:
         low, high = (torch.as_tensor(side).float() for side in (bounds[key].low, bounds[key].high))

@@ -14,7 +14,8 @@ from torch import Tensor, nn
 from torchrl.data import Bounded
 from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 
-from rover_rl.envs.config import ActionConfig
+from rover_rl.envs.config import ActionConfig, LidarConfig
+from rover_rl.envs.observation import observation_bounds
 from rover_rl.envs.specs import action_bounds, bounded_spec
 
 DEFAULT_KEYS = ("lidar", "imu", "target", "velocities")
@@ -57,7 +58,7 @@ class ObservationEncoder(nn.Module):
         features: number of features.
 
     Raises:
-        ValueError: for ``north_up`` without the keys that it requires.
+        ValueError: for an unknown key, or ``north_up`` without the keys that it requires.
 
     Example:
         >>> encoder = ObservationEncoder(("lidar", "target"))
@@ -71,8 +72,11 @@ class ObservationEncoder(nn.Module):
         if north_up and not {"lidar", "imu", "target"} <= set(keys):
             raise ValueError(f"north_up needs lidar, imu and target, got {self.keys}")
         self._lidar_points, self._north_up, self._has_yaw = lidar_points, north_up, north_up or "pose" in keys
-        sizes = {"lidar": lidar_points, "imu": 4 if self._has_yaw else 2, "target": 5, "velocities": 2}
-        sizes["pose"] = 4 * len(WAVELENGTHS) + 1
+        self._bounds = observation_bounds(LidarConfig(points=lidar_points))
+        if unknown := [key for key in self.keys if key not in self._bounds]:
+            raise ValueError(f"the observation has no entries {unknown}; use some of {[*self._bounds]}")
+        sizes = {key: len(bounds.low) for key, bounds in self._bounds.items()}
+        sizes |= {"imu": 4 if self._has_yaw else 2, "target": 5, "pose": 4 * len(WAVELENGTHS) + 1}
         self.features = sum(sizes[key] for key in self.keys) + (lidar_points + 4 if north_up else 0)
 
     def forward(self, *observation: Tensor) -> Tensor:
@@ -84,10 +88,18 @@ class ObservationEncoder(nn.Module):
         entries = dict(zip(self.keys, observation, strict=True))
         if "lidar" in entries and (points := entries["lidar"].shape[-1]) != self._lidar_points:
             raise ValueError(f"the policy reads {self._lidar_points} lidar points, got {points}")
-        parts = [getattr(self, f"_{key}")(value) for key, value in entries.items()]
+        parts = [self._encode(key, value) for key, value in entries.items()]
         if self._north_up:
             parts.append(self._map_oriented(entries["lidar"], entries["imu"][..., 2:], entries["target"]))
         return torch.cat(parts, -1)
+
+    def _encode(self, key: str, value: Tensor) -> Tensor:
+        """Encodes one entry. Entries without an encoding of their own are scaled by their bounds to [-1, 1]."""
+        encode = getattr(self, f"_{key}", None)
+        if encode is not None:
+            return encode(value)
+        low, high = self._bounds[key].tensors(value.device)
+        return (2 * value - low - high) / (high - low)
 
     def _map_oriented(self, ranges: Tensor, yaw: Tensor, target: Tensor) -> Tensor:
         """Encodes lidar and target rotated by the yaw; readings are interpolated between neighbors."""

@@ -16,13 +16,15 @@ from rover_rl.algos.policy.networks import (
     mirrored,
     on_features,
 )
-from rover_rl.envs.specs import ACTION, observation_bounds
+from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.observation import observation_bounds
+from rover_rl.envs.specs import ACTION
 
 LOW, HIGH = torch.tensor(ACTION.low), torch.tensor(ACTION.high)
 
 
 def observations(*shape: int) -> TensorDict:
-    bounds = observation_bounds(32, 12.0)
+    bounds = observation_bounds(LidarConfig())
     generator = torch.Generator().manual_seed(0)
     values = {}
     for key, bound in bounds.items():
