@@ -1,4 +1,4 @@
-"""The Python blocks of the README and of ``docs/torchrl.md`` run."""
+"""The Python blocks of the README and of the pages in ``docs/`` run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 README = Path(__file__).parents[1] / "README.md"
-PAGES = (README, README.parent / "docs" / "torchrl.md")
+PAGES = (README, *(README.parent / "docs" / name for name in ("torchrl.md", "extending.md", "training.md")))
 BLOCKS = [
     pytest.param(block, id=f"{page.stem}-{number}")
     for page in PAGES
