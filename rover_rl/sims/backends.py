@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
+from inspect import isfunction
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 from rover_rl.registry import Registry
 from rover_rl.sims.connection import Connection
@@ -16,11 +17,31 @@ if TYPE_CHECKING:
     from rover_rl.sims.robots import Robot
     from rover_rl.sims.worlds import World
 
-BACKENDS: dict[str, str] = {
-    "bullet": "rover_rl.sims.bullet.settings:BulletSettings",
-    "ros2": "rover_rl.sims.ros2.settings:Ros2Settings",
-    "warp": "rover_rl.sims.warp.settings:WarpSettings",
+
+class _BuiltIn(NamedTuple):
+    """A backend of the package: ``"module:class"`` of its settings and of its simulator.
+
+    ``options`` are the arguments of :func:`make_simulator` that the simulator takes besides the common ones.
+    """
+
+    settings: str
+    simulator: str
+    options: tuple[str, ...] = ()
+
+
+_BUILT_IN = {
+    "bullet": _BuiltIn(
+        "rover_rl.sims.bullet.settings:BulletSettings", "rover_rl.sims.bullet.simulator:BulletSimulator"
+    ),
+    "ros2": _BuiltIn(
+        "rover_rl.sims.ros2.settings:Ros2Settings", "rover_rl.sims.ros2.simulator:Ros2Simulator", ("connection",)
+    ),
+    "warp": _BuiltIn(
+        "rover_rl.sims.warp.settings:WarpSettings", "rover_rl.sims.warp.simulator:WarpSimulator", ("device",)
+    ),
 }
+
+BACKENDS: dict[str, str] = {name: backend.settings for name, backend in _BUILT_IN.items()}
 """Settings classes of the built-in backends, by name."""
 
 BackendLike: TypeAlias = Any
@@ -118,72 +139,25 @@ def make_simulator(
     if physics is not None and not isinstance(backend, str):
         raise ValueError(f"physics={physics!r} needs a backend given by name; this backend has settings of its own")
     settings = _settings(backend, physics) if isinstance(backend, str) else backend
-    build = settings.make if isinstance(settings, Backend) else _builder(settings)
-    return build(worlds=worlds, robot=robot, lidar_beams=lidar_beams, connection=connection, device=device)
+    options: dict[str, Any] = {"connection": connection, "device": device}
+    if isinstance(settings, Backend):
+        return settings.make(worlds=worlds, robot=robot, lidar_beams=lidar_beams, **options)
+    built_in = _BUILT_IN.get(name_of(settings))
+    if built_in is None:
+        raise ValueError(
+            f"backend must be one of {backend_names()}, settings of one, or an object with a make() method, "
+            f"got {settings!r}"
+        )
+    module, _, simulator = built_in.simulator.partition(":")
+    taken = {option: options[option] for option in built_in.options}
+    return getattr(import_module(module), simulator)(worlds, robot, lidar_beams, settings, **taken)
 
 
 def _settings(name: str, physics: str | None) -> Any:
     """Returns the default settings, or a preset, of the named backend."""
     kind = find_settings(name)
     if physics is None:
-        return kind() if isinstance(kind, type) else kind
+        return kind() if isinstance(kind, type) or isfunction(kind) else kind
     if not hasattr(kind, "preset"):
         raise ValueError(f"backend {name!r} has no presets for its physics, got physics={physics!r}")
     return kind.preset(physics)
-
-
-def _builder(settings: Any) -> Callable[..., Simulator]:
-    """Returns the function that builds the simulator of a built-in backend from its settings."""
-    name = name_of(settings)
-    if name not in _BUILDERS:
-        raise ValueError(
-            f"backend must be one of {backend_names()}, settings of one, or an object with a make() method, "
-            f"got {settings!r}"
-        )
-
-    def build(**arguments: Any) -> Simulator:
-        return _BUILDERS[name](settings, **arguments)
-
-    return build
-
-
-def _make_bullet(
-    settings: Any,
-    *,
-    worlds: Sequence[World],
-    robot: Robot,
-    lidar_beams: int,
-    connection: Connection | None,
-    device: torch.device | None,
-) -> Simulator:
-    simulator = import_module("rover_rl.sims.bullet.simulator")
-    return simulator.BulletSimulator(worlds, robot, lidar_beams, settings)
-
-
-def _make_warp(
-    settings: Any,
-    *,
-    worlds: Sequence[World],
-    robot: Robot,
-    lidar_beams: int,
-    connection: Connection | None,
-    device: torch.device | None,
-) -> Simulator:
-    simulator = import_module("rover_rl.sims.warp.simulator")
-    return simulator.WarpSimulator(worlds, robot, lidar_beams, settings, device)
-
-
-def _make_ros2(
-    settings: Any,
-    *,
-    worlds: Sequence[World],
-    robot: Robot,
-    lidar_beams: int,
-    connection: Connection | None,
-    device: torch.device | None,
-) -> Simulator:
-    simulator = import_module("rover_rl.sims.ros2.simulator")
-    return simulator.Ros2Simulator(worlds, robot, lidar_beams, settings, connection)
-
-
-_BUILDERS: dict[str, Callable[..., Simulator]] = {"bullet": _make_bullet, "ros2": _make_ros2, "warp": _make_warp}
