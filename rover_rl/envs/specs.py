@@ -1,4 +1,4 @@
-"""The TensorDict specs, from one table."""
+"""TorchRL specs of observation, action, reward and done flags, and the bounds that they are built from."""
 
 from __future__ import annotations
 
@@ -17,27 +17,37 @@ from rover_rl.envs.task import EVENTS, StepEvent
 
 @dataclass(frozen=True)
 class Bounds:
-    """Lower and upper bound of each feature of one entry."""
+    """Lower and upper bounds of one entry of the observation or action.
+
+    Attributes:
+        low: lower bound of each feature.
+        high: upper bound of each feature.
+    """
 
     low: tuple[float, ...]
     high: tuple[float, ...]
 
     def tensors(self, device: torch.device | str | None) -> tuple[Tensor, Tensor]:
-        """The bounds as tensors, float32 ``[features]`` each."""
+        """Returns the lower and upper bounds as tensors, float32 ``[features]`` each."""
         return torch.tensor(self.low, device=device), torch.tensor(self.high, device=device)
 
 
 def action_bounds(action: ActionConfig) -> Bounds:
-    """Bounds of forward speed (m/s) and heading offset (rad)."""
+    """Returns the bounds of forward speed (m/s) and heading offset (rad)."""
     return Bounds(low=(action.min_speed, -action.max_turn), high=(action.max_speed, action.max_turn))
 
 
 ACTION = action_bounds(ActionConfig())
-"""The contract's action: forward speed (m/s) and heading offset (rad)."""
+"""Bounds of the contract's action: forward speed (m/s) and heading offset (rad)."""
 
 
 def observation_bounds(lidar_points: int, max_lidar_range: float) -> dict[str, Bounds]:
-    """The contract's observation space: metres, radians, m/s and rad/s."""
+    """Returns the bounds of the contract's observation, in m, rad, m/s and rad/s.
+
+    Args:
+        lidar_points: number of lidar readings.
+        max_lidar_range: maximum of a lidar reading, m.
+    """
     return {
         "lidar": Bounds((0.0,) * lidar_points, (max_lidar_range,) * lidar_points),
         "pose": Bounds((-30.0, -30.0, -10.0), (30.0, 30.0, 10.0)),
@@ -48,7 +58,7 @@ def observation_bounds(lidar_points: int, max_lidar_range: float) -> dict[str, B
 
 
 def bounded_spec(bounds: Bounds, batch_size: Sequence[int], device: torch.device | str | None) -> Bounded:
-    """A float32 spec ``[*batch_size, features]``."""
+    """Creates a float32 spec of shape ``[*batch_size, features]``."""
     low, high = (side.expand(*batch_size, -1) for side in bounds.tensors(device))
     return Bounded(low=low.clone(), high=high.clone(), dtype=torch.float32, device=device)
 
@@ -59,10 +69,10 @@ def observation_spec(
     device: torch.device | str | None,
     privileged: bool = False,
 ) -> Composite:
-    """The observation and the nested ``outcome``.
+    """Creates the spec of the observation and the nested ``outcome``.
 
     Args:
-        bounds: bounds of each entry, as :func:`observation_bounds` gives them.
+        bounds: bounds of each entry, from :func:`observation_bounds`.
         batch_size: batch size of the environment.
         device: device of the environment.
         privileged: whether to add the nested ``privileged`` observation.
@@ -82,7 +92,7 @@ def _privileged_spec(batch_size: Sequence[int], device: torch.device | str | Non
 
 
 def done_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Composite:
-    """``done``, ``terminated`` and ``truncated``, bool ``[*batch_size, 1]``."""
+    """Creates the spec of ``done``, ``terminated`` and ``truncated``, bool ``[*batch_size, 1]``."""
     keys = ("done", "terminated", "truncated")
     return Composite(
         **{key: _flag(batch_size, device) for key in keys},
@@ -92,7 +102,7 @@ def done_spec(batch_size: Sequence[int], device: torch.device | str | None) -> C
 
 
 def reward_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Unbounded:
-    """One float32 a row, ``[*batch_size, 1]``."""
+    """Creates the spec of the reward, float32 ``[*batch_size, 1]``."""
     return Unbounded(shape=(*batch_size, 1), dtype=torch.float32, device=device)
 
 
