@@ -1,6 +1,13 @@
-"""rover_rl: point navigation on rough ground for reinforcement learning, batched.
+"""Batched reinforcement-learning environment for rovers that navigate on rough terrain.
 
-Names are imported when they are asked for, so that ``rover-rl --help`` and Gymnasium's registration need no PyTorch.
+Packages:
+    ``rover_rl.envs``: the environment: observations, actions, rewards, configuration, and the Gymnasium and
+    Stable-Baselines3 classes.
+    ``rover_rl.sims``: simulation and hardware backends, robots and worlds.
+    ``rover_rl.algos``: PPO and SAC: training, evaluation, video and deployment.
+    ``rover_rl.cli``: the ``rover-rl`` command.
+
+Public names are imported on first use, so that ``rover-rl --help`` and Gymnasium's registration do not import PyTorch.
 """
 
 from __future__ import annotations
@@ -12,6 +19,9 @@ import gymnasium
 
 if TYPE_CHECKING:
     from rover_rl.envs import (
+        ActionConfig,
+        EnvConfig,
+        LidarConfig,
         Randomization,
         RewardComponent,
         RewardConfig,
@@ -19,15 +29,17 @@ if TYPE_CHECKING:
         TaskConfig,
         contract_reward,
         make_env,
+        register_reward,
     )
     from rover_rl.envs.gym import GymVectorWrapper, GymWrapper
-    from rover_rl.sims.robots import Robot
-    from rover_rl.sims.worlds import Terrain, World, box, cylinder
+    from rover_rl.sims.backends import register_backend
+    from rover_rl.sims.robots import Robot, register_robot
+    from rover_rl.sims.worlds import Terrain, World, box, cylinder, register_world
 
 __version__ = "0.1.0"
 
 ENV_ID = "rover_rl/Rover-v0"
-"""Name under which Gymnasium knows the environment."""
+"""Gymnasium ID of the environment."""
 
 if ENV_ID not in gymnasium.registry:
     gymnasium.register(
@@ -38,6 +50,9 @@ if ENV_ID not in gymnasium.registry:
 
 _HOMES = {
     "rover_rl.envs": (
+        "ActionConfig",
+        "EnvConfig",
+        "LidarConfig",
         "Randomization",
         "RewardComponent",
         "RewardConfig",
@@ -45,17 +60,22 @@ _HOMES = {
         "TaskConfig",
         "contract_reward",
         "make_env",
+        "register_reward",
     ),
     "rover_rl.envs.gym": ("GymVectorWrapper", "GymWrapper"),
-    "rover_rl.sims.robots": ("Robot",),
-    "rover_rl.sims.worlds": ("Terrain", "World", "box", "cylinder"),
+    "rover_rl.sims.backends": ("register_backend",),
+    "rover_rl.sims.robots": ("Robot", "register_robot"),
+    "rover_rl.sims.worlds": ("Terrain", "World", "box", "cylinder", "register_world"),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "ENV_ID",
+    "ActionConfig",
+    "EnvConfig",
     "GymVectorWrapper",
     "GymWrapper",
+    "LidarConfig",
     "Randomization",
     "RewardComponent",
     "RewardConfig",
@@ -69,11 +89,15 @@ __all__ = [
     "contract_reward",
     "cylinder",
     "make_env",
+    "register_backend",
+    "register_reward",
+    "register_robot",
+    "register_world",
 ]
 
 
 def __getattr__(name: str) -> Any:
-    """Imports a public name when it is first asked for."""
+    """Imports a public name on first use."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = globals()[name] = getattr(import_module(_HOME[name]), name)

@@ -1,4 +1,4 @@
-"""Settings as plain data, for YAML and JSON, and back, by cattrs. Imports no PyTorch."""
+"""Conversion of configuration dataclasses to and from plain data for YAML and JSON. Does not import PyTorch."""
 
 from __future__ import annotations
 
@@ -14,32 +14,34 @@ Settings = TypeVar("Settings")
 
 
 def to_plain(settings: Any) -> dict[str, Any]:
-    """A dataclass as dictionaries, lists and numbers."""
+    """Converts a dataclass to nested dictionaries, lists, numbers and strings."""
     return _converter().unstructure(settings)
 
 
 def from_plain(data: Any, kind: type[Settings], source: str) -> Settings:
-    """A dataclass from plain data; fields that the data do not name have their defaults.
+    """Creates a dataclass from plain data. Fields that are missing in the data get their defaults.
 
     Args:
-        data: a dictionary.
-        kind: the dataclass.
-        source: where the data come from, for messages.
+        data: values of the fields, by name.
+        kind: type of the dataclass.
+        source: origin of the data for error messages, for example the path of a file.
 
     Raises:
-        ValueError: in one sentence, for a field that does not exist, or a value of the wrong type or out of range.
+        ValueError: if a field does not exist, or a value has the wrong type or is out of range. The message is one
+            sentence that names the field.
     """
     if not isinstance(data, dict):
         raise ValueError(f"{source} must hold settings by name, got {data!r}")
     try:
         return _converter().structure(data, kind)
     except BaseValidationError as error:
-        problem, _, path = transform_error(error, path="", format_exception=_problem)[0].rpartition(" @ ")
+        problem, _, path = transform_error(error, path="", format_exception=_describe_error)[0].rpartition(" @ ")
         place = " in ".join(filter(None, (path.lstrip("."), source)))
         raise ValueError(f"{place}: {problem}") from error
 
 
-def _problem(error: BaseException, kind: type | None) -> str:
+def _describe_error(error: BaseException, kind: type | None) -> str:
+    """Describes the error of one field."""
     if isinstance(error, ForbiddenExtraKeysError):
         unknown, known = sorted(map(str, error.extra_fields)), sorted(item.name for item in fields(error.cl))
         return f"there is no setting {', '.join(unknown)}; use some of {known}"
@@ -48,16 +50,16 @@ def _problem(error: BaseException, kind: type | None) -> str:
 
 @cache
 def _converter() -> Converter:
-    """Converts tuples to lists and back, and takes no value of another type than a field's."""
+    """Creates the converter. It converts tuples to lists and back, and does not convert between other types."""
     converter = Converter(forbid_extra_keys=True, unstruct_collection_overrides={tuple: list})
     for kind in (bool, int, float, str):
-        converter.register_structure_hook(kind, _strict)
-    converter.register_structure_hook_func(_is_choice, _choice)
-    converter.register_structure_hook_func(_is_union, lambda value, hint: _one_of(converter, value, hint))
+        converter.register_structure_hook(kind, _structure_strictly)
+    converter.register_structure_hook_func(_is_literal, _structure_literal)
+    converter.register_structure_hook_func(_is_union, lambda value, hint: _structure_union(converter, value, hint))
     return converter
 
 
-def _strict(value: Any, kind: type) -> Any:
+def _structure_strictly(value: Any, kind: type) -> Any:
     if kind is float and type(value) is int:
         return float(value)
     if type(value) is not kind:
@@ -65,12 +67,12 @@ def _strict(value: Any, kind: type) -> Any:
     return value
 
 
-def _is_choice(hint: Any) -> bool:
+def _is_literal(hint: Any) -> bool:
     origin: Any = get_origin(hint)
     return origin is Literal
 
 
-def _choice(value: Any, hint: Any) -> Any:
+def _structure_literal(value: Any, hint: Any) -> Any:
     if value not in get_args(hint):
         raise ValueError(f"one of {list(get_args(hint))} is needed, got {value!r}")
     return value
@@ -80,15 +82,15 @@ def _is_union(hint: Any) -> bool:
     return get_origin(hint) in (Union, UnionType)
 
 
-def _one_of(converter: Converter, value: Any, hint: Any) -> Any:
-    """``value`` as the first type of a union that it fits."""
+def _structure_union(converter: Converter, value: Any, hint: Any) -> Any:
+    """Structures a value as the first type of a union that accepts it."""
     for kind in get_args(hint):
         if kind is NoneType:
             if value is None:
                 return None
             continue
         if isinstance(value, str) and kind is not str:
-            continue  # a text is no sequence of letters here
+            continue  # Otherwise a string would be accepted as a tuple of characters.
         try:
             return converter.structure(value, kind)
         except (ValueError, TypeError, BaseValidationError):

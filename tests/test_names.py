@@ -9,6 +9,36 @@ import pytest
 
 import rover_rl
 
+PUBLIC_NAMES = {
+    "ENV_ID",
+    "ActionConfig",
+    "EnvConfig",
+    "GymVectorWrapper",
+    "GymWrapper",
+    "LidarConfig",
+    "Randomization",
+    "RewardComponent",
+    "RewardConfig",
+    "Robot",
+    "RoverEnv",
+    "TaskConfig",
+    "Terrain",
+    "World",
+    "__version__",
+    "box",
+    "contract_reward",
+    "cylinder",
+    "make_env",
+    "register_backend",
+    "register_reward",
+    "register_robot",
+    "register_world",
+}
+
+
+def test_the_public_names_are_these() -> None:
+    assert set(rover_rl.__all__) == PUBLIC_NAMES
+
 
 def test_every_public_name_exists() -> None:
     for name in rover_rl.__all__:

@@ -1,6 +1,30 @@
-"""The task: batched torch on any device, independent of the simulator.
+"""Rover environment: observations, actions, goals, events and rewards, batched in PyTorch on any device.
 
-Names are imported when they are asked for: :mod:`rover_rl.envs.config` needs no PyTorch.
+The environment is independent of the simulator: see :mod:`rover_rl.sims`. "The contract" is the interface of the
+original environment, RoboTerrain's ``RoverEnv``: its arguments, observation, action, events and reward.
+
+Environment and configuration:
+    ``make``: ``make_env``, which builds the environment with a reward.
+    ``rover``: ``RoverEnv``, the TorchRL environment without the contract's reward.
+    ``config``: ``EnvConfig`` and its parts, the description of an environment. Does not import PyTorch.
+    ``rewards``: reward components as TorchRL transforms.
+    ``gym``, ``sb3``: Gymnasium and Stable-Baselines3 classes, implemented in ``wrappers``.
+    ``transforms``: TorchRL transforms for training.
+
+Parts of ``RoverEnv``:
+    ``specs``: TorchRL specs of observation, action, reward and done flags.
+    ``inputs``: validation of actions, start poses and goals.
+    ``control``: heading controller, from an action to a velocity command.
+    ``sensing``: lidar pooling.
+    ``perception``: state of the environment between two steps.
+    ``navigation``, ``task``: goals, events, outcome and end of an episode.
+    ``placement``: random start poses and goals in free space.
+    ``randomization``: domain randomization and sensor noise.
+    ``privileged``: privileged observation for critics and experts.
+    ``rng``: reproducible random numbers per row.
+    ``rows``, ``devices``: views of unbatched tensordicts, and validation of devices.
+
+Public names are imported on first use.
 """
 
 from __future__ import annotations
@@ -64,7 +88,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Imports a public name when it is first asked for."""
+    """Imports a public name on first use."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = globals()[name] = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

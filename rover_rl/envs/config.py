@@ -1,4 +1,6 @@
-"""EnvConfig: one description of an environment, for everything that uses one. Imports no PyTorch.
+"""Configuration of an environment: :class:`EnvConfig` and its parts. Does not import PyTorch.
+
+Training, evaluation, the command line and checkpoints all use this description.
 
 Example:
     >>> config = EnvConfig(world="maze", num_envs=64, lidar=LidarConfig(points=16))
@@ -27,29 +29,29 @@ if TYPE_CHECKING:
     RewardLike: TypeAlias = "str | RewardConfig | Sequence[RewardComponent]"
     BackendLike: TypeAlias = AnyBackend
 else:
-    # What the command line and YAML files can say.
+    # Types that the command line and YAML files support.
     WorldLike = RewardLike = str | tuple[str, ...]
     RobotLike = BackendLike = str
 
 OutcomeSource: TypeAlias = Literal["truth", "sensors"]
-"""Which state events, rewards and metrics follow."""
+"""State that events, rewards and metrics are computed from."""
 DEFAULT_PHYSICS = "default"
-"""The preset of the physics that every backend has."""
+"""Name of the physics preset that every backend has."""
 
 OBSERVATION_KEYS = ("lidar", "imu", "target", "velocities", "pose")
-"""Entries of an observation that a policy can read: those of :mod:`rover_rl.envs.observation`."""
+"""Entries of the observation that a policy can read: those of :mod:`rover_rl.envs.observation`."""
 
-_NONE = (1.0, 1.0)
+_UNCHANGED = (1.0, 1.0)
 
 
 @dataclass(frozen=True)
 class LidarConfig:
-    """The lidar and its readings.
+    """Lidar and its readings.
 
     Args:
-        points: number of readings in an observation, each the nearest of its segment of the scan.
+        points: number of readings in an observation, each the minimum of a segment of the scan.
         beams: number of beams of a raw scan.
-        max_range: range that readings are clipped to, m.
+        max_range: maximum of a reading, m. Larger ranges are clipped.
     """
 
     points: int = 32
@@ -59,15 +61,15 @@ class LidarConfig:
 
 @dataclass(frozen=True)
 class ActionConfig:
-    """Bounds of the action. Actions outside are clipped.
+    """Bounds of the action. Actions outside of them are clipped.
 
     Args:
-        min_speed: lowest forward speed, m/s; 0 forbids driving backwards.
-        max_speed: highest forward speed, m/s.
-        max_turn: largest heading offset, either way, rad.
+        min_speed: minimum forward speed, m/s. 0 prevents driving backward.
+        max_speed: maximum forward speed, m/s.
+        max_turn: maximum absolute heading offset, rad.
 
     Raises:
-        ValueError: for bounds that are not in order, or not finite.
+        ValueError: if ``min_speed`` is not less than ``max_speed``, or a bound is out of range.
     """
 
     min_speed: float = -1.0
@@ -85,19 +87,19 @@ class ActionConfig:
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """Thresholds of the task, as the contract gives them.
+    """Thresholds of the task. The defaults are the contract's.
 
     Args:
         success_distance: distance below which a goal is reached, m.
-        min_goal_distance: least distance from the rover to a new goal, m.
-        collision_threshold: lidar reading below which there is a collision, m.
-        collision_window: number of collision steps in a row beyond which the rover is jammed.
-        flip_threshold: roll or pitch beyond which the rover is flipped, rad.
-        stuck_window: number of positions remembered to detect that the rover is stuck.
-        stuck_threshold: displacement between the oldest and the newest of them below which it is stuck, m.
+        min_goal_distance: minimum distance from the rover to a new goal, m.
+        collision_threshold: lidar reading below which the rover is in collision, m.
+        collision_window: number of consecutive steps in collision above which the rover is jammed.
+        flip_threshold: absolute roll or pitch above which the rover is flipped, rad.
+        stuck_window: number of recent positions that are compared to detect a stuck rover.
+        stuck_threshold: displacement from the oldest to the newest of them below which the rover is stuck, m.
 
     Raises:
-        ValueError: for a threshold out of range.
+        ValueError: if a threshold is out of range.
     """
 
     success_distance: float = 0.5
@@ -119,22 +121,22 @@ class TaskConfig:
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Numbers of the contract's reward.
+    """Parameters of the contract's reward. The defaults are the contract's.
 
     Args:
         goal_reward: reward for reaching a goal.
-        distance_delta_scale: reward per meter of progress towards the goal.
+        distance_delta_scale: reward per meter of progress toward the goal.
         final_reward_multiplier: factor of the progress reward and of the idle penalty.
-        idle_penalty: replaces the progress reward where the rover makes too little progress or faces away.
-        min_progress: change of distance above which progress counts, m.
-        min_alignment: heading alignment above which progress counts.
+        idle_penalty: reward that replaces the progress reward if the rover makes too little progress or faces away.
+        min_progress: absolute change of the distance above which progress counts, m.
+        min_alignment: heading alignment (-1 to 1) above which progress counts.
         velocity_scale: reward per m/s of forward speed.
-        turn_scale: reward per rad/s of yaw rate, either way.
+        turn_scale: reward per rad/s of absolute yaw rate.
         collision_penalty: reward for each step in collision.
         stuck_penalty: reward for an episode that ends because the rover is stuck.
         general_penalty: reward for an episode that ends in a flip or a jam.
-        flip_grace_steps: step of the episode up to which a flip costs nothing.
-        out_of_bounds_penalty: reward for leaving the world's bounds (the contract's ``too_far_away_penilty``).
+        flip_grace_steps: number of steps at the start of an episode in which a flip has no penalty.
+        out_of_bounds_penalty: reward for leaving the world's bounds (``too_far_away_penilty`` in the contract).
     """
 
     goal_reward: float = 100.0
@@ -154,13 +156,13 @@ class RewardConfig:
 
 @dataclass(frozen=True)
 class HeadingGains:
-    """Gains of the heading PID, as the contract gives them.
+    """Gains of the heading PID. The defaults are the contract's.
 
     Args:
         kp: proportional gain, 1/s.
         ki: integral gain, 1/s^2.
         kd: derivative gain, dimensionless.
-        max_output: bound of the yaw rate, either way, rad/s.
+        max_output: maximum absolute yaw rate, rad/s.
     """
 
     kp: float = 2.0
@@ -171,30 +173,30 @@ class HeadingGains:
 
 @dataclass(frozen=True)
 class Randomization:
-    """Domain randomization. The defaults randomize nothing.
+    """Domain randomization. The defaults disable it.
 
-    Factors are drawn uniformly from their range at each reset, noise in each step.
+    Scale factors and latency are drawn uniformly from their ranges at each reset. Noise is drawn at each step.
 
     Args:
-        friction: range of the factor of all friction coefficients.
-        chassis_mass: range of the factor of the chassis' mass and inertia.
-        motor_torque: range of the factor of the motors' greatest torque.
+        friction: range of the scale factor of all friction coefficients.
+        chassis_mass: range of the scale factor of the mass and inertia of the chassis.
+        motor_torque: range of the scale factor of the maximum motor torque.
         latency: range of the delay of commands, control steps.
-        range_noise: standard deviation of the lidar's ranges, m.
-        dropout: fraction of beams without a return.
-        odometry_noise: relative standard deviation of the wheel odometry's velocities.
+        range_noise: standard deviation of the lidar ranges, m.
+        dropout: fraction of lidar beams without a return.
+        odometry_noise: relative standard deviation of the velocities from wheel odometry.
         imu_noise: standard deviation of roll, pitch and yaw, rad.
 
     Raises:
-        ValueError: for a range that is not in order, a negative deviation, or a fraction outside of [0, 1).
+        ValueError: if a range is not in ascending order, or a value is out of range.
 
     Example:
         >>> env = RoverEnv(world_n="maze", randomization=Randomization(friction=(0.7, 1.3), range_noise=0.01))
     """
 
-    friction: tuple[float, float] = _NONE
-    chassis_mass: tuple[float, float] = _NONE
-    motor_torque: tuple[float, float] = _NONE
+    friction: tuple[float, float] = _UNCHANGED
+    chassis_mass: tuple[float, float] = _UNCHANGED
+    motor_torque: tuple[float, float] = _UNCHANGED
     latency: tuple[int, int] = (0, 0)
     range_noise: float = 0.0
     dropout: float = 0.0
@@ -206,9 +208,9 @@ class Randomization:
             low, high = getattr(self, name)
             if not 0 < low <= high < math.inf:
                 raise ValueError(f"{name} must be a range of positive factors (low, high), got {getattr(self, name)}")
-        least, most = self.latency
-        if not 0 <= least <= most or not (isinstance(least, int) and isinstance(most, int)):
-            raise ValueError(f"latency must be a range of control steps (least, most), got {self.latency}")
+        low, high = self.latency
+        if not 0 <= low <= high or not (isinstance(low, int) and isinstance(high, int)):
+            raise ValueError(f"latency must be a range of control steps (low, high), got {self.latency}")
         for name in ("range_noise", "odometry_noise", "imu_noise"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
@@ -217,7 +219,7 @@ class Randomization:
 
     @classmethod
     def typical(cls) -> Randomization:
-        """What a skid-steer rover with hobby-grade sensors may be off by."""
+        """Returns typical ranges for a skid-steer rover with low-cost sensors."""
         return cls(
             friction=(0.7, 1.3),
             chassis_mass=(0.9, 1.3),
@@ -231,25 +233,25 @@ class Randomization:
 
     @property
     def varies_dynamics(self) -> bool:
-        """Whether the simulated rovers differ."""
-        return any(getattr(self, name) != _NONE for name in ("friction", "chassis_mass", "motor_torque"))
+        """Whether friction, mass or motor torque are randomized."""
+        return any(getattr(self, name) != _UNCHANGED for name in ("friction", "chassis_mass", "motor_torque"))
 
 
 @dataclass(frozen=True)
 class EnvConfig:
     """Description of an environment: world, robot, sensors, task, reward and simulator.
 
-    ``make_env(EnvConfig(...))`` builds it. A training writes it into the run's folder and into the checkpoint, so that
-    a policy knows the lidar, the robot and the task it was made for. Names of worlds, robots, rewards and backends may
-    be ``module:attribute`` of your own.
+    ``make_env(EnvConfig(...))`` builds the environment. Training stores the description in the run's folder and in the
+    checkpoint, so that the lidar, robot and task of a policy are known. Worlds, robots, rewards and backends can be
+    your own, named as ``module:attribute``.
 
     Raises:
-        ValueError: for an unknown ``outcome_from``.
+        ValueError: if ``outcome_from`` is unknown.
     """
 
     world: WorldLike = "inspect"
-    """World: inspect, moon, maze, or module:attribute; "maze:7" is the maze of seed 7. Of several, each gets an equal
-    share of the rovers."""
+    """World: inspect, moon, maze, or module:attribute. "maze:7" is the maze with seed 7. Several worlds get equal
+    shares of the rovers."""
     robot: RobotLike = "rover_zero"
     """Robot: rover_zero, or module:attribute."""
     lidar: LidarConfig = field(default_factory=LidarConfig)
@@ -260,35 +262,36 @@ class EnvConfig:
     """Thresholds of the task."""
     reward: RewardLike = "contract"
     """Reward: contract, task (1 per goal), or module:attribute of a component or of a function that returns a list of
-    them. Several are added up: "contract my_package:TiltPenalty"."""
+    components. Several rewards are added up: "contract my_package:TiltPenalty"."""
     contract_reward: RewardConfig = field(default_factory=RewardConfig)
-    """Numbers of the contract's reward."""
+    """Parameters of the contract's reward."""
     heading_gains: HeadingGains = field(default_factory=HeadingGains)
     """Gains of the heading PID."""
     randomization: Randomization = field(default_factory=Randomization)
     """Domain randomization."""
     outcome_from: OutcomeSource = "truth"
-    """State that events, rewards and metrics follow: the simulator's truth, or what the sensors report."""
+    """State that events, rewards and metrics are computed from: truth (of the simulator) or sensors (with noise)."""
     privileged: bool = False
-    """Add the nested observation "privileged": true state, path distance and drawn dynamics."""
+    """Add the nested observation "privileged": true state, path distance and randomized dynamics."""
     backend: BackendLike = "bullet"
-    """Simulator: bullet, warp (about twenty times as fast; extra warp), ros2 (one live rover), or module:attribute."""
+    """Simulator: bullet, warp (about 20 times faster, requires the extra warp), ros2 (one live rover), or
+    module:attribute."""
     physics: str = DEFAULT_PHYSICS
-    """Preset of the backend's physics; Bullet's are default, accurate and fast (docs/physics.md)."""
+    """Physics preset of the backend. Bullet has default, accurate and fast, see docs/physics.md."""
     connection: Connection = field(default_factory=Connection)
-    """Topics of a live rover."""
+    """ROS 2 topics of a live rover, and connection timeout."""
     length: int = 2000
     """Number of steps after which an episode is truncated."""
     end_on_goal: bool = False
-    """End the episode when its goal is reached, instead of setting a new goal."""
+    """End the episode when the goal is reached, instead of setting a new goal."""
     size: tuple[int, int] = (64, 64)
-    """Size of the camera buffer, reserved for vision as in the original."""
+    """Size of the camera buffer, pixels. Reserved for vision, as in the original environment."""
     num_envs: int | None = 1
     """Number of rovers in the batch."""
     seed: int | None = None
-    """Seed of the first rover; the others count on. Without one, it is drawn."""
+    """Seed of the first rover. Rover i has this seed plus i. Without a seed, a random one is used."""
     device: str | None = None
-    """Device of the task's tensors: cpu, cuda or cuda:1."""
+    """Device of the tensors: cpu, cuda or cuda:1."""
 
     def __post_init__(self) -> None:
         if self.outcome_from not in get_args(OutcomeSource):
@@ -302,22 +305,22 @@ class EnvConfig:
 
     @property
     def worlds(self) -> tuple[str | World, ...]:
-        """The worlds."""
+        """Worlds, also if there is only one."""
         several = isinstance(self.world, Sequence) and not isinstance(self.world, str)
         return tuple(self.world) if several else (self.world,)  # type: ignore[arg-type, return-value]
 
     @property
     def world_names(self) -> tuple[str, ...]:
-        """Names of the worlds."""
+        """Names of :attr:`worlds`."""
         return tuple(world if isinstance(world, str) else world.name for world in self.worlds)
 
     def arguments(self) -> dict[str, Any]:
-        """The arguments of :class:`~rover_rl.envs.rover.RoverEnv`, by name; without the reward."""
-        own = {item.name: getattr(self, item.name) for item in fields(self)}
+        """Returns the arguments of :class:`~rover_rl.envs.rover.RoverEnv` by name, without the reward."""
+        arguments = {item.name: getattr(self, item.name) for item in fields(self)}
         for name in ("world", "lidar", "connection", "reward", "contract_reward"):
-            del own[name]
-        own["physics"] = None if self.physics == DEFAULT_PHYSICS else self.physics
-        return own | {
+            del arguments[name]
+        arguments["physics"] = None if self.physics == DEFAULT_PHYSICS else self.physics
+        return arguments | {
             "world_n": self.world,
             "lidar_points": self.lidar.points,
             "lidar_beams": self.lidar.beams,
@@ -331,40 +334,45 @@ class EnvConfig:
 
 
 def require_match(made_for: EnvConfig, env: EnvConfig) -> None:
-    """Checks that a policy made for one environment can drive in another.
+    """Checks that a policy trained in one environment can be used in another.
 
-    The number and range of lidar readings, the robot, the action's bounds and the heading PID must agree. Worlds,
-    rewards, randomization and simulators may differ.
+    The lidar readings (number and range), robot, action bounds and heading gains must be equal. Worlds, rewards,
+    randomization and simulators may differ.
+
+    Args:
+        made_for: description of the environment that the policy was trained in.
+        env: description of the other environment.
 
     Raises:
-        ValueError: in one sentence, naming the first difference.
+        ValueError: if they do not match. The message names the first difference.
     """
     pairs = {
         "lidar points": (made_for.lidar.points, env.lidar.points),
         "a lidar range of (m)": (made_for.lidar.max_range, env.lidar.max_range),
         "the robot": (name_of_part(made_for.robot), name_of_part(env.robot)),
-        "actions of (min_speed, max_speed, max_turn)": (_numbers(made_for.action), _numbers(env.action)),
-        "heading gains of (kp, ki, kd, max_output)": (_numbers(made_for.heading_gains), _numbers(env.heading_gains)),
+        "actions of (min_speed, max_speed, max_turn)": (_values(made_for.action), _values(env.action)),
+        "heading gains of (kp, ki, kd, max_output)": (_values(made_for.heading_gains), _values(env.heading_gains)),
     }
-    for what, (made, given) in pairs.items():
-        if made != given:
-            raise ValueError(f"the policy was made for {what} {made}, and the environment has {given}")
+    for what, (expected, actual) in pairs.items():
+        if expected != actual:
+            raise ValueError(f"the policy was made for {what} {expected}, and the environment has {actual}")
 
 
 def name_of_part(part: Any) -> str:
-    """The name of a world or robot, given by its name or as an object."""
+    """Returns the name of a world or robot, which is either a name or an object."""
     return part if isinstance(part, str) else part.name
 
 
-def _numbers(part: Any) -> tuple[float, ...]:
+def _values(part: Any) -> tuple[float, ...]:
+    """Returns the values of a dataclass' fields."""
     return tuple(getattr(part, item.name) for item in fields(part))
 
 
 def plain_env(config: EnvConfig) -> dict[str, Any]:
-    """A description as plain data, for YAML and JSON.
+    """Converts a description to plain data for YAML and JSON.
 
     Raises:
-        ValueError: for a world, robot, reward or backend that is an object: only names can be written.
+        ValueError: if the world, robot or reward is an object. Only names can be written.
     """
     from rover_rl.plain import to_plain
 
@@ -381,14 +389,14 @@ def plain_env(config: EnvConfig) -> dict[str, Any]:
 
 
 def env_from_plain(data: Any, source: str) -> EnvConfig:
-    """A description from plain data, as :func:`plain_env` gives it; what it does not name has its default.
+    """Creates a description from plain data, the inverse of :func:`plain_env`. Missing settings get their defaults.
 
     Args:
-        data: a dictionary.
-        source: where it comes from, for messages.
+        data: values of the settings, by name.
+        source: origin of the data for error messages, for example the path of a file.
 
     Raises:
-        ValueError: for a setting that does not exist, or a value of the wrong type.
+        ValueError: if a setting does not exist, or a value has the wrong type or is out of range.
     """
     from rover_rl.plain import from_plain
 

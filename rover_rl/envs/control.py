@@ -1,4 +1,4 @@
-"""The heading controller: from an action to a twist command."""
+"""Heading controller: PID from a desired heading to a yaw rate."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from rover_rl.sims.rotations import wrap_angle
 
 
 class HeadingController:
-    """A PID a row that turns the rover towards a heading.
+    """PID controller per row that turns the rover toward a heading.
 
     Args:
-        num_envs: rows.
-        gains: of the PID.
-        device: where the rows live.
+        num_envs: number of rows.
+        gains: gains of the PID. ``None`` uses the contract's.
+        device: device of the controller's state.
     """
 
     def __init__(
@@ -26,17 +26,18 @@ class HeadingController:
         self._integral = torch.zeros(num_envs, 1, device=device)
 
     def reset(self, mask: Tensor) -> None:
-        """Forgets error and integral of the rows of ``mask`` (bool ``[N, 1]``)."""
+        """Clears the error and integral of the rows of ``mask`` (bool ``[N, 1]``)."""
         self._error = self._error.masked_fill(mask, 0.0)
         self._integral = self._integral.masked_fill(mask, 0.0)
 
     def __call__(self, desired: Tensor, current: Tensor, dt: Tensor, active: Tensor | None = None) -> Tensor:
-        """Yaw rate in rad/s, ``[N, 1]``, that brings ``current`` heading to ``desired``.
+        """Returns the yaw rate that turns the rover toward the desired heading, ``[N, 1]``, rad/s.
 
         Args:
-            desired, current: headings in the world, ``[N, 1]``, rad.
-            dt: time since the call before, ``[N, 1]``, s.
-            active: bool ``[N, 1]``; the other rows keep their error and integral.
+            desired: desired heading in the world frame, ``[N, 1]``, rad.
+            current: current heading in the world frame, ``[N, 1]``, rad.
+            dt: time since the previous call, ``[N, 1]``, s.
+            active: rows to update, bool ``[N, 1]``. The other rows keep their error and integral.
         """
         error = wrap_angle(desired - current)
         integral = torch.addcmul(self._integral, error, dt)

@@ -1,4 +1,4 @@
-"""Devices that PyTorch has."""
+"""Validation of PyTorch devices."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import torch
 
 
 def available_device(device: torch.device | str) -> torch.device:
-    """``device``, if PyTorch finds it on this machine.
+    """Returns a device after checking that PyTorch can use it.
+
+    Args:
+        device: device or its name, for example ``"cuda:0"``.
 
     Raises:
-        ValueError: if it does not.
+        ValueError: if the device is not available. The message lists the available devices.
 
     Example:
         >>> available_device("cpu")
@@ -20,8 +23,8 @@ def available_device(device: torch.device | str) -> torch.device:
         torch.empty(0, device=found)
     except (RuntimeError, AssertionError, ImportError) as error:
         kind, count = torch.accelerator.current_accelerator(), torch.accelerator.device_count()
-        there = ", ".join(["cpu", *(f"{kind}:{index}" for index in range(count))])
+        available = ", ".join(["cpu", *(f"{kind}:{index}" for index in range(count))])
         raise ValueError(
-            f"device={str(device)!r} is not available: PyTorch {torch.__version__} finds {there}"
+            f"device={str(device)!r} is not available: PyTorch {torch.__version__} finds {available}"
         ) from error
     return found

@@ -1,4 +1,4 @@
-"""Gymnasium classes: ``RoverEnv`` (drop-in for the original), ``GymWrapper`` and the vector environment."""
+"""Gymnasium classes: ``RoverEnv`` (drop-in replacement for the original), ``GymWrapper`` and ``GymVectorWrapper``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checks of what users hand to :class:`~rover_rl.envs.rover.RoverEnv`: actions, starts and goals."""
+"""Validation of user input to :class:`~rover_rl.envs.rover.RoverEnv`: actions, start poses and goals."""
 
 from __future__ import annotations
 
@@ -10,17 +10,21 @@ from torch import Tensor
 
 
 def checked_action(action: Tensor, batch_size: Sequence[int], bounds: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-    """The action of each row clipped to its bounds, ``[N, 2]``, and which rows were not finite, bool ``[N, 1]``.
+    """Validates actions and clips them to their bounds.
 
-    On the CPU those raise. On an accelerator they are flagged, because the check would synchronize with the device.
+    Values that are not finite raise an error on the CPU. On an accelerator they are only flagged, because raising an
+    error would require synchronization with the device.
 
     Args:
         action: actions, ``[*batch_size, 2]``.
-        batch_size: ``[N]``, or ``[]`` of an unbatched environment.
+        batch_size: batch size of the environment, ``[N]`` or ``[]``.
         bounds: lower and upper bounds, ``[2]`` each.
 
+    Returns:
+        Clipped actions, ``[N, 2]``, and rows with values that are not finite, bool ``[N, 1]``.
+
     Raises:
-        ValueError: for another shape, or numbers that are not finite.
+        ValueError: if the shape is wrong, or values are not finite.
     """
     expected = (*batch_size, 2)
     if action.shape != expected:
@@ -40,17 +44,17 @@ def checked_place(
     shape: Sequence[int],
     device: torch.device,
 ) -> Tensor | None:
-    """Starts or goals that the user gives, ``[N, k]``; ``None`` if there are none.
+    """Validates start poses or goals. Returns ``[N, k]``, or ``None`` if the user gives none.
 
     Args:
         key: ``"start"`` or ``"goal"``.
-        value: argument of ``reset()``.
-        tensordict: reset tensordict, which may hold them instead.
+        value: argument of ``reset()``, or ``None``.
+        tensordict: reset tensordict, whose entry ``key`` is used if ``value`` is ``None``.
         shape: expected shape, ``[*batch_size, k]``.
         device: device of the result.
 
     Raises:
-        ValueError: for another shape, or numbers that are not finite.
+        ValueError: if the shape is wrong, or values are not finite.
     """
     if value is None and tensordict is not None:
         value = tensordict.get(key, None)

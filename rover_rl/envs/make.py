@@ -1,4 +1,4 @@
-"""make_env: the environment with a reward."""
+"""``make_env``: builds a :class:`RoverEnv` with a reward."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from rover_rl.envs.rover import RoverEnv
 
 
 class RewardedEnv(TransformedEnv):
-    """A :class:`RoverEnv` with its reward: what :func:`make_env` returns.
+    """:class:`RoverEnv` with a reward, as returned by :func:`make_env`.
 
-    ``TransformedEnv(env, transform)`` nests around it, as around any base environment: TorchRL merges nested
-    ``TransformedEnv`` objects into one, but no subclasses, so ``transform[0]`` is the first transform that the user
-    added. ``env.append_transform(transform)`` appends to the transforms of the reward.
+    ``TransformedEnv(env, transform)`` nests around it as around any base environment. TorchRL merges nested
+    ``TransformedEnv`` objects but not their subclasses, so ``transform[0]`` is the first transform that the user added.
+    ``env.append_transform(transform)`` appends to the transforms of the reward.
 
     Attributes:
-        config: the environment's description, reward included.
+        config: description of the environment, including the reward.
 
     Example:
         >>> env = TransformedEnv(make_env(world_n="maze"), StepCounter())
@@ -31,24 +31,23 @@ class RewardedEnv(TransformedEnv):
     """
 
     config: EnvConfig
-    # Without this, TorchRL refuses random actions where a transform nested around this environment changes the action.
+    # Otherwise TorchRL does not allow random actions if a transform around this environment changes the action.
     rand_action = EnvBase.rand_action
 
 
 def make_env(*args: Any, reward: RewardLike = "contract", **kwargs: Any) -> EnvBase:
-    """A :class:`RoverEnv` with the contract's reward, or yours.
+    """Creates a :class:`RoverEnv` with a reward, by default the contract's.
 
     Args:
-        *args: an :class:`~rover_rl.envs.config.EnvConfig`, alone; or arguments of :class:`RoverEnv`.
-        reward: ``"contract"``; ``"task"`` for the bare 1 a goal; the name or ``module:attribute`` of a reward of your
-            own; a :class:`~rover_rl.envs.config.RewardConfig` with other numbers; a
-            :class:`~rover_rl.envs.rewards.RewardComponent`; or a sequence of these, for example
-            ``[*contract_reward(), TiltPenalty()]``.
-        **kwargs: arguments of :class:`RoverEnv`.
+        *args: an :class:`~rover_rl.envs.config.EnvConfig` and nothing else, or arguments of :class:`RoverEnv`.
+        reward: ``"contract"``; ``"task"`` (1 per goal); name or ``"module:attribute"`` of your own reward; a
+            :class:`~rover_rl.envs.config.RewardConfig`; a :class:`~rover_rl.envs.rewards.RewardComponent`; or a
+            sequence of these, for example ``[*contract_reward(), TiltPenalty()]``.
+        **kwargs: keyword arguments of :class:`RoverEnv`.
 
     Raises:
-        ValueError: for another reward, and as :class:`RoverEnv`.
-        TypeError: for other arguments beside an ``EnvConfig``.
+        ValueError: if the reward is unknown, or :class:`RoverEnv` raises it.
+        TypeError: if there are further arguments besides an ``EnvConfig``.
 
     Example:
         >>> env = make_env(world_n="maze", num_envs=4, seed=0)
@@ -59,7 +58,7 @@ def make_env(*args: Any, reward: RewardLike = "contract", **kwargs: Any) -> EnvB
         if len(args) > 1 or kwargs or reward != "contract":
             raise TypeError("make_env takes an EnvConfig alone; use dataclasses.replace(config, ...) to change it")
         return _make(args[0])
-    # An unknown reward is an error before a simulator is built.
+    # Raises an error for an unknown reward before the simulator is built.
     reward_components(reward)
     return add_reward(RoverEnv(*args, **kwargs), reward)
 
@@ -70,12 +69,12 @@ def _make(config: EnvConfig) -> EnvBase:
 
 
 def add_reward(env: EnvBase, reward: RewardLike = "contract", config: EnvConfig | None = None) -> EnvBase:
-    """Adds a reward to an environment; see :func:`make_env`.
+    """Adds a reward to an environment.
 
     Args:
-        env: a :class:`RoverEnv`.
-        reward: the reward.
-        config: the environment's description; ``None``: its own, with the reward.
+        env: environment without the contract's reward, a :class:`RoverEnv`.
+        reward: reward to add, see :func:`make_env`.
+        config: description of the environment, including the reward. ``None`` uses ``env.config`` and ``reward``.
     """
     config = config or replace(env.config, reward=reward)
     components = reward_components(config.reward, config.contract_reward)

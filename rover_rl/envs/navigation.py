@@ -1,4 +1,4 @@
-"""Navigation: goals, events and endings of every row."""
+"""Goals, events, outcome and end of the episode of every row."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from rover_rl.envs.task import (
 
 
 class Navigation:
-    """Sets goals, and computes the outcome of each step from ``judged``, the state that events follow.
+    """Sets goals, and computes the outcome of each step from ``StepState.reference``.
 
     Args:
         config: description of the environment.
-        placement: draws goals, and knows the bounds of each row's world.
+        placement: source of goals and of the bounds of each row's world.
         num_envs: number of rows.
         device: device of the rows.
 
@@ -41,122 +41,122 @@ class Navigation:
         self._placement = placement
         self._history = PositionHistory(num_envs, config.task.stuck_window, device)
 
-    def begin(self, now: StepState, mask: Tensor, goal: Tensor | None, keys: Tensor, first: bool) -> None:
-        """Begins the episodes of the rows of ``mask``: goals, counters, and an outcome without events.
+    def begin(self, state: StepState, mask: Tensor, goal: Tensor | None, keys: Tensor, first: bool) -> None:
+        """Begins new episodes: sets goals, resets counters and clears the outcome.
 
         Args:
-            now: state of the environment, after the reset of these rows.
-            mask: rows to begin, bool ``[N, 1]``.
-            goal: their goals, ``[N, 2]``, m; ``None`` draws them.
-            keys: keys of the episodes, ``[N, 1]``.
-            first: whether no episode has begun before.
+            state: state of the environment after the reset of these rows. It is updated in place.
+            mask: rows that begin an episode, bool ``[N, 1]``.
+            goal: goals, ``[N, 2]``, m. ``None`` draws them.
+            keys: random keys of the episodes, ``[N, 1]``.
+            first: whether this is the first reset since the simulator was built.
         """
-        none = torch.zeros_like(keys)
-        judged = now.judged
+        zeros = torch.zeros_like(keys)
+        reference = state.reference
         if goal is None:
-            goal = self._placement.draw_goal(keys, none, judged.position)
-        fresh = TaskState(
+            goal = self._placement.draw_goal(keys, zeros, reference.position)
+        initial = TaskState(
             goal=goal,
-            target=target_info(judged.position, judged.yaw, goal),
-            goals=none + 1,
-            collision_steps=none,
-            steps=none,
-            total_steps=now.task.total_steps,
+            target=target_info(reference.position, reference.yaw, goal),
+            goals=zeros + 1,
+            collision_steps=zeros,
+            steps=zeros,
+            total_steps=state.task.total_steps,
         )
-        now.task = fresh.merge(mask, now.task)
-        nothing = _outcome(
-            now,
+        state.task = initial.merge(mask, state.task)
+        outcome = _outcome(
+            state,
             torch.zeros(len(mask), len(EVENTS), dtype=torch.bool, device=mask.device),
             phase=torch.full_like(keys, StepEvent.NONE),
-            progress=torch.zeros_like(judged.yaw),
-            alignment=heading_alignment(now.task.target[:, 1:]),
+            progress=torch.zeros_like(reference.yaw),
+            alignment=heading_alignment(state.task.target[:, 1:]),
         )
         if first:
-            now.outcome = nothing
-            now.terminated, now.truncated = torch.zeros_like(mask), torch.zeros_like(mask)
+            state.outcome = outcome
+            state.terminated, state.truncated = torch.zeros_like(mask), torch.zeros_like(mask)
         else:
-            now.outcome = nothing.where(mask.squeeze(-1), now.outcome)
-            now.terminated, now.truncated = now.terminated & ~mask, now.truncated & ~mask
+            state.outcome = outcome.where(mask.squeeze(-1), state.outcome)
+            state.terminated, state.truncated = state.terminated & ~mask, state.truncated & ~mask
 
-    def advance(self, now: StepState, invalid: Tensor, active: Tensor | None, keys: Tensor) -> None:
-        """Computes the outcome of the step just made, the next targets, the counters and the endings.
+    def advance(self, state: StepState, invalid: Tensor, active: Tensor | None, keys: Tensor) -> None:
+        """Updates targets and counters after a step, and computes its outcome and the ends of episodes.
 
         Args:
-            now: state of the environment, after the step.
+            state: state of the environment after the step. It is updated in place.
             invalid: rows whose action was not finite, bool ``[N, 1]``.
-            active: rows that took the step, bool ``[N, 1]``; ``None``: all. The others keep what they had.
-            keys: keys of the episodes, ``[N, 1]``.
+            active: rows that took the step, bool ``[N, 1]``. The other rows do not change. ``None`` means all rows.
+            keys: random keys of the episodes, ``[N, 1]``.
         """
-        before, judged = now.task, now.judged
-        nearest = judged.readings.amin(-1, keepdim=True)
-        steps = before.steps + 1
-        collision_steps = (before.collision_steps + 1) * (nearest < self._task.collision_threshold)
-        target = target_info(judged.position, judged.yaw, before.goal)
+        previous, reference = state.task, state.reference
+        nearest = reference.readings.amin(-1, keepdim=True)
+        steps = previous.steps + 1
+        collision_steps = (previous.collision_steps + 1) * (nearest < self._task.collision_threshold)
+        target = target_info(reference.position, reference.yaw, previous.goal)
         events, phase = compute_terminations(
-            position=judged.position,
-            tilt=judged.euler[:, :2],
+            position=reference.position,
+            tilt=reference.euler[:, :2],
             distance=target[:, :1],
-            displacement=self._history.displacement(judged.position, steps, active),
+            displacement=self._history.displacement(reference.position, steps, active),
             collision_steps=collision_steps,
             invalid=invalid,
             bounds=(self._placement.bounds_low, self._placement.bounds_high),
             config=self._task,
         )
-        after = TaskState(
-            goal=before.goal,
+        task = TaskState(
+            goal=previous.goal,
             target=target,
-            goals=before.goals,
+            goals=previous.goals,
             collision_steps=collision_steps,
             steps=steps,
-            total_steps=before.total_steps + 1,
+            total_steps=previous.total_steps + 1,
         )
         if not self._end_on_goal:
-            after = self._next_goals(now, after, phase == StepEvent.GOAL, keys)
-        now.task = after if active is None else after.merge(active, before)
+            task = self._next_goals(state, task, phase == StepEvent.GOAL, keys)
+        state.task = task if active is None else task.merge(active, previous)
         outcome = _outcome(
-            now,
+            state,
             events,
             phase=phase,
-            progress=before.target[:, :1] - target[:, :1],
+            progress=previous.target[:, :1] - target[:, :1],
             alignment=heading_alignment(target[:, 1:]),
         )
         if active is not None:
-            outcome = outcome.where(active.squeeze(-1), now.outcome)
+            outcome = outcome.where(active.squeeze(-1), state.outcome)
             outcome.set("phase", phase.masked_fill(~active, StepEvent.NONE))
-        now.outcome = outcome
-        self._end(now, active)
+        state.outcome = outcome
+        self._end(state, active)
 
-    def _end(self, now: StepState, active: Tensor | None) -> None:
+    def _end(self, state: StepState, active: Tensor | None) -> None:
         """Sets ``terminated`` and ``truncated`` from the outcome and the number of steps."""
-        terminated = now.outcome.get("phase") < StepEvent.GOAL
+        terminated = state.outcome.get("phase") < StepEvent.GOAL
         if self._end_on_goal:
-            terminated = terminated | now.outcome.get("goal_reached")
-        truncated = (now.task.steps >= self.length) & ~terminated
+            terminated = terminated | state.outcome.get("goal_reached")
+        truncated = (state.task.steps >= self.length) & ~terminated
         if active is not None:
-            terminated = torch.where(active, terminated, now.terminated)
-            truncated = torch.where(active, truncated, now.truncated)
-        now.terminated, now.truncated = terminated, truncated
+            terminated = torch.where(active, terminated, state.terminated)
+            truncated = torch.where(active, truncated, state.truncated)
+        state.terminated, state.truncated = terminated, truncated
 
-    def _next_goals(self, now: StepState, state: TaskState, reached: Tensor, keys: Tensor) -> TaskState:
-        """Gives the rows that reached their goal a new one, from which progress counts anew."""
-        # On the CPU this check is cheap and mostly spares the rest; on an accelerator it would wait for the device.
+    def _next_goals(self, state: StepState, task: TaskState, reached: Tensor, keys: Tensor) -> TaskState:
+        """Draws a new goal for the rows that reached theirs, and computes the target to it."""
+        # On the CPU this check is cheap and usually saves the work below. On an accelerator it would synchronize.
         if reached.device.type == "cpu" and not reached.any():
-            return state
-        judged = now.judged
-        drawn = self._placement.draw_goal(keys, state.goals, judged.position)
-        goal = torch.where(reached, drawn, state.goal)
-        target = target_info(judged.position, judged.yaw, goal)
-        return replace(state, goal=goal, target=target, goals=state.goals + reached)
+            return task
+        reference = state.reference
+        drawn = self._placement.draw_goal(keys, task.goals, reference.position)
+        goal = torch.where(reached, drawn, task.goal)
+        target = target_info(reference.position, reference.yaw, goal)
+        return replace(task, goal=goal, target=target, goals=task.goals + reached)
 
 
-def _outcome(now: StepState, events: Tensor, *, phase: Tensor, progress: Tensor, alignment: Tensor) -> TensorDict:
+def _outcome(state: StepState, events: Tensor, *, phase: Tensor, progress: Tensor, alignment: Tensor) -> TensorDict:
     return pack_outcome(
         events,
         phase=phase,
         progress=progress,
         alignment=alignment,
-        linear_velocity=now.judged.rover.linear_velocity,
-        angular_velocity=now.judged.rover.angular_velocity,
-        steps=now.task.steps,
-        total_steps=now.task.total_steps,
+        linear_velocity=state.reference.rover.linear_velocity,
+        angular_velocity=state.reference.rover.angular_velocity,
+        steps=state.task.steps,
+        total_steps=state.task.total_steps,
     )

@@ -1,4 +1,4 @@
-"""What the task derives from a rover state, and what it keeps between two steps."""
+"""State of the environment between two steps: rover state, quantities derived from it, and state of the task."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from rover_rl.sims.rotations import quaternion_to_euler
 
 
 class Perception:
-    """A rover state, and the attitude, heading, position and pooled scan derived from it.
+    """Rover state with the attitude, heading, position and pooled lidar scan derived from it.
 
     Args:
         rover: state of the rovers, ``[N]``.
-        lidar: pools the raw scan.
+        lidar: pooling of the raw scan.
 
     Attributes:
-        rover: the state.
+        rover: state of the rovers, ``[N]``.
         euler: roll, pitch and yaw, ``[N, 3]``, rad.
         yaw: heading, ``[N, 1]``, rad.
-        position: ``[N, 2]``, m.
-        readings: pooled scan, ``[N, lidar_points]``, m.
+        position: horizontal position (x, y), ``[N, 2]``, m.
+        readings: pooled lidar scan, ``[N, lidar_points]``, m.
     """
 
     def __init__(self, rover: RoverState, lidar: LidarPooling) -> None:
@@ -35,22 +35,22 @@ class Perception:
 
 
 class StepState:
-    """The environment's state between two steps.
+    """State of the environment between two steps.
 
-    A plain object, because EnvBase is a ``torch.nn.Module``, whose attributes are slow to assign.
+    This is a plain object because ``EnvBase`` is a ``torch.nn.Module``, in which assigning attributes is slow.
 
     Attributes:
-        truth: from the simulator's state.
-        sensed: from what the sensors report; the same object as ``truth`` without sensor noise.
-        judged: the one of the two that events and rewards follow.
+        truth: perception from the true state of the simulator.
+        sensed: perception from the sensor readings. The same object as ``truth`` if there is no sensor noise.
+        reference: the one of ``truth`` and ``sensed`` that events and rewards are computed from.
         task: goals, targets and counters.
-        outcome: what happened in the last step.
+        outcome: events and measurements of the last step.
         terminated, truncated: whether the last step ended the episode, bool ``[N, 1]``.
     """
 
     truth: Perception
     sensed: Perception
-    judged: Perception
+    reference: Perception
     task: TaskState
     outcome: TensorDict
     terminated: Tensor

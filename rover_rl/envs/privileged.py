@@ -1,4 +1,4 @@
-"""The privileged observation: what only a simulation knows, for critics and experts. Policies do not read it."""
+"""Privileged observation: quantities that are known only in simulation, for critics and experts, not for policies."""
 
 from __future__ import annotations
 
@@ -27,20 +27,25 @@ FEATURES = {
     "motor_torque": 1,
     "latency": 1,
 }
-"""Entries of the privileged observation, and the number of features of each."""
+"""Entries of the privileged observation and their numbers of features."""
 
 
 class PrivilegedObservation:
     """Computes the privileged observation.
 
-    Its entries are float32 ``[N, k]``, unclipped: ``position`` (m), ``attitude`` (roll, pitch, yaw; rad),
-    ``velocities`` (wheel odometry without noise; m/s, rad/s), ``target`` (distance in m and relative angle in rad),
-    ``path_distance`` (distance to the goal along the shortest free path, m), ``friction``, ``chassis_mass`` and
-    ``motor_torque`` (factors of the randomization), ``latency`` (delay of commands, control steps).
+    Its entries are float32 ``[N, k]`` and not clipped:
+
+    - ``position``: position (x, y, z), m;
+    - ``attitude``: roll, pitch and yaw, rad;
+    - ``velocities``: wheel odometry without noise, m/s and rad/s;
+    - ``target``: distance (m) and relative angle (rad) of the goal;
+    - ``path_distance``: distance to the goal along the shortest free path, m;
+    - ``friction``, ``chassis_mass``, ``motor_torque``: scale factors of the randomized dynamics;
+    - ``latency``: delay of commands, control steps.
 
     Args:
-        worlds: the world of each row.
-        robot: the robot that the path must be wide enough for.
+        worlds: world of each row.
+        robot: robot that determines the free space.
         device: device of the observation.
     """
 
@@ -48,13 +53,13 @@ class PrivilegedObservation:
         self._distances = PathDistances(worlds, robot, device)
 
     def __call__(self, truth: Perception, goal: Tensor, dynamics: Dynamics, latency: Tensor) -> TensorDict:
-        """The observation, ``[N]``.
+        """Returns the privileged observation, ``[N]``.
 
         Args:
-            truth: the true state.
-            goal: goals, ``[N, 2]``, m.
-            dynamics: factors of the rovers, ``[N]`` each.
-            latency: delays, ``[N, 1]``, control steps.
+            truth: true state of the rovers.
+            goal: positions of the goals, ``[N, 2]``, m.
+            dynamics: scale factors of the dynamics, ``[N]`` each.
+            latency: delays of commands, ``[N, 1]``, control steps.
         """
         rover = truth.rover
         entries = {

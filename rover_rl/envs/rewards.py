@@ -1,7 +1,8 @@
-"""The contract's reward: one transform per component, and their sum.
+"""Rewards as TorchRL transforms: one per component, and their sum.
 
-A component is active where its rule decides the step (``outcome["phase"]``), so that the sum is exactly the contract's
-``task_reward``. Drop one, weigh it otherwise or add your own by choosing the transforms; see :func:`rover_rl.make_env`.
+A component of the contract's reward is active in the rows whose step is decided by its event (``outcome["phase"]``), so
+that the sum equals the contract's ``task_reward``. To remove or reweight a component or to add your own, pass a list of
+components to :func:`rover_rl.make_env`.
 """
 
 from __future__ import annotations
@@ -24,10 +25,13 @@ from rover_rl.tensordicts import unchecked_tensordict
 
 
 class RewardComponent(Transform):
-    """One component of the reward, written to ``("reward_components", name)``.
+    """Base class of reward components. The value is written to ``("reward_components", name)``.
 
-    Subclasses give a :attr:`name`, the :attr:`phases` in which they are active (none given: in every step), and
-    :meth:`value`.
+    Subclasses define :attr:`name`, :attr:`phases` and :meth:`value`.
+
+    Attributes:
+        name: name of the component.
+        phases: events in which the component is active. Empty means every step.
 
     Example:
         >>> class TiltPenalty(RewardComponent):
@@ -42,11 +46,11 @@ class RewardComponent(Transform):
 
     @abstractmethod
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor | float:
-        """The component where it is active: one number for all rows, or one a row, ``[N, 1]``.
+        """Returns the value of the component in active rows: one number for all rows, or ``[N, 1]``.
 
         Args:
-            outcome: what happened in the step.
-            observation: the whole step's result, the observation in it. An unbatched environment's has one row.
+            outcome: events and measurements of the step, see :mod:`rover_rl.envs.task`.
+            observation: result of the step, including the observation. An unbatched environment has one row.
         """
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -80,7 +84,7 @@ class RewardComponent(Transform):
 
 
 class GoalReward(RewardComponent):
-    """``goal_reward`` for reaching a goal."""
+    """Reward for reaching a goal."""
 
     name = "goal"
     phases = (StepEvent.GOAL,)
@@ -90,12 +94,12 @@ class GoalReward(RewardComponent):
         self.goal_reward = goal_reward
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> float:
-        """The reward itself."""
+        """Returns ``goal_reward``."""
         return self.goal_reward
 
 
 class ProgressReward(RewardComponent):
-    """Metres gained on the target, or the idle penalty where too little is gained or the rover faces away."""
+    """Reward for progress toward the goal, or idle penalty if there is too little or the rover faces away."""
 
     name = "progress"
     phases = (StepEvent.DENSE,)
@@ -116,7 +120,7 @@ class ProgressReward(RewardComponent):
         self.min_alignment = min_alignment
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
-        """``multiplier * (scale * progress or idle penalty)``."""
+        """Returns ``final_reward_multiplier * (distance_delta_scale * progress or idle_penalty)``."""
         progress = outcome.get("progress")
         counts = (progress.abs() > self.min_progress) & (outcome.get("alignment") > self.min_alignment)
         multiplier = self.final_reward_multiplier
@@ -124,7 +128,7 @@ class ProgressReward(RewardComponent):
 
 
 class VelocityBonus(RewardComponent):
-    """``velocity_scale`` for each m/s forward, by wheel odometry."""
+    """Reward proportional to the forward speed from wheel odometry."""
 
     name = "velocity"
     phases = (StepEvent.DENSE,)
@@ -134,12 +138,12 @@ class VelocityBonus(RewardComponent):
         self.velocity_scale = velocity_scale
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
-        """``scale * v``."""
+        """Returns ``velocity_scale * v``."""
         return outcome.get("linear_velocity") * self.velocity_scale
 
 
 class TurnPenalty(RewardComponent):
-    """``turn_scale`` for each rad/s of turning, by wheel odometry."""
+    """Penalty proportional to the absolute yaw rate from wheel odometry."""
 
     name = "turn"
     phases = (StepEvent.DENSE,)
@@ -149,12 +153,12 @@ class TurnPenalty(RewardComponent):
         self.turn_scale = turn_scale
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
-        """``scale * |w|``."""
+        """Returns ``turn_scale * |w|``."""
         return outcome.get("angular_velocity").abs() * self.turn_scale
 
 
 class CollisionPenalty(RewardComponent):
-    """A penalty for each step with a lidar reading below the collision threshold."""
+    """Penalty for each step with a lidar reading below the collision threshold."""
 
     name = "collision"
     phases = (StepEvent.COLLISION,)
@@ -164,12 +168,12 @@ class CollisionPenalty(RewardComponent):
         self.collision_penalty = collision_penalty
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> float:
-        """The penalty itself."""
+        """Returns ``collision_penalty``."""
         return self.collision_penalty
 
 
 class StuckPenalty(RewardComponent):
-    """A penalty for an episode that ends because the rover has not moved."""
+    """Penalty for an episode that ends because the rover is stuck."""
 
     name = "stuck"
     phases = (StepEvent.STUCK,)
@@ -179,12 +183,12 @@ class StuckPenalty(RewardComponent):
         self.stuck_penalty = stuck_penalty
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> float:
-        """The penalty itself."""
+        """Returns ``stuck_penalty``."""
         return self.stuck_penalty
 
 
 class GeneralPenalty(RewardComponent):
-    """A penalty for an episode that ends in a jam, or in a flip that comes after ``flip_grace_steps``."""
+    """Penalty for an episode that ends in a jam, or in a flip after the first ``flip_grace_steps`` steps."""
 
     name = "general"
     phases = (StepEvent.FLIP, StepEvent.JAM)
@@ -199,13 +203,13 @@ class GeneralPenalty(RewardComponent):
         self.flip_grace_steps = flip_grace_steps
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
-        """The penalty, or 0 for an early flip."""
-        forgiven = (outcome.get("phase") == StepEvent.FLIP) & (outcome.get("steps") <= self.flip_grace_steps)
-        return torch.where(forgiven, 0.0, self.general_penalty)
+        """Returns the penalty, or 0 for a flip in the first ``flip_grace_steps`` steps."""
+        early_flip = (outcome.get("phase") == StepEvent.FLIP) & (outcome.get("steps") <= self.flip_grace_steps)
+        return torch.where(early_flip, 0.0, self.general_penalty)
 
 
 class OutOfBoundsPenalty(RewardComponent):
-    """A penalty for an episode that ends because the rover left the world's bounds."""
+    """Penalty for an episode that ends because the rover leaves the world's bounds."""
 
     name = "out_of_bounds"
     phases = (StepEvent.OUT_OF_BOUNDS,)
@@ -215,12 +219,12 @@ class OutOfBoundsPenalty(RewardComponent):
         self.out_of_bounds_penalty = out_of_bounds_penalty
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> float:
-        """The penalty itself."""
+        """Returns ``out_of_bounds_penalty``."""
         return self.out_of_bounds_penalty
 
 
 class TotalReward(Transform):
-    """Writes the sum of all reward components into ``reward``; comes after them."""
+    """Writes the sum of all reward components to ``reward``. Append it after the components."""
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         components = next_tensordict.get("reward_components", None)
@@ -231,27 +235,31 @@ class TotalReward(Transform):
 
 
 def contract_reward(config: RewardConfig | None = None) -> list[Transform]:
-    """The contract's reward as transforms, one a component, without their sum.
+    """Returns the components of the contract's reward, without :class:`TotalReward`.
 
     Args:
-        config: its numbers.
+        config: parameters of the reward. ``None`` uses the contract's.
 
     Example:
         >>> [component.name for component in contract_reward()]
         ['goal', 'progress', 'velocity', 'turn', 'collision', 'stuck', 'general', 'out_of_bounds']
     """
-    c = config or RewardConfig()
+    config = config or RewardConfig()
     return [
-        GoalReward(c.goal_reward),
+        GoalReward(config.goal_reward),
         ProgressReward(
-            c.distance_delta_scale, c.final_reward_multiplier, c.idle_penalty, c.min_progress, c.min_alignment
+            config.distance_delta_scale,
+            config.final_reward_multiplier,
+            config.idle_penalty,
+            config.min_progress,
+            config.min_alignment,
         ),
-        VelocityBonus(c.velocity_scale),
-        TurnPenalty(c.turn_scale),
-        CollisionPenalty(c.collision_penalty),
-        StuckPenalty(c.stuck_penalty),
-        GeneralPenalty(c.general_penalty, c.flip_grace_steps),
-        OutOfBoundsPenalty(c.out_of_bounds_penalty),
+        VelocityBonus(config.velocity_scale),
+        TurnPenalty(config.turn_scale),
+        CollisionPenalty(config.collision_penalty),
+        StuckPenalty(config.stuck_penalty),
+        GeneralPenalty(config.general_penalty, config.flip_grace_steps),
+        OutOfBoundsPenalty(config.out_of_bounds_penalty),
     ]
 
 
@@ -259,34 +267,34 @@ _REGISTRY = Registry("reward", {"contract": contract_reward, "task": list})
 
 
 def register_reward(name: str, reward: Any) -> None:
-    """Gives a reward a name, for ``make_env``, ``EnvConfig`` and ``--reward``.
+    """Registers a reward under a name, for ``make_env``, ``EnvConfig`` and ``--reward``.
 
     Args:
-        name: its name.
-        reward: a :class:`RewardComponent` class or object, a list of them, a :class:`RewardConfig`, a function without
-            arguments that returns one of these, or the ``"module:attribute"`` of any.
+        name: new name of letters, digits, ``_``, ``-`` and ``.``.
+        reward: :class:`RewardComponent` class or object, list of them, :class:`RewardConfig`, function without
+            arguments that returns one of these, or ``"module:attribute"`` of any of these.
 
     Raises:
-        ValueError: for a name that is taken, or that has other characters than letters, digits, ``_``, ``-`` and ``.``.
+        ValueError: if the name is taken or has other characters.
     """
     _REGISTRY.register(name, reward)
 
 
 def reward_names() -> list[str]:
-    """Names of the rewards of the package, of those registered, and of those of installed packages."""
+    """Returns the names of all rewards: built-in, registered, and from installed packages."""
     return _REGISTRY.names()
 
 
 def reward_components(reward: Any, contract: RewardConfig | None = None) -> list[Transform]:
-    """The components of a reward, new objects each time; none for the bare task's reward.
+    """Creates the components of a reward. The list is empty for the reward of the bare task.
 
     Args:
-        reward: a name in :func:`reward_names`, the ``module:attribute`` of a reward of your own, a
-            :class:`RewardConfig`, a :class:`RewardComponent`, or a sequence of these, which are put together.
-        contract: numbers of the contract's reward.
+        reward: name in :func:`reward_names`, ``"module:attribute"`` of your own reward, a :class:`RewardConfig`, a
+            :class:`RewardComponent`, or a sequence of these, which are added up.
+        contract: parameters of the contract's reward. ``None`` uses the contract's.
 
     Raises:
-        ValueError: for something else.
+        ValueError: if the reward is unknown or of another type.
 
     Example:
         >>> [component.name for component in reward_components(["contract", "my_package:TiltPenalty"])][-1]

@@ -1,7 +1,7 @@
-"""Random draws without a generator: a counter-based hash per row.
+"""Counter-based random numbers per row, without the state of a generator.
 
-A draw is a function of (row seed, episode, stream, draw) alone, computed in int64: the same on every device, whatever
-the batch size, the order of the draws or what other rows do. The hash is the finaliser of SplitMix64 over a Weyl
+A random number is a function of row seed, episode, stream and draw, computed in int64. It does not depend on the
+device, the batch size, the order of the draws or the other rows. The hash is the finalizer of SplitMix64 over a Weyl
 sequence (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014).
 """
 
@@ -24,47 +24,53 @@ _DRAW = _signed(0xAEF17502108EF2D9)
 
 
 def row_keys(seed: int, num_envs: int, device: torch.device) -> Tensor:
-    """Keys of rows seeded ``seed, seed + 1, ...``: int64 ``[N, 1]``."""
+    """Returns the keys of rows with the seeds ``seed, seed + 1, ...``, int64 ``[N, 1]``."""
     first = _signed(seed % (1 << 64))
     return _mix(first + torch.arange(num_envs, dtype=torch.int64, device=device))[:, None]
 
 
 def episode_keys(rows: Tensor, episode: Tensor) -> Tensor:
-    """Keys of the rows' present episodes, from :func:`row_keys` and episode numbers: int64 ``[N, 1]`` all."""
+    """Returns the keys of the current episodes, int64 ``[N, 1]``.
+
+    Args:
+        rows: keys of the rows from :func:`row_keys`, ``[N, 1]``.
+        episode: number of the current episode of each row, int64 ``[N, 1]``.
+    """
     return _mix(rows + episode * _EPISODE)
 
 
 def random_bits(keys: Tensor, stream: int, draw: Tensor | int, count: int) -> Tensor:
-    """``count`` independent hashes of 64 bits a row: int64 ``[N, count]``.
+    """Returns ``count`` independent 64-bit hashes per row, int64 ``[N, count]``.
 
     Args:
-        keys: of the episodes, ``[N, 1]``.
-        stream: which use the draw is for, so that uses do not share numbers.
-        draw: number of the draw within the stream, ``[N, 1]`` or one for all.
-        count: hashes a row.
+        keys: random keys of the episodes, ``[N, 1]``.
+        stream: identifier of the purpose. Different streams give independent numbers.
+        draw: index of the draw within the stream, ``[N, 1]`` or one for all rows.
+        count: number of hashes per row.
     """
     lane = torch.arange(1, count + 1, dtype=torch.int64, device=keys.device) * _GOLDEN
     offset = draw * _DRAW + _signed(stream * _STREAM % (1 << 64))
-    # Python's integers do not wrap around as the tensor's do.
+    # Python's integers do not overflow as int64 tensors do.
     return _mix(keys + (_signed(offset % (1 << 64)) if isinstance(offset, int) else offset) + lane)
 
 
 def to_index(bits: Tensor, size: Tensor) -> Tensor:
-    """Uniform integers in ``[0, size)`` from the upper 32 bits; ``size`` below 2^31, int64."""
+    """Returns uniform integers in ``[0, size)`` from the upper 32 bits. ``size`` is int64 and less than 2^31."""
     return (_shift(bits, 32) * size) >> 32
 
 
 def to_unit(bits: Tensor) -> Tensor:
-    """Uniform numbers in [0, 1) in steps of 2^-24 from the lower 24 bits: float32."""
+    """Returns uniform numbers in [0, 1) from the lower 24 bits, float32, in steps of 2^-24."""
     return (bits & 0xFFFFFF).to(torch.float32) * 2.0**-24
 
 
 def _shift(bits: Tensor, places: int) -> Tensor:
-    """Logical shift to the right: torch's own keeps the sign."""
+    """Shifts right and fills with zeros. PyTorch's ``>>`` keeps the sign."""
     return (bits >> places) & ((1 << (64 - places)) - 1)
 
 
 def _mix(x: Tensor) -> Tensor:
+    """Finalizer of SplitMix64."""
     x = (x ^ _shift(x, 30)) * _MIX_1
     x = (x ^ _shift(x, 27)) * _MIX_2
     return x ^ _shift(x, 31)

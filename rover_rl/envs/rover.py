@@ -1,4 +1,4 @@
-"""RoverEnv: point navigation on rough ground, batched, for TorchRL."""
+"""``RoverEnv``: batched TorchRL environment for point navigation on rough terrain."""
 
 from __future__ import annotations
 
@@ -50,63 +50,63 @@ from rover_rl.tensordicts import unchecked_tensordict
 
 
 class RoverEnv(EnvBase):
-    """A batch of rovers that navigate to points, with lidar, IMU, odometry and pose.
+    """Batch of rovers that navigate to goals with lidar, IMU, wheel odometry and pose.
 
-    The bare task: its reward is 1 for each goal reached. :func:`rover_rl.make_env` adds the contract's reward.
+    The reward is 1 for each goal reached. :func:`rover_rl.make_env` adds the contract's reward.
 
     Observation (float32, clipped to the contract's bounds): ``lidar [N, lidar_points]`` (m), ``pose [N, 3]`` (m),
-    ``imu [N, 3]`` (pitch, roll, yaw; rad), ``target [N, 2]`` (distance in m, relative angle in rad),
-    ``velocities [N, 2]`` (wheel odometry; m/s, rad/s). ``action [N, 2]``: forward speed in [-1, 1] m/s
-    and heading offset in [-pi, pi] rad; finite actions outside are clipped. ``outcome`` says what happened in the step:
-    see :mod:`rover_rl.envs.task`.
+    ``imu [N, 3]`` (pitch, roll, yaw; rad), ``target [N, 2]`` (distance in m, relative angle in rad) and
+    ``velocities [N, 2]`` (wheel odometry; m/s, rad/s). Action: ``action [N, 2]``, forward speed in [-1, 1] m/s and
+    heading offset in [-pi, pi] rad. Finite actions are clipped to these bounds. ``outcome`` contains the events of the
+    step, see :mod:`rover_rl.envs.task`.
 
-    ``reset(start=..., goal=...)`` takes poses ``[N, 3]`` (x, y in m, yaw in rad) and goals ``[N, 2]`` (m). The bare
-    environment also takes them as entries of the reset tensordict; transforms drop those.
+    ``reset(start=..., goal=...)`` sets start poses ``[N, 3]`` (x, y in m, yaw in rad) and goals ``[N, 2]`` (m). Without
+    transforms, they can also be entries of the reset tensordict; transforms drop these entries.
 
-    Row ``i`` of a batch seeded ``s`` equals, to the last bit, the single environment seeded ``s + i``.
+    Row ``i`` of a batch with seed ``s`` is bit-identical to a single environment with seed ``s + i``.
 
-    ``num_envs=None`` is one rover without a batch dimension, batch size ``[]``: ``lidar [lidar_points]``,
-    ``action [2]``, ``reward [1]``, ``start [3]``. Its numbers are those of the batch of one.
+    ``num_envs=None`` creates one rover without a batch dimension (batch size ``[]``): ``lidar [lidar_points]``,
+    ``action [2]``, ``reward [1]``, ``start [3]``. Its values equal those of a batch of one.
 
     ``close()`` releases the simulator. The next ``reset()`` builds a new one, as TorchRL's ``ParallelEnv`` does, and
     continues with the next episodes.
 
     Args:
-        size: size of the camera buffer, reserved for vision as in the original.
+        size: size of the camera buffer, pixels. Reserved for vision, as in the original environment.
         length: number of steps after which an episode is truncated.
-        scan_topic, imu_topic, cmd_vel_topic, camera_topic: ROS 2 topics, for a backend that drives a live rover.
-        world_n: name of a world (``"inspect"``, ``"moon"``, ``"maze"``, ``"maze:7"`` for another seed, or
-            ``"module:attribute"``), a :class:`~rover_rl.sims.worlds.World`, or a list of them, each for an equal block
-            of rows.
+        scan_topic, imu_topic, cmd_vel_topic, camera_topic: ROS 2 topics of a live rover.
+        world_n: name of a world (``"inspect"``, ``"moon"``, ``"maze"``, ``"maze:7"`` for seed 7, or
+            ``"module:attribute"``), a :class:`~rover_rl.sims.worlds.World`, or a list of worlds, which are assigned to
+            equal blocks of rows.
         connection_check_timeout: time to wait for a live rover's first scan, s.
-        lidar_points: number of lidar readings in an observation, each the nearest of its segment of the scan.
-        max_lidar_range: range that lidar readings are clipped to, m.
-        num_envs: number of rovers in the batch; ``None``: one rover, unbatched.
+        lidar_points: number of lidar readings in an observation, each the minimum of a segment of the scan.
+        max_lidar_range: maximum of a lidar reading, m. Larger ranges are clipped.
+        num_envs: number of rovers in the batch. ``None`` creates one rover without a batch dimension.
         backend: name of a backend, ``"bullet"``, ``"warp"`` (fast, on ``device``), ``"ros2"`` (one live rover) or
-            ``"module:attribute"``; or a backend's settings, for example
+            ``"module:attribute"``; or settings of a backend, for example
             :class:`~rover_rl.sims.bullet.BulletSettings`.
-        physics: preset of a backend given by its name: Bullet's are ``"default"``, ``"accurate"`` and ``"fast"``.
+        physics: physics preset of a backend given by name. Bullet has ``"default"``, ``"accurate"`` and ``"fast"``.
         robot: name of a robot, or a :class:`~rover_rl.sims.robots.Robot`.
         lidar_beams: number of beams of a raw scan.
-        seed: seed of the first row; ``None`` draws one.
-        device: device of the task's tensors; ``None`` is the CPU, and leaves the tensordicts without a device.
-        end_on_goal: whether reaching the goal ends the episode, instead of a new goal being set.
-        task: thresholds of the task.
-        heading_gains: gains of the heading PID.
-        randomization: how rovers, sensors and delays vary; ``None``: not at all.
-        action: bounds of the action; ``None``: the contract's.
-        outcome_from: state that events, rewards and metrics follow: the simulator's ``"truth"``, or what the
-            ``"sensors"`` report. They differ where ``randomization`` adds sensor noise.
-        privileged: whether to add the nested observation ``privileged``: see :mod:`rover_rl.envs.privileged`.
+        seed: seed of the first row. ``None`` uses a random seed.
+        device: device of the tensors. ``None`` is the CPU, and leaves the device of the tensordicts unset.
+        end_on_goal: whether reaching the goal ends the episode, instead of setting a new goal.
+        task: thresholds of the task. ``None`` uses the contract's.
+        heading_gains: gains of the heading PID. ``None`` uses the contract's.
+        randomization: domain randomization. ``None`` disables it.
+        action: bounds of the action. ``None`` uses the contract's.
+        outcome_from: state that events, rewards and metrics are computed from: the simulator's ``"truth"`` or the
+            ``"sensors"``. They differ if ``randomization`` adds sensor noise.
+        privileged: whether to add the nested observation ``privileged``, see :mod:`rover_rl.envs.privileged`.
 
     Attributes:
-        config: the environment's description.
-        num_envs: number of rovers, the rows of :attr:`goal`, :attr:`rover_state` and ``worlds``: 1 if unbatched.
-        simulator: the simulator; a new one after each reset that follows a ``close()``.
+        config: description of the environment.
+        num_envs: number of rovers, and of rows of :attr:`goal`, :attr:`rover_state` and ``worlds``. 1 if unbatched.
+        simulator: simulator. A reset after ``close()`` replaces it.
 
     Raises:
-        ValueError: for an unknown world, backend or robot, a device that does not exist, fewer beams than points, or a
-            number out of its range.
+        ValueError: if the world, backend or robot is unknown, the device is not available, there are fewer beams than
+            points, or a number is out of range.
 
     Example:
         >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0)
@@ -199,7 +199,7 @@ class RoverEnv(EnvBase):
         self._make_specs()
         self.set_seed(seed)
         if config.randomization.varies_dynamics:
-            # A simulator that cannot randomize dynamics raises now.
+            # Raises an error if the simulator cannot randomize dynamics. Does not change any rover.
             none = torch.zeros(num_envs, dtype=torch.bool, device=self.simulator.device)
             self.simulator.set_dynamics(none, draw_dynamics(config.randomization, self._keys))
 
@@ -210,11 +210,11 @@ class RoverEnv(EnvBase):
         self.controller = HeadingController(self.num_envs, config.heading_gains, device)
         self._delay = CommandDelay(config.randomization.latency, self.num_envs, device)
         self._privileged = PrivilegedObservation(self.worlds, self.robot, device) if config.privileged else None
-        self._now = StepState(task=TaskState.zeros(self.num_envs, device))
+        self._state = StepState(task=TaskState.zeros(self.num_envs, device))
 
     @property
     def size(self) -> tuple[int, int]:
-        """Size of the camera buffer, reserved for vision."""
+        """Size of the camera buffer, pixels. Reserved for vision."""
         return self.config.size
 
     @property
@@ -230,7 +230,7 @@ class RoverEnv(EnvBase):
 
     @property
     def connection(self) -> Connection:
-        """Topics of a live rover."""
+        """ROS 2 topics of a live rover, and connection timeout."""
         return self.config.connection
 
     @property
@@ -245,62 +245,62 @@ class RoverEnv(EnvBase):
 
     @property
     def randomization(self) -> Randomization:
-        """How rovers, sensors and delays vary."""
+        """Domain randomization."""
         return self.config.randomization
 
     @property
     def control_dt(self) -> float:
-        """Duration of a step, s: the simulator's."""
+        """Duration of a step, s."""
         return getattr(self.simulator, "control_dt", CONTROL_DT)
 
     @property
     def goal(self) -> Tensor:
         """Goal of each row, ``[N, 2]``, m."""
-        return self._now.task.goal.clone()
+        return self._state.task.goal.clone()
 
     @property
     def rover_state(self) -> RoverState:
-        """True state of every rover, unclipped; of a live rover, what its sensors report."""
+        """True state of every rover, unclipped. For a live rover, its sensor readings."""
         self._require_started("rover_state")
-        return self._now.truth.rover
+        return self._state.truth.rover
 
     @property
     def sensed_state(self) -> RoverState:
-        """State of every rover as its sensors report it, unclipped, with the noise of the randomization."""
+        """State of every rover as reported by its sensors, including sensor noise, unclipped."""
         self._require_started("sensed_state")
-        return self._now.sensed.rover
+        return self._state.sensed.rover
 
     @property
     def robot_connected(self) -> bool:
-        """Whether there are rovers to drive: always True in simulation."""
+        """Whether the rovers are connected. Always true in simulation."""
         return self.simulator.robot_connected
 
     def render(self, row: int = 0, view: View = "chase", width: int = 640, height: int = 480) -> Tensor:
-        """A picture of one rover and its goal, from behind (``"chase"``) or above (``"top"``): uint8 ``[H, W, 3]``."""
+        """Renders one rover and its goal from behind (``"chase"``) or above (``"top"``), uint8 ``[H, W, 3]``."""
         self._require_open("render")
         self._require_started("render")
         if not 0 <= row < self.num_envs:
             raise ValueError(f"row must be between 0 and {self.num_envs - 1}, got {row}")
-        return self.simulator.render(row, view, width, height, self._now.task.goal[row])
+        return self.simulator.render(row, view, width, height, self._state.task.goal[row])
 
     def close(self, *, raise_if_closed: bool = False) -> None:
-        """Releases the simulator, until the next :meth:`reset`. Idempotent."""
+        """Releases the simulator. The next :meth:`reset` builds a new one. Idempotent."""
         self.simulator.close()
         super().close(raise_if_closed=raise_if_closed)
 
     def to(self, device: torch.device | str) -> RoverEnv:
-        """Sets the device of specs and tensordicts to the one that the task runs on. The task itself does not move.
+        """Sets the device of specs and tensordicts. It must be the device of the environment's tensors.
 
         Raises:
-            ValueError: for another device than the one the task runs on.
+            ValueError: if the device is another one. The environment cannot move.
         """
-        asked, own = torch.device(device), self._tensor_device
-        if asked.type != own.type or asked.index not in (None, own.index):
+        target, own = torch.device(device), self._tensor_device
+        if target.type != own.type or target.index not in (None, own.index):
             raise ValueError(f"the task lives on {own}; build RoverEnv(device={str(device)!r}) instead")
         return super().to(own)
 
     def _open(self) -> None:
-        """Builds the simulator. All rovers must be reset next."""
+        """Builds the simulator. The next reset must include all rows."""
         self.simulator: Simulator = self._make_simulator()
         self._started = False
         self.is_closed = False
@@ -344,19 +344,19 @@ class RoverEnv(EnvBase):
         if self.randomization.varies_dynamics:
             self.simulator.set_dynamics(rows, draw_dynamics(self.randomization, self._keys.to(device)))
         self._delay.reset(mask, self._keys)
-        steps = self._now.task.steps.masked_fill(mask, 0)
+        steps = self._state.task.steps.masked_fill(mask, 0)
         self._perceive(self.simulator.reset(rows, poses.to(device)), steps)
         self.controller.reset(mask)
-        self._navigation.begin(self._now, mask, goal, self._keys, first=not self._started)
+        self._navigation.begin(self._state, mask, goal, self._keys, first=not self._started)
         self._started = True
-        now = self._now
-        # New tensors for all rows: EnvBase keeps the values of the rows that were not reset.
+        state = self._state
+        # All rows are returned. EnvBase keeps the previous values of the rows that were not reset.
         return self._pack(
             self._observation(),
-            outcome=now.outcome,
-            done=now.terminated | now.truncated,
-            terminated=now.terminated,
-            truncated=now.truncated,
+            outcome=state.outcome,
+            done=state.terminated | state.truncated,
+            terminated=state.terminated,
+            truncated=state.truncated,
         )
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -366,51 +366,51 @@ class RoverEnv(EnvBase):
         active = None if active is None else active.reshape(self.num_envs, 1)
         action, invalid = checked_action(tensordict.get("action"), self.batch_size, self._action_clip)
 
-        # The heading controller runs on the robot: it knows what the sensors report.
-        sensed = self._now.sensed
+        # The heading controller runs on the robot, so it uses the sensor readings and not the true state.
+        sensed = self._state.sensed
         turn = self.controller(sensed.yaw + action[:, 1:], sensed.yaw, sensed.rover.dt, active)
         command = self._delay(torch.cat((action[:, :1], turn), -1).masked_fill(invalid, 0.0), active)
         device = self.simulator.device
         rows = None if active is None else active.squeeze(-1).to(device)
-        steps = self._now.task.steps + (1 if active is None else active)
+        steps = self._state.task.steps + (1 if active is None else active)
         self._perceive(self.simulator.step(command.to(device), rows), steps)
 
-        self._navigation.advance(self._now, invalid, active, self._keys)
-        now = self._now
-        reward = now.outcome.get("goal_reached").to(torch.float32)
+        self._navigation.advance(self._state, invalid, active, self._keys)
+        state = self._state
+        reward = state.outcome.get("goal_reached").to(torch.float32)
         if active is not None:
             reward = reward * active
         return self._pack(
             self._observation(),
-            outcome=now.outcome,
+            outcome=state.outcome,
             reward=reward,
-            done=now.terminated | now.truncated,
-            terminated=now.terminated,
-            truncated=now.truncated,
+            done=state.terminated | state.truncated,
+            terminated=state.terminated,
+            truncated=state.truncated,
         )
 
     def _perceive(self, rover: RoverState, steps: Tensor) -> None:
-        """Takes in the simulator's state after ``steps`` of each row's episode: as it is, and as it is sensed."""
+        """Stores the true and the sensed state after ``steps`` steps of each row's episode."""
         if rover.device is not None and rover.device != self._tensor_device:
             rover = rover.to(self._tensor_device)
-        now = self._now
+        state = self._state
         sensed = sense(self.randomization, rover, self._keys, steps)
-        now.truth = Perception(rover, self.lidar)
-        now.sensed = now.truth if sensed is rover else Perception(sensed, self.lidar)
-        now.judged = now.truth if self.config.outcome_from == "truth" else now.sensed
+        state.truth = Perception(rover, self.lidar)
+        state.sensed = state.truth if sensed is rover else Perception(sensed, self.lidar)
+        state.reference = state.truth if self.config.outcome_from == "truth" else state.sensed
 
     def _observation(self) -> dict[str, Any]:
-        now, sensed, goal = self._now, self._now.sensed, self._now.task.goal
-        same = sensed is now.judged
-        target = now.task.target if same else target_info(sensed.position, sensed.yaw, goal)
+        state, sensed, goal = self._state, self._state.sensed, self._state.task.goal
+        same = sensed is state.reference
+        target = state.task.target if same else target_info(sensed.position, sensed.yaw, goal)
         observation: dict[str, Any] = self._observer(sensed, target)
         if self._privileged is not None:
             dynamics = draw_dynamics(self.randomization, self._keys)
-            observation["privileged"] = self._privileged(now.truth, goal, dynamics, self._delay.steps)
+            observation["privileged"] = self._privileged(state.truth, goal, dynamics, self._delay.steps)
         return observation
 
     def _pack(self, observation: dict[str, Any], **entries: Any) -> TensorDict:
-        """The result of a reset or a step, from rows: the row itself if the environment is unbatched."""
+        """Creates the result of a reset or step from rows, without the batch dimension if unbatched."""
         rows = unchecked_tensordict({**observation, **entries}, self._row_shape, self.device)
         return rows if self.batch_size else rows[0]
 
@@ -422,14 +422,14 @@ class RoverEnv(EnvBase):
 
     def _require_open(self, what: str) -> None:
         if self.is_closed:
-            raise RuntimeError(f"{what}() was called on a closed RoverEnv; call reset() first, which opens it anew")
+            raise RuntimeError(f"{what}() was called on a closed RoverEnv; call reset() first, which reopens it")
 
     def _require_started(self, what: str) -> None:
         if not self._started:
             raise RuntimeError(f"{what} needs a running episode; call reset() first")
 
 
-# EnvBase's metaclass takes any arguments, and would hide these from help() and editors.
+# The metaclass of EnvBase hides the arguments from help() and editors. This restores them.
 RoverEnv.__signature__ = inspect.Signature([*inspect.signature(RoverEnv.__init__).parameters.values()][1:])
 
 

@@ -1,4 +1,4 @@
-"""Tensordicts of unbatched environments, seen as batches of one."""
+"""View of an unbatched environment's tensordict as a batch of one row."""
 
 from __future__ import annotations
 
@@ -6,12 +6,15 @@ from tensordict import LazyStackedTensorDict, TensorDictBase
 
 
 def in_rows(tensordict: TensorDictBase) -> TensorDictBase:
-    """``tensordict`` of batch size ``[N, ...]`` as it is, and of batch size ``[]`` with one row, to be read.
+    """Returns a read-only view with a batch dimension. A tensordict that has one is returned unchanged.
+
+    Args:
+        tensordict: tensordict of batch size ``[N, ...]`` or ``[]``.
 
     Example:
         >>> env = make_env(world_n="maze", num_envs=None)
         >>> in_rows(env.reset())["lidar"].shape
         torch.Size([1, 32])
     """
-    # A lazy stack is quicker than a view of every entry, as few are read.
+    # A lazy stack is faster than a view of every entry, because few entries are read.
     return tensordict if tensordict.batch_dims else LazyStackedTensorDict(tensordict, stack_dim=0)

@@ -1,4 +1,4 @@
-"""The environment's Stable-Baselines3 class: ``SB3VecEnv``."""
+"""Stable-Baselines3 class: ``SB3VecEnv``."""
 
 from __future__ import annotations
 

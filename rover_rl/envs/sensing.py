@@ -1,4 +1,4 @@
-"""From a raw scan to what the policy sees: cleaned, and pooled to the nearest reading of each segment."""
+"""Lidar pooling: from a raw scan to the nearest reading of each segment."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from torch import Tensor
 
 
 class LidarPooling:
-    """Cleans raw scans and keeps the minimum of each of ``points`` segments.
+    """Cleans raw scans and reduces each of ``points`` segments to its minimum.
 
-    Segments are runs of neighbouring beams, the first beginning straight ahead, as equal in size as can be: no beam is
-    dropped. ``+inf`` and NaN become ``max_range``, ``-inf`` means "too close" (REP 117) and becomes 0, and all is
-    clipped to ``[0, max_range]``.
+    Segments consist of neighboring beams. The first segment starts straight ahead. Sizes differ by at most one beam and
+    no beam is dropped. ``+inf`` and NaN become ``max_range``. ``-inf`` means that an obstacle is too close to measure
+    (REP 117) and becomes 0. All readings are clipped to ``[0, max_range]``.
 
     Args:
-        beams: beams of a raw scan.
-        points: segments (the contract's ``lidar_points``).
-        max_range: the contract's ``max_lidar_range``, m.
-        device: where scans are.
+        beams: number of beams of a raw scan.
+        points: number of segments (the contract's ``lidar_points``).
+        max_range: maximum of a reading (the contract's ``max_lidar_range``), m.
+        device: device of the scans.
 
     Raises:
-        ValueError: for fewer beams than points, no points, or a range that is not positive.
+        ValueError: if there are fewer beams than points, no points, or the range is not positive and finite.
 
     Example:
         >>> pool = LidarPooling(beams=4, points=2, max_range=12.0)
@@ -34,7 +34,7 @@ class LidarPooling:
         if beams < points:
             raise ValueError(f"lidar_beams must be at least lidar_points, got {beams} beams for {points} points")
         if not 0 < max_range < float("inf"):
-            raise ValueError(f"max_lidar_range must be a positive number of metres, got {max_range}")
+            raise ValueError(f"max_lidar_range must be a positive number of meters, got {max_range}")
         self.beams = beams
         self.points = points
         self.max_range = float(max_range)
@@ -42,14 +42,14 @@ class LidarPooling:
 
     def __call__(self, ranges: Tensor) -> Tensor:
         """Pools ``ranges [N, beams]`` (m) to ``[N, points]``."""
-        # NaN would win every minimum, so it goes first; clipping can wait for the fewer pooled values.
+        # NaN must be replaced before the minimum, which it would win. Clipping the fewer pooled readings is faster.
         ranges = torch.nan_to_num(ranges, nan=self.max_range, posinf=self.max_range, neginf=0.0)
         grouped = ranges.unflatten(-1, (self.points, -1)) if self._gather is None else ranges[..., self._gather]
         return grouped.amin(-1).clamp(0.0, self.max_range)
 
 
 def _segments(beams: int, points: int) -> Tensor:
-    """Beam numbers of each segment, ``[points, longest]``; short segments repeat their last beam."""
+    """Returns the beam indices of each segment, ``[points, longest]``. Short segments repeat their last beam."""
     parts = torch.arange(beams).tensor_split(points)
     longest = max(len(part) for part in parts)
     return torch.stack([torch.cat((part, part[-1:].expand(longest - len(part)))) for part in parts])

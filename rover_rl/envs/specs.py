@@ -1,4 +1,4 @@
-"""The TensorDict specs, from one table."""
+"""TorchRL specs of observation, action, reward and done flags, and the bounds that they are built from."""
 
 from __future__ import annotations
 
@@ -16,27 +16,32 @@ from rover_rl.envs.task import EVENTS, StepEvent
 
 @dataclass(frozen=True)
 class Bounds:
-    """Lower and upper bound of each feature of one entry."""
+    """Lower and upper bounds of one entry of the observation or action.
+
+    Attributes:
+        low: lower bound of each feature.
+        high: upper bound of each feature.
+    """
 
     low: tuple[float, ...]
     high: tuple[float, ...]
 
     def tensors(self, device: torch.device | str | None) -> tuple[Tensor, Tensor]:
-        """The bounds as tensors, float32 ``[features]`` each."""
+        """Returns the lower and upper bounds as tensors, float32 ``[features]`` each."""
         return torch.tensor(self.low, device=device), torch.tensor(self.high, device=device)
 
 
 def action_bounds(action: ActionConfig) -> Bounds:
-    """Bounds of forward speed (m/s) and heading offset (rad)."""
+    """Returns the bounds of forward speed (m/s) and heading offset (rad)."""
     return Bounds(low=(action.min_speed, -action.max_turn), high=(action.max_speed, action.max_turn))
 
 
 ACTION = action_bounds(ActionConfig())
-"""The contract's action: forward speed (m/s) and heading offset (rad)."""
+"""Bounds of the contract's action: forward speed (m/s) and heading offset (rad)."""
 
 
 def bounded_spec(bounds: Bounds, batch_size: Sequence[int], device: torch.device | str | None) -> Bounded:
-    """A float32 spec ``[*batch_size, features]``."""
+    """Creates a float32 spec of shape ``[*batch_size, features]``."""
     low, high = (side.expand(*batch_size, -1) for side in bounds.tensors(device))
     return Bounded(low=low.clone(), high=high.clone(), dtype=torch.float32, device=device)
 
@@ -47,7 +52,7 @@ def observation_spec(
     device: torch.device | str | None,
     privileged: bool = False,
 ) -> Composite:
-    """The observation and the nested ``outcome``.
+    """Creates the spec of the observation and the nested ``outcome``.
 
     Args:
         bounds: bounds of each entry, as :func:`rover_rl.envs.observation.observation_bounds` gives them.
@@ -70,7 +75,7 @@ def _privileged_spec(batch_size: Sequence[int], device: torch.device | str | Non
 
 
 def done_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Composite:
-    """``done``, ``terminated`` and ``truncated``, bool ``[*batch_size, 1]``."""
+    """Creates the spec of ``done``, ``terminated`` and ``truncated``, bool ``[*batch_size, 1]``."""
     keys = ("done", "terminated", "truncated")
     return Composite(
         **{key: _flag(batch_size, device) for key in keys},
@@ -80,7 +85,7 @@ def done_spec(batch_size: Sequence[int], device: torch.device | str | None) -> C
 
 
 def reward_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Unbounded:
-    """One float32 a row, ``[*batch_size, 1]``."""
+    """Creates the spec of the reward, float32 ``[*batch_size, 1]``."""
     return Unbounded(shape=(*batch_size, 1), dtype=torch.float32, device=device)
 
 

@@ -1,7 +1,14 @@
-"""Point navigation: target, events and phase, as pure functions of the batch.
+"""Point-navigation task: target, events and ``outcome`` of a step, as functions of batched tensors.
 
-Everything here is ``[N, 1]`` or ``[N, k]``, on any device. What happened in a step is computed once, from unclipped
-state, and handed on as ``outcome``.
+Tensors have the shape ``[N, 1]`` or ``[N, k]`` and may be on any device. The ``outcome`` of a step is computed once,
+from unclipped state. Rewards, metrics and ``info`` dictionaries are computed from it. Its entries are:
+
+- a bool for each event in :data:`EVENTS`;
+- ``phase``: the :class:`StepEvent` that decides the step;
+- ``progress``: decrease of the distance to the goal in this step, m;
+- ``alignment``: heading alignment, see :func:`heading_alignment`;
+- ``linear_velocity`` (m/s) and ``angular_velocity`` (rad/s) from wheel odometry;
+- ``steps`` of the episode, and ``total_steps`` of the row.
 """
 
 from __future__ import annotations
@@ -20,9 +27,9 @@ from rover_rl.tensordicts import unchecked_tensordict
 
 
 class StepEvent(IntEnum):
-    """Which rule decides a step: the first of these that holds, in the contract's order.
+    """Event that decides the reward of a step, in the contract's order of priority.
 
-    The members before ``GOAL`` end the episode.
+    If several events happen in a step, the first in this order decides. Those before ``GOAL`` end the episode.
     """
 
     INVALID_ACTION = 0
@@ -33,8 +40,9 @@ class StepEvent(IntEnum):
     GOAL = 5
     COLLISION = 6
     DENSE = 7
+    """None of the above happened: the dense reward applies."""
     NONE = 8
-    """No step was taken: after a reset, and on rows that were held."""
+    """No step was taken: after a reset, and in rows that were not active."""
 
 
 EVENTS = ("invalid_action", "flipped", "jammed", "out_of_bounds", "stuck", "goal_reached", "collision")
@@ -43,15 +51,15 @@ EVENTS = ("invalid_action", "flipped", "jammed", "out_of_bounds", "stuck", "goal
 
 @dataclass
 class TaskState:
-    """What the task remembers of every row between steps.
+    """State of the task of every row between steps.
 
     Attributes:
-        goal: ``[N, 2]``, m.
+        goal: position of the goal, ``[N, 2]``, m.
         target: distance (m) and relative angle (rad) to the goal, ``[N, 2]``, unclipped.
-        goals: goals that the episode has had, int64 ``[N, 1]``.
-        collision_steps: steps in a row in collision, int64 ``[N, 1]``.
-        steps: of the episode, int64 ``[N, 1]``.
-        total_steps: of the row since it was made, int64 ``[N, 1]``.
+        goals: number of goals set in the episode, int64 ``[N, 1]``.
+        collision_steps: number of consecutive steps in collision, int64 ``[N, 1]``.
+        steps: number of steps in the episode, int64 ``[N, 1]``.
+        total_steps: number of steps of the row since the environment was built, int64 ``[N, 1]``.
     """
 
     goal: Tensor
@@ -63,23 +71,23 @@ class TaskState:
 
     @classmethod
     def zeros(cls, num_envs: int, device: torch.device) -> TaskState:
-        """The state before the first episode."""
+        """Creates the state before the first episode."""
         count = torch.zeros(num_envs, 1, dtype=torch.int64, device=device)
         pair = torch.zeros(num_envs, 2, device=device)
         return cls(goal=pair, target=pair, goals=count, collision_steps=count, steps=count, total_steps=count)
 
     def merge(self, mask: Tensor, other: TaskState) -> TaskState:
-        """This state on the rows of ``mask`` (bool ``[N, 1]``), ``other`` on the rest."""
+        """Returns this state in the rows of ``mask`` (bool ``[N, 1]``), and ``other`` in the other rows."""
         return TaskState(**{name: torch.where(mask, value, getattr(other, name)) for name, value in vars(self).items()})
 
 
 class PositionHistory:
-    """The last ``window`` positions of every row, in place.
+    """Ring buffer of the last ``window`` positions of every row.
 
     Args:
-        num_envs: rows.
-        window: positions remembered.
-        device: where the rows live.
+        num_envs: number of rows.
+        window: number of positions per row.
+        device: device of the positions.
     """
 
     def __init__(self, num_envs: int, window: int, device: torch.device) -> None:
@@ -88,36 +96,41 @@ class PositionHistory:
         self._positions = torch.zeros(num_envs, window, 2, device=device)
 
     def displacement(self, position: Tensor, steps: Tensor, active: Tensor | None = None) -> Tensor:
-        """Remembers this step's position and returns the way from the oldest one, ``[N, 1]``, m; inf until full.
+        """Stores a position and returns its distance from the oldest one, ``[N, 1]``, m; inf until the buffer is full.
 
         Args:
-            position: ``[N, 2]``, m.
-            steps: steps of the episode, this one included, int64 ``[N, 1]``.
-            active: bool ``[N, 1]``; the other rows remember nothing.
+            position: current position, ``[N, 2]``, m.
+            steps: number of steps in the episode, including this one, int64 ``[N, 1]``.
+            active: rows that store their position, bool ``[N, 1]``. ``None`` means all rows.
         """
         slot = ((steps - 1) % self._window).squeeze(-1)
         if active is not None:
             position = torch.where(active, position, self._positions[self._rows, slot])
         self._positions[self._rows, slot] = position
         oldest = self._positions[self._rows, (slot + 1) % self._window]
-        way = torch.linalg.vector_norm(position - oldest, dim=-1, keepdim=True)
-        return way.masked_fill(steps < self._window, math.inf)
+        displacement = torch.linalg.vector_norm(position - oldest, dim=-1, keepdim=True)
+        return displacement.masked_fill(steps < self._window, math.inf)
 
 
 def target_info(position: Tensor, yaw: Tensor, goal: Tensor) -> Tensor:
-    """Distance (m) and angle relative to the heading (rad, in (-pi, pi]) of a goal: ``[N, 2]``.
+    """Returns distance (m) and angle relative to the heading (rad, in (-pi, pi]) of the goal, ``[N, 2]``.
 
     Args:
-        position, goal: ``[N, 2]``, m.
-        yaw: ``[N, 1]``, rad.
+        position: position of the rover, ``[N, 2]``, m.
+        yaw: heading of the rover, ``[N, 1]``, rad.
+        goal: position of the goal, ``[N, 2]``, m.
     """
-    away = goal - position
-    distance = torch.linalg.vector_norm(away, dim=-1, keepdim=True)
-    return torch.cat((distance, wrap_angle(angle_of(away)[..., None] - yaw)), -1)
+    offset = goal - position
+    distance = torch.linalg.vector_norm(offset, dim=-1, keepdim=True)
+    return torch.cat((distance, wrap_angle(angle_of(offset)[..., None] - yaw)), -1)
 
 
 def heading_alignment(angle: Tensor) -> Tensor:
-    """How well the rover faces its goal: 1 ahead, 0 at a right angle, -1 behind (the contract's ``1 - 2|a|/pi``)."""
+    """Returns the heading alignment ``1 - 2|angle|/pi``: 1 if the goal is ahead, 0 at a right angle, -1 behind.
+
+    Args:
+        angle: angle of the goal relative to the heading, rad.
+    """
     return 1 - angle.abs() * (2 / math.pi)
 
 
@@ -132,21 +145,21 @@ def compute_terminations(
     bounds: tuple[Tensor, Tensor],
     config: TaskConfig,
 ) -> tuple[Tensor, Tensor]:
-    """Which events happened in a step, and which rule decides it.
+    """Computes the events of a step, and the one that decides it.
 
     Args:
-        position: ``[N, 2]``, m.
+        position: position of the rover, ``[N, 2]``, m.
         tilt: roll and pitch, ``[N, 2]``, rad.
-        distance: to the goal, ``[N, 1]``, m.
-        displacement: over the stuck window, ``[N, 1]``, m.
-        collision_steps: steps in a row in collision, this one included, ``[N, 1]``.
+        distance: distance to the goal, ``[N, 1]``, m.
+        displacement: displacement over the stuck window, ``[N, 1]``, m.
+        collision_steps: number of consecutive steps in collision, including this one, ``[N, 1]``.
         invalid: rows whose action was not finite, bool ``[N, 1]``.
-        bounds: corners of the rows' bounds, ``[N, 2]`` each, m.
+        bounds: lower and upper corners of the bounds of each row's world, ``[N, 2]`` each, m.
         config: thresholds.
 
     Returns:
-        Events, bool ``[N, 7]`` in the order of :data:`EVENTS` (a goal counts only where nothing ended the episode), and
-        the :class:`StepEvent`, int64 ``[N, 1]``.
+        Events, bool ``[N, 7]`` in the order of :data:`EVENTS` (a goal counts only if no event ended the episode), and
+        the deciding :class:`StepEvent`, int64 ``[N, 1]``.
     """
     low, high = bounds
     endings = torch.cat(
@@ -166,6 +179,11 @@ def compute_terminations(
 
 
 def pack_outcome(events: Tensor, **fields: Tensor) -> TensorDict:
-    """The nested ``outcome``: one bool ``[N, 1]`` an event, and ``fields`` as they are."""
+    """Creates the nested ``outcome``.
+
+    Args:
+        events: events in the order of :data:`EVENTS`, bool ``[N, 7]``.
+        **fields: further entries, ``[N, 1]`` each.
+    """
     named = dict(zip(EVENTS, events.split(1, -1), strict=True))
     return unchecked_tensordict({**named, **fields}, events.shape[:1])

@@ -100,9 +100,12 @@ def test_a_backend_without_presets_raises_for_a_preset():
         substeps("registered-plain", physics="fast")
 
 
-@pytest.mark.parametrize(
-    ("name", "part"), [("registered-number", 4), ("registered-function", lambda: CustomSettings())]
-)
+def test_a_function_that_returns_a_backend_is_called():
+    register_backend("registered-function", lambda: CustomSettings())
+    assert substeps("registered-function") == substeps(CustomSettings())
+
+
+@pytest.mark.parametrize(("name", "part"), [("registered-number", 4), ("registered-function-of-a-number", lambda: 4)])
 def test_anything_without_make_raises(name, part):
     register_backend(name, part)
     with pytest.raises(

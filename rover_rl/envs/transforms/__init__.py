@@ -1,1 +1,1 @@
-"""TorchRL transforms for training: action repeat, a path reward, timing."""
+"""TorchRL transforms for training: action repeat, path reward and timing."""

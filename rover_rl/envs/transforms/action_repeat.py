@@ -1,4 +1,4 @@
-"""ActionRepeat: one decision for several steps of the simulator."""
+"""``ActionRepeat``: transform that repeats each action for several steps."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ _GOALS = ("outcome", "goals")
 
 
 class ActionRepeat(Transform):
-    """Takes each action ``repeat`` times, so that a policy decides at 20 Hz divided by ``repeat``.
+    """Repeats each action ``repeat`` times, so that the policy runs at 20 Hz divided by ``repeat``.
 
-    A row whose episode ends within the repeat is held for the rest of it: its reward, and every reward
-    component, is the sum over the steps that it took. (TorchRL's ``FrameSkipTransform`` steps ended rows on,
-    and tells only of the last step's ``done``.)
+    A row whose episode ends during the repeat takes no further steps. Its reward and its reward components are sums
+    over the steps that it took. (TorchRL's ``FrameSkipTransform`` continues to step ended rows, and returns only the
+    ``done`` of the last step.)
 
-    ``outcome`` tells of the decision as a whole: the events that happened in any of its steps, the ``phase``
-    that comes first in the order of :class:`~rover_rl.envs.StepEvent`, and the sum of ``progress``; the rest is
-    as after the last step. Added is ``goals``, the number of goals reached (int64 ``[N, 1]``).
+    ``outcome`` covers all steps of the repeat: the events of any step, the ``phase`` with the highest priority in the
+    order of :class:`~rover_rl.envs.StepEvent`, and the sum of ``progress``. Its other entries are those of the last
+    step. The transform adds ``("outcome", "goals")``, the number of goals reached, int64 ``[N, 1]``.
 
-    Transforms that count decisions or sum rewards over an episode come after this one.
+    Append transforms that count actions or sum rewards over an episode after this one.
 
     Args:
-        repeat: steps of the simulator a decision.
+        repeat: number of steps per action.
 
     Raises:
-        ValueError: for a ``repeat`` below 1.
+        ValueError: if ``repeat`` is less than 1.
 
     Example:
         >>> env = make_env(world_n="maze", num_envs=4, seed=0).append_transform(ActionRepeat(4))
@@ -48,29 +48,29 @@ class ActionRepeat(Transform):
         active = ones = torch.ones_like(next_tensordict.get("done"))
         if (given := tensordict.get("_step", None)) is not None:
             active = given.reshape(ones.shape)
-        total = self._tally(next_tensordict, active)
+        total = self._step_entries(next_tensordict, active)
         for _ in range(self.repeat - 1):
             active = active & ~next_tensordict.get("done")
-            # On the host a look is cheap and may spare the rest; on an accelerator it would wait for the device.
+            # On the CPU this check is cheap and may save steps. On an accelerator it would synchronize.
             if active.device.type == "cpu" and not active.any():
                 break
             rows = active.reshape(tensordict.batch_size)
             next_tensordict = self.parent._step(tensordict.copy().set("_step", rows))
-            step = self._tally(next_tensordict, active)
-            total = {key: _COMBINE.get(key, torch.add)(value, step[key]) for key, value in total.items()}
-        # A copy, because the environment keeps the outcome that it hands out.
+            step = self._step_entries(next_tensordict, active)
+            total = {key: _REDUCTIONS.get(key, torch.add)(value, step[key]) for key, value in total.items()}
+        # A copy, because the environment keeps a reference to the outcome that it returns.
         next_tensordict.set("outcome", next_tensordict.get("outcome").copy())
         for key, value in total.items():
             next_tensordict.set(key, value)
         return next_tensordict
 
-    def _tally(self, step: TensorDictBase, active: Tensor) -> dict[NestedKey, Tensor]:
-        """What a step adds to the decision: nothing on rows that were not ``active`` (bool ``[N, 1]``)."""
-        tally = {key: step.get(key) * active for key in (*self.parent.reward_keys, ("outcome", "progress"))}
-        tally |= {("outcome", event): step.get(("outcome", event)) & active for event in EVENTS}
-        tally["outcome", "phase"] = step.get(("outcome", "phase"))
-        tally[_GOALS] = tally["outcome", "goal_reached"].long()
-        return tally
+    def _step_entries(self, step: TensorDictBase, active: Tensor) -> dict[NestedKey, Tensor]:
+        """Returns the accumulated entries of a step. Rows that are not ``active`` (bool ``[N, 1]``) add nothing."""
+        entries = {key: step.get(key) * active for key in (*self.parent.reward_keys, ("outcome", "progress"))}
+        entries |= {("outcome", event): step.get(("outcome", event)) & active for event in EVENTS}
+        entries["outcome", "phase"] = step.get(("outcome", "phase"))
+        entries[_GOALS] = entries["outcome", "goal_reached"].long()
+        return entries
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         outcome = tensordict_reset.get("outcome").copy()
@@ -83,8 +83,8 @@ class ActionRepeat(Transform):
         return observation_spec
 
 
-_COMBINE = {
+_REDUCTIONS = {
     ("outcome", "phase"): torch.minimum,
     **{("outcome", event): torch.logical_or for event in EVENTS},
 }
-"""How the entries of a step join those of the steps before it; the others are summed."""
+"""Reductions of the accumulated entries over the steps of a repeat. All other entries are summed."""

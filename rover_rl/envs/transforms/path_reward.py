@@ -1,4 +1,4 @@
-"""PathReward: a shaping reward for progress along the shortest free path, for training."""
+"""``PathReward``: shaping reward for progress along the shortest free path, for training."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from rover_rl.envs.rows import in_rows
 from rover_rl.sims.worlds.path_distance import PathDistances
 
 CAUTION = 4.0
-"""The path keeps clear of obstacles: a meter right beside one counts as five."""
+"""Relative extra cost of a path right beside an obstacle: a meter there counts as five."""
 
 
 class PathReward(Transform):
-    """Adds ``weight`` times the meters gained on the shortest free path to the goal to ``reward``.
+    """Adds ``weight`` per meter of progress along the shortest free path to ``reward``.
 
-    The contract rewards progress in a straight line, which is zero in front of a wall: a rover that learns from it
-    alone waits there. This reward is a difference of potentials, so the optimal policy does not change (Ng, Harada,
-    Russell: Policy invariance under reward transformations, ICML 1999; here without the discount). It reads the
-    world's map, which the policy does not need.
+    The contract rewards progress in a straight line, which is zero in front of a wall, so that a rover learns to stop
+    there. This reward is a difference of potentials, so that the optimal policy does not change (A. Y. Ng, D. Harada,
+    S. Russell, "Policy invariance under reward transformations", ICML 1999; here without the discount). The reward uses
+    the map of the world, the policy does not.
 
-    Append it after :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat`. Decisions in which a goal is reached
-    get nothing. The transform adds ``path_length``, the remaining path, float32 ``[N, 1]``, m; a meter right beside an
-    obstacle counts as five.
+    Append it after :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat`. Steps in which a goal is reached get
+    no path reward. The transform adds ``path_length``, the length of the remaining path, float32 ``[N, 1]``, m. In this
+    length, a meter right beside an obstacle counts as five.
 
     Args:
-        env: the environment whose worlds and robot the paths are computed for.
+        env: environment whose worlds and robot determine the paths.
         weight: reward per meter.
     """
 
@@ -39,10 +39,10 @@ class PathReward(Transform):
         self._weight = weight
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        now = self._path_length(next_tensordict)
-        gained = (tensordict["path_length"] - now).masked_fill(next_tensordict["outcome", "goals"] > 0, 0.0)
-        next_tensordict.set("reward", next_tensordict["reward"] + self._weight * gained)
-        return next_tensordict.set("path_length", now)
+        path_length = self._path_length(next_tensordict)
+        progress = (tensordict["path_length"] - path_length).masked_fill(next_tensordict["outcome", "goals"] > 0, 0.0)
+        next_tensordict.set("reward", next_tensordict["reward"] + self._weight * progress)
+        return next_tensordict.set("path_length", path_length)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         return tensordict_reset.set("path_length", self._path_length(tensordict_reset))
@@ -59,7 +59,7 @@ class PathReward(Transform):
 
 
 def goal_of(observation: TensorDictBase) -> Tensor:
-    """The goal's position in the world, ``[..., 2]``, m, from ``pose``, ``imu`` and ``target``."""
+    """Computes the position of the goal in the world frame, ``[..., 2]``, m, from ``pose``, ``imu`` and ``target``."""
     distance, bearing = observation["target"].split(1, -1)
     direction = bearing + observation["imu"][..., 2:]
     return observation["pose"][..., :2] + distance * torch.cat((direction.cos(), direction.sin()), -1)

@@ -1,4 +1,4 @@
-"""StepClock: where the time of a step goes, told by the process that takes it."""
+"""``StepClock``: transform that measures the time spent in the simulator and in the environment."""
 
 from __future__ import annotations
 
@@ -15,27 +15,30 @@ from rover_rl.sims.base import Simulator
 
 _KEY = "clock"
 NAMES = ("worker", "simulator", "environment")
-"""What the clock tells, in this order."""
+"""Entries of ``clock``."""
 
 
 class StepClock(Transform):
-    """Adds ``clock``: seconds that this process has spent so far, float64 ``[N, 1]``, the same on every row.
+    """Adds the nested entry ``clock``: accumulated times of this process, float64 ``[N, 1]``, the same in every row.
 
-    ``("clock", "simulator")`` in the simulator (physics and lidar), ``("clock", "environment")`` in steps of the
-    environment, the simulator's and those of the transforms before this one included. ``("clock", "worker")`` says
-    whose they are. Being part of the data, they come along from collectors in other processes. What is on a GPU is
-    waited for at each look at the clock.
+    - ``("clock", "worker")``: index of the process;
+    - ``("clock", "simulator")``: time spent in the simulator (physics and lidar), s;
+    - ``("clock", "environment")``: time spent in steps of the environment, including the simulator and the transforms
+      before this one, s.
+
+    The times are part of the data, so that they are also available from collectors in other processes. On a GPU, each
+    measurement synchronizes with the device.
 
     Args:
-        simulator: to be timed from now on.
-        worker: number of this process.
+        simulator: simulator whose methods are timed from now on.
+        worker: index of this process.
     """
 
     def __init__(self, simulator: Simulator, worker: int = 0) -> None:
         super().__init__()
         self._started = 0.0
         self._device = simulator.device
-        self._told = torch.tensor((worker, 0.0, 0.0), dtype=torch.float64)
+        self._values = torch.tensor((worker, 0.0, 0.0), dtype=torch.float64)
         for method in ("step", "reset"):
             setattr(simulator, method, self._timed(getattr(simulator, method)))
 
@@ -43,7 +46,7 @@ class StepClock(Transform):
         def call(*args: Any, **kwargs: Any) -> Any:
             started = self._seconds()
             result = method(*args, **kwargs)
-            self._told[1] += self._seconds() - started
+            self._values[1] += self._seconds() - started
             return result
 
         return call
@@ -58,16 +61,16 @@ class StepClock(Transform):
         return tensordict
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        self._told[2] += self._seconds() - self._started
-        return self._written(next_tensordict)
+        self._values[2] += self._seconds() - self._started
+        return self._write(next_tensordict)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return self._written(tensordict_reset)
+        return self._write(tensordict_reset)
 
-    def _written(self, tensordict: TensorDictBase) -> TensorDictBase:
-        # On the CPU this copies, too: what is told must not change afterwards.
-        told = self._told.to(tensordict.device or "cpu", copy=True).expand(*tensordict.batch_size, 3)
-        for name, values in zip(NAMES, told.split(1, -1), strict=True):
+    def _write(self, tensordict: TensorDictBase) -> TensorDictBase:
+        # Copied on the CPU, too, because the returned values must not change later.
+        entries = self._values.to(tensordict.device or "cpu", copy=True).expand(*tensordict.batch_size, 3)
+        for name, values in zip(NAMES, entries.split(1, -1), strict=True):
             tensordict.set((_KEY, name), values)
         return tensordict
 

@@ -1,1 +1,1 @@
-"""The environment through the interfaces of Gymnasium and Stable-Baselines3."""
+"""Gymnasium and Stable-Baselines3 interfaces of the environment."""

@@ -1,4 +1,4 @@
-"""One rover as a Gymnasium environment, with the contract's interface."""
+"""Gymnasium environment of one rover, with the contract's interface."""
 
 from __future__ import annotations
 
@@ -34,30 +34,30 @@ __all__ = ["GymVectorWrapper", "GymWrapper", "RoverEnv", "make_vector_env"]
 
 
 class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
-    """A :class:`rover_rl.RoverEnv` of one rover as a ``gymnasium.Env`` with every method of the contract.
+    """Wraps a :class:`rover_rl.RoverEnv` of one rover as a ``gymnasium.Env`` with all methods of the contract.
 
-    Observations are the contract's five float32 arrays; the action is ``[2]``: forward speed (m/s) and
-    heading offset (rad). ``info`` of a step holds ``steps`` (of the episode), ``total_steps`` (since the last
-    seed), ``reward``, ``goals`` (reached in this episode), ``is_success`` (whether there was one) and a bool
-    for each event: ``goal_reached``, ``collision``, ``flipped``, ``jammed``, ``out_of_bounds``, ``stuck``,
-    ``invalid_action``.
+    The observation is a dictionary of the contract's five float32 arrays. The action is forward speed (m/s) and heading
+    offset (rad), ``[2]``. ``info`` of a step contains ``steps`` (in the episode), ``total_steps`` (since the last
+    seed), ``reward``, ``goals`` (number of goals reached in the episode), ``is_success`` (whether a goal was reached)
+    and a bool for each event: ``goal_reached``, ``collision``, ``flipped``, ``jammed``, ``out_of_bounds``, ``stuck``
+    and ``invalid_action``.
 
     Args:
-        env: a ``RoverEnv`` with ``num_envs=1`` or ``None``, or a ``TransformedEnv`` made from one (as by
-            :func:`rover_rl.make_env`).
-        reward: for a bare ``RoverEnv``: ``"contract"`` (``None`` means the same), ``"task"``, a
-            ``RewardConfig`` or a list of components; a ``TransformedEnv`` keeps its own.
-        time_limit: ``"terminated"`` as the contract says (``truncated`` is never True), or ``"truncated"`` as
-            Gymnasium means it.
-        render_mode: ``None``; ``"rgb_array"``, for pictures by :meth:`render`; or ``"human"``, which shows one in a
-            window after each reset and step, at 20 steps a second (extra ``human``).
-        camera: where pictures are taken from: behind the rover (``"chase"``) or above it (``"top"``).
+        env: ``RoverEnv`` with ``num_envs=1`` or ``None``, or a ``TransformedEnv`` of one, for example from
+            :func:`rover_rl.make_env`.
+        reward: reward of a ``RoverEnv``: ``"contract"`` (also ``None``), ``"task"``, a ``RewardConfig`` or a list of
+            components. A ``TransformedEnv`` already has its reward.
+        time_limit: signal at the end of an episode's length: ``"terminated"`` as in the contract (``truncated`` is
+            never true), or ``"truncated"`` as in Gymnasium's API.
+        render_mode: ``None``; ``"rgb_array"``: :meth:`render` returns an image; or ``"human"``: each reset and step
+            shows an image in a window, in real time (requires the extra ``human``).
+        camera: camera position: behind the rover (``"chase"``) or above it (``"top"``).
 
     Raises:
-        TypeError: if ``env`` is neither.
-        ValueError: for more than one rover, or an unknown option.
-        ImportError: for ``"human"`` without pygame.
-        RuntimeError: for ``"human"`` without a display.
+        TypeError: if ``env`` has another type.
+        ValueError: if there is more than one rover, or an option is unknown.
+        ImportError: if ``render_mode="human"`` and pygame is not installed.
+        RuntimeError: if ``render_mode="human"`` and there is no display.
 
     Example:
         >>> import rover_rl
@@ -88,8 +88,8 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         human = render_mode == "human"
         self.metadata = {**self.metadata, "render_fps": frames_per_second(env)}
         self._window = Window("rover_rl", self.metadata["render_fps"]) if human else None
-        pictures = "rgb_array" if human else render_mode
-        self._batch = NumpyBatch(env, reward=reward, time_limit=time_limit, render_mode=pictures, camera=camera)
+        batch_mode = "rgb_array" if human else render_mode
+        self._batch = NumpyBatch(env, reward=reward, time_limit=time_limit, render_mode=batch_mode, camera=camera)
         self.observation_space = self._batch.observation_space
         self.action_space = self._batch.action_space
         self.render_mode = render_mode
@@ -103,17 +103,17 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
 
     @property
     def reward_config(self) -> RewardConfig | None:
-        """Numbers of the contract's reward; ``None`` where the reward is another, or was added elsewhere."""
+        """Parameters of the contract's reward. ``None`` if this class has not added it."""
         return self._batch.reward_config
 
     @property
     def _step(self) -> int:
-        """Steps of this episode, by the original's name."""
+        """Number of steps in the episode. The original environment uses this name."""
         return self._steps
 
     @property
     def total_steps(self) -> int:
-        """Steps since the environment was seeded last."""
+        """Number of steps since the environment was last seeded."""
         return int(self._batch.total_steps[0])
 
     def reset(
@@ -122,14 +122,14 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         """Begins the next episode.
 
         Args:
-            seed: the same seed gives the same episodes from here on; ``None`` goes on to the next one.
-            options: may hold ``"start"`` (x, y in m, yaw in rad) and ``"goal"`` (x, y in m).
+            seed: seed of this and the following episodes. ``None`` continues with the current seed.
+            options: ``"start"`` (x, y in m, yaw in rad) and ``"goal"`` (x, y in m), both optional.
 
         Returns:
             The observation and an empty info.
 
         Raises:
-            ValueError: for a seed out of range, another option, or one of the wrong shape.
+            ValueError: if the seed is out of range, or an option is unknown or has the wrong shape.
         """
         super().reset(seed=None if seed is None else check_seed(seed))
         options = {key: np.asarray(value)[None] for key, value in (options or {}).items()}
@@ -139,16 +139,16 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         return row_of(observation, 0), {}
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """One step of 0.05 s.
+        """Takes one step of 0.05 s.
 
         Args:
-            action: ``[2]``: forward speed (m/s) and heading offset (rad); clipped to the action space.
+            action: forward speed (m/s) and heading offset (rad), ``[2]``. Clipped to the action space.
 
         Returns:
             Observation, reward, terminated, truncated and info.
 
         Raises:
-            ValueError: for another shape, or numbers that are not finite.
+            ValueError: if the shape is wrong, or values are not finite.
         """
         action = np.asarray(action, np.float32)
         if action.shape != self.action_space.shape:
@@ -166,11 +166,11 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A picture ``[480, 640, 3]``; ``None`` without a render mode, and where a window shows it."""
+        """Returns an image, uint8 ``[480, 640, 3]``, if the render mode is ``"rgb_array"``, and ``None`` otherwise."""
         return self._batch.picture(0) if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Releases the simulator and the window. Idempotent. Afterwards step, reset and render raise."""
+        """Releases the simulator and the window. Idempotent. Later calls of step, reset and render raise an error."""
         self._batch.env.close()
         if self._window is not None:
             self._window.close()
@@ -180,21 +180,21 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
             self._window.show(self._batch.picture(0))
 
     def get_observation(self) -> Observation:
-        """The present observation, without moving anything."""
+        """Returns the current observation without advancing time."""
         return row_of(self._batch.observation(), 0)
 
     def get_target_info(self) -> NDArray[np.float32]:
-        """Distance (m) and angle relative to the heading (rad) of the goal: ``[2]``."""
+        """Returns distance (m) and angle relative to the heading (rad) of the goal, ``[2]``."""
         return self.get_observation()["target"]
 
     def task_reward(self) -> float:
-        """The reward of the present state: the last step's, or 0 before the first. Asking changes nothing."""
+        """Returns the reward of the last step, or 0 before the first step of an episode."""
         return self._reward
 
     def is_robot_flipped(self) -> str | bool:
-        """Which way the rover has fallen over, or False.
+        """Returns the direction in which the rover has flipped, or ``False``.
 
-        ``'roll_left'``, ``'roll_right'``, ``'pitch_forward'`` or ``'pitch_backward'``.
+        The directions are ``'roll_left'``, ``'roll_right'``, ``'pitch_forward'`` and ``'pitch_backward'``.
         """
         threshold = self.base_env.task.flip_threshold
         roll, pitch = self.current_roll, self.current_pitch
@@ -205,55 +205,58 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         return False
 
     def heading_controller(self, desired_heading: float, current_heading: float) -> float:
-        """The yaw rate (rad/s) that the PID would command now, for headings in rad.
+        """Returns the yaw rate (rad/s) that the heading PID would command, without changing the state of the PID.
 
-        A question only: the running episode's PID does not notice.
+        Args:
+            desired_heading: desired heading in the world frame, rad.
+            current_heading: current heading in the world frame, rad.
         """
-        # The controller replaces its memory and never writes into it: the call changes only the copy.
+        # The controller replaces its state tensors and does not modify them in place, so that a shallow copy suffices.
         controller = copy.copy(self.base_env.controller)
         dt = self.base_env.sensed_state.dt
         desired, current = (torch.full_like(dt, float(heading)) for heading in (desired_heading, current_heading))
         return controller(desired, current, dt).item()
 
     def too_far_away(self) -> bool:
-        """Whether the rover is outside of the world's bounds."""
+        """Returns whether the rover is outside of the world's bounds."""
         x, y, _ = self.rover_position.tolist()
         (x_low, x_high), (y_low, y_high) = self.base_env.worlds[0].bounds
         return not (x_low <= x <= x_high and y_low <= y <= y_high)
 
     @property
     def _robot_connected(self) -> bool:
-        """Whether there is a rover to drive, by the original's name."""
+        """Whether the rover is connected. The original environment uses this name."""
         return self.base_env.robot_connected
 
     def _check_robot_connection(self, timeout: float) -> bool:
-        """Waits for a live rover's first scan (s); whether it came. Simulated rovers are there."""
+        """Waits up to ``timeout`` seconds for a live rover's first scan. Returns whether the rover is connected."""
         wait = getattr(self.base_env.simulator, "wait_for_robot", None)
         return self.base_env.robot_connected if wait is None else wait(timeout)
 
     def pose_array_callback(self, msg: Any) -> None:
-        """Hands a ``geometry_msgs/PoseArray`` to a live backend; its first pose counts. See :meth:`lidar_callback`."""
-        self._hand_over("pose", msg)
+        """Passes a ``geometry_msgs/PoseArray`` to a live backend, which uses pose 0; see :meth:`lidar_callback`."""
+        self._pass_message("pose", msg)
 
     def lidar_callback(self, msg: Any) -> None:
-        """Hands a ``sensor_msgs/LaserScan`` to a live backend, as if it had come over its topic.
+        """Passes a ``sensor_msgs/LaserScan`` to a live backend, as if it were received on the topic.
 
-        Any object with the message's attributes will do; a malformed one is left out with a warning.
+        Args:
+            msg: object with the attributes of the message. A malformed message is ignored with a warning.
 
         Raises:
-            RuntimeError: if the backend makes its own sensor data, as Bullet does.
+            RuntimeError: if the backend is a simulator, which generates its own sensor data.
         """
-        self._hand_over("scan", msg)
+        self._pass_message("scan", msg)
 
     def imu_callback(self, msg: Any) -> None:
-        """Hands a ``sensor_msgs/Imu`` to a live backend; see :meth:`lidar_callback`."""
-        self._hand_over("imu", msg)
+        """Passes a ``sensor_msgs/Imu`` to a live backend; see :meth:`lidar_callback`."""
+        self._pass_message("imu", msg)
 
     def odom_callback(self, msg: Any) -> None:
-        """Hands a ``nav_msgs/Odometry`` to a live backend; see :meth:`lidar_callback`."""
-        self._hand_over("odometry", msg)
+        """Passes a ``nav_msgs/Odometry`` to a live backend; see :meth:`lidar_callback`."""
+        self._pass_message("odometry", msg)
 
-    def _hand_over(self, kind: str, msg: Any) -> None:
+    def _pass_message(self, kind: str, msg: Any) -> None:
         receive = getattr(self.base_env.simulator, "receive", None)
         if receive is None:
             raise RuntimeError(
@@ -264,11 +267,11 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
 
 
 class RoverEnv(GymWrapper):
-    """Drop-in for the original: the same ten arguments in the same order, the same methods and attributes.
+    """Drop-in replacement for the original environment: same positional arguments, methods and attributes.
 
     Args:
-        *args, **kwargs: arguments of :class:`rover_rl.RoverEnv` without ``num_envs``: the contract's ten arguments,
-            then keywords.
+        *args, **kwargs: arguments of :class:`rover_rl.RoverEnv` except ``num_envs``. The ten positional arguments are
+            the contract's.
         reward, time_limit, render_mode, camera: see :class:`GymWrapper`.
 
     Example:
@@ -288,13 +291,13 @@ class RoverEnv(GymWrapper):
         **kwargs: Any,
     ) -> None:
         if "num_envs" in kwargs:
-            raise TypeError("this class is one rover and takes no num_envs; use GymVectorWrapper for a batch")
+            raise TypeError("this class is for one rover and takes no num_envs; use GymVectorWrapper for a batch")
         env = BatchedRoverEnv(*args, **kwargs)
         super().__init__(env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera)
 
 
 def _signature() -> inspect.Signature:
-    """The arguments of the batched environment without ``num_envs``, then those of the wrapper."""
+    """Returns the arguments of the batched environment except ``num_envs``, followed by those of the wrapper."""
     batched = inspect.signature(BatchedRoverEnv).parameters
     own = inspect.signature(RoverEnv.__init__).parameters
     forwarded = [parameter for name, parameter in batched.items() if name != "num_envs"]

@@ -1,4 +1,4 @@
-"""The batch as a Gymnasium vector environment."""
+"""Gymnasium vector environment of a batch of rovers."""
 
 from __future__ import annotations
 
@@ -29,18 +29,17 @@ VectorStep = tuple[Observation, NDArray[np.float64], Mask, Mask, dict[str, Any]]
 
 
 class GymVectorWrapper(VectorEnv[Any, Any, Any]):
-    """A :class:`rover_rl.RoverEnv` of any number of rovers as a ``gymnasium.vector.VectorEnv``.
+    """Wraps a :class:`rover_rl.RoverEnv` of any number of rovers as a ``gymnasium.vector.VectorEnv``.
 
-    Row ``i`` behaves, to the last bit, as the :class:`~rover_rl.envs.wrappers.gym.GymWrapper` of a single rover seeded
-    ``seed + i``. ``infos`` are arrays ``[N]`` under the keys of its ``info``, each with its mask under
-    ``"_" + key``. They leave out ``reward``, which is what ``step()`` returns: TorchRL's ``GymWrapper`` would take
-    an info of that name for the reward itself.
+    Row ``i`` is bit-identical to a :class:`~rover_rl.envs.wrappers.gym.GymWrapper` of one rover with seed ``seed + i``.
+    ``infos`` contains the entries of its ``info`` as arrays ``[N]``, each with a mask under ``"_" + key``. It does not
+    contain ``reward``, because TorchRL's ``GymWrapper`` would use an info of that name instead of the reward.
 
     Args:
-        env: a ``RoverEnv``, or a ``TransformedEnv`` made from one (as by :func:`rover_rl.make_env`).
+        env: ``RoverEnv``, or a ``TransformedEnv`` of one, for example from :func:`rover_rl.make_env`.
         reward, time_limit, render_mode, camera: see :class:`~rover_rl.envs.wrappers.gym.GymWrapper`.
-        autoreset_mode: when a row that ended begins anew, as Gymnasium defines it: in the next step, whose
-            action it ignores (``NEXT_STEP``); in the same step, with ``final_obs`` and ``final_info`` in
+        autoreset_mode: time at which rows whose episode ended are reset, as defined by Gymnasium: in the next step,
+            which ignores their action (``NEXT_STEP``); in the same step, with ``final_obs`` and ``final_info`` in
             ``infos`` (``SAME_STEP``); or by ``reset(options={"reset_mask": ...})`` (``DISABLED``).
 
     Example:
@@ -84,16 +83,20 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins the next episode in every row, or in those of a mask.
+        """Begins the next episode in all rows, or in those of a mask.
 
         Args:
-            seed: of row 0, the others counting on; or their list; ``None`` goes on to the next episodes.
-            options: may hold ``"start"`` (``[N, 3]``: x, y in m, yaw in rad), ``"goal"`` (``[N, 2]``, m) and
-                ``"reset_mask"`` (bool ``[N]``: the rows to reset).
+            seed: seed ``s`` of row 0, with ``s + i`` in row ``i``; or the list ``[s, s + 1, ...]``. ``None`` continues
+                with the current seeds.
+            options: ``"start"`` (``[N, 3]``: x, y in m, yaw in rad), ``"goal"`` (``[N, 2]``, m) and ``"reset_mask"``
+                (bool ``[N]``, rows to reset), all optional.
+
+        Returns:
+            The observations of all rows and an empty info.
 
         Raises:
-            ValueError: for seeds out of range or that do not count on, a seed for some rows only, another option or a
-                wrong shape.
+            ValueError: if seeds are out of range or not consecutive, a seed is given for some rows only, or an option
+                is unknown or has the wrong shape.
         """
         options = dict(options or {})
         rows = self._reset_mask(options.pop("reset_mask", None))
@@ -104,20 +107,20 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
         return observation, {}
 
     def step(self, actions: ArrayLike) -> VectorStep:
-        """One step of 0.05 s in every row.
+        """Takes one step of 0.05 s in every row.
 
         Args:
-            actions: ``[N, 2]``: forward speed (m/s) and heading offset (rad); clipped to the action space.
+            actions: forward speed (m/s) and heading offset (rad), ``[N, 2]``. Clipped to the action space.
 
         Returns:
             Observations, rewards, terminations, truncations and infos.
 
         Raises:
-            ValueError: for another shape, or numbers that are not finite.
-            RuntimeError: with ``DISABLED`` if a row that ended was not reset.
+            ValueError: if the shape is wrong, or values are not finite.
+            RuntimeError: if ``autoreset_mode`` is ``DISABLED`` and a row whose episode ended was not reset.
         """
         if self.autoreset_mode is AutoresetMode.NEXT_STEP and self._ended.any():
-            return self._step_others(actions)
+            return self._step_and_reset_ended(actions)
         if self._ended.any():
             raise RuntimeError(
                 f"rows {np.flatnonzero(self._ended).tolist()} have ended; "
@@ -125,13 +128,13 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
             )
         step = self._batch.step(actions)
         if self.autoreset_mode is AutoresetMode.SAME_STEP and step.ended.any():
-            return self._begin_anew(step)
+            return self._reset_in_same_step(step)
         self._ended = step.ended
         infos = _masked(step.info, np.ones_like(self._ended))
         return step.observation, step.reward, step.terminated, step.truncated, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """A picture ``[480, 640, 3]`` of every rover; ``None`` without a render mode."""
+        """Returns an image of every rover, uint8 ``[480, 640, 3]``, or ``None`` if there is no render mode."""
         if self.render_mode is None:
             return None
         return tuple(self._batch.picture(row) for row in range(self.num_envs))
@@ -140,17 +143,17 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
         """Releases the simulator."""
         self._batch.env.close()
 
-    def _step_others(self, actions: ArrayLike) -> VectorStep:
-        """Steps the rows that are running, and resets those that ended in the step before."""
+    def _step_and_reset_ended(self, actions: ArrayLike) -> VectorStep:
+        """Steps the running rows, and resets the rows whose episode ended in the previous step."""
         running = ~self._ended
         step = self._batch.step(actions, running)
-        # Afterwards, so that the rows that begin anew have no part in the step.
+        # The reset comes after the step, so that the reset rows do not take part in it.
         observation = self._batch.reset(self._ended)
         self._ended = step.ended
         return observation, step.reward, step.terminated, step.truncated, _masked(step.info, running)
 
-    def _begin_anew(self, step: Step) -> VectorStep:
-        """Resets the rows that ended in ``step`` within the same step."""
+    def _reset_in_same_step(self, step: Step) -> VectorStep:
+        """Resets the rows whose episode ended in ``step``, and adds their final observations and infos."""
         ended = step.ended
         final = np.full(self.num_envs, None, dtype=object)
         for row in np.flatnonzero(ended).tolist():
@@ -172,11 +175,11 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
 
 
 def make_vector_env(num_envs: int = 1, **kwargs: Any) -> GymVectorWrapper:
-    """What ``gymnasium.make_vec("rover_rl/Rover-v0", vectorization_mode="vector_entry_point")`` makes.
+    """Entry point of ``gymnasium.make_vec("rover_rl/Rover-v0", vectorization_mode="vector_entry_point")``.
 
     Args:
-        num_envs: rovers.
-        **kwargs: of :class:`rover_rl.RoverEnv` and of :class:`GymVectorWrapper`.
+        num_envs: number of rovers.
+        **kwargs: arguments of :class:`rover_rl.RoverEnv` and of :class:`GymVectorWrapper`.
     """
     options = ("reward", "time_limit", "autoreset_mode", "render_mode", "camera")
     wrapper = {key: kwargs.pop(key) for key in options if key in kwargs}
@@ -184,7 +187,7 @@ def make_vector_env(num_envs: int = 1, **kwargs: Any) -> GymVectorWrapper:
 
 
 def _first_seed(seed: int | Sequence[int | None] | None, num_envs: int) -> int | None:
-    """The seed of row 0, from which the others count on."""
+    """Returns the seed of row 0. The seeds of the rows must be consecutive."""
     if not isinstance(seed, Iterable):
         return None if seed is None else check_seed(seed, num_envs)
     seeds = list(seed)
@@ -198,7 +201,10 @@ def _first_seed(seed: int | Sequence[int | None] | None, num_envs: int) -> int |
 
 
 def _masked(info: dict[str, NDArray[Any]], rows: Mask) -> dict[str, Any]:
-    """``info`` of ``rows``, without the reward, as Gymnasium has it: zero elsewhere, and masks; empty without rows."""
+    """Converts ``info`` to Gymnasium's format for vector environments, without the reward.
+
+    Every entry gets a mask, and is zero outside of ``rows``. The result is empty if there are no rows.
+    """
     if not rows.any():
         return {}
     infos: dict[str, Any] = {}

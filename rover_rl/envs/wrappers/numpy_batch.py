@@ -1,4 +1,4 @@
-"""The environment driven with numpy arrays: what the Gymnasium and Stable-Baselines3 classes share."""
+"""NumPy interface of the environment, shared by the Gymnasium and Stable-Baselines3 classes."""
 
 from __future__ import annotations
 
@@ -29,19 +29,18 @@ Reward: TypeAlias = str | RewardConfig | Sequence[RewardComponent]
 TimeLimit: TypeAlias = Literal["terminated", "truncated"]
 
 KEYS = ("lidar", "pose", "imu", "target", "velocities")
-"""The contract's observation."""
+"""Entries of the contract's observation."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """What a step of the batch brought; every array is the receiver's own.
+    """Result of a step. All arrays are copies.
 
     Attributes:
-        observation: after the step, each entry ``[N, k]``.
-        reward: float64 ``[N]``.
-        terminated, truncated: bool ``[N]``.
-        info: ``steps``, ``total_steps``, ``reward``, ``goals``, ``is_success`` and a bool an event,
-            ``[N]`` each.
+        observation: observation after the step, ``[N, k]`` per entry.
+        reward: rewards, float64 ``[N]``.
+        terminated, truncated: whether the episode ended, bool ``[N]``.
+        info: ``steps``, ``total_steps``, ``reward``, ``goals``, ``is_success`` and a bool for each event, ``[N]`` each.
     """
 
     observation: Observation
@@ -52,30 +51,31 @@ class Step:
 
     @property
     def ended(self) -> Mask:
-        """Rows whose episode ended in this step, bool ``[N]``."""
+        """Whether the episode of each row ended in this step, bool ``[N]``."""
         return self.terminated | self.truncated
 
 
 class NumpyBatch:
-    """Steps, resets and pictures of a :class:`~rover_rl.envs.RoverEnv` in numpy.
+    """Resets, steps and renders a :class:`~rover_rl.envs.RoverEnv` with NumPy arrays.
 
     Args:
-        env: a ``RoverEnv``, or a ``TransformedEnv`` made from one, which has its reward already.
-        reward: for a bare ``RoverEnv``, as in :func:`rover_rl.make_env`; ``None`` is the contract's.
-        time_limit: what an episode is that ends by its length.
+        env: ``RoverEnv``, or a ``TransformedEnv`` of one, which already has its reward.
+        reward: reward of a ``RoverEnv``, as in :func:`rover_rl.make_env`. ``None`` uses the contract's.
+        time_limit: signal at the end of an episode's length.
         render_mode: ``None`` or ``"rgb_array"``.
-        camera: from where pictures are taken.
+        camera: camera position.
 
     Attributes:
-        env: the environment with its reward.
-        base_env: the ``RoverEnv`` in it.
-        observation_space, action_space: of one row, as the environment's transforms leave them.
-        reward_config: numbers of the contract's reward; ``None`` where the reward is another, or was added
-            elsewhere.
+        env: environment with its reward.
+        base_env: ``RoverEnv`` under the transforms.
+        num_envs: number of rovers.
+        observation_space, action_space: spaces of one row, after the transforms.
+        reward_config: parameters of the contract's reward. ``None`` if this class has not added it.
 
     Raises:
-        TypeError: if ``env`` is something else.
-        ValueError: for a second reward, a missing observation or an unknown option.
+        TypeError: if ``env`` has another type.
+        ValueError: if a ``TransformedEnv`` is given another reward, the observation lacks an entry, or an option is
+            unknown.
     """
 
     def __init__(
@@ -104,11 +104,11 @@ class NumpyBatch:
 
     @property
     def total_steps(self) -> NDArray[np.int64]:
-        """Steps of each row since it was seeded last, ``[N]``: a seed reproduces them too."""
+        """Number of steps of each row since it was last seeded, int64 ``[N]``."""
         return _flat(self._started("total_steps")["outcome", "total_steps"]) - self._seeded_at
 
     def observation(self) -> Observation:
-        """The present observation, each entry ``[N, k]``."""
+        """Returns the current observation, ``[N, k]`` per entry."""
         rows = in_rows(self._started("the observation"))
         return {key: rows.get(key).numpy(force=True).copy() for key in KEYS}
 
@@ -122,13 +122,13 @@ class NumpyBatch:
         """Begins the next episode and returns the observation of every row.
 
         Args:
-            rows: bool ``[N]``, the rows to reset; ``None``: all.
-            seed: of the first row, the others counting on; ``None`` goes on with the seeds at hand.
-            options: may hold ``"start"`` (``[N, 3]``: x, y in m, yaw in rad) and ``"goal"`` (``[N, 2]``, m).
+            rows: rows to reset, bool ``[N]``. ``None`` means all rows.
+            seed: seed of the first row. Row ``i`` gets ``seed + i``. ``None`` continues with the current seeds.
+            options: ``"start"`` (``[N, 3]``: x, y in m, yaw in rad) and ``"goal"`` (``[N, 2]``, m), both optional.
 
         Raises:
-            ValueError: for another option, one of the wrong shape, or a seed for some rows only.
-            RuntimeError: on a closed environment.
+            ValueError: if an option is unknown or has the wrong shape, or a seed is given for some rows only.
+            RuntimeError: if the environment is closed.
         """
         self._require_open("reset")
         given = {key: np.asarray(value, np.float32) for key, value in (options or {}).items()}
@@ -149,11 +149,16 @@ class NumpyBatch:
         return self.observation()
 
     def step(self, actions: ArrayLike, rows: Mask | None = None) -> Step:
-        """Steps the rows of ``rows`` (bool ``[N]``; ``None``: all); for the others no time passes.
+        """Takes one step.
 
         Args:
-            actions: ``[N, 2]``: forward speed (m/s) and heading offset (rad), if no transform says otherwise.
-            rows: the other rows' actions are ignored, their reward is 0 and nothing ends them.
+            actions: forward speed (m/s) and heading offset (rad), ``[N, 2]``, unless a transform changes the action.
+            rows: rows to step, bool ``[N]``. ``None`` means all rows. No time passes for the others: their actions are
+                ignored, and their reward is 0.
+
+        Raises:
+            ValueError: if the shape is wrong, or values are not finite.
+            RuntimeError: if the environment is closed, or was not reset.
         """
         self._require_open("step")
         actions = np.array(actions, np.float32)
@@ -167,13 +172,13 @@ class NumpyBatch:
         action = torch.as_tensor(actions, device=self.env.device)
         root.set("action", action.reshape(self.env.action_spec.shape))
         result = self.env.step(root)
-        # Else the next step would hold these rows too.
+        # Otherwise the next step would skip the same rows.
         result.pop("_step", None)
         self._root = self.env.step_mdp(result)
         return self._unpack(result.get("next"), rows)
 
     def picture(self, row: int) -> NDArray[np.uint8]:
-        """A picture of one rover: ``[height, width, 3]``."""
+        """Renders one rover, uint8 ``[height, width, 3]``."""
         self._require_open("render")
         return self.base_env.render(row, self._camera).numpy(force=True)
 
@@ -211,7 +216,7 @@ class NumpyBatch:
 
 
 def base_env(env: EnvBase) -> RoverEnv:
-    """The :class:`RoverEnv` under the transforms of ``env``.
+    """Returns the :class:`RoverEnv` under the transforms of ``env``.
 
     Raises:
         TypeError: if there is none.
@@ -225,12 +230,12 @@ def base_env(env: EnvBase) -> RoverEnv:
 
 
 def frames_per_second(env: EnvBase) -> int:
-    """Frame rate of a video with one picture per step."""
+    """Returns the frame rate of a video with one image per step."""
     return round(1 / base_env(env).control_dt)
 
 
 def row_of(observation: Observation, row: int) -> Observation:
-    """One row of an observation, in arrays of its own."""
+    """Returns a copy of one row of an observation."""
     return {key: value[row].copy() for key, value in observation.items()}
 
 
@@ -252,7 +257,7 @@ def _observation_space(env: EnvBase) -> spaces.Dict:
 
 
 def _box(spec: TensorSpec) -> spaces.Box:
-    """The space of one row's spec."""
+    """Returns the space of the spec of one row."""
     if isinstance(spec, Bounded):
         low, high = spec.space.low.numpy(force=True), spec.space.high.numpy(force=True)
         return spaces.Box(low, high, dtype=np.float32)
@@ -260,7 +265,7 @@ def _box(spec: TensorSpec) -> spaces.Box:
 
 
 def _flat(column: Tensor) -> NDArray[Any]:
-    """``[N]`` of ``[N, 1]``, or of an unbatched environment's ``[1]``, in memory of its own."""
+    """Copies ``[N, 1]``, or ``[1]`` of an unbatched environment, to an array ``[N]``."""
     return column.reshape(-1).numpy(force=True).copy()
 
 

@@ -1,4 +1,4 @@
-"""The original's attributes, under its names and in its spelling."""
+"""Attributes of the original environment, with its names and spelling."""
 
 from __future__ import annotations
 
@@ -14,80 +14,100 @@ if TYPE_CHECKING:
     from rover_rl.sims.worlds import World
 
 
-def _reads(get: Callable[[GymWrapper], Any], doc: str) -> property:
+def _env_property(get: Callable[[GymWrapper], Any], doc: str) -> property:
     return property(get, doc=doc)
 
 
-def _world(get: Callable[[World], Any], doc: str) -> property:
+def _world_property(get: Callable[[World], Any], doc: str) -> property:
     return property(lambda env: get(env.base_env.worlds[0]), doc=doc)
 
 
-def _task(get: Callable[[TaskConfig], Any], doc: str) -> property:
+def _task_property(get: Callable[[TaskConfig], Any], doc: str) -> property:
     return property(lambda env: get(env.base_env.task), doc=doc)
 
 
-def _reward(get: Callable[[RewardConfig], Any], doc: str) -> property:
+def _reward_property(get: Callable[[RewardConfig], Any], doc: str) -> property:
     return property(lambda env: get(_reward_config(env)), doc=doc)
 
 
-def _euler(axis: int, doc: str) -> property:
+def _euler_property(axis: int, doc: str) -> property:
     return property(lambda env: quaternion_to_euler(env.base_env.sensed_state.orientation)[0, axis].item(), doc=doc)
 
 
 class OriginalNames:
-    """What can be read off the environment, by the original's names."""
+    """Read-only attributes of the original environment, for :class:`~rover_rl.envs.wrappers.gym.GymWrapper`."""
 
-    size = _reads(lambda env: env.base_env.size, "Dimensions of the camera buffer, reserved for vision.")
-    length = _reads(lambda env: env.base_env.length, "Steps after which an episode ends.")
+    size = _env_property(lambda env: env.base_env.size, "Size of the camera buffer, pixels. Reserved for vision.")
+    length = _env_property(lambda env: env.base_env.length, "Number of steps after which an episode ends.")
     _length = length
-    lidar_points = _reads(lambda env: env.base_env.lidar.points, "Readings in the observation.")
-    max_lidar_range = _reads(lambda env: env.base_env.lidar.max_range, "The lidar's readings are clipped to this, m.")
+    lidar_points = _env_property(lambda env: env.base_env.lidar.points, "Number of lidar readings in an observation.")
+    max_lidar_range = _env_property(lambda env: env.base_env.lidar.max_range, "Maximum of a lidar reading, m.")
 
-    world_n = _world(lambda world: world.name, "The world's name.")
-    rand_x_range = _world(lambda world: world.spawn_range[0], "Where episodes start in x, (low, high), m.")
-    rand_y_range = _world(lambda world: world.spawn_range[1], "Where episodes start in y, (low, high), m.")
-    rand_goal_x_range = _world(lambda world: world.goal_range[0], "Where goals lie in x, (low, high), m.")
-    rand_goal_y_range = _world(lambda world: world.goal_range[1], "Where goals lie in y, (low, high), m.")
-    too_far_away_low_x = _world(lambda world: world.bounds[0][0], "The world's lower bound in x, m.")
-    too_far_away_high_x = _world(lambda world: world.bounds[0][1], "The world's upper bound in x, m.")
-    too_far_away_low_y = _world(lambda world: world.bounds[1][0], "The world's lower bound in y, m.")
-    too_far_away_high_y = _world(lambda world: world.bounds[1][1], "The world's upper bound in y, m.")
+    world_n = _world_property(lambda world: world.name, "Name of the world.")
+    rand_x_range = _world_property(lambda world: world.spawn_range[0], "Range of start positions in x, (low, high), m.")
+    rand_y_range = _world_property(lambda world: world.spawn_range[1], "Range of start positions in y, (low, high), m.")
+    rand_goal_x_range = _world_property(lambda world: world.goal_range[0], "Range of goals in x, (low, high), m.")
+    rand_goal_y_range = _world_property(lambda world: world.goal_range[1], "Range of goals in y, (low, high), m.")
+    too_far_away_low_x = _world_property(lambda world: world.bounds[0][0], "Lower bound of the world in x, m.")
+    too_far_away_high_x = _world_property(lambda world: world.bounds[0][1], "Upper bound of the world in x, m.")
+    too_far_away_low_y = _world_property(lambda world: world.bounds[1][0], "Lower bound of the world in y, m.")
+    too_far_away_high_y = _world_property(lambda world: world.bounds[1][1], "Upper bound of the world in y, m.")
 
-    success_distance = _task(lambda task: task.success_distance, "A goal is reached below this distance, m.")
-    collision_threshold = _task(lambda task: task.collision_threshold, "A reading below this is a collision, m.")
-    collision_window = _task(lambda task: task.collision_window, "Collisions in a row beyond which it is a jam, steps.")
-    stuck_window = _task(lambda task: task.stuck_window, "Positions remembered, steps.")
-    stuck_threshold = _task(lambda task: task.stuck_threshold, "Less way than this over the window is stuck, m.")
-
-    goal_reward = _reward(lambda reward: reward.goal_reward, "For reaching a goal.")
-    distance_delta_scale = _reward(lambda reward: reward.distance_delta_scale, "For each metre gained.")
-    final_reward_multiplier = _reward(lambda reward: reward.final_reward_multiplier, "On top of that.")
-    collision_penalty = _reward(lambda reward: reward.collision_penalty, "For each step in collision.")
-    stuck_penilty = _reward(lambda reward: reward.stuck_penalty, "For being stuck.")
-    general_penility = _reward(lambda reward: reward.general_penalty, "For a flip or a jam.")
-    too_far_away_penilty = _reward(lambda reward: reward.out_of_bounds_penalty, "For leaving the bounds.")
-
-    current_roll = _euler(0, "Roll, rad.")
-    current_pitch = _euler(1, "Pitch, rad.")
-    current_yaw = _euler(2, "Yaw, rad.")
-    current_linear_velocity = _reads(
-        lambda env: env.base_env.sensed_state.linear_velocity.item(), "Forward speed by wheel odometry, m/s."
+    success_distance = _task_property(lambda task: task.success_distance, "Distance below which a goal is reached, m.")
+    collision_threshold = _task_property(
+        lambda task: task.collision_threshold, "Lidar reading below which the rover is in collision, m."
     )
-    current_angular_velocity = _reads(
-        lambda env: env.base_env.sensed_state.angular_velocity.item(), "Yaw rate by wheel odometry, rad/s."
+    collision_window = _task_property(
+        lambda task: task.collision_window, "Number of consecutive steps in collision above which the rover is jammed."
     )
-    rover_position = _reads(
+    stuck_window = _task_property(
+        lambda task: task.stuck_window, "Number of recent positions that are compared to detect a stuck rover."
+    )
+    stuck_threshold = _task_property(
+        lambda task: task.stuck_threshold, "Displacement over the window below which the rover is stuck, m."
+    )
+
+    goal_reward = _reward_property(lambda reward: reward.goal_reward, "Reward for reaching a goal.")
+    distance_delta_scale = _reward_property(
+        lambda reward: reward.distance_delta_scale, "Reward per meter of progress toward the goal."
+    )
+    final_reward_multiplier = _reward_property(
+        lambda reward: reward.final_reward_multiplier, "Factor of the progress reward and of the idle penalty."
+    )
+    collision_penalty = _reward_property(lambda reward: reward.collision_penalty, "Reward for each step in collision.")
+    stuck_penilty = _reward_property(
+        lambda reward: reward.stuck_penalty, "Reward for an episode that ends because the rover is stuck."
+    )
+    general_penility = _reward_property(
+        lambda reward: reward.general_penalty, "Reward for an episode that ends in a flip or a jam."
+    )
+    too_far_away_penilty = _reward_property(
+        lambda reward: reward.out_of_bounds_penalty, "Reward for leaving the world's bounds."
+    )
+
+    current_roll = _euler_property(0, "Roll, rad.")
+    current_pitch = _euler_property(1, "Pitch, rad.")
+    current_yaw = _euler_property(2, "Yaw, rad.")
+    current_linear_velocity = _env_property(
+        lambda env: env.base_env.sensed_state.linear_velocity.item(), "Forward speed from wheel odometry, m/s."
+    )
+    current_angular_velocity = _env_property(
+        lambda env: env.base_env.sensed_state.angular_velocity.item(), "Yaw rate from wheel odometry, rad/s."
+    )
+    rover_position = _env_property(
         lambda env: env.base_env.sensed_state.position[0].numpy(force=True).copy(), "Position, float32 [3], m."
     )
-    lidar_data = _reads(lambda env: env.get_observation()["lidar"], "The pooled scan, float32 [lidar_points], m.")
-    target_positions_x = _reads(lambda env: env.base_env.goal[0, 0].item(), "The goal's x, m.")
-    target_positions_y = _reads(lambda env: env.base_env.goal[0, 1].item(), "The goal's y, m.")
+    lidar_data = _env_property(
+        lambda env: env.get_observation()["lidar"], "Pooled lidar scan, float32 [lidar_points], m."
+    )
+    target_positions_x = _env_property(lambda env: env.base_env.goal[0, 0].item(), "Position of the goal in x, m.")
+    target_positions_y = _env_property(lambda env: env.base_env.goal[0, 1].item(), "Position of the goal in y, m.")
 
 
 def _reward_config(env: GymWrapper) -> RewardConfig:
     if env.reward_config is None:
         raise AttributeError(
-            "the contract's reward numbers are only known where this class has added its reward: "
-            "give it a bare RoverEnv, with reward='contract' or a RewardConfig"
+            "the parameters of the contract's reward are only known if this class has added the reward; "
+            "pass a bare RoverEnv, with reward='contract' or a RewardConfig"
         )
     return env.reward_config

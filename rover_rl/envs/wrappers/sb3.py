@@ -1,4 +1,4 @@
-"""The batch as one Stable-Baselines3 ``VecEnv``."""
+"""Stable-Baselines3 ``VecEnv`` of a batch of rovers."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ except ImportError as error:
 
 
 class SB3VecEnv(VecEnv):
-    """A :class:`rover_rl.RoverEnv` of any number of rovers as a ``VecEnv``, stepped as one batch.
+    """Wraps a :class:`rover_rl.RoverEnv` of any number of rovers as a ``VecEnv``, which is stepped as one batch.
 
-    A row that ends begins anew in the same step. Its info then holds ``terminal_observation``,
-    ``TimeLimit.truncated`` and what :class:`~rover_rl.envs.wrappers.gym.GymWrapper` tells of a step; the infos of the
-    other rows are empty.
+    A row whose episode ends is reset in the same step. Its info then contains ``terminal_observation``,
+    ``TimeLimit.truncated`` and the ``info`` of :class:`~rover_rl.envs.wrappers.gym.GymWrapper`. The infos of the other
+    rows are empty.
 
     Args:
-        env: a ``RoverEnv``, or a ``TransformedEnv`` made from one (as by :func:`rover_rl.make_env`).
+        env: ``RoverEnv``, or a ``TransformedEnv`` of one, for example from :func:`rover_rl.make_env`.
         reward, render_mode, camera: see :class:`~rover_rl.envs.wrappers.gym.GymWrapper`.
-        time_limit: ``"truncated"``, so that values are bootstrapped at the end of an episode's length; or
-            ``"terminated"``, the contract's reading.
+        time_limit: signal at the end of an episode's length: ``"truncated"``, so that algorithms bootstrap the value
+            there, or ``"terminated"`` as in the contract.
 
     Example:
         >>> import rover_rl
@@ -60,10 +60,10 @@ class SB3VecEnv(VecEnv):
         return self._batch.base_env
 
     def reset(self) -> Observation:
-        """Begins the next episode in every row, with what ``seed()`` and ``set_options()`` have set.
+        """Begins the next episode in every row, with the values from ``seed()`` and ``set_options()``.
 
-        A row's options may hold ``"start"`` (x, y in m, yaw in rad) and ``"goal"`` (x, y in m); every row has
-        the same ones.
+        The options of a row are ``"start"`` (x, y in m, yaw in rad) and ``"goal"`` (x, y in m), both optional. All rows
+        must have the same options.
         """
         keys = self._options[0].keys()
         if any(options.keys() != keys for options in self._options):
@@ -77,11 +77,11 @@ class SB3VecEnv(VecEnv):
         return observation
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Takes the actions ``[N, 2]`` of the next :meth:`step_wait`."""
+        """Sets the actions ``[N, 2]`` for the next :meth:`step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Observation, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """One step of 0.05 s: observations, rewards, dones and infos."""
+        """Takes one step of 0.05 s. Returns observations, rewards, dones and infos."""
         if self._actions is None:
             raise RuntimeError("step_wait() needs actions; call step_async() first")
         step = self._batch.step(self._actions)
@@ -91,36 +91,36 @@ class SB3VecEnv(VecEnv):
             for row in np.flatnonzero(ended).tolist():
                 infos[row] = {key: value[row].item() for key, value in step.info.items()}
                 infos[row]["terminal_observation"] = row_of(observation, row)
-                # As in SB3: a real ending goes before a time limit, or its value would be bootstrapped.
+                # As in SB3, termination has priority over truncation. Otherwise the value would be bootstrapped.
                 infos[row]["TimeLimit.truncated"] = bool(step.truncated[row] and not step.terminated[row])
             observation = self._batch.reset(ended)
         return observation, step.reward.astype(np.float32), ended, infos
 
     def close(self) -> None:
-        """Lets go of the simulator; may be called again."""
+        """Releases the simulator. Idempotent."""
         self._batch.env.close()
 
     def get_images(self) -> list[NDArray[np.uint8]]:
-        """A picture ``[480, 640, 3]`` of every rover."""
+        """Returns an image of every rover, uint8 ``[480, 640, 3]``."""
         return [self._batch.picture(row) for row in range(self.num_envs)]
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of the batched ``RoverEnv``, once for each row asked for."""
+        """Returns an attribute of the batched ``RoverEnv``, once per requested row."""
         owner = self._batch if attr_name == "render_mode" else self.base_env
         return [getattr(owner, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Sets an attribute of the batched ``RoverEnv``, which is that of all rows."""
+        """Sets an attribute of the batched ``RoverEnv`` for all rows."""
         self._require_all(indices)
         setattr(self.base_env, attr_name, value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
-        """Calls a method of the batched ``RoverEnv`` once; its answer, once for each row."""
+        """Calls a method of the batched ``RoverEnv`` once. Returns its result once per row."""
         self._require_all(indices)
         return [getattr(self.base_env, method_name)(*method_args, **method_kwargs)] * self.num_envs
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """False for each row: Gymnasium's wrappers do not apply to a batch."""
+        """Returns ``False`` for each row, because Gymnasium's wrappers do not apply to a batch."""
         return [False for _ in self._get_indices(indices)]
 
     def _require_all(self, indices: Any) -> None:

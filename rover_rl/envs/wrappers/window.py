@@ -1,4 +1,4 @@
-"""The window of ``render_mode="human"``."""
+"""Window for ``render_mode="human"``."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from numpy.typing import NDArray
 
 
 class Window:
-    """Shows pictures in a window of pygame. A process has one such window.
+    """Shows images in a pygame window. A process has only one such window.
 
     Args:
-        title: of the window.
-        fps: pictures a second at most; :meth:`show` waits for that.
+        title: title of the window.
+        fps: maximum frame rate. :meth:`show` waits to keep it.
 
     Attributes:
-        dismissed: whether the user has closed it; then it stays closed.
+        dismissed: whether the user has closed the window. It is not opened again.
 
     Raises:
-        ImportError: without pygame.
-        RuntimeError: without a display.
+        ImportError: if pygame is not installed.
+        RuntimeError: if there is no display.
     """
 
     def __init__(self, title: str, fps: float) -> None:
-        # Or it greets on standard output.
+        # Prevents pygame from printing a greeting to standard output.
         os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
         try:
             import pygame
@@ -40,7 +40,7 @@ class Window:
             raise RuntimeError(f'render_mode="human" needs a display: {error}; "rgb_array" needs none') from error
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Shows a picture ``[height, width, 3]``."""
+        """Shows an image, uint8 ``[height, width, 3]``."""
         display = self._pygame.display
         size = picture.shape[1], picture.shape[0]
         screen = display.get_surface() if display.get_init() else None
@@ -58,5 +58,5 @@ class Window:
         self._clock.tick(self._fps)
 
     def close(self) -> None:
-        """Closes the window; may be called again."""
+        """Closes the window. Idempotent."""
         self._pygame.display.quit()
