@@ -1,4 +1,4 @@
-"""Files of PyTorch tensors and plain data, with checksums. Nothing in a file is executed."""
+"""Archives: files of PyTorch tensors and plain data, with checksums. Reading a file executes no code in it."""
 
 from __future__ import annotations
 
@@ -16,34 +16,40 @@ from rover_rl.files import write_through
 
 
 def write_archive(path: Path, form: str, data: Mapping[str, Any]) -> None:
-    """Writes plain data and tensors, with the format's name."""
-    # In memory first: on a full disk, PyTorch's writer fails with errors that do not say so.
+    """Writes plain data and tensors.
+
+    Args:
+        path: path of the file.
+        form: name of the format, which is written as ``"format"``.
+        data: entries by name.
+    """
+    # Written to memory first: the errors of PyTorch's writer do not say that a disk is full.
     written = io.BytesIO()
     torch.save({"format": form, **data}, written)
     write_through(path, written.getbuffer())
 
 
 def read_archive(path: Path, forms: Sequence[str], kind: str) -> dict[str, Any]:
-    """Reads what :func:`write_archive` wrote. Nothing in the file is executed.
+    """Reads a file that :func:`write_archive` wrote. No code in the file is executed.
 
     Args:
-        path: the file.
-        forms: names of the formats that are understood.
-        kind: what the file is called in messages.
+        path: path of the file.
+        forms: names of the accepted formats.
+        kind: name of the kind of file in error messages.
 
     Returns:
-        The data, with the format's name as ``"format"``.
+        Entries by name, with the name of the format as ``"format"``.
 
     Raises:
-        FileNotFoundError: if there is no file.
-        ValueError: if the file is something else, or damaged.
+        FileNotFoundError: if there is no such file.
+        ValueError: if the file has another format, or is damaged.
     """
     if not path.is_file():
         raise FileNotFoundError(f"no {kind} at {path}")
     content = path.read_bytes()
     try:
         with warnings.catch_warnings():
-            # PyTorch warns about a pickle of others before it fails.
+            # PyTorch warns about foreign pickles before it fails.
             warnings.simplefilter("ignore")
             data = torch.load(checked_copy(content), map_location="cpu", weights_only=True)
     except Exception as error:  # a damaged file can fail in any way
@@ -54,12 +60,13 @@ def read_archive(path: Path, forms: Sequence[str], kind: str) -> dict[str, Any]:
 
 
 def checked_copy(archive: bytes) -> io.BytesIO:
-    """A copy of a file that PyTorch wrote, each record compared with its checksum, which PyTorch does not do.
+    """Copies an archive that PyTorch wrote and verifies the checksum of each record, which PyTorch does not do.
 
     The copy has new headers: for a record with a damaged header, PyTorch may return uninitialized memory.
 
     Raises:
-        zipfile.BadZipFile: for a difference, or another kind of file; a damaged file may raise other errors, too.
+        zipfile.BadZipFile: if a checksum differs, or the file is no ZIP archive. Damaged files may raise other errors,
+            too.
     """
     copy = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(archive)) as records, zipfile.ZipFile(copy, "w") as checked:
@@ -70,9 +77,9 @@ def checked_copy(archive: bytes) -> io.BytesIO:
 
 
 def first_not_finite(tensors: Mapping[str, Tensor]) -> str | None:
-    """Name of the first tensor that holds NaN or infinity; ``None`` if all are finite."""
+    """Returns the name of the first tensor with NaN or infinity, ``None`` if all are finite."""
     if not tensors:
         return None
-    # One check for all of them: each check waits for a GPU.
+    # All tensors are checked at once, because each transfer to the CPU synchronizes with the GPU.
     finite = torch.stack([tensor.isfinite().all() for tensor in tensors.values()]).tolist()
     return next((name for name, whole in zip(tensors, finite, strict=True) if not whole), None)

@@ -1,6 +1,6 @@
-"""The command line: ``rover-rl train | evaluate | film | worlds | demo``. A module a command.
+"""Command-line interface ``rover-rl``, with one module per command.
 
-What a command needs is imported when it runs, so that ``--help`` comes at once.
+Commands import their dependencies when they run, so that ``--help`` is fast.
 """
 
 from rover_rl.cli.main import main

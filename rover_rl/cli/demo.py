@@ -1,4 +1,4 @@
-"""``rover-rl demo``."""
+"""The command ``rover-rl demo``."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ FILMED = 12.0
 
 @dataclass(frozen=True)
 class Demo:
-    """Train PPO for some minutes, evaluate the policy beside others, and film the package's policy.
+    """Train PPO for a few minutes, compare the policy with pretrained and random, and film the pretrained policy.
 
-    The training uses the settings of the package's policy for the world.
+    Uses the training settings of the pretrained policy for the world.
     """
 
     world: str = "moon"
-    """World to train and drive in: inspect, moon or maze."""
+    """World to train and evaluate in: inspect, moon or maze."""
     minutes: float = 4.0
-    """Duration of the training, minutes."""
+    """Duration of training, minutes."""
     seed: int = 0
-    """Seed of the training."""
+    """Seed of the training run."""
     num_envs: int = 64
     """Number of rovers in training."""
     count: int = 64
-    """Number of episodes to evaluate on, each with one goal and a time limit of 60 s."""
+    """Number of evaluation episodes, each with one goal and a time limit of 60 s."""
     runs: str = "runs"
-    """Folder that the run is written into."""
+    """Folder that the run is written to."""
 
     def __call__(self) -> int:
-        """Trains, evaluates, draws, films, and prints where the pictures are."""
+        """Trains, evaluates, plots and films, and prints the paths of the results."""
         from rover_rl.algos.evaluation.episodes import draw_episodes
         from rover_rl.algos.evaluation.evaluate import evaluate
         from rover_rl.algos.evaluation.plots import draw_learning_curve, draw_paths

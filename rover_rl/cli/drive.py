@@ -1,4 +1,4 @@
-"""``rover-rl drive``."""
+"""The command ``rover-rl drive``."""
 
 from __future__ import annotations
 
@@ -25,86 +25,86 @@ if TYPE_CHECKING:
     from rover_rl.cli.policies import ResolvedPolicy
     from rover_rl.envs import RoverEnv
 
-NOT_REACHED = 1
-"""Exit code where a goal was not reached."""
+GOAL_NOT_REACHED = 1
+"""Exit code if a goal was not reached."""
 UNLIMITED = 10**9
-"""Effectively unlimited step budget: the time limit ends a drive."""
-STALE = 0.5
-"""Seconds without a message from a sensor after which a drive ends; without a scan the rover is stopped after half."""
+"""Effectively unlimited episode length, steps: the time limit ends a drive."""
+SENSOR_TIMEOUT = 0.5
+"""Time without a sensor message after which a drive ends, s. Without a scan, the rover stops after half of it."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """Drive a live rover with a trained policy, from goal to goal, at the rate of its scans.
+    """Drive a live rover to one or several goals with a policy, at the rate of its lidar scans.
 
-    The rover is stopped at each goal, and on Ctrl-C, SIGTERM, any error, a silent sensor, an unusable scan, a flip, a
-    robot that restarts, or an obstacle that is too close; a separate process stops it if this one dies. It is never
-    driven towards directions that no lidar beam covers.
+    The rover stops at each goal, and on Ctrl-C, SIGTERM, any error, a silent sensor, an unusable scan, a flip, a robot
+    that restarts, or an obstacle that is too close. A separate process stops it if this process dies. The rover never
+    drives in a direction that no lidar beam covers.
     """
 
     policy: tyro.conf.Positional[str]
-    """Folder of a run, a checkpoint or ONNX file, pretrained:NAME, or scripted."""
+    """Policy: folder of a run, checkpoint file, ONNX file, pretrained:NAME, or scripted."""
     goal: tuple[tuple[float, float], ...] = ()
-    """Goals to drive to, one after the other: x y, m."""
+    """Goals to drive to, in order: x y, m."""
     goals: Path | None = None
-    """File of goals, a line each: x, y."""
+    """CSV file with one goal per line: x, y, m."""
     random: int = 0
-    """Number of goals drawn at random, as in training."""
+    """Number of random goals, drawn as in training."""
     world: str | None = None
-    """World that the rover is in. Default: the one that the policy was trained in."""
+    """World that the rover is in. Default: the world that the policy was trained in."""
     robot: str | None = None
-    """Robot that is driven. Default: the one that the policy was made for."""
+    """Robot: rover_zero, or module:attribute. Default: the robot that the policy was made for."""
     wait: float = 30.0
     """Time to wait for the rover's first scan, s."""
     clearance: float = 0.2
-    """Stop where the lidar reads less than this, m."""
+    """Lidar reading below which the drive ends, m."""
     seconds: float = 60.0
     """Time limit for each goal, s."""
     max_speed: float | None = None
-    """Highest forward speed that is sent, m/s; by default the robot's (Rover Zero: 1)."""
+    """Largest forward speed of a command, m/s. Default: that of the robot (Rover Zero: 1)."""
     max_yaw_rate: float | None = None
-    """Highest yaw rate that is sent, rad/s; by default the robot's (Rover Zero: 7)."""
+    """Largest yaw rate of a command, rad/s. Default: that of the robot (Rover Zero: 7)."""
     max_acceleration: float | None = None
-    """Largest change of the forward speed, m/s^2; by default the robot's (Rover Zero: 5). Stops are sent at once."""
+    """Largest forward acceleration, m/s^2. Default: that of the robot (Rover Zero: 5). Stops are sent immediately."""
     max_yaw_acceleration: float | None = None
-    """Largest change of the yaw rate, rad/s^2; by default the robot's (Rover Zero: 4)."""
+    """Largest yaw acceleration, rad/s^2. Default: that of the robot (Rover Zero: 4)."""
     allow_unseen: bool = False
-    """Drive with a lidar that covers less than the policy was trained with."""
+    """Accept a lidar with a smaller field of view than in training."""
     pose: PoseSource = "pose_array"
-    """Source of the pose: see Ros2Settings."""
+    """Source of the pose: message type of the pose topic, or wheels for the wheel odometry (docs/ros2.md)."""
     pose_topic: str = Ros2Settings.pose_topic
     """Topic of the pose."""
     odometry_topic: str = Ros2Settings.odometry_topic
     """Topic of the wheel odometry."""
     scan_topic: str = Connection.scan_topic
-    """Topic of the scan."""
+    """Topic of the lidar scan."""
     imu_topic: str = Connection.imu_topic
     """Topic of the IMU."""
     cmd_vel_topic: str = Connection.cmd_vel_topic
-    """Topic of the command."""
+    """Topic of the velocity command."""
     stamped: bool = False
     """Send TwistStamped instead of Twist."""
     lidar_yaw: float = Ros2Settings.lidar_yaw
-    """Direction of the zero of the scan's angles, rad; the original's lidar looks backwards."""
+    """Direction of the lidar's zero angle, rad. The original environment's faces backward, most others forward: 0."""
     transport: TransportName = Ros2Settings.transport
-    """dds needs no ROS; rclpy uses a ROS that is sourced."""
+    """ROS 2 transport: dds needs no ROS installation, rclpy uses the ROS that is sourced."""
     seed: int = 0
-    """Seed of random goals."""
+    """Seed of the random goals."""
     log: Path = Path("runs/drive.jsonl")
-    """File that the drives are appended to; rover-rl evaluate reads it."""
+    """Log file that the drives are appended to. rover-rl evaluate reads it."""
     dry_run: bool = False
-    """Send nothing, and print what would be sent."""
+    """Print the commands instead of sending them."""
 
     def __call__(self) -> int:
-        """Drives, and says how each drive ended; 0 if every goal was reached.
+        """Drives to each goal and prints how each drive ended. Returns 0 if all goals were reached.
 
         Raises:
-            ValueError: for an option out of its range, before anything is announced or waited for.
+            ValueError: for an option out of range. Nothing has been sent then.
         """
         self._check()
         endings = []
         with ExitStack() as stack:
-            stop_if_asked = stack.enter_context(_interruptible())
+            raise_if_interrupted = stack.enter_context(_interruptible())
             from rover_rl.algos.deploy.drive_log import DriveLog
             from rover_rl.algos.deploy.driving import drive_to
             from rover_rl.algos.evaluation.metrics import RESTARTED
@@ -113,22 +113,24 @@ class Drive:
             policy = self._policy()
             assert policy.module is not None
             goals, settings = self._goals(policy.worlds[0]), self._settings()
-            watchdog = None if self.dry_run else stack.enter_context(Watchdog(self.cmd_vel_topic, settings, STALE))
+            watchdog = (
+                None if self.dry_run else stack.enter_context(Watchdog(self.cmd_vel_topic, settings, SENSOR_TIMEOUT))
+            )
             env = self._env(policy, settings)
             stack.callback(env.close)
             log = stack.enter_context(DriveLog(self.log, policy.worlds[0], policy.name, self.seconds, env.robot.name))
-            show = stack.enter_context(_display(Console(), each_step=self.dry_run))
+            show_status = stack.enter_context(_status_display(Console(), each_step=self.dry_run))
             for number, goal in enumerate(goals, 1):
 
-                def watch(moment: Moment, label: str = f"goal {number} of {len(goals)}") -> None:
-                    stop_if_asked()
+                def on_step(moment: Moment, label: str = f"goal {number} of {len(goals)}") -> None:
+                    raise_if_interrupted()
                     if watchdog is not None:
                         watchdog.alive()
-                    show(label, moment)
+                    show_status(label, moment)
 
-                stop_if_asked()
+                raise_if_interrupted()
                 if watchdog is not None:
-                    watchdog.alive()  # from here on it stops the rover where the next sign stays away
+                    watchdog.alive()  # arms the watchdog: it stops the rover if the next call is late
                 ending = drive_to(
                     env,
                     policy.module,
@@ -136,26 +138,26 @@ class Drive:
                     seconds=self.seconds,
                     clearance=self.clearance,
                     allow_unseen=self.allow_unseen,
-                    watch=watch,
+                    watch=on_step,
                     log=log,
                 )
                 print(f"goal {number}, {goal[0]:.2f} {goal[1]:.2f}: {ending}", flush=True)
                 endings.append(ending)
                 if ending == RESTARTED:
-                    break  # where it is now, nobody knows
-        print(f"Log: {self.log}; rover-rl evaluate {self.log} measures it")
-        return 0 if set(endings) == {"goal"} else NOT_REACHED
+                    break  # the pose of a restarted robot is unknown
+        print(f"Log: {self.log}; to evaluate it: rover-rl evaluate {self.log}")
+        return 0 if set(endings) == {"goal"} else GOAL_NOT_REACHED
 
     def _check(self) -> None:
-        """Refuses options that are out of range.
+        """Checks that all options are in range.
 
         Raises:
-            ValueError: naming the option.
+            ValueError: for an option out of range, with its name.
         """
         if not all(math.isfinite(number) for goal in self.goal for number in goal):
             raise ValueError(f"--goal must be finite numbers, got {' '.join(f'{x:g} {y:g}' for x, y in self.goal)}")
         if not (self.goal or self.goals or self.random):
-            raise ValueError("say where to: --goal X Y, --goals FILE or --random COUNT")
+            raise ValueError("say where to drive: --goal X Y, --goals FILE or --random COUNT")
         check_positive(MAX_SECONDS, seconds=self.seconds)
         check_at_least(0, MAX_SECONDS, wait=self.wait)
         check_at_least(0, MAX_NUMBER, clearance=self.clearance)
@@ -164,22 +166,22 @@ class Drive:
         self._settings()
 
     def _policy(self) -> ResolvedPolicy:
-        """The policy, and where it is.
+        """Loads the policy and determines its world.
 
         Raises:
-            ValueError: if there is none to drive with, or its world is not known.
+            ValueError: if the policy is random, or its world is unknown.
         """
         from rover_rl.cli.policies import resolve_policy
 
         policy = resolve_policy(self.policy, (self.world,) if self.world else (), self.robot)
         if policy.module is None or not policy.worlds:
             raise ValueError(
-                f"{self.policy} cannot drive a live rover; say which --world it is in, or name a checkpoint"
+                f"{self.policy} cannot drive a live rover; give the --world that it is in, or a trained policy"
             )
         return policy
 
     def _settings(self) -> Ros2Settings:
-        """How the rover is reached."""
+        """Returns the settings of the connection to the rover."""
         command: Command = "twist_stamped" if self.stamped else "twist"
         return Ros2Settings(
             transport=self.transport,
@@ -193,11 +195,11 @@ class Drive:
             max_acceleration=self.max_acceleration,
             max_yaw_acceleration=self.max_yaw_acceleration,
             reset="none",
-            step_timeout=STALE,
+            step_timeout=SENSOR_TIMEOUT,
         )
 
     def _env(self, policy: ResolvedPolicy, settings: Ros2Settings) -> RoverEnv:
-        """The live rover, as an environment without a limit of its own to the steps of a drive."""
+        """Makes the environment of the live rover, without a limit on the steps of an episode."""
         from rover_rl.algos.evaluation.evaluate import environment_for
         from rover_rl.envs import RoverEnv
 
@@ -215,10 +217,10 @@ class Drive:
         return RoverEnv(**environment_for(policy.module, described).arguments())
 
     def _goals(self, world: str) -> list[tuple[float, float]]:
-        """All goals that were asked for.
+        """Returns all goals: those of the command line, of the file, and the random ones.
 
         Raises:
-            ValueError: if there is none, or the file holds something else.
+            ValueError: if there is no goal, or the file is malformed.
         """
         goals = list(self.goal)
         if self.goals is not None:
@@ -233,50 +235,51 @@ class Drive:
 
             goals += [(x, y) for x, y in draw_episodes(world, self.random, self.seed).goal.tolist()]
         if not goals or not all(math.isfinite(number) for goal in goals for number in goal):
-            raise ValueError(f"{self.goals} must have at least one goal, of finite numbers")
+            raise ValueError(f"{self.goals} must have at least one goal, with finite coordinates")
         return goals
 
 
 @contextmanager
 def _interruptible() -> Iterator[Callable[[], None]]:
-    """Ctrl-C and SIGTERM end it: at once, or where the function that this gives is called.
+    """Raises ``KeyboardInterrupt`` on Ctrl-C and SIGTERM, and yields a function that raises it again.
 
-    An exception that is raised while a library calls back into Python may be lost; a rover must stop all the same.
+    An exception that is raised in a callback of a library may be suppressed. The rover must stop nevertheless, so call
+    the function at each step.
     """
-    asked = False
+    interrupted = False
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        asked = True
+        nonlocal interrupted
+        interrupted = True
         raise KeyboardInterrupt
 
-    def stop_if_asked() -> None:
-        if asked:
+    def raise_if_interrupted() -> None:
+        if interrupted:
             raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
+    previous = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield stop_if_asked
+        yield raise_if_interrupted
     finally:
-        for number, handler in before.items():
+        for number, handler in previous.items():
             signal.signal(number, handler)
 
 
 @contextmanager
-def _display(console: Console, each_step: bool) -> Iterator[Callable[[str, Moment], None]]:
-    """Tells of the drive: on one line of a terminal, or in a line for each step."""
+def _status_display(console: Console, each_step: bool) -> Iterator[Callable[[str, Moment], None]]:
+    """Yields a function that shows the status of a drive, in one line of a terminal or in one line per step."""
     with Live(console=console, refresh_per_second=10, transient=True, auto_refresh=console.is_terminal) as live:
 
-        def show(label: str, moment: Moment) -> None:
+        def show_status(label: str, moment: Moment) -> None:
             speed, turn = moment.command
-            told = (
+            status = (
                 f"{label}: {moment.distance:5.2f} m to go, {moment.speed:5.2f} m/s, nearest {moment.nearest:5.2f} m, "
                 f"command {speed:5.2f} m/s {turn:5.2f} rad/s, latency {1000 * moment.latency:4.1f} ms"
-                f"{', held: unseen direction' if moment.held else ''}"
+                f"{', held: no lidar coverage' if moment.held else ''}"
             )
             if each_step:
-                print(told, flush=True)
+                print(status, flush=True)
             else:
-                live.update(told)
+                live.update(status)
 
-        yield show
+        yield show_status

@@ -1,4 +1,4 @@
-"""Options that describe the environment a policy drives in."""
+"""Options of the environment that a policy drives in."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class EnvOptions:
     """Environment to drive in. Default: the one that the policy was made for, in Bullet, without randomization."""
 
     env: Path | None = None
-    """YAML file of an environment: fields of EnvConfig, or a run's config.yaml, whose part env counts."""
+    """YAML file of an environment: fields of EnvConfig, or a run's config.yaml, of which the section env is used."""
     robot: str | None = None
     """Robot: rover_zero, or module:attribute."""
     backend: str | None = None
@@ -27,7 +27,7 @@ class EnvOptions:
     """Preset of Bullet's physics: default, accurate or fast (docs/physics.md)."""
 
     def description(self, policy: Policy | None) -> EnvConfig:
-        """The environment for a policy.
+        """Returns the environment for a policy.
 
         Raises:
             FileNotFoundError: if the file does not exist.
@@ -45,11 +45,11 @@ def read_env(path: Path) -> EnvConfig:
     """Reads the description of an environment from YAML.
 
     Args:
-        path: file with fields of :class:`EnvConfig`, or with settings of a training, whose part ``env`` counts.
+        path: file with fields of :class:`EnvConfig`, or with settings of a training run, of which ``env`` is used.
 
     Raises:
         FileNotFoundError: if the file does not exist.
-        ValueError: if the file holds something else.
+        ValueError: if the file does not describe an environment.
     """
     data = read_yaml(path)
     if isinstance(data, dict) and isinstance(data.get("env"), dict):

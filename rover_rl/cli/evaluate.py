@@ -1,4 +1,4 @@
-"""``rover-rl evaluate``."""
+"""The command ``rover-rl evaluate``."""
 
 from __future__ import annotations
 
@@ -19,39 +19,39 @@ if TYPE_CHECKING:
     from rover_rl.algos.evaluation.evaluate import EndlessEvaluation, Evaluation
 
 LOG = ".jsonl"
-"""Suffix of a log of rover-rl drive."""
+"""Suffix of the logs of ``rover-rl drive``."""
 
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Evaluate policies side by side on fixed starts and goals.
+    """Evaluate policies side by side on fixed start-goal pairs.
 
-    Writes evaluation.json, evaluation.csv and pictures of the paths.
+    Writes evaluation.json, evaluation.csv and plots of the paths.
     """
 
     policies: tyro.conf.Positional[tuple[str, ...]]
-    """Policies: folders of runs, checkpoint files, pretrained:NAME, ONNX files, and the baselines scripted and random.
-    A log of rover-rl drive (.jsonl) is measured as it was driven."""
+    """Policies: folders of runs, checkpoint files, ONNX files, pretrained:NAME, scripted, random, or logs of rover-rl
+    drive (.jsonl)."""
     world: tuple[str, ...] = ()
-    """Worlds to drive in. Default: the one that each policy was trained in."""
+    """Worlds to drive in. Default: for each policy, the worlds that it was trained in."""
     count: int | None = None
-    """Number of episodes in each world: the first of the 256 stored ones, or of those that are drawn. Default: 256."""
+    """Number of episodes in each world. Up to 256 are the first of the stored ones. Default: 256."""
     seed: int | None = None
-    """Seed of other starts and goals than the stored ones."""
+    """Seed to draw new starts and goals with. Default: use the stored ones."""
     seconds: float = 60.0
     """Time limit of each episode, s."""
     action_repeat: int = 1
-    """Number of steps of 50 ms that each action is held for."""
+    """Number of steps (50 ms) that each action is held for."""
     environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
     endless: bool = False
-    """Also drive 32 episodes of 2,000 steps in endless mode, as the original does."""
+    """Also evaluate in endless mode: 32 episodes of 2,000 steps, as in the original environment."""
     jam: bool = True
-    """End these episodes at a long collision, as the contract does; the original never does."""
+    """In endless mode, end an episode at a long collision, as the contract does; the original never does."""
     out: Path | None = None
     """Folder to write to. Default: the folder of the first checkpoint, or runs/evaluation."""
 
     def __call__(self) -> int:
-        """Evaluates, and prints where the results are."""
+        """Evaluates the policies, and prints a table and the paths of the results."""
         from rover_rl.algos.deploy.drive_log import read_drives
         from rover_rl.algos.evaluation.plots import draw_paths
         from rover_rl.algos.evaluation.report import print_table, write_evaluation
@@ -61,7 +61,7 @@ class Evaluate:
         sets = self._episode_sets(policies)
         results: list[Evaluation | EndlessEvaluation] = []
         out = self.out or next((policy.folder for policy in policies if policy.folder), Path("runs/evaluation"))
-        # An error here comes before minutes of driving.
+        # Fails before the evaluation, which can take minutes.
         out.mkdir(parents=True, exist_ok=True)
         pictures: dict[Path, list[Evaluation]] = {}
         for world, episodes in sets.items():
@@ -81,14 +81,14 @@ class Evaluate:
             for picture, shown in pictures.items():
                 draw_paths(shown, picture)
         finally:
-            # Also if a file could not be written: driving took long.
+            # Prints the results even if a file could not be written.
             print_table(results, groups=dict(zip(trained, experiments([*trained.values()]), strict=True)))
         print(f"Results: {out / 'evaluation.json'}, evaluation.csv")
         print("Paths driven: " + ", ".join(str(picture) for picture in pictures))
         return 0
 
     def _policies(self) -> list[ResolvedPolicy]:
-        """The policies, each with a unique name."""
+        """Resolves the policies and gives each a unique name."""
         if not self.policies:
             raise ValueError("name a policy: the folder of a run, a checkpoint, pretrained:NAME, scripted or random")
         words = dict.fromkeys(word for word in self.policies if not word.endswith(LOG))
@@ -97,13 +97,13 @@ class Evaluate:
         return [policy if names[policy.name] == 1 else replace(policy, name=word) for word, policy in policies.items()]
 
     def _episode_sets(self, policies: list[ResolvedPolicy]) -> dict[str, EpisodeSet]:
-        """The episodes of each world: the stored ones, if there are enough of them."""
+        """Returns the episodes of each world: the stored ones if possible, else newly drawn ones."""
         from rover_rl.algos.evaluation.episodes import DEFAULT_SEED, STORED, draw_episodes, stored_episodes
         from rover_rl.sims.worlds import WORLDS, get_world
 
         worlds = dict.fromkeys(world for policy in policies for world in policy.worlds)
         if not worlds and policies:
-            raise ValueError("give a --world to drive in; these policies were trained in none")
+            raise ValueError("give a --world to drive in: these policies were not trained in any")
         for world in worlds:
             get_world(world)
         count = STORED if self.count is None else self.count

@@ -1,4 +1,4 @@
-"""``rover-rl export``."""
+"""The command ``rover-rl export``."""
 
 from __future__ import annotations
 
@@ -11,22 +11,25 @@ import tyro
 
 @dataclass(frozen=True)
 class Export:
-    """Export a trained policy for machines without TorchRL, and compare it with the original on 1,000 observations."""
+    """Export a trained policy to a file that runs without TorchRL.
+
+    Compares the actions of the exported and the original policy on 1,000 random observations.
+    """
 
     policy: tyro.conf.Positional[str]
-    """Folder of a run, a checkpoint, or pretrained:NAME."""
+    """Policy: folder of a run, checkpoint file, or pretrained:NAME."""
     format: Literal["onnx", "torch"] = "onnx"
-    """Format: onnx, or torch (a torch.export program)."""
+    """File format: onnx (needs the extra onnx), or torch (a torch.export program)."""
     out: Path | None = None
-    """File to write. Default: the policy's name with .onnx or .pt2."""
+    """File to write. Default: the name of the policy with the suffix .onnx or .pt2."""
 
     def __call__(self) -> int:
-        """Exports, and prints the largest difference."""
+        """Exports the policy and prints the largest difference of an action."""
         from rover_rl.algos.deploy.export import SUFFIXES, export
         from rover_rl.cli.policies import load_checkpoint
 
         checkpoint, name = load_checkpoint(self.policy)
         out = self.out or Path(name).with_suffix(SUFFIXES[self.format])
         difference = export(checkpoint, out, self.format)
-        print(f"{out}: acts as {self.policy} does, to {difference:.1g}, on 1,000 observations")
+        print(f"{out}: acts as {self.policy} does, with a largest difference of {difference:.1g} on 1,000 observations")
         return 0

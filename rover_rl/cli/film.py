@@ -1,4 +1,4 @@
-"""``rover-rl film``."""
+"""The command ``rover-rl film``."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Film:
     policy: tyro.conf.Positional[str]
     """Folder of a run, checkpoint file, pretrained:NAME, scripted or random."""
     out: Path = Path("film.mp4")
-    """File to write: .mp4 (needs the extra "video") or .gif."""
+    """File to write: .mp4 (needs the extra video) or .gif."""
     view: Literal["chase", "top"] = "chase"
-    """Behind the first rover, or above all of them."""
+    """Camera: chase follows the first rover, top shows all rovers from above."""
     world: str | None = None
     """World to drive in. Default: the one that the policy was trained in, or maze."""
     seconds: float = 20.0
@@ -29,21 +29,21 @@ class Film:
     seed: int = 0
     """Seed of starts and goals."""
     rovers: int | None = None
-    """Number of rovers. Default: 1, or 16 from above."""
+    """Number of rovers. Default: 1 for chase, 16 for top."""
     width: int = 640
-    """Width of the picture, pixels."""
+    """Width of the video, pixels."""
     height: int = 480
-    """Height of the picture, pixels."""
+    """Height of the video, pixels."""
     fps: int | None = None
     """Frames per second. Default: 20 for .mp4, 10 for .gif."""
     speed: float = 1.0
     """Playback speed; 2 is twice as fast as real time."""
     rewards: Path | None = None
-    """File for a plot of the first rover's reward components, such as rewards.png."""
+    """File to plot the first rover's reward components to, such as rewards.png."""
     environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
 
     def __call__(self) -> int:
-        """Films, and prints where the video is."""
+        """Films the policy and prints the path of the video."""
         from rover_rl.algos.evaluation.plots import draw_reward_components
         from rover_rl.algos.video.film import film
 

@@ -1,4 +1,4 @@
-"""The entry point: reads the command line, runs the command, and says what went wrong."""
+"""Entry point: parses the command line, runs the command and prints errors."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from rover_rl.cli.worlds import Worlds
 from rover_rl.files import STANDARD_OUTPUT, errors_name
 
 FAILED = 2
-"""Exit code for an error of the user's."""
-CUT_OFF = 141
-"""Exit code where nobody reads on what is printed, as a shell has it for SIGPIPE."""
+"""Exit code after an error, such as an invalid option or a missing file."""
+BROKEN_PIPE = 141
+"""Exit code when the reader of the output has closed the pipe: 128 + SIGPIPE, as in a shell."""
 
 COMMANDS = {
     "evaluate": Evaluate,
@@ -31,14 +31,14 @@ COMMANDS = {
     "drive": Drive,
     "export": Export,
 }
-"""The commands whose options are always the same; those of ``train`` depend on the algorithm."""
+"""Commands by name, without ``train``, whose options depend on the algorithm."""
 
 
 def main(args: list[str] | None = None) -> int:
-    """Runs a command; returns the exit code.
+    """Runs a command and returns its exit code.
 
     Args:
-        args: of the command line; ``None`` takes the process's own.
+        args: arguments of the command line; ``None``: those of the process.
     """
     args = sys.argv[1:] if args is None else args
     # The user's worlds, robots, rewards and backends may be modules of the current folder, as with "python -m".
@@ -50,14 +50,14 @@ def main(args: list[str] | None = None) -> int:
         finally:
             _flush()
     except BrokenPipeError:
-        return CUT_OFF
+        return BROKEN_PIPE
     except (ValueError, OSError, ImportError, FloatingPointError) as error:
-        print(f"rover-rl: {_told(error)}", file=sys.stderr)
+        print(f"rover-rl: {_error_message(error)}", file=sys.stderr)
         return FAILED
     except (MemoryError, RuntimeError) as error:
         if not (isinstance(error, MemoryError) or re.search(r"allocate memory|out of memory", str(error))):
             raise
-        print("rover-rl: there is not enough memory for that; smaller numbers need less", file=sys.stderr)
+        print("rover-rl: not enough memory; use fewer rovers, smaller networks or smaller batches", file=sys.stderr)
         return FAILED
     except KeyboardInterrupt:
         print("rover-rl: interrupted", file=sys.stderr)
@@ -65,7 +65,7 @@ def main(args: list[str] | None = None) -> int:
 
 
 def _flush() -> None:
-    """Writes out what was printed; what cannot be is dropped, or Python would complain of it at its end."""
+    """Flushes standard output. If that fails, discards the rest, so that Python does not fail again at exit."""
     try:
         with errors_name(STANDARD_OUTPUT):
             sys.stdout.flush()
@@ -74,8 +74,8 @@ def _flush() -> None:
         raise
 
 
-def _told(error: Exception) -> str:
-    """The error's own words; of the system's errors the file and the reason."""
+def _error_message(error: Exception) -> str:
+    """Returns the message of an error; for an error of the operating system, the file and the reason."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error)

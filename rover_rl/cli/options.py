@@ -1,4 +1,4 @@
-"""Reading the command line with tyro, whose boxes of ten lines about an error become one sentence."""
+"""Command-line parsing with tyro, with each error reported in one sentence."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from typing import Annotated, Any, Union
 import tyro
 
 _PROGRAM = "rover-rl"
-_DESCRIPTION = "Rovers that learn to drive to a goal."
+_DESCRIPTION = "Train, evaluate and drive rovers that navigate to goals."
 
 
 def read_command(commands: dict[str, Any], args: Sequence[str]) -> Any:
-    """The command that the command line names, with its options; ``--help`` prints and exits.
+    """Parses a command and its options; ``--help`` prints the help and exits.
 
     Args:
         commands: dataclasses of the commands by name, or instances that hold defaults.
-        args: of the command line, the command's name first.
+        args: arguments of the command line, starting with the name of the command.
 
     Raises:
-        ValueError: in one sentence, for an unknown command or option, or a value that does not fit.
+        ValueError: for an unknown command or option, or an invalid value. The message is one sentence.
     """
     name = args[0] if args else ""
     if name not in commands and name not in ("-h", "--help") and not name.startswith("--tyro-"):
@@ -36,7 +36,7 @@ def read_command(commands: dict[str, Any], args: Sequence[str]) -> Any:
         if not stop.code:
             raise
         help_text = _help(commands, name)
-        raise ValueError(_sentence(_plain(errors.getvalue()), help_text, args[1:]) + _hint(name)) from None
+        raise ValueError(_error_sentence(_plain(errors.getvalue()), help_text, args[1:]) + _hint(name)) from None
     if unknown:
         raise ValueError(_unknown_option(unknown, _help(commands, name)) + _hint(name))
     return command
@@ -49,7 +49,7 @@ def _parse(commands: dict[str, Any], args: Sequence[str]) -> tuple[Any, list[str
         else Annotated[type(kind), tyro.conf.subcommand(name, default=kind)]
         for name, kind in commands.items()
     ]
-    # The kinds are known at run time only, where no type checker can follow.
+    # A union that is built at run time cannot be type-checked.
     command: Any = Union[tuple(kinds)]  # noqa: UP007
     return tyro.cli(command, args=args, prog=_PROGRAM, description=_DESCRIPTION, return_unknown_args=True)
 
@@ -65,7 +65,7 @@ def _help(commands: dict[str, Any], name: str) -> str:
 
 
 def _plain(text: str) -> str:
-    """Text without colours and without the sides of boxes."""
+    """Removes colors and the sides of boxes from a text."""
     return re.sub(r"\x1b\[[0-9;]*m|^[│|╭+╰] ?| ?[│|╮+╯]$", "", text, flags=re.MULTILINE)
 
 
@@ -82,7 +82,7 @@ def _unknown_command(name: str) -> str:
 
 
 def _unknown_option(unknown: Sequence[str], help_text: str) -> str:
-    """What to say of arguments that a command does not take, with the most similar option."""
+    """Returns the message for arguments that a command does not take, with the most similar option."""
     options = [argument.split("=")[0] for argument in unknown if argument.startswith("-")]
     if not options:
         return f"unexpected argument {unknown[0]!r}"
@@ -90,20 +90,24 @@ def _unknown_option(unknown: Sequence[str], help_text: str) -> str:
     return f"unknown option {options[0]}" + (f", perhaps {similar[0]}" if similar else "")
 
 
-def _sentence(complaint: str, help_text: str, args: Sequence[str]) -> str:
-    """What tyro complains of: the option, what it takes and what was given; else the complaint's first paragraph."""
-    _, *paragraphs = re.split(r"[─-]{3,}", complaint)
-    paragraph = " ".join((paragraphs[0] if paragraphs else complaint).split())
+def _error_sentence(tyro_error: str, help_text: str, args: Sequence[str]) -> str:
+    """Condenses an error of tyro into a sentence.
+
+    The sentence names the option, the expected and the given value. If tyro names no such option, it is the first
+    paragraph of tyro's error.
+    """
+    _, *paragraphs = re.split(r"[─-]{3,}", tyro_error)
+    paragraph = " ".join((paragraphs[0] if paragraphs else tyro_error).split())
     given = _values(args)
     for option in re.findall(r"--[\w-]+", paragraph):
-        takes = re.search(rf"^ {{0,4}}{option} ([\[{{A-Z].*?)(?:\s{{2,}}|$)", help_text, re.MULTILINE)
-        if option in given and takes:
-            return f"{option} takes {takes[1]}, got {' '.join(given[option]) or 'nothing'}"
+        expected = re.search(rf"^ {{0,4}}{option} ([\[{{A-Z].*?)(?:\s{{2,}}|$)", help_text, re.MULTILINE)
+        if option in given and expected:
+            return f"{option} takes {expected[1]}, got {' '.join(given[option]) or 'nothing'}"
     return re.sub(r"^Missing from \S+ (\S+): \S+ (.*?)( \(required\))?$", r"\1 needs: \2", paragraph).rstrip(".")
 
 
 def _values(args: Sequence[str]) -> dict[str, list[str]]:
-    """What was given to each option."""
+    """Returns the values of each option on the command line; those of no option have the key ``""``."""
     given: dict[str, list[str]] = {}
     option = ""
     for argument in args:

@@ -1,4 +1,4 @@
-"""Policies, by the words that name them on the command line."""
+"""Policies as named on the command line."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ if TYPE_CHECKING:
     from rover_rl.algos.policy.checkpoint import Checkpoint
 
 PRETRAINED = "pretrained:"
-"""Prefix of the name of a policy of the package."""
+"""Prefix of the names of pretrained policies."""
 ONNX = ".onnx"
-"""Suffix of an exported policy."""
+"""Suffix of exported ONNX policies."""
 
 
 @dataclass(frozen=True)
 class ResolvedPolicy:
-    """A policy to drive with.
+    """A policy that an argument of the command line names.
 
     Attributes:
-        name: name in tables.
+        name: name of the policy in tables.
         module: the policy; ``None`` acts at random.
-        worlds: worlds to drive in; none: those of the other policies.
-        folder: folder of its checkpoint.
-        config: settings that it was trained with.
+        worlds: worlds to drive in; if empty, the policy drives in the worlds of the other policies.
+        folder: folder of the checkpoint; ``None`` if the policy has none.
+        config: settings that the policy was trained with; ``None`` if it was not trained.
     """
 
     name: str
@@ -37,16 +37,16 @@ class ResolvedPolicy:
 
 
 def resolve_policy(word: str, worlds: tuple[str, ...], robot: str | None = None) -> ResolvedPolicy:
-    """The policy that a word on the command line names.
+    """Resolves the name of a policy on the command line.
 
     Args:
         word: ``random``, ``scripted``, ``pretrained:NAME``, or the path of a run's folder, checkpoint or ONNX file.
-        worlds: worlds to drive in; none: the ones that the policy was trained in.
-        robot: robot of the scripted policy; ``None``: the default one.
+        worlds: worlds to drive in; if empty, the ones that the policy was trained in.
+        robot: robot of the scripted policy; ``None``: the default robot.
 
     Raises:
-        FileNotFoundError: if there is no checkpoint.
-        ValueError: if the word names something else.
+        FileNotFoundError: if the checkpoint does not exist.
+        ValueError: if there is no such pretrained policy, or the file holds no policy.
     """
     from rover_rl.algos.policy.baselines import ScriptedPolicy
 
@@ -70,11 +70,11 @@ def resolve_policy(word: str, worlds: tuple[str, ...], robot: str | None = None)
 
 
 def load_checkpoint(word: str) -> tuple[Checkpoint, str]:
-    """The checkpoint that a word on the command line names, and its name.
+    """Loads the checkpoint that an argument of the command line names, and returns it with its name.
 
     Raises:
-        FileNotFoundError: if there is none.
-        ValueError: if the word names something else.
+        FileNotFoundError: if the checkpoint does not exist.
+        ValueError: if there is no such pretrained policy, or the file holds no checkpoint.
     """
     from rover_rl.algos.policy.checkpoint import Checkpoint
     from rover_rl.algos.pretrained import load_pretrained

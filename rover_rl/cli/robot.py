@@ -1,4 +1,4 @@
-"""``rover-rl robot``."""
+"""The command ``rover-rl robot``."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2.settings import Ros2Settings
 
 MAX_RATE = 1000.0
-"""Fastest simulation that can be asked for, as a multiple of real time."""
+"""Largest simulation speed, as a multiple of real time."""
 MAX_BEAMS = 16_383
-"""Rays that Bullet casts in one call."""
+"""Largest number of rays that Bullet casts in one call."""
 
 
 @dataclass(frozen=True)
 class RobotCommand:
     """Run a simulated ROS 2 robot that publishes scan, IMU, odometry, pose array and clock.
 
-    Drive it with backend="ros2", rover-rl drive, or any ROS 2 tool. Ctrl-C ends it.
+    Drive it with backend="ros2", rover-rl drive, or any ROS 2 tool. Ctrl-C stops it.
     """
 
     world: str = "maze"
@@ -31,7 +31,7 @@ class RobotCommand:
     rate: float = 1.0
     """Simulation speed as a multiple of real time."""
     seed: int = 0
-    """Seed of the place where the rover starts."""
+    """Seed of the start pose."""
     robot: str = "rover_zero"
     """Robot: rover_zero, or module:attribute."""
     backend: str = EnvConfig.backend
@@ -39,27 +39,27 @@ class RobotCommand:
     physics: str = EnvConfig.physics
     """Preset of Bullet's physics: default, accurate or fast (docs/physics.md)."""
     lidar_beams: int = 640
-    """Beams in a full turn of the lidar; the original's has 640."""
+    """Number of lidar beams in a full turn; the original environment has 640."""
     lidar_view: float = 360.0
-    """Angle that the lidar covers, half of it to either side of straight ahead, degrees."""
+    """Field of view of the lidar, centered straight ahead, degrees."""
     scan_topic: str = Connection.scan_topic
-    """Where it publishes sensor_msgs/LaserScan."""
+    """Topic that the sensor_msgs/LaserScan is published to."""
     imu_topic: str = Connection.imu_topic
-    """Where it publishes sensor_msgs/Imu."""
+    """Topic that the sensor_msgs/Imu is published to."""
     cmd_vel_topic: str = Connection.cmd_vel_topic
-    """Where it takes geometry_msgs/Twist."""
+    """Topic that commands are received from, geometry_msgs/Twist."""
     odometry_topic: str = Ros2Settings.odometry_topic
-    """Where it publishes nav_msgs/Odometry of its wheels."""
+    """Topic that the wheel odometry is published to, nav_msgs/Odometry."""
     pose_topic: str = Ros2Settings.pose_topic
-    """Where it publishes geometry_msgs/PoseArray."""
+    """Topic that the geometry_msgs/PoseArray is published to."""
     reset_topic: str = Ros2Settings.reset_topic
-    """Where it takes a geometry_msgs/PoseStamped, and is put there."""
+    """Topic that poses to move the rover to are received from, geometry_msgs/PoseStamped."""
 
     def __call__(self) -> int:
-        """Runs until it is interrupted.
+        """Runs the robot until it is interrupted.
 
         Raises:
-            ValueError: for an option out of its range, before anything is published.
+            ValueError: for an option out of range. Nothing has been published then.
         """
         self._check()
         from rover_rl.algos.evaluation.episodes import draw_episodes
@@ -71,11 +71,11 @@ class RobotCommand:
 
         stop = threading.Event()
 
-        def end(number: int, frame: FrameType | None) -> None:
+        def request_stop(number: int, frame: FrameType | None) -> None:
             stop.set()
 
         for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, end)
+            signal.signal(number, request_stop)
         world, robot = get_world(self.world), get_robot(self.robot)
         start = draw_episodes(world, 1, self.seed, robot=robot).start[0].tolist()
         transport = make_transport("dds", robot.name)
@@ -94,7 +94,8 @@ class RobotCommand:
         try:
             node = RobotNode(simulator, transport, world, robot.lidar_range, settings, connection, tuple(start), view)
             print(
-                f"A rover in {self.world} on ROS 2: scan {self.scan_topic}, commands {self.cmd_vel_topic}", flush=True
+                f"Rover in {self.world} on ROS 2: publishes {self.scan_topic}, receives {self.cmd_vel_topic}",
+                flush=True,
             )
             node.run(self.rate, stop)
         finally:
@@ -103,6 +104,7 @@ class RobotCommand:
         return 0
 
     def _check(self) -> None:
+        """Checks that all options are in range."""
         check_positive(MAX_RATE, rate=self.rate)
         check_at_least(1, MAX_BEAMS, lidar_beams=self.lidar_beams)
         check_positive(360, lidar_view=self.lidar_view)

@@ -1,4 +1,4 @@
-"""``rover-rl train``."""
+"""The command ``rover-rl train``."""
 
 from __future__ import annotations
 
@@ -34,49 +34,47 @@ if TYPE_CHECKING:
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 
-# Options of a part stand without the part's name: --world and --hidden, not --env.world and --network.hidden.
+# Options have no prefix of their part: --world and --hidden, not --env.world and --network.hidden.
 _Flat = tyro.conf.arg(name="")
 _EnvPart: TypeAlias = Annotated[EnvConfig, _Flat]
 
 
 @dataclass(frozen=True)
 class Train:
-    """Train a policy with PPO or SAC. The settings below are those of the algorithm that --algo names.
+    """Train a policy with PPO or SAC. The options below are those of the selected algorithm.
 
-    Writes config.yaml, progress.csv, checkpoint.pt, snapshots and a learning curve to a new folder. Ctrl-C ends the
-    run with a checkpoint; --resume continues it.
+    Writes config.yaml, progress.csv, checkpoint.pt, snapshots and a learning curve to a new folder. Ctrl-C saves a
+    checkpoint and ends the run; --resume continues it.
     """
 
     algo: Literal["ppo", "sac"] = "ppo"
-    """Learning algorithm. --algo sac --help shows the settings of SAC."""
+    """Learning algorithm. --algo sac --help shows the options of SAC."""
     config_file: Annotated[Path | None, tyro.conf.arg(name="config")] = None
-    """YAML file of settings, such as a run's config.yaml, or pretrained:NAME for those of a policy of the package.
-    Options on the command line override it."""
+    """YAML file of settings, such as a run's config.yaml, or pretrained:NAME. Other options override its settings."""
     resume: Path | None = None
-    """Folder of a run to continue, with its settings. Options on the command line override them."""
+    """Folder of a run to continue with its settings. Other options override them."""
     randomize: bool = False
-    """Randomize friction, mass, motors, latency and sensors as much as those of a real rover may be off (docs/warp.md).
-    The --randomization options override single ranges."""
+    """Randomize dynamics and sensors by typical ranges (docs/warp.md). --randomization options override them."""
     env: _EnvPart = field(default_factory=EnvConfig)
     network: Annotated[NetworkConfig, _Flat] = field(default_factory=NetworkConfig)
     collection: Annotated[CollectionConfig, _Flat] = field(default_factory=CollectionConfig)
     algorithm: Annotated[AlgorithmConfig, _Flat] = field(default_factory=PPOConfig)
     run: Annotated[RunConfig, _Flat] = field(default_factory=RunConfig)
     backend_settings: tyro.conf.Suppress[Any] = None
-    """Settings of the backend from a file, which have no options."""
+    """Settings of the backend that a file provides. The command line has no options for them."""
 
     @property
     def config(self) -> TrainingConfig:
-        """The settings."""
+        """Settings of the training run."""
         env = self.env
         if self.backend_settings is not None and env.backend == name_of(self.backend_settings):
             env = replace(env, backend=self.backend_settings)
         return TrainingConfig(env, self.network, self.collection, self.algorithm, self.run)
 
     def __call__(self) -> int:
-        """Trains, and prints where the policy is."""
+        """Trains a policy, plots its learning curve and prints a summary."""
         config = self.config
-        # Before PyTorch is imported, which takes seconds.
+        # Checks the settings before importing PyTorch, which takes seconds.
         config.check()
         from rover_rl.algos.evaluation.plots import draw_learning_curve
         from rover_rl.algos.train import train
@@ -89,37 +87,37 @@ class Train:
 
 
 @dataclass(frozen=True)
-class TrainPPO(Train):  # noqa: D101, it has the docstring of Train
+class TrainPPO(Train):  # noqa: D101  (inherits the docstring of Train)
     __doc__ = Train.__doc__
     algorithm: Annotated[PPOConfig, _Flat] = field(default_factory=PPOConfig)
 
 
 @dataclass(frozen=True)
-class TrainSAC(Train):  # noqa: D101, it has the docstring of Train
+class TrainSAC(Train):  # noqa: D101  (inherits the docstring of Train)
     __doc__ = Train.__doc__
     algorithm: Annotated[SACConfig, _Flat] = field(default_factory=SACConfig)
 
 
 def train_defaults(args: Sequence[str]) -> Train:
-    """The command before its options are parsed: its algorithm, and settings from a file if one is named.
+    """Returns the command with the defaults of its options: those of the algorithm, of a file or of a run.
 
     Args:
-        args: arguments of the command line, the command's name first.
+        args: arguments of the command line, starting with the name of the command.
 
     Raises:
-        FileNotFoundError: if there is no such file or run.
-        ValueError: if its settings cannot be read, or belong to another algorithm.
+        FileNotFoundError: if the file or the run does not exist.
+        ValueError: if the settings cannot be read, or belong to another algorithm.
     """
-    named = _read_first(args)
-    if named.config is not None and named.resume is not None:
-        raise ValueError("--config begins a new run, and --resume continues one: give one of them")
-    if named.config is not None:
-        config = _settings(named.config)
+    given = _early_options(args)
+    if given.config is not None and given.resume is not None:
+        raise ValueError("--config starts a new run, and --resume continues one: give one of them")
+    if given.config is not None:
+        config = _read_settings(given.config)
     else:
-        config = run_config(named.resume) if named.resume else default_config(_known(named.algo))
-    if named.algo in ALGORITHMS and named.algo != config.algo:
-        raise ValueError(f"the settings are those of {config.algo}, and --algo is {named.algo}")
-    if named.randomize:
+        config = run_config(given.resume) if given.resume else default_config(_algorithm_or_default(given.algo))
+    if given.algo in ALGORITHMS and given.algo != config.algo:
+        raise ValueError(f"the settings are those of {config.algo}, and --algo is {given.algo}")
+    if given.randomize:
         config = with_settings(config, randomization=Randomization.typical())
     parts = {part: getattr(config, part) for part in PARTS}
     settings = None
@@ -130,8 +128,8 @@ def train_defaults(args: Sequence[str]) -> Train:
     return kind(algo=config.algo, backend_settings=settings, **parts)  # type: ignore[arg-type]
 
 
-def _read_first(args: Sequence[str]) -> argparse.Namespace:
-    """The options that decide on the defaults of the others."""
+def _early_options(args: Sequence[str]) -> argparse.Namespace:
+    """Parses the options that determine the defaults of the others."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     for option in ("--algo", "--config", "--resume"):
         parser.add_argument(option, nargs="?")
@@ -139,12 +137,12 @@ def _read_first(args: Sequence[str]) -> argparse.Namespace:
     return parser.parse_known_args(args[1:] if args[:1] == ["train"] else [])[0]
 
 
-def _known(algo: str | None) -> str:
+def _algorithm_or_default(algo: str | None) -> str:
     return algo if algo in ALGORITHMS else PPOConfig.name
 
 
-def _settings(source: str) -> TrainingConfig:
-    """Settings from a YAML file, or those of a policy of the package."""
+def _read_settings(source: str) -> TrainingConfig:
+    """Reads settings from a YAML file or from a pretrained policy."""
     if not source.startswith(PRETRAINED):
         return read_config(source)
     from rover_rl.algos.pretrained import load_pretrained
@@ -155,7 +153,7 @@ def _settings(source: str) -> TrainingConfig:
 
 
 def format_summary(summary: TrainingSummary) -> str:
-    """The result of a training, and the shares of its time."""
+    """Formats the result of a training run and the shares of its time."""
     stopped = "Interrupted" if summary.interrupted else "Trained"
     shares = ", ".join(f"{name} {share:.0%}" for name, share in summary.shares.items())
     return (

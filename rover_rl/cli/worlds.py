@@ -1,4 +1,4 @@
-"""``rover-rl worlds``."""
+"""The command ``rover-rl worlds``."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Worlds:
-    """List the worlds, and draw a map of each."""
+    """List the worlds and draw a map of each."""
 
     world: tuple[str, ...] = ()
-    """Worlds to draw, also module:attribute. Default: all that have a name."""
+    """Worlds to draw, by name or as module:attribute. Default: all built-in worlds."""
     robot: str = "rover_zero"
-    """Robot that the free space is for."""
+    """Robot whose free space is drawn: rover_zero, or module:attribute."""
     out: Path = Path("worlds")
-    """Folder for the maps."""
+    """Folder to write the maps to."""
 
     def __call__(self) -> int:
-        """Draws the maps."""
+        """Draws the maps and prints a line about each world."""
         from rover_rl.files import written_whole
         from rover_rl.sims.robots import get_robot
         from rover_rl.sims.worlds import get_world, world_names

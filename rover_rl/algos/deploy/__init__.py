@@ -1,1 +1,1 @@
-"""Deployment: exported policies and live rovers."""
+"""Deployment: export of policies and driving of live rovers."""

@@ -1,4 +1,4 @@
-"""What happened on drives with a live rover: a line of JSON a step, which a crash cannot take back."""
+"""Logs of drives with a live rover, with one line of JSON per step. A crash loses no earlier line."""
 
 from __future__ import annotations
 
@@ -26,13 +26,14 @@ from rover_rl.sims.worlds import get_world
 from rover_rl.sims.worlds.shortest_paths import shortest_paths
 
 FORMAT = "rover_rl drive, version 1"
+"""Name of the file format."""
 
 
 class DriveLog:
-    """A file of drives, which :func:`read_drives` and ``rover-rl evaluate`` read; a context manager.
+    """Context manager that logs drives to a file for :func:`read_drives` and ``rover-rl evaluate``.
 
     Args:
-        path: of the file; drives are added to one that is there.
+        path: path of the file. Drives are appended to an existing file.
         world: name of the world.
         policy: name of the policy.
         seconds: time limit of each drive.
@@ -44,7 +45,7 @@ class DriveLog:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file: TextIO = path.open("a", buffering=1)
         if path.stat().st_size:
-            self._file.write("\n")  # the last line may have been cut off
+            self._file.write("\n")  # the last line may be incomplete
         header = {"world": world, "policy": policy, "robot": robot, "seconds": seconds, "time": time.time()}
         self._write({"format": FORMAT, **header})
 
@@ -57,7 +58,12 @@ class DriveLog:
         self._file.close()
 
     def begin(self, rover: RoverState, goal: tuple[float, float]) -> None:
-        """Writes where a drive begins."""
+        """Writes the start of a drive.
+
+        Args:
+            rover: state of the rover at the start.
+            goal: x, y, m.
+        """
         self._turns = []
         self._write({"goal": goal, **_pose(rover)})
 
@@ -72,19 +78,19 @@ class DriveLog:
         """Writes a step.
 
         Args:
-            rover: its state after the step.
-            outcome: what happened in the step.
+            rover: state of the rover after the step.
+            outcome: entry ``"outcome"`` of the step.
             command: forward speed (m/s) and yaw rate (rad/s) that were sent.
-            latency: time from the scan's arrival to the command, s.
-            held: whether the forward speed was cancelled, as it led towards what no lidar beam covers.
+            latency: time from the arrival of the scan to the command, s.
+            held: whether the forward speed was set to 0, because no lidar beam covers the direction of travel.
         """
         self._turns.append(command[1])
         events = {"collision": bool(outcome["collision"]), "reached": bool(outcome["goal_reached"]), "held": held}
-        figures = {"dt": round(rover.dt.item(), 5), "command": command, "latency": round(latency, 5)}
-        self._write({**_pose(rover), **events, **figures})
+        measurements = {"dt": round(rover.dt.item(), 5), "command": command, "latency": round(latency, 5)}
+        self._write({**_pose(rover), **events, **measurements})
 
     def end(self, ending: str) -> None:
-        """Writes how the drive ended, and how often its commands changed the turning direction."""
+        """Writes the ending of the drive and the number of reversals of its turning direction."""
         self._write({"ending": ending, "reversals": count_reversals(self._turns)})
 
     def _write(self, entry: dict[str, Any]) -> None:
@@ -100,9 +106,10 @@ def _rounded(values: Tensor) -> list[float]:
 
 
 def read_drives(path: Path) -> list[Evaluation]:
-    """The drives of a log, to be measured as any evaluation: one for each policy, world and time limit.
+    """Reads a log as evaluations, one for each policy, world, robot and time limit.
 
-    The shortest way is that of the world's map; where start or goal are not free on it, the straight line.
+    The shortest path of a drive is computed on the map of the world. If the start or the goal is not free on the map,
+    the straight line is used.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -115,7 +122,7 @@ def read_drives(path: Path) -> list[Evaluation]:
     for drive in _drives(entries):
         groups.setdefault((drive.world, drive.policy, drive.robot, drive.seconds), []).append(drive)
     if not groups:
-        raise ValueError(f"no drive in {path} has come to its end")
+        raise ValueError(f"no drive in {path} has ended")
     return [
         Evaluation(
             policy,
@@ -130,7 +137,7 @@ def read_drives(path: Path) -> list[Evaluation]:
 
 
 def _entries(path: Path) -> list[dict[str, Any]]:
-    """The lines that can be read; one may have been cut off."""
+    """Reads the lines of a log and skips incomplete ones."""
     entries = []
     for line in path.read_text(errors="replace").splitlines():
         try:
@@ -144,7 +151,7 @@ def _entries(path: Path) -> list[dict[str, Any]]:
 
 @dataclass
 class _Drive:
-    """One drive of a log; a pose more than steps."""
+    """One drive of a log, with the poses at the start and after each step."""
 
     world: str
     policy: str
@@ -160,7 +167,7 @@ class _Drive:
     ending: str = ""
 
     def trajectory(self) -> Trajectory:
-        """As if it had been recorded at 20 Hz, whatever came late or was missed."""
+        """Resamples the drive to 20 Hz. Late and missing steps are filled with the nearest pose."""
         times = torch.tensor(self.time)
         steps = max(1, round(self.time[-1] / CONTROL_DT))
         grid = CONTROL_DT * torch.arange(steps + 1)
@@ -177,14 +184,14 @@ class _Drive:
 
 
 def _any_in(step_of: Tensor, events: list[bool], steps: int) -> Tensor:
-    """In which of ``steps`` steps an event was: bool ``[steps]``."""
+    """Returns in which of ``steps`` resampled steps an event happened, bool ``[steps]``."""
     happened = torch.zeros(steps, dtype=torch.bool)
     happened[step_of[torch.tensor(events, dtype=torch.bool)]] = True
     return happened
 
 
 def _drives(entries: list[dict[str, Any]]) -> Iterator[_Drive]:
-    """The drives that came to an end."""
+    """Yields the drives that have ended."""
     header: tuple[str, str, str, float] = ("", "", "", 0.0)
     drive: _Drive | None = None
     for entry in entries:
@@ -208,7 +215,7 @@ def _drives(entries: list[dict[str, Any]]) -> Iterator[_Drive]:
 
 
 def _episodes(world_name: str, robot: str, drives: list[_Drive]) -> EpisodeSet:
-    """Where the drives began and were to end."""
+    """Returns the starts and goals of the drives as a set of episodes."""
     world = get_world(world_name)
     start = torch.tensor([[*drive.position[0][:2], drive.angles[0][2]] for drive in drives])
     goal = torch.tensor([drive.goal for drive in drives])

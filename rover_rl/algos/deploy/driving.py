@@ -1,4 +1,4 @@
-"""Driving a live rover with a policy, from goal to goal, with every reason to stop it.
+"""Driving of a live rover with a policy, one goal at a time, with safety stops.
 
 Example:
     >>> env = RoverEnv(backend=Ros2Settings(reset="none"), world_n="maze", end_on_goal=True)
@@ -30,27 +30,27 @@ from rover_rl.sims.ros2.simulator import Ros2Simulator
 _log = logging.getLogger(__name__)
 
 TRAINED_VIEW = 2 * math.pi
-"""Field of view of the lidar in simulation, where policies are trained, rad."""
+"""Field of view of the lidar in training, rad."""
 VIEW_TOLERANCE = math.radians(10)
-"""A lidar that covers this much less counts as one with the same view."""
+"""Largest difference of two fields of view that count as the same, rad."""
 CLOCK_TOLERANCE = 0.5
-"""Seconds that a robot's clock may go back before it counts as restarted."""
+"""Largest backward jump of a robot's clock that does not count as a restart, s."""
 POSE_TOLERANCE = 1.0
-"""Metres that a pose may jump before the robot counts as restarted, beside what it can have driven."""
+"""Largest jump of a pose, beyond the distance that the robot can drive, that does not count as a restart, m."""
 
 
 @dataclass(frozen=True)
 class Moment:
-    """A step of a drive.
+    """Status of a drive after a step.
 
     Attributes:
-        distance: to the goal, m.
-        speed: by wheel odometry, m/s.
-        nearest: the lidar's least reading, m.
-        latency: from the scan's arrival to the command that answered it, s.
+        distance: distance to the goal, m.
+        speed: forward speed from the wheel odometry, m/s.
+        nearest: smallest lidar reading, m.
+        latency: time from the arrival of the scan to the command that was computed from it, s.
         command: forward speed (m/s) and yaw rate (rad/s) that were sent.
-        held: whether the forward speed was cancelled, as it led towards what no lidar beam covers.
-        seconds: since the drive to this goal began.
+        held: whether the forward speed was set to 0, because no lidar beam covers the direction of travel.
+        seconds: time since the drive to this goal began, s.
     """
 
     distance: float
@@ -74,26 +74,26 @@ def drive_to(
     watch: Callable[[Moment], None] = lambda moment: None,
     log: DriveLog | None = None,
 ) -> str:
-    """Drives to one goal, and stops the rover there or wherever the drive ends, also by an error.
+    """Drives to one goal and stops the rover at the end of the drive, also after an error.
 
     Args:
-        env: a live rover, with ``end_on_goal``.
-        policy: as for :func:`~rover_rl.algos.evaluation.evaluate.evaluate`.
+        env: environment of a live rover, with ``end_on_goal``.
+        policy: module that maps observations to actions, used without exploration.
         goal: x, y, m.
-        seconds: time limit of the drive.
-        clearance: the drive ends where the lidar reads less than this, m.
-        allow_unseen: whether to drive with a lidar that covers less than the policy was trained with.
-        watch: called after each step.
-        log: written to at each step.
+        seconds: time limit of the drive, s.
+        clearance: lidar reading below which the drive ends, m.
+        allow_unseen: whether to accept a lidar with a smaller field of view than in training.
+        watch: function that is called after each step.
+        log: log that each step is written to.
 
     Returns:
-        The ending: ``"goal"``, ``"time limit"``, ``"obstacle too near"``, ``"robot restarted"``, or the kind of an
-        early ending.
+        The ending: ``"goal"``, ``"time limit"``, ``"obstacle too near"``, ``"robot restarted"``, or one of
+        :data:`~rover_rl.algos.evaluation.evaluate.ENDINGS`.
 
     Raises:
-        RobotLostError: if the rover's sensors fall silent, or several robots answer.
-        ValueError: for an environment of another backend, a policy made for another environment, or a lidar that covers
-            less than the policy was trained with.
+        RobotLostError: if the rover's sensors stop sending, or several robots answer.
+        ValueError: if the environment has another backend, the policy was made for another environment, or the lidar
+            covers less than in training.
     """
     rover = live_rover(env)
     if made_for := getattr(policy, "made_for", None):
@@ -101,24 +101,24 @@ def drive_to(
     rover.require_robot()
     if not allow_unseen:
         require_view(rover.field_of_view)
-    ending, driven = "", 0.0
+    ending, elapsed = "", 0.0
     try:
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            policy(env.fake_tensordict())  # the first call takes long: not while the rover waits
-            now = env.reset(goal=torch.tensor([goal]))
+            policy(env.fake_tensordict())  # warm-up: the first call is slow
+            tensordict = env.reset(goal=torch.tensor([goal]))
             if log is not None:
                 log.begin(env.rover_state, goal)
             while not ending:
                 before = env.rover_state
-                now = env.step(policy(now))["next"]
-                driven += env.rover_state.dt.item()
-                moment = _moment(rover, now, driven)
+                tensordict = env.step(policy(tensordict))["next"]
+                elapsed += env.rover_state.dt.item()
+                moment = _moment(rover, tensordict, elapsed)
                 watch(moment)
                 if log is not None:
-                    log.add(env.rover_state, now["outcome"], moment.command, moment.latency, moment.held)
+                    log.add(env.rover_state, tensordict["outcome"], moment.command, moment.latency, moment.held)
                 if reason := restart(before, env.rover_state):
                     _log.warning("the robot seems to have been restarted: %s", reason)
-                ending = RESTARTED if reason else _ending(now, clearance, driven >= seconds)
+                ending = RESTARTED if reason else _ending(tensordict, clearance, elapsed >= seconds)
     finally:
         rover.stop()
         if log is not None:
@@ -127,54 +127,58 @@ def drive_to(
 
 
 def require_view(field_of_view: float) -> None:
-    """Refuses a lidar that covers less (rad) than policies are trained with.
+    """Checks that a lidar covers at least the field of view of training.
+
+    Args:
+        field_of_view: field of view of the lidar, rad.
 
     Raises:
-        ValueError: if it does.
+        ValueError: if the lidar covers less.
     """
     if field_of_view < TRAINED_VIEW - VIEW_TOLERANCE:
         raise ValueError(
             f"the scan covers {math.degrees(field_of_view):.0f} degrees, and the policy was trained with "
-            f"{math.degrees(TRAINED_VIEW):.0f}; --allow-unseen drives all the same, but not towards what no beam covers"
+            f"{math.degrees(TRAINED_VIEW):.0f}; --allow-unseen accepts it, but the rover does not drive in uncovered "
+            "directions"
         )
 
 
 def restart(before: RoverState, after: RoverState) -> str:
-    """Why a robot seems to have been restarted or carried between two steps; empty if it does not."""
+    """Returns why the robot seems to have been restarted or moved by hand between two steps; empty if it does not."""
     elapsed = (after.stamp - before.stamp).item()
     if elapsed < -CLOCK_TOLERANCE:
         return f"its clock went back by {-elapsed:.1f} s"
     moved = torch.dist(before.position, after.position).item()
-    if moved > POSE_TOLERANCE + 2 * max(elapsed, 0.0):  # twice as fast as it drives
+    if moved > POSE_TOLERANCE + 2 * max(elapsed, 0.0):  # 2 m/s, twice the top speed
         return f"its pose jumped by {moved:.1f} m"
     return ""
 
 
 def live_rover(env: RoverEnv) -> Ros2Simulator:
-    """The live rover of an environment.
+    """Returns the live rover of an environment.
 
     Raises:
-        ValueError: for an environment of another backend.
+        ValueError: if the environment has another backend.
     """
     if not isinstance(env.simulator, Ros2Simulator):
         raise ValueError(f"only backend 'ros2' has a live rover, got {type(env.simulator).__name__}")
     return env.simulator
 
 
-def _ending(now: TensorDictBase, clearance: float, late: bool) -> str:
-    """How the drive has ended; empty while it goes on."""
-    if bool(now["terminated"]):
-        return ENDINGS[StepEvent(int(now["outcome", "phase"]))]
-    if bool(now["truncated"]) or late:
+def _ending(tensordict: TensorDictBase, clearance: float, timed_out: bool) -> str:
+    """Returns how the drive has ended; empty if it has not ended."""
+    if bool(tensordict["terminated"]):
+        return ENDINGS[StepEvent(int(tensordict["outcome", "phase"]))]
+    if bool(tensordict["truncated"]) or timed_out:
         return TIME_LIMIT
-    return TOO_NEAR if now["lidar"].min().item() < clearance else ""
+    return TOO_NEAR if tensordict["lidar"].min().item() < clearance else ""
 
 
-def _moment(rover: Ros2Simulator, now: TensorDictBase, seconds: float) -> Moment:
+def _moment(rover: Ros2Simulator, tensordict: TensorDictBase, seconds: float) -> Moment:
     return Moment(
-        distance=now["target"][0, 0].item(),
-        speed=now["velocities"][0, 0].item(),
-        nearest=now["lidar"].min().item(),
+        distance=tensordict["target"][0, 0].item(),
+        speed=tensordict["velocities"][0, 0].item(),
+        nearest=tensordict["lidar"].min().item(),
         latency=rover.latency,
         command=rover.last_command,
         held=rover.held,

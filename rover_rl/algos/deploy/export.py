@@ -1,10 +1,11 @@
-"""Trained policies for machines without TorchRL: as ONNX, or as a program of ``torch.export``.
+"""Export of trained policies to files that run without TorchRL: ONNX, or a ``torch.export`` program.
 
-The exported policy takes raw observations, each ``[1, n]`` float32 by its name, scales them itself, and gives the
-action ``[1, 2]`` that the policy takes without exploration: forward speed (m/s) and heading offset (rad).
+The exported policy maps raw observations, each float32 ``[1, n]`` by name, to the action ``[1, 2]`` without
+exploration: forward speed (m/s) and heading offset (rad). It includes the scaling of the observations.
 
-Both kinds of file hold checksums, and are compared with them when they are loaded here: an ONNX file has the SHA-256 of
-its bytes as the property ``rover_rl_sha256``, worked out with 64 zeros in its place; a program has one for each record.
+Both kinds of files contain checksums, which are verified when the files are loaded here. An ONNX file has the SHA-256
+of its bytes as the property ``rover_rl_sha256``, computed with 64 zeros in its place. A program has a checksum for each
+record.
 
 Example:
     >>> export(load_pretrained("maze-ppo"), Path("maze.onnx"))
@@ -45,21 +46,29 @@ if TYPE_CHECKING:
 Format: TypeAlias = Literal["onnx", "torch"]
 
 SUFFIXES: dict[str, str] = {"onnx": ".onnx", "torch": ".pt2"}
-"""How files of each format are called."""
+"""File suffix of each format."""
 CHECKED = 1000
-"""Observations on which an exported policy is held against the original."""
+"""Number of observations on which an exported policy is compared with the original."""
 _PROPERTY = "rover_rl"
-"""Name of the settings in an ONNX file."""
+"""Property of an ONNX file that holds the settings, as JSON."""
 _CHECKSUM = "rover_rl_sha256"
+"""Property of an ONNX file that holds its checksum."""
 _ZEROS = "0" * 64
 _CHECKSUM_BYTES = re.compile(_CHECKSUM.encode() + rb"\x12\x40([0-9a-f]{64})")
-"""How an ONNX file holds the checksum: the property's name, what follows and how long it is, the value."""
+"""Checksum in the bytes of an ONNX file: name of the property, tag and length of the value, value."""
 TOLERANCE = 1e-4
-"""Largest difference of an action, m/s or rad."""
+"""Largest accepted difference of an action, m/s or rad."""
 
 
 class PlainPolicy(nn.Module):
-    """A checkpoint's policy as a function of tensors alone: observations in, action out."""
+    """A checkpoint's policy as a module that maps tensors of observations to a tensor of actions.
+
+    Args:
+        checkpoint: checkpoint of the policy.
+
+    Attributes:
+        keys: names of the observations, in the order of the arguments.
+    """
 
     _middle: Tensor
     _half: Tensor
@@ -74,20 +83,25 @@ class PlainPolicy(nn.Module):
         self.register_buffer("_half", half)
 
     def forward(self, *observation: Tensor) -> Tensor:
-        """The action ``[N, 2]`` for observations ``[N, n]``, in the order of ``keys``."""
+        """Returns the action ``[N, 2]`` for observations ``[N, n]``, in the order of ``keys``."""
         loc, _ = self._network(*observation)
         return self._middle + self._half * torch.tanh(loc)
 
 
 def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
-    """Writes a policy, and holds it against the original on 1,000 observations.
+    """Exports a policy and compares its actions with those of the original on 1,000 observations.
+
+    Args:
+        checkpoint: checkpoint of the policy.
+        path: path of the file to write.
+        form: file format, ``"onnx"`` or ``"torch"``.
 
     Returns:
-        The largest difference of an action.
+        Largest difference of an action.
 
     Raises:
-        ImportError: if what the format needs is not installed.
-        RuntimeError: if the exported policy acts otherwise; nothing is written then.
+        ImportError: if a package that the format needs is not installed.
+        RuntimeError: if the actions differ by more than ``TOLERANCE``. No file is written then.
     """
     policy = PlainPolicy(checkpoint).eval()
     observations = random_observations(checkpoint, CHECKED)
@@ -100,12 +114,12 @@ def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
             exported = program_function(temporary)
         difference = _difference(checkpoint, exported, observations)
         if not difference <= TOLERANCE:
-            raise RuntimeError(f"the exported policy acts otherwise: by {difference:.2g} at most")
+            raise RuntimeError(f"the exported policy acts otherwise: its actions differ by up to {difference:.2g}")
     return difference
 
 
 def random_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]:
-    """Observations ``[count, n]`` of each entry that the policy reads, from all over its bounds, drawn by seed 0."""
+    """Draws observations ``[count, n]`` of each key that the policy reads, uniformly within its bounds, with seed 0."""
     generator = torch.Generator().manual_seed(0)
     bounds = observation_bounds(checkpoint.env.lidar)
     drawn = {}
@@ -119,7 +133,7 @@ def random_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]
 def _difference(
     checkpoint: Checkpoint, exported: Callable[[dict[str, Any]], Tensor], observations: dict[str, Tensor]
 ) -> float:
-    """The largest difference between what the checkpoint's policy does and what the exported one does."""
+    """Returns the largest difference between the actions of the checkpoint's policy and the exported one."""
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         expected = checkpoint.make_actor()(TensorDict(observations, batch_size=[CHECKED]))["action"]
     actions = torch.cat([exported({k: v[row : row + 1] for k, v in observations.items()}) for row in range(CHECKED)])
@@ -135,11 +149,11 @@ def _write_onnx(policy: PlainPolicy, checkpoint: Checkpoint, path: Path) -> None
     try:
         import onnxscript  # noqa: F401  (torch.onnx needs it)
     except ImportError as error:
-        raise ImportError('export to ONNX needs the packages of the extra: pip install "rover_rl[onnx]"') from error
-    # It tells of every operator of packages that are not installed.
+        raise ImportError('export to ONNX needs the extra onnx: pip install "rover_rl[onnx]"') from error
+    # It logs a message for each operator of packages that are not installed.
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     with warnings.catch_warnings():
-        # Of torch's own use of torch.
+        # PyTorch warns about its own code.
         warnings.simplefilter("ignore", FutureWarning)
         program = torch.onnx.export(
             policy,
@@ -164,18 +178,19 @@ def _with_checksum(content: bytes, place: re.Match[bytes], checksum: str) -> byt
 
 def _write_program(policy: PlainPolicy, checkpoint: Checkpoint, path: Path) -> None:
     program = torch.export.export(policy, _example(policy, checkpoint))
-    # In memory first: on a full disk torch's own writer aborts the process.
+    # Written to memory first: on a full disk, PyTorch's writer aborts the process.
     written = io.BytesIO()
     torch.export.save(program, written, extra_files={"rover_rl.json": json.dumps(plain(checkpoint.config))})
     path.write_bytes(written.getbuffer())
 
 
 def onnx_function(path: Path) -> Callable[[dict[str, Any]], Tensor]:
-    """An ONNX file as a function from observations by name to an action ``[1, 2]``, on one thread.
+    """Loads an ONNX file as a function from observations by name to an action ``[1, 2]``, on one thread.
 
     Raises:
         ImportError: if ``onnxruntime`` is not installed.
-        ValueError: if the file is no such policy, or damaged; by the function for NaN or infinity in an observation.
+        ValueError: if the file is no ONNX policy, or damaged. The function raises it for NaN or infinity in an
+            observation.
     """
     return _function(_session(path))
 
@@ -189,7 +204,7 @@ def _session(path: Path) -> InferenceSession:
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     content = path.read_bytes()
     place = _CHECKSUM_BYTES.search(content)
-    # Without one it is a file from before there were checksums.
+    # Files of older versions have no checksum.
     if place and sha256(_with_checksum(content, place, _ZEROS)).hexdigest().encode() != place[1]:
         raise ValueError(f"{path} is damaged: it differs from its checksum")
     try:
@@ -209,10 +224,10 @@ def _function(session: InferenceSession) -> Callable[[dict[str, Any]], Tensor]:
 
 
 def _finite(observation: Mapping[str, Any], keys: Sequence[str]) -> list[NDArray[np.float32]]:
-    """Entries of an observation.
+    """Returns the entries of an observation after checking that they are finite.
 
     Raises:
-        ValueError: naming the first that holds NaN or infinity, on which a network would act anyhow.
+        ValueError: for the first entry with NaN or infinity, which a network would accept silently.
     """
     entries = [np.asarray(observation[key], np.float32) for key in keys]
     for key, entry in zip(keys, entries, strict=True):
@@ -222,10 +237,11 @@ def _finite(observation: Mapping[str, Any], keys: Sequence[str]) -> list[NDArray
 
 
 def program_function(path: Path) -> Callable[[dict[str, Any]], Tensor]:
-    """A program of ``torch.export`` as a function from observations by name to an action ``[1, 2]``.
+    """Loads a ``torch.export`` program as a function from observations by name to an action ``[1, 2]``.
 
     Raises:
-        ValueError: if the file is no such program, or damaged; by the function for NaN or infinity in an observation.
+        ValueError: if the file is no such program, or damaged. The function raises it for NaN or infinity in an
+            observation.
     """
     content, extra = path.read_bytes(), {"rover_rl.json": ""}
     try:
@@ -242,10 +258,10 @@ def program_function(path: Path) -> Callable[[dict[str, Any]], Tensor]:
 
 
 class OnnxPolicy:
-    """An ONNX file as a policy that :func:`~rover_rl.algos.evaluation.evaluate.evaluate` takes.
+    """Policy from an ONNX file, for :func:`~rover_rl.algos.evaluation.evaluate.evaluate`.
 
     Args:
-        path: of a file that :func:`export` wrote.
+        path: path of a file that :func:`export` wrote.
 
     Attributes:
         config: settings that the policy was trained with.
@@ -254,7 +270,8 @@ class OnnxPolicy:
     Raises:
         FileNotFoundError: if there is no such file.
         ImportError: if ``onnxruntime`` is not installed.
-        ValueError: if the file is something else, or damaged; when called, for NaN or infinity in an observation.
+        ValueError: if the file is no exported policy, or damaged. Calling the policy raises it for NaN or infinity in
+            an observation.
     """
 
     def __init__(self, path: Path) -> None:
@@ -263,19 +280,19 @@ class OnnxPolicy:
         session = _session(path)
         try:
             settings = json.loads(session.get_modelmeta().custom_metadata_map.get(_PROPERTY, "null"))
-        except ValueError as error:  # of the text's encoding, or of JSON
+        except ValueError as error:  # invalid encoding or JSON
             raise ValueError(f"{path} is damaged: its settings cannot be read") from error
         if settings is None:
             raise ValueError(f"{path} was not written by rover-rl export")
         self.config = config_from(settings, str(path))
         lidar = next((entry.shape[1] for entry in session.get_inputs() if entry.name == "lidar"), None)
         if lidar is not None and lidar != self.config.env.lidar.points:
-            # Files of version 0.1 do not hold the number of lidar points in their settings.
+            # The settings in files of version 0.1 lack the number of lidar points.
             self.config = with_settings(self.config, lidar=replace(self.config.env.lidar, points=lidar))
         self.made_for = self.config.env
         self._act = _function(session)
 
     def __call__(self, now: TensorDictBase) -> TensorDictBase:
-        """Sets ``"action"``, float32 ``[N, 2]``, row by row: the file is for one rover."""
+        """Sets ``"action"``, float32 ``[N, 2]``. Computes it row by row, because the file has a batch size of 1."""
         rows = [{key: now[key][row : row + 1] for key in self.config.network.observation} for row in range(len(now))]
         return now.set("action", torch.cat([self._act(row) for row in rows]))

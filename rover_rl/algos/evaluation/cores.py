@@ -20,14 +20,14 @@ Result = TypeVar("Result")
 
 
 def over_cores(work: Callable[[Item], Result], items: Sequence[Item], description: str) -> list[Result]:
-    """Applies ``work`` to each item, with one process per core, and returns the results in order.
+    """Applies ``work`` to each item, with one process per CPU core, and returns the results in order.
 
     Args:
-        work: module-level function, or a ``partial`` of one; its standard output is discarded.
-        items: arguments of ``work``; they and the results must be picklable.
+        work: module-level function, or a ``partial`` of one. Its standard output is discarded.
+        items: arguments of ``work``. They and the results must be picklable.
         description: text next to the progress bar on a terminal.
     """
-    # A fork of a process that has run PyTorch threads can hang. The fork server imports the modules once for all.
+    # Forking a process that has run PyTorch threads can hang. A fork server also imports the modules only once.
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["rover_rl.algos.evaluation.evaluate"])
     with ProcessPoolExecutor(min(os.cpu_count() or 1, len(items)) or 1, context, _silence) as pool:

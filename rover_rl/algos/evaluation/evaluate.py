@@ -1,4 +1,4 @@
-"""Evaluation: policies drive fixed episodes, or endlessly as in the original, and are measured.
+"""Evaluation of policies on fixed episodes, or in endless mode as in the original environment.
 
 Example:
     >>> actor = Checkpoint.load("runs/ppo-maze").make_actor()
@@ -44,6 +44,7 @@ __all__ = [
 ]
 
 Policy: TypeAlias = Callable[[TensorDictBase], TensorDictBase]
+"""Function or module that adds ``"action"``, ``[N, 2]``, to observations ``[N]``."""
 
 ENDINGS = {
     StepEvent.INVALID_ACTION: "invalid action",
@@ -55,7 +56,7 @@ ENDINGS = {
 }
 """Endings of an episode before its time limit, by the event of its last step."""
 _MIN_ROWS = 32
-"""Least number of rows that a policy is called with: matrix products of few rows round differently."""
+"""Smallest number of rows that a policy is called with: matrix products of few rows round differently."""
 
 
 def evaluate(
@@ -68,40 +69,41 @@ def evaluate(
     rows: int = 32,
     env: EnvConfig | None = None,
 ) -> Evaluation:
-    """Drives every episode once: one goal, within a time limit.
+    """Evaluates a policy on episodes with one goal each and a time limit.
 
-    An episode gives the same result to the last bit whatever ``rows`` is and whatever else is driven, if the policy
-    treats rows independently. Policies with matrix products are called with at least 32 rows for that reason.
+    If the policy treats rows independently, the result of an episode is bit-identical for any number of ``rows`` and
+    any other episodes. Matrix products of few rows round differently, so the policy is called with at least 32 rows.
 
     Args:
-        policy: a module from observation to action, used without exploration; ``None`` acts at random. It is called
-            with at least 32 rows; the last row may be repeated to fill them up.
+        policy: module that maps observations to actions, used without exploration; ``None`` acts at random. It is
+            called with at least 32 rows; copies of the last row fill them up.
         episodes: episodes to drive.
-        name: name of the policy, for tables and pictures.
+        name: name of the policy, for tables and plots.
         action_repeat: number of steps that each action is held for; 1 decides at 20 Hz.
-        seconds: time limit of each episode.
+        seconds: time limit of each episode, s.
         rows: number of rovers that drive at once; each takes the next episode when its own has ended.
-        env: environment to drive in: robot, lidar, action, task, heading PID, randomization and simulator are used;
-            ``None``: that of a checkpoint's policy, else the defaults.
+        env: environment to drive in, of which robot, lidar, action, task, heading PID, randomization and simulator
+            are used; ``None``: the environment that the policy was made for, in Bullet and without randomization, else
+            the defaults.
 
     Raises:
-        ValueError: for a number out of its range, or a policy that was made for another environment.
+        ValueError: for a number out of range, or a policy that was made for another environment.
     """
     check_at_least(CONTROL_DT, MAX_SECONDS, seconds=seconds)
     check_at_least(1, MAX_COUNT, rows=rows, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
-    described = replace(
+    env_config = replace(
         environment_for(policy, env),
         world=episodes.world,
         num_envs=min(rows, len(episodes)),
         end_on_goal=True,
         seed=episodes.seed,
     )
-    rovers = RoverEnv(**described.arguments())
+    rovers = RoverEnv(**env_config.arguments())
     rovers.length = max(1, round(seconds / rovers.control_dt))
     policy = policy or RandomPolicy(episodes.seed)
     trajectories = _drive(rovers, policy, action_repeat, name, {"start": episodes.start, "goal": episodes.goal})
-    return Evaluation(name, episodes, action_repeat, seconds, trajectories, replace(described, world=episodes.name))
+    return Evaluation(name, episodes, action_repeat, seconds, trajectories, replace(env_config, world=episodes.name))
 
 
 def evaluate_endless(
@@ -116,12 +118,12 @@ def evaluate_endless(
     action_repeat: int = 1,
     env: EnvConfig | None = None,
 ) -> EndlessEvaluation:
-    """Drives the original's episodes: up to 2,000 steps, with a new goal whenever one is reached.
+    """Evaluates a policy in endless mode: episodes of up to 2,000 steps, with a new goal whenever one is reached.
 
     Args:
-        policy: as for :func:`evaluate`.
+        policy: policy to evaluate, as for :func:`evaluate`.
         world: world to drive in.
-        name: name of the policy.
+        name: name of the policy, for tables and plots.
         rows: number of rovers, each of which drives one episode.
         seed: seed of the first episode; episode ``i`` is that of an environment seeded ``seed + i``.
         jam: whether a collision of more than 15 steps ends an episode, as in the contract. In the original it never
@@ -131,28 +133,28 @@ def evaluate_endless(
         env: environment to drive in, as for :func:`evaluate`.
 
     Raises:
-        ValueError: for a number out of its range, an unknown world, or a policy that was made for another environment.
+        ValueError: for a number out of range, an unknown world, or a policy that was made for another environment.
     """
     check_at_least(1, MAX_COUNT, rows=rows, steps=steps, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
-    described, place = environment_for(policy, env), get_world(world)
-    task = described.task if jam else replace(described.task, collision_window=steps)
-    described = replace(described, world=place, num_envs=rows, length=steps, end_on_goal=False, seed=seed, task=task)
-    trajectories = _drive(RoverEnv(**described.arguments()), policy or RandomPolicy(seed), action_repeat, name)
+    env_config, place = environment_for(policy, env), get_world(world)
+    task = env_config.task if jam else replace(env_config.task, collision_window=steps)
+    env_config = replace(env_config, world=place, num_envs=rows, length=steps, end_on_goal=False, seed=seed, task=task)
+    trajectories = _drive(RoverEnv(**env_config.arguments()), policy or RandomPolicy(seed), action_repeat, name)
     world_name = world if isinstance(world, str) else place.name
-    described = replace(described, world=world_name)
-    return EndlessEvaluation(name, world_name, place, seed, action_repeat, jam, steps, trajectories, described)
+    env_config = replace(env_config, world=world_name)
+    return EndlessEvaluation(name, world_name, place, seed, action_repeat, jam, steps, trajectories, env_config)
 
 
 def environment_for(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:
-    """The environment to drive in: see :func:`evaluate`.
+    """Returns the environment to evaluate a policy in: see :func:`evaluate`.
 
     Raises:
-        ValueError: if the policy was made for another one.
+        ValueError: if the policy was made for another environment.
     """
     made_for: EnvConfig | None = getattr(policy, "made_for", None)
     if env is None:
-        # By default policies are compared without randomization and in Bullet, whatever they were trained with.
+        # By default, policies are compared in Bullet without randomization, whatever they were trained with.
         parts = made_for or EnvConfig()
         return EnvConfig(
             robot=parts.robot,
@@ -171,11 +173,11 @@ def environment_for(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:
 def _drive(
     env: RoverEnv, policy: Policy, action_repeat: int, name: str, places: Mapping[str, Tensor] | None = None
 ) -> list[Trajectory]:
-    """Drives episodes, and closes the environment. A rover takes the next episode when its own has ended.
+    """Drives episodes and closes the environment. A rover takes the next episode when its own has ended.
 
     Args:
-        env: the environment.
-        policy: the policy.
+        env: environment to drive in.
+        policy: policy to drive with.
         action_repeat: number of steps that each action is held for.
         name: name of the policy, for the progress bar.
         places: ``start [count, 3]`` and ``goal [count, 2]`` of every episode; ``None``: each rover drives one episode,
@@ -184,7 +186,7 @@ def _drive(
     check_at_least(1, MAX_COUNT, action_repeat=action_repeat)
     places = places or {}
     count = len(places["start"]) if places else env.num_envs
-    log = _Recorder(count, env.length, env.control_dt)
+    recorder = _Recorder(count, env.length, env.control_dt)
     waiting = iter(range(env.num_envs, count))
     episode = torch.arange(env.num_envs)
     driving = torch.ones(env.num_envs, dtype=torch.bool)
@@ -193,29 +195,29 @@ def _drive(
     def placed() -> dict[str, Tensor]:
         return {key: values[episode] for key, values in places.items()}
 
-    with closing(env), _progress_bar(name) as show, set_exploration_type(ExplorationType.DETERMINISTIC):
-        now = env.reset(**placed())
-        log.add(env, now, episode, driving)
+    with closing(env), _progress_bar(name) as show_progress, set_exploration_type(ExplorationType.DETERMINISTIC):
+        tensordict = env.reset(**placed())
+        recorder.add(env, tensordict, episode, driving)
         while driving.any():
-            due = now["outcome", "steps"] % action_repeat == 0
-            action = torch.where(due, _decide(policy, now.set("episode", episode[:, None])), action)
-            now = env.step(now.set("action", action).set("_step", driving))["next"]
-            log.add(env, now, episode, driving)
-            again = driving & now["done"].squeeze(-1)
-            for row in again.nonzero().squeeze(-1).tolist():
-                log.end(now[row], int(episode[row]))
-                follower = next(waiting, None)
-                driving[row] = again[row] = follower is not None
-                episode[row] = episode[row] if follower is None else follower
-            if again.any():
-                now = env.reset(now.set("_reset", again[:, None]), **placed())
-                log.add(env, now, episode, again)
-            show(log.progress)
-    return log.trajectories
+            due = tensordict["outcome", "steps"] % action_repeat == 0
+            action = torch.where(due, _decide(policy, tensordict.set("episode", episode[:, None])), action)
+            tensordict = env.step(tensordict.set("action", action).set("_step", driving))["next"]
+            recorder.add(env, tensordict, episode, driving)
+            restarting = driving & tensordict["done"].squeeze(-1)
+            for row in restarting.nonzero().squeeze(-1).tolist():
+                recorder.end(tensordict[row], int(episode[row]))
+                next_episode = next(waiting, None)
+                driving[row] = restarting[row] = next_episode is not None
+                episode[row] = episode[row] if next_episode is None else next_episode
+            if restarting.any():
+                tensordict = env.reset(tensordict.set("_reset", restarting[:, None]), **placed())
+                recorder.add(env, tensordict, episode, restarting)
+            show_progress(recorder.progress)
+    return recorder.trajectories
 
 
 def _decide(policy: Policy, observation: TensorDictBase) -> Tensor:
-    """The policy's action ``[N, 2]``, computed on at least 32 rows, so that it rounds alike for any number."""
+    """Returns the policy's action ``[N, 2]``, computed on at least 32 rows, so that rounding does not depend on N."""
     rows = len(observation)
     filled = observation[torch.arange(max(rows, _MIN_ROWS)).clamp(max=rows - 1)]
     return policy(filled)["action"][:rows]
@@ -237,23 +239,30 @@ class _Recorder:
         self._steps = torch.zeros(count, dtype=torch.int64)
         self._endings = [""] * count
 
-    def add(self, env: RoverEnv, now: TensorDictBase, episode: Tensor, rows: Tensor) -> None:
-        """Records the rovers of ``rows`` (bool ``[N]``), in the episode ``[N]`` that each drives."""
-        outcome, rover = now["outcome"], env.rover_state
+    def add(self, env: RoverEnv, tensordict: TensorDictBase, episode: Tensor, rows: Tensor) -> None:
+        """Records a step.
+
+        Args:
+            env: environment after the step.
+            tensordict: observation after the step.
+            episode: episode that each rover drives, int64 ``[N]``.
+            rows: rovers to record, bool ``[N]``.
+        """
+        outcome, rover = tensordict["outcome"], env.rover_state
         events = (outcome["collision"], outcome["goal_reached"])
         record = torch.cat((rover.position, quaternion_to_euler(rover.orientation), *events), -1)
         steps = outcome["steps"].squeeze(-1)
         self._records[episode[rows], steps[rows]] = record[rows]
         self._steps[episode[rows]] = steps[rows]
 
-    def end(self, now: TensorDictBase, episode: int) -> None:
-        """Records the ending of an episode from its last step."""
-        early = bool(now["terminated"])
-        self._endings[episode] = ENDINGS[StepEvent(int(now["outcome", "phase"]))] if early else TIME_LIMIT
+    def end(self, tensordict: TensorDictBase, episode: int) -> None:
+        """Records the ending of an episode from the observation after its last step."""
+        early = bool(tensordict["terminated"])
+        self._endings[episode] = ENDINGS[StepEvent(int(tensordict["outcome", "phase"]))] if early else TIME_LIMIT
 
     @property
     def progress(self) -> float:
-        """Fraction of the work that is done."""
+        """Mean fraction of the episodes that is done."""
         ended = torch.tensor([bool(ending) for ending in self._endings])
         return torch.where(ended, 1.0, self._steps / (self._records.shape[1] - 1)).mean().item()
 
@@ -276,7 +285,7 @@ class _Recorder:
 
 @contextmanager
 def _progress_bar(name: str) -> Iterator[Callable[[float], None]]:
-    """Yields a function that shows the progress on a terminal. The bar disappears at the end."""
+    """Yields a function that shows the progress on a terminal. The bar is removed at the end."""
     columns = (TextColumn(name), BarColumn(20), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, transient=True, disable=not Console().is_terminal) as bar:
         task = bar.add_task("", total=1.0)

@@ -25,11 +25,11 @@ class Evaluation:
 
     Attributes:
         name: name of the policy.
-        episodes: the episodes.
+        episodes: starts and goals of the episodes.
         action_repeat: number of steps that each action was held for.
-        seconds: time limit of an episode.
+        seconds: time limit of an episode, s.
         trajectories: trajectory of each episode.
-        env: description of the environment.
+        env: settings of the environment.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Evaluation:
 
     @property
     def endings(self) -> list[str]:
-        """Ending of each episode: ``"goal"``, ``"time limit"``, or an early ending."""
+        """Ending of each episode: ``"goal"``, ``"time limit"`` or an early ending."""
         return [trajectory.ending for trajectory in self.trajectories]
 
     @property
@@ -84,7 +84,7 @@ class Evaluation:
 
     @property
     def goals_per_2000_steps(self) -> float:
-        """Goals reached per 2,000 steps, the length of a full episode."""
+        """Number of goals reached per 2,000 steps, the length of a full episode."""
         return int(self.reached.sum()) * EnvConfig.length / int(self.steps.sum())
 
     @property
@@ -93,13 +93,13 @@ class Evaluation:
         return f"{len(self.episodes)} episodes in {self.episodes.name}: one goal within {self.seconds:g} s"
 
     def summary(self) -> dict[str, Any]:
-        """Policy, world and counts, as plain data."""
+        """Returns policy, world and counts as plain data."""
         episodes = self.episodes
         shared = _summary(self.name, episodes.name, "one goal", episodes.seed, self.action_repeat, self.trajectories)
         return shared | {"time_limit": self.seconds}
 
     def to_json(self) -> dict[str, Any]:
-        """All results without the trajectories, as plain data."""
+        """Returns all results except the trajectories as plain data."""
         episodes = self.episodes
         columns = (episodes.start.tolist(), episodes.goal.tolist(), episodes.shortest.tolist())
         rows = zip(*columns, self.trajectories, strict=True)
@@ -114,18 +114,18 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class EndlessEvaluation:
-    """Results of a policy in endless mode, where each goal is followed by another, as in the original's episodes.
+    """Results of a policy in endless mode, in which each reached goal is followed by a new one, as in the original.
 
     Attributes:
         name: name of the policy.
         world_name: name of the world, as the user gave it.
-        world: the world.
+        world: world of the episodes.
         seed: seed of the first episode.
         action_repeat: number of steps that each action was held for.
         jam: whether a long collision ended an episode.
         length: number of steps after which an episode ended.
         trajectories: trajectory of each episode.
-        env: description of the environment.
+        env: settings of the environment.
     """
 
     name: str
@@ -151,12 +151,12 @@ class EndlessEvaluation:
         return f"{count} episodes in {self.world_name}: endless goals, {limit} each{jam}"
 
     def summary(self) -> dict[str, Any]:
-        """Policy, world and counts, as plain data."""
+        """Returns policy, world and counts as plain data."""
         shared = _summary(self.name, self.world_name, "endless", self.seed, self.action_repeat, self.trajectories)
         return shared | {"time_limit": self.length * self.trajectories[0].dt, "jam": self.jam}
 
     def to_json(self) -> dict[str, Any]:
-        """All results without the trajectories, as plain data."""
+        """Returns all results except the trajectories as plain data."""
         episodes = [{"goals": int(t.goal.sum()), **_episode(t)} for t in self.trajectories]
         return {**_results(self), "episodes": episodes}
 
@@ -177,16 +177,22 @@ def _summary(
 
 
 def _results(evaluation: Evaluation | EndlessEvaluation) -> dict[str, Any]:
+    """Returns the summary, environment, metrics and endings of an evaluation as plain data."""
     metrics = {
         key: {field: number if math.isfinite(number) else None for field, number in vars(estimate).items()}
         for key, estimate in evaluation.metrics.items()
     }
     endings = Counter(trajectory.ending for trajectory in evaluation.trajectories)
-    return {**evaluation.summary(), "env": _described(evaluation.env), "metrics": metrics, "endings": dict(endings)}
+    return {
+        **evaluation.summary(),
+        "env": _plain_env_or_none(evaluation.env),
+        "metrics": metrics,
+        "endings": dict(endings),
+    }
 
 
-def _described(env: EnvConfig) -> dict[str, Any] | None:
-    """The environment as plain data; ``None`` if a part of it is an object, which has none."""
+def _plain_env_or_none(env: EnvConfig) -> dict[str, Any] | None:
+    """Returns the settings as plain data, ``None`` if they contain objects that have no plain form."""
     try:
         return plain_env(env)
     except ValueError:
@@ -194,4 +200,5 @@ def _described(env: EnvConfig) -> dict[str, Any] | None:
 
 
 def _episode(trajectory: Trajectory) -> dict[str, Any]:
+    """Returns the ending and the duration of an episode as plain data."""
     return {"ending": trajectory.ending, "seconds": round(trajectory.seconds, 3)}

@@ -1,4 +1,4 @@
-"""Checkpoint: a trained policy, its settings and the environment that it was made for."""
+"""Checkpoint: a trained policy with its settings and the environment that it was made for."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from rover_rl.envs.config import EnvConfig, LidarConfig
 from rover_rl.files import written_whole
 
 SETTINGS, CHECKPOINT = "config.yaml", "checkpoint.pt"
-"""Files in the folder of a run: the settings and the policy."""
+"""Names of the files in a run's folder that hold the settings and the policy."""
 _FORMAT = "rover_rl checkpoint, version 4"
 _FLAT_FORMAT = "rover_rl checkpoint, version 3"
-"""The format of version 0.1: settings without parts, and the number of lidar points beside them."""
+"""Format of version 0.1: flat settings, and the number of lidar points as a separate entry."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class Checkpoint:
 
     Attributes:
         config: settings that the policy was trained with.
-        steps: number of steps that it was trained for, all rovers together.
-        actor: weights, by name.
+        steps: number of steps that the policy was trained for, all rovers together.
+        actor: weights of the policy, by name.
     """
 
     config: TrainingConfig
@@ -38,7 +38,7 @@ class Checkpoint:
 
     @property
     def env(self) -> EnvConfig:
-        """The environment that the policy was made for."""
+        """Environment that the policy was made for."""
         return self.config.env
 
     @property
@@ -52,28 +52,28 @@ class Checkpoint:
         return self.config.algo
 
     def save(self, path: Path) -> None:
-        """Writes the checkpoint. An existing file is replaced when the new one is complete."""
+        """Writes the checkpoint atomically. An existing file is replaced when the new one is complete."""
         with written_whole(path) as temporary:
             self.write(temporary)
 
     def write(self, path: Path) -> None:
-        """Writes the checkpoint to ``path``, without a temporary file."""
+        """Writes the checkpoint directly to ``path``, without a temporary file."""
         write_archive(path, _FORMAT, {"config": plain(self.config), "steps": self.steps, "actor": self.actor})
 
     @classmethod
     def load(cls, path: str | Path) -> Checkpoint:
-        """Reads a checkpoint, or the one in a run's folder. Nothing in the file is executed.
+        """Loads a checkpoint from a file or a run's folder. No code in the file is executed.
 
         Checkpoints of version 0.1 are converted.
 
         Raises:
-            FileNotFoundError: if there is none.
-            ValueError: if the file is something else, is damaged, or holds weights that are not finite.
+            FileNotFoundError: if there is no checkpoint.
+            ValueError: if the file is no checkpoint, is damaged, or holds weights that are not finite.
         """
         path = Path(path)
         path = path / CHECKPOINT if path.is_dir() else path
         if path.name == CHECKPOINT and not path.exists():
-            raise FileNotFoundError(f"no checkpoint at {path}: {_why_none(path.parent)}")
+            raise FileNotFoundError(f"no checkpoint at {path}: {_missing_reason(path.parent)}")
         data = read_archive(path, (_FORMAT, _FLAT_FORMAT), "checkpoint")
         try:
             config = config_from(data.pop("config"), str(path))
@@ -88,10 +88,10 @@ class Checkpoint:
         return checkpoint
 
     def make_actor(self) -> ProbabilisticActor:
-        """The policy, as a TorchRL module, with the environment that it was made for as ``made_for``.
+        """Makes the policy, a TorchRL module. Its attribute ``made_for`` is the environment that it was made for.
 
         Raises:
-            ValueError: if weights and settings do not belong together.
+            ValueError: if the weights do not fit the settings.
         """
         network, env = self.config.network, self.env
         encoder = ObservationEncoder(network.observation, env.lidar.points, network.north_up)
@@ -100,13 +100,13 @@ class Checkpoint:
             actor.load_state_dict(self.actor)
         except RuntimeError as error:
             raise ValueError(f"the checkpoint's weights do not fit hidden={network.hidden}") from error
-        # An attribute of the module, so that whoever drives the policy can compare environments.
+        # Evaluation and deployment compare it with the environment to drive in.
         actor.made_for = env
         return actor
 
 
-def _why_none(folder: Path) -> str:
-    """Why a folder has no checkpoint, and what to do about it."""
+def _missing_reason(folder: Path) -> str:
+    """Returns why a folder has no checkpoint and what to do about it."""
     if not (folder / SETTINGS).is_file():
         return f"{folder} is not the folder of a run"
     return f"the run has written none yet; if it has ended, go on with rover-rl train --resume {folder}"

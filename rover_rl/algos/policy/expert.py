@@ -1,4 +1,4 @@
-"""PrivilegedExpert: a planner with the map and the pose, for training only.
+"""PrivilegedExpert: planner that uses the map and the pose, for imitation in training.
 
 Example:
     >>> env = make_env(world_n="maze", num_envs=2, seed=0)
@@ -24,34 +24,34 @@ from rover_rl.sims.worlds import World, free_space
 from rover_rl.sims.worlds.path_distance import PathDistance, PerWorld
 
 DIRECTIONS = 32
-"""Number of candidate directions."""
+"""Number of candidate headings."""
 LOOK_AHEAD = (0.3, 0.6)
-"""Distances at which each candidate direction is evaluated, m."""
+"""Distances at which each candidate heading is evaluated, m."""
 BLOCKED = 50.0
-"""Length added to the path where a point is not passable, m."""
+"""Penalty on the path length for a point that is not free, m."""
 NEAR = 0.8
-"""Distance to the goal within which the expert drives straight at it, m."""
+"""Distance to the goal below which the expert drives straight to it, m."""
 
 
 class PrivilegedExpert:
-    """An expert that follows the shortest free path, which it computes from the map and the pose.
+    """Expert that follows the shortest free path, which it computes from the map and the pose.
 
-    A policy without map and pose can imitate it: see ``imitation`` in :class:`~rover_rl.algos.config.PPOConfig`.
-    Observations need ``pose``, ``imu``, ``target`` and ``lidar``.
+    A policy without the map and the pose can imitate it: see ``imitation`` in
+    :class:`~rover_rl.algos.config.PPOConfig`. Observations must contain ``pose``, ``imu``, ``target`` and ``lidar``.
 
     Args:
-        worlds: the world of each row of the batch.
-        robot: the robot that the path must be wide enough for.
+        worlds: world of each row of the batch.
+        robot: robot for which the path must be wide enough.
         device: device of the observations; ``None``: the CPU.
     """
 
     def __init__(self, worlds: Sequence[World], robot: Robot, device: torch.device | str | None = None) -> None:
-        self._by_world = PerWorld(worlds, lambda world: _Directions(world, robot, device), device)
+        self._by_world = PerWorld(worlds, lambda world: _Headings(world, robot, device), device)
 
     def action(self, observation: TensorDictBase) -> Tensor:
-        """The expert's action for observations ``[N, ...]``: forward speed (m/s) and heading offset (rad)."""
+        """Returns actions ``[N, ..., 2]`` for observations ``[N, ...]``: forward speed (m/s), heading offset (rad)."""
         position, yaw = observation["pose"][..., :2], observation["imu"][..., 2:]
-        direction = self._by_world(_Directions.best, position, goal_of(observation))
+        direction = self._by_world(_Headings.best, position, goal_of(observation))
         distance, bearing = observation["target"].split(1, -1)
         heading = torch.where(distance < NEAR, bearing, wrap_angle(direction - yaw))
         return drive_towards(heading.flatten(0, -2), observation["lidar"].flatten(0, -2)).unflatten(
@@ -59,8 +59,8 @@ class PrivilegedExpert:
         )
 
 
-class _Directions:
-    """Chooses the direction in which the path to the goal is shortest, in one world."""
+class _Headings:
+    """Chooses the heading with the shortest path to the goal, in one world."""
 
     def __init__(self, world: World, robot: Robot, device: torch.device | str | None) -> None:
         self._distance = PathDistance(world, robot, device, CAUTION)
@@ -69,10 +69,10 @@ class _Directions:
         self._angles, self._directions = angles, torch.stack((angles.cos(), angles.sin()), -1)
 
     def best(self, position: Tensor, goal: Tensor) -> Tensor:
-        """Direction in the world for positions and goals ``[N, 2]``: ``[N, 1]``, rad."""
+        """Returns the best heading in the world frame for positions and goals ``[N, 2]``: ``[N, 1]``, rad."""
         anchor = self._distance.anchor(goal)[:, None]
         length = position.new_zeros(len(anchor), DIRECTIONS)
         for distance in LOOK_AHEAD:
-            there = position[:, None] + distance * self._directions
-            length += self._distance.to_anchor(anchor, there) + BLOCKED * ~self._space.contains(there)
+            point = position[:, None] + distance * self._directions
+            length += self._distance.to_anchor(anchor, point) + BLOCKED * ~self._space.contains(point)
         return self._angles[length.argmin(-1, keepdim=True)]

@@ -1,4 +1,4 @@
-"""Policies that come with the package, and what names of policies mean."""
+"""Pretrained policies of the package."""
 
 from __future__ import annotations
 
@@ -7,19 +7,22 @@ from pathlib import Path
 from rover_rl.algos.policy.checkpoint import Checkpoint
 
 FOLDER = Path(__file__).parent
-"""A checkpoint and a card for each: ``maze-sac.pt`` and ``maze-sac.md``."""
+"""Folder with a checkpoint and a model card of each policy, such as ``maze-ppo.pt`` and ``maze-ppo.md``."""
 
 
 def pretrained_names() -> list[str]:
-    """Names of the policies that come with the package, such as ``"maze-sac"``."""
+    """Returns the names of the pretrained policies, such as ``"maze-ppo"``."""
     return sorted(path.stem for path in FOLDER.glob("*.pt"))
 
 
 def load_pretrained(name: str) -> Checkpoint:
-    """A policy that comes with the package.
+    """Loads a pretrained policy.
+
+    Args:
+        name: name of the policy, such as ``"moon-sac"``.
 
     Raises:
-        ValueError: if there is none of that name.
+        ValueError: if there is no policy of that name.
 
     Example:
         >>> actor = load_pretrained("moon-sac").make_actor()

@@ -1,4 +1,4 @@
-"""Training: PPO, SAC, and what they share.
+"""Training with PPO and SAC.
 
 Example:
     >>> summary = train(training_config("ppo", world="maze", max_minutes=5))
@@ -24,12 +24,12 @@ def train(config: TrainingConfig, folder: Path | None = None) -> TrainingSummary
     """Trains a policy with the algorithm of ``config``.
 
     Args:
-        config: settings of the training.
-        folder: folder of a run to continue; ``None`` begins a new one.
+        config: settings of the training run.
+        folder: folder of a run to continue; ``None`` starts a new run.
 
     Raises:
         ValueError: for a setting out of range, or an unknown world, robot, reward or backend.
-        FileExistsError: if there is a run of that name.
+        FileExistsError: if a run of that name exists.
     """
     module = import_module(f"{__name__}.{config.algo}")
     return getattr(module, f"train_{config.algo}")(config, folder)

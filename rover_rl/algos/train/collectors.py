@@ -27,35 +27,35 @@ from rover_rl.algos.train.env import SESSION_SEEDS, make_training_env
 
 _LAST_LINES = 60
 """Number of lines of a failed worker's output that are reported."""
-_PATIENCE = 1.0
-"""Seconds between two checks of whether the workers are alive."""
-_RAY_PATIENCE = 10.0
-"""Seconds to wait for Ray to report which worker has ended."""
+_POLL_INTERVAL = 1.0
+"""Time between two checks of whether the workers are alive, s."""
+_RAY_TIMEOUT = 10.0
+"""Time to wait for Ray to report which worker has ended, s."""
 
 
 class WorkerError(ChildProcessError):
-    """A worker process has failed. The message holds the end of its output."""
+    """Raised when a worker process has failed. The message contains the end of its output."""
 
 
 @contextmanager
 def collect(config: TrainingConfig, actor: ProbabilisticActor, session: int = 0) -> Iterator[Iterator[TensorDictBase]]:
-    """Opens a collector; a context manager that gives an endless iterator over batches ``[num_envs, rollout_length]``.
+    """Opens a collector and yields an endless iterator over batches ``[num_envs, rollout_length]``.
 
     If the algorithm is ``asynchronous`` and there are several workers, each batch holds the rows of one worker,
-    ``[rovers_per_worker, rollout_length]``, and the other workers continue in the meantime. Workers get the actor's
-    present weights whenever a batch is requested.
+    ``[rovers_per_worker, rollout_length]``, while the other workers continue. Workers receive the current weights of
+    the actor whenever a batch is requested.
 
     Args:
-        config: settings of the training.
-        actor: chooses the actions.
-        session: how often the run has been resumed.
+        config: settings of the training run.
+        actor: policy that collects the data.
+        session: number of times the run has been resumed.
 
     Raises:
-        WorkerError: from the iterator, within seconds after a worker ends.
+        WorkerError: by the iterator, within seconds after a worker has failed.
     """
     frames = config.num_envs * config.algorithm.rollout_length
     if config.algorithm.asynchronous:
-        # A batch of an asynchronous collector comes from one worker.
+        # Each batch of an asynchronous collector comes from one worker.
         frames //= config.workers
     with _COLLECTORS[config.collector](config, actor, frames, session) as batches:
         yield batches
@@ -90,7 +90,7 @@ def _in_processes(
             num_collectors=config.workers,
             sync=not config.algorithm.asynchronous,
             frames_per_batch=frames,
-            # Batches of single workers are not concatenated.
+            # Asynchronous batches come from one worker each and are not concatenated.
             cat_results=None if config.algorithm.asynchronous else 0,
             use_buffers=True,
             num_threads=1,
@@ -115,7 +115,7 @@ def _watched(collector: BaseCollector, logs: list[Path]) -> Iterator[TensorDictB
 
 
 def _send_weights(collector: BaseCollector) -> None:
-    """Sends the actor's weights to the workers. TorchRL alone would wait forever for the answer of a dead worker."""
+    """Sends the actor's weights to the workers. TorchRL alone waits forever for the reply of a dead worker."""
     done: Future[None] = Future()
 
     def send() -> None:
@@ -127,7 +127,7 @@ def _send_weights(collector: BaseCollector) -> None:
     Thread(target=send, daemon=True).start()
     while True:
         try:
-            return done.result(timeout=_PATIENCE)
+            return done.result(timeout=_POLL_INTERVAL)
         except FutureTimeout:
             for number, process in enumerate(collector.procs):
                 if process.exitcode is not None:
@@ -135,16 +135,17 @@ def _send_weights(collector: BaseCollector) -> None:
 
 
 def _last_output(log: Path) -> str:
+    """Returns the end of a worker's output."""
     lines = log.read_text(errors="replace").splitlines() if log.exists() else []
     return "\n".join((f"{log.name}:", *lines[-_LAST_LINES:])) if lines else f"{log.name} printed nothing"
 
 
 def _make_worker_env(config: TrainingConfig, worker: int, session: int, log: Path) -> EnvBase:
-    """The environment of a worker process, which leaves Ctrl-C to the training process."""
+    """Makes the environment of a worker process. The worker ignores Ctrl-C, which the training process handles."""
     if multiprocessing.parent_process() is not None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         torch.manual_seed(config.seed + worker + session * SESSION_SEEDS)
-        # The training process reports its traceback, and what Bullet or the interpreter print when they crash.
+        # If the worker fails, the training process reports its traceback and the crash output of Bullet or Python.
         with log.open("wb", buffering=0) as file:
             os.dup2(file.fileno(), 2)
         faulthandler.enable(all_threads=False)
@@ -167,7 +168,7 @@ def _on_a_cluster(
         total_frames=sys.maxsize,
         backend_options={
             "remote_configs": {"num_cpus": 1},
-            # At any other time this would wait for workers that are collecting.
+            # At any other time, an update waits for workers that are collecting.
             "update_after_each_batch": True,
             "collector_kwargs": {"track_traj_ids": False, "auto_register_policy_transforms": False},
         },
@@ -176,14 +177,14 @@ def _on_a_cluster(
     def batches() -> Iterator[TensorDictBase]:
         try:
             collector.update_policy_weights_()
-            # Iterating over the collector itself would end all workers before the failed one is known.
+            # Iterating over the collector itself ends all workers before the failed one can be identified.
             for batch in collector.iterator():
                 # Batches of several workers are stacked.
                 yield batch if config.algorithm.asynchronous else batch.flatten(0, 1)
         except RayError as error:
             raise WorkerError(str(error)) from error
         except RuntimeError as error:
-            # The connection for weights knows only that it is closed.
+            # The error says only that the connection for weights is closed.
             raise WorkerError("\n".join((str(error), *_ended_actors(collector)))) from error
 
     try:
@@ -193,20 +194,21 @@ def _on_a_cluster(
 
 
 def _ended_actors(collector: BaseCollector) -> list[str]:
-    """Ray's reports on the workers that have ended, which can take some seconds."""
+    """Returns Ray's reports on the workers that have ended. This can take some seconds."""
     import ray
 
-    answers = [worker.__ray_ready__.remote() for worker in collector.remote_collectors]
+    replies = [worker.__ray_ready__.remote() for worker in collector.remote_collectors]
     reports = []
-    for answer in ray.wait(answers, num_returns=len(answers), timeout=_RAY_PATIENCE)[0]:
+    for reply in ray.wait(replies, num_returns=len(replies), timeout=_RAY_TIMEOUT)[0]:
         try:
-            ray.get(answer)
+            ray.get(reply)
         except ray.exceptions.RayError as error:
             reports.append(str(error))
     return reports
 
 
 def _make_remote_env(config: TrainingConfig, worker: int, session: int) -> EnvBase:
+    """Makes the environment of a Ray worker."""
     torch.set_num_threads(1)
     torch.manual_seed(config.seed + worker + session * SESSION_SEEDS)
     return make_training_env(config, worker, session)
@@ -217,4 +219,4 @@ _COLLECTORS: dict[str, Callable[..., AbstractContextManager[Iterator[TensorDictB
     "processes": _in_processes,
     "ray": _on_a_cluster,
 }
-"""Collectors, by the name of their kind."""
+"""Context managers that open a collector, by the kind of the collector."""

@@ -1,4 +1,4 @@
-"""The training environment: one step is one decision."""
+"""Training environment, in which one step is one decision of the policy."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from rover_rl.sims.backends import find_settings
 from rover_rl.sims.worlds import World
 
 SESSION_SEEDS = 1_000_003
-"""Difference between the seeds of a run and those of the same run resumed, which draws other starts and goals."""
+"""Offset of the seeds of each session of a run, so that a resumed run draws new starts and goals."""
 
 
 def make_training_env(config: TrainingConfig, worker: int = 0, session: int = 0) -> EnvBase:
-    """The rovers of one worker. One step is one decision.
+    """Makes the environment of one worker, in which one step is one decision of the policy.
 
-    The first episode of each row has a random length, so that not all rows start over at the same time.
+    The first episode of each row has a random length, so that the resets of the rows are spread over time.
 
     Args:
-        config: settings of the training.
-        worker: number of the worker, from 0.
-        session: how often the run has been resumed.
+        config: settings of the training run.
+        worker: index of the worker, from 0.
+        session: number of times the run has been resumed.
     """
-    described = _of_worker(config, worker, session)
-    reward_components(described.reward, described.contract_reward)
-    rovers = RoverEnv(**described.arguments())
-    env = add_reward(rovers, described.reward, described)
+    env_config = _worker_env_config(config, worker, session)
+    reward_components(env_config.reward, env_config.contract_reward)
+    rovers = RoverEnv(**env_config.arguments())
+    env = add_reward(rovers, env_config.reward, env_config)
     action_repeat = config.collection.action_repeat
     env = env.append_transform(ActionRepeat(action_repeat))
     if config.collection.path_reward:
@@ -46,35 +46,35 @@ def make_training_env(config: TrainingConfig, worker: int = 0, session: int = 0)
     env = env.append_transform(RewardSum(["reward"], ["episode_reward"]))
     env = env.append_transform(GoalCounter())
     env = env.append_transform(StepCounter())
-    longest = -(-described.length // action_repeat)
+    longest = -(-env_config.length // action_repeat)
     env = env.append_transform(RandomTruncationTransform(min_horizon=1, max_horizon=longest))
     return env.append_transform(StepClock(rovers.simulator, worker))
 
 
-def _of_worker(config: TrainingConfig, worker: int, session: int) -> EnvConfig:
-    """The description of one worker's environment."""
+def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> EnvConfig:
+    """Returns the settings of one worker's environment."""
     env, rovers = config.env, config.rovers_per_worker
     backend = env.backend
     if backend == "warp":
-        # The workers share the cores; networks this small need one thread in each.
+        # The workers share the cores. Networks of this size need only one thread per worker.
         backend = find_settings("warp")(threads=max(1, usable_cores() // config.workers))
     return replace(
         env,
         num_envs=rovers,
         seed=config.seed + worker * rovers + session * SESSION_SEEDS,
         backend=backend,
-        # Tensordicts on the CPU are faster without a device.
+        # On the CPU, tensordicts without a device are faster.
         device=config.device if config.on_gpu else None,
     )
 
 
 def world_of_each_row(config: TrainingConfig) -> list[World]:
-    """The world of each row of a batch: each worker has rovers in all worlds."""
+    """Returns the world of each row of a batch. Each worker has rovers in all worlds."""
     return assign_rows(config.env.world, config.rovers_per_worker) * config.workers
 
 
 class GoalCounter(Transform):
-    """Adds ``episode_goals``, the number of goals reached in the episode so far, int64 ``[N, 1]``.
+    """Adds ``episode_goals``: number of goals reached in the episode so far, int64 ``[N, 1]``.
 
     Append it after :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat`.
     """
@@ -87,7 +87,7 @@ class GoalCounter(Transform):
         return tensordict_reset.set("episode_goals", torch.zeros_like(tensordict_reset["outcome", "goals"]))
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
-        """Adds ``episode_goals``."""
+        """Adds the spec of ``episode_goals``."""
         steps = observation_spec["outcome", "steps"]
         observation_spec["episode_goals"] = Unbounded(shape=steps.shape, dtype=torch.int64, device=steps.device)
         return observation_spec

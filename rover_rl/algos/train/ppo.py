@@ -1,14 +1,15 @@
-"""PPO on a batch of rovers, with TorchRL: collect decisions, estimate advantages, take gradient steps.
+"""PPO with TorchRL: collect decisions of a batch of rovers, estimate advantages, take gradient steps.
 
-Read it from the top: :func:`train_ppo` is the loop, :class:`PPOLearner` what happens in it. Batches come from
-:mod:`rover_rl.algos.train.collectors`, the networks are in :mod:`rover_rl.algos.policy.networks`, and the run's folder,
-log, checkpoints and Ctrl-C are in :mod:`rover_rl.algos.train.run`.
+:func:`train_ppo` is the training loop and :class:`PPOLearner` the update. :mod:`rover_rl.algos.train.collectors`
+collects the batches, :mod:`rover_rl.algos.policy.networks` has the networks, and :mod:`rover_rl.algos.train.run`
+handles the run's folder, log, checkpoints and Ctrl-C.
 
-The loop is written out, to be read. TorchRL 0.14's ``PPOTrainer``, marked experimental, was tried: with hooks for the
-reward scale, GAE once a batch, annealing, mirror images, imitation, log and time limit it trains as well (in inspect,
-123,000 steps of one seed, 64 of 64 stored episodes, as here) and as fast. What spoke against it: Ctrl-C and SIGTERM end
-it without a checkpoint unless one adds a handler, its files leave out torch's random numbers unless asked, a fixed
-number of gradient steps an epoch skips every second epoch, and the losses it logs are means over the last epoch alone.
+The loop is explicit instead of using TorchRL 0.14's experimental ``PPOTrainer``. With hooks for reward scale, one GAE
+per batch, annealing, mirror augmentation, imitation, log and time limit, ``PPOTrainer`` trains equally well and fast
+(inspect, one seed, 123,000 steps: 64 of 64 stored episodes reach the goal with both). Its drawbacks: without an
+additional handler, Ctrl-C and SIGTERM end it without a checkpoint; by default, its files lack the state of PyTorch's
+random generator; with a fixed number of gradient steps per epoch it skips every second epoch; and the losses that it
+logs are means over the last epoch only.
 
 Example:
     >>> summary = train_ppo(PPOConfig(max_minutes=5))
@@ -46,20 +47,20 @@ from rover_rl.sims.robots import get_robot
 __all__ = ["PPOConfig", "PPOLearner", "train_ppo"]
 
 LOGGED = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction")
-"""What is written down of each gradient step."""
+"""Values that are logged for each gradient step."""
 
 
 @single_threaded()
 def train_ppo(config: TrainingConfig, folder: Path | None = None) -> TrainingSummary:
-    """Trains a policy and writes the results to the run's folder; see :class:`TrainingRun`.
+    """Trains a policy with PPO and writes the results to the run's folder: see :class:`TrainingRun`.
 
     Args:
-        config: settings of the training.
-        folder: folder of a run to continue; ``None`` begins a new one.
+        config: settings of the training run.
+        folder: folder of a run to continue; ``None`` starts a new run.
 
     Raises:
         ValueError: for an unknown world, or a setting out of range.
-        FileExistsError: if there is a run of that name.
+        FileExistsError: if a run of that name exists.
     """
     config = prepare(config)
     learner = PPOLearner(config)
@@ -70,16 +71,17 @@ def train_ppo(config: TrainingConfig, folder: Path | None = None) -> TrainingSum
 
 
 class PPOLearner:
-    """Actor, critic, and how they learn from a batch of decisions."""
+    """Actor, critic and their PPO update.
+
+    Args:
+        config: settings of the training run.
+    """
 
     def __init__(self, config: TrainingConfig) -> None:
         assert isinstance(config.algorithm, PPOConfig)
         self.config, self._settings = config, config.algorithm
         settings, network, device = config.algorithm, config.network, config.device
-        encoder, device = (
-            ObservationEncoder(network.observation, config.env.lidar.points, network.north_up),
-            config.device,
-        )
+        encoder = ObservationEncoder(network.observation, config.env.lidar.points, network.north_up)
         self.actor = make_actor(encoder, network.hidden, config.env.action, network.max_std, device)
         self.critic = make_critic(encoder, network.hidden, device)
         self._advantage = GAE(gamma=settings.gamma, lmbda=settings.lmbda, value_network=self.critic, average_gae=True)
@@ -97,25 +99,25 @@ class PPOLearner:
             if settings.imitation
             else None
         )
-        self._learned_from = (*network.observation, "action", "action_log_prob", "advantage", "value_target")
+        self._training_keys = (*network.observation, "action", "action_log_prob", "advantage", "value_target")
 
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
-        """Learns from decisions ``[N, T]``; returns means over the gradient steps.
+        """Updates the networks with a batch and returns the means of the logged values over the gradient steps.
 
         Args:
-            batch: what a collector gives.
-            share: of the training that is done.
-            stopwatch: takes the time of the gradient steps.
+            batch: decisions ``[N, T]`` from a collector.
+            share: fraction of training that is done.
+            stopwatch: stopwatch that measures the time of the gradient steps.
         """
         learning_rate = set_learning_rate(self._optimizer, self.config, share)
         batch["next", "reward"] *= self._settings.reward_scale
         with torch.no_grad():
             self._advantage(batch)
-        decisions = batch.select(*self._learned_from).reshape(-1)
+        decisions = batch.select(*self._training_keys).reshape(-1)
         gradient_step = self._gradient_step
         if self._expert and share < self._settings.imitation:
-            # DAgger: the policy drives, and the expert says what it would have done there (Ross et al., 2011).
-            decisions["action"] = self._within_reach(self._expert.action(batch).flatten(0, 1))
+            # DAgger (Ross et al., 2011): the policy drives, and the expert labels the visited states with its actions.
+            decisions["action"] = self._inside_bounds(self._expert.action(batch).flatten(0, 1))
             gradient_step = self._imitation_step
         steps = []
         for _ in range(self._settings.epochs):
@@ -125,42 +127,43 @@ class PPOLearner:
             with stopwatch("gradient steps"):
                 steps += [gradient_step(part) for part in shuffled.split(self._settings.minibatch)]
         with stopwatch("gradient steps"):
-            # Waits for those that a GPU is still at.
+            # Includes the time until the GPU has finished.
             means = torch.stack(steps).mean(0).tolist()
         return {"gradient_steps": len(steps), "learning_rate": learning_rate, **dict(zip(LOGGED, means, strict=True))}
 
     def _gradient_step(self, decisions: TensorDictBase) -> Tensor:
+        """Takes a PPO gradient step and returns the logged values."""
         losses = self._loss(decisions)
-        self._descend(losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"])
+        self._optimizer_step(losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"])
         return torch.stack([losses[key].detach() for key in LOGGED])
 
     def _imitation_step(self, decisions: TensorDictBase) -> Tensor:
-        """Makes the ``action`` of each decision likelier; ``loss_objective`` is its negative log-likelihood."""
+        """Takes an imitation gradient step: ``loss_objective`` is the negative log-likelihood of ``action``."""
         losses = self._loss(decisions)
         losses["loss_objective"] = -self.actor.get_dist(decisions).log_prob(decisions["action"]).mean()
-        self._descend(losses["loss_objective"] + losses["loss_critic"])
+        self._optimizer_step(losses["loss_objective"] + losses["loss_critic"])
         return torch.stack([losses[key].detach() for key in LOGGED])
 
-    def _within_reach(self, action: Tensor) -> Tensor:
-        """Actions drawn in from the policy's bounds, which a squashed normal distribution does not reach."""
+    def _inside_bounds(self, action: Tensor) -> Tensor:
+        """Clips actions and scales them to 95 % of their range: a squashed normal does not reach its bounds."""
         middle, half = middle_and_half(action_spec(self.config.env.action, self.config.device))
         return middle + 0.95 * torch.minimum(torch.maximum(action - middle, -half), half)
 
-    def _descend(self, loss: Tensor) -> None:
+    def _optimizer_step(self, loss: Tensor) -> None:
         self._optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self._loss.parameters(), self._settings.max_grad_norm)
         self._optimizer.step()
 
     def weights(self) -> dict[str, Tensor]:
-        """Those of all networks, by name."""
+        """Returns the weights of all networks, by name."""
         return dict(self._loss.named_parameters())
 
     def state_dict(self) -> dict[str, Any]:
-        """Weights, and the optimizer's moments."""
+        """Returns the weights and the state of the optimizer."""
         return {"loss": self._loss.state_dict(), "optimizer": self._optimizer.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Goes on from what :meth:`state_dict` gave."""
+        """Loads a state that :meth:`state_dict` returned."""
         self._loss.load_state_dict(state["loss"])
         self._optimizer.load_state_dict(state["optimizer"])

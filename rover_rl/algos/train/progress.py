@@ -1,4 +1,4 @@
-"""How training goes: what is counted in each batch, the table on disk, TensorBoard, and the progress bar."""
+"""Training progress: statistics of each batch, the table ``progress.csv``, TensorBoard and the progress bar."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ from rover_rl.envs.transforms.step_clock import NAMES
 from rover_rl.files import STANDARD_OUTPUT, errors_name, written_whole
 
 EPISODE_STEPS = EnvConfig.length
-"""Number of steps of a full episode of the contract."""
+"""Number of steps of a full episode in the contract."""
 _RECENT_STEPS = 80_000
-"""Steps that the progress bar looks back over."""
+"""Number of latest steps over which the progress bar averages."""
 
 
 class BatchStatistics:
-    """Counts what happened in batches of decisions that follow one another.
+    """Computes statistics of consecutive batches of decisions.
 
-    The success rate of training is the share of the episodes that ended in which at least one goal was reached, as
-    ``episodes_reached / episodes``. It is measured with exploration, and with the time limit of training.
+    The success rate of training, ``episodes_reached / episodes``, is the fraction of completed episodes in which at
+    least one goal was reached. It is measured with exploration and with the time limit of training.
 
     Args:
-        repeat: steps a decision. A decision in which the episode ends counts in full, so that the counters of a run
-            do not depend on what happens in it.
-        steps: taken before.
+        repeat: number of steps per decision. A decision in which the episode ends counts in full, so that the number
+            of steps of a run does not depend on its events.
+        steps: number of steps taken before.
 
     Attributes:
-        steps: taken so far, all rovers together.
+        steps: number of steps taken so far, all rovers together.
     """
 
     def __init__(self, repeat: int, steps: int = 0) -> None:
@@ -50,7 +50,7 @@ class BatchStatistics:
         self._repeat = repeat
 
     def __call__(self, batch: TensorDictBase) -> dict[str, float]:
-        """Statistics of the next batch ``[N, T]``, rewards unscaled; nan where there is nothing to count."""
+        """Returns statistics of the next batch ``[N, T]``, with unscaled rewards; means over no episodes are nan."""
         after = batch["next"]
         outcome, ended = after["outcome"], after["done"]
         taken = batch.numel() * self._repeat
@@ -66,11 +66,12 @@ class BatchStatistics:
 
 
 class Stopwatch:
-    """Where the wall clock of a training goes.
+    """Measures how the wall-clock time of training is spent.
 
-    Times of the process that trains are taken with ``with stopwatch("learning"):``. The processes that collect tell in
-    each batch how long they worked for it, and on what (:class:`~rover_rl.envs.transforms.step_clock.StepClock`):
-    that is what the time that the batch was waited for went into. What they do in the meantime costs no time.
+    ``with stopwatch("gradient steps"):`` measures activities of the training process. For collection, each batch holds
+    the times that its workers have spent on the simulator and the environment
+    (:class:`~rover_rl.envs.transforms.step_clock.StepClock`). The time spent waiting for a batch is divided in
+    proportion to them. Work of the collecting processes during other activities does not count.
     """
 
     def __init__(self) -> None:
@@ -80,12 +81,12 @@ class Stopwatch:
 
     @property
     def elapsed(self) -> float:
-        """Seconds since the stopwatch was made."""
+        """Time since the stopwatch was created, s."""
         return time.perf_counter() - self._started
 
     @contextmanager
     def __call__(self, name: str) -> Iterator[None]:
-        """Adds the time of the block to ``name``."""
+        """Adds the duration of the block to the activity ``name``."""
         started = time.perf_counter()
         try:
             yield
@@ -93,12 +94,18 @@ class Stopwatch:
             self._seconds[name] = self._seconds.get(name, 0.0) + time.perf_counter() - started
 
     def collected(self, batch: TensorDictBase, rows: int, waited: float) -> None:
-        """Divides the time that a batch was waited for (s) by what its processes, of ``rows`` rows each, worked on."""
+        """Divides the time spent waiting for a batch among the activities of its workers.
+
+        Args:
+            batch: batch with the entries of ``StepClock``.
+            rows: number of rows of each worker.
+            waited: time spent waiting for the batch, s.
+        """
         clock = batch["next", "clock"]
         worked = []
-        for worker, *now in torch.cat([clock[name] for name in NAMES], -1)[::rows, -1].tolist():
-            worked.append([new - old for new, old in zip(now, self._clocks.get(worker, (0.0, 0.0)), strict=True)])
-            self._clocks[worker] = now
+        for worker, *times in torch.cat([clock[name] for name in NAMES], -1)[::rows, -1].tolist():
+            worked.append([new - old for new, old in zip(times, self._clocks.get(worker, (0.0, 0.0)), strict=True)])
+            self._clocks[worker] = times
         simulator, environment = (sum(seconds) / len(worked) for seconds in zip(*worked, strict=True))
         waited_share = min(1.0, waited / environment)
         self._seconds["simulator"] += waited_share * simulator
@@ -106,30 +113,30 @@ class Stopwatch:
         self._seconds["policy and collector"] += waited - waited_share * environment
 
     def shares(self) -> dict[str, float]:
-        """Share of the time since the stopwatch was made, by what it was spent on; ``other`` is the rest."""
+        """Returns the share of each activity in the time since the stopwatch was created; ``other`` is the rest."""
         elapsed = self.elapsed
         shares = {name: seconds / elapsed for name, seconds in self._seconds.items()}
         return shares | {"other": 1 - sum(shares.values())}
 
 
 class ProgressLog:
-    """Appends a row a batch to ``progress.csv`` and to TensorBoard, and shows the latest of them in a progress bar.
+    """Writes one row per batch to ``progress.csv`` and TensorBoard, and shows recent means in a progress bar.
 
-    Rows of a run that is gone on with stay up to the state from which it goes on; those after it are taken again.
-    Without a terminal, a line is printed at each tenth of the way. TensorBoard's events are written where the package
+    In a resumed run, rows after the saved state are removed, because their batches are collected again. Without a
+    terminal, a line is printed after each tenth of training. TensorBoard events are written if the package
     ``tensorboard`` is installed.
 
     Args:
-        folder: of the run.
-        updates: rows to keep of a table that is there already.
-        steps: taken by then.
-        console: to print to.
+        folder: folder of the run.
+        updates: number of rows of an existing table to keep.
+        steps: number of steps taken before.
+        console: console to print to; ``None``: standard output.
     """
 
     def __init__(self, folder: Path, updates: int = 0, steps: int = 0, console: Console | None = None) -> None:
         self._path = folder / "progress.csv"
         self._recent: list[dict[str, float]] = []
-        self._told = 0
+        self._printed_tenths = 0
         self._steps, self._clock = steps, time.perf_counter()
         _keep_rows(self._path, updates)
         self._events = _Events(folder / "tensorboard", steps if updates else None) if _HAS_TENSORBOARD else None
@@ -156,12 +163,12 @@ class ProgressLog:
     ) -> None:
         self._bar.stop()
         if self._events is not None:
-            # What ended the training matters more than what then could not be written.
+            # An earlier error must not be replaced by one of closing the file.
             with suppress(OSError) if error else nullcontext():
                 self._events.close()
 
     def add(self, row: dict[str, float]) -> None:
-        """Writes a row, of which ``steps`` is one entry."""
+        """Writes a row of values by name, with at least ``steps``."""
         now = time.perf_counter()
         row = {**row, "steps_per_second": (row["steps"] - self._steps) / (now - self._clock)}
         self._steps, self._clock = int(row["steps"]), now
@@ -171,8 +178,13 @@ class ProgressLog:
             self._events.add(row, self._steps)
 
     def show(self, share: float) -> None:
-        """Shows the latest rows, one at least; ``share`` of the training is done."""
-        # Each row has as many steps: their mean speed is the harmonic one, and batches may come two at a time.
+        """Shows means over the latest rows, after at least one row.
+
+        Args:
+            share: fraction of training that is done.
+        """
+        # Rows have equal numbers of steps, so the mean speed is the harmonic mean. The speed of a single row varies,
+        # because batches may arrive in pairs.
         speed = harmonic_mean(row["steps_per_second"] for row in self._recent)
         status = (
             f"{speed:,.0f} steps/s, "
@@ -180,8 +192,8 @@ class ProgressLog:
             f"success {self._success_rate():.0%}, return {self._mean('episode_return'):.0f}"
         )
         self._bar.update(self._task, completed=share, status=status)
-        if self._bar.disable and int(share * 10) > self._told:
-            self._told = int(share * 10)
+        if self._bar.disable and int(share * 10) > self._printed_tenths:
+            self._printed_tenths = int(share * 10)
             self.say(f"{share:4.0%} of training: {status}")
 
     def say(self, text: str) -> None:
@@ -190,6 +202,7 @@ class ProgressLog:
             self._bar.console.print(text, soft_wrap=True, highlight=False)
 
     def _append(self, row: dict[str, float]) -> None:
+        """Appends a row to ``progress.csv``."""
         new = not self._path.exists()
         with errors_name(self._path), self._path.open("a", newline="") as file:
             writer = csv.DictWriter(file, list(row))
@@ -210,9 +223,10 @@ _HAS_TENSORBOARD = find_spec("tensorboard") is not None
 
 
 class _Events:
-    """TensorBoard's events in ``folder``; those after ``purge_step`` are hidden.
+    """Writes TensorBoard events to ``folder``. Earlier events after ``purge_step`` are hidden.
 
-    They are written at once: an error of torch's SummaryWriter, which has a thread for that, would come too late.
+    Events are written synchronously, so that errors are raised immediately. PyTorch's ``SummaryWriter`` writes in a
+    thread and raises them too late.
     """
 
     def __init__(self, folder: Path, purge_step: int | None) -> None:
@@ -229,7 +243,7 @@ class _Events:
             self._write(step=purge_step, session_log=SessionLog(status=SessionLog.START))
 
     def add(self, row: dict[str, float], steps: int) -> None:
-        """Adds every entry of a row."""
+        """Writes all values of a row."""
         values = [self._summary.Value(tag=name, simple_value=value) for name, value in row.items()]
         self._write(step=steps, summary=self._summary(value=values))
 
@@ -239,12 +253,13 @@ class _Events:
             self._records.flush()
 
     def close(self) -> None:
+        """Closes the file."""
         with errors_name(self._path):
             self._records.close()
 
 
 def _keep_rows(path: Path, updates: int) -> None:
-    """Leaves the first ``updates`` rows of the table, none half written."""
+    """Truncates the table to its first ``updates`` rows; deletes it if there are none to keep."""
     if not path.exists():
         return
     if not updates:
@@ -257,10 +272,10 @@ def _keep_rows(path: Path, updates: int) -> None:
 
 
 def read_progress(path: Path) -> dict[str, list[float]]:
-    """The columns of a table that :class:`ProgressLog` wrote; an interrupted last row is left out.
+    """Reads the columns of a table that :class:`ProgressLog` wrote, without an incomplete last row.
 
     Raises:
-        FileNotFoundError: if there is none.
+        FileNotFoundError: if there is no table.
     """
     with path.open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if None not in row.values()]

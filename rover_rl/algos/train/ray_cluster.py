@@ -1,4 +1,4 @@
-"""The Ray cluster that rollouts can be made on."""
+"""Connection to a Ray cluster for data collection."""
 
 from __future__ import annotations
 
@@ -8,15 +8,13 @@ from functools import partial
 
 
 def connect() -> int:
-    """Connects to a Ray cluster: the one at ``RAY_ADDRESS``, else one that runs on this machine, else a new one here.
-
-    May be called again.
+    """Connects to the Ray cluster at ``RAY_ADDRESS``, else to one on this machine, else starts one. Idempotent.
 
     Returns:
-        Processors of the cluster.
+        Number of CPU cores of the cluster.
 
     Raises:
-        ImportError: without Ray.
+        ImportError: if Ray is not installed.
         ConnectionError: if no cluster answers at ``RAY_ADDRESS``.
     """
     try:
@@ -24,7 +22,7 @@ def connect() -> int:
     except ImportError as error:
         raise ImportError('backend "ray" needs Ray: pip install "rover_rl[ray]"') from error
     if not ray.is_initialized():
-        # What remote workers print would go through the progress bar; how they end is in the error.
+        # The output of remote workers would disturb the progress bar. Their errors are reported separately.
         init = partial(ray.init, log_to_driver=False, logging_level=logging.ERROR)
         try:
             init(address="auto")
@@ -32,7 +30,7 @@ def connect() -> int:
             if "RAY_ADDRESS" in os.environ:
                 raise ConnectionError(
                     f"no Ray cluster answers at RAY_ADDRESS={os.environ['RAY_ADDRESS']}; "
-                    "if it asks for a token, set RAY_AUTH_MODE=token and have its ~/.ray/auth_token here"
+                    "if it requires a token, set RAY_AUTH_MODE=token and copy its ~/.ray/auth_token to this machine"
                 ) from error
             init(include_dashboard=False)
     return int(ray.cluster_resources().get("CPU", 0))

@@ -1,6 +1,6 @@
 """Training loop, independent of the algorithm: budget, folder, log and checkpoints.
 
-A :class:`TrainingRun` yields batches until the budget is used or the user stops it, and saves what was learned.
+A :class:`TrainingRun` yields batches until the budget is used or the user stops it, and saves checkpoints.
 The algorithms are in :mod:`rover_rl.algos.train.ppo` and :mod:`rover_rl.algos.train.sac`.
 """
 
@@ -34,26 +34,26 @@ from rover_rl.sims.worlds import get_world
 
 
 class Learner(Protocol):
-    """An algorithm, as :class:`TrainingRun` uses it."""
+    """Interface between an algorithm and :class:`TrainingRun`."""
 
     actor: ProbabilisticActor
 
     def weights(self) -> dict[str, Tensor]:
-        """All learned tensors, by name."""
+        """Returns all trained weights, by name."""
         ...
 
     def state_dict(self) -> dict[str, Any]:
-        """State from which learning continues: plain data and tensors."""
+        """Returns the state from which training continues, as plain data and tensors."""
         ...
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continues from a state."""
+        """Loads a state that :meth:`state_dict` returned."""
         ...
 
 
 @dataclass(frozen=True)
 class TrainingSummary:
-    """Result of a training run.
+    """Summary of a training run.
 
     Attributes:
         folder: folder of the run.
@@ -71,28 +71,28 @@ class TrainingSummary:
 
     @property
     def checkpoint(self) -> Path:
-        """The trained policy."""
+        """Path of the trained policy."""
         return self.folder / CHECKPOINT
 
 
 class TrainingRun:
-    """One training, new or resumed; a context manager.
+    """Context manager of a new or resumed training run.
 
     The run's folder holds ``config.yaml``, ``progress.csv`` (one row per batch), ``checkpoint.pt`` (the policy),
     ``training_state.pt`` (the state from which training continues), ``snapshots/`` (earlier policies) and, if
     TensorBoard is installed, ``tensorboard/``. Files are replaced as a whole, every ``checkpoint_minutes`` and at
     the end. Ctrl-C and SIGTERM end the run after the current batch; a second one ends it immediately. A run whose
-    weights are not finite any more, or whose files cannot be written, keeps its last checkpoint.
+    weights become NaN or infinite, or whose files cannot be written, keeps its last checkpoint.
 
     Args:
-        config: settings of the training.
-        learner: the algorithm.
-        folder: folder of a run to continue; ``None`` begins a new one.
+        config: settings of the training run.
+        learner: algorithm to train with.
+        folder: folder of a run to continue; ``None`` starts a new run.
 
     Raises:
         ValueError: for an unknown world, a setting out of range, or a training state that does not fit.
-        FileExistsError: if there is a run of that name.
-        FloatingPointError: when training has diverged, by the context or by :meth:`record`.
+        FileExistsError: if a run of that name exists.
+        FloatingPointError: if training has diverged, by the context or by :meth:`record`.
         OSError: if a file cannot be written.
 
     Example:
@@ -116,7 +116,7 @@ class TrainingRun:
             self.folder = new_run_folder(config.run.runs, config.run.name, default)
         else:
             self.folder = folder
-            self._go_on()
+            self._resume()
         self._from_start = folder is not None and self._saved_steps is None
         write_config(self.folder / SETTINGS, config)
         self._updates_before = self.updates
@@ -125,8 +125,8 @@ class TrainingRun:
         self._statistics = BatchStatistics(config.collection.action_repeat, self.steps)
         self._log = ProgressLog(self.folder, self.updates, self.steps)
 
-    def _go_on(self) -> None:
-        """Goes on from where the run in the folder was left; one that was killed early begins anew."""
+    def _resume(self) -> None:
+        """Resumes the run in the folder. A run that was killed before its first checkpoint starts again."""
         if (self.folder / STATE).is_file():
             self._restore(load_state(self.folder / STATE))
         elif (self.folder / CHECKPOINT).is_file():
@@ -136,7 +136,7 @@ class TrainingRun:
             )
 
     def _restore(self, state: dict[str, Any]) -> None:
-        """Goes on from ``state``: what was learned, the counters, and torch's random numbers."""
+        """Restores the learner, the counters and the state of PyTorch's random generator."""
         try:
             self.steps, self.updates, self._minutes_before = state["steps"], state["updates"], state["minutes"]
             self._session = state["session"] + 1
@@ -146,28 +146,30 @@ class TrainingRun:
                 torch.cuda.set_rng_state(state["random_on_gpu"], self.config.device)
         except (RuntimeError, ValueError, KeyError, TypeError) as error:
             raise ValueError("the run's training state does not fit its settings") from error
-        if (infected := first_not_finite(self.learner.weights())) is not None:
-            raise ValueError(f"{self.folder / STATE} holds NaN or infinity in the weights {infected}: it cannot go on")
+        if (diverged := first_not_finite(self.learner.weights())) is not None:
+            raise ValueError(
+                f"{self.folder / STATE} holds NaN or infinity in the weights {diverged}: it cannot be resumed"
+            )
         self._saved_steps = self.steps
 
     @property
     def minutes(self) -> float:
-        """Since training began, all sessions together."""
+        """Duration of training, all sessions together, minutes."""
         return self._minutes_before + self.stopwatch.elapsed / 60
 
     @property
     def share(self) -> float:
-        """Share of the budget that is used: of the steps or of the time, whichever is more; at most 1."""
+        """Fraction of the budget that is used, of steps or time, whichever is larger. At most 1."""
         limit = self.config.run.max_minutes
         return min(1.0, max(self.steps / self.config.run.total_steps, self.minutes / limit if limit else 0.0))
 
     @property
     def summary(self) -> TrainingSummary:
-        """What the run has come to so far."""
+        """Results of the run so far."""
         return TrainingSummary(self.folder, self.steps, self.minutes, self._stopping, self.stopwatch.shares())
 
     def __enter__(self) -> TrainingRun:
-        # Only the main thread may handle signals; a training in another one is stopped by whoever runs it.
+        # Python allows signal handlers in the main thread only.
         self._handlers = {}
         if threading.current_thread() is threading.main_thread():
             self._handlers = {number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)}
@@ -182,53 +184,59 @@ class TrainingRun:
         try:
             if isinstance(error, Exception):
                 self._require_finite()
-            # A worker fails while its batch is waited for: what was learned before is whole.
+            # A worker fails while the run waits for its batch, so the learner is in a consistent state.
             failed = isinstance(error, WorkerError)
             if (error is None or failed) and self.updates > self._updates_before:
                 self._save()
             if failed:
-                self._log.say(f"A worker failed; to go on: rover-rl train --resume {self.folder}")
+                self._log.say(f"A worker failed. To continue: rover-rl train --resume {self.folder}")
         finally:
             self._log.__exit__(kind, error, trace)
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
+        """Handles a signal: ends the run after the current batch, or immediately at the second signal."""
         if self._stopping:
             raise KeyboardInterrupt
         self._stopping = True
-        self._log.say(f"{signal.Signals(number).name}: stopping after this batch; once more stops at once")
+        self._log.say(f"{signal.Signals(number).name}: stopping after this batch; send it again to stop immediately")
 
     def batches(self) -> Iterator[TensorDictBase]:
-        """Batches until the run is over, at least one in a new run.
+        """Yields batches until the run ends, at least one in a new run.
 
-        Learn from each, then :meth:`record` it. See :func:`~rover_rl.algos.train.collectors.collect`.
+        Update the learner with each batch, then call :meth:`record`. The batches are those of
+        :func:`~rover_rl.algos.train.collectors.collect`.
         """
         if self.updates and self.share >= 1:
             return
         with collect(self.config, self.learner.actor, self._session) as batches:
             while not self.updates or (self.share < 1 and not self._stopping):
-                asked = self.stopwatch.elapsed
+                requested = self.stopwatch.elapsed
                 batch = next(batches)
-                self.stopwatch.collected(batch, self.config.rovers_per_worker, self.stopwatch.elapsed - asked)
-                self._counted = self._statistics(batch)
+                self.stopwatch.collected(batch, self.config.rovers_per_worker, self.stopwatch.elapsed - requested)
+                self._batch_statistics = self._statistics(batch)
                 yield batch
 
     def record(self, learned: dict[str, float]) -> None:
-        """Writes down what happened in the batch in hand and what was ``learned`` from it; saves when it is time."""
+        """Logs the current batch and saves snapshots and checkpoints that are due.
+
+        Args:
+            learned: values to log about the update, by name.
+        """
         self.steps, self.updates = self._statistics.steps, self.updates + 1
-        self._log.add({"updates": self.updates, "minutes": self.minutes, **self._counted, **learned})
+        self._log.add({"updates": self.updates, "minutes": self.minutes, **self._batch_statistics, **learned})
         self._require_finite()
-        due = int(self.share * self.config.run.snapshots)
-        if due > self._last_snapshot:
-            self._last_snapshot = due
+        snapshot = int(self.share * self.config.run.snapshots)
+        if snapshot > self._last_snapshot:
+            self._last_snapshot = snapshot
             self._checkpoint().save(self.folder / "snapshots" / f"{self.steps:09d}.pt")
         if self.minutes - self._saved_at >= self.config.run.checkpoint_minutes:
             self._save()
         try:
             self._log.show(self.share)
         except (OSError, SystemExit):
-            # Nobody takes any more what is printed, as after "| head"; what was learned is kept.
+            # The reader of the output has closed it, as with "| head". Saves the progress.
             self._save()
             raise
 
@@ -253,13 +261,13 @@ class TrainingRun:
         self._saved_steps = self.steps
 
     def _require_finite(self) -> None:
-        """Ends a training that has diverged, so that its last good checkpoint stays.
+        """Ends a run that has diverged, to keep its last good checkpoint.
 
         Raises:
             FloatingPointError: if a weight is NaN or infinite.
         """
-        infected = first_not_finite(self.learner.weights())
-        if infected is None:
+        diverged = first_not_finite(self.learner.weights())
+        if diverged is None:
             return
         lower = f"--learning-rate {self.config.algorithm.learning_rate / 3:.1g}"
         if self._saved_steps is None:
@@ -267,18 +275,18 @@ class TrainingRun:
         else:
             advice = (
                 f"the last good checkpoint is {self.folder / CHECKPOINT}, of {self._saved_steps:,} steps; "
-                f"go on from it with a lower learning rate: rover-rl train --resume {self.folder} {lower}"
+                f"continue from it with a lower learning rate: rover-rl train --resume {self.folder} {lower}"
             )
         raise FloatingPointError(
-            f"training diverged after {self._statistics.steps:,} steps, with NaN or infinity in {infected}; {advice}"
+            f"training diverged after {self._statistics.steps:,} steps, with NaN or infinity in {diverged}; {advice}"
         )
 
 
 def prepare(config: TrainingConfig) -> TrainingConfig:
-    """Checks the settings and seeds PyTorch, before a learner is made.
+    """Checks the settings and seeds PyTorch. Call it before creating a learner.
 
     Returns:
-        The settings, with the number of workers if it was left open.
+        The settings, with the default number of workers if none was given.
 
     Raises:
         ValueError: for an unknown world, robot or reward, a device that does not exist, or a setting out of range.
@@ -294,7 +302,7 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
     available_device(config.device)
     workers = config.workers
     if config.collector == "ray":
-        # Before a TrainingRun handles SIGTERM: Ray handles it, too.
+        # Connects before TrainingRun installs its SIGTERM handler, because Ray installs one, too.
         cores, given = connect(), config.collection.workers
         if (given or 1) > cores:
             raise ValueError(f"workers={given} need a processor each, and the Ray cluster has {cores}")
@@ -304,7 +312,7 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
 
 
 def set_learning_rate(optimizer: torch.optim.Optimizer, config: TrainingConfig, share: float) -> float:
-    """Gives the optimizer the learning rate that belongs to the ``share`` of the training done; returns it."""
+    """Sets the learning rate of the optimizer for the fraction ``share`` of training that is done, and returns it."""
     learning_rate = config.algorithm.learning_rate * (1 - share if config.algorithm.anneal else 1.0)
     for group in optimizer.param_groups:
         group["lr"] = learning_rate

@@ -1,4 +1,4 @@
-"""The folder of a run: its policy, and the state from which training continues."""
+"""Folder of a run, with its policy and the state from which training continues."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from rover_rl.algos.policy.checkpoint import CHECKPOINT, Checkpoint
 from rover_rl.files import written_whole
 
 STATE = "training_state.pt"
-"""File in the folder of a run: what training needs to continue."""
+"""Name of the file in a run's folder from which training continues."""
 _FORMAT = "rover_rl training state, version 2"
 
 
 def save_run(folder: Path, checkpoint: Checkpoint, state: dict[str, Any]) -> None:
-    """Writes a run's policy and its training state. The old files stay until both new ones are complete."""
-    # The state is moved first: a run that is killed before the checkpoint is moved can still continue.
+    """Writes a run's policy and training state. The old files remain until both new files are complete."""
+    # The state is renamed first: a run that is killed before the checkpoint is renamed can still be resumed.
     with written_whole(folder / CHECKPOINT) as new_checkpoint, written_whole(folder / STATE) as new_state:
         write_archive(new_state, _FORMAT, state)
         checkpoint.write(new_checkpoint)
@@ -27,8 +27,8 @@ def load_state(path: Path) -> dict[str, Any]:
     """Reads the training state that :func:`save_run` wrote. Nothing in the file is executed.
 
     Raises:
-        FileNotFoundError: if there is none.
-        ValueError: if the file is something else, or damaged.
+        FileNotFoundError: if there is no such file.
+        ValueError: if the file is no training state, or damaged.
     """
     state = read_archive(path, (_FORMAT,), "training state")
     del state["format"]
@@ -36,16 +36,16 @@ def load_state(path: Path) -> dict[str, Any]:
 
 
 def new_run_folder(runs: str | Path, name: str | None, default: str) -> Path:
-    """Makes the folder of a new run.
+    """Creates the folder of a new run.
 
     Args:
         runs: folder of all runs.
-        name: name of the run; ``None`` takes the first of ``default``, ``default-2``, ``default-3``, ... that is free.
+        name: name of the run; ``None``: the first unused of ``default``, ``default-2``, ``default-3``, ...
         default: default name.
 
     Raises:
-        FileExistsError: if there is a run of that name.
-        ValueError: for a name that is a path.
+        FileExistsError: if a run of that name exists.
+        ValueError: if the name is a path.
     """
     if name is not None and Path(name).name != name:
         raise ValueError(f"name must be the name of a folder, got {name!r}")
@@ -57,4 +57,6 @@ def new_run_folder(runs: str | Path, name: str | None, default: str) -> Path:
         except FileExistsError:
             continue
         return folder
-    raise FileExistsError(f"there is a run {folder} already; choose another name, or go on with --resume {folder}")
+    raise FileExistsError(
+        f"there is a run {folder} already; choose another name, or continue it with --resume {folder}"
+    )

@@ -1,15 +1,16 @@
-"""SAC on a batch of rovers, with TorchRL: drive a little, remember it, take gradient steps on what is remembered.
+"""SAC with TorchRL: collect decisions of a batch of rovers into a replay buffer, take gradient steps on samples of it.
 
-With several workers they drive on meanwhile, with a policy that is a batch behind: SAC learns from older ones anyway.
+With several workers, collection continues during the gradient steps, with a policy that is one batch old. SAC is
+off-policy and learns from data of older policies.
 
-Read it from the top: :func:`train_sac` is the loop, :class:`SACLearner` what happens in it. Batches come from
-:mod:`rover_rl.algos.train.collectors`, the networks are in :mod:`rover_rl.algos.policy.networks`, and the run's folder,
-log, checkpoints and Ctrl-C are in :mod:`rover_rl.algos.train.run`.
+:func:`train_sac` is the training loop and :class:`SACLearner` the update. :mod:`rover_rl.algos.train.collectors`
+collects the batches, :mod:`rover_rl.algos.policy.networks` has the networks, and :mod:`rover_rl.algos.train.run`
+handles the run's folder, log, checkpoints and Ctrl-C.
 
-TorchRL 0.14's ``SACTrainer`` was tried, too, for 102,000 steps in inspect, and learns with the same losses. Its default
-file leaves out the replay buffer; ``torchrl.checkpoint.Checkpoint`` has it, but killed between its two renames leaves
-no checkpoint in place. ``init_random_frames`` counts steps in the trainer and decisions in the collector. On stopping
-and resuming see :mod:`rover_rl.algos.train.ppo`.
+The loop is explicit instead of using TorchRL 0.14's ``SACTrainer``, which learns with the same losses (inspect, 102,000
+steps). Its default file lacks the replay buffer. ``torchrl.checkpoint.Checkpoint`` saves the buffer, but a process that
+is killed between its two renames leaves no checkpoint. ``init_random_frames`` counts steps in the trainer and decisions
+in the collector. For stopping and resuming see :mod:`rover_rl.algos.train.ppo`.
 
 Example:
     >>> summary = train_sac(SACConfig(max_minutes=10))
@@ -46,32 +47,36 @@ from rover_rl.algos.train.run import TrainingRun, TrainingSummary, prepare, set_
 __all__ = ["SACConfig", "SACLearner", "train_sac"]
 
 LOGGED = ("loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy")
-"""What is written down of each gradient step."""
+"""Values that are logged for each gradient step."""
 
 
 @single_threaded()
 def train_sac(config: TrainingConfig, folder: Path | None = None) -> TrainingSummary:
-    """Trains a policy and writes the results to the run's folder; see :class:`TrainingRun`.
+    """Trains a policy with SAC and writes the results to the run's folder: see :class:`TrainingRun`.
 
     Args:
-        config: settings of the training.
-        folder: folder of a run to continue; ``None`` begins a new one.
+        config: settings of the training run.
+        folder: folder of a run to continue; ``None`` starts a new run.
 
     Raises:
         ValueError: for an unknown world, or a setting out of range.
-        FileExistsError: if there is a run of that name.
+        FileExistsError: if a run of that name exists.
     """
     config = prepare(config)
     learner = SACLearner(config)
     with TrainingRun(config, learner, folder) as run:
         for batch in run.batches():
-            learner.remember(batch)
+            learner.extend_buffer(batch)
             run.record(learner.update(run.share, run.stopwatch))
     return run.summary
 
 
 class SACLearner:
-    """Actor, two action critics with slow copies, a replay buffer, and how they learn from it."""
+    """Actor, two critics with target networks, a replay buffer and the SAC update.
+
+    Args:
+        config: settings of the training run.
+    """
 
     def __init__(self, config: TrainingConfig) -> None:
         assert isinstance(config.algorithm, SACConfig)
@@ -87,76 +92,78 @@ class SACLearner:
             loss_function="l2",
             action_spec=spec,
             alpha_init=settings.alpha,
-            # TorchRL's entropy is that of actions in their own units, whose range is wider by this factor.
+            # TorchRL computes the entropy of unscaled actions, whose range is larger than [-1, 1] by this factor.
             target_entropy=settings.target_entropy + math.log(middle_and_half(spec)[1].prod().item()),
         ).to(device)
         self._loss.make_value_estimator(gamma=settings.gamma)
-        self._slow_copies = SoftUpdate(self._loss, tau=settings.tau)
+        self._target_update = SoftUpdate(self._loss, tau=settings.tau)
         self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=settings.learning_rate, fused=True)
         storage = LazyTensorStorage(settings.buffer_size, device=device)
-        self._memory = ReplayBuffer(storage=storage, batch_size=settings.minibatch)
-        self._due = 0.0
-        after = ("reward", "done", "terminated", *network.observation)
-        self._learned_from = (*network.observation, "action", *(("next", key) for key in after))
+        self._replay_buffer = ReplayBuffer(storage=storage, batch_size=settings.minibatch)
+        self._gradient_steps_due = 0.0
+        next_keys = ("reward", "done", "terminated", *network.observation)
+        self._training_keys = (*network.observation, "action", *(("next", key) for key in next_keys))
 
-    def remember(self, batch: TensorDictBase) -> None:
-        """Adds decisions ``[N, T]``, as a collector gives them, to the replay buffer."""
-        decisions = batch.select(*self._learned_from).reshape(-1)
+    def extend_buffer(self, batch: TensorDictBase) -> None:
+        """Adds the decisions ``[N, T]`` of a batch from a collector to the replay buffer."""
+        decisions = batch.select(*self._training_keys).reshape(-1)
         decisions["next", "reward"] = decisions["next", "reward"] * self._settings.reward_scale
-        self._memory.extend(decisions)
-        if len(self._memory) >= self._settings.learning_starts:
-            self._due += self._settings.gradient_steps * len(batch) / self.config.num_envs
+        self._replay_buffer.extend(decisions)
+        if len(self._replay_buffer) >= self._settings.learning_starts:
+            self._gradient_steps_due += self._settings.gradient_steps * len(batch) / self.config.num_envs
 
     def update(self, share: float, stopwatch: Stopwatch) -> dict[str, float]:
-        """Takes gradient steps on remembered decisions; returns means over them, nan as long as it waits for more.
+        """Takes the gradient steps that are due and returns the means of the logged values, nan if none are due.
 
         Args:
-            share: of the training that is done.
-            stopwatch: takes the time of the gradient steps.
+            share: fraction of training that is done.
+            stopwatch: stopwatch that measures the time of the gradient steps.
         """
         learning_rate = set_learning_rate(self._optimizer, self.config, share)
-        count, self._due = int(self._due), self._due % 1
+        count, self._gradient_steps_due = int(self._gradient_steps_due), self._gradient_steps_due % 1
         with stopwatch("gradient steps"):
-            steps = [self._gradient_step(self._memory.sample()) for _ in range(count)]
-            # Waits for those that a GPU is still at.
+            steps = [self._gradient_step(self._replay_buffer.sample()) for _ in range(count)]
+            # Includes the time until the GPU has finished.
             means = torch.stack(steps).mean(0).tolist() if steps else [math.nan] * len(LOGGED)
         return {"gradient_steps": count, "learning_rate": learning_rate, **dict(zip(LOGGED, means, strict=True))}
 
     def _gradient_step(self, decisions: TensorDictBase) -> Tensor:
+        """Takes a gradient step and returns the logged values."""
         if self._settings.mirror_augmentation:
             decisions = mirrored(decisions, torch.rand(len(decisions), device=self.config.device) < 0.5)
-        # Once, for all networks that see them.
-        for seen in (decisions, decisions["next"]):
-            seen["features"] = self._encoder(*(seen[key] for key in self._encoder.keys))
+        # Encodes the observations once for all networks.
+        for observation in (decisions, decisions["next"]):
+            observation["features"] = self._encoder(*(observation[key] for key in self._encoder.keys))
         losses = self._loss(decisions)
         self._optimizer.zero_grad()
         (losses["loss_actor"] + losses["loss_qvalue"] + losses["loss_alpha"]).backward()
         self._optimizer.step()
-        self._slow_copies.step()
+        self._target_update.step()
         return torch.stack([losses[key].detach() for key in LOGGED])
 
     def weights(self) -> dict[str, Tensor]:
-        """Those of all networks, by name."""
+        """Returns the weights of all networks, by name."""
         return dict(self._loss.named_parameters())
 
     def state_dict(self) -> dict[str, Any]:
-        """Weights, the optimizer's moments, the replay buffer, and what part of a gradient step is due."""
-        storage, count = self._memory.storage, len(self._memory)
+        """Returns the weights, the state of the optimizer, the replay buffer and the gradient steps that are due."""
+        storage, count = self._replay_buffer.storage, len(self._replay_buffer)
         return {
             "loss": self._loss.state_dict(),
             "optimizer": self._optimizer.state_dict(),
-            # A copy, for a slice would be saved with all of the storage behind it.
+            # Cloned: a slice would be saved with the whole storage.
             "memory": storage[:count].clone().flatten_keys("/").to_dict() if count else {},
-            "cursor": self._memory.writer._cursor,
-            "due": self._due,
+            "cursor": self._replay_buffer.writer.state_dict()["_cursor"],
+            "due": self._gradient_steps_due,
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Goes on from what :meth:`state_dict` gave."""
+        """Loads a state that :meth:`state_dict` returned."""
         self._loss.load_state_dict(state["loss"])
         self._optimizer.load_state_dict(state["optimizer"])
         if state["memory"]:
             count = len(state["memory"]["action"])
-            self._memory.extend(TensorDict(state["memory"], batch_size=[count]).unflatten_keys("/"))
-        self._memory.writer._cursor = state["cursor"]
-        self._due = state["due"]
+            self._replay_buffer.extend(TensorDict(state["memory"], batch_size=[count]).unflatten_keys("/"))
+        # After extend, which moves the cursor.
+        self._replay_buffer.writer.load_state_dict({"_cursor": state["cursor"]})
+        self._gradient_steps_due = state["due"]

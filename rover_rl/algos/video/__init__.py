@@ -1,1 +1,1 @@
-"""Videos of policies that drive."""
+"""Videos of driving policies."""

@@ -1,4 +1,4 @@
-"""Films of policies that drive: MP4 with the extra ``video``, GIF without."""
+"""Videos of driving policies, as GIF or, with the extra ``video``, as MP4."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from rover_rl.sims.base import View
 from rover_rl.sims.worlds import World
 
 MAX_SIDE = 8192
-"""Of a picture, pixels."""
+"""Largest width and height of a video, pixels."""
 
 
 @torch.no_grad()
@@ -52,89 +52,89 @@ def film(
     speed: float = 1.0,
     env: EnvConfig | None = None,
 ) -> TensorDictBase:
-    """Films rovers that drive without end: a new goal after each, and a new start after an ending.
+    """Films rovers in endless mode: a reached goal is followed by a new goal, an ended episode by a new start.
 
     Args:
-        policy: a module from observation to action, taken without exploration at 20 Hz; ``None`` acts at random.
-        path: of the film: ``.mp4``, or ``.gif``, which has fewer colours.
-        world: where.
-        view: ``"chase"`` follows the first rover, ``"top"`` shows all of them from above.
-        seconds: of driving.
-        seed: of starts and goals.
-        rows: rovers that drive.
-        width, height: of the picture, pixels.
-        fps: pictures a second; ``None``: 20 for MP4, 10 for GIF.
-        speed: of the film; 2 shows everything twice as fast as it is.
-        env: environment to drive in, whose reward is recorded: as for
-            :func:`~rover_rl.algos.evaluation.evaluate.evaluate`.
+        policy: module that maps observations to actions, used without exploration at 20 Hz; ``None`` acts at random.
+        path: path of the video, ``.mp4`` or ``.gif``. GIFs have fewer colors.
+        world: world to drive in.
+        view: ``"chase"`` follows the first rover, ``"top"`` shows all rovers from above.
+        seconds: duration of the drive, s.
+        seed: seed of starts and goals.
+        rows: number of rovers.
+        width, height: size of the video, pixels.
+        fps: frames per second; ``None``: 20 for MP4, 10 for GIF.
+        speed: playback speed; 2 is twice as fast as real time.
+        env: environment to drive in, as for :func:`~rover_rl.algos.evaluation.evaluate.evaluate`. Its reward is
+            recorded.
 
     Returns:
-        What the first rover did, ``[T]``, with the components of its reward.
+        Rollout of the first rover, ``[T]``, with the components of its reward.
 
     Raises:
-        ValueError: for another kind of file, MP4 without the extra, another view, an unknown world, or a number out of
-            its range.
+        ValueError: for another suffix, MP4 without the extra, an unknown view or world, or a number out of range.
     """
-    write, usual_fps = _writer(path)
-    fps = usual_fps if fps is None else fps
+    write, default_fps = _writer(path)
+    fps = default_fps if fps is None else fps
     check_positive(MAX_SECONDS, seconds=seconds, speed=speed)
     check_positive(1000, fps=fps)
     check_at_least(1, MAX_ROVERS, rows=rows)
     check_positive(MAX_SIDE, width=width, height=height)
     if view not in _VIEWS:
         raise ValueError(f"unknown view {view!r}; use one of {sorted(_VIEWS)}")
-    described = environment_for(policy, env)
-    described = replace(described, world=world, num_envs=rows, end_on_goal=False, seed=seed)
-    reward_components(described.reward, described.contract_reward)
-    rovers = RoverEnv(**described.arguments())
+    env_config = environment_for(policy, env)
+    env_config = replace(env_config, world=world, num_envs=rows, end_on_goal=False, seed=seed)
+    reward_components(env_config.reward, env_config.contract_reward)
+    rovers = RoverEnv(**env_config.arguments())
     steps = max(1, round(seconds / rovers.control_dt))
     rovers.length = steps + 1
-    rewarded = add_reward(rovers, described.reward, described)
+    rewarded = add_reward(rovers, env_config.reward, env_config)
     with closing(rewarded), set_exploration_type(ExplorationType.DETERMINISTIC):
-        drive = _Drive(rewarded, rovers, policy or RandomPolicy(seed))
+        rollout = _Rollout(rewarded, rovers, policy or RandomPolicy(seed))
         camera = _VIEWS[view](rovers, width, height)
-        # The steps after which a picture is taken.
-        moments = np.linspace(0, steps, max(1, round(seconds / speed * fps)) + 1)[1:].round().astype(int)
-        pictures = (camera.picture(drive.moment_after(step)) for step in moments)
+        # Steps after which a frame is drawn.
+        frame_steps = np.linspace(0, steps, max(1, round(seconds / speed * fps)) + 1)[1:].round().astype(int)
+        pictures = (camera.picture(rollout.advance_to(step)) for step in frame_steps)
         with written_whole(path) as temporary:
-            shown = track(pictures, "filming", len(moments), disable=not Console().is_terminal, transient=True)
-            write(temporary, shown, fps)
-    return torch.stack(drive.steps)
+            tracked = track(pictures, "filming", len(frame_steps), disable=not Console().is_terminal, transient=True)
+            write(temporary, tracked, fps)
+    return torch.stack(rollout.steps)
 
 
 _VIEWS: dict[str, Callable[..., ChaseView | TopView]] = {"chase": ChaseView, "top": TopView}
 
 
-class _Drive:
-    """Rovers under a policy, and what has become of them.
+class _Rollout:
+    """Drives rovers with a policy and counts their goals and endings.
 
     Args:
-        env: the environment with its reward.
-        rovers: the environment under it.
-        policy: the policy.
+        env: environment with the reward.
+        rovers: base environment of ``env``.
+        policy: policy that drives.
 
     Attributes:
-        steps: what the first rover did, step by step.
+        steps: steps of the first rover.
     """
 
     def __init__(self, env: EnvBase, rovers: RoverEnv, policy: Policy) -> None:
         self.steps: list[TensorDict] = []
         self._env, self._rovers, self._policy = env, rovers, policy
-        self._now = env.reset()
+        self._tensordict = env.reset()
         self._goals = self._episodes = torch.zeros(env.batch_size, dtype=torch.int64)
         self._endings: list[str] = []
-        self._news = "", 0.0
+        self._event = "", 0.0
 
-    def moment_after(self, steps: int) -> Moment:
-        """Drives until so many steps are taken."""
+    def advance_to(self, steps: int) -> Moment:
+        """Drives until ``steps`` steps have been taken and returns the state for the next frame."""
         while len(self.steps) < steps:
             self._step()
         rovers, seconds = self._rovers, len(self.steps) * self._rovers.control_dt
         counts = (self._goals, self._episodes, self._endings)
-        return Moment(seconds, rovers.rover_state, rovers.goal, *counts, self._news)
+        return Moment(seconds, rovers.rover_state, rovers.goal, *counts, self._event)
 
     def _step(self) -> None:
-        step, self._now = self._env.step_and_maybe_reset(self._policy(self._now))
+        """Takes a step and updates the counts and the latest event."""
+        step, self._tensordict = self._env.step_and_maybe_reset(self._policy(self._tensordict))
         self.steps.append(step[0])
         outcome, done = step["next", "outcome"], step["next", "done"].squeeze(-1)
         reached = outcome["goal_reached"].squeeze(-1)
@@ -142,15 +142,15 @@ class _Drive:
         endings = [ENDINGS[StepEvent(phase)] for phase in outcome["phase"].squeeze(-1)[done].tolist()]
         self._endings = self._endings + endings
         if done[0] or reached[0]:
-            news = f"{endings[0]}: a new start" if done[0] else "goal reached"
-            self._news = news, len(self.steps) * self._rovers.control_dt
+            event = f"{endings[0]}: new start" if done[0] else "goal reached"
+            self._event = event, len(self.steps) * self._rovers.control_dt
 
 
 _Writer = Callable[[Path, Iterable[np.ndarray], int], None]
 
 
 def _writer(path: Path) -> tuple[_Writer, int]:
-    """What writes a film of this name, and its usual pictures a second."""
+    """Returns the function that writes the video format of ``path``, and the default number of frames per second."""
     suffix = path.suffix.lower()
     if suffix not in (".mp4", ".gif"):
         raise ValueError(f"a film must be .mp4 or .gif, got {str(path)!r}")
@@ -164,7 +164,7 @@ def _writer(path: Path) -> tuple[_Writer, int]:
 def _write_mp4(path: Path, pictures: Iterable[np.ndarray], fps: int) -> None:
     from imageio_ffmpeg import count_frames_and_secs
 
-    # x264 takes even sizes only.
+    # x264 requires even sizes.
     settings: Any = {"fps": fps, "codec": "libx264", "quality": 7, "macro_block_size": 2, "ffmpeg_log_level": "quiet"}
     writer: Any = imageio.get_writer(path, format="FFMPEG", **settings)
     written = 0
@@ -173,29 +173,31 @@ def _write_mp4(path: Path, pictures: Iterable[np.ndarray], fps: int) -> None:
             for picture in pictures:
                 writer.append_data(picture)
                 written += 1
-        # ffmpeg ends without an error where it cannot write the end of the file.
+        # ffmpeg reports no error if it cannot write the end of the file.
         if count_frames_and_secs(path)[0] < written:
-            raise OSError("pictures are missing")
+            raise OSError("frames are missing")
     except (OSError, RuntimeError) as error:
         _require_space(path)
-        raise OSError(f"ffmpeg could not write {path.name}, after {written} pictures") from error
+        raise OSError(f"ffmpeg could not write {path.name}, after {written} frames") from error
 
 
 def _require_space(path: Path) -> None:
-    """Raises the system's error if nothing more can be written to a file: ffmpeg keeps it to itself."""
+    """Raises the error of the operating system if a file cannot grow. ffmpeg does not report it."""
     with path.open("ab") as file:
         file.write(bytes(1 << 20))
 
 
 def _write_gif(path: Path, pictures: Iterable[np.ndarray], fps: int) -> None:
-    shown = list(pictures)
-    # One palette for all, so that what does not move is not written again. Octrees keep rare colours.
-    sample = np.concatenate([picture[::4, ::4] for picture in shown])
+    frames = list(pictures)
+    # One palette for all frames, so that unchanged areas are not stored again. Octrees keep rare colors.
+    sample = np.concatenate([picture[::4, ::4] for picture in frames])
     palette = Image.fromarray(sample).quantize(_COLORS, Image.Quantize.FASTOCTREE)
-    # Dither would hardly compress.
-    first, *others = (Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in shown)
+    # Dithered frames compress poorly.
+    first, *others = (
+        Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in frames
+    )
     first.save(path, save_all=True, append_images=others, duration=1000 / fps, loop=0)
 
 
 _COLORS = 128
-"""Of a GIF."""
+"""Number of colors of a GIF."""

@@ -33,8 +33,8 @@ _INCHES = 3.75
 """Height of every frame, so that text and lines scale with the resolution."""
 _BEAM = "#ffd400"
 """Color of lidar beams."""
-_NEWS_SECONDS = 1.5
-"""Duration for which a message about an event is shown, s."""
+_EVENT_SECONDS = 1.5
+"""Duration for which an event is shown, s."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Moment:
         goals: number of goals that each rover has reached, int64 ``[N]``.
         episodes: number of episodes that each rover has started, int64 ``[N]``.
         endings: endings of all episodes so far, such as ``"jammed"`` and ``"flipped"``.
-        news: last event of the first rover, and its time, s.
+        event: last event of the first rover, and its time, s.
     """
 
     seconds: float
@@ -57,11 +57,11 @@ class Moment:
     goals: Tensor
     episodes: Tensor
     endings: Sequence[str]
-    news: tuple[str, float]
+    event: tuple[str, float]
 
 
-class _Stage:
-    """A figure without margins that redraws some artists for each frame, with a caption at the bottom.
+class _FrameFigure:
+    """Figure without margins and with a caption at the bottom, in which only some artists are redrawn for each frame.
 
     Args:
         width, height: size of the frames, pixels.
@@ -80,14 +80,14 @@ class _Stage:
         text: dict[str, Any] = {"transform": self.ax.transAxes, "va": "center", "fontsize": 9.5}
         self._caption = [self.ax.text(column, 0.035, "", color="white", **text) for column in columns]
         halo = withStroke(linewidth=3, foreground="white")
-        self._news = self.ax.text(0.5, 0.93, "", ha="center", weight="bold", path_effects=[halo], **text)
+        self._event = self.ax.text(0.5, 0.93, "", ha="center", weight="bold", path_effects=[halo], **text)
         self._band = Rectangle((0, 0), 1, 0.07, transform=self.ax.transAxes, color="black", alpha=0.6, linewidth=0)
         self.ax.add_patch(self._band)
         self._background = None
 
-    def picture(self, caption: Sequence[str], news: str = "") -> np.ndarray:
-        """Draws a frame with a caption and, at the top, ``news``: uint8 ``[height, width, 3]``."""
-        above = [*self.artists, self._band, *self._caption, self._news]
+    def picture(self, caption: Sequence[str], event: str = "") -> np.ndarray:
+        """Draws a frame with a caption at the bottom and ``event`` at the top, uint8 ``[height, width, 3]``."""
+        above = [*self.artists, self._band, *self._caption, self._event]
         if self._background is None:
             for artist in above:
                 artist.set_animated(True)
@@ -95,7 +95,7 @@ class _Stage:
             self._background = self._canvas.copy_from_bbox(self.ax.bbox)
         for text, part in zip(self._caption, caption, strict=True):
             text.set_text(part)
-        self._news.set_text(news)
+        self._event.set_text(event)
         self._canvas.restore_region(self._background)
         for artist in above:
             self.ax.draw_artist(artist)
@@ -112,14 +112,14 @@ class ChaseView:
 
     def __init__(self, env: RoverEnv, width: int, height: int) -> None:
         self._env, self._size = env, (width, height)
-        self._stage = _Stage(width, height, (0.03, 0.22, 0.48, 0.8))
-        ax = self._stage.ax
+        self._figure = _FrameFigure(width, height, (0.03, 0.22, 0.48, 0.8))
+        ax = self._figure.ax
         ax.set(xlim=(0, width), ylim=(height, 0))
         self._image = ax.imshow(np.zeros((height, width, 3), np.uint8), extent=(0, width, height, 0), aspect="auto")
         self._beams = LineCollection([], colors=_BEAM, linewidths=0.7)
         ax.add_collection(self._beams)
         self._hits = ax.scatter([], [], s=5, color=_BEAM, edgecolor="black", linewidth=0.3)
-        self._stage.artists += [self._image, self._beams, self._hits]
+        self._figure.artists += [self._image, self._beams, self._hits]
 
     def picture(self, moment: Moment) -> np.ndarray:
         """Draws a frame, uint8 ``[height, width, 3]``."""
@@ -137,11 +137,11 @@ class ChaseView:
             f"goal {arrow} {away.norm():.1f} m",
             f"goals: {moment.goals[0]}",
         )
-        news, since = moment.news
-        return self._stage.picture(caption, news if moment.seconds < since + _NEWS_SECONDS else "")
+        event, since = moment.event
+        return self._figure.picture(caption, event if moment.seconds < since + _EVENT_SECONDS else "")
 
     def _draw_beams(self, rover: RoverState) -> None:
-        """Draws the lidar beams. Parts that obstacles hide are faint."""
+        """Draws the lidar beams. Parts behind obstacles are faint."""
         camera = Camera.on(rover.position, rover.orientation, self._env.worlds[0], "chase")
         start, hits = lidar_hits(rover, self._env.robot, self._env.simulator.ray_angles)
         pixels, seen = camera.see(_points(start, hits), *self._size)
@@ -152,8 +152,9 @@ class ChaseView:
 
 
 _SKY = torch.tensor((214, 227, 240), dtype=torch.uint8)
+"""Color of the sky."""
 _ARROWS = "↑↖←↙↓↘→↗"
-"""Arrow ahead, then the others counterclockwise."""
+"""Arrows for directions relative to the rover, counterclockwise from straight ahead."""
 
 
 def lidar_hits(rover: RoverState, robot: Robot, angles: Tensor) -> tuple[Tensor, Tensor]:
@@ -193,8 +194,8 @@ class TopView:
 
     def __init__(self, env: RoverEnv, width: int, height: int) -> None:
         self._env = env
-        self._stage = _Stage(width, height, (0.03, 0.18, 0.4))
-        ax = self._stage.ax
+        self._figure = _FrameFigure(width, height, (0.03, 0.18, 0.4))
+        ax = self._figure.ax
         draw_pale_map(ax, env.worlds[0], _area(env.worlds[0], width / height))
         self._colors = np.array([to_rgba(_COLORS[row % len(_COLORS)]) for row in range(env.num_envs)])
         self._beams = LineCollection([], colors=_COLORS[0], linewidths=0.5, alpha=0.4)
@@ -205,7 +206,7 @@ class TopView:
         self._rovers = PolyCollection([], facecolors=self._colors, edgecolors="black", linewidths=0.8)
         for collection in (self._beams, self._trails, self._rovers):
             ax.add_collection(collection)
-        self._stage.artists += [self._beams, self._hits, self._trails, self._goals, self._rovers]
+        self._figure.artists += [self._beams, self._hits, self._trails, self._goals, self._rovers]
         self._past: list[Moment] = []
 
     def picture(self, moment: Moment) -> np.ndarray:
@@ -222,7 +223,7 @@ class TopView:
         self._rovers.set_verts((rover.position[:, None, :2] + torch.tensor(_ARROWHEAD) @ turn).tolist())
         ended = ", ".join(f"{count} {kind}" for kind, count in Counter(moment.endings).items())
         caption = (f"{moment.seconds:.1f} s", f"goals: {moment.goals.sum()}", f"ended early: {ended or 'none'}")
-        return self._stage.picture(caption)
+        return self._figure.picture(caption)
 
     def _draw_trails(self) -> None:
         """Draws the fading trail of the last seconds of each rover. A new episode starts a new trail."""
