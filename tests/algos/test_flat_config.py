@@ -42,6 +42,7 @@ FLAT = {
     "randomize": True,
     "backend": "bullet",
     "physics": "fast",
+    "device": "cpu",
     "workers": None,
     "gamma": 0.9,
     "seed": 5,
@@ -98,6 +99,10 @@ def test_randomize_is_the_typical_randomization(value: bool) -> None:
 
 def test_the_backend_ray_is_a_collector() -> None:
     assert config_from({"algo": "ppo", "backend": "ray"}, "text") == training_config("ppo", collector="ray")
+
+
+def test_the_cpu_is_the_default_device() -> None:
+    assert config_from({"algo": "ppo", "device": "cpu"}, "text") == training_config("ppo")
 
 
 def test_an_old_file_is_read(tmp_path: Path) -> None:
