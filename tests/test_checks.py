@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from rover_rl import RoverEnv
-from rover_rl.algos.config import PPOConfig
+from rover_rl.algos.config import training_config
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.checks import MAX_SEED, check_at_least, check_positive, check_seed
 
@@ -38,7 +38,7 @@ def test_all_users_of_seeds_reject_the_same_seeds(seed: Any) -> None:
         lambda: RoverEnv(world_n="maze", num_envs=2, seed=seed),
         lambda: env.set_seed(seed),
         lambda: draw_episodes("maze", 2, seed),
-        lambda: PPOConfig(seed=seed).check(),
+        lambda: training_config("ppo", seed=seed).check(),
     )
     for use in uses:
         with pytest.raises(ValueError, match=r"^seed must be a whole number from 0 to \d+, got "):

@@ -226,7 +226,7 @@ class TrainingConfig:
     @property
     def num_envs(self) -> int:
         """Number of rovers, those of all workers."""
-        return self.env.num_envs or 1
+        return 1 if self.env.num_envs is None else self.env.num_envs
 
     @property
     def seed(self) -> int:
@@ -236,7 +236,7 @@ class TrainingConfig:
     @property
     def device(self) -> str:
         """Device that networks learn on, and the simulator runs on if it can."""
-        return self.env.device or "cpu"
+        return "cpu" if self.env.device is None else self.env.device
 
     @property
     def on_gpu(self) -> bool:

@@ -47,4 +47,6 @@ def _today(data: Mapping[str, Any]) -> dict[str, Any]:
         current["randomization"] = to_plain(Randomization.typical())
     if current.get("backend") == "ray":
         current |= {"backend": "bullet", "collector": "ray"}
+    if current.get("device") == "cpu":
+        current["device"] = None
     return current

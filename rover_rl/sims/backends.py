@@ -83,7 +83,7 @@ def register_backend(name: str, backend: Any) -> None:
 
     Args:
         name: new name of letters, digits, ``_``, ``-`` and ``.``.
-        backend: :class:`Backend` object, class of such objects, or ``"module:attribute"`` of either.
+        backend: :class:`Backend` object, a class or function that makes one, or the ``"module:attribute"`` of any.
 
     Raises:
         ValueError: if the name is taken or has other characters.

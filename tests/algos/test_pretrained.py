@@ -39,11 +39,11 @@ def test_its_card_tells_the_command_that_trained_it(name: str) -> None:
 @pytest.mark.parametrize("name", pretrained_names())
 def test_it_reaches_its_goals(name: str) -> None:
     checkpoint = load_pretrained(name)
-    config = checkpoint.config
-    assert f"{config.world}-{'warp' if config.backend == 'warp' else config.algo}" == name
-    episodes = stored_episodes(checkpoint.config.world).first(24)
+    env = checkpoint.env
+    assert f"{env.world}-{'warp' if env.backend == 'warp' else checkpoint.algorithm}" == name
+    episodes = stored_episodes(env.world).first(24)
     result = evaluate(checkpoint.make_actor(), episodes, name=name, seconds=40, rows=12)
-    assert result.success_rate >= FLOOR[checkpoint.config.world]
+    assert result.success_rate >= FLOOR[env.world]
 
 
 def test_a_name_that_is_none_is_refused() -> None:

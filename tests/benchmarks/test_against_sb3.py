@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,14 +13,14 @@ pytest.importorskip("stable_baselines3")
 from benchmarks import against_sb3
 from benchmarks.against_sb3 import Curve, Options, Point
 from rover_rl import make_env
-from rover_rl.algos.config import ENDLESS
+from rover_rl.algos.config import UNLIMITED_STEPS
 from rover_rl.algos.policy.networks import ObservationEncoder, make_action_critic, make_actor, make_critic
 from rover_rl.envs.sb3 import SB3VecEnv
 
 
 def settings(algo: str, folder=None, **changes):
     config = Options(algo=algo, world="maze", minutes=0.02, num_envs=2).config(folder)
-    return replace(config, workers=1, episode_steps=40, **changes)
+    return with_settings(config, workers=1, length=40, **changes)
 
 
 def batch(config) -> SB3VecEnv:
@@ -108,12 +107,12 @@ def test_a_time_limit_is_told_to_sb3():
 
 
 def test_sb3_takes_gradient_steps_and_is_stopped_by_the_clock():
-    config = settings("sac", warmup=4, minibatch=8, buffer=100, gradient_steps=1)
+    config = settings("sac", learning_starts=4, minibatch=8, buffer_size=100, gradient_steps=1)
     rows = batch(config)
     with against_sb3.WallClock(config) as clock:
         model = against_sb3.make_sb3(config, rows, clock.learning_rate)
         before = [parameter.clone() for parameter in model.actor.parameters()]
-        model.learn(ENDLESS, callback=clock)
+        model.learn(UNLIMITED_STEPS, callback=clock)
     rows.close()
     assert clock.share == 1
     assert clock.learning_rate(1.0) == 0

@@ -12,8 +12,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from rover_rl.algos import export as exporting
-from rover_rl.algos.config import PPOConfig
+from rover_rl.algos.config import training_config
+from rover_rl.algos.deploy import export as exporting
 from rover_rl.algos.deploy.export import OnnxPolicy, export, onnx_function, program_function, random_observations
 from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
@@ -53,7 +53,7 @@ def test_an_onnx_policy_acts_as_the_original_without_torch(onnx_file):
 @needs_onnx
 def test_an_onnx_policy_drives_as_the_original(onnx_file):
     policy = OnnxPolicy(onnx_file)
-    assert (policy.config, policy.lidar_points) == (POLICY.config, 32)
+    assert (policy.config, policy.made_for.lidar.points) == (POLICY.config, 32)
     episodes = stored_episodes("moon").first(2)
     ours, theirs = evaluate(POLICY.make_actor(), episodes), evaluate(policy, episodes)
     assert ours.endings == theirs.endings == ["goal", "goal"]
@@ -153,7 +153,7 @@ def test_settings_travel_with_the_file(onnx_file):
     import onnx
 
     (written,) = [entry.value for entry in onnx.load(str(onnx_file)).metadata_props if entry.key == "rover_rl"]
-    assert json.loads(written)["world"] == "moon"
+    assert json.loads(written)["env"]["world"] == "moon"
 
 
 @needs_onnx
@@ -168,7 +168,7 @@ def test_the_command_exports_and_evaluates(tmp_path, monkeypatch, capsys):
 def test_missing_packages_are_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxscript", None)
     with pytest.raises(ImportError, match=r"rover_rl\[onnx\]"):
-        export(replace(POLICY, config=PPOConfig()), tmp_path / "moon.onnx")
+        export(replace(POLICY, config=training_config("ppo")), tmp_path / "moon.onnx")
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(ImportError, match=r"rover_rl\[onnx\]"):
         onnx_function(tmp_path / "moon.onnx")

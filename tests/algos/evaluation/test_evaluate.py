@@ -4,6 +4,8 @@ import csv
 import io
 import json
 import math
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,22 +15,25 @@ from rich.console import Console
 from tensordict import TensorDictBase
 
 from rover_rl import World
-from rover_rl.algos.config import PPOConfig
+from rover_rl.algos.config import training_config, with_settings
 from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes
 from rover_rl.algos.evaluation.evaluate import Evaluation, Policy, evaluate, evaluate_endless
 from rover_rl.algos.evaluation.plots import draw_paths
 from rover_rl.algos.evaluation.report import print_table, write_evaluation
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.algos.policy.networks import make_actor
+from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
 from rover_rl.cli import main
-from rover_rl.envs import RoverEnv
+from rover_rl.envs import EnvConfig, RoverEnv
+from rover_rl.envs.config import ActionConfig, HeadingGains, LidarConfig, Randomization
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
+from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, box
 
 FIELD = World("field", Terrain.flat((12.0, 12.0)))
 EPISODES = draw_episodes(FIELD, count=3, seed=1)
 MANY = draw_episodes(FIELD, count=9, seed=1)
+OTHER_ROBOT = replace(get_robot("rover_zero"), name="other")
 
 
 def straight(td: TensorDictBase) -> TensorDictBase:
@@ -111,7 +116,7 @@ def test_actions_are_held_as_in_training() -> None:
     env = RoverEnv(world_n=FIELD, num_envs=3, length=21, end_on_goal=True).append_transform(ActionRepeat(4))
     start = env.reset(start=EPISODES.start, goal=EPISODES.goal)
     trained = env.rollout(6, straight, tensordict=start, auto_reset=False)
-    held = evaluate(straight, EPISODES, repeat=4, seconds=1.05)
+    held = evaluate(straight, EPISODES, action_repeat=4, seconds=1.05)
     assert held.steps.tolist() == [21] * 3
     positions = torch.stack([trajectory.position for trajectory in held.trajectories])
     assert torch.equal(positions[:, [4, 8, 12, 16, 20, 21]], trained["next", "pose"])
@@ -120,7 +125,7 @@ def test_actions_are_held_as_in_training() -> None:
 
 def test_the_random_policy_starts_at_the_same_places_and_leaves_the_generator_alone(driven: Evaluation) -> None:
     before = torch.random.get_rng_state()
-    first, second = (evaluate(None, EPISODES, repeat=4, seconds=1) for _ in range(2))
+    first, second = (evaluate(None, EPISODES, action_repeat=4, seconds=1) for _ in range(2))
     assert torch.equal(before, torch.random.get_rng_state())
     assert_same(first, second)
     assert first.name == "random"
@@ -151,13 +156,83 @@ def test_driving_into_a_wall_jams_and_touches_it() -> None:
 
 
 def test_settings_out_of_range_raise() -> None:
-    for setting in ({"repeat": 0}, {"rows": 0}, {"seconds": 0.01}):
+    for setting in ({"action_repeat": 0}, {"rows": 0}, {"seconds": 0.01}):
         with pytest.raises(ValueError, match=f"{next(iter(setting))} must be at least"):
             evaluate(straight, EPISODES, **setting)
     with pytest.raises(ValueError, match="steps must be at least 1"):
         evaluate_endless(straight, FIELD, steps=0)
     with pytest.raises(ValueError, match="unknown world 'mars'"):
         evaluate_endless(straight, "mars")
+
+
+# --- the environment that a policy was made for
+
+
+@pytest.mark.parametrize(
+    ("env", "message"),
+    [
+        (
+            EnvConfig(lidar=LidarConfig(points=16)),
+            "the policy was made for lidar points 32, and the environment has 16",
+        ),
+        (
+            EnvConfig(lidar=LidarConfig(max_range=6.0)),
+            "the policy was made for a lidar range of (m) 12.0, and the environment has 6.0",
+        ),
+        (
+            EnvConfig(robot=OTHER_ROBOT),
+            "the policy was made for the robot rover_zero, and the environment has other",
+        ),
+        (
+            EnvConfig(action=ActionConfig(min_speed=0.0)),
+            "the policy was made for actions of (min_speed, max_speed, max_turn) "
+            f"(-1.0, 1.0, {math.pi}), and the environment has (0.0, 1.0, {math.pi})",
+        ),
+        (
+            EnvConfig(heading_gains=HeadingGains(kp=1.0)),
+            "the policy was made for heading gains of (kp, ki, kd, max_output) "
+            "(2.0, 0.0, 0.1, 7.0), and the environment has (1.0, 0.0, 0.1, 7.0)",
+        ),
+    ],
+    ids=["points", "range", "robot", "action", "gains"],
+)
+def test_a_policy_made_for_another_environment_raises(checkpoint: Checkpoint, env: EnvConfig, message: str) -> None:
+    actor = checkpoint.make_actor()
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        evaluate(actor, EPISODES, env=env, seconds=0.1)
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        evaluate_endless(actor, FIELD, env=env, steps=2)
+
+
+def test_a_registered_robot_of_another_name_raises(checkpoint: Checkpoint) -> None:
+    with pytest.raises(ValueError, match="was made for the robot rover_zero, and the environment has tests"):
+        evaluate(checkpoint.make_actor(), EPISODES, env=EnvConfig(robot=f"{__name__}:OTHER_ROBOT"))
+
+
+def test_other_policies_drive_in_any_environment() -> None:
+    env = EnvConfig(lidar=LidarConfig(points=16), action=ActionConfig(max_speed=0.5))
+    evaluation = evaluate(straight, EPISODES, env=env, seconds=0.5)
+    assert (evaluation.env.lidar.points, evaluation.env.action.max_speed) == (16, 0.5)
+    assert evaluation.env.world == EPISODES.name
+
+
+def test_a_checkpoint_drives_in_the_environment_that_it_was_made_for(checkpoint: Checkpoint) -> None:
+    config = with_settings(checkpoint.config, lidar=LidarConfig(points=16), world="maze")
+    config = with_settings(config, randomization=Randomization.typical(), action=ActionConfig(min_speed=0.0))
+    encoder = ObservationEncoder(lidar_points=16)
+    actor = Checkpoint(config, 1, make_actor(encoder, (8,)).state_dict()).make_actor()
+    evaluation = evaluate(actor, EPISODES, seconds=0.2)
+    # Policies are compared without randomization.
+    assert evaluation.env == EnvConfig(
+        world="field", num_envs=3, seed=1, end_on_goal=True, lidar=config.env.lidar, action=config.env.action
+    )
+
+
+def test_a_policy_may_drive_in_other_worlds_with_randomization_and_other_rewards(checkpoint: Checkpoint) -> None:
+    env = EnvConfig(world="moon", reward="task", randomization=Randomization.typical(), physics="fast")
+    evaluation = evaluate(checkpoint.make_actor(), EPISODES, env=env, seconds=0.2)
+    assert evaluation.env.randomization == Randomization.typical()
+    assert evaluation.endings == ["time limit"] * 3
 
 
 # --- goals without end
@@ -235,9 +310,9 @@ def test_the_table_has_a_row_a_policy_and_one_for_all_seeds(driven: Evaluation) 
 
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
-    config = PPOConfig(world="maze", hidden=(8,))
-    actor = make_actor(hidden=config.hidden)
-    checkpoint = Checkpoint(config=config, lidar_points=32, steps=0, actor=actor.state_dict())
+    config = training_config("ppo", world="maze", hidden=(8,))
+    actor = make_actor(hidden=config.network.hidden)
+    checkpoint = Checkpoint(config=config, steps=0, actor=actor.state_dict())
     for seed in (1, 2):
         checkpoint.save(tmp_path / f"run-{seed}" / "checkpoint.pt")
     return tmp_path
@@ -288,7 +363,7 @@ def test_policies_of_one_name_are_told_apart(run: Path) -> None:
 
 
 def test_the_command_refuses_in_one_line(capsys: pytest.CaptureFixture[str], run: Path) -> None:
-    assert "say which --world to drive in" in complaint(capsys, "random")
+    assert "give a --world to drive in" in complaint(capsys, "random")
     assert "unknown world 'mars'" in complaint(capsys, "scripted", "--world", "maze", "mars")
     assert "no checkpoint at" in complaint(capsys, run / "run-1", run / "none.pt")
     assert "count must be" in complaint(capsys, run / "run-1", "--count", 0)

@@ -11,7 +11,8 @@ from matplotlib.image import imread
 from tensordict import TensorDict
 
 from rover_rl import World
-from rover_rl.algos.config import PPOConfig, SACConfig, TrainingConfig, write_config
+from rover_rl.algos.config import TrainingConfig, training_config
+from rover_rl.algos.config_files import write_config
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import ENDINGS, Evaluation
 from rover_rl.algos.evaluation.metrics import TIME_LIMIT, Trajectory
@@ -43,7 +44,7 @@ def texts(path: Path) -> str:
 def test_a_learning_curve_does_not_depend_on_the_number_of_rows(tmp_path: Path) -> None:
     pictures = []
     for parts in (1, 50):
-        run = write_run(tmp_path / str(parts), PPOConfig(world="moon"), parts=parts)
+        run = write_run(tmp_path / str(parts), training_config("ppo", world="moon"), parts=parts)
         draw_learning_curve([run], run / "curve.png")
         pictures.append(imread(run / "curve.png"))
     assert pictures[0][..., :3].std() > 0.05
@@ -52,8 +53,8 @@ def test_a_learning_curve_does_not_depend_on_the_number_of_rows(tmp_path: Path) 
 
 def test_runs_of_an_algorithm_in_a_world_are_one_curve(tmp_path: Path) -> None:
     runs = [
-        write_run(tmp_path / f"{kind.algo}-{world}-{seed}", kind(world=world, seed=seed), rows=20 + seed)
-        for kind, world, seed in itertools.product((PPOConfig, SACConfig), ("maze", "moon"), range(2))
+        write_run(tmp_path / f"{algo}-{world}-{seed}", training_config(algo, world=world, seed=seed), rows=20 + seed)
+        for algo, world, seed in itertools.product(("ppo", "sac"), ("maze", "moon"), range(2))
     ]
     draw_learning_curve([*runs[:4], runs[4]], tmp_path / "curve.svg", against="minutes")
     text = texts(tmp_path / "curve.svg")
@@ -65,12 +66,12 @@ def test_runs_of_an_algorithm_in_a_world_are_one_curve(tmp_path: Path) -> None:
 
 
 def test_a_baseline_is_drawn_in_its_world(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "run", PPOConfig(world="field"))
+    run = write_run(tmp_path / "run", training_config("ppo", world="field"))
     draw_learning_curve([run], tmp_path / "without.svg")
     draw_learning_curve([run], tmp_path / "with.svg", driven("scripted", ["goal"]))
     assert "scripted policy" in texts(tmp_path / "with.svg")
     assert "policy" not in texts(tmp_path / "without.svg")
-    elsewhere = write_run(tmp_path / "elsewhere", PPOConfig(world="moon"))
+    elsewhere = write_run(tmp_path / "elsewhere", training_config("ppo", world="moon"))
     draw_learning_curve([elsewhere], tmp_path / "elsewhere.svg", driven("scripted", ["goal"]))
     assert "policy" not in texts(tmp_path / "elsewhere.svg")
 
@@ -81,7 +82,7 @@ def test_runs_that_cannot_be_drawn_raise(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="no settings"):
         draw_learning_curve([tmp_path], tmp_path / "curve.png")
     with pytest.raises(ValueError, match="no rows yet"):
-        draw_learning_curve([write_run(tmp_path / "run", PPOConfig(), rows=0)], tmp_path / "curve.png")
+        draw_learning_curve([write_run(tmp_path / "run", training_config("ppo"), rows=0)], tmp_path / "curve.png")
     assert not (tmp_path / "curve.png").exists()
 
 

@@ -16,7 +16,7 @@ from rover_rl.algos.policy.networks import (
     mirrored,
     on_features,
 )
-from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.config import ActionConfig, LidarConfig
 from rover_rl.envs.observation import observation_bounds
 from rover_rl.envs.specs import ACTION
 
@@ -70,15 +70,15 @@ def test_networks_accept_any_batch_shape_and_keys(shape: tuple[int, ...], keys: 
     assert td["state_value"].shape == td["state_action_value"].shape == (*shape, 1)
 
 
-@pytest.mark.parametrize("reverse", [True, False])
-def test_actions_cover_their_bounds(reverse: bool) -> None:
+@pytest.mark.parametrize("action", [ActionConfig(), ActionConfig(min_speed=0.0)])
+def test_actions_cover_their_bounds(action: ActionConfig) -> None:
     torch.manual_seed(0)
     with set_exploration_type(ExplorationType.RANDOM):
-        action = make_actor(reverse=reverse, max_std=2.0)(observations(4000))["action"]
-    low = LOW if reverse else LOW * torch.tensor([0.0, 1.0])
-    assert ((action >= low) & (action <= HIGH)).all()
-    assert (action.amin(0) < low + 0.1).all()
-    assert (action.amax(0) > 0.9 * HIGH).all()
+        actions = make_actor(action=action, max_std=2.0)(observations(4000))["action"]
+    low = torch.tensor([action.min_speed, LOW[1]])
+    assert ((actions >= low) & (actions <= HIGH)).all()
+    assert (actions.amin(0) < low + 0.1).all()
+    assert (actions.amax(0) > 0.9 * HIGH).all()
 
 
 def test_the_standard_deviation_is_bounded() -> None:
@@ -102,7 +102,7 @@ def test_an_actor_on_features_equals_the_actor_on_observations() -> None:
 
 def test_the_critic_scales_actions_by_their_bounds() -> None:
     torch.manual_seed(0)
-    back, forward = make_action_critic(3), make_action_critic(3, reverse=False)
+    back, forward = make_action_critic(3), make_action_critic(3, action=ActionConfig(min_speed=0.0))
     forward.load_state_dict(back.state_dict())
     td = TensorDict({"features": torch.randn(5, 3), "action": torch.zeros(5, 2)}, batch_size=5)
     slow = td.clone().set("action", torch.tensor([[-1.0, 0.0]] * 5))
@@ -138,7 +138,7 @@ def test_another_number_of_lidar_points_raises(north_up: bool) -> None:
 
 
 def test_without_exploration_the_action_is_the_center_of_the_distribution() -> None:
-    actor, td = make_actor(reverse=False), observations(8)
+    actor, td = make_actor(action=ActionConfig(min_speed=0.0)), observations(8)
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         first, second = actor(td.clone())["action"], actor(td.clone())["action"]
     assert torch.equal(first, second)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import torch
@@ -14,7 +13,7 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl import make_env
-from rover_rl.algos.config import PPOConfig, SACConfig, TrainingConfig
+from rover_rl.algos.config import TrainingConfig, training_config, with_settings
 from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.sac import SACLearner
@@ -85,9 +84,9 @@ class SlidingSimulator:
 
 
 LEARNERS = {
-    "ppo": PPOConfig(epochs=2),
-    "imitation": PPOConfig(epochs=2, imitation=0.5, mirror=False, north_up=True),
-    "sac": SACConfig(gradient_steps=2, warmup=8, buffer=64),
+    "ppo": training_config("ppo", epochs=2),
+    "imitation": training_config("ppo", epochs=2, imitation=0.5, mirror_augmentation=False, north_up=True),
+    "sac": training_config("sac", gradient_steps=2, learning_starts=8, buffer_size=64),
 }
 
 
@@ -124,12 +123,12 @@ def _stepped(on: Accelerator | None) -> tuple[list[dict[str, Tensor]], list[str]
 def _learned(on: Accelerator | None, config: TrainingConfig) -> tuple[dict[str, float], dict[str, Tensor]]:
     """What is told of the second update, and the weights after it."""
     device = "cpu" if on is None else str(on.device)
-    config = replace(
+    config = with_settings(
         config,
         world=WORLDS,
         num_envs=ROVERS,
         workers=1,
-        decisions=4,
+        rollout_length=4,
         minibatch=12,
         hidden=(16,),
         device=device,
@@ -140,7 +139,7 @@ def _learned(on: Accelerator | None, config: TrainingConfig) -> tuple[dict[str, 
     env = env.append_transform(PathReward(env.base_env, 1.0))
     for _ in range(2):
         with set_exploration_type(ExplorationType.RANDOM), torch.no_grad():
-            batch = env.rollout(config.decisions, learner.actor, break_when_any_done=False)
+            batch = env.rollout(config.algorithm.rollout_length, learner.actor, break_when_any_done=False)
         if config.algo == "ppo":
             told = learner.update(batch, 0.0, Stopwatch())
         else:

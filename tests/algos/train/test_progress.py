@@ -17,11 +17,12 @@ def test_what_happened_in_a_batch_is_counted() -> None:
     statistics = BatchStatistics(repeat=4, steps=100)
     done = torch.tensor([[False, True, False], [True, False, True]])[..., None]
     sums = torch.tensor([[0.0, 200.0, 0.0], [0.0, 0.0, 100.0]])[..., None]
+    goals = torch.tensor([[0, 2, 0], [0, 0, 1]])[..., None]
     outcome = {
         "goals": torch.tensor([[1, 1, 0], [0, 0, 1]])[..., None],
         "steps": torch.tensor([[4, 8, 4], [40, 4, 6]])[..., None],
     }
-    after = {"outcome": outcome, "done": done, "episode_reward": sums - 3, "episode_goal_reward": sums}
+    after = {"outcome": outcome, "done": done, "episode_reward": sums - 3, "episode_goals": goals}
     row = statistics(TensorDict({"next": after}, batch_size=(2, 3)))
     assert row == {
         "steps": 124,

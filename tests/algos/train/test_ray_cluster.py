@@ -7,14 +7,13 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
 
-from rover_rl.algos.config import ENDLESS, PPOConfig, TrainingConfig
+from rover_rl.algos.config import UNLIMITED_STEPS, PPOConfig, TrainingConfig
 from rover_rl.algos.policy.checkpoint import Checkpoint, load_state
 from rover_rl.algos.train.collectors import WorkerError
 from rover_rl.algos.train.ppo import PPOLearner, train_ppo
@@ -22,8 +21,8 @@ from rover_rl.algos.train.progress import read_progress
 from rover_rl.algos.train.sac import train_sac
 from tests.algos import test_training
 
-PPO = replace(test_training.PPO, backend="ray", workers=None)
-SAC = replace(test_training.SAC, backend="ray", workers=None)
+PPO = with_settings(test_training.PPO, backend="ray", workers=None)
+SAC = with_settings(test_training.SAC, backend="ray", workers=None)
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +57,7 @@ def _words(process: psutil.Process) -> list[str]:
 
 @pytest.mark.slow
 def test_ppo_takes_the_same_steps_as_at_home(cluster: None, tmp_path: Path) -> None:
-    summary = train_ppo(replace(PPO, runs=str(tmp_path)))
+    summary = train_ppo(with_settings(PPO, runs=str(tmp_path)))
     progress = read_progress(summary.folder / "progress.csv")
     assert progress["steps"] == [128, 256, 384, 512]
     assert sum(summary.shares.values()) == pytest.approx(1)
@@ -69,7 +68,7 @@ def test_ppo_takes_the_same_steps_as_at_home(cluster: None, tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_sac_learns_from_one_worker_while_the_other_drives(cluster: None, tmp_path: Path) -> None:
-    progress = read_progress(train_sac(replace(SAC, runs=str(tmp_path))).folder / "progress.csv")
+    progress = read_progress(train_sac(with_settings(SAC, runs=str(tmp_path))).folder / "progress.csv")
     assert progress["steps"] == list(range(16, 513, 16))
 
 
@@ -89,12 +88,12 @@ def test_a_worker_that_is_killed_ends_the_run_resumably(
 
     monkeypatch.setattr(PPOLearner, "update", killing)
     with pytest.raises(WorkerError, match="actor died"):
-        train_ppo(replace(PPO, total_steps=ENDLESS, runs=str(tmp_path), name="dying"))
+        train_ppo(with_settings(PPO, total_steps=UNLIMITED_STEPS, runs=str(tmp_path), name="dying"))
     folder = tmp_path / "dying"
     assert load_state(folder / "training_state.pt")["updates"] >= 3
     monkeypatch.undo()
     steps = Checkpoint.load(folder).steps
-    again = train_ppo(replace(PPO, total_steps=steps + 128, runs=str(tmp_path), name="dying"), folder)
+    again = train_ppo(with_settings(PPO, total_steps=steps + 128, runs=str(tmp_path), name="dying"), folder)
     assert again.steps == steps + 128
 
 
@@ -103,12 +102,12 @@ def test_a_worker_that_is_killed_ends_the_run_resumably(
 def test_more_workers_than_processors_are_refused(cluster: None, config: TrainingConfig, tmp_path: Path) -> None:
     train = train_ppo if isinstance(config, PPOConfig) else train_sac
     with pytest.raises(ValueError, match="workers=4 need a processor each, and the Ray cluster has 2"):
-        train(replace(config, workers=4, runs=str(tmp_path)))  # type: ignore[arg-type]
+        train(with_settings(config, workers=4, runs=str(tmp_path)))  # type: ignore[arg-type]
     assert not list(tmp_path.iterdir())
 
 
 def test_without_ray_it_is_said_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(ImportError, match=r'pip install "rover_rl\[ray\]"'):
-        train_ppo(replace(PPO, runs=str(tmp_path)))
+        train_ppo(with_settings(PPO, runs=str(tmp_path)))
     assert not list(tmp_path.iterdir())

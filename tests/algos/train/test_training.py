@@ -20,7 +20,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl.algos import ppo, sac, training
-from rover_rl.algos.config import ENDLESS, PPOConfig, SACConfig, TrainingConfig, read_config
+from rover_rl.algos.config import UNLIMITED_STEPS, PPOConfig, TrainingConfig, read_config
 from rover_rl.algos.evaluation.evaluate import draw_episodes, evaluate
 from rover_rl.algos.policy.checkpoint import Checkpoint, load_state, save_run
 from rover_rl.algos.train.collectors import WorkerError
@@ -28,27 +28,29 @@ from rover_rl.algos.train.progress import ProgressLog, read_progress
 from rover_rl.algos.train.run import TrainingSummary
 from tests.full_disk import largest_file
 
-PPO = PPOConfig(
+PPO = training_config(
+    "ppo",
     world="maze",
     total_steps=512,
     num_envs=4,
     workers=1,
-    decisions=8,
+    rollout_length=8,
     epochs=2,
     minibatch=16,
     hidden=(16,),
     snapshots=2,
 )
-SAC = SACConfig(
+SAC = training_config(
+    "sac",
     world="maze",
     total_steps=512,
     num_envs=4,
     workers=1,
-    decisions=2,
+    rollout_length=2,
     gradient_steps=2,
     minibatch=8,
-    warmup=24,
-    buffer=64,
+    learning_starts=24,
+    buffer_size=64,
     hidden=(16,),
     snapshots=2,
 )
@@ -78,13 +80,13 @@ def equal(a: Any, b: Any) -> bool:
 
 @BOTH
 def test_a_run_leaves_its_settings_its_progress_and_its_policies(config: TrainingConfig, tmp_path: Path) -> None:
-    summary = train(replace(config, runs=str(tmp_path)))
+    summary = train(with_settings(config, runs=str(tmp_path)))
     folder = summary.folder
     assert folder == tmp_path / f"{config.algo}-maze"
     assert (summary.steps, summary.interrupted) == (512, False)
     names = {file.name for file in folder.iterdir()}
     assert names - {"tensorboard"} == {"config.yaml", "progress.csv", "checkpoint.pt", "training_state.pt", "snapshots"}
-    assert read_config(folder / "config.yaml") == replace(config, runs=str(tmp_path))
+    assert read_config(folder / "config.yaml") == with_settings(config, runs=str(tmp_path))
     columns = table(folder)
     taken = config.num_envs * config.decisions * config.repeat
     assert columns["steps"] == list(range(taken, 513, taken))
@@ -97,14 +99,14 @@ def test_a_run_leaves_its_settings_its_progress_and_its_policies(config: Trainin
 
 @BOTH
 def test_the_policy_that_was_trained_can_be_evaluated(config: TrainingConfig, tmp_path: Path) -> None:
-    checkpoint = Checkpoint.load(train(replace(config, runs=str(tmp_path))).checkpoint)
+    checkpoint = Checkpoint.load(train(with_settings(config, runs=str(tmp_path))).checkpoint)
     assert (checkpoint.algorithm, checkpoint.steps) == (config.algo, 512)
     assert len(evaluate(checkpoint.make_actor(), draw_episodes("maze", 2, 0), seconds=1).endings) == 2
 
 
 @BOTH
 def test_the_same_seed_gives_the_same_weights_to_the_last_bit(config: TrainingConfig, tmp_path: Path) -> None:
-    runs = [train(replace(config, runs=str(tmp_path), seed=seed)) for seed in (3, 3, 4)]
+    runs = [train(with_settings(config, runs=str(tmp_path), seed=seed)) for seed in (3, 3, 4)]
     first, again, other = (load_state(run.folder / "training_state.pt")["learner"] for run in runs)
     assert equal(first, again)
     assert not equal(first, other)
@@ -115,7 +117,7 @@ def test_the_same_seed_gives_the_same_weights_to_the_last_bit(config: TrainingCo
 def test_a_stopped_run_goes_on_where_it_was(
     config: TrainingConfig, number: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = train(replace(config, runs=str(tmp_path), name="whole"))
+    whole = train(with_settings(config, runs=str(tmp_path), name="whole"))
     handlers = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
     learner = LEARNER[config.algo]
     update, calls = learner.update, []
@@ -127,11 +129,11 @@ def test_a_stopped_run_goes_on_where_it_was(
         return update(self, *args)
 
     monkeypatch.setattr(learner, "update", stopped)
-    first = train(replace(config, runs=str(tmp_path), name="stopped"))
+    first = train(with_settings(config, runs=str(tmp_path), name="stopped"))
     assert first.interrupted
     assert len(table(first.folder)["updates"]) == 2
     assert Checkpoint.load(first.checkpoint).steps == first.steps
-    second = train(replace(config, runs=str(tmp_path), name="stopped"), first.folder)
+    second = train(with_settings(config, runs=str(tmp_path), name="stopped"), first.folder)
     assert not second.interrupted
     counters = ("updates", "steps", "gradient_steps", "learning_rate")
     assert [table(second.folder)[key] for key in counters] == [table(whole.folder)[key] for key in counters]
@@ -140,48 +142,48 @@ def test_a_stopped_run_goes_on_where_it_was(
 
 @BOTH
 def test_the_learners_state_comes_back_exactly(config: TrainingConfig, tmp_path: Path) -> None:
-    folder = train(replace(config, runs=str(tmp_path))).folder
+    folder = train(with_settings(config, runs=str(tmp_path))).folder
     state = load_state(folder / "training_state.pt")
     learner = LEARNER[config.algo](config)  # type: ignore[arg-type]
     learner.load_state_dict(state["learner"])
     assert equal(learner.state_dict(), state["learner"])
     # A run that has had its budget is left as it is.
-    again = train(replace(config, runs=str(tmp_path)), folder)
+    again = train(with_settings(config, runs=str(tmp_path)), folder)
     assert again.steps == 512
     assert equal(load_state(folder / "training_state.pt")["learner"], state["learner"])
 
 
 def test_a_full_replay_buffer_is_gone_on_with_at_the_same_place(tmp_path: Path) -> None:
-    state = load_state(train(replace(SAC, runs=str(tmp_path))).folder / "training_state.pt")
+    state = load_state(train(with_settings(SAC, runs=str(tmp_path))).folder / "training_state.pt")
     # 128 decisions went into 64 places.
     assert len(state["learner"]["memory"]["action"]) == 64
     assert state["learner"]["cursor"] == 0
 
 
 def test_a_state_of_other_settings_is_refused(tmp_path: Path) -> None:
-    folder = train(replace(PPO, runs=str(tmp_path))).folder
+    folder = train(with_settings(PPO, runs=str(tmp_path))).folder
     with pytest.raises(ValueError, match="training state does not fit its settings"):
-        train(replace(PPO, runs=str(tmp_path), hidden=(8,)), folder)
+        train(with_settings(PPO, runs=str(tmp_path), hidden=(8,)), folder)
 
 
 def test_a_run_that_was_killed_before_its_first_checkpoint_begins_anew(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder = train(replace(PPO, total_steps=256, runs=str(tmp_path))).folder
+    folder = train(with_settings(PPO, total_steps=256, runs=str(tmp_path))).folder
     expected = table(folder)["loss_objective"]
     for name in ("checkpoint.pt", "training_state.pt"):
         (folder / name).unlink()
     capsys.readouterr()
-    assert train(replace(PPO, total_steps=256, runs=str(tmp_path)), folder).steps == 256
+    assert train(with_settings(PPO, total_steps=256, runs=str(tmp_path)), folder).steps == 256
     assert f"{folder} has no checkpoint yet: its training begins from the start\n" in capsys.readouterr().out
     assert table(folder)["loss_objective"] == expected
 
 
 def test_a_checkpoint_without_its_training_state_is_not_written_over(tmp_path: Path) -> None:
-    folder = train(replace(PPO, total_steps=128, runs=str(tmp_path))).folder
+    folder = train(with_settings(PPO, total_steps=128, runs=str(tmp_path))).folder
     (folder / "training_state.pt").unlink()
     with pytest.raises(ValueError, match=r"has a checkpoint, but no training_state\.pt to go on from; begin a new run"):
-        train(replace(PPO, runs=str(tmp_path)), folder)
+        train(with_settings(PPO, runs=str(tmp_path)), folder)
     assert Checkpoint.load(folder).steps == 128
 
 
@@ -205,7 +207,7 @@ def diverging(learner: type, monkeypatch: pytest.MonkeyPatch, after: int) -> Non
 def test_a_training_that_diverges_keeps_its_last_good_checkpoint(
     config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = replace(config, runs=str(tmp_path), checkpoint_minutes=1e-9)
+    config = with_settings(config, runs=str(tmp_path), checkpoint_minutes=1e-9)
     diverging(LEARNER[config.algo], monkeypatch, after=2)
     each = config.num_envs * config.decisions * config.repeat  # type: ignore[attr-defined]
     with pytest.raises(FloatingPointError) as failure:
@@ -218,29 +220,29 @@ def test_a_training_that_diverges_keeps_its_last_good_checkpoint(
     assert Checkpoint.load(folder).steps == load_state(folder / "training_state.pt")["steps"] == 2 * each
     assert max(int(file.stem) for file in (folder / "snapshots").iterdir()) <= 2 * each if config is PPO else True
     monkeypatch.undo()
-    assert train(replace(config, learning_rate=3e-4), folder).steps == 512
+    assert train(with_settings(config, learning_rate=3e-4), folder).steps == 512
 
 
 def test_a_training_that_diverges_at_once_says_so(tmp_path: Path) -> None:
     # The NaN comes within the update, whose next gradient step fails by it.
     with pytest.raises(FloatingPointError, match="there is no checkpoint yet; begin a new run with a lower learning"):
-        train(replace(PPO, learning_rate=1e30, runs=str(tmp_path)))
+        train(with_settings(PPO, learning_rate=1e30, runs=str(tmp_path)))
     assert not (tmp_path / "ppo-maze" / "checkpoint.pt").exists()
 
 
 def test_a_state_with_a_nan_is_not_gone_on_with(tmp_path: Path) -> None:
-    folder = train(replace(PPO, total_steps=128, runs=str(tmp_path))).folder
+    folder = train(with_settings(PPO, total_steps=128, runs=str(tmp_path))).folder
     state = load_state(folder / "training_state.pt")
     name = next(name for name in state["learner"]["loss"] if name.startswith("critic_network_params"))
     state["learner"]["loss"][name].fill_(torch.inf)
     save_run(folder, Checkpoint.load(folder), state)
     with pytest.raises(ValueError, match=rf"training_state\.pt holds NaN or infinity in the weights {name}: it cannot"):
-        train(replace(PPO, runs=str(tmp_path)), folder)
+        train(with_settings(PPO, runs=str(tmp_path)), folder)
 
 
 def test_a_full_disk_ends_a_run_with_the_checkpoint_that_it_had(tmp_path: Path) -> None:
-    config = replace(PPO, runs=str(tmp_path), snapshots=0)
-    folder = train(replace(config, total_steps=256)).folder
+    config = with_settings(PPO, runs=str(tmp_path), snapshots=0)
+    folder = train(with_settings(config, total_steps=256)).folder
     whole = {path.name: path.read_bytes() for path in folder.glob("*.pt")}
     with largest_file(7000), pytest.raises(OSError, match=f"File too large: '{folder}/"):
         train(config, folder)
@@ -258,29 +260,29 @@ def test_what_was_learned_is_kept_where_nobody_reads_on(
 
     monkeypatch.setattr(ProgressLog, "show", closed)
     with pytest.raises(kind):
-        train(replace(PPO, runs=str(tmp_path)))
+        train(with_settings(PPO, runs=str(tmp_path)))
     assert load_state(tmp_path / "ppo-maze" / "training_state.pt")["updates"] == 1
 
 
 def test_what_was_taken_after_the_last_state_is_taken_again(tmp_path: Path) -> None:
-    folder = train(replace(PPO, runs=str(tmp_path))).folder
+    folder = train(with_settings(PPO, runs=str(tmp_path))).folder
     progress = folder / "progress.csv"
     lines = progress.read_text().splitlines()
     # As a kill leaves it: a row that no state has, and half of another.
     progress.write_text("\n".join([*lines, lines[-1], lines[-1][:20]]))
-    train(replace(PPO, runs=str(tmp_path), total_steps=1024), folder)
+    train(with_settings(PPO, runs=str(tmp_path), total_steps=1024), folder)
     assert table(folder)["updates"] == list(range(1, 9))
 
 
 @pytest.mark.slow
 def test_two_workers_share_the_rovers(tmp_path: Path) -> None:
-    summary = train(replace(PPO, workers=2, runs=str(tmp_path)))
+    summary = train(with_settings(PPO, workers=2, runs=str(tmp_path)))
     assert table(summary.folder)["steps"][-1] == 512
 
 
 @pytest.mark.slow
 def test_sac_learns_from_one_worker_while_the_other_drives(tmp_path: Path) -> None:
-    progress = table(train(replace(SAC, workers=2, runs=str(tmp_path))).folder)
+    progress = table(train(with_settings(SAC, workers=2, runs=str(tmp_path))).folder)
     # Each batch is one worker's: two rovers, two decisions; and brings half of a round's gradient steps.
     assert progress["steps"] == list(range(16, 513, 16))
     assert progress["gradient_steps"] == [0.0] * 5 + [1.0] * 27
@@ -303,12 +305,12 @@ def test_a_worker_that_dies_ends_the_run_with_a_checkpoint_and_its_last_words(
 
     monkeypatch.setattr(learner, "update", killing)
     with pytest.raises(WorkerError, match=r"(?s)exit code -11.*Fatal Python error: Segmentation fault"):
-        train(replace(config, workers=2, total_steps=ENDLESS, runs=str(tmp_path), name="dying"))
+        train(with_settings(config, workers=2, total_steps=UNLIMITED_STEPS, runs=str(tmp_path), name="dying"))
     folder = tmp_path / "dying"
     assert 3 <= load_state(folder / "training_state.pt")["updates"] == len(table(folder)["updates"])
     monkeypatch.setattr(learner, "update", update)
     steps = Checkpoint.load(folder).steps
-    again = train(replace(config, workers=2, total_steps=steps + 128, runs=str(tmp_path), name="dying"), folder)
+    again = train(with_settings(config, workers=2, total_steps=steps + 128, runs=str(tmp_path), name="dying"), folder)
     assert again.steps == steps + 128
     assert not [child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline())]
 
@@ -319,12 +321,12 @@ def test_a_workers_own_error_is_told(config: TrainingConfig, tmp_path: Path, mon
     # What cannot be simulated fails where it is simulated.
     monkeypatch.setattr(training, "get_world", lambda name: None)
     with pytest.raises((WorkerError, ValueError), match="unknown world 'mars'"):
-        train(replace(config, world="mars", workers=2, runs=str(tmp_path)))
+        train(with_settings(config, world="mars", workers=2, runs=str(tmp_path)))
 
 
 @BOTH
 def test_one_policy_can_be_trained_in_several_worlds_at_once(config: TrainingConfig, tmp_path: Path) -> None:
-    summary = train(replace(config, world=("inspect", "maze"), runs=str(tmp_path)))
+    summary = train(with_settings(config, world=("inspect", "maze"), runs=str(tmp_path)))
     assert summary.folder.name == f"{config.algo}-inspect-maze"
     assert read_config(summary.folder / "config.yaml").worlds == ("inspect", "maze")
     assert Checkpoint.load(summary.checkpoint).config.worlds == ("inspect", "maze")
@@ -339,12 +341,14 @@ def test_policies_can_be_trained_in_warp(config: TrainingConfig, tmp_path: Path)
     summary = train(config)
     assert summary.steps == 512
     assert read_config(summary.folder / "config.yaml").workers == 1
-    again = train(replace(config, total_steps=640), summary.folder)
+    again = train(with_settings(config, total_steps=640), summary.folder)
     assert again.steps == 640
 
 
 def test_each_worlds_guide_is_asked_about_its_own_rovers(tmp_path: Path) -> None:
-    config = replace(PPO, world=("maze", "maze:1"), total_steps=128, imitation=1.0, path_reward=1.0, runs=str(tmp_path))
+    config = with_settings(
+        PPO, world=("maze", "maze:1"), total_steps=128, imitation=1.0, path_reward=1.0, runs=str(tmp_path)
+    )
     assert train(config).steps == 128
 
 
@@ -373,7 +377,7 @@ def test_imitation_makes_the_guides_actions_likelier(tmp_path: Path) -> None:
 
 
 def test_time_can_be_the_budget(tmp_path: Path) -> None:
-    summary = train(replace(PPO, total_steps=ENDLESS, max_minutes=1e-6, runs=str(tmp_path)))
+    summary = train(with_settings(PPO, total_steps=UNLIMITED_STEPS, max_minutes=1e-6, runs=str(tmp_path)))
     assert len(table(summary.folder)["steps"]) == 1
     assert [file.name for file in (summary.folder / "snapshots").iterdir()] == ["000000128.pt"]
     assert not summary.interrupted
@@ -382,9 +386,9 @@ def test_time_can_be_the_budget(tmp_path: Path) -> None:
 @BOTH
 def test_errors_come_before_anything_is_written(config: TrainingConfig, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="unknown world 'mars'"):
-        train(replace(config, world="mars", runs=str(tmp_path)))
+        train(with_settings(config, world="mars", runs=str(tmp_path)))
     with pytest.raises(ValueError, match="num_envs"):
-        train(replace(config, num_envs=0, runs=str(tmp_path)))
+        train(with_settings(config, num_envs=0, runs=str(tmp_path)))
     assert not list(tmp_path.iterdir())
 
 
@@ -453,7 +457,7 @@ def wait_until(condition: Callable[[], bool], process: subprocess.Popen[bytes]) 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
 def test_a_gpu_that_is_not_there_is_told_of_in_words(tmp_path: Path) -> None:
-    config = replace(PPO, backend="warp", device="cuda", runs=str(tmp_path))
+    config = with_settings(PPO, backend="warp", device="cuda", runs=str(tmp_path))
     with pytest.raises(ValueError, match=r"device='cuda' is not available: PyTorch .* finds cpu$"):
         train(config)
     assert not list(tmp_path.iterdir())
@@ -463,9 +467,9 @@ def test_a_gpu_that_is_not_there_is_told_of_in_words(tmp_path: Path) -> None:
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 @BOTH
 def test_training_on_a_gpu_goes_on_where_it_was(config: TrainingConfig, tmp_path: Path) -> None:
-    config = replace(config, backend="warp", device="cuda", runs=str(tmp_path))
-    first = train(replace(config, total_steps=256))
-    again = train(replace(config, total_steps=512, name=first.folder.name), first.folder)
+    config = with_settings(config, backend="warp", device="cuda", runs=str(tmp_path))
+    first = train(with_settings(config, total_steps=256))
+    again = train(with_settings(config, total_steps=512, name=first.folder.name), first.folder)
     assert (first.steps, again.steps) == (256, 512)
     assert (
         len(evaluate(Checkpoint.load(again.checkpoint).make_actor(), draw_episodes("maze", 2, 0), seconds=1).endings)

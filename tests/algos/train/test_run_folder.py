@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+import errno
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.train.run_folder import load_state, new_run_folder, save_run
+from tests.algos.checkpoints import equal
+from tests.full_disk import largest_file
+
+
+def test_each_run_gets_a_new_folder(tmp_path: Path) -> None:
+    assert [new_run_folder(tmp_path, None, "ppo").name for _ in range(3)] == ["ppo", "ppo-2", "ppo-3"]
+    assert new_run_folder(tmp_path, "mine", "ppo") == tmp_path / "mine"
+    with pytest.raises(FileExistsError, match=r"there is a run .*mine already"):
+        new_run_folder(tmp_path, "mine", "ppo")
+    with pytest.raises(ValueError, match="name of a folder"):
+        new_run_folder(tmp_path, "../elsewhere", "ppo")
+
+
+def test_a_state_is_no_checkpoint_and_a_checkpoint_is_no_state(checkpoint: Checkpoint, tmp_path: Path) -> None:
+    save_run(tmp_path, checkpoint, {"steps": 3})
+    assert load_state(tmp_path / "training_state.pt") == {"steps": 3}
+    with pytest.raises(ValueError, match="no training state"):
+        load_state(tmp_path / "checkpoint.pt")
+    with pytest.raises(ValueError, match="no checkpoint"):
+        Checkpoint.load(tmp_path / "training_state.pt")
+
+
+def test_truncated_files_raise(checkpoint: Checkpoint, tmp_path: Path) -> None:
+    save_run(tmp_path, checkpoint, {"steps": 3})
+    for name, load in (("checkpoint.pt", Checkpoint.load), ("training_state.pt", load_state)):
+        path = tmp_path / name
+        data = path.read_bytes()
+        for length in (0, 1, 30, len(data) // 3, len(data) - 1):
+            path.write_bytes(data[:length])
+            with pytest.raises(ValueError, match="is damaged, or no "):
+                load(path)
+
+
+@pytest.mark.parametrize("space", [0, 1000, 7000])
+def test_a_full_disk_keeps_the_last_checkpoint_and_state(checkpoint: Checkpoint, tmp_path: Path, space: int) -> None:
+    save_run(tmp_path, checkpoint, {"steps": 100})
+    more = {"steps": 200, "memory": torch.zeros(5000)}
+    with largest_file(space), pytest.raises(OSError, match="too large") as failure:
+        save_run(tmp_path, replace(checkpoint, steps=200), more)
+    assert failure.value.errno == errno.EFBIG
+    assert failure.value.filename in {str(tmp_path / name) for name in ("checkpoint.pt", "training_state.pt")}
+    assert {file.name for file in tmp_path.iterdir()} == {"checkpoint.pt", "training_state.pt"}
+    assert equal(Checkpoint.load(tmp_path), checkpoint)
+    assert load_state(tmp_path / "training_state.pt") == {"steps": 100}
+
+
+def test_an_error_names_the_file_that_does_not_fit_and_none_is_written(checkpoint: Checkpoint, tmp_path: Path) -> None:
+    for name, state in (("checkpoint", {"steps": 1}), ("training_state", {"memory": torch.zeros(5000)})):
+        with largest_file(5000), pytest.raises(OSError, match=rf"{tmp_path}/{name}\.pt'$"):
+            save_run(tmp_path, checkpoint, state)
+        assert not [*tmp_path.iterdir()]
