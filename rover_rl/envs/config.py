@@ -20,13 +20,14 @@ from rover_rl.sims.backends import find_settings, name_of
 from rover_rl.sims.connection import Connection
 
 if TYPE_CHECKING:
-    from rover_rl.envs.rewards import RewardComponent
+    from torchrl.envs import Transform
+
     from rover_rl.sims.robots import Robot
     from rover_rl.sims.worlds import World
 
     WorldLike: TypeAlias = str | World | Sequence[str | World]
     RobotLike: TypeAlias = str | Robot
-    RewardLike: TypeAlias = "str | RewardConfig | Sequence[RewardComponent]"
+    RewardLike: TypeAlias = "str | RewardConfig | Sequence[str | Transform]"
     BackendLike: TypeAlias = AnyBackend
 else:
     # Types that the command line and YAML files support.

@@ -3,18 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from rover_rl.sims.rotations import quaternion_to_euler
 
 if TYPE_CHECKING:
-    from rover_rl.envs.rewards import RewardConfig
-    from rover_rl.envs.task import TaskConfig
-    from rover_rl.envs.wrappers.gym import GymWrapper
+    from rover_rl.envs.config import RewardConfig, TaskConfig
+    from rover_rl.envs.rover import RoverEnv
     from rover_rl.sims.worlds import World
 
 
-def _env_property(get: Callable[[GymWrapper], Any], doc: str) -> property:
+class Wrapper(Protocol):
+    """What the attributes are read from: :class:`~rover_rl.envs.wrappers.gym.GymWrapper`."""
+
+    @property
+    def base_env(self) -> RoverEnv:
+        """The ``RoverEnv`` under the transforms."""
+        ...
+
+    @property
+    def reward_config(self) -> RewardConfig | None:
+        """Numbers of the contract's reward, if they are known."""
+        ...
+
+    def get_observation(self) -> dict[str, Any]:
+        """The current observation."""
+        ...
+
+
+def _env_property(get: Callable[[Wrapper], Any], doc: str) -> property:
     return property(get, doc=doc)
 
 
@@ -104,7 +121,7 @@ class OriginalNames:
     target_positions_y = _env_property(lambda env: env.base_env.goal[0, 1].item(), "Position of the goal in y, m.")
 
 
-def _reward_config(env: GymWrapper) -> RewardConfig:
+def _reward_config(env: Wrapper) -> RewardConfig:
     if env.reward_config is None:
         raise AttributeError(
             "the parameters of the contract's reward are only known if this class has added the reward; "

@@ -6,14 +6,12 @@ drives differently in each simulator.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
 from rover_rl.sims.robots.description import Description, Frame, Inertial, Joint, Link, Shape
-
-if TYPE_CHECKING:
-    from rover_rl.sims.robots.robot import Robot
 
 LENGTH_TOLERANCE = 1e-3
 """Tolerance of positions and widths, m."""
@@ -25,7 +23,26 @@ AXIS_TOLERANCE = 0.01
 _LEFT = np.array((0.0, 1.0, 0.0))
 
 
-def check_consistency(robot: Robot) -> None:
+class RobotParameters(Protocol):
+    """Parameters that a URDF also holds: those of :class:`~rover_rl.sims.robots.robot.Robot`."""
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+    @property
+    def urdf(self) -> Path: ...  # noqa: D102
+    @property
+    def left_wheels(self) -> tuple[str, ...]: ...  # noqa: D102
+    @property
+    def right_wheels(self) -> tuple[str, ...]: ...  # noqa: D102
+    @property
+    def wheel_positions(self) -> tuple[tuple[float, float, float], ...]: ...  # noqa: D102
+    @property
+    def wheel_radius(self) -> float: ...  # noqa: D102
+    @property
+    def wheel_width(self) -> float: ...  # noqa: D102
+
+
+def check_consistency(robot: RobotParameters) -> None:
     """Checks the parameters of a robot against its URDF.
 
     Raises:
@@ -48,7 +65,7 @@ def check_consistency(robot: Robot) -> None:
         raise ValueError(f"robot {robot.name!r} cannot be driven with its URDF {robot.urdf}: {error}") from error
 
 
-def _wheel_joints(robot: Robot, description: Description) -> list[Joint]:
+def _wheel_joints(robot: RobotParameters, description: Description) -> list[Joint]:
     """Returns the joints of all wheels, left then right."""
     for field in ("left_wheels", "right_wheels"):
         for name in getattr(robot, field):
@@ -81,7 +98,7 @@ def _check_joint(joint: Joint, description: Description, position: tuple[float, 
     return frame
 
 
-def _check_shape(robot: Robot, link: Link, frame: Frame) -> None:
+def _check_shape(robot: RobotParameters, link: Link, frame: Frame) -> None:
     """Checks the collision shape of a wheel whose link has the pose ``frame``."""
     wheel = f"wheel link {link.name!r}"
     kinds = [shape.kind for shape in link.shapes]
