@@ -13,7 +13,7 @@ FILMED = 12.0
 
 @dataclass(frozen=True)
 class Demo:
-    """Train PPO for a few minutes, compare the policy with pretrained and random, and film the pretrained policy.
+    """Train PPO for a few minutes, evaluate it against a pretrained and a random policy, and film the pretrained one.
 
     Uses the training settings of the pretrained policy for the world.
     """

@@ -45,9 +45,9 @@ class Drive:
     policy: tyro.conf.Positional[str]
     """Policy: folder of a run, checkpoint file, ONNX file, pretrained:NAME, or scripted."""
     goal: tuple[tuple[float, float], ...] = ()
-    """Goals to drive to, in order: x y, m."""
+    """Goals to drive to, in order: x y (m)."""
     goals: Path | None = None
-    """CSV file with one goal per line: x, y, m."""
+    """CSV file of goals, one per line: x, y (m)."""
     random: int = 0
     """Number of random goals, drawn as in training."""
     world: str | None = None
@@ -85,7 +85,7 @@ class Drive:
     stamped: bool = False
     """Send TwistStamped instead of Twist."""
     lidar_yaw: float = Ros2Settings.lidar_yaw
-    """Direction of the lidar's zero angle, rad. The original environment's faces backward, most others forward: 0."""
+    """Direction of the lidar's zero angle, rad: pi is backward, as in the original environment; 0 is forward."""
     transport: TransportName = Ros2Settings.transport
     """ROS 2 transport: dds needs no ROS installation, rclpy uses the ROS that is sourced."""
     seed: int = 0

@@ -18,11 +18,11 @@ class EnvOptions:
     """Environment to drive in. Default: the one that the policy was made for, in Bullet, without randomization."""
 
     env: Path | None = None
-    """YAML file of an environment: fields of EnvConfig, or a run's config.yaml, of which the section env is used."""
+    """YAML file of EnvConfig, or a run's config.yaml. Default: the policy's environment in Bullet, not randomized."""
     robot: str | None = None
-    """Robot: rover_zero, or module:attribute."""
+    """Robot: rover_zero, or module:attribute. Default: that of --env, else of the policy."""
     backend: str | None = None
-    """Simulator: bullet, warp (extra warp), or module:attribute."""
+    """Simulator: bullet, warp (extra warp), or module:attribute. Default: that of --env, else bullet."""
     physics: str | None = None
     """Preset of Bullet's physics: default, accurate or fast (docs/physics.md)."""
 

@@ -30,14 +30,13 @@ class Evaluate:
     """
 
     policies: tyro.conf.Positional[tuple[str, ...]]
-    """Policies: folders of runs, checkpoint files, ONNX files, pretrained:NAME, scripted, random, or logs of rover-rl
-    drive (.jsonl)."""
+    """Policies: run folders, checkpoints, ONNX files, pretrained:NAME, scripted, random, or drive logs (.jsonl)."""
     world: tuple[str, ...] = ()
     """Worlds to drive in. Default: for each policy, the worlds that it was trained in."""
     count: int | None = None
-    """Number of episodes in each world. Up to 256 are the first of the stored ones. Default: 256."""
+    """Number of episodes in each world; up to 256 are stored, more are newly drawn. Default: 256."""
     seed: int | None = None
-    """Seed to draw new starts and goals with. Default: use the stored ones."""
+    """Seed of newly drawn starts and goals. Default: use the stored ones."""
     seconds: float = 60.0
     """Time limit of each episode, s."""
     action_repeat: int = 1
@@ -46,7 +45,7 @@ class Evaluate:
     endless: bool = False
     """Also evaluate in endless mode: 32 episodes of 2,000 steps, as in the original environment."""
     jam: bool = True
-    """In endless mode, end an episode at a long collision, as the contract does; the original never does."""
+    """In endless mode, end an episode after a long collision, as in the contract. The original never does."""
     out: Path | None = None
     """Folder to write to. Default: the folder of the first checkpoint, or runs/evaluation."""
 
@@ -103,7 +102,7 @@ class Evaluate:
 
         worlds = dict.fromkeys(world for policy in policies for world in policy.worlds)
         if not worlds and policies:
-            raise ValueError("give a --world to drive in: these policies were not trained in any")
+            raise ValueError("give a --world to drive in: these policies were not trained")
         for world in worlds:
             get_world(world)
         count = STORED if self.count is None else self.count

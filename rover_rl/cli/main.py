@@ -57,7 +57,7 @@ def main(args: list[str] | None = None) -> int:
     except (MemoryError, RuntimeError) as error:
         if not (isinstance(error, MemoryError) or re.search(r"allocate memory|out of memory", str(error))):
             raise
-        print("rover-rl: not enough memory; use fewer rovers, smaller networks or smaller batches", file=sys.stderr)
+        print("rover-rl: not enough memory; use smaller values", file=sys.stderr)
         return FAILED
     except KeyboardInterrupt:
         print("rover-rl: interrupted", file=sys.stderr)

@@ -82,7 +82,7 @@ class Train:
         summary = train(config, self.resume)
         print(format_summary(summary), flush=True)
         draw_learning_curve([summary.folder], summary.folder / "learning_curve.png")
-        print(f"Try it: rover-rl evaluate {summary.checkpoint}")
+        print(f"To evaluate it: rover-rl evaluate {summary.checkpoint}")
         return INTERRUPTED if summary.interrupted else 0
 
 
@@ -154,7 +154,7 @@ def _read_settings(source: str) -> TrainingConfig:
 
 def format_summary(summary: TrainingSummary) -> str:
     """Formats the result of a training run and the shares of its time."""
-    stopped = "Interrupted" if summary.interrupted else "Trained"
+    stopped = "Interrupted" if summary.interrupted else "Finished"
     shares = ", ".join(f"{name} {share:.0%}" for name, share in summary.shares.items())
     return (
         f"{stopped} after {summary.steps:,} steps in {summary.minutes:.1f} minutes: {summary.checkpoint}\n"

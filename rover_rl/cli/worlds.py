@@ -11,7 +11,7 @@ class Worlds:
     """List the worlds and draw a map of each."""
 
     world: tuple[str, ...] = ()
-    """Worlds to draw, by name or as module:attribute. Default: all built-in worlds."""
+    """Worlds to draw, by name or as module:attribute. Default: all registered worlds."""
     robot: str = "rover_zero"
     """Robot whose free space is drawn: rover_zero, or module:attribute."""
     out: Path = Path("worlds")
@@ -30,5 +30,5 @@ class Worlds:
             with written_whole(path) as temporary:
                 draw_world(world, robot, temporary)
             width, depth = (f"{high - low:.0f}" for low, high in world.spawn_range)
-            print(f"{name:8} {len(world.obstacles):3} obstacles, starts on {width} x {depth} m: {path}")
+            print(f"{name:8} {len(world.obstacles):3} obstacles, start area {width} x {depth} m: {path}")
         return 0
