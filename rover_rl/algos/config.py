@@ -30,16 +30,18 @@ class NetworkConfig:
     """Settings of the networks."""
 
     observation: tuple[str, ...] = ("lidar", "imu", "target", "velocities")
-    """Entries of the observation that the policy reads. With "pose" it may learn one map by heart, which does not help
-    in another."""
+    """Entries of the observation that the policy reads.
+    With "pose" it may learn one map by heart, which does not help in another."""
     north_up: bool = False
-    """Also give the policy lidar and target rotated into the world's frame by the IMU's yaw. The policy can recognize
-    places of one map by them without the pose. Needs --no-mirror-augmentation."""
+    """Also give the policy lidar and target rotated into the world's frame by the IMU's yaw.
+    The policy can recognize places of one map by them without the pose.
+    Needs --no-mirror-augmentation."""
     hidden: tuple[int, ...] = (128, 128)
     """Number of units in each hidden layer of the actor and the critic."""
     max_std: float = 2.0
-    """Largest standard deviation of an action before it is squashed to its bounds. Large values explore fast; small
-    ones (0.6) keep the policy from relying on chance to leave a corner."""
+    """Largest standard deviation of an action before it is squashed to its bounds.
+    Large values explore fast.
+    Small ones (0.6) keep the policy from relying on chance to leave a corner."""
 
     def check(self) -> None:
         """Checks the settings.
@@ -62,16 +64,17 @@ class CollectionConfig:
     """Settings of data collection."""
 
     collector: CollectorName = "auto"
-    """Where rollouts are made: in this process, in processes of this machine, or on a Ray cluster (the one at
-    RAY_ADDRESS or on this machine, else a new one here; extra ray). auto: processes if there are several workers."""
+    """Where rollouts are made: in this process, in processes of this machine, or on a Ray cluster.
+    auto: processes if there are several workers.
+    ray: the cluster at RAY_ADDRESS, else one that runs here, else a new one here (extra ray)."""
     workers: int | None = None
-    """Number of workers that simulate, each with an equal share of the rovers. Default: one per core, or the largest
-    number below that divides the rovers equally; 1 for Warp."""
+    """Number of workers that simulate, each with an equal share of the rovers.
+    Default: one per core, or the largest number below that divides the rovers equally; 1 for Warp."""
     action_repeat: int = 4
     """Number of steps that each action is held for in training: 4 lets the policy decide at 5 Hz."""
     path_reward: float = 0.0
-    """In training, additional reward per meter gained on the shortest free path to the goal. It leads around the walls
-    of a maze."""
+    """Additional reward in training, per meter gained on the shortest free path to the goal.
+    It leads around the walls of a maze."""
 
 
 @dataclass(frozen=True)
@@ -129,8 +132,8 @@ class PPOConfig(AlgorithmConfig):
     entropy_coef: float = 0.003
     """Coefficient of the entropy bonus."""
     imitation: float = 0.0
-    """Fraction of training that imitates a privileged expert (DAgger), from the start; 0 learns from the reward
-    alone."""
+    """Fraction of training that imitates a privileged expert (DAgger), from the start.
+    0 learns from the reward alone."""
 
     def check(self) -> None:
         """Checks the settings: see :meth:`AlgorithmConfig.check`."""

@@ -50,9 +50,9 @@ class LidarConfig:
     """Lidar and its readings.
 
     Args:
-        points: number of readings in an observation, each the minimum of a segment of the scan.
-        beams: number of beams of a raw scan.
-        max_range: maximum of a reading, m. Larger ranges are clipped.
+        points: Number of readings in an observation, each the minimum of a segment of the scan.
+        beams: Number of beams of a raw scan.
+        max_range: Maximum of a reading, m. Larger ranges are clipped.
     """
 
     points: int = 32
@@ -65,9 +65,9 @@ class ActionConfig:
     """Bounds of the action. Actions outside of them are clipped.
 
     Args:
-        min_speed: minimum forward speed, m/s. 0 prevents driving backward.
-        max_speed: maximum forward speed, m/s.
-        max_turn: maximum absolute heading offset, rad.
+        min_speed: Minimum forward speed, m/s. 0 prevents driving backward.
+        max_speed: Maximum forward speed, m/s.
+        max_turn: Maximum absolute heading offset, rad.
 
     Raises:
         ValueError: if ``min_speed`` is not less than ``max_speed``, or a bound is out of range.
@@ -91,13 +91,13 @@ class TaskConfig:
     """Thresholds of the task. The defaults are the contract's.
 
     Args:
-        success_distance: distance below which a goal is reached, m.
-        min_goal_distance: minimum distance from the rover to a new goal, m.
-        collision_threshold: lidar reading below which the rover is in collision, m.
-        collision_window: number of consecutive steps in collision above which the rover is jammed.
-        flip_threshold: absolute roll or pitch above which the rover is flipped, rad.
-        stuck_window: number of recent positions that are compared to detect a stuck rover.
-        stuck_threshold: displacement from the oldest to the newest of them below which the rover is stuck, m.
+        success_distance: Distance below which a goal is reached, m.
+        min_goal_distance: Minimum distance from the rover to a new goal, m.
+        collision_threshold: Lidar reading below which the rover is in collision, m.
+        collision_window: Number of consecutive steps in collision above which the rover is jammed.
+        flip_threshold: Absolute roll or pitch above which the rover is flipped, rad.
+        stuck_window: Number of recent positions that are compared to detect a stuck rover.
+        stuck_threshold: Displacement from the oldest to the newest of them below which the rover is stuck, m.
 
     Raises:
         ValueError: if a threshold is out of range.
@@ -125,19 +125,19 @@ class RewardConfig:
     """Parameters of the contract's reward. The defaults are the contract's.
 
     Args:
-        goal_reward: reward for reaching a goal.
-        distance_delta_scale: reward per meter of progress toward the goal.
-        final_reward_multiplier: factor of the progress reward and of the idle penalty.
-        idle_penalty: reward that replaces the progress reward if the rover makes too little progress or faces away.
-        min_progress: absolute change of the distance above which progress counts, m.
-        min_alignment: heading alignment (-1 to 1) above which progress counts.
-        velocity_scale: reward per m/s of forward speed.
-        turn_scale: reward per rad/s of absolute yaw rate.
-        collision_penalty: reward for each step in collision.
-        stuck_penalty: reward for an episode that ends because the rover is stuck.
-        general_penalty: reward for an episode that ends in a flip or a jam.
-        flip_grace_steps: number of steps at the start of an episode in which a flip has no penalty.
-        out_of_bounds_penalty: reward for leaving the world's bounds (``too_far_away_penilty`` in the contract).
+        goal_reward: Reward for reaching a goal.
+        distance_delta_scale: Reward per meter of progress toward the goal.
+        final_reward_multiplier: Factor of the progress reward and of the idle penalty.
+        idle_penalty: Reward that replaces the progress reward if the rover makes too little progress or faces away.
+        min_progress: Absolute change of the distance above which progress counts, m.
+        min_alignment: Heading alignment (-1 to 1) above which progress counts.
+        velocity_scale: Reward per m/s of forward speed.
+        turn_scale: Reward per rad/s of absolute yaw rate.
+        collision_penalty: Reward for each step in collision.
+        stuck_penalty: Reward for an episode that ends because the rover is stuck.
+        general_penalty: Reward for an episode that ends in a flip or a jam.
+        flip_grace_steps: Number of steps at the start of an episode in which a flip has no penalty.
+        out_of_bounds_penalty: Reward for leaving the world's bounds (``too_far_away_penilty`` in the contract).
     """
 
     goal_reward: float = 100.0
@@ -160,10 +160,10 @@ class HeadingGains:
     """Gains of the heading PID. The defaults are the contract's.
 
     Args:
-        kp: proportional gain, 1/s.
-        ki: integral gain, 1/s^2.
-        kd: derivative gain, dimensionless.
-        max_output: maximum absolute yaw rate, rad/s.
+        kp: Proportional gain, 1/s.
+        ki: Integral gain, 1/s^2.
+        kd: Derivative gain, dimensionless.
+        max_output: Maximum absolute yaw rate, rad/s.
     """
 
     kp: float = 2.0
@@ -179,14 +179,14 @@ class Randomization:
     Scale factors and latency are drawn uniformly from their ranges at each reset. Noise is drawn at each step.
 
     Args:
-        friction: range of the scale factor of all friction coefficients.
-        chassis_mass: range of the scale factor of the mass and inertia of the chassis.
-        motor_torque: range of the scale factor of the maximum motor torque.
-        latency: range of the delay of commands, control steps.
-        range_noise: standard deviation of the lidar ranges, m.
-        dropout: fraction of lidar beams without a return.
-        odometry_noise: relative standard deviation of the velocities from wheel odometry.
-        imu_noise: standard deviation of roll, pitch and yaw, rad.
+        friction: Range of the scale factor of all friction coefficients.
+        chassis_mass: Range of the scale factor of the mass and inertia of the chassis.
+        motor_torque: Range of the scale factor of the maximum motor torque.
+        latency: Range of the delay of commands, control steps.
+        range_noise: Standard deviation of the lidar ranges, m.
+        dropout: Fraction of lidar beams without a return.
+        odometry_noise: Relative standard deviation of the velocities from wheel odometry.
+        imu_noise: Standard deviation of roll, pitch and yaw, rad.
 
     Raises:
         ValueError: if a range is not in ascending order, or a value is out of range.
@@ -251,8 +251,8 @@ class EnvConfig:
     """
 
     world: WorldLike = "inspect"
-    """World: inspect, moon, maze, or module:attribute. "maze:7" is the maze with seed 7. Several worlds get equal
-    shares of the rovers."""
+    """World: inspect, moon, maze, or module:attribute. "maze:7" is the maze with seed 7.
+    Several worlds get equal shares of the rovers."""
     robot: RobotLike = "rover_zero"
     """Robot: rover_zero, or module:attribute."""
     lidar: LidarConfig = field(default_factory=LidarConfig)
@@ -262,8 +262,8 @@ class EnvConfig:
     task: TaskConfig = field(default_factory=TaskConfig)
     """Thresholds of the task."""
     reward: RewardLike = "contract"
-    """Reward: contract, task (1 per goal), or module:attribute of a component or of a function that returns a list of
-    components. Several rewards are added up: "contract my_package:TiltPenalty"."""
+    """Reward: contract, task (1 per goal), or module:attribute of a component or of a function that returns components.
+    Several rewards are added up: "contract my_package:TiltPenalty"."""
     contract_reward: RewardConfig = field(default_factory=RewardConfig)
     """Parameters of the contract's reward."""
     heading_gains: HeadingGains = field(default_factory=HeadingGains)
@@ -275,8 +275,7 @@ class EnvConfig:
     privileged: bool = False
     """Add the nested observation "privileged": true state, path distance and randomized dynamics."""
     backend: BackendLike = "bullet"
-    """Simulator: bullet, warp (about 20 times faster, requires the extra warp), ros2 (one live rover), or
-    module:attribute."""
+    """Simulator: bullet, warp (about 20 times faster; extra warp), ros2 (one live rover), or module:attribute."""
     physics: str = DEFAULT_PHYSICS
     """Physics preset of the backend. Bullet has default, accurate and fast, see docs/physics.md."""
     connection: Connection = field(default_factory=Connection)

@@ -179,6 +179,7 @@ class RoverEnv(EnvBase):
         )
         self._tensor_device = torch.device("cpu") if self.device is None else self.device
         self.config = config
+        self.size = config.size
         self.num_envs = num_envs
         self._row_shape = torch.Size([num_envs])
         self.robot = get_robot(config.robot)
@@ -211,11 +212,6 @@ class RoverEnv(EnvBase):
         self._delay = CommandDelay(config.randomization.latency, self.num_envs, device)
         self._privileged = PrivilegedObservation(self.worlds, self.robot, device) if config.privileged else None
         self._state = StepState(task=TaskState.zeros(self.num_envs, device))
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Size of the camera buffer, pixels. Reserved for vision."""
-        return self.config.size
 
     @property
     def length(self) -> int:

@@ -12,11 +12,11 @@ class Connection:
     Simulators that generate their own sensor data ignore it.
 
     Args:
-        scan_topic: topic of the ``sensor_msgs/LaserScan``.
-        imu_topic: topic of the ``sensor_msgs/Imu``.
-        cmd_vel_topic: topic of the command, a ``geometry_msgs/Twist``.
-        camera_topic: topic of the camera; reserved for vision, as in the original.
-        timeout: time to wait for the first scan, s.
+        scan_topic: Topic of the ``sensor_msgs/LaserScan``.
+        imu_topic: Topic of the ``sensor_msgs/Imu``.
+        cmd_vel_topic: Topic of the command, a ``geometry_msgs/Twist``.
+        camera_topic: Topic of the camera; reserved for vision, as in the original.
+        timeout: Time to wait for the first scan, s.
     """
 
     scan_topic: str = "/scan"

@@ -114,7 +114,7 @@ def test_sensors_have_the_noise_that_was_asked_for(backend):
         states = []
         for _ in range(20):
             td = env.step(td.set("action", action))["next"]
-            states.append(env.rover_state)
+            states.append(env.sensed_state)
         return torch.stack([state.ranges for state in states]), torch.stack([state.orientation for state in states])
 
     true_ranges, true_orientation = standing(None)
@@ -148,7 +148,7 @@ def test_wheel_odometry_has_the_noise_that_was_asked_for(backend):
     for step in range(30):
         td = env.step(td.set("action", torch.tensor([[0.3, 0.0]] * 64)))["next"]
         if step >= 10:
-            speeds.append(env.rover_state.linear_velocity)
+            speeds.append(env.sensed_state.linear_velocity)
     assert (torch.stack(speeds) / 0.3).std().item() == pytest.approx(0.05, rel=0.2)
 
 

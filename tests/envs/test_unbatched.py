@@ -11,7 +11,8 @@ from torchrl.envs import Compose, InitTracker, RewardSum, StepCounter, Transform
 from torchrl.envs.utils import check_env_specs
 
 from rover_rl import GymVectorWrapper, GymWrapper, RewardComponent, RoverEnv, contract_reward, make_env
-from rover_rl.algos.train.env import ForwardOnly
+from rover_rl.algos.train.env import GoalCounter
+from rover_rl.envs.config import ActionConfig
 from rover_rl.envs import Randomization
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward
@@ -117,11 +118,11 @@ def test_it_takes_a_single_world():
 def test_it_takes_the_transforms_of_the_package(nested):
     rollouts = []
     for num_envs in (None, 1):
-        env = make(num_envs)
+        env = make(num_envs, action=ActionConfig(min_speed=0.0))
         bare = env.base_env
         transforms = [
-            ForwardOnly(),
             ActionRepeat(4),
+            GoalCounter(),
             PathReward(bare, 1.0),
             RewardSum(),
             StepCounter(),

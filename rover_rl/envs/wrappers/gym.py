@@ -213,7 +213,7 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         """
         # The controller replaces its state tensors and does not modify them in place, so that a shallow copy suffices.
         controller = copy.copy(self.base_env.controller)
-        dt = self.base_env.sensed_state.dt
+        dt = self.base_env.rover_state.dt
         desired, current = (torch.full_like(dt, float(heading)) for heading in (desired_heading, current_heading))
         return controller(desired, current, dt).item()
 

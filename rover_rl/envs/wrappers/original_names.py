@@ -48,7 +48,7 @@ def _reward_property(get: Callable[[RewardConfig], Any], doc: str) -> property:
 
 
 def _euler_property(axis: int, doc: str) -> property:
-    return property(lambda env: quaternion_to_euler(env.base_env.sensed_state.orientation)[0, axis].item(), doc=doc)
+    return property(lambda env: quaternion_to_euler(env.base_env.rover_state.orientation)[0, axis].item(), doc=doc)
 
 
 class OriginalNames:
@@ -106,13 +106,13 @@ class OriginalNames:
     current_pitch = _euler_property(1, "Pitch, rad.")
     current_yaw = _euler_property(2, "Yaw, rad.")
     current_linear_velocity = _env_property(
-        lambda env: env.base_env.sensed_state.linear_velocity.item(), "Forward speed from wheel odometry, m/s."
+        lambda env: env.base_env.rover_state.linear_velocity.item(), "Forward speed from wheel odometry, m/s."
     )
     current_angular_velocity = _env_property(
-        lambda env: env.base_env.sensed_state.angular_velocity.item(), "Yaw rate from wheel odometry, rad/s."
+        lambda env: env.base_env.rover_state.angular_velocity.item(), "Yaw rate from wheel odometry, rad/s."
     )
     rover_position = _env_property(
-        lambda env: env.base_env.sensed_state.position[0].numpy(force=True).copy(), "Position, float32 [3], m."
+        lambda env: env.base_env.rover_state.position[0].numpy(force=True).copy(), "Position, float32 [3], m."
     )
     lidar_data = _env_property(
         lambda env: env.get_observation()["lidar"], "Pooled lidar scan, float32 [lidar_points], m."
