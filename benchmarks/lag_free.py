@@ -27,7 +27,8 @@ from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.evaluation.metrics import count_reversals
 from rover_rl.algos.pretrained import load_pretrained
-from rover_rl.envs.control import HeadingGains
+from rover_rl.envs import EnvConfig
+from rover_rl.envs.config import HeadingGains
 from rover_rl.files import write_json
 from rover_rl.sims.base import Dynamics, RoverState
 from rover_rl.sims.bullet.lidar import Lidar
@@ -160,12 +161,12 @@ class Options:
 def measure(policy: str, count: int, seconds: float) -> dict[str, dict[str, float]]:
     """Evaluates a policy on the same episodes without and with the limits."""
     checkpoint = load_pretrained(policy)
-    actor, (world, *_) = checkpoint.make_actor(), checkpoint.config.worlds
+    actor, (world, *_) = checkpoint.make_actor(), checkpoint.env.world_names
     results = {}
     for name, limited in (("without limits", False), ("with limits", True)):
         settings = LagFree(limited)
         episodes = stored_episodes(world).first(count)
-        evaluation = evaluate(actor, episodes, rows=count, seconds=seconds, backend=settings)
+        evaluation = evaluate(actor, episodes, rows=count, seconds=seconds, env=EnvConfig(backend=settings))
         results[name] = {
             "success": evaluation.success_rate,
             "SPL": evaluation.metrics["spl"].value,

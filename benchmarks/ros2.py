@@ -38,6 +38,7 @@ from rover_rl.algos.evaluation.evaluate import Policy, evaluate
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.pretrained import load_pretrained, pretrained_names
+from rover_rl.envs import EnvConfig
 from rover_rl.files import write_json
 from rover_rl.sims import make_simulator
 from rover_rl.sims.robots import get_robot
@@ -83,7 +84,7 @@ def success(policy: Policy, world: str, options: Options) -> dict[str, Any]:
     episodes = stored_episodes(world).first(options.count)
     bullet = evaluate(policy, episodes)
     with robot(world, options.rate):
-        ros2 = evaluate(policy, episodes, rows=1, backend=LIVE)
+        ros2 = evaluate(policy, episodes, rows=1, env=EnvConfig(backend=LIVE))
     return {
         "episodes": len(episodes.start),
         "success, bullet": bullet.success_rate,
@@ -132,7 +133,7 @@ def main(options: Options) -> None:
     os.environ |= {"ROS_DOMAIN_ID": str(random.SystemRandom().randint(1, 99)), "ROS_LOCALHOST_ONLY": "1"}
     name = options.policy
     checkpoint = load_pretrained(name) if name in pretrained_names() else Checkpoint.load(name)
-    policy, world = checkpoint.make_actor(), checkpoint.config.worlds[0]
+    policy, world = checkpoint.make_actor(), checkpoint.env.world_names[0]
     results = latency(policy, world, options.seconds) | backend_cpu(world, options.seconds)
     results |= success(policy, world, options)
     write_json(options.out / "ros2.json", {"policy": name, "rate": options.rate, **results})
