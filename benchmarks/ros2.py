@@ -21,7 +21,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +34,10 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl import RoverEnv
 from rover_rl.algos.evaluation.episodes import stored_episodes
-from rover_rl.algos.evaluation.evaluate import Policy, evaluate
+from rover_rl.algos.evaluation.evaluate import Policy, environment_for, evaluate
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.pretrained import load_pretrained, pretrained_names
-from rover_rl.envs import EnvConfig
 from rover_rl.files import write_json
 from rover_rl.sims import make_simulator
 from rover_rl.sims.robots import get_robot
@@ -84,7 +83,7 @@ def success(policy: Policy, world: str, options: Options) -> dict[str, Any]:
     episodes = stored_episodes(world).first(options.count)
     bullet = evaluate(policy, episodes)
     with robot(world, options.rate):
-        ros2 = evaluate(policy, episodes, rows=1, env=EnvConfig(backend=LIVE))
+        ros2 = evaluate(policy, episodes, rows=1, env=replace(environment_for(policy, None), backend=LIVE))
     return {
         "episodes": len(episodes.start),
         "success, bullet": bullet.success_rate,

@@ -21,9 +21,8 @@ pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
 import rover_rl
 from rover_rl import RoverEnv
 from rover_rl.algos.evaluation.episodes import stored_episodes
-from rover_rl.algos.evaluation.evaluate import evaluate
+from rover_rl.algos.evaluation.evaluate import environment_for, evaluate
 from rover_rl.algos.pretrained import load_pretrained
-from rover_rl.envs import EnvConfig
 from rover_rl.sims.ros2 import RobotLostError, Ros2Settings
 from rover_rl.sims.ros2.dds import DdsTransport
 from rover_rl.sims.ros2.messages import Clock, Odometry, Twist, Vector3
@@ -114,7 +113,7 @@ def test_the_environment_fulfills_the_contract(with_robot):
 @pytest.mark.slow
 def test_a_policy_performs_as_in_bullet(with_robot):
     policy, episodes = load_pretrained("maze-ppo").make_actor(), stored_episodes("maze").first(2)
-    live = evaluate(policy, episodes, rows=1, env=EnvConfig(backend=LIVE))
+    live = evaluate(policy, episodes, rows=1, env=replace(environment_for(policy, None), backend=LIVE))
     bullet = evaluate(policy, episodes)
     assert live.endings == bullet.endings == ["goal"] * 2
     for a, b in zip(live.trajectories, bullet.trajectories, strict=True):
