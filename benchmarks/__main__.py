@@ -1,18 +1,20 @@
-"""Measures this machine: ``python -m benchmarks``, or some of it: ``python -m benchmarks cores peers``.
+"""Benchmarks: ``python -m benchmarks`` runs all of them, ``python -m benchmarks cores peers`` some of them.
 
-- ``rollouts``: steps a second against rovers and beams, with one worker and with all, and Bullet's share of the time.
-- ``breakdown``: where the rest goes, function by function.
-- ``physics``: what each preset costs, and how far it is from steps of 1 ms.
-- ``simulators``: Warp's speed beside Bullet's, on a core and, where there is one, on a GPU.
-- ``parity``: how far the two are apart.
-- ``endurance``: whether Warp holds under ten million random steps.
-- ``cores``: all workers beside one.
-- ``peers``: the same rover as people drive it today, with a process and a PyBullet client for each.
-- ``footprint``: memory and time to start.
-- ``training``: PPO and SAC beside Stable-Baselines3's.
+- ``rollouts``: steps per second by number of rovers and beams, with one worker and with all, and Bullet's share of the
+  time.
+- ``breakdown``: profile of a batched step by function.
+- ``physics``: speed and accuracy of the physics presets.
+- ``simulators``: speed of Warp compared with Bullet, on one core and on a GPU if there is one.
+- ``parity``: agreement of Warp with Bullet.
+- ``endurance``: robustness of Warp under ten million random actions.
+- ``cores``: speedup of rollouts by parallel workers.
+- ``peers``: speed compared with a process and a PyBullet client for each rover.
+- ``footprint``: startup time and memory.
+- ``training``: speed of PPO and SAC compared with Stable-Baselines3.
 
-What is compared is measured in turn in one run, and told as ratios; no absolute figure of a shared machine says much.
-Everything is in ``runs/bench/``: ``bench.json``, ``bench.png``, ``breakdown.html``. Let nothing else run meanwhile.
+Comparisons are measured alternately in one run and reported as ratios, because absolute numbers depend on the machine
+and its load. Run nothing else at the same time. Writes ``bench.json``, ``bench.png`` and ``breakdown.html`` to
+``runs/bench/``.
 """
 
 from __future__ import annotations
@@ -38,14 +40,14 @@ Part = Literal[
 
 @dataclass(frozen=True)
 class Bench(Options):
-    """What to measure, and how long."""
+    """Options of the benchmarks."""
 
     parts: Annotated[tuple[Part, ...], tyro.conf.Positional] = get_args(Part)
-    """Which parts."""
+    """Benchmarks to run."""
 
 
 def main(options: Bench) -> dict[str, Any]:
-    """Measures, prints and writes after each part what there is so far."""
+    """Runs the benchmarks. Prints a table and writes all results so far after each."""
     torch.set_num_threads(1)
     console = Console(width=max(120, Console().width))
     options.out.mkdir(parents=True, exist_ok=True)

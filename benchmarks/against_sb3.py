@@ -1,25 +1,27 @@
-"""Our training beside Stable-Baselines3's: success against the wall clock.
+"""Training compared with Stable-Baselines3 (SB3): success rate over wall-clock time.
 
     python benchmarks/against_sb3.py --algo sac --world moon --minutes 10
 
-Three trainings, one after another, each with the whole machine to itself:
+Runs three trainings one after another, each on the whole machine:
 
-- ours: ``train_ppo`` or ``train_sac``, as ``rover-rl train`` runs them, with a process a core;
-- SB3 on our batch: all rovers as one ``VecEnv`` in the process that learns (:mod:`rover_rl.envs.sb3`);
-- SB3 on ``SubprocVecEnv``: a process for each rover, with a ``GymWrapper`` in it, as people use it.
+- rover_rl: :func:`rover_rl.algos.train.train`, as in ``rover-rl train``, with a worker process for each core;
+- SB3 with the batched environment: all rovers as one ``VecEnv`` in the learning process (:mod:`rover_rl.envs.sb3`);
+- SB3 with ``SubprocVecEnv``: a process with a ``GymWrapper`` for each rover, the common way to use SB3.
 
-SB3 gets the same as ours: the very environment (reward, action repeat, time limits as truncation, first episodes of
-random length), rovers, hidden layers and their activation, input scaling, reward scale, and every hyperparameter of the
-settings, the falling learning rate included; actions are scaled to [-1, 1], as it recommends. Its clock starts when
-its processes are up, while ours includes starting them. What stays its own: how its weights begin, an optimizer for
-each network and PPO's epsilon in it, the spread of PPO's actions, which depends on no observation and is cut off at
-the bounds instead of squashed, advantages that are normalized in each minibatch, random actions during SAC's warmup,
-and that it does not learn from mirror images (``--no-mirror`` takes them from ours, too).
+All three have the same environment (reward, action repeat, time limits as truncation, first episodes of random length),
+number of rovers, hidden layers and activation, input scaling, reward scale and hyperparameters, including the annealed
+learning rate. SB3's actions are scaled to [-1, 1], as its documentation recommends. SB3's time starts when its
+processes have started; that of rover_rl includes their start.
 
-Policies are kept every minute, and drive the same stored episodes afterwards, off the clock: without exploration, a
-decision every 0.05 s. This takes longer than the trainings. Results are in ``runs/against_sb3-sac-moon/``:
-``against_sb3.json`` and ``against_sb3.png``. The processes of 64 rovers need about 14 GB of memory on the moon, and
-half of that in the maze.
+SB3 keeps its own initial weights, optimizers (one for each network, with its own epsilon for PPO), normalization of
+advantages in each minibatch, and random actions before SAC's learning starts. The standard deviation of its PPO actions
+does not depend on the observation, and actions are clipped at the bounds, not squashed. SB3 does not augment data by
+mirroring; ``--no-mirror-augmentation`` turns this off for rover_rl, too.
+
+Saves a policy every minute, and evaluates all of them after the training, without exploration at 20 Hz, on the same
+stored episodes. This takes longer than the trainings. Writes ``against_sb3.json`` and ``against_sb3.png`` to
+``runs/against_sb3-sac-moon/``. The processes of 64 rovers need about 14 GB of memory on the moon, and half of that in
+the maze.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ import os
 import time
 from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -55,53 +57,63 @@ from torch import Tensor, nn
 from torchrl.envs import ActionScaling, EnvBase, RewardScaling
 
 from rover_rl import GymWrapper
-from rover_rl.algos.config import CONFIGS, ENDLESS, PPOConfig, SACConfig, TrainingConfig, plain
+from rover_rl.algos.config import (
+    UNLIMITED_STEPS,
+    PPOConfig,
+    SACConfig,
+    TrainingConfig,
+    training_config,
+    with_settings,
+)
+from rover_rl.algos.config_files import plain
 from rover_rl.algos.evaluation.cores import over_cores
 from rover_rl.algos.evaluation.episodes import EpisodeSet, stored_episodes
 from rover_rl.algos.evaluation.evaluate import Policy, evaluate
 from rover_rl.algos.evaluation.plots import BLUE, GREEN, ORANGE
-from rover_rl.algos.policy.checkpoint import Checkpoint, new_run_folder
+from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import ObservationEncoder, action_spec, middle_and_half, single_threaded
+from rover_rl.algos.train import train
 from rover_rl.algos.train.env import make_training_env
-from rover_rl.algos.train.ppo import train_ppo
 from rover_rl.algos.train.progress import read_progress
-from rover_rl.algos.train.sac import train_sac
+from rover_rl.algos.train.run_folder import new_run_folder
+from rover_rl.envs.config import ActionConfig
 from rover_rl.envs.sb3 import SB3VecEnv
 from rover_rl.files import write_json, written_whole
 
 
 @dataclass
 class Options:
-    """What to compare."""
+    """Compare training with Stable-Baselines3."""
 
     algo: Literal["ppo", "sac"] = "sac"
-    """Learning algorithm of both."""
+    """Learning algorithm."""
     world: str = "moon"
-    """World to train and to drive in: inspect, moon or maze."""
+    """World: inspect, moon or maze."""
     minutes: float = 10.0
-    """Wall clock of each training."""
+    """Duration of each training in minutes."""
     num_envs: int = 64
-    """Rovers that drive at once."""
+    """Number of rovers."""
     count: int = 128
-    """Episodes that every kept policy drives."""
+    """Number of episodes that each saved policy is evaluated on."""
     seconds: float = 60.0
-    """Time in which a goal has to be reached."""
-    mirror: bool = True
-    """Let ours learn from mirror images, which SB3 does not."""
+    """Time limit of an episode, s."""
+    mirror_augmentation: bool = True
+    """Whether rover_rl augments its data by mirroring. SB3 does not."""
     seed: int = 0
-    """Of weights, actions, starts and goals."""
+    """Seed of weights, actions, starts and goals."""
     runs: Path = Path("runs")
-    """Folder that the results' folder is made in."""
+    """Folder in which the output folder is created."""
 
     def config(self, folder: Path) -> TrainingConfig:
-        """Settings of all trainings: the algorithm's own, and a time limit."""
-        return CONFIGS[self.algo](
+        """Settings of all trainings: the algorithm's defaults, and a time limit."""
+        return training_config(
+            self.algo,
             world=self.world,
-            total_steps=ENDLESS,
+            total_steps=UNLIMITED_STEPS,
             max_minutes=self.minutes,
             snapshots=max(1, round(self.minutes)),
             num_envs=self.num_envs,
-            mirror=self.mirror,
+            mirror_augmentation=self.mirror_augmentation,
             seed=self.seed,
             runs=str(folder),
             name="ours",
@@ -110,7 +122,13 @@ class Options:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A policy from along the way."""
+    """A policy saved during training.
+
+    Attributes:
+        minutes: training time.
+        steps: number of steps, all rovers together.
+        policy: the policy.
+    """
 
     minutes: float
     steps: int
@@ -118,8 +136,8 @@ class Snapshot:
 
 
 def train_ours(config: TrainingConfig) -> list[Snapshot]:
-    """Trains, and returns the snapshots and the last policy."""
-    summary = train_ppo(config) if isinstance(config, PPOConfig) else train_sac(config)
+    """Trains with rover_rl. Returns the snapshots and the final policy."""
+    summary = train(config)
     progress = read_progress(summary.folder / "progress.csv")
     minutes = dict(zip(progress["steps"], progress["minutes"], strict=True))
     paths = [*sorted((summary.folder / "snapshots").glob("*.pt")), summary.checkpoint]
@@ -128,13 +146,13 @@ def train_ours(config: TrainingConfig) -> list[Snapshot]:
 
 
 def train_sb3_on_our_batch(config: TrainingConfig) -> list[Snapshot]:
-    """Trains with all rovers as one VecEnv."""
-    return train_sb3(config, SB3VecEnv(rovers_for_sb3(replace(config, workers=1))))
+    """Trains with SB3, with all rovers as one VecEnv."""
+    return train_sb3(config, SB3VecEnv(rovers_for_sb3(with_settings(config, workers=1))))
 
 
 def train_sb3_on_processes(config: TrainingConfig) -> list[Snapshot]:
-    """Trains with a process for each rover."""
-    # Read once, and shared by all processes: else each would take seconds and hundreds of megabytes.
+    """Trains with SB3, with a process for each rover."""
+    # Imported once and shared by all processes. Otherwise each takes seconds and hundreds of megabytes.
     multiprocessing.set_forkserver_preload(
         ["rover_rl.algos.train.ppo", "rover_rl.algos.evaluation.plots", "stable_baselines3", "tyro"]
     )
@@ -142,72 +160,73 @@ def train_sb3_on_processes(config: TrainingConfig) -> list[Snapshot]:
 
 
 def rovers_for_sb3(config: TrainingConfig) -> EnvBase:
-    """The environment that ours trains in, with rewards and actions scaled, which ours does elsewhere."""
-    env = make_training_env(config).append_transform(RewardScaling(0.0, config.reward_scale))
+    """The training environment of rover_rl, with scaled rewards and actions."""
+    env = make_training_env(config).append_transform(RewardScaling(0.0, config.algorithm.reward_scale))
     return env.append_transform(ActionScaling())
 
 
 def single_rover(config: TrainingConfig, row: int) -> GymWrapper:
-    """Row ``row`` of the batch, by itself."""
-    gc.freeze()  # what the processes share stays shared: the collector does not write into it
+    """Row ``row`` of the batch as a separate environment."""
+    gc.freeze()  # keeps the garbage collector from writing to memory that the processes share
     torch.set_num_threads(1)
     torch.manual_seed(config.seed + row)
-    config = replace(config, num_envs=1, workers=1, seed=config.seed + row)
+    config = with_settings(config, num_envs=1, workers=1, seed=config.seed + row)
     return GymWrapper(rovers_for_sb3(config), time_limit="truncated")
 
 
 @single_threaded()
 def train_sb3(config: TrainingConfig, envs: VecEnv) -> list[Snapshot]:
-    """Trains until the time is up, and returns a policy for each minute."""
+    """Trains with SB3 until the time limit. Returns a snapshot for each minute."""
     torch.manual_seed(config.seed)
     with WallClock(config) as clock:
-        make_sb3(config, envs, clock.learning_rate).learn(ENDLESS, callback=clock)
+        make_sb3(config, envs, clock.learning_rate).learn(UNLIMITED_STEPS, callback=clock)
     envs.close()
     return clock.snapshots
 
 
 def make_sb3(config: TrainingConfig, envs: VecEnv, learning_rate: Callable[[float], float]) -> BaseAlgorithm:
-    """SB3's algorithm with our settings."""
+    """Creates SB3's algorithm with the settings of rover_rl."""
+    algorithm, network = config.algorithm, config.network
     shared = {
         "policy": "MultiInputPolicy",
         "env": envs,
         "learning_rate": learning_rate,
-        "batch_size": config.minibatch,
-        "gamma": config.gamma,
+        "batch_size": algorithm.minibatch,
+        "gamma": algorithm.gamma,
         "seed": config.seed,
         "device": "cpu",
         "policy_kwargs": {
-            "net_arch": list(config.hidden),
+            "net_arch": list(network.hidden),
             "activation_fn": nn.ReLU,
             "features_extractor_class": RoverFeatures,
-            "features_extractor_kwargs": {"keys": config.observation, "north_up": config.north_up},
+            "features_extractor_kwargs": {"keys": network.observation, "north_up": network.north_up},
         },
     }
-    if isinstance(config, PPOConfig):
+    if isinstance(algorithm, PPOConfig):
         return PPO(
-            n_steps=config.decisions,
-            n_epochs=config.epochs,
-            gae_lambda=config.lmbda,
-            clip_range=config.clip,
-            ent_coef=config.entropy,
-            max_grad_norm=config.max_grad_norm,
+            n_steps=algorithm.rollout_length,
+            n_epochs=algorithm.epochs,
+            gae_lambda=algorithm.lmbda,
+            clip_range=algorithm.clip,
+            ent_coef=algorithm.entropy_coef,
+            max_grad_norm=algorithm.max_grad_norm,
             **shared,
         )
-    assert isinstance(config, SACConfig)
+    assert isinstance(algorithm, SACConfig)
     return SAC(
-        train_freq=config.decisions,
-        gradient_steps=config.gradient_steps,
-        buffer_size=config.buffer,
-        learning_starts=config.warmup,
-        tau=config.tau,
-        ent_coef=f"auto_{config.alpha}",
-        target_entropy=config.target_entropy,
+        train_freq=algorithm.rollout_length,
+        gradient_steps=algorithm.gradient_steps,
+        buffer_size=algorithm.buffer_size,
+        learning_starts=algorithm.learning_starts,
+        tau=algorithm.tau,
+        ent_coef=f"auto_{algorithm.alpha}",
+        target_entropy=algorithm.target_entropy,
         **shared,
     )
 
 
 class RoverFeatures(BaseFeaturesExtractor):
-    """Our input scaling, for SB3's networks."""
+    """Feature extractor for SB3 with the input scaling of rover_rl."""
 
     def __init__(self, observation_space: spaces.Dict, keys: tuple[str, ...], north_up: bool) -> None:
         encoder = ObservationEncoder(keys, observation_space["lidar"].shape[0], north_up)
@@ -219,7 +238,7 @@ class RoverFeatures(BaseFeaturesExtractor):
 
 
 class WallClock(BaseCallback):
-    """Ends SB3's training when the time is up, keeps policies from along the way, and shows how far it is."""
+    """Ends SB3's training at the time limit, saves snapshots and shows the progress."""
 
     def __init__(self, config: TrainingConfig) -> None:
         super().__init__()
@@ -245,36 +264,42 @@ class WallClock(BaseCallback):
 
     @property
     def minutes(self) -> float:
-        """Since training began."""
+        """Minutes since the training began."""
         return (time.perf_counter() - self._started) / 60 if self._started else 0.0
 
     @property
     def share(self) -> float:
-        """Of the time that is used."""
-        return min(1.0, self.minutes / self._config.max_minutes)
+        """Fraction of the time that is used."""
+        return min(1.0, self.minutes / self._config.run.max_minutes)
 
     def learning_rate(self, remaining: float) -> float:
-        """The learning rate now; SB3's idea of what remains counts steps, and is of no use here."""
-        return self._config.learning_rate * (1 - self.share if self._config.anneal else 1.0)
+        """The current learning rate. SB3's ``remaining`` counts steps, and is ignored: time ends the training."""
+        algorithm = self._config.algorithm
+        return algorithm.learning_rate * (1 - self.share if algorithm.anneal else 1.0)
 
     def _on_training_start(self) -> None:
         self._started = time.perf_counter()
 
     def _on_step(self) -> bool:
-        share, steps = self.share, self.num_timesteps * self._config.repeat
-        marks = int(share * self._config.snapshots)
+        share, steps = self.share, self.num_timesteps * self._config.collection.action_repeat
+        marks = int(share * self._config.run.snapshots)
         if marks > self._marks:
             self._marks = marks
-            policy = policy_of_sb3(deepcopy(self.model.policy), self._config.reverse)
+            policy = policy_of_sb3(deepcopy(self.model.policy), self._config.env.action)
             self.snapshots.append(Snapshot(self.minutes, steps, policy))
             self._bar.console.print(f"{share:4.0%} of training: {steps:,} steps", highlight=False)
         self._bar.update(self._task, completed=share, status=f"{steps:,} steps")
         return share < 1
 
 
-def policy_of_sb3(policy: BasePolicy, reverse: bool) -> Policy:
-    """A policy of SB3 as one that our evaluation drives with; it knows no exploration."""
-    return partial(_act, policy, *middle_and_half(action_spec(reverse)))
+def policy_of_sb3(policy: BasePolicy, action: ActionConfig) -> Policy:
+    """Wraps a policy of SB3 for the evaluation. It acts without exploration.
+
+    Args:
+        policy: the policy.
+        action: bounds of the action.
+    """
+    return partial(_act, policy, *middle_and_half(action_spec(action)))
 
 
 def _act(policy: BasePolicy, middle: Tensor, half: Tensor, now: TensorDictBase) -> TensorDictBase:
@@ -285,7 +310,14 @@ def _act(policy: BasePolicy, middle: Tensor, half: Tensor, now: TensorDictBase) 
 
 @dataclass(frozen=True)
 class Point:
-    """How a snapshot fared; ``low`` and ``high`` are the 95 % interval of its success."""
+    """Result of a snapshot.
+
+    Attributes:
+        minutes: training time.
+        steps: number of training steps.
+        success: success rate.
+        low, high: 95 % confidence interval of the success rate.
+    """
 
     minutes: float
     steps: int
@@ -296,7 +328,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Curve:
-    """Success against the wall clock."""
+    """Success rate over wall-clock time."""
 
     name: str
     points: list[Point]
@@ -316,27 +348,27 @@ COLORS = dict(zip(CONTENDERS, (BLUE, ORANGE, GREEN), strict=True))
 
 
 def measure(name: str, snapshots: list[Snapshot], episodes: EpisodeSet, seconds: float) -> Curve:
-    """Drives the episodes with every snapshot."""
+    """Evaluates all snapshots."""
     return Curve(name, over_cores(partial(point, episodes, seconds), snapshots, "measuring"))
 
 
 def point(episodes: EpisodeSet, seconds: float, snapshot: Snapshot) -> Point:
-    """Drives the episodes with a snapshot."""
+    """Evaluates a snapshot."""
     result = evaluate(snapshot.policy, episodes, seconds=seconds)
     return Point(snapshot.minutes, snapshot.steps, result.success_rate, *result.interval)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Ours beside one of SB3's.
+    """Comparison of rover_rl with a training of SB3.
 
     Attributes:
-        name: of SB3's.
-        success: that it had in the end.
-        minutes: that it was trained for.
-        first_minutes: until it was as successful for the first time.
-        our_minutes: until ours was; ``None`` if it never was.
-        share: of its time that ours took.
+        name: name of SB3's training.
+        success: final success rate of SB3.
+        minutes: training time of SB3.
+        first_minutes: time until SB3 first had that success rate.
+        our_minutes: time until rover_rl had it; ``None`` if it never did.
+        share: ``our_minutes`` as a fraction of ``minutes``.
     """
 
     name: str
@@ -348,7 +380,7 @@ class Comparison:
 
 
 def compare(ours: Curve, theirs: Curve) -> Comparison:
-    """How long each took to SB3's final success."""
+    """Compares the times until the final success rate of SB3."""
     success, minutes = theirs.final.success, theirs.final.minutes
     first = next(point.minutes for point in theirs.points if point.success >= success)
     our_minutes = next((point.minutes for point in ours.points if point.success >= success), None)
@@ -357,7 +389,7 @@ def compare(ours: Curve, theirs: Curve) -> Comparison:
 
 
 def write(folder: Path, config: TrainingConfig, count: int, curves: list[Curve]) -> None:
-    """Writes figures and picture; again after each training, so that nothing is lost."""
+    """Writes the results and the plot. Called after each training, so that an interruption loses nothing."""
     comparisons = [compare(curves[0], curve) for curve in curves[1:]]
     libraries = ("torch", "torchrl", "stable_baselines3")
     results = {
@@ -373,12 +405,12 @@ def write(folder: Path, config: TrainingConfig, count: int, curves: list[Curve])
 
 
 def draw(path: Path, config: TrainingConfig, count: int, curves: list[Curve], comparisons: list[Comparison]) -> None:
-    """Draws success against minutes, and where ours reaches what SB3 had in the end."""
+    """Plots success rate over time, and marks where rover_rl has the final success rate of SB3."""
     figure = Figure(figsize=(8, 5), layout="constrained")
     ax = figure.subplots()
     for curve in curves:
         minutes, _, success, low, high = zip(*(asdict(point).values() for point in curve.points), strict=True)
-        label = f"{curve.name}: {curve.final.steps:,} steps, {curve.final.success:.0%} in the end"
+        label = f"{curve.name}: {curve.final.steps:,} steps, {curve.final.success:.0%} at the end"
         ax.plot(minutes, success, "o-", markersize=4, linewidth=2, color=COLORS[curve.name], label=label)
         ax.fill_between(minutes, low, high, color=COLORS[curve.name], alpha=0.15, linewidth=0)
     reached = sorted((one for one in comparisons if one.our_minutes is not None), key=lambda one: one.success)
@@ -386,13 +418,13 @@ def draw(path: Path, config: TrainingConfig, count: int, curves: list[Curve], co
         ends = (comparison.our_minutes, comparison.minutes)
         color = COLORS[comparison.name]
         ax.plot(ends, [comparison.success] * 2, "|:", markersize=12, markeredgewidth=2, color=color)
-        note = f"{comparison.our_minutes:.1f} of {comparison.minutes:.1f} min: {comparison.share:.0%} of its time"
+        note = f"{comparison.our_minutes:.1f} of {comparison.minutes:.1f} min: {comparison.share:.0%} of the time"
         box = {"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1}
-        # The lower one's below its line and the other's above, so that they do not meet where both ended alike.
+        # The lower note is below its line and the other one above, so that they do not overlap.
         place = {"xy": (ends[0], comparison.success), "xytext": (4, 6 if rank else -14), "textcoords": "offset points"}
         ax.annotate(note, **place, color=color, bbox=box)
-    ax.set_title(f"{config.algo.upper()} in {config.world}: {config.num_envs} rovers, {os.cpu_count()} cores")
-    ax.set(xlabel="minutes of wall clock", ylabel=f"success on {count} episodes", xlim=(0, None), ylim=(0, 1))
+    ax.set_title(f"{config.algo.upper()} in {config.env.world}: {config.num_envs} rovers, {os.cpu_count()} cores")
+    ax.set(xlabel="wall-clock time, minutes", ylabel=f"success rate on {count} episodes", xlim=(0, None), ylim=(0, 1))
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
     ax.spines[["top", "right"]].set_visible(False)
     ax.grid(alpha=0.3)
@@ -402,8 +434,8 @@ def draw(path: Path, config: TrainingConfig, count: int, curves: list[Curve], co
 
 
 def show(console: Console, curves: list[Curve]) -> None:
-    """Prints how they fared."""
-    table = Table("", "steps", "success in the end", "first after", "ours after", "share of its time")
+    """Prints a table of the results."""
+    table = Table("", "steps", "final success", "first reached after", "rover_rl after", "fraction of the time")
     for curve in curves:
         final, comparison = curve.final, compare(curves[0], curve)
         ours, share = comparison.our_minutes, comparison.share
@@ -419,16 +451,16 @@ def show(console: Console, curves: list[Curve]) -> None:
 
 
 def main(options: Options) -> None:
-    """Trains, drives, and tells."""
+    """Runs all trainings, evaluates them, writes the results and prints a table."""
     console = Console()
     episodes = stored_episodes(options.world).first(options.count)
     name = f"against_sb3-{options.algo}-{options.world}"
     folder = new_run_folder(options.runs, None, name)
     config = options.config(folder)
     curves: list[Curve] = []
-    for number, (contender, train) in enumerate(CONTENDERS.items(), 1):
+    for number, (contender, train_contender) in enumerate(CONTENDERS.items(), 1):
         console.rule(f"{number} of {len(CONTENDERS)}: {contender}, {options.minutes:g} minutes")
-        curves.append(measure(contender, train(config), episodes, options.seconds))
+        curves.append(measure(contender, train_contender(config), episodes, options.seconds))
         write(folder, config, options.count, curves)
     show(console, curves)
     console.print(f"{folder / 'against_sb3.json'} and {folder / 'against_sb3.png'}")

@@ -1,4 +1,4 @@
-"""Our rollouts as training makes them: a TorchRL collector with a batch of rovers in each worker, acting at random."""
+"""Rollouts as in training: a TorchRL collector with a batch of rovers in each worker, with random actions."""
 
 from __future__ import annotations
 
@@ -12,16 +12,19 @@ from torchrl.envs import EnvBase
 
 from rover_rl import make_env
 
-DECISIONS = 16
-"""Steps of each rover in a batch: the decisions of PPO."""
+ROLLOUT_LENGTH = 16
+"""Number of steps of each rover in a batch, as in PPO."""
 
 
 @contextmanager
 def rollouts(world: str, rovers: int, beams: int, workers: int) -> Iterator[Callable[[], int]]:
-    """Something to call for a batch of ``DECISIONS`` steps of all rovers; it returns their number."""
+    """Opens a collector; a context manager that gives a function.
+
+    The function collects a batch of ``ROLLOUT_LENGTH`` steps of all rovers and returns their number.
+    """
     each = rovers // workers
     makers = [partial(make_worker_env, world, each, beams, worker * each) for worker in range(workers)]
-    common = {"frames_per_batch": rovers * DECISIONS, "auto_register_policy_transforms": False}
+    common = {"frames_per_batch": rovers * ROLLOUT_LENGTH, "auto_register_policy_transforms": False}
     if workers == 1:
         collector = Collector(makers[0], None, track_traj_ids=False, **common)
     else:

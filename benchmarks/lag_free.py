@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +24,10 @@ from rich.table import Table
 from torch import Tensor
 
 from rover_rl.algos.evaluation.episodes import stored_episodes
-from rover_rl.algos.evaluation.evaluate import evaluate
+from rover_rl.algos.evaluation.evaluate import environment_for, evaluate
 from rover_rl.algos.evaluation.metrics import count_reversals
 from rover_rl.algos.pretrained import load_pretrained
-from rover_rl.envs.control import HeadingGains
+from rover_rl.envs.config import HeadingGains
 from rover_rl.files import write_json
 from rover_rl.sims.base import Dynamics, RoverState
 from rover_rl.sims.bullet.lidar import Lidar
@@ -160,12 +160,14 @@ class Options:
 def measure(policy: str, count: int, seconds: float) -> dict[str, dict[str, float]]:
     """Evaluates a policy on the same episodes without and with the limits."""
     checkpoint = load_pretrained(policy)
-    actor, (world, *_) = checkpoint.make_actor(), checkpoint.config.worlds
+    actor, (world, *_) = checkpoint.make_actor(), checkpoint.env.world_names
     results = {}
     for name, limited in (("without limits", False), ("with limits", True)):
         settings = LagFree(limited)
         episodes = stored_episodes(world).first(count)
-        evaluation = evaluate(actor, episodes, rows=count, seconds=seconds, backend=settings)
+        evaluation = evaluate(
+            actor, episodes, rows=count, seconds=seconds, env=replace(environment_for(actor, None), backend=settings)
+        )
         results[name] = {
             "success": evaluation.success_rate,
             "SPL": evaluation.metrics["spl"].value,

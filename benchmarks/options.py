@@ -1,4 +1,4 @@
-"""What ``python -m benchmarks`` is asked for."""
+"""Options of ``python -m benchmarks``."""
 
 from __future__ import annotations
 
@@ -9,34 +9,38 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Options:
-    """What to measure, and how long."""
+    """Options of the benchmarks.
+
+    Raises:
+        ValueError: for a number out of range.
+    """
 
     world: str = "inspect"
-    """World, by name."""
+    """Name of the world."""
     num_envs: tuple[int, ...] = (1, 16, 64, 256, 1024)
     """Numbers of rovers."""
     beams: tuple[int, ...] = (32, 128, 640)
-    """Lidar beams of a rover."""
+    """Numbers of lidar beams per rover."""
     rovers: int = 64
-    """Rovers where their number is not what is varied."""
+    """Number of rovers in benchmarks that do not vary it."""
     warp_rovers: int = 512
-    """Rovers of Warp's simulator beside Bullet's, which has ``rovers``."""
+    """Number of rovers for Warp's simulator. Bullet has ``rovers``."""
     warp_envs: int = 4096
-    """Rovers of Warp's whole environment."""
+    """Number of rovers for environments with Warp."""
     endurance: int = 10_000_000
-    """Random steps that Warp is to hold for."""
+    """Number of random steps of the endurance benchmark."""
     workers: int = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    """Processes where all cores are used."""
+    """Number of worker processes."""
     processes: tuple[int, ...] = ()
-    """Processes of peers, with a rover each; by default as many as rovers, and four a core."""
+    """Numbers of processes in the benchmark of peers, one rover each. Default: ``rovers``, and four per worker."""
     seconds: float = 4.0
-    """About how long each thing is measured, each time."""
+    """Approximate duration of each measurement, s."""
     rounds: int = 5
-    """Times that two things are measured in turn, where their ratio is wanted; the median counts."""
+    """Number of alternating measurements for a ratio, whose median is reported."""
     minutes: float = 1.0
-    """Wall clock of each training."""
+    """Duration of each training in minutes."""
     out: Path = Path("runs/bench")
-    """Folder to write to."""
+    """Output folder."""
 
     def __post_init__(self) -> None:
         for name in ("rovers", "warp_rovers", "warp_envs", "workers", "rounds"):

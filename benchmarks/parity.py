@@ -19,7 +19,7 @@ from torch import Tensor
 
 from benchmarks.coulomb import steady_motion
 from benchmarks.options import Options
-from benchmarks.physics import NUDGE, SECONDS, STEPS_PER_SECOND, Drive, grounds
+from benchmarks.physics import NUDGE, SECONDS, STEPS_PER_SECOND, Trajectories, grounds
 from rover_rl.sims import Backend, make_simulator
 from rover_rl.sims.bullet import BulletSettings
 from rover_rl.sims.robots import get_robot
@@ -48,7 +48,7 @@ class Scene:
     starts: Tensor
     commands: Tensor
 
-    def simulate(self, settings: Backend, nudge: float = 0.0) -> Drive:
+    def simulate(self, settings: Backend, nudge: float = 0.0) -> Trajectories:
         """Simulates the scene, with starts shifted by ``nudge`` (m) along x, and returns the trajectories."""
         count = len(self.starts)
         robot = get_robot("rover_zero")
@@ -56,7 +56,7 @@ class Scene:
         simulator.reset(torch.ones(count, dtype=torch.bool), self.starts + torch.tensor((nudge, 0.0, 0.0)))
         states = [simulator.step(command) for command in self.commands for _ in range(STEPS_PER_SECOND)]
         simulator.close()
-        return Drive(
+        return Trajectories(
             torch.stack([state.position for state in states]),
             torch.stack([quaternion_to_euler(state.orientation) for state in states]),
         )
@@ -101,9 +101,9 @@ def _ridge(height: float) -> World:
     return World("ridge", Terrain(heights, 0.25))
 
 
-def rolled_over(drive: Drive) -> float:
+def rolled_over(trajectories: Trajectories) -> float:
     """Share of the rovers that roll over."""
-    return (drive.euler[..., :2].abs() > ROLLOVER_ANGLE).any(0).any(-1).float().mean().item()
+    return (trajectories.euler[..., :2].abs() > ROLLOVER_ANGLE).any(0).any(-1).float().mean().item()
 
 
 def measure(options: Options) -> dict[str, Any]:
@@ -112,9 +112,9 @@ def measure(options: Options) -> dict[str, Any]:
     for name, scene in scenes(options.rovers).items():
         bullet = scene.simulate(BulletSettings())
         nudged, warp = scene.simulate(BulletSettings(), NUDGE), scene.simulate(WarpSettings())
-        for pair, drive in (("Bullet, start shifted by 1 mm", nudged), ("Warp", warp)):
-            row = {"scene": name, "pair": pair, **drive.distance(bullet)}
-            rows.append(row | {"rolled_over": rolled_over(drive), "rolled_over_in_bullet": rolled_over(bullet)})
+        for pair, trajectories in (("Bullet, start shifted by 1 mm", nudged), ("Warp", warp)):
+            row = {"scene": name, "pair": pair, **trajectories.difference(bullet)}
+            rows.append(row | {"rolled_over": rolled_over(trajectories), "rolled_over_in_bullet": rolled_over(bullet)})
     return {"scenes": rows, "spins": [_steady_turn(*command) for command in TURNS]}
 
 

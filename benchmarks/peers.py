@@ -1,4 +1,4 @@
-"""The same rover, physics and beams as people drive them today: a process and a PyBullet client for each rover."""
+"""Speed compared with common setups: a process and a PyBullet client for each rover, with equal physics and beams."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from benchmarks.ratios import paired
 
 BEAMS = 128
 PROCESS_BYTES = 2**28
-"""Memory that a process of a peer takes: one that does not fit is left out, before the system ends something."""
+"""Memory of a process of a peer, bytes. Measurements that do not fit into memory are skipped."""
 
 
 @contextmanager
@@ -97,8 +97,8 @@ def _actions(count: int) -> Iterator[np.ndarray]:
 
 
 def measure(options: Options) -> list[dict[str, Any]]:
-    """Ours with all workers beside each peer, with four processes a core and with as many as rovers."""
-    # Read once, and shared by all processes.
+    """Measures rollouts with all workers alternately with each peer and number of processes. Returns a row for each."""
+    # Imported once and shared by all processes.
     multiprocessing.set_forkserver_preload([__name__])
     counts = options.processes or sorted({4 * options.workers, options.rovers})
     rows = []
@@ -115,8 +115,10 @@ def measure(options: Options) -> list[dict[str, Any]]:
 
 
 def table(rows: list[dict[str, Any]]) -> Table:
-    """For the terminal."""
-    table = Table("peer", "processes", "its steps/s", "ours", "ratio", title="Beside a process for each rover")
+    """Formats the rows for the terminal."""
+    table = Table(
+        "peer", "processes", "steps/s of the peer", "rover_rl", "ratio", title="Compared with a process for each rover"
+    )
     for row in rows:
         if "median" not in row:
             table.add_row(row["peer"], str(row["processes"]), "not enough memory")

@@ -1,4 +1,4 @@
-"""The picture of what ``python -m benchmarks`` measured."""
+"""Plot of the results of ``python -m benchmarks``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rover_rl.files import written_whole
 
 
 def draw(results: dict[str, Any], path: Path) -> None:
-    """Draws the parts that are there: speed against rovers, the parts of a step, and ours beside peers."""
+    """Draws a panel for each result that has one: speed of rollouts, comparison with peers, and training."""
     panels = {name: panel for name, panel in PANELS.items() if name in results}
     if not panels:
         return
@@ -42,13 +42,13 @@ def _speed(ax: Axes, rows: list[dict[str, Any]]) -> None:
     ax.legend(frameon=False)
 
 
-def _beside_peers(ax: Axes, rows: list[dict[str, Any]]) -> None:
+def _peers(ax: Axes, rows: list[dict[str, Any]]) -> None:
     rows = [row for row in rows if "median" in row]
     names = [f"{row['peer']},\n{row['processes']} processes" for row in rows]
     ax.barh(names, [row["median"] for row in rows], color=BLUE)
     ax.axvline(1, color=GREY, linewidth=1)
     ax.invert_yaxis()
-    ax.set(title="times as many steps as", xlim=(0, None))
+    ax.set(title="speedup of rover_rl over", xlim=(0, None))
 
 
 def _training(ax: Axes, rows: list[dict[str, Any]]) -> None:
@@ -59,4 +59,5 @@ def _training(ax: Axes, rows: list[dict[str, Any]]) -> None:
     ax.set(title="steps/s in training", xlim=(0, None))
 
 
-PANELS = {"rollouts": _speed, "peers": _beside_peers, "training": _training}
+PANELS = {"rollouts": _speed, "peers": _peers, "training": _training}
+"""Functions that draw a panel, by the name of the benchmark."""

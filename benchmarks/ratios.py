@@ -1,4 +1,4 @@
-"""Two things measured in turn in one run, so that what disturbs one disturbs the other, too."""
+"""Ratios of speeds, measured alternately in one run, so that other load affects both alike."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Ratio:
-    """How much faster one thing is than another.
+    """Ratio of two speeds.
 
     Attributes:
-        rate, other: median steps per second of each.
-        median, least, most: of the ratios of the pairs.
+        rate: median steps per second of the first.
+        other: median steps per second of the second.
+        median: median of the ratios of the pairs.
+        least: smallest ratio.
+        most: largest ratio.
     """
 
     rate: float
@@ -25,7 +28,14 @@ class Ratio:
 
 
 def paired(one: Callable[[], int], other: Callable[[], int], seconds: float, rounds: int) -> Ratio:
-    """The speed of ``one`` beside that of ``other``; each does some steps when called, and returns how many."""
+    """Measures two functions alternately.
+
+    Args:
+        one: function that takes some steps and returns their number.
+        other: function that ``one`` is compared with.
+        seconds: approximate duration of each measurement, s.
+        rounds: number of pairs of measurements.
+    """
     one(), other()
     pairs = [(rate(one, seconds), rate(other, seconds)) for _ in range(rounds)]
     ratios = [a / b for a, b in pairs]
@@ -39,7 +49,7 @@ def paired(one: Callable[[], int], other: Callable[[], int], seconds: float, rou
 
 
 def rate(work: Callable[[], int], seconds: float) -> float:
-    """Steps per second of ``work`` over about ``seconds``."""
+    """Calls ``work`` for about ``seconds``. Returns the steps per second."""
     steps, begin = 0, time.perf_counter()
     while True:
         steps += work()

@@ -1,11 +1,11 @@
-"""The README's table and learning curves: trains every policy of the package anew, with several seeds, and measures it.
+"""Table and learning curves of the README: trains the policies of the package with several seeds, and evaluates them.
 
     python benchmarks/results.py --policies inspect-ppo moon-sac --seeds 0 1 2
 
-Each has the settings that the package's policy was trained with, and the whole machine to itself; when all are trained,
-they are measured side by side. Everything is in ``runs/results/``: a run's folder for each, with ``evaluation.json``
-and ``paths.png``, and for all of them ``results.md``, ``results.json`` and ``learning_curves.png``. Started anew, it
-goes on: a run that is complete is not trained again, and one that was measured is not measured again.
+Each training has the settings of the package's policy and uses the whole machine. Evaluations run in parallel at the
+end. Writes a folder for each run to ``runs/results/``, with ``evaluation.json`` and ``paths.png``, and for all runs
+``results.md``, ``results.json`` and ``learning_curves.png``. A second call continues: it repeats no complete training
+or evaluation.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from __future__ import annotations
 import json
 import statistics
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import tyro
 
-from rover_rl.algos.config import ENDLESS, TrainingConfig, run_config
+from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, with_settings
+from rover_rl.algos.config_files import run_config
 from rover_rl.algos.evaluation.cores import over_cores
 from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes, stored_episodes
 from rover_rl.algos.evaluation.evaluate import EndlessEvaluation, Evaluation, evaluate, evaluate_endless
@@ -28,56 +29,60 @@ from rover_rl.algos.evaluation.plots import draw_learning_curve, draw_paths
 from rover_rl.algos.evaluation.report import write_evaluation
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.pretrained import load_pretrained, pretrained_names
+from rover_rl.algos.train import train
 from rover_rl.algos.train.progress import read_progress
-from rover_rl.cli.train import INTERRUPTED, told, train
 from rover_rl.files import write_json, written_whole
 
-ENOUGH = 0.9
-"""Success that a policy is asked for when it is told how many steps that took."""
+SUCCESS_THRESHOLD = 0.9
+"""Success rate whose number of training steps is reported."""
 OTHER_MAZES = ("maze:1", "maze:2", "maze:3")
-"""Which a policy of the maze has never seen."""
-QUICK = 128
-"""Episodes that are enough for snapshots and for other mazes."""
+"""Mazes that no policy was trained in."""
+FEW_EPISODES = 128
+"""Number of episodes for snapshots and other mazes."""
+INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
 
 
 @dataclass
 class Options:
-    """What to train and to measure."""
+    """Train the policies of the package with several seeds, and evaluate them."""
 
     policies: list[str] = field(default_factory=pretrained_names)
-    """Policies of the package to train anew."""
+    """Names of the policies of the package."""
     seeds: list[int] = field(default_factory=lambda: [0, 1, 2])
-    """Of weights, actions, starts and goals."""
+    """Seeds of weights, actions, starts and goals."""
     minutes: float | None = None
-    """Instead of the steps and the time that the package's policies were trained for."""
+    """Duration of each training in minutes. Default: the number of steps of the package's policy."""
     count: int = 256
-    """Stored episodes to drive."""
+    """Number of stored episodes."""
     seconds: float = 60.0
-    """Time in which a goal has to be reached."""
+    """Time limit of an episode, s."""
     endless: int = 32
-    """Episodes of 2,000 steps with goals without end to drive, with the jam ending and without."""
+    """Number of episodes in endless mode, with the jam ending and without."""
     runs: Path = Path("runs/results")
-    """Folder to write to."""
+    """Output folder."""
 
 
 def settings(name: str, seed: int, options: Options) -> TrainingConfig:
-    """Those of a policy of the package, with another seed."""
+    """Settings of a policy of the package, with another seed."""
     config = load_pretrained(name).config
-    config = replace(config, seed=seed, name=f"{name}-{seed}", runs=str(options.runs))
-    config = replace(config, workers=None)
-    return config if options.minutes is None else replace(config, max_minutes=options.minutes, total_steps=ENDLESS)
+    config = with_settings(config, seed=seed, name=f"{name}-{seed}", runs=str(options.runs), workers=None)
+    if options.minutes is None:
+        return config
+    return with_settings(config, max_minutes=options.minutes, total_steps=UNLIMITED_STEPS)
 
 
 def trained(config: TrainingConfig, folder: Path) -> bool:
-    """Trains, or goes on with a training, unless it is complete; whether it came to its end."""
+    """Trains, or continues a training, unless it is complete. Returns whether it is complete now."""
     begun = (folder / "config.yaml").is_file()
     summary = train(run_config(folder) if begun else config, folder if begun else None)
-    print(f"{folder.name}: {told(summary)}", flush=True)
+    state = "interrupted" if summary.interrupted else "trained"
+    print(f"{folder.name}: {state} after {summary.steps:,} steps in {summary.minutes:.1f} minutes", flush=True)
     return not summary.interrupted
 
 
 def measured(folder: Path, options: Options) -> dict[str, Any]:
-    """What a run came to; kept in its folder."""
+    """Results of a run, from its folder if it has been evaluated before."""
     path = folder / "results.json"
     if not path.is_file():
         write_json(path, _measure(folder, options))
@@ -86,20 +91,20 @@ def measured(folder: Path, options: Options) -> dict[str, Any]:
 
 def _measure(folder: Path, options: Options) -> dict[str, Any]:
     checkpoint = Checkpoint.load(folder)
-    actor, world = checkpoint.make_actor(), checkpoint.config.world
+    actor, (world, *_) = checkpoint.make_actor(), checkpoint.env.world_names
     drive = partial(evaluate, seconds=options.seconds)
     driven = drive(actor, stored_episodes(world).first(options.count), name=folder.name)
-    # The original tells how many goals it reaches in inspect alone.
+    # The original reports the number of goals for inspect only.
     jams = (True, False) if world == "inspect" else ()
     endless = {jam: evaluate_endless(actor, world, name=folder.name, jam=jam, rows=options.endless) for jam in jams}
     write_evaluation(folder / "evaluation.json", [driven, *endless.values()])
     draw_paths([driven], folder / "paths.png")
-    quick = min(options.count, QUICK)
+    quick = min(options.count, FEW_EPISODES)
     others = OTHER_MAZES if world == "maze" else ()
     return {
         "minutes": read_progress(folder / "progress.csv")["minutes"][-1],
         "steps": checkpoint.steps,
-        f"steps to {ENOUGH:.0%}": _steps_to_enough(folder, stored_episodes(world).first(quick), drive),
+        f"steps to {SUCCESS_THRESHOLD:.0%}": _steps_to_enough(folder, stored_episodes(world).first(quick), drive),
         "SR": driven.success_rate,
         "SPL": driven.metrics["spl"].value,
         "MTT, s": driven.metrics["mean_time_to_traverse"].value,
@@ -121,9 +126,10 @@ def _failures(endings: list[str]) -> dict[str, float]:
 
 
 def _steps_to_enough(folder: Path, episodes: EpisodeSet, drive: Callable[..., Evaluation]) -> int | None:
-    """Steps after which the first snapshot reached 90 %, ``None`` if none did.
+    """Number of steps of the first snapshot with a success rate of 90 %; ``None`` if there is none.
 
-    Those from before half of the training's own episodes reached their goal are not driven: it would take long.
+    To save time, snapshots are only evaluated if at least half of the training episodes since the last snapshot reached
+    a goal.
     """
     progress, before = read_progress(folder / "progress.csv"), 0
     for path in sorted((folder / "snapshots").glob("*.pt")):
@@ -131,13 +137,13 @@ def _steps_to_enough(folder: Path, episodes: EpisodeSet, drive: Callable[..., Ev
         rows = [row for row, steps in enumerate(progress["steps"]) if before < steps <= snapshot.steps]
         before = snapshot.steps
         ended, reached = (sum(progress[key][row] for row in rows) for key in ("episodes", "episodes_reached"))
-        if reached >= ended / 2 and drive(snapshot.make_actor(), episodes).success_rate >= ENOUGH:
+        if reached >= ended / 2 and drive(snapshot.make_actor(), episodes).success_rate >= SUCCESS_THRESHOLD:
             return snapshot.steps
     return None
 
 
 def table(results: dict[str, dict[str, Any]]) -> str:
-    """Markdown: a column a policy, with the mean over its seeds, and the least and the most of them."""
+    """Markdown table with a column for each policy: mean, minimum and maximum over its seeds."""
     policies: dict[str, list[dict[str, Any]]] = {}
     for name, result in results.items():
         policies.setdefault(name.rsplit("-", 1)[0], []).append(result)
@@ -150,22 +156,22 @@ def table(results: dict[str, dict[str, Any]]) -> str:
 def _cell(row: str, seeds: list[dict[str, Any]]) -> str:
     if not any(row in seed for seed in seeds):
         return ""
-    # A kind of failure that a seed does not have is not written down.
+    # A seed lists only the failures that occurred.
     values = [seed.get(row, 0.0) for seed in seeds]
     known = [value for value in values if value is not None]
     if not known:
         return "never"
-    mean, least, most = map(_told, (statistics.mean(known), min(known), max(known)))
+    mean, least, most = map(_format, (statistics.mean(known), min(known), max(known)))
     never = f", {len(values) - len(known)} never" if len(known) < len(values) else ""
     return f"{mean} ({least} to {most}{never})" if len(values) > 1 else mean
 
 
-def _told(value: float) -> str:
+def _format(value: float) -> str:
     return f"{value:,.0f}" if value >= 1000 else f"{value:.3g}"
 
 
 def main(options: Options) -> int:
-    """Trains, measures, and tells."""
+    """Trains and evaluates all policies, writes the results and prints the table."""
     folders = []
     for seed in options.seeds:
         for name in options.policies:

@@ -21,7 +21,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl import RoverEnv
 from rover_rl.algos.evaluation.episodes import stored_episodes
-from rover_rl.algos.evaluation.evaluate import Policy, evaluate
+from rover_rl.algos.evaluation.evaluate import Policy, environment_for, evaluate
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.pretrained import load_pretrained, pretrained_names
@@ -83,7 +83,7 @@ def success(policy: Policy, world: str, options: Options) -> dict[str, Any]:
     episodes = stored_episodes(world).first(options.count)
     bullet = evaluate(policy, episodes)
     with robot(world, options.rate):
-        ros2 = evaluate(policy, episodes, rows=1, backend=LIVE)
+        ros2 = evaluate(policy, episodes, rows=1, env=replace(environment_for(policy, None), backend=LIVE))
     return {
         "episodes": len(episodes.start),
         "success, bullet": bullet.success_rate,
@@ -132,7 +132,7 @@ def main(options: Options) -> None:
     os.environ |= {"ROS_DOMAIN_ID": str(random.SystemRandom().randint(1, 99)), "ROS_LOCALHOST_ONLY": "1"}
     name = options.policy
     checkpoint = load_pretrained(name) if name in pretrained_names() else Checkpoint.load(name)
-    policy, world = checkpoint.make_actor(), checkpoint.config.worlds[0]
+    policy, world = checkpoint.make_actor(), checkpoint.env.world_names[0]
     results = latency(policy, world, options.seconds) | backend_cpu(world, options.seconds)
     results |= success(policy, world, options)
     write_json(options.out / "ros2.json", {"policy": name, "rate": options.rate, **results})

@@ -1,4 +1,4 @@
-"""How many steps a second training takes in, beside Stable-Baselines3's on our Gymnasium class."""
+"""Steps per second of training, compared with Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from benchmarks.options import Options
 
 
 def measure(options: Options) -> list[dict[str, Any]]:
-    """PPO and SAC: ours, SB3's with all rovers as one VecEnv, and with a process for each."""
+    """Trains PPO and SAC with each of :data:`against_sb3.CONTENDERS`. Returns a row for each."""
     rows = []
     for algo in ("ppo", "sac"):
         for name, train in against_sb3.CONTENDERS.items():
@@ -27,8 +27,8 @@ def measure(options: Options) -> list[dict[str, Any]]:
 
 
 def table(rows: list[dict[str, Any]]) -> Table:
-    """For the terminal."""
-    table = Table("algorithm", "who", "steps/s", "ours beside it", title="Training, end to end")
+    """Formats the rows for the terminal."""
+    table = Table("algorithm", "training", "steps/s", "speedup of rover_rl", title="Training, end to end")
     ours = {row["algo"]: row["steps_per_s"] for row in rows if row["name"] == "rover_rl"}
     for row in rows:
         ratio = ours[row["algo"]] / row["steps_per_s"]

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from rover_rl.algos.config import SACConfig, read_config
+from rover_rl.algos.config import SACConfig
+from rover_rl.algos.config_files import read_config
 from rover_rl.cli import main
 from tests.full_disk import largest_file
 
@@ -27,7 +28,7 @@ def test_help_shows_units_and_defaults(capsys: pytest.CaptureFixture[str]) -> No
         main(["train", "--help"])
     assert stop.value.code == 0
     text = capsys.readouterr().out
-    for expected in ("--world", "--num-envs", "default: 64", "--max-minutes", "Steps to train for"):
+    for expected in ("--world", "--num-envs", "default: 64", "--max-minutes", "Number of steps to train for"):
         assert expected in text
 
 
@@ -52,17 +53,20 @@ NAMES = "use one of ['train', 'evaluate', 'film', 'worlds', 'demo', 'robot', 'dr
         ("", f"a command is missing; {NAMES}"),
         ("trian --seed 1", f"unknown command 'trian'; {NAMES}"),
         ("--seed 1 train", f"options come after a command, and --seed stands before any; {NAMES}"),
-        ("train --sped 3", "unknown option --sped, perhaps --spread; see rover-rl train --help"),
+        ("train --sped 3", "unknown option --sped, perhaps --seed; see rover-rl train --help"),
         ("film x --sped=3", "unknown option --sped, perhaps --speed; see rover-rl film --help"),
         ("robot --zzzzzz 1", "unknown option --zzzzzz; see rover-rl robot --help"),
         ("train --algo sac --lmbda 0.9", "unknown option --lmbda; see rover-rl train --help"),
+        ("train --lidar.pints 3", "unknown option --lidar.pints, perhaps --lidar.points; see rover-rl train --help"),
+        ("train --lidar.points x", "--lidar.points takes INT, got x; see rover-rl train --help"),
+        ("train --max-st 1", "unknown option --max-st, perhaps --max-std; see rover-rl train --help"),
         ("train more", "unexpected argument 'more'; see rover-rl train --help"),
         ("export one two", "unexpected argument 'two'; see rover-rl export --help"),
-        ("train --seed abc", "--seed takes INT, got abc; see rover-rl train --help"),
-        ("train --seed=1.5", "--seed takes INT, got 1.5; see rover-rl train --help"),
+        ("train --seed abc", "--seed takes {None}|INT, got abc; see rover-rl train --help"),
+        ("train --seed=1.5", "--seed takes {None}|INT, got 1.5; see rover-rl train --help"),
         ("train --learning_rate fast", "--learning-rate takes FLOAT, got fast; see rover-rl train --help"),
-        ("train --seed", "--seed takes INT, got nothing; see rover-rl train --help"),
-        ("train --seed --epochs 1", "--seed takes INT, got nothing; see rover-rl train --help"),
+        ("train --seed", "--seed takes {None}|INT, got nothing; see rover-rl train --help"),
+        ("train --seed --epochs 1", "--seed takes {None}|INT, got nothing; see rover-rl train --help"),
         ("train --resume", "--resume takes {None}|PATH, got nothing; see rover-rl train --help"),
         ("train --workers two", "--workers takes {None}|INT, got two; see rover-rl train --help"),
         ("train --hidden 8 x", "--hidden takes [INT [INT ...]], got 8 x; see rover-rl train --help"),
@@ -184,7 +188,7 @@ def test_too_little_memory_is_told_in_one_line(capsys: pytest.CaptureFixture[str
     assert "not enough memory" in failed(capsys, "train", "--hidden", 10**12)
 
 
-SIZE = ["--num-envs", "4", "--workers", "1", "--decisions", "8", "--total-steps", "128"]
+SIZE = ["--num-envs", "4", "--workers", "1", "--rollout-length", "8", "--total-steps", "128"]
 
 
 def test_train_go_on_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -223,8 +227,10 @@ def test_settings_come_from_a_file_and_options_go_first(capsys: pytest.CaptureFi
     runs = ["--runs", str(tmp_path), "--name", "run"]
     assert main(["train", "--config", str(tmp_path / "mine.yaml"), *runs, *SIZE, "--gradient-steps", "1"]) == 0
     config = read_config(tmp_path / "run" / "config.yaml")
-    assert isinstance(config, SACConfig)
-    assert (config.world, config.hidden, config.num_envs, config.gradient_steps) == ("moon", (16,), 4, 1)
+    assert isinstance(config.algorithm, SACConfig)
+    assert config.algorithm.learning_starts == 16
+    parts = (config.env.world, config.network.hidden, config.env.num_envs, config.algorithm.gradient_steps)
+    assert parts == ("moon", (16,), 4, 1)
     capsys.readouterr()
     assert "--algo is ppo" in failed(capsys, "train", "--config", tmp_path / "mine.yaml", "--algo", "ppo")
     assert "give one of them" in failed(capsys, "train", "--config", tmp_path / "mine.yaml", "--resume", tmp_path)
@@ -235,7 +241,7 @@ def test_settings_come_from_a_file_and_options_go_first(capsys: pytest.CaptureFi
 def test_settings_can_be_those_of_a_pretrained_policy(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     given = ["--config", "pretrained:maze-ppo", "--runs", str(tmp_path), *SIZE, "--max-minutes", "1e-6"]
     assert main(["train", *given]) == 0
-    assert (read_config(tmp_path / "ppo-maze" / "config.yaml").world) == "maze"
+    assert read_config(tmp_path / "ppo-maze" / "config.yaml").env.world == "maze"
     capsys.readouterr()
     assert "no pretrained policy 'mars-ppo'" in failed(capsys, "train", "--config", "pretrained:mars-ppo")
 

@@ -86,7 +86,7 @@ def _unknown_option(unknown: Sequence[str], help_text: str) -> str:
     options = [argument.split("=")[0] for argument in unknown if argument.startswith("-")]
     if not options:
         return f"unexpected argument {unknown[0]!r}"
-    similar = get_close_matches(options[0], re.findall(r"--[a-z][a-z-]*", help_text), n=1)
+    similar = get_close_matches(options[0], re.findall(r"--[a-z](?:[a-z.-]*[a-z])?", help_text), n=1)
     return f"unknown option {options[0]}" + (f", perhaps {similar[0]}" if similar else "")
 
 
@@ -99,8 +99,9 @@ def _error_sentence(tyro_error: str, help_text: str, args: Sequence[str]) -> str
     _, *paragraphs = re.split(r"[─-]{3,}", tyro_error)
     paragraph = " ".join((paragraphs[0] if paragraphs else tyro_error).split())
     given = _values(args)
-    for option in re.findall(r"--[\w-]+", paragraph):
-        expected = re.search(rf"^ {{0,4}}{option} ([\[{{A-Z].*?)(?:\s{{2,}}|$)", help_text, re.MULTILINE)
+    for option in re.findall(r"--[\w.-]*\w", paragraph):
+        takes = rf"^ {{0,4}}{re.escape(option)} ([\[{{A-Z].*?)(?:\s{{2,}}|$)"
+        expected = re.search(takes, help_text, re.MULTILINE)
         if option in given and expected:
             return f"{option} takes {expected[1]}, got {' '.join(given[option]) or 'nothing'}"
     return re.sub(r"^Missing from \S+ (\S+): \S+ (.*?)( \(required\))?$", r"\1 needs: \2", paragraph).rstrip(".")

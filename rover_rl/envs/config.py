@@ -349,7 +349,7 @@ def require_match(made_for: EnvConfig, env: EnvConfig) -> None:
     pairs = {
         "lidar points": (made_for.lidar.points, env.lidar.points),
         "a lidar range of (m)": (made_for.lidar.max_range, env.lidar.max_range),
-        "the robot": (name_of_part(made_for.robot), name_of_part(env.robot)),
+        "the robot": _robots(made_for.robot, env.robot),
         "actions of (min_speed, max_speed, max_turn)": (_values(made_for.action), _values(env.action)),
         "heading gains of (kp, ki, kd, max_output)": (_values(made_for.heading_gains), _values(env.heading_gains)),
     }
@@ -361,6 +361,18 @@ def require_match(made_for: EnvConfig, env: EnvConfig) -> None:
 def name_of_part(part: Any) -> str:
     """Returns the name of a world or robot, which is either a name or an object."""
     return part if isinstance(part, str) else part.name
+
+
+def _robots(made_for: RobotLike, given: RobotLike) -> tuple[str, str]:
+    """Returns the names of two robots: different ones if the robots differ, equal ones if they are the same."""
+    names = name_of_part(made_for), name_of_part(given)
+    if isinstance(made_for, str) and isinstance(given, str):
+        return names
+    from rover_rl.sims.robots import get_robot
+
+    if get_robot(made_for) == get_robot(given):
+        return names[0], names[0]
+    return names if names[0] != names[1] else (names[0], f"another robot of the name {names[1]}")
 
 
 def _values(part: Any) -> tuple[float, ...]:

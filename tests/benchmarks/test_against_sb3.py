@@ -13,8 +13,9 @@ pytest.importorskip("stable_baselines3")
 from benchmarks import against_sb3
 from benchmarks.against_sb3 import Curve, Options, Point
 from rover_rl import make_env
-from rover_rl.algos.config import UNLIMITED_STEPS
+from rover_rl.algos.config import UNLIMITED_STEPS, with_settings
 from rover_rl.algos.policy.networks import ObservationEncoder, make_action_critic, make_actor, make_critic
+from rover_rl.envs.config import ActionConfig
 from rover_rl.envs.sb3 import SB3VecEnv
 
 
@@ -58,7 +59,7 @@ def test_sb3_gets_networks_of_the_same_size(models):
 def test_sb3_sees_what_ours_sees(models):
     sac, ppo = models["sac"], models["ppo"]
     observation = {key: torch.as_tensor(value) for key, value in ppo.env.reset().items()}
-    keys = settings("sac").observation
+    keys = settings("sac").network.observation
     expected = ObservationEncoder(keys)(*(observation[key] for key in keys))
     for owner in (sac.actor, sac.critic, ppo.policy):
         assert torch.equal(owner.extract_features(observation, owner.features_extractor), expected)
@@ -85,10 +86,10 @@ def test_rewards_and_actions_are_scaled_and_an_action_is_held():
     rows.reset()
     _, rewards, _, _ = rows.step(np.full((2, 2), 0.5, np.float32))
     now, total = plain.reset(), torch.zeros(2, 1)
-    for _ in range(config.repeat):
+    for _ in range(config.collection.action_repeat):
         now = plain.step(now.set("action", torch.tensor([[0.5, 0.5 * np.pi]] * 2)))["next"]
         total += now["reward"]
-    np.testing.assert_allclose(rewards, config.reward_scale * total.squeeze(-1).numpy(), rtol=1e-5)
+    np.testing.assert_allclose(rewards, config.algorithm.reward_scale * total.squeeze(-1).numpy(), rtol=1e-5)
     rows.close()
     plain.close()
 
@@ -98,7 +99,7 @@ def test_a_time_limit_is_told_to_sb3():
     rows = batch(config)
     rows.reset()
     ends = []
-    for _ in range(config.episode_steps // config.repeat):
+    for _ in range(config.env.length // config.collection.action_repeat):
         _, _, ended, infos = rows.step(np.zeros((2, 2), np.float32))
         ends += [info["TimeLimit.truncated"] for info, end in zip(infos, ended, strict=True) if end]
     assert ends
@@ -116,15 +117,15 @@ def test_sb3_takes_gradient_steps_and_is_stopped_by_the_clock():
     rows.close()
     assert clock.share == 1
     assert clock.learning_rate(1.0) == 0
-    assert len(clock.snapshots) == config.snapshots
-    assert clock.snapshots[-1].steps == model.num_timesteps * config.repeat
+    assert len(clock.snapshots) == config.run.snapshots
+    assert clock.snapshots[-1].steps == model.num_timesteps * config.collection.action_repeat
     assert any((a != b).any() for a, b in zip(before, model.actor.parameters(), strict=True))
 
 
-@pytest.mark.parametrize(("reverse", "slowest"), [(True, -1.0), (False, 0.0)])
-def test_a_policy_of_sb3_drives_without_exploration(models, reverse, slowest):
+@pytest.mark.parametrize("slowest", [-1.0, 0.0])
+def test_a_policy_of_sb3_drives_without_exploration(models, slowest):
     for model in models.values():
-        policy = against_sb3.policy_of_sb3(model.policy, reverse)
+        policy = against_sb3.policy_of_sb3(model.policy, ActionConfig(min_speed=slowest))
         observation = {key: torch.as_tensor(value) for key, value in models["ppo"].env.reset().items()}
         now = TensorDict(observation, batch_size=[2])
         scaled, _ = model.predict({key: value.numpy() for key, value in observation.items()}, deterministic=True)

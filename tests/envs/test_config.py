@@ -147,6 +147,16 @@ def test_other_worlds_rewards_and_simulators_match() -> None:
     require_match(EnvConfig(robot=get_robot("rover_zero")), EnvConfig())
 
 
+def test_robots_are_compared_by_their_parameters() -> None:
+    robot = get_robot("rover_zero")
+    require_match(EnvConfig(robot="rover_zero"), EnvConfig(robot=robot))
+    require_match(EnvConfig(robot=robot), EnvConfig(robot=replace(robot)))
+    with pytest.raises(
+        ValueError, match="the robot rover_zero, and the environment has another robot of the name rover_zero"
+    ):
+        require_match(EnvConfig(robot=robot), EnvConfig(robot=replace(robot, lidar_range=6.0)))
+
+
 def test_a_description_needs_no_pytorch() -> None:
     code = "import sys; from rover_rl.envs.config import EnvConfig; EnvConfig(); assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,4 +1,4 @@
-"""What test_accelerator.py has done in a process of its own: the same on the CPU and on a pretended accelerator."""
+"""Steps and updates on the CPU and on a simulated accelerator, which test_accelerator.py compares."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ WORLDS = ("maze", "maze:1")
 
 
 class SlidingBackend:
-    """Rovers that slide as they are told, through everything, on any device."""
+    """Rovers that follow their commands exactly, without collisions, on any device."""
 
     def make(
         self,
@@ -91,7 +91,7 @@ LEARNERS = {
 
 
 def on_both() -> dict[str, Any]:
-    """What is seen and learned on the CPU and on an accelerator, and what made the host wait for that in steps."""
+    """Observations and updates on the CPU and on an accelerator, and the operations of a step that wait for it."""
     with accelerator() as on:
         there, looks = _stepped(on)
         found: dict[str, Any] = {"steps": (there, _stepped(None)[0]), "looks": looks}
@@ -101,9 +101,9 @@ def on_both() -> dict[str, Any]:
 
 
 def _stepped(on: Accelerator | None) -> tuple[list[dict[str, Tensor]], list[str]]:
-    """Observations, rewards and outcomes along the way, and the looks of all steps but the first.
+    """Observations, rewards and outcomes of each step, and the operations that waited for the accelerator.
 
-    In that TorchRL looks at its specs.
+    The first step is left out, in which TorchRL reads its specs.
     """
     env = _env(on)
     td = env.reset()
@@ -121,7 +121,7 @@ def _stepped(on: Accelerator | None) -> tuple[list[dict[str, Tensor]], list[str]
 
 
 def _learned(on: Accelerator | None, config: TrainingConfig) -> tuple[dict[str, float], dict[str, Tensor]]:
-    """What is told of the second update, and the weights after it."""
+    """Statistics of the second update, and the weights after it."""
     device = "cpu" if on is None else str(on.device)
     config = with_settings(
         config,

@@ -1,7 +1,6 @@
-"""Nothing of the task and of the learners is left on the CPU when they are on a GPU, and nothing of ours waits for it.
+"""On an accelerator, the task and the learners keep all tensors there, and no step waits for it.
 
-There needs not be one: PyTorch is given a device that only pretends to be elsewhere. Real ones are in
-tests/sims/warp/test_gpu.py.
+PyTorch gets a simulated device, so that no GPU is needed. Tests on a real one are in tests/sims/warp/test_gpu.py.
 """
 
 from __future__ import annotations
@@ -18,12 +17,12 @@ from tests.algos.train.accelerated import LEARNERS, on_both
 
 @pytest.fixture(scope="module")
 def found() -> dict[str, Any]:
-    # In a process of its own: PyTorch has such a device once and for all.
+    # In a separate process, because such a device cannot be removed from PyTorch.
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         return pool.submit(on_both).result()
 
 
-def test_an_environment_drives_there_as_on_the_cpu(found: dict[str, Any]) -> None:
+def test_an_environment_steps_as_on_the_cpu(found: dict[str, Any]) -> None:
     there, here = found["steps"]
     for step, (a, b) in enumerate(zip(here, there, strict=True)):
         assert a.keys() == b.keys()
@@ -31,12 +30,12 @@ def test_an_environment_drives_there_as_on_the_cpu(found: dict[str, Any]) -> Non
             assert torch.equal(a[key], b[key]), (step, key)
 
 
-def test_a_step_waits_for_nothing(found: dict[str, Any]) -> None:
+def test_a_step_does_not_wait_for_the_accelerator(found: dict[str, Any]) -> None:
     assert found["looks"] == []
 
 
 @pytest.mark.parametrize("learner", LEARNERS)
-def test_a_learner_learns_there_what_it_does_on_the_cpu(learner: str, found: dict[str, Any]) -> None:
+def test_a_learner_learns_as_on_the_cpu(learner: str, found: dict[str, Any]) -> None:
     (told_there, weights_there), (told, weights) = found[learner]
     assert told["gradient_steps"] > 0
     assert told == told_there

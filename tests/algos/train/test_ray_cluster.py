@@ -13,16 +13,17 @@ from typing import Any
 import psutil
 import pytest
 
-from rover_rl.algos.config import UNLIMITED_STEPS, PPOConfig, TrainingConfig
-from rover_rl.algos.policy.checkpoint import Checkpoint, load_state
+from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, with_settings
+from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.train import train
 from rover_rl.algos.train.collectors import WorkerError
-from rover_rl.algos.train.ppo import PPOLearner, train_ppo
-from rover_rl.algos.train.progress import read_progress
-from rover_rl.algos.train.sac import train_sac
-from tests.algos import test_training
+from rover_rl.algos.train.ppo import PPOLearner
+from rover_rl.algos.train.run_folder import load_state
+from tests.algos.train import runs
+from tests.algos.train.runs import progress_of
 
-PPO = with_settings(test_training.PPO, backend="ray", workers=None)
-SAC = with_settings(test_training.SAC, backend="ray", workers=None)
+PPO = with_settings(runs.PPO, collector="ray", workers=None)
+SAC = with_settings(runs.SAC, collector="ray", workers=None)
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +31,7 @@ def cluster() -> Iterator[None]:
     ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'rover_rl[ray]'")
     from ray.cluster_utils import Cluster
 
-    # Ray lets other programs of the machine go first; with tests beside them its workers would hardly start.
+    # Ray gives its workers a low priority; beside other tests they would hardly start.
     os.environ["RAY_worker_niceness"] = "0"  # noqa: SIM112, as Ray spells it
     nodes = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
     nodes.add_node(num_cpus=1)
@@ -56,19 +57,19 @@ def _words(process: psutil.Process) -> list[str]:
 
 
 @pytest.mark.slow
-def test_ppo_takes_the_same_steps_as_at_home(cluster: None, tmp_path: Path) -> None:
-    summary = train_ppo(with_settings(PPO, runs=str(tmp_path)))
-    progress = read_progress(summary.folder / "progress.csv")
+def test_ppo_takes_the_same_steps_as_on_one_machine(cluster: None, tmp_path: Path) -> None:
+    summary = train(with_settings(PPO, runs=str(tmp_path)))
+    progress = progress_of(summary.folder)
     assert progress["steps"] == [128, 256, 384, 512]
     assert sum(summary.shares.values()) == pytest.approx(1)
-    # A processor of the cluster each.
+    # One worker per processor of the cluster.
     assert "workers: 2" in (summary.folder / "config.yaml").read_text()
     assert not remote_workers()
 
 
 @pytest.mark.slow
-def test_sac_learns_from_one_worker_while_the_other_drives(cluster: None, tmp_path: Path) -> None:
-    progress = read_progress(train_sac(with_settings(SAC, runs=str(tmp_path))).folder / "progress.csv")
+def test_sac_learns_from_one_worker_while_the_other_collects(cluster: None, tmp_path: Path) -> None:
+    progress = progress_of(train(with_settings(SAC, runs=str(tmp_path))).folder)
     assert progress["steps"] == list(range(16, 513, 16))
 
 
@@ -88,26 +89,25 @@ def test_a_worker_that_is_killed_ends_the_run_resumably(
 
     monkeypatch.setattr(PPOLearner, "update", killing)
     with pytest.raises(WorkerError, match="actor died"):
-        train_ppo(with_settings(PPO, total_steps=UNLIMITED_STEPS, runs=str(tmp_path), name="dying"))
+        train(with_settings(PPO, total_steps=UNLIMITED_STEPS, runs=str(tmp_path), name="dying"))
     folder = tmp_path / "dying"
     assert load_state(folder / "training_state.pt")["updates"] >= 3
     monkeypatch.undo()
     steps = Checkpoint.load(folder).steps
-    again = train_ppo(with_settings(PPO, total_steps=steps + 128, runs=str(tmp_path), name="dying"), folder)
+    again = train(with_settings(PPO, total_steps=steps + 128, runs=str(tmp_path), name="dying"), folder)
     assert again.steps == steps + 128
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("config", [PPO, SAC], ids=["ppo", "sac"])
-def test_more_workers_than_processors_are_refused(cluster: None, config: TrainingConfig, tmp_path: Path) -> None:
-    train = train_ppo if isinstance(config, PPOConfig) else train_sac
+def test_more_workers_than_processors_raise(cluster: None, config: TrainingConfig, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="workers=4 need a processor each, and the Ray cluster has 2"):
-        train(with_settings(config, workers=4, runs=str(tmp_path)))  # type: ignore[arg-type]
+        train(with_settings(config, workers=4, runs=str(tmp_path)))
     assert not list(tmp_path.iterdir())
 
 
-def test_without_ray_it_is_said_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_ray_the_error_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(ImportError, match=r'pip install "rover_rl\[ray\]"'):
-        train_ppo(with_settings(PPO, runs=str(tmp_path)))
+        train(with_settings(PPO, runs=str(tmp_path)))
     assert not list(tmp_path.iterdir())

@@ -21,13 +21,13 @@ pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
 import rover_rl
 from rover_rl import RoverEnv
 from rover_rl.algos.evaluation.episodes import stored_episodes
-from rover_rl.algos.evaluation.evaluate import evaluate
+from rover_rl.algos.evaluation.evaluate import environment_for, evaluate
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.sims.ros2 import RobotLostError, Ros2Settings
 from rover_rl.sims.ros2.dds import DdsTransport
 from rover_rl.sims.ros2.messages import Clock, Odometry, Twist, Vector3
 from tests.envs import transcription as contract
-from tests.envs.test_contract import check_witnessed, witness
+from tests.envs.contract.witness import check_witnessed, witness
 from tests.sims.ros2 import raw_payloads
 from tests.sims.ros2.processes import start_robot, until
 from tests.sims.ros2.raw_payloads import IGNORE_TYPES
@@ -113,7 +113,7 @@ def test_the_environment_fulfills_the_contract(with_robot):
 @pytest.mark.slow
 def test_a_policy_performs_as_in_bullet(with_robot):
     policy, episodes = load_pretrained("maze-ppo").make_actor(), stored_episodes("maze").first(2)
-    live = evaluate(policy, episodes, rows=1, backend=LIVE)
+    live = evaluate(policy, episodes, rows=1, env=replace(environment_for(policy, None), backend=LIVE))
     bullet = evaluate(policy, episodes)
     assert live.endings == bullet.endings == ["goal"] * 2
     for a, b in zip(live.trajectories, bullet.trajectories, strict=True):

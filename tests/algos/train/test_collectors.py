@@ -1,0 +1,69 @@
+"""Worker processes that collect data."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, with_settings
+from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.train import train
+from rover_rl.algos.train.collectors import WorkerError
+from rover_rl.algos.train.run_folder import load_state
+from tests.algos.train.runs import BOTH, LEARNERS, PPO, SAC, progress_of
+
+
+@pytest.mark.slow
+def test_two_workers_share_the_rovers(tmp_path: Path) -> None:
+    summary = train(with_settings(PPO, workers=2, runs=str(tmp_path)))
+    assert progress_of(summary.folder)["steps"][-1] == 512
+
+
+@pytest.mark.slow
+def test_sac_learns_from_one_worker_while_the_other_collects(tmp_path: Path) -> None:
+    progress = progress_of(train(with_settings(SAC, workers=2, runs=str(tmp_path))).folder)
+    # Each batch holds two decisions of the two rovers of one worker, followed by half of the gradient steps.
+    assert progress["steps"] == list(range(16, 513, 16))
+    assert progress["gradient_steps"] == [0.0] * 5 + [1.0] * 27
+
+
+@BOTH
+@pytest.mark.slow
+def test_a_crashed_worker_ends_the_run_with_a_checkpoint_and_its_output(
+    config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    learner = LEARNERS[config.algo]
+    update, calls = learner.update, []
+
+    def killing(self: Any, *args: Any) -> dict[str, float]:
+        calls.append(1)
+        if len(calls) == 3:
+            worker = next(child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline()))
+            worker.send_signal(signal.SIGSEGV)
+        return update(self, *args)
+
+    monkeypatch.setattr(learner, "update", killing)
+    with pytest.raises(WorkerError, match=r"(?s)exit code -11.*Fatal Python error: Segmentation fault"):
+        train(with_settings(config, workers=2, total_steps=UNLIMITED_STEPS, runs=str(tmp_path), name="dying"))
+    folder = tmp_path / "dying"
+    assert 3 <= load_state(folder / "training_state.pt")["updates"] == len(progress_of(folder)["updates"])
+    monkeypatch.setattr(learner, "update", update)
+    steps = Checkpoint.load(folder).steps
+    again = train(with_settings(config, workers=2, total_steps=steps + 128, runs=str(tmp_path), name="dying"), folder)
+    assert again.steps == steps + 128
+    assert not [child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline())]
+
+
+@BOTH
+@pytest.mark.slow
+def test_an_error_of_a_worker_is_reported(
+    config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The world is not checked before the workers start.
+    monkeypatch.setattr("rover_rl.algos.train.run.get_world", lambda name: None)
+    with pytest.raises((WorkerError, ValueError), match="unknown world 'mars'"):
+        train(with_settings(config, world="mars", workers=2, runs=str(tmp_path)))

@@ -1,0 +1,195 @@
+"""Stopped and killed runs continue where they were."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from rover_rl.algos.config import TrainingConfig, with_settings
+from rover_rl.algos.evaluation.evaluate import draw_episodes, evaluate
+from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.train import train
+from rover_rl.algos.train.run_folder import load_state, save_run
+from tests.algos.train.runs import BOTH, LEARNERS, PPO, SAC, equal, progress_of
+
+
+@BOTH
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_run_continues_where_it_was(
+    config: TrainingConfig, number: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = train(with_settings(config, runs=str(tmp_path), name="whole"))
+    handlers = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
+    learner = LEARNERS[config.algo]
+    update, calls = learner.update, []
+
+    def stopped(self: Any, *args: Any) -> dict[str, float]:
+        calls.append(1)
+        if len(calls) == 2:
+            os.kill(os.getpid(), number)
+        return update(self, *args)
+
+    monkeypatch.setattr(learner, "update", stopped)
+    first = train(with_settings(config, runs=str(tmp_path), name="stopped"))
+    assert first.interrupted
+    assert len(progress_of(first.folder)["updates"]) == 2
+    assert Checkpoint.load(first.checkpoint).steps == first.steps
+    second = train(with_settings(config, runs=str(tmp_path), name="stopped"), first.folder)
+    assert not second.interrupted
+    counters = ("updates", "steps", "gradient_steps", "learning_rate")
+    assert [progress_of(second.folder)[key] for key in counters] == [progress_of(whole.folder)[key] for key in counters]
+    assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == handlers
+
+
+@BOTH
+def test_the_learners_state_is_restored_exactly(config: TrainingConfig, tmp_path: Path) -> None:
+    folder = train(with_settings(config, runs=str(tmp_path))).folder
+    state = load_state(folder / "training_state.pt")
+    learner = LEARNERS[config.algo](config)
+    learner.load_state_dict(state["learner"])
+    assert equal(learner.state_dict(), state["learner"])
+    # A run that has used its budget is not continued.
+    again = train(with_settings(config, runs=str(tmp_path)), folder)
+    assert again.steps == 512
+    assert equal(load_state(folder / "training_state.pt")["learner"], state["learner"])
+
+
+def test_a_full_replay_buffer_continues_at_the_same_place(tmp_path: Path) -> None:
+    state = load_state(train(with_settings(SAC, runs=str(tmp_path))).folder / "training_state.pt")
+    # 128 decisions were written to 64 places.
+    assert len(state["learner"]["memory"]["action"]) == 64
+    assert state["learner"]["cursor"] == 0
+
+
+def test_a_state_of_other_settings_raises(tmp_path: Path) -> None:
+    folder = train(with_settings(PPO, runs=str(tmp_path))).folder
+    with pytest.raises(ValueError, match="training state does not fit its settings"):
+        train(with_settings(PPO, runs=str(tmp_path), hidden=(8,)), folder)
+
+
+def test_a_run_killed_before_its_first_checkpoint_starts_over(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = train(with_settings(PPO, total_steps=256, runs=str(tmp_path))).folder
+    expected = progress_of(folder)["loss_objective"]
+    for name in ("checkpoint.pt", "training_state.pt"):
+        (folder / name).unlink()
+    capsys.readouterr()
+    assert train(with_settings(PPO, total_steps=256, runs=str(tmp_path)), folder).steps == 256
+    assert f"{folder} has no checkpoint yet: its training begins from the start\n" in capsys.readouterr().out
+    assert progress_of(folder)["loss_objective"] == expected
+
+
+def test_a_checkpoint_without_its_training_state_is_not_overwritten(tmp_path: Path) -> None:
+    folder = train(with_settings(PPO, total_steps=128, runs=str(tmp_path))).folder
+    (folder / "training_state.pt").unlink()
+    with pytest.raises(ValueError, match=r"has a checkpoint, but no training_state\.pt to go on from; begin a new run"):
+        train(with_settings(PPO, runs=str(tmp_path)), folder)
+    assert Checkpoint.load(folder).steps == 128
+
+
+def test_a_state_with_infinite_weights_raises(tmp_path: Path) -> None:
+    folder = train(with_settings(PPO, total_steps=128, runs=str(tmp_path))).folder
+    state = load_state(folder / "training_state.pt")
+    name = next(name for name in state["learner"]["loss"] if name.startswith("critic_network_params"))
+    state["learner"]["loss"][name].fill_(torch.inf)
+    save_run(folder, Checkpoint.load(folder), state)
+    with pytest.raises(ValueError, match=rf"training_state\.pt holds NaN or infinity in the weights {name}: it cannot"):
+        train(with_settings(PPO, runs=str(tmp_path)), folder)
+
+
+def test_steps_after_the_last_state_are_repeated(tmp_path: Path) -> None:
+    folder = train(with_settings(PPO, runs=str(tmp_path))).folder
+    progress = folder / "progress.csv"
+    lines = progress.read_text().splitlines()
+    # As after a kill: a row that is newer than the state, and half of another.
+    progress.write_text("\n".join([*lines, lines[-1], lines[-1][:20]]))
+    train(with_settings(PPO, runs=str(tmp_path), total_steps=1024), folder)
+    assert progress_of(folder)["updates"] == list(range(1, 9))
+
+
+@pytest.mark.slow
+def test_a_killed_run_continues_without_gaps_or_duplicates(tmp_path: Path) -> None:
+    """Kills a run ten times at random moments. After each, every file can be read."""
+    folder, moments = tmp_path / "sac-maze", random.Random(0)
+    sizes = [
+        "--num-envs",
+        "4",
+        "--workers",
+        "1",
+        "--hidden",
+        "16",
+        "--learning-starts",
+        "24",
+        "--minibatch",
+        "8",
+        "--gradient-steps",
+        "2",
+    ]
+    begin = ["--algo", "sac", "--world", "maze", "--runs", str(tmp_path), "--snapshots", "10000000"]
+    begin += ["--total-steps", "1000000000"]
+    begin += [*sizes, "--checkpoint-minutes", "0.002"]
+    for life in range(10):
+        resumed = (folder / "config.yaml").is_file()
+        process = start(["--resume", str(folder)] if resumed else begin)
+        if life % 2:
+            # While worlds and networks are built.
+            time.sleep(moments.uniform(0, 4))
+        else:
+            seen = rows(folder)
+            wait_until(lambda seen=seen: rows(folder) > seen, process)
+            time.sleep(moments.uniform(0, 1.5))
+        process.kill()
+        process.wait()
+        if (folder / "training_state.pt").is_file():
+            assert load_state(folder / "training_state.pt")["updates"] <= len(progress_of(folder)["updates"])
+        if (folder / "checkpoint.pt").is_file():
+            Checkpoint.load(folder)
+    reached = load_state(folder / "training_state.pt")["steps"]
+    assert start(["--resume", str(folder), "--total-steps", str(reached + 160)]).wait() == 0
+    columns = progress_of(folder)
+    assert columns["updates"] == list(range(1, len(columns["updates"]) + 1))
+    assert columns["steps"] == [16 * update for update in columns["updates"]]
+    assert columns["steps"][-1] == reached + 160
+    assert columns["minutes"] == sorted(columns["minutes"])
+
+
+def rows(folder: Path) -> int:
+    return len(progress_of(folder).get("updates", ())) if (folder / "progress.csv").is_file() else 0
+
+
+def start(options: list[str]) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-c", "import sys; from rover_rl.cli import main; sys.exit(main())", "train", *options]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def wait_until(condition: Callable[[], bool], process: subprocess.Popen[bytes]) -> None:
+    latest = time.monotonic() + 120
+    while not condition():
+        assert process.poll() is None
+        assert time.monotonic() < latest
+        time.sleep(0.05)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+@BOTH
+def test_training_on_a_gpu_continues_where_it_was(config: TrainingConfig, tmp_path: Path) -> None:
+    config = with_settings(config, backend="warp", device="cuda", runs=str(tmp_path))
+    first = train(with_settings(config, total_steps=256))
+    again = train(with_settings(config, total_steps=512, name=first.folder.name), first.folder)
+    assert (first.steps, again.steps) == (256, 512)
+    assert (
+        len(evaluate(Checkpoint.load(again.checkpoint).make_actor(), draw_episodes("maze", 2, 0), seconds=1).endings)
+        == 2
+    )
