@@ -143,7 +143,7 @@ def _learned(on: Accelerator | None, config: TrainingConfig) -> tuple[dict[str, 
         if config.algo == "ppo":
             told = learner.update(batch, 0.0, Stopwatch())
         else:
-            learner.remember(batch)
+            learner.extend_buffer(batch)
             told = learner.update(0.0, Stopwatch())
     learner.load_state_dict(learner.state_dict())
     return told, {name: value.detach().to("cpu") for name, value in learner.actor.state_dict().items()}
