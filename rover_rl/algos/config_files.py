@@ -34,7 +34,7 @@ def config_from(data: Any, source: str) -> TrainingConfig:
 
     Args:
         data: a dictionary.
-        source: where it comes from, for messages.
+        source: name of the file, for messages.
 
     Raises:
         ValueError: for an algorithm or a setting that does not exist, or a value of the wrong type.

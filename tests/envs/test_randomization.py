@@ -1,4 +1,4 @@
-"""Domain randomisation: the same for every simulator, seeded, and off unless asked for."""
+"""Domain randomization: the same for every simulator, seeded, and off unless asked for."""
 
 from __future__ import annotations
 

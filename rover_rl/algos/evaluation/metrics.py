@@ -59,7 +59,7 @@ EARLY_ENDINGS = ("flipped", "jammed", "out of bounds", "stuck", "invalid action"
 
 @dataclass(frozen=True)
 class Metric:
-    """How tables show a metric.
+    """Presentation of a metric in tables.
 
     Attributes:
         heading: heading of the metric's column.

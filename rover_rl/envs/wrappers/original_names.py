@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Wrapper(Protocol):
-    """What the attributes are read from: :class:`~rover_rl.envs.wrappers.gym.GymWrapper`."""
+    """Wrapper that the attributes are read from: :class:`~rover_rl.envs.wrappers.gym.GymWrapper`."""
 
     @property
     def base_env(self) -> RoverEnv:

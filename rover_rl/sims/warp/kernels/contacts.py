@@ -37,8 +37,8 @@ SAMPLES = 3
 SAMPLE_COS, SAMPLE_SIN = 0.76604444, 0.64278761
 """Cosine and sine of the angle between two samples, 40 degrees."""
 FRICTION_POINT = 0.57735027
-"""Where friction acts between the middle (0) and the edge (1) of a tread: 1 / sqrt(3). Two forces there resist turning
-on the spot as a line of uniform pressure does (two-point Gauss-Legendre quadrature)."""
+"""Point at which friction acts, between the middle (0) and the edge (1) of a tread: 1 / sqrt(3). Two forces there
+resist turning on the spot as a line of uniform pressure does (two-point Gauss-Legendre quadrature)."""
 
 
 @wp.struct
