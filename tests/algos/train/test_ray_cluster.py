@@ -68,6 +68,15 @@ def test_ppo_takes_the_same_steps_as_on_one_machine(cluster: None, tmp_path: Pat
 
 
 @pytest.mark.slow
+def test_warp_simulates_on_the_cluster_too(cluster: None, tmp_path: Path) -> None:
+    pytest.importorskip("warp", reason="needs rover_rl[warp]")
+    summary = train(with_settings(PPO, backend="warp", total_steps=256, runs=str(tmp_path)))
+    assert progress_of(summary.folder)["steps"] == [128, 256]
+    env = Checkpoint.load(summary.folder).env
+    assert (env.backend, env.num_envs) == ("warp", PPO.num_envs)
+
+
+@pytest.mark.slow
 def test_sac_learns_from_one_worker_while_the_other_collects(cluster: None, tmp_path: Path) -> None:
     progress = progress_of(train(with_settings(SAC, runs=str(tmp_path))).folder)
     assert progress["steps"] == list(range(16, 513, 16))
