@@ -283,3 +283,16 @@ def test_the_demo_trains_and_shows_a_pretrained_policy(
         assert (folder / picture).stat().st_size > 1000
     policies = {row["policy"] for row in json.loads((folder / "evaluation.json").read_text())}
     assert policies == {"trained", "pretrained", "random"}
+
+
+def test_robot_and_drive_take_the_description_of_an_environment(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "tank.yaml").write_text("robot: tank\n")
+    assert "unknown robot 'tank'" in failed(capsys, "robot", "--env", tmp_path / "tank.yaml")
+    assert "unknown world 'mars'" in failed(capsys, "robot", "--env", tmp_path / "tank.yaml", "--world", "mars")
+    (tmp_path / "forward.yaml").write_text("action: {min_speed: 0.0}\n")
+    driven = ["drive", "pretrained:moon-ppo", "--goal", "1", "1", "--dry-run", "--log", tmp_path / "drive.jsonl"]
+    message = failed(capsys, *driven, "--env", tmp_path / "forward.yaml")
+    assert "the policy was made for actions" in message
+    assert "there is no setting sped" in failed(capsys, "robot", "--env", written(tmp_path, "sped: 3"))

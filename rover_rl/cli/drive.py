@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.live import Live
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_SECONDS, check_at_least, check_positive, check_seed
+from rover_rl.cli.environment import read_env
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2.settings import Command, PoseSource, Ros2Settings, TransportName
 
@@ -52,6 +53,8 @@ class Drive:
     """Number of random goals, drawn as in training."""
     world: str | None = None
     """World that the rover is in. Default: the world that the policy was trained in."""
+    env: Path | None = None
+    """YAML file of EnvConfig, or a run's config.yaml. Default: the environment that the policy was made for."""
     robot: str | None = None
     """Robot: rover_zero, or module:attribute. Default: the robot that the policy was made for."""
     wait: float = 30.0
@@ -201,14 +204,15 @@ class Drive:
     def _env(self, policy: ResolvedPolicy, settings: Ros2Settings) -> RoverEnv:
         """Makes the environment of the live rover, without a limit on the steps of an episode."""
         from rover_rl.algos.evaluation.evaluate import environment_for
-        from rover_rl.envs import RoverEnv
+        from rover_rl.envs import Randomization, RoverEnv
 
-        made_for = environment_for(policy.module, None)
+        made_for = environment_for(policy.module, None if self.env is None else read_env(self.env))
         described = replace(
             made_for,
             world=policy.worlds[0],
             robot=self.robot or made_for.robot,
             backend=settings,
+            randomization=Randomization(),
             connection=Connection(self.scan_topic, self.imu_topic, self.cmd_vel_topic, timeout=self.wait),
             length=UNLIMITED,
             end_on_goal=True,

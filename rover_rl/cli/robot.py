@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import signal
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from types import FrameType
+from typing import Any
 
 from rover_rl.checks import check_at_least, check_positive, check_seed
+from rover_rl.cli.environment import read_env
 from rover_rl.envs.config import DEFAULT_PHYSICS, EnvConfig
-from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2.settings import Ros2Settings
 
 MAX_RATE = 1000.0
@@ -26,28 +28,31 @@ class RobotCommand:
     Drive it with backend="ros2", rover-rl drive, or any ROS 2 tool. Ctrl-C stops it.
     """
 
-    world: str = "maze"
-    """World that the rover is in: inspect, moon or maze; "maze:7" is the maze of seed 7."""
+    env: Path | None = None
+    """YAML file of EnvConfig, or a run's config.yaml, for world, robot, simulator and topics. Options override it."""
+    world: str | None = None
+    """World that the rover is in: inspect, moon, maze ("maze:7" is the maze of seed 7), or module:attribute.
+    Default: maze."""
     rate: float = 1.0
     """Simulation speed as a multiple of real time."""
     seed: int = 0
     """Seed of the start pose."""
-    robot: str = "rover_zero"
-    """Robot: rover_zero, or module:attribute."""
-    backend: str = EnvConfig.backend
-    """Simulator: bullet, warp (extra warp), or module:attribute."""
-    physics: str = EnvConfig.physics
+    robot: str | None = None
+    """Robot: rover_zero, or module:attribute. Default: rover_zero."""
+    backend: str | None = None
+    """Simulator: bullet, warp (extra warp), or module:attribute. Default: bullet."""
+    physics: str | None = None
     """Preset of Bullet's physics: default, accurate or fast (docs/physics.md)."""
     lidar_beams: int = 640
     """Number of lidar beams in a full turn; the original environment has 640."""
     lidar_view: float = 360.0
     """Field of view of the lidar, centered straight ahead, degrees."""
-    scan_topic: str = Connection.scan_topic
-    """Topic that the sensor_msgs/LaserScan is published to."""
-    imu_topic: str = Connection.imu_topic
-    """Topic that the sensor_msgs/Imu is published to."""
-    cmd_vel_topic: str = Connection.cmd_vel_topic
-    """Topic that commands are received from, geometry_msgs/Twist."""
+    scan_topic: str | None = None
+    """Topic that the sensor_msgs/LaserScan is published to. Default: /scan."""
+    imu_topic: str | None = None
+    """Topic that the sensor_msgs/Imu is published to. Default: /imu/data."""
+    cmd_vel_topic: str | None = None
+    """Topic that commands are received from, geometry_msgs/Twist. Default: /cmd_vel."""
     odometry_topic: str = Ros2Settings.odometry_topic
     """Topic that the wheel odometry is published to, nav_msgs/Odometry."""
     pose_topic: str = Ros2Settings.pose_topic
@@ -62,6 +67,7 @@ class RobotCommand:
             ValueError: for an option out of range. Nothing has been published then.
         """
         self._check()
+        described = self._environment()
         from rover_rl.algos.evaluation.episodes import draw_episodes
         from rover_rl.sims import make_simulator
         from rover_rl.sims.robots import get_robot
@@ -76,25 +82,26 @@ class RobotCommand:
 
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, request_stop)
-        world, robot = get_world(self.world), get_robot(self.robot)
+        world, robot = get_world(described.worlds[0]), get_robot(described.robot)
         start = draw_episodes(world, 1, self.seed, robot=robot).start[0].tolist()
         transport = make_transport("dds", robot.name)
         simulator = make_simulator(
-            self.backend,
+            described.backend,
             worlds=[world],
             robot=robot,
             lidar_beams=self.lidar_beams,
-            physics=None if self.physics == DEFAULT_PHYSICS else self.physics,
+            physics=None if described.physics == DEFAULT_PHYSICS else described.physics,
         )
         settings = Ros2Settings(
             odometry_topic=self.odometry_topic, pose_topic=self.pose_topic, reset_topic=self.reset_topic
         )
         view = math.radians(self.lidar_view)
-        connection = Connection(self.scan_topic, self.imu_topic, self.cmd_vel_topic)
+        connection = described.connection
         try:
             node = RobotNode(simulator, transport, world, robot.lidar_range, settings, connection, tuple(start), view)
             print(
-                f"Rover in {self.world} on ROS 2: publishes {self.scan_topic}, receives {self.cmd_vel_topic}",
+                f"Rover in {described.world_names[0]} on ROS 2: publishes {connection.scan_topic}, receives "
+                f"{connection.cmd_vel_topic}",
                 flush=True,
             )
             node.run(self.rate, stop)
@@ -102,6 +109,15 @@ class RobotCommand:
             transport.close()
             simulator.close()
         return 0
+
+    def _environment(self) -> EnvConfig:
+        """Returns the description of the environment: the file's, else the default, with the options on top."""
+        config = EnvConfig(world="maze") if self.env is None else read_env(self.env)
+        topics = {"scan_topic": self.scan_topic, "imu_topic": self.imu_topic, "cmd_vel_topic": self.cmd_vel_topic}
+        given: dict[str, Any] = {name: topic for name, topic in topics.items() if topic}
+        parts = {"world": self.world, "robot": self.robot, "backend": self.backend, "physics": self.physics}
+        changes: dict[str, Any] = {name: part for name, part in parts.items() if part}
+        return replace(config, connection=replace(config.connection, **given), **changes)
 
     def _check(self) -> None:
         """Checks that all options are in range."""

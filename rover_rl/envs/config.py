@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
+from rover_rl.plain import from_plain, to_plain
 from rover_rl.sims.backends import BackendLike as AnyBackend
 from rover_rl.sims.backends import find_settings, name_of
 from rover_rl.sims.connection import Connection
@@ -386,8 +387,6 @@ def plain_env(config: EnvConfig) -> dict[str, Any]:
     Raises:
         ValueError: if the world, robot or reward is an object. Only names can be written.
     """
-    from rover_rl.plain import to_plain
-
     advice = "register it, or name it as module:attribute"
     for name, kind in (("world", "a World"), ("robot", "a Robot"), ("reward", "a reward object")):
         value = getattr(config, name)
@@ -410,8 +409,6 @@ def env_from_plain(data: Any, source: str) -> EnvConfig:
     Raises:
         ValueError: if a setting does not exist, or a value has the wrong type or is out of range.
     """
-    from rover_rl.plain import from_plain
-
     if not isinstance(data, dict) or not isinstance(data.get("backend"), dict):
         return from_plain(data, EnvConfig, source)
     config = from_plain({key: value for key, value in data.items() if key != "backend"}, EnvConfig, source)
