@@ -179,7 +179,7 @@ class Drive:
         policy = resolve_policy(self.policy, (self.world,) if self.world else (), self.robot)
         if policy.module is None or not policy.worlds:
             raise ValueError(
-                f"{self.policy} cannot drive a live rover; give the --world that it is in, or a trained policy"
+                f"{self.policy} cannot drive a live rover; say which --world it is in, or name a checkpoint"
             )
         return policy
 

@@ -102,7 +102,7 @@ class Evaluate:
 
         worlds = dict.fromkeys(world for policy in policies for world in policy.worlds)
         if not worlds and policies:
-            raise ValueError("give a --world to drive in: these policies were not trained")
+            raise ValueError("say which --world to drive in; these policies were trained in none")
         for world in worlds:
             get_world(world)
         count = STORED if self.count is None else self.count

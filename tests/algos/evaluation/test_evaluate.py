@@ -363,7 +363,7 @@ def test_policies_of_one_name_are_told_apart(run: Path) -> None:
 
 
 def test_the_command_refuses_in_one_line(capsys: pytest.CaptureFixture[str], run: Path) -> None:
-    assert "give a --world to drive in" in complaint(capsys, "random")
+    assert "say which --world to drive in" in complaint(capsys, "random")
     assert "unknown world 'mars'" in complaint(capsys, "scripted", "--world", "maze", "mars")
     assert "no checkpoint at" in complaint(capsys, run / "run-1", run / "none.pt")
     assert "count must be" in complaint(capsys, run / "run-1", "--count", 0)

@@ -145,14 +145,14 @@ def test_a_rover_with_a_forward_lidar_does_not_back_up(wire, start):
 def test_a_policy_with_a_forward_lidar_does_not_hit_a_wall(wire, start):
     robot = Robot(wire, view=math.pi)
     policy = load_pretrained("moon-sac").make_actor()
-    drive_to(start(robot), policy, (-6.0, 0.0), seconds=5.0, allow_unseen=True, clearance=0.2)
+    drive_to(start(robot, step_timeout=2.0), policy, (-6.0, 0.0), seconds=5.0, allow_unseen=True, clearance=0.2)
     assert min(robot.driven) - TAIL > BEHIND
     assert max(robot.driven) + FRONT < AHEAD
 
 
 def test_a_rover_backs_up_if_its_lidar_sees_behind(wire, start):
     robot = Robot(wire)
-    drive_to(start(robot), straight(-0.2), (-6.0, 0.0), seconds=1.0)
+    drive_to(start(robot, step_timeout=2.0), straight(-0.2), (-6.0, 0.0), seconds=1.0)
     assert min(robot.driven) < -0.1
 
 
@@ -187,7 +187,9 @@ def test_a_restart_of_the_robot_ends_the_drive(wire, start, caplog, topic, fault
 
 def test_commands_are_within_their_limits_and_reversals_are_logged(wire, start, tmp_path):
     robot, steps = Robot(wire), iter(range(10**6))
-    env = start(robot, max_speed=0.3, max_yaw_rate=1.5, max_acceleration=2.0, max_yaw_acceleration=20.0)
+    env = start(
+        robot, step_timeout=2.0, max_speed=0.3, max_yaw_rate=1.5, max_acceleration=2.0, max_yaw_acceleration=20.0
+    )
 
     def swerve(now: TensorDictBase) -> TensorDictBase:
         return now.set("action", torch.tensor([[1.0, 1.0 if next(steps) // 4 % 2 else -1.0]]))
