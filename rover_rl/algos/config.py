@@ -233,7 +233,7 @@ class TrainingConfig:
 
     @property
     def seed(self) -> int:
-        """Seed of weights, actions, starts and goals."""
+        """Seed of weights, actions, starts and goals; 0 until one is drawn."""
         return self.env.seed or 0
 
     @property

@@ -12,6 +12,7 @@ Environment and configuration:
     ``transforms``: TorchRL transforms for training.
 
 Parts of ``RoverEnv``:
+    ``observation``: entries of the observation, with their bounds.
     ``specs``: TorchRL specs of observation, action, reward and done flags.
     ``inputs``: validation of actions, start poses and goals.
     ``control``: heading controller, from an action to a velocity command.

@@ -6,6 +6,7 @@ The algorithms are in :mod:`rover_rl.algos.train.ppo` and :mod:`rover_rl.algos.t
 
 from __future__ import annotations
 
+import secrets
 import signal
 import threading
 from collections.abc import Iterator
@@ -286,7 +287,7 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
     """Checks the settings and seeds PyTorch. Call it before creating a learner.
 
     Returns:
-        The settings, with the default number of workers if none was given.
+        The settings, with the default number of workers and a random seed if none was given.
 
     Raises:
         ValueError: for an unknown world, robot or reward, a device that does not exist, or a setting out of range.
@@ -300,6 +301,8 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
     get_robot(env.robot)
     reward_components(env.reward, env.contract_reward)
     available_device(config.device)
+    if env.seed is None:
+        config = with_settings(config, seed=secrets.randbits(31))
     workers = config.workers
     if config.collector == "ray":
         # Connects before TrainingRun installs its SIGTERM handler, because Ray installs one, too.

@@ -116,3 +116,10 @@ def test_the_time_limit_ends_a_run(tmp_path: Path) -> None:
     assert len(progress_of(summary.folder)["steps"]) == 1
     assert [file.name for file in (summary.folder / "snapshots").iterdir()] == ["000000128.pt"]
     assert not summary.interrupted
+
+
+def test_a_training_without_a_seed_draws_one_and_keeps_it(tmp_path: Path) -> None:
+    config = with_settings(PPO, seed=None, total_steps=128, runs=str(tmp_path))
+    seeds = {read_config(train(config).folder / "config.yaml").env.seed for _ in range(2)}
+    assert len(seeds) == 2
+    assert None not in seeds
