@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from importlib.metadata import entry_points
+from inspect import signature
 from types import ModuleType
 from typing import Any
 
@@ -73,6 +74,23 @@ class Registry:
             self._check_not_standard_library(name, name.split(":")[0])
             return self._import(name, name)
         raise ValueError(self._unknown(name))
+
+    def call(self, name: str, factory: Callable[..., Any], *arguments: Any) -> Any:
+        """Calls the function or class that makes a part.
+
+        Args:
+            name: name of the part, for messages.
+            factory: function or class.
+            *arguments: arguments of the call.
+
+        Raises:
+            ValueError: if ``factory`` does not take these arguments.
+        """
+        try:
+            signature(factory).bind(*arguments)
+        except TypeError as error:
+            raise ValueError(f"{self._kind} {name!r} is called with {len(arguments)} arguments: {error}") from error
+        return factory(*arguments)
 
     def _unknown(self, name: str) -> str:
         return f"unknown {self._kind} {name!r}; use one of {self.names()}{self._also}"

@@ -296,3 +296,33 @@ def test_robot_and_drive_take_the_description_of_an_environment(
     message = failed(capsys, *driven, "--env", tmp_path / "forward.yaml")
     assert "the policy was made for actions" in message
     assert "there is no setting sped" in failed(capsys, "robot", "--env", written(tmp_path, "sped: 3"))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("--task.stuck-window 0", "rover-rl: task: stuck_window must be positive, got 0"),
+        ("--randomization.friction 2 1", "rover-rl: randomization: friction must be a range of positive factors"),
+        ("--action.min-speed 2", "rover-rl: action: min_speed must be less than max_speed"),
+        ("--backend my_parts:number", "backend must be one of ['bullet', 'ros2', 'warp']"),
+        (
+            "--backend my_parts:needy",
+            "backend 'my_parts:needy' is called with 0 arguments: missing a required",
+        ),
+        ("--reward my_parts:needy", "reward 'my_parts:needy' is called with 0 arguments: missing a required"),
+        ("--robot my_parts:needy", "robot 'my_parts:needy' is called with 0 arguments: missing a required"),
+        ("--world my_parts:needier", "world 'my_parts:needier' is called with 1 arguments: missing a required"),
+        ("--reward my_parts:number", "got 4"),
+        ("--backend ray", "Ray is a collector: use collector='ray'"),
+        ("--workers 2 --collector process --num-envs 4", "collector='process' has one worker, got workers=2"),
+    ],
+)
+def test_parts_and_settings_that_do_not_work_are_one_sentence(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: str, message: str
+) -> None:
+    (tmp_path / "my_parts.py").write_text(
+        "number = 4\n\ndef needy(what):\n    return what\n\ndef needier(seed, what):\n    return what\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    assert message in failed(capsys, "train", *options.split(), "--runs", tmp_path / "runs")
+    assert not (tmp_path / "runs").exists()

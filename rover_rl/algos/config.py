@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Literal, TypeAlias
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_ROVERS, check_at_least, check_positive, check_seed
 from rover_rl.envs.config import DEFAULT_PHYSICS, OBSERVATION_KEYS, EnvConfig
-from rover_rl.sims.backends import find_settings
+from rover_rl.sims.backends import resolve_backend
 
 CollectorName: TypeAlias = Literal["auto", "process", "processes", "ray"]
 """Kinds of collectors."""
@@ -295,12 +295,9 @@ class TrainingConfig:
         check_seed(self.seed, _SEEDS_OF_A_RUN)
         if env.backend == "ray":
             raise ValueError("Ray is a collector: use collector='ray', with backend='bullet' or 'warp'")
-        if isinstance(env.backend, str):
-            settings = find_settings(env.backend)
-            if env.backend == "warp" and env.physics != DEFAULT_PHYSICS:
-                raise ValueError(f"presets of the physics are Bullet's: backend='warp' has no physics={env.physics!r}")
-            if env.physics != DEFAULT_PHYSICS and hasattr(settings, "preset"):
-                settings.preset(env.physics)
+        if env.backend == "warp" and env.physics != DEFAULT_PHYSICS:
+            raise ValueError(f"presets of the physics are Bullet's: backend='warp' has no physics={env.physics!r}")
+        resolve_backend(env.backend, None if env.physics == DEFAULT_PHYSICS else env.physics)
         if not re.fullmatch(r"cpu|cuda(:\d+)?", self.device):
             raise ValueError(f"device must be cpu, cuda or cuda: and a number, got {self.device!r}")
         if self.on_gpu and (env.backend == "bullet" or self.workers > 1):

@@ -104,6 +104,8 @@ def _error_sentence(tyro_error: str, help_text: str, args: Sequence[str]) -> str
         expected = re.search(takes, help_text, re.MULTILINE)
         if option in given and expected:
             return f"{option} takes {expected[1]}, got {' '.join(given[option]) or 'nothing'}"
+    # An error of a dataclass: "Error parsing __tyro-dummy-inner__.env.task: ..." becomes "task: ...".
+    paragraph = re.sub(r"^Error parsing \S*?([\w-]+): ", r"\1: ", paragraph).removeprefix("__tyro-dummy-inner__: ")
     return re.sub(r"^Missing from \S+ (\S+): \S+ (.*?)( \(required\))?$", r"\1 needs: \2", paragraph).rstrip(".")
 
 

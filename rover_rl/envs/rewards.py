@@ -304,7 +304,7 @@ def reward_components(reward: Any, contract: RewardConfig | None = None) -> list
         return contract_reward(contract)
     part = _REGISTRY.find(reward) if isinstance(reward, str) else reward
     if callable(part) and not isinstance(part, Transform):
-        part = part()
+        part = _REGISTRY.call(str(reward), part)
     if isinstance(part, RewardConfig):
         return contract_reward(part)
     if isinstance(part, Transform):

@@ -136,28 +136,42 @@ def make_simulator(
     Raises:
         ValueError: if the backend or the preset is unknown.
     """
-    if physics is not None and not isinstance(backend, str):
-        raise ValueError(f"physics={physics!r} needs a backend given by name; this backend has settings of its own")
-    settings = _settings(backend, physics) if isinstance(backend, str) else backend
+    settings = resolve_backend(backend, physics)
     options: dict[str, Any] = {"connection": connection, "device": device}
     if isinstance(settings, Backend):
         return settings.make(worlds=worlds, robot=robot, lidar_beams=lidar_beams, **options)
-    built_in = _BUILT_IN.get(name_of(settings))
-    if built_in is None:
-        raise ValueError(
-            f"backend must be one of {backend_names()}, settings of one, or an object with a make() method, "
-            f"got {settings!r}"
-        )
+    built_in = _BUILT_IN[name_of(settings)]
     module, _, simulator = built_in.simulator.partition(":")
     taken = {option: options[option] for option in built_in.options}
     return getattr(import_module(module), simulator)(worlds, robot, lidar_beams, settings, **taken)
+
+
+def resolve_backend(backend: BackendLike, physics: str | None = None) -> Any:
+    """Returns the settings of a backend, or the :class:`Backend`, without building a simulator.
+
+    Args:
+        backend: as for :func:`make_simulator`.
+        physics: as for :func:`make_simulator`.
+
+    Raises:
+        ValueError: if the backend or the preset is unknown.
+    """
+    if physics is not None and not isinstance(backend, str):
+        raise ValueError(f"physics={physics!r} needs a backend given by name; this backend has settings of its own")
+    settings = _settings(backend, physics) if isinstance(backend, str) else backend
+    if not isinstance(settings, Backend) and name_of(settings) not in _BUILT_IN:
+        raise ValueError(
+            f"backend must be one of {backend_names()}, settings of one, or an object with a make() method, "
+            f"got {backend if isinstance(backend, str) else settings!r}"
+        )
+    return settings
 
 
 def _settings(name: str, physics: str | None) -> Any:
     """Returns the default settings, or a preset, of the named backend."""
     kind = find_settings(name)
     if physics is None:
-        return kind() if isinstance(kind, type) or isfunction(kind) else kind
+        return _REGISTRY.call(name, kind) if isinstance(kind, type) or isfunction(kind) else kind
     if not hasattr(kind, "preset"):
         raise ValueError(f"backend {name!r} has no presets for its physics, got physics={physics!r}")
     return kind.preset(physics)

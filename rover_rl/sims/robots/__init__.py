@@ -46,7 +46,7 @@ def get_robot(robot: str | Robot) -> Robot:
     if isinstance(robot, Robot):
         return robot
     part = _REGISTRY.find(robot)
-    part = part() if callable(part) else part
+    part = _REGISTRY.call(robot, part) if callable(part) else part
     if not isinstance(part, Robot):
         raise ValueError(f"robot {robot!r} must be a Robot or a function that returns one, got {type(part).__name__}")
     return part

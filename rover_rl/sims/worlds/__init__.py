@@ -76,7 +76,7 @@ def _make_world(name: str, seed: int | None) -> World:
         takes_seed = bool(signatures.signature(part).parameters)
         if seed is not None and not takes_seed:
             raise ValueError(f"world {name!r} takes no seed, got {seed}")
-        part = part(seed or 0) if takes_seed else part()
+        part = _REGISTRY.call(name, part, *([seed or 0] if takes_seed else []))
     elif seed is not None:
         raise ValueError(f"world {name!r} takes no seed, got {seed}")
     if not isinstance(part, World):
