@@ -15,6 +15,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from itertools import product
 from tempfile import TemporaryDirectory
@@ -81,7 +83,8 @@ def evaluation_digest(name: str, count: int) -> tuple[str, float]:
 
 
 def training_digest(algo: str, backend: str) -> str:
-    with TemporaryDirectory() as runs:
+    # The progress of a training does not belong to the digests.
+    with TemporaryDirectory() as runs, redirect_stdout(sys.stderr):
         settings = {"world": "moon", "total_steps": 8192, "num_envs": ROVERS, "seed": 5, "workers": 1}
         summary = train(training_config(algo, **settings, backend=backend, runs=runs))
         return digest(Checkpoint.load(summary.checkpoint).actor)
