@@ -339,6 +339,8 @@ class RoverEnv(EnvBase):
         rows = mask.squeeze(-1).to(device)
         if self.randomization.varies_dynamics:
             self.simulator.set_dynamics(rows, draw_dynamics(self.randomization, self._keys.to(device)))
+        if self._privileged is not None:
+            self._dynamics = draw_dynamics(self.randomization, self._keys)
         self._delay.reset(mask, self._keys)
         steps = self._state.task.steps.masked_fill(mask, 0)
         self._perceive(self.simulator.reset(rows, poses.to(device)), steps)
@@ -401,8 +403,7 @@ class RoverEnv(EnvBase):
         target = state.task.target if same else target_info(sensed.position, sensed.yaw, goal)
         observation: dict[str, Any] = self._observer(sensed, target)
         if self._privileged is not None:
-            dynamics = draw_dynamics(self.randomization, self._keys)
-            observation["privileged"] = self._privileged(state.truth, goal, dynamics, self._delay.steps)
+            observation["privileged"] = self._privileged(state.truth, goal, self._dynamics, self._delay.steps)
         return observation
 
     def _pack(self, observation: dict[str, Any], **entries: Any) -> TensorDict:
