@@ -12,6 +12,7 @@ import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
 
+from benchmarks.engines import choose_engines
 from benchmarks.options import Options
 from benchmarks.plain_rover import PlainRover
 from benchmarks.ratios import paired
@@ -69,17 +70,32 @@ def test_rollouts_cores_and_footprint(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_warp_beside_bullet(tmp_path: Path) -> None:
     pytest.importorskip("warp", reason="needs rover_rl[warp]")
-    results = bench(tmp_path, "simulators", "parity", "endurance")
+    results = bench(tmp_path, "simulators", "endurance")
     ratios = results["simulators"]["ratios"]
     assert len(ratios) == 3 * 2 + 3 + 1
     assert all(row["median"] > 0 for row in ratios)
     assert (results["simulators"]["gpu"] is None) == (not torch.cuda.is_available())
-    scenes = results["parity"]["scenes"]
-    assert len(scenes) == 2 * 7
-    assert all(row["position_m"] >= 0 for row in scenes)
     assert all(row["broken"] == 0 and row["highest_m"] < 2.0 for row in results["endurance"])
-    for spin in results["parity"]["spins"]:
-        assert spin["warp"] == pytest.approx(spin["coulomb"], rel=0.05)
+
+
+@pytest.mark.slow
+def test_simulators_are_compared_with_one_another_and_with_the_law(tmp_path: Path) -> None:
+    pytest.importorskip("warp", reason="needs rover_rl[warp]")
+    results = bench(tmp_path, "parity", "law", "--engines", "bullet", "warp")
+    scenes = results["parity"]["scenes"]
+    assert len(scenes) == 7
+    for row in scenes:
+        assert set(row["pairs"]) == {"bullet, shifted by 1 mm", "bullet and warp"}
+        assert all(pair["position_m"] > 0 for pair in row["pairs"].values())
+    for turn in results["parity"]["turns"]:
+        assert turn["engines"]["warp"] == pytest.approx(turn["coulomb"], rel=0.05)
+    assert all(set(row["engines"]) == {"bullet", "warp"} for row in results["law"])
+    assert all(row["engines"]["warp"]["passes"] for row in results["law"])
+
+
+def test_unknown_engines_are_refused() -> None:
+    with pytest.raises(ValueError, match="'gazebo'"):
+        choose_engines(("bullet", "gazebo"))
 
 
 @pytest.mark.slow
