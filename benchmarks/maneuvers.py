@@ -36,8 +36,15 @@ _BISECTIONS = 6
 """Number of halvings of the bracket around a limit: to an eighth of a degree."""
 
 
-def incline(degrees: float, direction: float = 0.0, size: float = 16.0, cell: float = 0.25) -> World:
-    """Returns a plane of triangles that rises toward ``direction`` (rad) with a slope in degrees."""
+def incline(degrees: float, direction: float = 0.0, size: float = 8.0, cell: float = 0.25) -> World:
+    """Returns a square plane of triangles that rises toward a direction.
+
+    Args:
+        degrees: slope, degrees.
+        direction: direction, rad.
+        size: side length, m. Smaller planes are quicker to build.
+        cell: spacing of the vertices, m.
+    """
     along = torch.linspace(-size / 2, size / 2, round(size / cell) + 1, dtype=torch.float64)
     heights = math.cos(direction) * along + math.sin(direction) * along[:, None]
     return World(f"incline {degrees:g}", Terrain(math.tan(math.radians(degrees)) * heights, cell))
@@ -47,9 +54,9 @@ LEVEL_MESH = incline(NEARLY_LEVEL, size=60.0)
 """Level ground that simulators represent by triangles."""
 
 
-def inclines(slopes: Tensor) -> list[World]:
-    """Returns a plane for each of :data:`DIRECTIONS` with slopes ``[16]`` in degrees."""
-    return [incline(*tilt) for tilt in zip(slopes.tolist(), DIRECTIONS.tolist(), strict=True)]
+def inclines(slopes: Tensor, size: float = 8.0) -> list[World]:
+    """Returns a plane for each of :data:`DIRECTIONS` with slopes ``[16]`` in degrees. See :func:`incline`."""
+    return [incline(slope, to, size) for slope, to in zip(slopes.tolist(), DIRECTIONS.tolist(), strict=True)]
 
 
 def drive(
@@ -133,7 +140,7 @@ def level_speed(engine: Any, world: World, speed: float = 1.0) -> Tensor:
 def climbing_speed(engine: Any, slope: float, speed: float = 1.0, after: float = 5.0) -> Tensor:
     """Steady speed up a slope (degrees) under a commanded speed, m/s: the mean of the second that follows ``after``."""
     slopes = torch.full((16,), slope)
-    driven = drive(engine, inclines(slopes), _starts(), [(_command(speed), after + 1.0)])
+    driven = drive(engine, inclines(slopes, 16.0), _starts(), [(_command(speed), after + 1.0)])
     return _uphill(driven, slopes)[-STEPS_PER_SECOND:].mean(0)
 
 
@@ -212,10 +219,11 @@ def sliding_acceleration(engine: Any, slope: float) -> Tensor:
     return -_acceleration(_uphill(driven, slopes), 0.25, 1.25)
 
 
-def drift(engine: Any, slope: float, speed: float = 0.5) -> Tensor:
-    """Angle by which rovers that drive straight across a slope (degrees) drift down, degrees, over 6 s."""
+def drift(engine: Any, slope: float, speed: float = 0.5, seconds: float = 6.0) -> Tensor:
+    """Angle by which rovers that drive straight across a slope (degrees) drift down, degrees."""
     slopes = torch.full((16,), slope)
-    driven = drive(engine, inclines(slopes), _starts(math.pi / 2), [(_command(speed), 6.0)])
+    driven = drive(engine, inclines(slopes), _starts(math.pi / 2), [(_command(speed), seconds)])
     moved = (driven.position[-1] - driven.position[0]).double()
     across = torch.stack((-DIRECTIONS.sin(), DIRECTIONS.cos()), -1).double()
-    return torch.rad2deg(torch.atan2(-_uphill(driven, slopes).mean(0) * 6.0, (moved[:, :2] * across).sum(-1)))
+    down = -_uphill(driven, slopes).mean(0) * seconds
+    return torch.rad2deg(torch.atan2(down, (moved[:, :2] * across).sum(-1)))
