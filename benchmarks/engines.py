@@ -22,7 +22,7 @@ def installed_engines() -> list[str]:
 
 def _is_installed(name: str) -> bool:
     """Builds a simulator of one rover, which fails if a library is missing."""
-    world = World("flat", Terrain.flat((2, 2)))
+    world = World("flat", Terrain.flat((4, 4)))
     try:
         make_simulator(name, worlds=[world], robot=get_robot("rover_zero"), lidar_beams=1).close()
     except ImportError:
