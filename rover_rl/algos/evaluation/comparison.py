@@ -36,7 +36,7 @@ class Disagreement:
         return {"episode": self.episode, "start": self.start, "goal": self.goal, "endings": self.endings}
 
 
-def find_disagreements(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> list[Disagreement]:
+def find_disagreements(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> list[Disagreement] | None:
     """Finds the episodes that reach their goal in one backend and not in another.
 
     Compares evaluations with one goal per episode, of policies of the same name on the same episodes with the same time
@@ -44,23 +44,12 @@ def find_disagreements(evaluations: Sequence[Evaluation | EndlessEvaluation]) ->
 
     Args:
         evaluations: evaluations of any policies, worlds, modes and backends.
+
+    Returns:
+        The disagreements; ``None`` if there is nothing to compare.
     """
-    found: list[Disagreement] = []
-    for group in _comparable([evaluation for evaluation in evaluations if isinstance(evaluation, Evaluation)]):
-        reached = torch.stack([evaluation.reached for evaluation in group])
-        episodes = group[0].episodes
-        for episode in (reached.any(0) & ~reached.all(0)).nonzero().squeeze(-1).tolist():
-            found.append(
-                Disagreement(
-                    policy=group[0].name,
-                    world=episodes.name,
-                    episode=episode,
-                    start=tuple(episodes.start[episode].tolist()),
-                    goal=tuple(episodes.goal[episode].tolist()),
-                    endings={evaluation.backend: evaluation.endings[episode] for evaluation in group},
-                )
-            )
-    return found
+    groups = _comparable(evaluations)
+    return [one for group in groups for one in _disagreements(group)] if groups else None
 
 
 def disagreements_of(
@@ -75,10 +64,8 @@ def disagreements_of(
     Returns:
         The disagreements; ``None`` if there is nothing to compare the evaluation with.
     """
-    for group in _comparable([other for other in evaluations if isinstance(other, Evaluation)]):
-        if any(one is evaluation for one in group):
-            return find_disagreements(group)
-    return None
+    group = next((group for group in _comparable(evaluations) if any(one is evaluation for one in group)), None)
+    return None if group is None else _disagreements(group)
 
 
 def backends_of(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> list[str]:
@@ -91,16 +78,37 @@ def backends_of(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> list[s
     return list(dict.fromkeys(evaluation.backend for evaluation in evaluations))
 
 
-def _comparable(evaluations: Sequence[Evaluation]) -> list[list[Evaluation]]:
+def _disagreements(group: Sequence[Evaluation]) -> list[Disagreement]:
+    """Disagreements of evaluations of a policy on the same episodes in several backends."""
+    reached, episodes = torch.stack([evaluation.reached for evaluation in group]), group[0].episodes
+    return [
+        Disagreement(
+            policy=group[0].name,
+            world=episodes.name,
+            episode=episode,
+            start=tuple(episodes.start[episode].tolist()),
+            goal=tuple(episodes.goal[episode].tolist()),
+            endings={evaluation.backend: evaluation.endings[episode] for evaluation in group},
+        )
+        for episode in (reached.any(0) & ~reached.all(0)).nonzero().squeeze(-1).tolist()
+    ]
+
+
+def _comparable(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> list[list[Evaluation]]:
     """Groups of evaluations in several backends of the same policy on the same episodes, one for each backend."""
     groups: list[list[Evaluation]] = []
     for evaluation in evaluations:
-        for group in groups:
-            if _same_episodes(group[0], evaluation) and evaluation.backend not in {one.backend for one in group}:
-                group.append(evaluation)
-                break
-        else:
+        if not isinstance(evaluation, Evaluation):
+            continue
+        fitting = (
+            group
+            for group in groups
+            if _same_episodes(group[0], evaluation) and evaluation.backend not in {one.backend for one in group}
+        )
+        if (group := next(fitting, None)) is None:
             groups.append([evaluation])
+        else:
+            group.append(evaluation)
     return [group for group in groups if len(group) > 1]
 
 

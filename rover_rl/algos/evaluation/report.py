@@ -63,8 +63,8 @@ def print_table(
         together = [evaluation for evaluation in evaluations if evaluation.title == title]
         console.print(_table(title, together, groups or {}))
         measured.update(key for key in together[0].metrics if key in COMPARED or not backends_of(together))
-    if backends_of(evaluations):
-        _print_disagreements(find_disagreements(evaluations), console)
+    if (disagreements := find_disagreements(evaluations)) is not None:
+        _print_disagreements(disagreements, console)
     legend = dict.fromkeys(
         f"{metric.heading}: {metric.meaning}" for key, metric in METRICS.items() if key in measured and metric.meaning
     )
@@ -84,30 +84,37 @@ def _table(title: str, evaluations: Sequence[Evaluation | EndlessEvaluation], gr
         for key in shown:
             above = "" if backend is None else f"{escape(backend) if key == shown[0] else ''}\n"
             table.add_column(f"{above}{METRICS[key].heading}\n{METRICS[key].unit}", justify="right", overflow="fold")
-    for name in dict.fromkeys(evaluation.name for evaluation in evaluations):
-        for line in _lines([evaluation for evaluation in evaluations if evaluation.name == name], backends):
-            cells = (_cell(key, one.metrics[key]) if one else "-" for one in line for key in shown)
-            table.add_row(escape(name), *cells)
+    for name, line in _lines(evaluations, bool(backends)):
+        cells = (
+            _cell(key, line[column].metrics[key]) if column in line else "-" for column in columns for key in shown
+        )
+        table.add_row(escape(name), *cells)
     for group in dict.fromkeys(groups.values()):
         members = [evaluation for evaluation in evaluations if groups.get(evaluation.name) == group]
-        count = len({member.name for member in members})
+        parts = [[one for one in members if backend in (None, one.backend)] for backend in columns]
+        count = max(map(len, parts))
         if count > 1:
-            cells = (
-                _mean_cell(key, [one.metrics[key].value for one in members if backend in (None, one.backend)])
-                for backend in columns
-                for key in shown
-            )
+            cells = (_mean_cell(key, [one.metrics[key].value for one in part]) for part in parts for key in shown)
             table.add_row(f"{escape(group)}\n[dim]{count} policies[/dim]", *cells)
     return table
 
 
 def _lines(
-    evaluations: Sequence[Evaluation | EndlessEvaluation], backends: Sequence[str]
-) -> list[list[Evaluation | EndlessEvaluation | None]]:
-    """Lines of a policy in a table: its evaluation in each backend, or one line for each evaluation."""
-    if not backends:
-        return [[evaluation] for evaluation in evaluations]
-    return [[next((one for one in evaluations if one.backend == backend), None) for backend in backends]]
+    evaluations: Sequence[Evaluation | EndlessEvaluation], together: bool
+) -> list[tuple[str, dict[str | None, Evaluation | EndlessEvaluation]]]:
+    """Lines of a table: name of the policy, and its evaluation in each backend if ``together``, else one with no key.
+
+    Further evaluations of the same policy in the same backend get further lines.
+    """
+    lines: list[tuple[str, dict[str | None, Evaluation | EndlessEvaluation]]] = []
+    for evaluation in evaluations:
+        column = evaluation.backend if together else None
+        free = (line for name, line in lines if name == evaluation.name and column not in line)
+        if (line := next(free, None)) is None:
+            lines.append((evaluation.name, {column: evaluation}))
+        else:
+            line[column] = evaluation
+    return lines
 
 
 def _print_disagreements(disagreements: Sequence[Disagreement], console: Console) -> None:
