@@ -30,9 +30,9 @@ RESTING = 0.01
 """Mean speed below which a rover stands, m/s."""
 NEARLY_LEVEL = 0.001
 """Slope that makes simulators represent level ground by triangles, degrees."""
-_BRACKET = 8.0
+_BRACKET = 16.0
 """Largest distance of a measured limit from the expected one, degrees."""
-_BISECTIONS = 6
+_BISECTIONS = 7
 """Number of halvings of the bracket around a limit: to an eighth of a degree."""
 
 
@@ -184,7 +184,7 @@ def steepest(holds: Callable[[Tensor], Tensor], expected: float) -> Tensor:
 
     Args:
         holds: whether rovers hold on slopes (degrees, ``[16]``), bool ``[16]``.
-        expected: expected limit, degrees. Limits that differ by more than 8 degrees are given as 8 degrees.
+        expected: expected limit, degrees. Limits that differ by more than 16 degrees are given as 16 degrees.
     """
     low, high = torch.full((16,), expected - _BRACKET), torch.full((16,), expected + _BRACKET)
     for _ in range(_BISECTIONS):
