@@ -141,7 +141,7 @@ def table(found: dict[str, Any]) -> Group:
     differences = Table(
         "scene",
         *pairs,
-        title="Median differences: final position, final yaw, tilt",
+        title="Median differences: final position (cm), final yaw and tilt (degrees)",
         caption=f"* more than {100 * BAR:g} cm on flat ground, slope or rough ground.",
     )
     rollovers = Table("scene", *engines, title="Share of rovers that roll over")
@@ -156,8 +156,6 @@ def table(found: dict[str, Any]) -> Group:
 
 
 def _cell(difference: dict[str, float], bar: float | None) -> str:
-    text = (
-        f"{100 * difference['position_m']:.1f} cm, {math.degrees(difference['yaw_rad']):.1f} deg, "
-        f"{math.degrees(difference['tilt_rad']):.2f} deg"
-    )
+    yaw, tilt = (math.degrees(difference[key]) for key in ("yaw_rad", "tilt_rad"))
+    text = f"{100 * difference['position_m']:.1f}, {yaw:.1f}, {tilt:.2f}"
     return f"[red]{text} *[/red]" if bar is not None and difference["position_m"] > bar else text
