@@ -5,7 +5,8 @@
 - ``breakdown``: profile of a batched step by function.
 - ``physics``: speed and accuracy of the physics presets.
 - ``simulators``: speed of Warp compared with Bullet, on one core and on a GPU if there is one.
-- ``parity``: agreement of Warp with Bullet.
+- ``law``: every simulator compared with Coulomb's law of friction by hand.
+- ``parity``: agreement of the simulators with one another.
 - ``endurance``: robustness of Warp under ten million random actions.
 - ``cores``: speedup of rollouts by parallel workers.
 - ``peers``: speed compared with a process and a PyBullet client for each rover.
@@ -34,7 +35,17 @@ from benchmarks.plot import draw
 from rover_rl.files import write_json
 
 Part = Literal[
-    "rollouts", "breakdown", "physics", "simulators", "parity", "endurance", "cores", "peers", "footprint", "training"
+    "rollouts",
+    "breakdown",
+    "physics",
+    "simulators",
+    "law",
+    "parity",
+    "endurance",
+    "cores",
+    "peers",
+    "footprint",
+    "training",
 ]
 
 

@@ -1,13 +1,22 @@
-"""Steady motion of a skid-steer rover on level ground by Coulomb's law: a reference for the simulators."""
+"""Motion of a skid-steer rover by Coulomb's law of friction: a reference for the simulators.
+
+Every wheel that slips carries the friction force ``mu N`` against its slip, whatever its speed and direction. On a
+plane of slope ``s``, the loads of all wheels add up to ``m g cos s``, so that the sum of the forces of wheels that slip
+in the same direction does not depend on how the wheels share the load.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from rover_rl.sims.robots import Robot
+
+GRAVITY = 9.81
+"""Gravitational acceleration of the simulators, m/s^2."""
 
 
 @dataclass(frozen=True)
@@ -58,3 +67,82 @@ def steady_motion(robot: Robot, center: float, linear: float, angular: float) ->
     if solution.cost > 1e-6:
         raise ValueError(f"friction does not balance for the command ({linear}, {angular})")
     return Motion(*solution.x)
+
+
+def friction_angle(friction: float) -> float:
+    """Returns the steepest slope that a rover stands on, in any direction, and that it climbs, degrees.
+
+    All wheels can slip at once. Gravity pulls along the slope with ``m g sin s``, and friction holds or drives with at
+    most ``mu m g cos s``: they balance at ``tan s = mu``. On a side slope too: wheels that roll without slip in their
+    own direction carry no force there, which leaves all of ``mu N`` against sideways slip.
+    """
+    return math.degrees(math.atan(friction))
+
+
+def climbing_acceleration(friction: float, slope: float) -> float:
+    """Returns the acceleration up a slope while all wheels spin, ``g (mu cos s - sin s)``, m/s^2.
+
+    Friction drives each wheel uphill with ``mu N`` for as long as its tread moves faster than the ground. Negative on
+    slopes steeper than :func:`friction_angle`: the rover slides down although its wheels spin.
+
+    Args:
+        friction: Coulomb friction coefficient.
+        slope: slope of the ground, degrees.
+    """
+    angle = math.radians(slope)
+    return GRAVITY * (friction * math.cos(angle) - math.sin(angle))
+
+
+def sliding_acceleration(friction: float, slope: float) -> float:
+    """Returns the acceleration down a slope with locked wheels, ``g (sin s - mu cos s)``, m/s^2, at least 0.
+
+    The direction in which the rover faces does not matter: locked wheels slip straight down the slope, and the friction
+    forces, in proportion to the loads, have no moment about the center of mass.
+
+    Args:
+        friction: Coulomb friction coefficient.
+        slope: slope of the ground, degrees.
+    """
+    angle = math.radians(slope)
+    return max(0.0, GRAVITY * (math.sin(angle) - friction * math.cos(angle)))
+
+
+def climbing_time(friction: float, slope: float, speed: float) -> float:
+    """Returns the time from standing to ``speed`` (m/s) up a slope (degrees) with spinning wheels, ``v / a``, s.
+
+    From then on the wheels roll and the speed is the commanded one. Infinite on slopes that are too steep.
+    """
+    acceleration = climbing_acceleration(friction, slope)
+    return speed / acceleration if acceleration > 0 else math.inf
+
+
+def braking_distance(friction: float, speed: float) -> float:
+    """Returns the distance in which locked wheels stop a rover on level ground, ``v^2 / (2 mu g)``, m.
+
+    Friction decelerates the rover by ``mu g``. A simulator that updates the velocity before the position (semi-implicit
+    Euler) stops ``v dt / 2`` earlier: from 1 m/s with steps of 10 ms by 5 mm.
+
+    Args:
+        friction: Coulomb friction coefficient.
+        speed: speed at which the wheels lock, m/s.
+    """
+    return speed**2 / (2 * friction * GRAVITY)
+
+
+def front_load(robot: Robot, center: tuple[float, float], friction: float) -> float:
+    """Returns the share of the load on the front wheels of a two-axle rover whose wheels all slip along its length.
+
+    The ground's force of direction ``(mu, 1)``, forward and up, passes through the center of mass, since the rover does
+    not rotate. It therefore meets the ground ``mu h`` behind the center of mass, at the height ``h`` above the ground,
+    and the loads balance about this point. The formulas above hold while every wheel is loaded: for shares between 0
+    and 1.
+
+    Args:
+        robot: robot with two axles.
+        center: position of the center of mass, x and z in the base frame, m.
+        friction: Coulomb friction coefficient if friction drives the rover forward; its negative if friction brakes.
+    """
+    hubs = np.array(robot.wheel_positions)
+    front, rear = hubs[:, 0].max(), hubs[:, 0].min()
+    height = center[1] - (hubs[0, 2] - robot.wheel_radius)
+    return float((center[0] - friction * height - rear) / (front - rear))

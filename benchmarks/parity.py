@@ -1,15 +1,16 @@
-"""Agreement of Warp with Bullet, and of Bullet with itself after a shift of the start by 1 mm.
+"""Agreement of the simulators with one another, and of Bullet with itself after a shift of the start by 1 mm.
 
-Rovers receive the same commands in both simulators: on flat ground, a slope and rough ground, against a wall, down an
-edge, over a ridge that touches the belly, and sideways off an edge. Reports medians of the differences in final
-position and yaw and of the mean differences in roll and pitch, and the share of rovers that roll over. Also compares
-the yaw rates of steady turns with Coulomb's law.
+Rovers receive the same commands in all simulators: on flat ground, a slope and rough ground, against a wall, down an
+edge, over a ridge that touches the belly, and sideways off an edge. Reports for each pair of simulators the medians of
+the differences in final position and yaw and of the mean differences in roll and pitch, and for each simulator the
+share of rovers that roll over. Also compares the yaw rates of steady turns with Coulomb's law.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import torch
@@ -17,21 +18,23 @@ from rich.console import Group
 from rich.table import Table
 from torch import Tensor
 
+from benchmarks import maneuvers
 from benchmarks.coulomb import steady_motion
+from benchmarks.engines import choose_engines
+from benchmarks.law import center_of_mass
 from benchmarks.options import Options
-from benchmarks.physics import NUDGE, SECONDS, STEPS_PER_SECOND, Trajectories, grounds
-from rover_rl.sims import Backend, make_simulator
-from rover_rl.sims.bullet import BulletSettings
+from benchmarks.physics import NUDGE, SECONDS, Trajectories, grounds
 from rover_rl.sims.robots import get_robot
-from rover_rl.sims.rotations import quaternion_to_euler
-from rover_rl.sims.warp import WarpSettings
-from rover_rl.sims.warp.inertial_model import read_inertial_model
 from rover_rl.sims.worlds import Terrain, World, box
 
 ROLLOVER_ANGLE = math.radians(85)
 """Roll or pitch above which a rover counts as rolled over, rad."""
 TURNS = ((0.0, 1.0), (0.0, 2.0), (0.5, 1.0))
 """Commands (m/s, rad/s) whose steady yaw rates are compared with Coulomb's law."""
+BAR = 0.05
+"""Largest median difference in position after 5 s that passes on flat ground, slope and rough ground, m."""
+SENSITIVE = "bullet"
+"""Simulator that is also compared with itself after a shift of the start."""
 
 
 @dataclass(frozen=True)
@@ -42,24 +45,19 @@ class Scene:
         world: world of all rovers.
         starts: start poses: x, y (m) and yaw (rad), ``[N, 3]``.
         commands: commands, held for a second each: forward speed (m/s) and yaw rate (rad/s), ``[seconds, N, 2]``.
+        bar: largest median difference in position that passes, m; ``None`` where small differences grow large.
     """
 
     world: World
     starts: Tensor
     commands: Tensor
+    bar: float | None = None
 
-    def simulate(self, settings: Backend, nudge: float = 0.0) -> Trajectories:
+    def simulate(self, engine: Any, nudge: float = 0.0) -> Trajectories:
         """Simulates the scene, with starts shifted by ``nudge`` (m) along x, and returns the trajectories."""
-        count = len(self.starts)
-        robot = get_robot("rover_zero")
-        simulator = make_simulator(settings, worlds=[self.world] * count, robot=robot, lidar_beams=1)
-        simulator.reset(torch.ones(count, dtype=torch.bool), self.starts + torch.tensor((nudge, 0.0, 0.0)))
-        states = [simulator.step(command) for command in self.commands for _ in range(STEPS_PER_SECOND)]
-        simulator.close()
-        return Trajectories(
-            torch.stack([state.position for state in states]),
-            torch.stack([quaternion_to_euler(state.orientation) for state in states]),
-        )
+        starts = self.starts + torch.tensor((nudge, 0.0, 0.0))
+        commands = [(command, 1.0) for command in self.commands]
+        return maneuvers.drive(engine, [self.world] * len(starts), starts, commands)
 
 
 def scenes(count: int) -> dict[str, Scene]:
@@ -77,7 +75,7 @@ def scenes(count: int) -> dict[str, Scene]:
     forward = uniform((0.3, -0.3), (1.0, 0.3)).expand(3, -1, -1)
     ahead = uniform((-0.2, -3.0, -0.3), (0.2, 3.0, 0.3))
     sideways = uniform((-0.2, -3.0, 1.2), (0.2, 3.0, 1.9))
-    found = {name: Scene(world, anywhere, changing) for name, world in grounds().items()}
+    found = {name: Scene(world, anywhere, changing, BAR) for name, world in grounds().items()}
     wall = World("wall", Terrain.flat((40, 40)), [box((1.2, 0.0, 0.5), (0.4, 12.0, 1.0))])
     return found | {
         "against a wall": Scene(wall, at_walls, forward),
@@ -107,49 +105,57 @@ def rolled_over(trajectories: Trajectories) -> float:
 
 
 def measure(options: Options) -> dict[str, Any]:
-    """Measures the scenes and the steady turns."""
-    rows = []
-    for name, scene in scenes(options.rovers).items():
-        bullet = scene.simulate(BulletSettings())
-        nudged, warp = scene.simulate(BulletSettings(), NUDGE), scene.simulate(WarpSettings())
-        for pair, trajectories in (("Bullet, start shifted by 1 mm", nudged), ("Warp", warp)):
-            row = {"scene": name, "pair": pair, **trajectories.difference(bullet)}
-            rows.append(row | {"rolled_over": rolled_over(trajectories), "rolled_over_in_bullet": rolled_over(bullet)})
-    return {"scenes": rows, "spins": [_steady_turn(*command) for command in TURNS]}
+    """Measures the scenes and the steady turns in every simulator of the options."""
+    engines = choose_engines(options.engines)
+    return {
+        "scenes": [_compare(name, scene, engines) for name, scene in scenes(options.rovers).items()],
+        "turns": [_steady_turn(*command, engines) for command in TURNS],
+    }
 
 
-def _steady_turn(linear: float, angular: float) -> dict[str, Any]:
+def _compare(name: str, scene: Scene, engines: list[str]) -> dict[str, Any]:
+    """Differences of each pair of simulators in a scene, and the share of rovers that roll over in each simulator."""
+    driven = {engine: scene.simulate(engine) for engine in engines}
+    pairs = {}
+    if SENSITIVE in driven:
+        nudged = scene.simulate(SENSITIVE, NUDGE)
+        pairs[f"{SENSITIVE}, shifted by 1 mm"] = nudged.difference(driven[SENSITIVE])
+    for one, other in combinations(engines, 2):
+        pairs[f"{one} and {other}"] = driven[other].difference(driven[one])
+    shares = {engine: rolled_over(trajectories) for engine, trajectories in driven.items()}
+    return {"scene": name, "bar_m": scene.bar, "pairs": pairs, "rolled_over": shares}
+
+
+def _steady_turn(linear: float, angular: float, engines: list[str]) -> dict[str, Any]:
     """Yaw rate under a constant command: by Coulomb's law, and the mean over 16 headings in each simulator."""
-    robot = get_robot("rover_zero")
-    model = read_inertial_model(robot)
-    center = model.total(torch.tensor([model.chassis_mass], dtype=torch.float64))[1][0, 0].item()
-    headings = torch.arange(16) * (2 * math.pi / 16)
-    starts = torch.stack((torch.zeros(16), torch.zeros(16), headings), -1)
-    command = torch.tensor((linear, angular)).expand(3, 16, 2)
-    scene = Scene(World("flat", Terrain.flat((60, 60))), starts, command)
-    row = {"command": f"{linear} m/s, {angular} rad/s", "coulomb": steady_motion(robot, center, linear, angular).yaw}
-    for name, settings in (("bullet", BulletSettings()), ("warp", WarpSettings())):
-        yaw = scene.simulate(settings).euler[-STEPS_PER_SECOND - 1 :, :, 2]
-        steps = torch.remainder(yaw[1:] - yaw[:-1] + math.pi, 2 * math.pi) - math.pi
-        row[name] = steps.sum(0).mean().item()
-    return row
+    law = steady_motion(get_robot("rover_zero"), center_of_mass()[0], linear, angular).yaw
+    rates = {
+        engine: maneuvers.turning_rate(engine, maneuvers.PLANE, linear, angular).mean().item() for engine in engines
+    }
+    return {"command": f"{linear} m/s, {angular} rad/s", "coulomb": law, "engines": rates}
 
 
 def table(found: dict[str, Any]) -> Group:
     """Formats the results as tables for the terminal."""
-    headings = "scene", "compared with Bullet", "position, cm", "yaw, deg", "tilt, deg", "rolled over", "in Bullet"
-    scenes_table = Table(*headings, title="Differences from Bullet: medians")
+    pairs, engines = list(found["scenes"][0]["pairs"]), list(found["turns"][0]["engines"])
+    differences = Table(
+        "scene",
+        *pairs,
+        title="Median differences: final position (cm), final yaw and tilt (degrees)",
+        caption=f"* more than {100 * BAR:g} cm on flat ground, slope or rough ground.",
+    )
+    rollovers = Table("scene", *engines, title="Share of rovers that roll over")
     for row in found["scenes"]:
-        scenes_table.add_row(
-            row["scene"],
-            row["pair"],
-            f"{100 * row['position_m']:.1f}",
-            f"{math.degrees(row['yaw_rad']):.1f}",
-            f"{math.degrees(row['tilt_rad']):.2f}",
-            f"{row['rolled_over']:.0%}",
-            f"{row['rolled_over_in_bullet']:.0%}",
-        )
-    turns = Table("command", "Coulomb's law", "Warp", "Bullet", title="Yaw rate on level ground, rad/s")
-    for row in found["spins"]:
-        turns.add_row(row["command"], *(f"{row[name]:.3f}" for name in ("coulomb", "warp", "bullet")))
-    return Group(scenes_table, turns)
+        differences.add_row(row["scene"], *(_cell(row["pairs"][pair], row["bar_m"]) for pair in pairs))
+        rollovers.add_row(row["scene"], *(f"{row['rolled_over'][engine]:.0%}" for engine in engines))
+    turns = Table("command", "Coulomb's law", *engines, title="Yaw rate on level ground, rad/s")
+    for row in found["turns"]:
+        rates = (row["coulomb"], *(row["engines"][engine] for engine in engines))
+        turns.add_row(row["command"], *(f"{rate:.3f}" for rate in rates))
+    return Group(differences, rollovers, turns)
+
+
+def _cell(difference: dict[str, float], bar: float | None) -> str:
+    yaw, tilt = (math.degrees(difference[key]) for key in ("yaw_rad", "tilt_rad"))
+    text = f"{100 * difference['position_m']:.1f}, {yaw:.1f}, {tilt:.2f}"
+    return f"[red]{text} *[/red]" if bar is not None and difference["position_m"] > bar else text

@@ -14,20 +14,25 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class EnvOptions:
-    """Environment to drive in. Default: the one that the policy was made for, in Bullet, without randomization."""
+class AnyBackendEnvOptions:
+    """Environment to drive in, in a backend that is given apart from it.
+
+    Default: the one that the policy was made for, in Bullet, without randomization.
+    """
 
     env: Path | None = None
     """YAML file of EnvConfig, or a run's config.yaml. Default: the policy's environment in Bullet, not randomized."""
     robot: str | None = None
     """Robot: rover_zero, or module:attribute. Default: that of --env, else of the policy."""
-    backend: str | None = None
-    """Simulator: bullet, warp (extra warp), or module:attribute. Default: that of --env, else bullet."""
     physics: str | None = None
     """Preset of Bullet's physics: default, accurate or fast (docs/physics.md)."""
 
-    def description(self, policy: Policy | None) -> EnvConfig:
+    def description(self, policy: Policy | None, backend: str | None = None) -> EnvConfig:
         """Returns the environment for a policy.
+
+        Args:
+            policy: the policy; ``None`` acts at random.
+            backend: name of the backend; ``None``: that of the file, else Bullet.
 
         Raises:
             FileNotFoundError: if the file does not exist.
@@ -36,9 +41,21 @@ class EnvOptions:
         from rover_rl.algos.evaluation.evaluate import environment_for
 
         config = environment_for(policy, None if self.env is None else read_env(self.env))
-        options = {"robot": self.robot, "backend": self.backend, "physics": self.physics}
+        options = {"robot": self.robot, "backend": backend, "physics": self.physics}
         changes: dict[str, Any] = {key: given for key, given in options.items() if given}
         return environment_for(policy, replace(config, **changes))
+
+
+@dataclass(frozen=True)
+class EnvOptions(AnyBackendEnvOptions):
+    """Environment to drive in. Default: the one that the policy was made for, in Bullet, without randomization."""
+
+    backend: str | None = None
+    """Simulator: bullet, warp (extra warp), or module:attribute. Default: that of --env, else bullet."""
+
+    def description(self, policy: Policy | None, backend: str | None = None) -> EnvConfig:
+        """Returns the environment for a policy. See :meth:`AnyBackendEnvOptions.description`."""
+        return super().description(policy, backend or self.backend)
 
 
 def read_env(path: Path) -> EnvConfig:

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from rover_rl.algos.config_files import experiments
-from rover_rl.cli.environment import EnvOptions
+from rover_rl.cli.environment import AnyBackendEnvOptions
 from rover_rl.cli.policies import ResolvedPolicy, resolve_policy
 from rover_rl.envs.config import EnvConfig
+from rover_rl.sims.robots import get_robot
 
 if TYPE_CHECKING:
     from rover_rl.algos.evaluation.episodes import EpisodeSet
@@ -41,7 +42,10 @@ class Evaluate:
     """Time limit of each episode, s."""
     action_repeat: int = 1
     """Number of steps (50 ms) that each action is held for."""
-    environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
+    environment: Annotated[AnyBackendEnvOptions, tyro.conf.arg(name="")] = field(default_factory=AnyBackendEnvOptions)
+    backend: tuple[str, ...] = ()
+    """Simulators: bullet, warp (extra warp), or module:attribute. Several are compared on the same episodes.
+    Default: that of --env, else bullet."""
     endless: bool = False
     """Also evaluate in endless mode: 32 episodes of 2,000 steps, as in the original environment."""
     jam: bool = True
@@ -57,6 +61,7 @@ class Evaluate:
 
         logs = {Path(word): read_drives(Path(word)) for word in self.policies if word.endswith(LOG)}
         policies = self._policies()
+        backends = self._backends(policies)
         sets = self._episode_sets(policies)
         results: list[Evaluation | EndlessEvaluation] = []
         out = self.out or next((policy.folder for policy in policies if policy.folder), Path("runs/evaluation"))
@@ -65,11 +70,13 @@ class Evaluate:
         pictures: dict[Path, list[Evaluation]] = {}
         for world, episodes in sets.items():
             here = [policy for policy in policies if world in (policy.worlds or sets)]
-            driven = [self._drive(policy, episodes) for policy in here]
-            results += driven
+            driven = {backend: [self._drive(policy, episodes, backend) for policy in here] for backend in backends}
+            results += [evaluations[number] for number in range(len(here)) for evaluations in driven.values()]
             if self.endless:
-                results += [self._drive_endlessly(policy, world) for policy in here]
-            pictures[out / ("paths.png" if len(sets) == 1 else f"paths-{world.replace(':', '-')}.png")] = driven
+                results += [self._drive_endlessly(policy, world, backend) for policy in here for backend in backends]
+            for backend, evaluations in driven.items():
+                parts = [world if len(sets) > 1 else None, backend if len(backends) > 1 else None]
+                pictures[out / ("-".join(["paths", *filter(None, parts)]).replace(":", "-") + ".png")] = evaluations
         for log, drives in logs.items():
             results += drives
             for number, drive in enumerate(drives):
@@ -85,6 +92,25 @@ class Evaluate:
         print(f"Results: {out / 'evaluation.json'}, evaluation.csv")
         print("Paths driven: " + ", ".join(str(picture) for picture in pictures))
         return 0
+
+    def _backends(self, policies: list[ResolvedPolicy]) -> list[str | None]:
+        """Returns the names of the backends to drive in; ``None`` is that of the environment.
+
+        Tries several backends before the evaluation, which can take minutes in the first of them.
+        """
+        from rover_rl.sims import make_simulator
+        from rover_rl.sims.worlds import Terrain, World
+
+        names = [*dict.fromkeys(self.backend)]
+        if len(names) > 1:
+            world = World("flat", Terrain.flat((4.0, 4.0)))
+            for name in names:
+                env = self.environment.description(None, name).arguments()
+                robot = get_robot(env["robot"])
+                make_simulator(name, worlds=[world], robot=robot, lidar_beams=1, physics=env["physics"]).close()
+                for policy in policies:
+                    self.environment.description(policy.module, name)
+        return [*names] or [None]
 
     def _policies(self) -> list[ResolvedPolicy]:
         """Resolves the policies and gives each a unique name."""
@@ -106,7 +132,8 @@ class Evaluate:
         for world in worlds:
             get_world(world)
         count = STORED if self.count is None else self.count
-        robot = self.environment.description(next((policy.module for policy in policies if policy.config), None)).robot
+        trained = next((policy.module for policy in policies if policy.config), None)
+        robot = self.environment.description(trained, next(iter(self.backend), None)).robot
         return {
             world: stored_episodes(world).first(count)
             if world in WORLDS and self.seed is None and count <= STORED and robot == EnvConfig.robot
@@ -114,19 +141,19 @@ class Evaluate:
             for world in worlds
         }
 
-    def _drive(self, policy: ResolvedPolicy, episodes: EpisodeSet) -> Evaluation:
+    def _drive(self, policy: ResolvedPolicy, episodes: EpisodeSet, backend: str | None) -> Evaluation:
         from rover_rl.algos.evaluation.evaluate import evaluate
 
-        return evaluate(policy.module, episodes, seconds=self.seconds, **self._settings(policy))
+        return evaluate(policy.module, episodes, seconds=self.seconds, **self._settings(policy, backend))
 
-    def _drive_endlessly(self, policy: ResolvedPolicy, world: str) -> EndlessEvaluation:
+    def _drive_endlessly(self, policy: ResolvedPolicy, world: str, backend: str | None) -> EndlessEvaluation:
         from rover_rl.algos.evaluation.evaluate import evaluate_endless
 
-        return evaluate_endless(policy.module, world, jam=self.jam, **self._settings(policy))
+        return evaluate_endless(policy.module, world, jam=self.jam, **self._settings(policy, backend))
 
-    def _settings(self, policy: ResolvedPolicy) -> dict[str, Any]:
+    def _settings(self, policy: ResolvedPolicy, backend: str | None) -> dict[str, Any]:
         return {
             "name": policy.name,
             "action_repeat": self.action_repeat,
-            "env": self.environment.description(policy.module),
+            "env": self.environment.description(policy.module, backend),
         }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
 
+from benchmarks.engines import choose_engines
+from benchmarks.law import quantities
 from benchmarks.options import Options
 from benchmarks.plain_rover import PlainRover
 from benchmarks.ratios import paired
@@ -69,17 +72,54 @@ def test_rollouts_cores_and_footprint(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_warp_beside_bullet(tmp_path: Path) -> None:
     pytest.importorskip("warp", reason="needs rover_rl[warp]")
-    results = bench(tmp_path, "simulators", "parity", "endurance")
+    results = bench(tmp_path, "simulators", "endurance")
     ratios = results["simulators"]["ratios"]
     assert len(ratios) == 3 * 2 + 3 + 1
     assert all(row["median"] > 0 for row in ratios)
     assert (results["simulators"]["gpu"] is None) == (not torch.cuda.is_available())
-    scenes = results["parity"]["scenes"]
-    assert len(scenes) == 2 * 7
-    assert all(row["position_m"] >= 0 for row in scenes)
     assert all(row["broken"] == 0 and row["highest_m"] < 2.0 for row in results["endurance"])
-    for spin in results["parity"]["spins"]:
-        assert spin["warp"] == pytest.approx(spin["coulomb"], rel=0.05)
+
+
+@pytest.mark.slow
+def test_simulators_are_compared_with_one_another(tmp_path: Path) -> None:
+    pytest.importorskip("warp", reason="needs rover_rl[warp]")
+    results = bench(tmp_path, "parity", "--engines", "bullet", "warp")
+    scenes = results["parity"]["scenes"]
+    assert len(scenes) == 7
+    for row in scenes:
+        assert set(row["pairs"]) == {"bullet, shifted by 1 mm", "bullet and warp"}
+        assert all(pair["position_m"] > 0 for pair in row["pairs"].values())
+    for turn in results["parity"]["turns"]:
+        assert turn["engines"]["warp"] == pytest.approx(turn["coulomb"], rel=0.05)
+
+
+@pytest.mark.slow
+def test_simulators_are_compared_with_the_law(tmp_path: Path) -> None:
+    pytest.importorskip("warp", reason="needs rover_rl[warp]")
+    rows = bench(tmp_path, "law", "--engines", "warp")["law"]
+    assert {row["ground"] for row in rows} == {"plane", "triangles", "slope"}
+    assert all(row["engines"]["warp"]["passes"] for row in rows)
+    for row in rows:
+        found = row["engines"]["warp"]
+        assert found["least"] <= found["mean"] <= found["greatest"]
+
+
+def test_a_wrong_engine_fails_the_law() -> None:
+    quantity = next(quantity for quantity in quantities() if quantity.unit == "rad/s")
+    wrong = replace(quantity, measure=lambda _: torch.full((16,), 1.06 * quantity.law))
+    assert wrong.compare("any")["worst_error"] == pytest.approx(0.06, abs=1e-6)
+    assert not wrong.compare("any")["passes"]
+    lone = torch.full((16,), quantity.law)
+    lone[7] *= 0.94
+    assert not replace(quantity, measure=lambda _: lone).compare("any")["passes"]
+    degrees = replace(quantity, unit="deg", law=26.6, measure=lambda _: torch.full((16,), 25.7))
+    assert degrees.compare("any")["passes"]
+    assert degrees.compare("any")["worst_error"] == pytest.approx(-0.9, abs=1e-4)
+
+
+def test_unknown_engines_are_refused() -> None:
+    with pytest.raises(ValueError, match="'gazebo'"):
+        choose_engines(("bullet", "gazebo"))
 
 
 @pytest.mark.slow

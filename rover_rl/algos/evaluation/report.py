@@ -19,9 +19,24 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from rover_rl.algos.evaluation.comparison import Disagreement, backends_of, disagreements_of, find_disagreements
 from rover_rl.algos.evaluation.evaluate import EndlessEvaluation, Evaluation
 from rover_rl.algos.evaluation.metrics import METRICS, Estimate
 from rover_rl.files import write_json, written_whole
+
+COMPARED = (
+    "success_rate",
+    "spl",
+    "mean_time_to_traverse",
+    "goals_per_episode",
+    "seconds_per_goal",
+    "ended_early",
+    "collisions",
+    "body_contact_share",
+)
+"""Metrics with a column for each backend in a table of several backends."""
+LISTED = 20
+"""Largest number of printed episodes on which backends disagree."""
 
 
 def print_table(
@@ -30,6 +45,9 @@ def print_table(
     groups: Mapping[str, str] | None = None,
 ) -> None:
     """Prints a table of policies for each world and mode, with 95 % confidence intervals below the values.
+
+    Policies in several backends have a row with a group of columns for each backend, with fewer metrics. Below, the
+    first 20 episodes that reach their goal in one backend and not in another.
 
     Args:
         evaluations: evaluations to print, of any worlds and modes.
@@ -40,26 +58,85 @@ def print_table(
     console = console or Console()
     if not console.is_terminal:
         console.width = max(console.width, 140)
+    measured: set[str] = set()
     for title in dict.fromkeys(evaluation.title for evaluation in evaluations):
-        console.print(_table(title, [e for e in evaluations if e.title == title], groups or {}))
-    measured = [METRICS[key] for key in METRICS if any(key in e.metrics for e in evaluations)]
-    legend = dict.fromkeys(f"{metric.heading}: {metric.meaning}" for metric in measured if metric.meaning)
+        together = [evaluation for evaluation in evaluations if evaluation.title == title]
+        console.print(_table(title, together, groups or {}))
+        measured.update(key for key in together[0].metrics if key in COMPARED or not backends_of(together))
+    if (disagreements := find_disagreements(evaluations)) is not None:
+        _print_disagreements(disagreements, console)
+    legend = dict.fromkeys(
+        f"{metric.heading}: {metric.meaning}" for key, metric in METRICS.items() if key in measured and metric.meaning
+    )
     console.print("; ".join(legend) + ". Below each value: 95 % confidence interval.", style="dim")
 
 
 def _table(title: str, evaluations: Sequence[Evaluation | EndlessEvaluation], groups: Mapping[str, str]) -> Table:
+    """Table with a row for each policy and for each group of policies, and a group of columns for each backend."""
+    backends = backends_of(evaluations)
     shown = [key for key in METRICS if key in evaluations[0].metrics and _is_shown(key, evaluations)]
+    if backends:
+        shown = [key for key in shown if key in COMPARED]
     table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("policy", overflow="fold")
-    for key in shown:
-        table.add_column(f"{METRICS[key].heading}\n{METRICS[key].unit}", justify="right", overflow="fold")
-    for evaluation in evaluations:
-        table.add_row(escape(evaluation.name), *(_cell(key, evaluation.metrics[key]) for key in shown))
+    columns: Sequence[str | None] = backends or [None]
+    for backend in columns:
+        for key in shown:
+            above = "" if backend is None else f"{escape(backend) if key == shown[0] else ''}\n"
+            table.add_column(f"{above}{METRICS[key].heading}\n{METRICS[key].unit}", justify="right", overflow="fold")
+    for name, line in _lines(evaluations, bool(backends)):
+        cells = (
+            _cell(key, line[column].metrics[key]) if column in line else "-" for column in columns for key in shown
+        )
+        table.add_row(escape(name), *cells)
     for group in dict.fromkeys(groups.values()):
         members = [evaluation for evaluation in evaluations if groups.get(evaluation.name) == group]
-        if len(members) > 1:
-            cells = (_mean_cell(key, [member.metrics[key].value for member in members]) for key in shown)
-            table.add_row(f"{escape(group)}\n[dim]{len(members)} policies[/dim]", *cells)
+        parts = [[one for one in members if backend in (None, one.backend)] for backend in columns]
+        count = max(map(len, parts))
+        if count > 1:
+            cells = (_mean_cell(key, [one.metrics[key].value for one in part]) for part in parts for key in shown)
+            table.add_row(f"{escape(group)}\n[dim]{count} policies[/dim]", *cells)
+    return table
+
+
+def _lines(
+    evaluations: Sequence[Evaluation | EndlessEvaluation], together: bool
+) -> list[tuple[str, dict[str | None, Evaluation | EndlessEvaluation]]]:
+    """Lines of a table: name of the policy, and its evaluation in each backend if ``together``, else one with no key.
+
+    Further evaluations of the same policy in the same backend get further lines.
+    """
+    lines: list[tuple[str, dict[str | None, Evaluation | EndlessEvaluation]]] = []
+    for evaluation in evaluations:
+        column = evaluation.backend if together else None
+        free = (line for name, line in lines if name == evaluation.name and column not in line)
+        if (line := next(free, None)) is None:
+            lines.append((evaluation.name, {column: evaluation}))
+        else:
+            line[column] = evaluation
+    return lines
+
+
+def _print_disagreements(disagreements: Sequence[Disagreement], console: Console) -> None:
+    """Prints the first episodes on which backends disagree."""
+    if not disagreements:
+        console.print("The backends agree on which episodes reach their goal.")
+        return
+    console.print(_disagreement_table(disagreements[:LISTED]))
+    if len(disagreements) > LISTED:
+        console.print(f"{len(disagreements) - LISTED} more such episodes: see evaluation.json.")
+
+
+def _disagreement_table(disagreements: Sequence[Disagreement]) -> Table:
+    backends = dict.fromkeys(backend for one in disagreements for backend in one.endings)
+    title = "Episodes that reach their goal in one backend and not in another"
+    table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for heading in ("policy", "world", "episode", "start\nx, y, yaw", "goal\nx, y", *backends):
+        table.add_column(escape(heading), overflow="fold")
+    for one in disagreements:
+        start, goal = (", ".join(f"{number:.2f}" for number in numbers) for numbers in (one.start, one.goal))
+        endings = (one.endings.get(backend, "-") for backend in backends)
+        table.add_row(escape(one.policy), escape(one.world), str(one.episode), start, goal, *endings)
     return table
 
 
@@ -97,14 +174,24 @@ def _formatted(key: str, value: float) -> str:
 def write_evaluation(path: Path, evaluations: Sequence[Evaluation | EndlessEvaluation]) -> None:
     """Writes evaluations as a JSON file with every episode, and as a CSV file with one row per evaluation.
 
+    Evaluations of a policy in several backends also list ``disagreements``: the episodes that reach their goal in one
+    backend and not in another. The CSV file has their indices.
+
     Args:
         path: path of the JSON file; the CSV file has the same name with the suffix ``.csv``.
         evaluations: evaluations to write, of any worlds and modes.
     """
-    write_json(path, [evaluation.to_json() for evaluation in evaluations])
+    disagreements = [disagreements_of(evaluation, evaluations) for evaluation in evaluations]
+    results = [
+        evaluation.to_json() | ({} if found is None else {"disagreements": [one.to_json() for one in found]})
+        for evaluation, found in zip(evaluations, disagreements, strict=True)
+    ]
+    write_json(path, results)
     rows: list[dict[str, Any]] = []
-    for evaluation in evaluations:
+    for evaluation, found in zip(evaluations, disagreements, strict=True):
         row = evaluation.summary()
+        if found is not None:
+            row["disagreements"] = " ".join(str(one.episode) for one in found)
         for key, estimate in evaluation.metrics.items():
             row |= {key: estimate.value, f"{key}_low": estimate.low, f"{key}_high": estimate.high}
         rows.append(row)

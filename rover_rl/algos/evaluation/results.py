@@ -15,6 +15,7 @@ from torch import Tensor
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.metrics import Estimate, Trajectory, count_runs, endless_metrics, goal_metrics
 from rover_rl.envs.config import EnvConfig, plain_env
+from rover_rl.sims.backends import name_of
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import World
 
@@ -38,6 +39,11 @@ class Evaluation:
     seconds: float
     trajectories: list[Trajectory]
     env: EnvConfig = field(default_factory=EnvConfig)
+
+    @property
+    def backend(self) -> str:
+        """Name of the backend; ``"module:class"`` of a custom one that is given as an object."""
+        return _backend_name(self.env)
 
     @property
     def endings(self) -> list[str]:
@@ -93,10 +99,18 @@ class Evaluation:
         return f"{len(self.episodes)} episodes in {self.episodes.name}: one goal within {self.seconds:g} s"
 
     def summary(self) -> dict[str, Any]:
-        """Returns policy, world and counts as plain data."""
+        """Returns policy, backend, world and counts as plain data."""
         episodes = self.episodes
-        shared = _summary(self.name, episodes.name, "one goal", episodes.seed, self.action_repeat, self.trajectories)
-        return shared | {"time_limit": self.seconds}
+        return {
+            "policy": self.name,
+            "backend": self.backend,
+            "world": episodes.name,
+            "mode": "one goal",
+            "seed": episodes.seed,
+            "action_repeat": self.action_repeat,
+            **_counts(self.trajectories),
+            "time_limit": self.seconds,
+        }
 
     def to_json(self) -> dict[str, Any]:
         """Returns all results except the trajectories as plain data."""
@@ -138,6 +152,11 @@ class EndlessEvaluation:
     trajectories: list[Trajectory]
     env: EnvConfig = field(default_factory=EnvConfig)
 
+    @property
+    def backend(self) -> str:
+        """Name of the backend; ``"module:class"`` of a custom one that is given as an object."""
+        return _backend_name(self.env)
+
     @cached_property
     def metrics(self) -> dict[str, Estimate]:
         """Metrics, by name: see :mod:`rover_rl.algos.evaluation.metrics`."""
@@ -151,9 +170,18 @@ class EndlessEvaluation:
         return f"{count} episodes in {self.world_name}: endless goals, {limit} each{jam}"
 
     def summary(self) -> dict[str, Any]:
-        """Returns policy, world and counts as plain data."""
-        shared = _summary(self.name, self.world_name, "endless", self.seed, self.action_repeat, self.trajectories)
-        return shared | {"time_limit": self.length * self.trajectories[0].dt, "jam": self.jam}
+        """Returns policy, backend, world and counts as plain data."""
+        return {
+            "policy": self.name,
+            "backend": self.backend,
+            "world": self.world_name,
+            "mode": "endless",
+            "seed": self.seed,
+            "action_repeat": self.action_repeat,
+            **_counts(self.trajectories),
+            "time_limit": self.length * self.trajectories[0].dt,
+            "jam": self.jam,
+        }
 
     def to_json(self) -> dict[str, Any]:
         """Returns all results except the trajectories as plain data."""
@@ -161,15 +189,13 @@ class EndlessEvaluation:
         return {**_results(self), "episodes": episodes}
 
 
-def _summary(
-    name: str, world: str, mode: str, seed: int, action_repeat: int, trajectories: Sequence[Trajectory]
-) -> dict[str, Any]:
+def _backend_name(env: EnvConfig) -> str:
+    return env.backend if isinstance(env.backend, str) else name_of(env.backend)
+
+
+def _counts(trajectories: Sequence[Trajectory]) -> dict[str, int]:
+    """Numbers of episodes, goals and collisions, by name."""
     return {
-        "policy": name,
-        "world": world,
-        "mode": mode,
-        "seed": seed,
-        "action_repeat": action_repeat,
         "count": len(trajectories),
         "goals": sum(int(t.goal.sum()) for t in trajectories),
         "collisions": sum(count_runs(t.collision) for t in trajectories),

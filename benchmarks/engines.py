@@ -1,0 +1,47 @@
+"""Simulators that the benchmarks compare."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from rover_rl.sims import Backend, make_simulator
+from rover_rl.sims.backends import BACKENDS, resolve_backend
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.worlds import Terrain, World
+
+HARDWARE = ("ros2",)
+"""Built-in backends that are no simulators."""
+
+
+def installed_engines() -> list[str]:
+    """Returns the names of the simulators of the package whose libraries are installed, Bullet first."""
+    engines = sorted((name for name in BACKENDS if name not in HARDWARE), key=lambda name: (name != "bullet", name))
+    return [name for name in engines if _is_installed(name)]
+
+
+def _is_installed(name: str) -> bool:
+    """Builds a simulator of one rover, which fails if a library is missing."""
+    world = World("flat", Terrain.flat((4, 4)))
+    try:
+        make_simulator(name, worlds=[world], robot=get_robot("rover_zero"), lidar_beams=1).close()
+    except ImportError:
+        return False
+    return True
+
+
+def choose_engines(names: tuple[str, ...]) -> list[str]:
+    """Returns the named simulators, or all installed ones if none is named.
+
+    Raises:
+        ValueError: for an unknown name.
+        ImportError: for a simulator whose library is not installed.
+    """
+    for name in names:
+        resolve_backend(name)
+    return list(dict.fromkeys(names)) or installed_engines()
+
+
+def with_friction(engine: Any, friction: float) -> Backend:
+    """Returns the settings of a simulator, given by name or settings, with another friction on the ground."""
+    return replace(resolve_backend(engine), ground_friction=friction)

@@ -1,0 +1,202 @@
+"""Evaluation of the same policy in several backends."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from rich.console import Console
+from tensordict import TensorDictBase
+
+from rover_rl import World
+from rover_rl.algos.evaluation.comparison import find_disagreements
+from rover_rl.algos.evaluation.episodes import draw_episodes
+from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate, evaluate_endless
+from rover_rl.algos.evaluation.report import LISTED, print_table, write_evaluation
+from rover_rl.cli import main
+from rover_rl.envs import EnvConfig
+from rover_rl.sims.worlds import Terrain
+from tests.algos.evaluation.slippery import Slippery
+
+FIELD = World("field", Terrain.flat((12.0, 12.0)))
+EPISODES = draw_episodes(FIELD, count=3, seed=1)
+SLIPPERY = "tests.algos.evaluation.slippery:Slippery"
+
+
+def straight(td: TensorDictBase) -> TensorDictBase:
+    """Drives at the goal, slowly while it is not ahead."""
+    angle = td["target"][..., 1:]
+    return td.set("action", torch.cat((angle.cos().clamp(min=0), angle), -1))
+
+
+@pytest.fixture(scope="module")
+def firm() -> Evaluation:
+    return evaluate(straight, EPISODES, name="straight")
+
+
+def copied(evaluation: Evaluation, backend: str, missed: list[int]) -> Evaluation:
+    """The evaluation as if it were of another backend, and as if the episodes ``missed`` had ended at the limit."""
+    trajectories = [
+        replace(trajectory, ending="time limit") if number in missed else trajectory
+        for number, trajectory in enumerate(evaluation.trajectories)
+    ]
+    return replace(evaluation, env=replace(evaluation.env, backend=backend), trajectories=trajectories)
+
+
+def printed(*evaluations: Evaluation, **options) -> str:
+    console = Console(file=io.StringIO(), width=160)
+    print_table(evaluations, console, **options)
+    return console.file.getvalue()
+
+
+def test_results_name_their_backend(firm: Evaluation) -> None:
+    assert firm.backend == firm.to_json()["backend"] == "bullet"
+    slippery = evaluate(straight, EPISODES.first(1), seconds=0.5, env=EnvConfig(backend=Slippery()))
+    assert slippery.backend == "tests.algos.evaluation.slippery:Slippery"
+    endless = evaluate_endless(straight, FIELD, rows=1, seed=1, steps=5, env=EnvConfig(backend=SLIPPERY))
+    assert endless.backend == endless.summary()["backend"] == SLIPPERY
+
+
+def test_disagreements_are_the_episodes_with_a_goal_in_some_backends_only(firm: Evaluation) -> None:
+    assert firm.endings == ["goal"] * 3
+    (one,) = find_disagreements([firm, copied(firm, "warp", [1]), copied(firm, "other", [])]) or []
+    assert (one.policy, one.world, one.episode) == ("straight", "field", 1)
+    torch.testing.assert_close(torch.tensor((*one.start, *one.goal)), torch.cat((EPISODES.start[1], EPISODES.goal[1])))
+    assert one.endings == {"bullet": "goal", "warp": "time limit", "other": "goal"}
+
+
+def test_only_the_same_policy_on_the_same_episodes_is_compared(firm: Evaluation) -> None:
+    missed = copied(firm, "warp", [0, 1, 2])
+    assert len(find_disagreements([firm, missed]) or []) == 3
+    moved = replace(EPISODES, start=EPISODES.start + 0.1)
+    others = (
+        replace(missed, name="another"),
+        replace(missed, seconds=30.0),
+        replace(missed, action_repeat=2),
+        replace(missed, episodes=moved),
+        copied(missed, "bullet", []),
+    )
+    for other in others:
+        assert find_disagreements([firm, other]) is None
+
+
+def test_the_table_has_a_group_of_columns_for_each_backend(firm: Evaluation) -> None:
+    lines = printed(firm, copied(firm, "warp", [1])).splitlines()
+    backends = next(line for line in lines if "bullet" in line)
+    headings = lines[lines.index(backends) + 1]
+    assert backends.split() == ["bullet", "warp"]
+    assert headings.split().count("SR") == headings.split().count("SPL") == 2
+    (row,) = (line for line in lines if line.startswith(" straight") and "100.0" in line)
+    assert row.split()[1] == "100.0"
+    assert "66.7" in row.split()
+    (disagreement,) = (line for line in lines if "time limit" in line)
+    assert disagreement.split()[:3] == ["straight", "field", "1"]
+
+
+def test_groups_of_policies_have_their_mean_in_each_backend(firm: Evaluation) -> None:
+    missed = copied(firm, "warp", [0, 1, 2])
+    several = [firm, missed, replace(firm, name="again"), replace(missed, name="again")]
+    text = printed(*several, groups={"straight": "both", "again": "both"})
+    row = next(line for line in text.splitlines() if line.startswith(" both")).split()
+    assert row[1] == "100.0"
+    assert "0.0" in row
+    assert "2 policies" in text
+
+
+def test_no_evaluation_is_left_out_of_the_table(firm: Evaluation) -> None:
+    again = replace(copied(firm, "bullet", [0, 1, 2]), action_repeat=2)
+    text = printed(firm, again, copied(firm, "warp", []))
+    rows = [line for line in text.splitlines() if line.startswith(" straight")]
+    assert [row.split()[1] for row in rows] == ["100.0", "0.0"]
+    assert rows[1].split()[-1] == "-"
+
+
+def test_agreement_is_stated(firm: Evaluation) -> None:
+    assert "backends agree" in printed(firm, copied(firm, "warp", []))
+    for alone in ([firm], [firm, copied(firm, "bullet", [1])], [firm, replace(copied(firm, "warp", []), seconds=9.0)]):
+        assert "backends agree" not in printed(*alone)
+
+
+def test_the_list_on_the_screen_is_short_and_that_in_the_files_complete(firm: Evaluation, tmp_path: Path) -> None:
+    count = LISTED + 3
+    parts = (part[:1].expand(count, *part.shape[1:]) for part in (EPISODES.start, EPISODES.goal, EPISODES.shortest))
+    many = replace(EPISODES, **dict(zip(("start", "goal", "shortest"), parts, strict=True)))
+    reached = replace(firm, episodes=many, trajectories=firm.trajectories[:1] * count)
+    missed = copied(reached, "warp", list(range(count)))
+    text = printed(reached, missed)
+    assert text.count("time limit") == LISTED
+    assert "3 more such episodes" in text
+    write_evaluation(tmp_path / "evaluation.json", [reached, missed, replace(reached, name="alone")])
+    written = json.loads((tmp_path / "evaluation.json").read_text())
+    assert [len(entry.get("disagreements", [])) for entry in written] == [count, count, 0]
+    assert "disagreements" not in written[2]
+    last = written[0]["disagreements"][-1]
+    assert last["episode"] == count - 1
+    assert last["endings"] == {"bullet": "goal", "warp": "time limit"}
+    with (tmp_path / "evaluation.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["backend"] for row in rows] == ["bullet", "warp", "bullet"]
+    assert rows[1]["disagreements"].split() == [str(number) for number in range(count)]
+
+
+# --- the command
+
+
+def run(tmp_path: Path, *options: str) -> int:
+    return main(["evaluate", "scripted", "--world", "maze", *options, "--out", str(tmp_path)])
+
+
+def test_backends_drive_the_same_episodes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert run(tmp_path, "--backend", "bullet", SLIPPERY, "--count", "4", "--seconds", "10") == 0
+    results = json.loads((tmp_path / "evaluation.json").read_text())
+    assert [entry["backend"] for entry in results] == ["bullet", SLIPPERY]
+    starts = [[(episode["start"], episode["goal"]) for episode in entry["episodes"]] for entry in results]
+    assert starts[0] == starts[1]
+    reached = [{n for n, one in enumerate(entry["episodes"]) if one["ending"] == "goal"} for entry in results]
+    assert reached[0] > reached[1]
+    for entry in results:
+        assert {one["episode"] for one in entry["disagreements"]} == reached[0] - reached[1]
+    pictures = {path.name for path in tmp_path.glob("*.png")}
+    assert pictures == {"paths-bullet.png", f"paths-{SLIPPERY.replace(':', '-')}.png"}
+    assert "in one backend and not in another" in capsys.readouterr().out
+
+
+def test_one_backend_has_the_usual_table_and_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert run(tmp_path, "--backend", SLIPPERY, "--count", "1", "--seconds", "0.5") == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"evaluation.json", "evaluation.csv", "paths.png"}
+    (entry,) = json.loads((tmp_path / "evaluation.json").read_text())
+    assert entry["backend"] == SLIPPERY
+    assert "in one backend" not in (text := capsys.readouterr().out)
+    assert "backends agree" not in text
+
+
+@pytest.mark.parametrize(
+    ("backend", "message"),
+    [("gazebo", "unknown backend 'gazebo'"), ("tests.algos.evaluation.slippery:NotInstalled", "needs a library")],
+)
+def test_backends_that_cannot_be_used_fail_before_anything_is_driven(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, backend: str, message: str
+) -> None:
+    def unexpected(*_: object, **__: object) -> None:
+        raise AssertionError("drives before all backends are checked")
+
+    monkeypatch.setattr("rover_rl.algos.evaluation.evaluate.evaluate", unexpected)
+    assert run(tmp_path / "new", "--backend", "bullet", backend) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert message in captured.err
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_policy_with_other_action_bounds_drives_in_several_backends(tmp_path: Path) -> None:
+    """Each backend gets the environment that the policy was made for, not the default one."""
+    given = ["evaluate", "pretrained:maze-ppo", "--backend", "bullet", SLIPPERY, "--count", "1", "--seconds", "0.5"]
+    assert main([*given, "--out", str(tmp_path)]) == 0
+    results = json.loads((tmp_path / "evaluation.json").read_text())
+    assert results[0]["env"] | {"backend": SLIPPERY} == results[1]["env"]
