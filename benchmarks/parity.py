@@ -23,9 +23,9 @@ from benchmarks.physics import NUDGE, SECONDS, STEPS_PER_SECOND, Trajectories, g
 from rover_rl.sims import Backend, make_simulator
 from rover_rl.sims.bullet import BulletSettings
 from rover_rl.sims.robots import get_robot
+from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.warp import WarpSettings
-from rover_rl.sims.warp.inertial_model import read_inertial_model
 from rover_rl.sims.worlds import Terrain, World, box
 
 ROLLOVER_ANGLE = math.radians(85)
