@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rover_rl.sims.mujoco.library import mujoco
+from rover_rl.sims.native.mujoco import mujoco
 from rover_rl.sims.worlds import Obstacle, Terrain, World
 
 GROUND_MARGIN = 3.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rover_rl.sims.mujoco.geometry import add_ground_tiles, add_obstacles
-from rover_rl.sims.mujoco.library import mujoco
+from rover_rl.sims.native.mujoco import mujoco
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.solids import SolidTest

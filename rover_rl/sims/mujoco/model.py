@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from rover_rl.sims.mujoco.geometry import add_ground, add_obstacles
-from rover_rl.sims.mujoco.library import mujoco
 from rover_rl.sims.mujoco.settings import MujocoSettings
+from rover_rl.sims.native.mujoco import mujoco
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.inertial_model import InertialModel
 from rover_rl.sims.worlds import World

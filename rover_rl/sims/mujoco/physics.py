@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rover_rl.sims.mujoco.library import Rollout, mujoco
 from rover_rl.sims.mujoco.model import scaled_model
 from rover_rl.sims.mujoco.settings import MujocoSettings
+from rover_rl.sims.native.mujoco import Rollout, mujoco
 from rover_rl.sims.robots import Robot
 
 _POSITION, _ORIENTATION = slice(1, 4), slice(4, 8)

@@ -31,12 +31,12 @@ class MujocoSettings:
 
     Args:
         control_dt: duration of a control step, s; the contract controls at 20 Hz.
-        substeps: number of physics steps per control step. The default contacts are stable from 5 on.
+        substeps: number of physics steps per control step. Contacts of the default stiffness are stable from 8 on.
         solver_iterations: maximum number of iterations of Newton's method per substep. Most substeps take 1 to 3.
         solver_tolerance: improvement of an iteration below which the solver stops, relative to the mass of the rover.
             With MuJoCo's default, 1e-8, a standing rover vibrates and creeps.
         stiffness: contact stiffness of a wheel, N/m. The load on four rigid wheels is indeterminate; compliant wheels
-            share it according to the shape of the ground. A wheel at rest sinks in by a millimeter.
+            share it according to the shape of the ground. A wheel of Rover Zero sinks in by 0.5 mm.
         damping: contact damping of a wheel, N s/m.
         ground_friction: Coulomb coefficient between rover and ground, the same in every direction.
         obstacle_friction: Coulomb coefficient between rover and obstacles, the same in every direction.
@@ -47,11 +47,11 @@ class MujocoSettings:
     """
 
     control_dt: float = CONTROL_DT
-    substeps: int = 8
+    substeps: int = 10
     solver_iterations: int = 50
     solver_tolerance: float = 1e-12
-    stiffness: float = 30_000.0
-    damping: float = 420.0
+    stiffness: float = 60_000.0
+    damping: float = 500.0
     ground_friction: float = 0.5
     obstacle_friction: float = 0.25
     threads: int | None = None
