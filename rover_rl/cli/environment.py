@@ -22,7 +22,7 @@ class EnvOptions:
     robot: str | None = None
     """Robot: rover_zero, or module:attribute. Default: that of --env, else of the policy."""
     backend: str | None = None
-    """Simulator: bullet, warp (extra warp), or module:attribute. Default: that of --env, else bullet."""
+    """Simulator: bullet, mujoco, warp (extras), or module:attribute. Default: that of --env, else bullet."""
     physics: str | None = None
     """Preset of Bullet's physics: default, accurate or fast (docs/physics.md)."""
 

@@ -23,7 +23,7 @@ IMPEDANCE = 0.1
 
 A low impedance makes a contact a spring and damper with a regularization that is large beside the inverse mass.
 """
-SLIP_RATE = 100.0
+SLIP_RATE = 150.0
 """Rate at which friction constraints correct the slip of a wheel, 1/s."""
 FRICTION_HARDNESS = 1e5
 """Ratio of the regularization of normal to friction constraints (``impratio``); limits the creep at rest."""

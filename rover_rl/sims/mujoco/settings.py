@@ -19,7 +19,7 @@ class MujocoSettings:
       contacts (MuJoCo's default) then open, the wheels hop, and a commanded spin of 2 rad/s turns the body at 0.4
       instead of 0.8 rad/s. Compliant contacts stay closed.
     - **Separate friction constraints** of wheels and ground (``solreffriction``) correct slip with a time constant of
-      10 ms, a compromise between that lift and a quick transition from slip to grip. ``impratio`` of 100,000 keeps a
+      7 ms, a compromise between that lift and a quick transition from slip to grip. ``impratio`` of 100,000 keeps a
       standing rover from creeping.
     - **Motors as bounded constraints**: dry friction (``frictionloss`` of a tendon) of at most the motor's torque
       couples each wheel to a shaft that turns at the commanded speed, and the solver finds motor torques and contact
