@@ -53,7 +53,7 @@ def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
         pytest.param("warp", "moon", 16, 15, 250, marks=needs_warp),
         pytest.param("warp", "inspect", 33, 0, 250, marks=needs_warp),
         pytest.param("mujoco", "maze", 16, 5, 400, marks=needs_mujoco),
-        pytest.param("mujoco", "moon", 64, 40, 210, marks=needs_mujoco),
+        pytest.param("mujoco", "moon", 16, 15, 210, marks=needs_mujoco),
     ],
 )
 def test_a_rover_is_the_same_alone_and_in_a_batch(backend, world, num_envs, row, steps):

@@ -61,10 +61,10 @@ class Lidar:
         Returns:
             Ranges ``[k, beams]``, m: ``inf`` where a beam hits nothing, 0 for all beams of a lidar inside a solid.
         """
-        rotation = np.empty((len(orientation), 9))
-        for matrix, quaternion in zip(rotation, orientation, strict=True):
+        matrices = np.empty((len(orientation), 9))
+        for matrix, quaternion in zip(matrices, orientation, strict=True):
             mujoco.mju_quat2Mat(matrix, quaternion)
-        rotation = rotation.reshape(-1, 3, 3)
+        rotation = matrices.reshape(-1, 3, 3)
         origins = position + (rotation * self._mount).sum(-1)
         ranges = np.empty((len(origins), len(self._hits)))
         for origin, (forward, left), row in zip(origins, rotation.transpose(0, 2, 1)[:, :2], ranges, strict=True):

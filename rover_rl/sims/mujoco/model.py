@@ -61,7 +61,7 @@ def make_model(world: World, robot: Robot, inertial_model: InertialModel, settin
 
 
 def scaled_model(
-    model: mujoco.MjModel, friction: float, chassis_mass: float, motor_torque: float, settings: MujocoSettings
+    model: mujoco.MjModel, settings: MujocoSettings, friction: float, chassis_mass: float, motor_torque: float
 ) -> mujoco.MjModel:
     """Returns a copy of a model with other dynamics. See :class:`~rover_rl.sims.base.Dynamics` for the factors."""
     scaled = copy.copy(model)

@@ -76,7 +76,7 @@ class RoverPhysics:
         """Scales friction, chassis mass and motor torque of one rover, which then has a model of its own."""
         self._models[row] = self._model
         if any(scale != 1.0 for scale in scales):
-            self._models[row] = scaled_model(self._model, *scales, settings=self._settings)
+            self._models[row] = scaled_model(self._model, self._settings, *scales)
 
     def step(self, rows: np.ndarray, speeds: np.ndarray) -> None:
         """Advances rovers by one control step.

