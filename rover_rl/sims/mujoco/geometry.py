@@ -79,7 +79,7 @@ def add_ground(spec: mujoco.MjSpec, world: World, **options: Any) -> None:
 def add_ground_tiles(spec: mujoco.MjSpec, terrain: Terrain) -> None:
     """Adds the ground for lidar rays: a plane of its extent if it is flat, tiles of triangles otherwise.
 
-    Rays against a height field take 60 times as long, because MuJoCo tests all cells of the rectangle that the ray
+    Rays against a height field take 40 times as long, because MuJoCo tests all cells of the rectangle that the ray
     spans.
     """
     (x_low, x_high), (y_low, y_high) = terrain.extent

@@ -31,7 +31,7 @@ class MujocoSettings:
 
     Args:
         control_dt: duration of a control step, s; the contract controls at 20 Hz.
-        substeps: number of physics steps per control step. Contacts of the default stiffness are stable from 8 on.
+        substeps: number of physics steps per control step. The default stiffness needs 8 or more to be stable.
         solver_iterations: maximum number of iterations of Newton's method per substep. Most substeps take 1 to 3.
         solver_tolerance: improvement of an iteration below which the solver stops, relative to the mass of the rover.
             With MuJoCo's default, 1e-8, a standing rover vibrates and creeps.
