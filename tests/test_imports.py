@@ -28,7 +28,7 @@ LAYERS = (
         "sims.worlds",
     ),
     ("sims.rendering",),
-    ("sims.bullet", "sims.ros2", "sims.warp"),
+    ("sims.bullet", "sims.mujoco", "sims.ros2", "sims.warp"),
     ("sims.backends",),
     ("sims.__init__",),
     ("envs",),
@@ -47,10 +47,11 @@ A name stands for a module or for a package with everything in it; ``sims.__init
 """
 
 SEPARATE = {
-    "sims.bullet": ("sims.ros2", "sims.warp"),
-    "sims.ros2": ("sims.bullet", "sims.warp"),
-    "sims.warp": ("sims.bullet", "sims.ros2"),
-    "envs": ("sims.bullet", "sims.ros2", "sims.warp"),
+    "sims.bullet": ("sims.mujoco", "sims.ros2", "sims.warp"),
+    "sims.mujoco": ("sims.bullet", "sims.ros2", "sims.warp"),
+    "sims.ros2": ("sims.bullet", "sims.mujoco", "sims.warp"),
+    "sims.warp": ("sims.bullet", "sims.mujoco", "sims.ros2"),
+    "envs": ("sims.bullet", "sims.mujoco", "sims.ros2", "sims.warp"),
 }
 """Packages, and other packages that they do not import although the layers would permit it."""
 

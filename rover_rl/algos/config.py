@@ -294,13 +294,13 @@ class TrainingConfig:
         check_at_least(1, MAX_ROVERS, num_envs=self.num_envs)
         check_seed(self.seed, _SEEDS_OF_A_RUN)
         if env.backend == "ray":
-            raise ValueError("Ray is a collector: use collector='ray', with backend='bullet' or 'warp'")
+            raise ValueError("Ray is a collector: use collector='ray', with backend='bullet', 'mujoco' or 'warp'")
         if env.backend == "warp" and env.physics != DEFAULT_PHYSICS:
             raise ValueError(f"presets of the physics are Bullet's: backend='warp' has no physics={env.physics!r}")
         resolve_backend(env.backend, None if env.physics == DEFAULT_PHYSICS else env.physics)
         if not re.fullmatch(r"cpu|cuda(:\d+)?", self.device):
             raise ValueError(f"device must be cpu, cuda or cuda: and a number, got {self.device!r}")
-        if self.on_gpu and (env.backend == "bullet" or self.workers > 1):
+        if self.on_gpu and (env.backend in ("bullet", "mujoco") or self.workers > 1):
             raise ValueError(
                 f"device={self.device!r} needs backend='warp' and workers=1, got {env.backend!r} and {self.workers}"
             )

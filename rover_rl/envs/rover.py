@@ -82,8 +82,8 @@ class RoverEnv(EnvBase):
         lidar_points: number of lidar readings in an observation, each the minimum of a segment of the scan.
         max_lidar_range: maximum of a lidar reading, m. Larger ranges are clipped.
         num_envs: number of rovers in the batch. ``None`` creates one rover without a batch dimension.
-        backend: name of a backend, ``"bullet"``, ``"warp"`` (fast, on ``device``), ``"ros2"`` (one live rover) or
-            ``"module:attribute"``; or settings of a backend, for example
+        backend: name of a backend, ``"bullet"``, ``"mujoco"``, ``"warp"`` (fast, on ``device``), ``"ros2"`` (one live
+            rover) or ``"module:attribute"``; or settings of a backend, for example
             :class:`~rover_rl.sims.bullet.BulletSettings`.
         physics: physics preset of a backend given by name. Bullet has ``"default"``, ``"accurate"`` and ``"fast"``.
         robot: name of a robot, or a :class:`~rover_rl.sims.robots.Robot`.

@@ -33,6 +33,9 @@ _BUILT_IN = {
     "bullet": _BuiltIn(
         "rover_rl.sims.bullet.settings:BulletSettings", "rover_rl.sims.bullet.simulator:BulletSimulator"
     ),
+    "mujoco": _BuiltIn(
+        "rover_rl.sims.mujoco.settings:MujocoSettings", "rover_rl.sims.mujoco.simulator:MujocoSimulator"
+    ),
     "ros2": _BuiltIn(
         "rover_rl.sims.ros2.settings:Ros2Settings", "rover_rl.sims.ros2.simulator:Ros2Simulator", ("connection",)
     ),

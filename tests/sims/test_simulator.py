@@ -8,7 +8,7 @@ import torch
 from rover_rl.sims import Simulator, make_simulator
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, World, box
-from tests.extras import needs_warp
+from tests.extras import needs_mujoco, needs_warp
 
 ROVER = get_robot("rover_zero")
 FLAT = World("flat", Terrain.flat((20, 20)))
@@ -103,11 +103,13 @@ def test_rendering_after_close_and_in_several_worlds(backend):
 
 
 @needs_warp
+@needs_mujoco
 def test_all_backends_render_the_same_image():
     images = []
-    for name in ("bullet", "warp"):
+    for name in ("bullet", "warp", "mujoco"):
         sim = simulator(name, [FLAT])
         sim.reset(all_rows(1), torch.tensor([[1.0, 2.0, 0.5]]))
         images.append(sim.render(0, "chase", 64, 48, torch.tensor([2.0, 2.0])).float())
         sim.close()
     assert (images[0] - images[1]).abs().mean() < 1
+    assert (images[0] - images[2]).abs().mean() < 1

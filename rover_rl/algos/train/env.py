@@ -55,9 +55,9 @@ def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> Env
     """Returns the settings of one worker's environment."""
     env, rovers = config.env, config.rovers_per_worker
     backend = env.backend
-    if backend == "warp":
+    if backend in ("mujoco", "warp"):
         # The workers share the cores. Networks of this size need only one thread per worker.
-        backend = find_settings("warp")(threads=max(1, usable_cores() // config.workers))
+        backend = find_settings(backend)(threads=max(1, usable_cores() // config.workers))
     return replace(
         env,
         num_envs=rovers,

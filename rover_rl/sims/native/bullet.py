@@ -7,8 +7,14 @@ from collections.abc import Iterable
 
 from rover_rl.sims.native.output import native_output_silenced
 
-with native_output_silenced():
-    import pybullet
+try:
+    with native_output_silenced():
+        import pybullet
+except ImportError as error:
+    raise ImportError(
+        "PyBullet is not installed: pip install 'rover_rl[bullet]', which needs a C++ compiler on this platform, or "
+        "use the backends 'warp' or 'mujoco', which run without PyBullet"
+    ) from error
 
 # Only the C library of Linux (glibc) has this function.
 _return_free_memory = getattr(ctypes.CDLL(None), "malloc_trim", None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from torch import Tensor
 
@@ -11,13 +11,17 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
 if TYPE_CHECKING:
+    from rover_rl.sims.rendering.opengl import OpenGLRenderer
     from rover_rl.sims.rendering.renderer import Renderer
+
+    AnyRenderer: TypeAlias = Renderer | OpenGLRenderer
 
 
 class RendererCache:
     """One renderer per world, created on first use.
 
-    PyBullet is imported with the first renderer, so that simulators without it start faster.
+    PyBullet is imported with the first renderer, so that simulators without it start faster. If it is not installed,
+    MuJoCo renders.
 
     Args:
         robot: robot model.
@@ -25,7 +29,7 @@ class RendererCache:
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
-        self._renderers: dict[World, Renderer] = {}
+        self._renderers: dict[World, AnyRenderer] = {}
 
     def render(
         self, world: World, pose: Tensor, view: View, width: int, height: int, goal: Tensor | None = None
@@ -45,11 +49,10 @@ class RendererCache:
 
         Raises:
             ValueError: if the view is unknown.
+            ImportError: if neither PyBullet nor MuJoCo with OpenGL is available.
         """
-        from rover_rl.sims.rendering.renderer import Renderer
-
         if world not in self._renderers:
-            self._renderers[world] = Renderer(world, self._robot)
+            self._renderers[world] = self._make(world)
         position, orientation = pose.double().cpu().split((3, 4))
         return self._renderers[world].render(position, orientation, view, width, height, goal)
 
@@ -58,3 +61,20 @@ class RendererCache:
         for renderer in self._renderers.values():
             renderer.close()
         self._renderers.clear()
+
+    def _make(self, world: World) -> AnyRenderer:
+        try:
+            from rover_rl.sims.rendering.renderer import Renderer
+        except ImportError:
+            return self._make_without_bullet(world)
+        return Renderer(world, self._robot)
+
+    def _make_without_bullet(self, world: World) -> AnyRenderer:
+        try:
+            from rover_rl.sims.rendering.opengl import OpenGLRenderer
+        except ImportError as error:
+            raise ImportError(
+                "pictures need PyBullet (pip install 'rover_rl[bullet]', which needs a compiler) or MuJoCo with OpenGL "
+                "(pip install 'rover_rl[mujoco]')"
+            ) from error
+        return OpenGLRenderer(world, self._robot)

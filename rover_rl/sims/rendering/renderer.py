@@ -12,12 +12,9 @@ from rover_rl.sims.base import View
 from rover_rl.sims.native.bullet import disconnect, pybullet
 from rover_rl.sims.native.shapes import make_visual_mesh, terrain_strips
 from rover_rl.sims.rendering.camera import FIELD_OF_VIEW, NEAR, Camera
+from rover_rl.sims.rendering.scenery import FAR, GOAL, GROUND, OBSTACLE, POST_LENGTH, POST_RADIUS, SUN, post_position
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
-
-_GROUND = (0.62, 0.56, 0.48, 1.0)
-_OBSTACLE = (0.45, 0.52, 0.60, 1.0)
-_GOAL = (0.10, 0.75, 0.25, 1.0)
 
 
 class Renderer:
@@ -37,7 +34,11 @@ class Renderer:
         info = pybullet.getDynamicsInfo(self._rover, -1, physicsClientId=self.client)
         self._inertial = info[3], info[4]
         post = pybullet.createVisualShape(
-            pybullet.GEOM_CYLINDER, radius=0.08, length=1.2, rgbaColor=_GOAL, physicsClientId=self.client
+            pybullet.GEOM_CYLINDER,
+            radius=POST_RADIUS,
+            length=POST_LENGTH,
+            rgbaColor=GOAL,
+            physicsClientId=self.client,
         )
         self._goal = pybullet.createMultiBody(0, -1, post, physicsClientId=self.client)
 
@@ -72,8 +73,8 @@ class Renderer:
             width,
             height,
             pybullet.computeViewMatrix(camera.eye.tolist(), camera.target.tolist(), camera.up.tolist()),
-            pybullet.computeProjectionMatrixFOV(FIELD_OF_VIEW, width / height, NEAR, 60),
-            lightDirection=(-3, 2, 6),
+            pybullet.computeProjectionMatrixFOV(FIELD_OF_VIEW, width / height, NEAR, FAR),
+            lightDirection=SUN,
             # The shadow maps of this renderer draw stripes on large flat ground.
             shadow=0,
             renderer=pybullet.ER_TINY_RENDERER,
@@ -90,21 +91,17 @@ class Renderer:
         """Moves the rover, and the post of the goal, which is far below the ground if there is no goal."""
         inertial = pybullet.multiplyTransforms(position.tolist(), orientation.tolist(), *self._inertial)
         pybullet.resetBasePositionAndOrientation(self._rover, *inertial, physicsClientId=self.client)
-        post = (0.0, 0.0, -1e3)
-        if goal is not None:
-            x, y = goal.tolist()
-            ground = self._world.height_at(torch.tensor((x, y), dtype=torch.float64)).item()
-            post = (x, y, ground + 0.6)
+        post = post_position(self._world, goal)
         pybullet.resetBasePositionAndOrientation(self._goal, post, (0, 0, 0, 1), physicsClientId=self.client)
 
     def _add_scenery(self) -> None:
         terrain = self._world.terrain
         for strip in terrain_strips(terrain):
-            self._add_mesh(*terrain.mesh(*strip), color=_GROUND)
+            self._add_mesh(*terrain.mesh(*strip), color=GROUND)
         for obstacle in self._world.obstacles:
             # Separate vertices for every face give flat shading with visible edges.
             corners = obstacle.vertices[obstacle.faces.flatten()]
-            self._add_mesh(corners, torch.arange(len(corners)).reshape(-1, 3), color=_OBSTACLE)
+            self._add_mesh(corners, torch.arange(len(corners)).reshape(-1, 3), color=OBSTACLE)
 
     def _add_mesh(self, vertices: Tensor, faces: Tensor, color: tuple[float, float, float, float]) -> None:
         a, b, c = (vertices[faces[:, k]] for k in range(3))

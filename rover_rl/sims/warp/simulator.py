@@ -17,8 +17,8 @@ from rover_rl.sims.base import Dynamics, RoverState, View
 from rover_rl.sims.differential_drive import SimulatedDrive
 from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.rotations import matrix_to_quaternion
-from rover_rl.sims.warp.inertial_model import read_inertial_model
 from rover_rl.sims.warp.kernels.dynamics import place, step_dynamics
 from rover_rl.sims.warp.kernels.lidar import scan
 from rover_rl.sims.warp.kernels.types import Solver
@@ -48,7 +48,7 @@ class WarpSimulator:
 
     Raises:
         ValueError: for a robot with too many wheels, or whose URDF is not supported: see
-            :func:`rover_rl.sims.warp.inertial_model.read_inertial_model`.
+            :func:`rover_rl.sims.robots.inertial_model.read_inertial_model`.
     """
 
     def __init__(

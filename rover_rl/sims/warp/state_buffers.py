@@ -7,7 +7,7 @@ from torch import Tensor
 
 from rover_rl.sims.base import Dynamics
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.warp.inertial_model import InertialModel
+from rover_rl.sims.robots.inertial_model import InertialModel
 from rover_rl.sims.warp.kernels.types import RoverArrays
 from rover_rl.sims.warp.library import wp
 

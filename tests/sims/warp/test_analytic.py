@@ -16,8 +16,8 @@ from rover_rl.sims.worlds import Terrain, World, box
 
 pytest.importorskip("warp", reason="needs rover_rl[warp]")
 
+from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.warp import WarpSettings
-from rover_rl.sims.warp.inertial_model import read_inertial_model
 
 ROVER = get_robot("rover_zero")
 MODEL = read_inertial_model(ROVER)

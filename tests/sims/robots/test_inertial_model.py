@@ -1,4 +1,4 @@
-"""Inertial model of a robot, as the Warp backend reads it from the URDF."""
+"""Inertial model of a robot, read from its URDF."""
 
 from __future__ import annotations
 
@@ -8,17 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from rover_rl.sims import make_simulator
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain, World
-
-pytest.importorskip("warp", reason="needs rover_rl[warp]")
-
 from rover_rl.sims.native.bullet import pybullet
-from rover_rl.sims.warp.inertial_model import read_inertial_model
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.robots.inertial_model import read_inertial_model
 
 ROVER = get_robot("rover_zero")
-FLAT = World("flat", Terrain.flat((20, 20)))
 
 
 def test_mass_and_center_match_bullet():
@@ -97,5 +91,5 @@ def test_unsupported_robots_are_rejected_with_a_reason(tmp_path, old, new, messa
     text = ROVER.urdf.read_text()
     assert old in text
     urdf.write_text(text.replace(old, new, 1))
-    with pytest.raises(ValueError, match=f"the warp backend does not support .*rover.urdf: .*{message}"):
-        make_simulator("warp", worlds=[FLAT], robot=replace(ROVER, urdf=urdf), lidar_beams=1)
+    with pytest.raises(ValueError, match=f"robot file .*rover.urdf is not supported by this backend: .*{message}"):
+        read_inertial_model(replace(ROVER, urdf=urdf))

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.description import Description, Inertial, Link
+from rover_rl.sims.robots.robot import Robot
 
 POINT_SPACING = 0.3
 """Maximum spacing of the sample points of the chassis that are tested against the ground, m."""
@@ -97,7 +97,7 @@ def read_inertial_model(robot: Robot) -> InertialModel:
     try:
         return _inertial_model(robot, Description(robot.urdf))
     except ValueError as error:
-        raise ValueError(f"the warp backend does not support {robot.urdf}: {error}") from error
+        raise ValueError(f"robot file {robot.urdf} is not supported by this backend: {error}") from error
 
 
 def _inertial_model(robot: Robot, description: Description) -> InertialModel:

@@ -1,0 +1,153 @@
+"""Static geometry of a world as MuJoCo geoms: a height field for contacts, triangle meshes for lidar rays."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from rover_rl.sims.native.mujoco import mujoco
+from rover_rl.sims.worlds import Obstacle, Terrain, World
+
+GROUND_MARGIN = 3.0
+"""Width of the ground for contacts beyond a world's bounds, m."""
+TILE = 5.0
+"""Approximate side length of a tile of the ground for rays, m.
+
+MuJoCo casts a ray against all triangles along the infinite line, but skips geoms beyond the range of the lidar.
+"""
+BASE_THICKNESS = 1.0
+"""Thickness of the ground below its lowest point, m."""
+
+_QUARTER_TURN = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
+"""Rotation by 90 degrees about the vertical, quaternion (w, x, y, z)."""
+
+
+def add_ground(spec: mujoco.MjSpec, world: World, **options: Any) -> None:
+    """Adds the ground for contacts, named ``"ground"``: an infinite plane if it is flat, a height field otherwise.
+
+    A height field covers :data:`GROUND_MARGIN` beyond the world's bounds. Outside the terrain, the height of its edge
+    continues, as in :meth:`Terrain.height_at`.
+
+    Args:
+        spec: model to extend.
+        world: world that defines the ground.
+        options: further attributes of the geom.
+    """
+    terrain = world.terrain
+    if terrain.is_flat:
+        height = terrain.heights[0, 0].item()
+        _add_geom(spec, mujoco.mjtGeom.mjGEOM_PLANE, name="ground", pos=(0, 0, height), size=(0, 0, 1), **options)
+        return
+    columns, rows = (
+        np.arange(
+            math.floor((low - GROUND_MARGIN - start) / terrain.cell),
+            math.ceil((high + GROUND_MARGIN - start) / terrain.cell) + 1,
+        )
+        for (low, high), start in zip(world.bounds, terrain.origin, strict=True)
+    )
+    last_row, last_column = (count - 1 for count in terrain.heights.shape)
+    heights = terrain.heights.double().numpy()[np.ix_(rows.clip(0, last_row), columns.clip(0, last_column))]
+    lowest, rise = heights.min(), max(float(np.ptp(heights)), 1e-3)
+    # MuJoCo splits cells along the diagonal (i, j)-(i + 1, j + 1), Terrain along the other one. Rotated by 90 degrees,
+    # the diagonals agree: the height field's x axis is the world's y axis, and its y axis the world's negative x axis.
+    data = heights.T[::-1]
+    width, depth = ((axis[-1] - axis[0]) * terrain.cell for axis in (columns, rows))
+    spec.add_hfield(
+        name="ground",
+        nrow=data.shape[0],
+        ncol=data.shape[1],
+        size=(depth / 2, width / 2, rise, BASE_THICKNESS),
+        userdata=((data - lowest) / rise).ravel().tolist(),
+    )
+    center = [
+        start + terrain.cell * (axis[0] + axis[-1]) / 2
+        for start, axis in zip(terrain.origin, (columns, rows), strict=True)
+    ]
+    _add_geom(
+        spec,
+        mujoco.mjtGeom.mjGEOM_HFIELD,
+        name="ground",
+        hfieldname="ground",
+        pos=(*center, lowest),
+        quat=_QUARTER_TURN,
+        **options,
+    )
+
+
+def add_ground_tiles(spec: mujoco.MjSpec, terrain: Terrain) -> None:
+    """Adds the ground for lidar rays: a plane of its extent if it is flat, tiles of triangles otherwise.
+
+    Rays against a height field take 40 times as long, because MuJoCo tests all cells of the rectangle that the ray
+    spans.
+    """
+    (x_low, x_high), (y_low, y_high) = terrain.extent
+    if terrain.is_flat:
+        center = ((x_low + x_high) / 2, (y_low + y_high) / 2, terrain.heights[0, 0].item())
+        size = ((x_high - x_low) / 2, (y_high - y_low) / 2, 1)
+        _add_geom(spec, mujoco.mjtGeom.mjGEOM_PLANE, pos=center, size=size)
+        return
+    step = max(1, round(TILE / terrain.cell))
+    rows, columns = terrain.heights.shape
+    for row in range(0, rows - 1, step):
+        for column in range(0, columns - 1, step):
+            part = slice(row, row + step + 1), slice(column, column + step + 1)
+            vertices, faces = (array.numpy() for array in terrain.mesh(*part))
+            # A vertex of no triangle: MuJoCo computes the convex hull of every mesh, which fails for a flat one.
+            below = vertices.mean(0) - (0, 0, step * terrain.cell)
+            _add_mesh(spec, f"tile {row} {column}", np.vstack((vertices, below)), faces)
+
+
+def add_obstacles(spec: mujoco.MjSpec, world: World, **options: Any) -> None:
+    """Adds the obstacles: boxes, to which rays are three times as fast, and convex meshes.
+
+    Args:
+        spec: model to extend.
+        world: world with the obstacles.
+        options: further attributes of the geoms.
+    """
+    for index, obstacle in enumerate(world.obstacles):
+        frame = _box_frame(obstacle)
+        if frame is None:
+            _add_mesh(spec, f"obstacle {index}", obstacle.vertices.numpy(), obstacle.faces.numpy(), **options)
+            continue
+        center, axes, half = frame
+        quaternion = np.empty(4)
+        mujoco.mju_mat2Quat(quaternion, axes.ravel())
+        _add_geom(spec, mujoco.mjtGeom.mjGEOM_BOX, pos=center, quat=quaternion, size=half, **options)
+
+
+def _add_mesh(spec: mujoco.MjSpec, name: str, vertices: np.ndarray, faces: np.ndarray, **options: Any) -> None:
+    # Vertices relative to their center keep their precision, as MuJoCo stores them in single precision.
+    center = vertices.mean(0)
+    spec.add_mesh(
+        name=name,
+        uservert=(vertices - center).ravel().tolist(),
+        userface=faces.ravel().tolist(),
+        # The mesh of the ground has no volume.
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )
+    _add_geom(spec, mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=center, **options)
+
+
+def _add_geom(spec: mujoco.MjSpec, kind: mujoco.mjtGeom, **options: Any) -> None:
+    # All geoms keep a contype other than 0: MuJoCo leaves the others out of the bounding volume hierarchy of a body,
+    # and rays then miss geoms that are in it.
+    spec.worldbody.add_geom(type=kind, **options)
+
+
+def _box_frame(obstacle: Obstacle) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Returns the center ``[3]``, axes (columns) ``[3, 3]`` and the half extents ``[3]`` of a box, or ``None``."""
+    corners, normals = obstacle.vertices.numpy(), obstacle.planes.numpy()[:, :3]
+    if len(corners) != 8 or len(normals) != 6:
+        return None
+    center = corners.mean(0)
+    first = normals[0]
+    across = [normal for normal in normals if abs(normal @ first) < 1e-9]
+    second = next(iter(across), first)
+    axes = np.stack((first, second, np.cross(first, second)), 1)
+    halves = np.abs((corners - center) @ axes)
+    if len(across) != 4 or np.ptp(halves, axis=0).max() > 1e-9:
+        return None
+    return center, axes, halves.mean(0)

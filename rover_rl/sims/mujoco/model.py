@@ -1,0 +1,179 @@
+"""MuJoCo model of a rover in a world, with contacts and motors that obey Coulomb's law.
+
+:class:`~rover_rl.sims.mujoco.settings.MujocoSettings` gives the reasons for the choices here.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Any
+
+import numpy as np
+
+from rover_rl.sims.mujoco.geometry import add_ground, add_obstacles
+from rover_rl.sims.mujoco.settings import MujocoSettings
+from rover_rl.sims.native.mujoco import mujoco
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.inertial_model import InertialModel
+from rover_rl.sims.worlds import World
+
+IMPEDANCE = 0.1
+"""Constraint impedance of contacts: the share of the violation that a hard constraint would remove.
+
+A low impedance makes a contact a spring and damper with a regularization that is large beside the inverse mass.
+"""
+SLIP_RATE = 150.0
+"""Rate at which friction constraints correct the slip of a wheel, 1/s."""
+FRICTION_HARDNESS = 1e5
+"""Ratio of the regularization of normal to friction constraints (``impratio``); limits the creep at rest."""
+MOTOR_IMPEDANCE = 0.9999
+"""Constraint impedance of the motors, MuJoCo's maximum."""
+MOTOR_RATE = 200.0
+"""Rate at which the motors correct the speed of a wheel, 1/s."""
+SHAFT_INERTIA = 1e4
+"""Moment of inertia of a shaft, kg m^2. Its speed, set in each control step, changes by at most 0.1 mrad/s."""
+
+_GROUND, _OBSTACLES = 1, 2
+"""Collision groups, bits of ``contype`` of static geoms and of ``conaffinity`` of the rover's geoms."""
+_AXLE = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
+"""Rotation that turns a cylinder's axis from z to y, quaternion (w, x, y, z)."""
+_SIDES = ("left", "right")
+
+
+def make_model(world: World, robot: Robot, inertial_model: InertialModel, settings: MujocoSettings) -> mujoco.MjModel:
+    """Creates the model of one rover in a world.
+
+    The generalized coordinates are the pose of the base frame, the angles of the wheels, left side first, and the
+    angles of the left and the right motor shaft.
+    """
+    spec = mujoco.MjSpec()
+    _set_options(spec.option, settings)
+    # The properties of static geoms apply to all contacts, as they have a higher priority than the rover's.
+    static = {"condim": 3, "priority": 1, "conaffinity": 0}
+    add_ground(spec, world, contype=_GROUND, friction=(settings.ground_friction, 0, 0), **static)
+    add_obstacles(spec, world, contype=_OBSTACLES, friction=(settings.obstacle_friction, 0, 0), **static)
+    _add_rover(spec, robot, inertial_model, settings)
+    model = spec.compile()
+    _set_contacts(model, settings)
+    _set_scale(model)
+    return model
+
+
+def scaled_model(
+    model: mujoco.MjModel, settings: MujocoSettings, friction: float, chassis_mass: float, motor_torque: float
+) -> mujoco.MjModel:
+    """Returns a copy of a model with other dynamics. See :class:`~rover_rl.sims.base.Dynamics` for the factors."""
+    scaled = copy.copy(model)
+    scaled.geom_friction[:] = friction * model.geom_friction
+    scaled.pair_friction[:] = friction * model.pair_friction
+    scaled.tendon_frictionloss[:] = motor_torque * model.tendon_frictionloss
+    base = model.body("base").id
+    scaled.body_mass[base] = chassis_mass * model.body_mass[base]
+    scaled.body_inertia[base] = chassis_mass * model.body_inertia[base]
+    mujoco.mj_setConst(scaled, mujoco.MjData(scaled))
+    _set_contacts(scaled, settings)
+    _set_scale(scaled)
+    return scaled
+
+
+def _set_options(option: Any, settings: MujocoSettings) -> None:
+    option.timestep = settings.substep
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    option.iterations = settings.solver_iterations
+    option.tolerance = settings.solver_tolerance
+    option.impratio = FRICTION_HARDNESS
+
+
+def _add_rover(spec: mujoco.MjSpec, robot: Robot, inertial_model: InertialModel, settings: MujocoSettings) -> None:
+    base = spec.worldbody.add_body(name="base")
+    base.add_freejoint()
+    _set_inertia(base, inertial_model.chassis_mass, inertial_model.chassis_center, inertial_model.chassis_inertia)
+    for center, half in zip(inertial_model.box_centers, inertial_model.box_halves, strict=True):
+        kind = mujoco.mjtGeom.mjGEOM_BOX
+        base.add_geom(type=kind, pos=center, size=half, condim=3, contype=0, conaffinity=_GROUND | _OBSTACLES)
+    for side in _SIDES:
+        shaft = spec.worldbody.add_body(name=f"{side} shaft")
+        _set_inertia(shaft, 1.0, np.zeros(3), SHAFT_INERTIA * np.eye(3))
+    for index, hub in enumerate(inertial_model.hubs):
+        side = _SIDES[index >= len(robot.left_wheels)]
+        wheel = base.add_body(name=f"wheel {index}", pos=hub)
+        turn, spin = inertial_model.wheel_turn_inertia, inertial_model.wheel_spin_inertia
+        _set_inertia(wheel, inertial_model.wheel_mass, np.zeros(3), np.diag((turn, spin, turn)))
+        wheel.add_joint(name=f"wheel {index}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=(0, 1, 0))
+        _add_tires(spec, wheel, index, robot, settings)
+        _add_motor(spec, index, side, robot)
+    # After the wheels, so that the order of the coordinates is that of make_model().
+    for side in _SIDES:
+        joint = {"name": f"{side} shaft", "type": mujoco.mjtJoint.mjJNT_HINGE, "axis": (0, 1, 0)}
+        spec.body(f"{side} shaft").add_joint(**joint)
+
+
+def _set_inertia(body: Any, mass: float, center: np.ndarray, inertia: np.ndarray) -> None:
+    body.explicitinertial = True
+    body.mass, body.ipos = mass, center
+    body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+
+
+def _add_tires(spec: mujoco.MjSpec, wheel: Any, index: int, robot: Robot, settings: MujocoSettings) -> None:
+    """Adds the cylinders of a wheel: the full width for obstacles, and the tread for the ground."""
+    radius, half = robot.wheel_radius, robot.wheel_width / 2
+    cylinder = {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "quat": _AXLE, "condim": 3, "contype": 0}
+    wheel.add_geom(size=(radius, half, 0), conaffinity=_OBSTACLES, **cylinder)
+    wheel.add_geom(name=f"tread {index}", size=(radius, half / math.sqrt(3), 0), conaffinity=0, **cylinder)
+    friction = settings.ground_friction
+    # Only explicit pairs have a reference of their own for friction.
+    spec.add_pair(
+        name=f"tread {index}",
+        geomname1="ground",
+        geomname2=f"tread {index}",
+        condim=3,
+        friction=(friction, friction, 0, 0, 0),
+        solimp=_impedance(IMPEDANCE),
+        solreffriction=_rate(SLIP_RATE, IMPEDANCE),
+    )
+
+
+def _add_motor(spec: mujoco.MjSpec, index: int, side: str, robot: Robot) -> None:
+    """Couples a wheel to the shaft of its side by dry friction of at most the torque of the motor."""
+    motor = spec.add_tendon(name=f"motor {index}", frictionloss=robot.wheel_torque)
+    motor.wrap_joint(f"wheel {index}", 1.0)
+    motor.wrap_joint(f"{side} shaft", -1.0)
+    motor.solref_friction = _rate(MOTOR_RATE, MOTOR_IMPEDANCE)
+    motor.solimp_friction = _impedance(MOTOR_IMPEDANCE)
+
+
+def _impedance(value: float) -> tuple[float, ...]:
+    """Returns the ``solimp`` of a constant impedance."""
+    return (value, value, 0.001, 0.5, 2.0)
+
+
+def _rate(rate: float, impedance: float) -> tuple[float, float]:
+    """Returns the ``solref`` of a friction constraint that corrects slip at a rate (1/s).
+
+    Negative values state stiffness and damping; MuJoCo divides the damping by the impedance.
+    """
+    return (-1.0, -rate * impedance)
+
+
+def _set_contacts(model: mujoco.MjModel, settings: MujocoSettings) -> None:
+    """Sets the stiffness and damping of all contacts, which MuJoCo scales by the mobility of the bodies.
+
+    With the impedance d and the mobility A (1/kg), MuJoCo regularizes a contact by R = A (1 - d) / d, and its force is
+    (k d x + b v) / R, with k = stiffness / d^2 and b = damping / d for the penetration x, its rate v and
+    ``solref = (-stiffness, -damping)`` (MuJoCo documentation, Computation, Constraint model). A wheel rests on two
+    contacts.
+    """
+    wheels = [model.body(f"wheel {index}").id for index in range(model.npair)]
+    mobility = (1 - IMPEDANCE) * model.body_invweight0[wheels, 0]
+    reference = np.array((settings.stiffness / 2, settings.damping / 2))
+    model.pair_solref[:] = -mobility[:, None] * reference
+    model.geom_solref[:] = -mobility.mean() * reference
+    model.geom_solimp[:] = _impedance(IMPEDANCE)
+
+
+def _set_scale(model: mujoco.MjModel) -> None:
+    """Sets the scale of the solver's tolerance to the mass of the rover; by default, it is that of the shafts."""
+    model.stat.meaninertia = model.body_subtreemass[model.body("base").id]

@@ -1,0 +1,249 @@
+"""Tests specific to the MuJoCo simulator; those of every simulator are in ``tests/sims``."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+import torch
+from torchrl.envs.utils import check_env_specs
+
+from rover_rl import RoverEnv, make_env
+from rover_rl.sims import make_simulator
+from rover_rl.sims.base import Dynamics
+from rover_rl.sims.mujoco import MujocoSettings
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.worlds import Terrain, World, box, get_world
+
+ROVER = get_robot("rover_zero")
+FLAT = World("flat", Terrain.flat((40, 40)))
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"substeps": 0}, "substeps must be at least 1, got 0"),
+        ({"solver_iterations": 0}, "solver_iterations must be at least 1, got 0"),
+        ({"threads": 0}, "threads must be at least 1, got 0"),
+        ({"control_dt": 0.0}, "control_dt must be positive, got 0.0"),
+        ({"stiffness": float("nan")}, "stiffness must be positive, got nan"),
+        ({"solver_tolerance": -1.0}, "solver_tolerance must not be negative, got -1.0"),
+        ({"ground_friction": -0.1}, "ground_friction must not be negative, got -0.1"),
+    ],
+)
+def test_settings_out_of_range_raise(settings, message):
+    with pytest.raises(ValueError, match=message):
+        MujocoSettings(**settings)
+
+
+def test_presets_of_bullet_are_unknown():
+    with pytest.raises(ValueError, match="unknown physics 'fast'; backend 'mujoco' has one preset, 'default'"):
+        RoverEnv(backend="mujoco", physics="fast")
+
+
+def test_missing_mujoco_raises_with_install_command(monkeypatch):
+    for name in [name for name in sys.modules if name.startswith(("rover_rl.sims.mujoco.", "rover_rl.sims.native."))]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(ImportError, match=r"backend='mujoco' needs MuJoCo: pip install 'rover_rl\[mujoco\]'"):
+        RoverEnv(backend="mujoco")
+
+
+pytestmark = pytest.mark.usefixtures("mujoco")
+
+
+@pytest.fixture
+def mujoco():
+    return pytest.importorskip("mujoco", reason="needs rover_rl[mujoco]")
+
+
+def simulator(worlds, beams=8, **settings):
+    return make_simulator(MujocoSettings(**settings), worlds=worlds, robot=ROVER, lidar_beams=beams)
+
+
+def all_rows(count):
+    return torch.ones(count, dtype=torch.bool)
+
+
+def drive(sim, commands, steps):
+    for _ in range(steps):
+        state = sim.step(torch.tensor(commands))
+    return state
+
+
+def test_environment_specs():
+    check_env_specs(make_env(backend="mujoco", world_n=["inspect", "maze"], num_envs=4, seed=0))
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_results_do_not_depend_on_the_batch_or_the_number_of_threads(threads):
+    worlds = [get_world("moon")] * 9 + [get_world("maze")] * 7
+    poses = torch.tensor([[0.5 * (row % 4) - 5, 0.4 * row - 3, 0.7 * row] for row in range(16)])
+    commands = torch.tensor([[0.9 - 0.1 * row, 0.2 * row - 1] for row in range(16)])
+    batch = simulator(worlds, threads=threads)
+    batch.reset(all_rows(16), poses)
+    together = drive(batch, commands.tolist(), 30)
+    for row in (0, 8, 15):
+        alone = simulator(worlds[row : row + 1], threads=1)
+        alone.reset(all_rows(1), poses[row : row + 1])
+        # Earlier episodes leave no trace.
+        drive(alone, [(1.0, 0.5)], 7)
+        alone.reset(all_rows(1), poses[row : row + 1])
+        state = drive(alone, commands[row : row + 1].tolist(), 30)
+        assert (state.position[0] - poses[row, 0]).norm() > 0.1
+        for name in ("position", "orientation", "linear_velocity", "angular_velocity", "ranges"):
+            assert torch.equal(getattr(state, name)[0], getattr(together, name)[row])
+    batch.close()
+    batch.close()
+
+
+def test_results_do_not_depend_on_held_steps():
+    held, free = simulator([FLAT] * 2), simulator([FLAT])
+    for _ in range(10):
+        held.step(torch.tensor([[0.5, 0.5]] * 2))
+        held.step(torch.tensor([[1.0, 0.0]] * 2), torch.tensor([True, False]))
+        state = free.step(torch.tensor([[0.5, 0.5]]))
+    assert torch.equal(held.state().position[1], state.position[0])
+
+
+def dynamics(friction=(1.0, 1.0), chassis_mass=(1.0, 1.0), motor_torque=(1.0, 1.0)):
+    return Dynamics(*map(torch.tensor, (friction, chassis_mass, motor_torque)))
+
+
+def slope(gradient: float) -> World:
+    x = torch.arange(161) * 0.25 - 20
+    return World("slope", Terrain((gradient * x).expand(161, -1), 0.25))
+
+
+def randomized(world, change):
+    """Returns two rovers, of which the second has other dynamics."""
+    sim = simulator([world] * 2)
+    sim.set_dynamics(torch.tensor([False, True]), change)
+    sim.reset(all_rows(2), torch.tensor([[0.0, 0.0, 0.3], [0.0, 0.0, 0.3]]))
+    return sim
+
+
+def unchanged(world, command, steps):
+    sim = simulator([world])
+    sim.reset(all_rows(1), torch.tensor([[0.0, 0.0, 0.3]]))
+    return drive(sim, [command], steps)
+
+
+def test_friction_acts_on_its_row_alone():
+    # The coefficient is 0.5 in the first row and 0.2 in the second, and the gradient 0.3.
+    state = drive(randomized(slope(0.3), dynamics(friction=(7.0, 0.4))), [(0.0, 0.0)] * 2, 20)
+    moved = state.position[:, :2].norm(dim=-1)
+    assert moved[0] < 0.005
+    assert moved[1] > 0.1
+    assert torch.equal(state.position[0], unchanged(slope(0.3), (0.0, 0.0), 20).position[0])
+
+
+def test_chassis_mass_acts_on_its_row_alone():
+    # Twice the weight of the chassis sinks in deeper by that weight over the stiffness of four wheels.
+    state = drive(randomized(FLAT, dynamics(chassis_mass=(3.0, 2.0))), [(0.0, 0.0)] * 2, 40)
+    expected = 7.486 * 9.81 / (4 * MujocoSettings().stiffness)
+    assert (state.position[0, 2] - state.position[1, 2]).item() == pytest.approx(expected, rel=0.05)
+    assert torch.equal(state.position[0], unchanged(FLAT, (0.0, 0.0), 40).position[0])
+
+
+def test_motor_torque_acts_on_its_row_alone():
+    # A gradient of 0.3 takes 1.1 N m of each motor; the second rover's have 0.5 N m and cannot hold it.
+    state = drive(randomized(slope(0.3), dynamics(motor_torque=(9.0, 0.1))), [(0.0, 0.0)] * 2, 20)
+    assert state.linear_velocity[1].abs() > 0.3
+    assert state.linear_velocity[0].abs() < 0.01
+    assert torch.equal(state.position[0], unchanged(slope(0.3), (0.0, 0.0), 20).position[0])
+
+
+def test_dynamics_return_to_those_of_the_robot():
+    sim = randomized(slope(0.3), dynamics(friction=(1.0, 0.4), chassis_mass=(1.0, 1.3)))
+    sim.set_dynamics(all_rows(2), dynamics())
+    sim.reset(all_rows(2), torch.tensor([[0.0, 0.0, 0.3]] * 2))
+    state = drive(sim, [(0.7, 0.4)] * 2, 20)
+    assert torch.equal(state.position[0], state.position[1])
+
+
+@pytest.mark.parametrize(
+    "world", [World("edge", Terrain.flat((8, 8))), World("edge", Terrain(torch.tensor([[0.0, 0.0, 0.01]] * 3), 4.0))]
+)
+def test_the_height_of_the_edge_continues_outside_the_terrain(world):
+    sim = simulator([world])
+    sim.reset(all_rows(1), torch.tensor([[3.0, 0.0, 0.0]]))
+    state = drive(sim, [(1.0, 0.0)], 60)
+    assert state.position[0, 0] > 5.5
+    assert state.position[0, 2].abs() < 0.02
+
+
+def test_a_wall_stops_the_rover_at_contact():
+    world = World("wall", Terrain.flat((20, 20)), [box((2.0, 0.0, 0.5), (0.5, 6.0, 1.0))])
+    state = drive(simulator([world]), [(1.0, 0.0)], 80)
+    # The front of the wheels is 0.2635 m ahead of the base frame.
+    assert state.position[0, 0].item() == pytest.approx(2.0 - 0.25 - 0.2635, abs=0.01)
+
+
+WITHOUT_BULLET = """
+import sys
+sys.modules["pybullet"] = None
+import torch
+from rover_rl import GymWrapper, RoverEnv
+from rover_rl.algos.config import training_config
+from rover_rl.algos.evaluation.episodes import stored_episodes
+from rover_rl.algos.evaluation.evaluate import evaluate
+from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.train import train
+config = training_config(
+    "ppo", backend="mujoco", num_envs=4, rollout_length=16, total_steps=64, workers=1, runs=sys.argv[1]
+)
+summary = train(config)
+actor = Checkpoint.load(summary.checkpoint).make_actor()
+settings = Checkpoint.load(summary.checkpoint).config.env
+assert settings.backend == "mujoco"
+print(evaluate(actor, stored_episodes("maze").first(2), rows=2, seconds=1, env=settings).success_rate)
+env = GymWrapper(RoverEnv(world_n="maze", backend="mujoco"))
+env.reset()
+env.step(env.action_space.sample())
+try:
+    RoverEnv(world_n="maze", backend="bullet")
+except (ImportError, ValueError) as error:
+    print(error)
+"""
+
+
+def test_training_evaluation_and_gymnasium_run_without_pybullet(tmp_path):
+    run = [sys.executable, "-c", WITHOUT_BULLET, str(tmp_path)]
+    done = subprocess.run(run, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "PyBullet is not installed: pip install 'rover_rl[bullet]'" in done.stdout
+    assert "'warp' or 'mujoco'" in done.stdout
+
+
+PICTURE_WITHOUT_BULLET = """
+import sys
+sys.modules["pybullet"] = None
+import torch
+from rover_rl import RoverEnv, World
+from rover_rl.sims.worlds import Terrain, box
+world = World("box", Terrain.flat((20, 20)), [box((3, 2, 0.5), (1, 1, 1))], spawn_range=((-1, 1), (-1, 1)))
+simulator = RoverEnv(world_n=world, backend="mujoco").simulator
+simulator.reset(torch.ones(1, dtype=torch.bool), torch.zeros(1, 3))
+try:
+    image = simulator.render(0, "chase", 96, 72, torch.tensor([2.0, 0.0])).float()
+except ImportError as error:
+    print(error)
+else:
+    simulator.close()
+    red, green, blue = image.unbind(-1)
+    # The chassis is orange, the post of the goal green.
+    print("orange", int(((red > 1.4 * green) & (green > 1.4 * blue)).sum()))
+    print("green", int(((green > 2 * red) & (green > 2 * blue)).sum()))
+"""
+
+
+def test_pictures_without_pybullet_show_the_rover_and_the_goal():
+    done = subprocess.run([sys.executable, "-c", PICTURE_WITHOUT_BULLET], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    if "pictures need PyBullet" in done.stdout:
+        pytest.skip("needs OpenGL without a display")
+    counts = dict(line.split() for line in done.stdout.splitlines())
+    assert int(counts["orange"]) > 10
+    assert int(counts["green"]) > 5
