@@ -63,7 +63,8 @@ def test_stops_within_its_acceleration_limit(backend, flat):
     assert (speeds[1:] - speeds[:-1]).abs().max() <= ROVER.max_linear_acceleration * DT * 1.05
     assert speeds[5:].abs().max() < 0.02
     braking = (states[-1].position - moving.position).norm().item()
-    assert 0.085 <= braking <= 0.12
+    # Friction of 0.5 brakes at 4.9 m/s^2. The wheels hold the mean speed of a step: 0.1 m/s more, for 0.2 s.
+    assert 0.085 <= braking <= 0.125
 
 
 def test_turns_within_its_angular_acceleration_limit(backend, flat):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
@@ -16,15 +17,60 @@ GROUND_MARGIN = 3.0
 """Width of the ground mesh beyond a world's bounds, m."""
 
 GROUND_TURN = math.pi / 8
-"""Rotation of the ground's frame about the vertical, rad. See :data:`FRICTION_AXES`."""
+"""Rotation of the ground's frame about the vertical, rad. See :func:`friction_scales`."""
 
-FRICTION_AXES = ((1, 1, 1), (1, -1, 1))
-"""Scales of the friction directions in the ground's frame, which alternate between physics steps.
+_STRETCH = 0.35
+"""Largest logarithmic stretch of the friction directions. See :func:`friction_scales`.
 
-Bullet bounds the friction force by a square along the world's axes. Grip is up to sqrt(2) higher along its diagonals,
-and the yaw rate of a skid-steer rover depends on its heading. Mirroring the square in a frame rotated by 22.5 degrees
-rotates it by 45 degrees. The mean of the two squares is an octagon, which is round within 8 %.
+A larger one makes friction rounder: 0.5 halves the error of its direction. But a rover on a slope creeps faster.
 """
+
+_TILT = 0.5
+"""Additional vertical stretch of the unmirrored friction directions. See :func:`friction_scales`."""
+
+_CALIBRATION = 0.975
+"""Coefficient for which braking and climbing, on planes and meshes, agree with Coulomb's law (``benchmarks law``)."""
+
+
+def friction_scales(substeps: int) -> list[tuple[float, float, float]]:
+    """Returns the scales of the friction directions in the ground's frame for each physics step of a control step.
+
+    Bullet bounds the two components of a friction force separately, along the world's horizontal axes: the force lies
+    in a square, whose support in the direction of slip is ``mu N (|cos a| + |sin a|)``. As it stands, friction is
+    4 / pi times too strong on average, depends on the heading by 41 %, and is up to 45 degrees off the direction of
+    slip. The solver multiplies the two directions ``d`` by ``S = diag(a, b, c)``, in the frame of the ground, before it
+    applies the bounds. The steps alternate between several ``S`` such that the mean of the parallelograms, a zonotope,
+    is close to a disc of radius ``mu N``:
+
+    - ``b < 0`` mirrors the square. In a frame that is rotated by 22.5 degrees, the mirrored square is rotated by 45.
+    - ``b / a = t^2`` for several ``t`` between ``exp(-_STRETCH)`` and ``exp(_STRETCH)`` adds directions in between.
+    - All scales are divided by the mean support of the parallelograms, ``2 / pi`` times the lengths of their sides.
+
+    On a slope, a direction that ``S`` takes out of the tangent plane also pulls at the contact: the mirrored directions
+    are horizontal on average (``c = a + b``), which presses an uphill force into the ground. ``c`` of the others
+    exceeds ``(a + b) / 2``, which keeps their directions in the plane, and lifts it by as much.
+
+    Args:
+        substeps: number of physics steps of a control step, even.
+
+    Returns:
+        Scales ``(a, b, c)`` of each physics step.
+    """
+    pairs = substeps // 2
+    # From outside in: consecutive steps stretch in different directions.
+    order = sorted(range(pairs), key=lambda k: min(k, pairs - 1 - k))
+    stretches = [math.exp(_STRETCH * (2 * k / (pairs - 1) - 1)) if pairs > 1 else 1.0 for k in order]
+    cos, sin = math.cos(GROUND_TURN), math.sin(GROUND_TURN)
+    sides = [math.hypot(cos / t, sin * t) + math.hypot(sin / t, cos * t) for t in stretches]
+    scale = _CALIBRATION / (2 / math.pi * sum(sides) / pairs)
+    scales = []
+    for step in range(substeps):
+        t = stretches[step % pairs]
+        # Every stretch occurs once with each sign, and the signs alternate.
+        mirrored = (step + (step >= pairs and pairs % 2 == 0)) % 2 == 1
+        a, b = scale / t, -scale * t if mirrored else scale * t
+        scales.append((a, b, (a + b) / 2 * (1.0 if mirrored else 1.0 + _TILT)))
+    return scales
 
 
 def add_mesh_bodies(client: int, world: World) -> None:
@@ -40,7 +86,7 @@ def add_mesh_bodies(client: int, world: World) -> None:
 
 
 def add_ground(client: int, world: World) -> list[int]:
-    """Adds the ground for wheel contacts: a plane or triangle meshes, in a frame rotated by :data:`GROUND_TURN`.
+    """Adds the ground for wheel contacts: a plane or triangle meshes, each in the frame of :func:`_ground_frame`.
 
     A mesh reaches :data:`GROUND_MARGIN` beyond the world's bounds, where episodes end.
 
@@ -48,25 +94,34 @@ def add_ground(client: int, world: World) -> list[int]:
         Ids of the ground's bodies.
     """
     terrain = world.terrain
-    turn = Rotation.from_euler("z", GROUND_TURN)
     if terrain.is_flat:
-        shapes = [pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)]
-        height = terrain.heights[0, 0].item()
-    else:
-        # A heightfield would align with the axes of the rotated frame, so the ground is a mesh.
-        shapes = []
-        (x_low, x_high), (y_low, y_high) = world.bounds
-        area = (x_low - GROUND_MARGIN, x_high + GROUND_MARGIN), (y_low - GROUND_MARGIN, y_high + GROUND_MARGIN)
-        for strip in terrain_strips(terrain, area):
-            vertices, faces = terrain.mesh(*strip)
-            shapes.append(make_mesh(client, turn.inv().apply(vertices.numpy()), faces.numpy()))
-        height = 0.0
-    return [
-        pybullet.createMultiBody(
-            0, shape, basePosition=(0, 0, height), baseOrientation=turn.as_quat().tolist(), physicsClientId=client
-        )
-        for shape in shapes
-    ]
+        plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
+        return [_add_static(client, plane, _ground_frame(np.array((0.0, 0.0, 1.0))), terrain.heights[0, 0].item())]
+    (x_low, x_high), (y_low, y_high) = world.bounds
+    area = (x_low - GROUND_MARGIN, x_high + GROUND_MARGIN), (y_low - GROUND_MARGIN, y_high + GROUND_MARGIN)
+    bodies = []
+    # A heightfield would align with the axes of the rotated frame, so the ground is a mesh.
+    for strip in terrain_strips(terrain, area):
+        vertices, faces = (part.numpy() for part in terrain.mesh(*strip))
+        a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+        frame = _ground_frame(np.cross(b - a, c - a).sum(0))
+        shape = make_mesh(client, frame.inv().apply(vertices), faces, smooth=True)
+        bodies.append(_add_static(client, shape, frame))
+    return bodies
+
+
+def _ground_frame(normal: np.ndarray) -> Rotation:
+    """Returns the frame of a ground body: z along the mean normal ``[3]``, rotated about it by :data:`GROUND_TURN`."""
+    x, y, z = normal / np.linalg.norm(normal)
+    # The shortest rotation of the vertical to the normal: about their cross product, as a quaternion.
+    return Rotation.from_quat((-y, x, 0.0, 1.0 + z)) * Rotation.from_euler("z", GROUND_TURN)
+
+
+def _add_static(client: int, shape: int, frame: Rotation, height: float = 0.0) -> int:
+    """Adds a static body above the origin of the world. Returns its id."""
+    return pybullet.createMultiBody(
+        0, shape, basePosition=(0, 0, height), baseOrientation=frame.as_quat().tolist(), physicsClientId=client
+    )
 
 
 def add_obstacles(client: int, obstacles: Iterable[Obstacle]) -> list[int]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rover_rl.sims.bullet.geometry import FRICTION_AXES, add_ground, add_obstacles
+from rover_rl.sims.bullet.geometry import add_ground, add_obstacles, friction_scales
 from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.native.bullet import pybullet
 from rover_rl.sims.robots import Robot
@@ -61,6 +61,7 @@ class RoverPhysics:
 
     def __init__(self, world: World, robot: Robot, count: int, settings: BulletSettings) -> None:
         self._settings = settings
+        self._friction_scales = friction_scales(settings.substeps)
         self.clients: list[int] = []
         self._grounds: list[list[int]] = []
         self._rovers: list[tuple[int, int]] = []
@@ -128,11 +129,9 @@ class RoverPhysics:
         for row, (left_speed, right_speed) in enumerate(speeds):
             self._set_motors(row, [left_speed] * left + [right_speed] * right)
         for client, grounds in zip(self.clients, self._grounds, strict=True):
-            for substep in range(self._settings.substeps):
+            for scales in self._friction_scales:
                 for ground in grounds:
-                    pybullet.changeDynamics(
-                        ground, -1, anisotropicFriction=FRICTION_AXES[substep % 2], physicsClientId=client
-                    )
+                    pybullet.changeDynamics(ground, -1, anisotropicFriction=scales, physicsClientId=client)
                 pybullet.stepSimulation(physicsClientId=client)
         for row, snapshot in zip(held, before, strict=True):
             self._restore(row, *snapshot)
@@ -216,6 +215,14 @@ def load_world(client: int, world: World, settings: BulletSettings) -> list[int]
     for body, friction in frictions.items():
         _set_contact(client, body, -1, friction, settings)
         pybullet.setCollisionFilterGroupMask(body, -1, _STATIC, _ROVERS, physicsClientId=client)
+    for body in ground:
+        pybullet.changeDynamics(
+            body,
+            -1,
+            contactStiffness=settings.ground_stiffness,
+            contactDamping=settings.ground_damping,
+            physicsClientId=client,
+        )
     return ground
 
 

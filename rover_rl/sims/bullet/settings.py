@@ -23,6 +23,9 @@ class BulletSettings:
             creeps by a millimeter in 30 seconds; with 1e-9, by a fifth of that.
         contact_threshold: gap above which the solver ignores a contact, m. Bullet's default is ``math.inf``.
         ground_friction: Coulomb friction coefficient between rover and ground.
+        ground_stiffness: stiffness of a contact with the ground, N/m. The load on four rigid wheels is indeterminate,
+            and the solver would put it on one diagonal: yaw rates would be up to 20 % off.
+        ground_damping: damping of a contact with the ground, N s/m.
         obstacle_friction: Coulomb friction coefficient between rover and obstacles. From 0.35 on, the wheels climb a
             wall that the rover pushes against, and the rover flips onto its back.
 
@@ -36,6 +39,8 @@ class BulletSettings:
     solver_residual: float = 1e-9
     contact_threshold: float = 0.0
     ground_friction: float = 0.5
+    ground_stiffness: float = 300e3
+    ground_damping: float = 2e3
     obstacle_friction: float = 0.25
 
     def __post_init__(self) -> None:
@@ -45,7 +50,9 @@ class BulletSettings:
             raise ValueError(f"solver_iterations must be at least 1, got {self.solver_iterations}")
         if not self.control_dt > 0:
             raise ValueError(f"control_dt must be positive, got {self.control_dt}")
-        for name in ("solver_residual", "contact_threshold", "ground_friction", "obstacle_friction"):
+        if not self.ground_stiffness > 0:
+            raise ValueError(f"ground_stiffness must be positive, got {self.ground_stiffness}")
+        for name in ("solver_residual", "contact_threshold", "ground_friction", "ground_damping", "obstacle_friction"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
 

@@ -50,13 +50,15 @@ def make_hull(client: int, vertices: np.ndarray) -> int:
         )
 
 
-def make_mesh(client: int, vertices: np.ndarray, faces: np.ndarray) -> int:
+def make_mesh(client: int, vertices: np.ndarray, faces: np.ndarray, *, smooth: bool = False) -> int:
     """Creates a concave triangle mesh as a collision shape.
 
     Args:
         client: id of the Bullet client.
         vertices: vertices ``[V, 3]``, m.
         faces: triangles as indices into ``vertices``, ``[F, 3]``.
+        smooth: correct the normals of contacts at the edges between triangles. Without it, a body that slides over a
+            plane of triangles is stopped now and then by an edge in the plane. Rays do not need it.
 
     Returns:
         Id of the shape.
@@ -66,7 +68,7 @@ def make_mesh(client: int, vertices: np.ndarray, faces: np.ndarray) -> int:
             pybullet.GEOM_MESH,
             vertices=lists.vertices.fill(vertices),
             indices=lists.fill_indices(faces),
-            flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
+            flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH | (pybullet.GEOM_CONCAVE_INTERNAL_EDGE if smooth else 0),
             physicsClientId=client,
         )
 
