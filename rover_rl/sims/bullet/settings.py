@@ -35,7 +35,7 @@ class BulletSettings:
 
     control_dt: float = CONTROL_DT
     substeps: int = 10
-    solver_iterations: int = 50
+    solver_iterations: int = 40
     solver_residual: float = 1e-9
     contact_threshold: float = 0.0
     ground_friction: float = 0.5
@@ -75,7 +75,7 @@ class BulletSettings:
 
 PRESETS: dict[str, BulletSettings] = {
     "default": BulletSettings(),
-    "accurate": BulletSettings(substeps=26),
+    "accurate": BulletSettings(substeps=26, solver_iterations=50),
     "fast": BulletSettings(substeps=6, solver_iterations=30),
 }
 """Physics presets by name: the default, steps of about 2 ms, and fewer steps with a larger error."""
