@@ -25,7 +25,7 @@ _STRETCH = 0.35
 A larger one makes friction rounder: 0.5 halves the error of its direction. But a rover on a slope creeps faster.
 """
 
-_TILT = 0.5
+_TILT = 1.0
 """Additional vertical stretch of the unmirrored friction directions. See :func:`friction_scales`."""
 
 _CALIBRATION = 0.975
