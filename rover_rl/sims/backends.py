@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib import import_module
-from inspect import isfunction
+from inspect import isfunction, signature
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 from rover_rl.registry import Registry
@@ -51,6 +51,8 @@ BackendLike: TypeAlias = Any
 """A backend: its name, its settings, or a :class:`Backend` object."""
 
 _REGISTRY = Registry("backend", BACKENDS)
+_MAKE = "make(worlds=, robot=, lidar_beams=, connection=, device=)"
+"""The method of a :class:`Backend`, for messages."""
 
 
 @runtime_checkable
@@ -137,12 +139,13 @@ def make_simulator(
         device: device of the task's tensors, on which the backend runs if it can. ``None`` is the CPU.
 
     Raises:
-        ValueError: if the backend or the preset is unknown.
+        ValueError: if the backend or the preset is unknown, or the ``make`` of a :class:`Backend` does not take these
+            arguments or returns something else than a simulator.
     """
     settings = resolve_backend(backend, physics)
     options: dict[str, Any] = {"connection": connection, "device": device}
     if isinstance(settings, Backend):
-        return settings.make(worlds=worlds, robot=robot, lidar_beams=lidar_beams, **options)
+        return _make_custom(settings, {"worlds": worlds, "robot": robot, "lidar_beams": lidar_beams, **options})
     built_in = _BUILT_IN[name_of(settings)]
     module, _, simulator = built_in.simulator.partition(":")
     taken = {option: options[option] for option in built_in.options}
@@ -163,9 +166,10 @@ def resolve_backend(backend: BackendLike, physics: str | None = None) -> Any:
         raise ValueError(f"physics={physics!r} needs a backend given by name; this backend has settings of its own")
     settings = _settings(backend, physics) if isinstance(backend, str) else backend
     if not isinstance(settings, Backend) and name_of(settings) not in _BUILT_IN:
+        source = f" under the name {backend!r}" if isinstance(backend, str) else ""
         raise ValueError(
-            f"backend must be one of {backend_names()}, settings of one, or an object with a make() method, "
-            f"got {backend if isinstance(backend, str) else settings!r}"
+            f"backend must be one of {backend_names()}, settings of one, or an object with a method {_MAKE} that "
+            f"returns a Simulator, got {settings!r}{source}"
         )
     return settings
 
@@ -178,3 +182,31 @@ def _settings(name: str, physics: str | None) -> Any:
     if not hasattr(kind, "preset"):
         raise ValueError(f"backend {name!r} has no presets for its physics, got physics={physics!r}")
     return kind.preset(physics)
+
+
+def _make_custom(backend: Backend, arguments: dict[str, Any]) -> Simulator:
+    """Builds the simulator of a custom backend.
+
+    Raises:
+        ValueError: if ``make`` does not take the arguments, or returns something without the attributes of a simulator.
+    """
+    try:
+        signature(backend.make).bind(**arguments)
+    except TypeError as error:
+        reason = "it is a class; pass an object of it" if isinstance(backend, type) else error
+        raise ValueError(f"backend {backend!r} must have a method {_MAKE}: {reason}") from error
+    simulator = backend.make(**arguments)
+    missing = [name for name in _simulator_attributes() if not hasattr(simulator, name)]
+    if missing:
+        raise ValueError(
+            f"make() of backend {backend!r} must return a rover_rl.sims.base.Simulator, got {simulator!r} without "
+            f"{', '.join(missing)}"
+        )
+    return simulator
+
+
+def _simulator_attributes() -> list[str]:
+    """Returns the names of the attributes and methods of a simulator."""
+    from rover_rl.sims.base import Simulator
+
+    return [name for name in (*Simulator.__annotations__, *vars(Simulator)) if not name.startswith("_")]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import torch
 
-from rover_rl import RoverEnv
+from rover_rl import RoverEnv, make_env
 from rover_rl.sims import Backend, Simulator, backend_names, backends, make_simulator, register_backend
 from rover_rl.sims.bullet import BulletSettings, BulletSimulator
 from rover_rl.sims.robots import get_robot
@@ -16,6 +18,9 @@ from rover_rl.sims.worlds import Terrain, World
 
 ROVER = get_robot("rover_zero")
 FLAT = World("flat", Terrain.flat((20, 20)))
+MAKE = re.escape("make(worlds=, robot=, lidar_beams=, connection=, device=)")
+WANTED = rf"backend must be one of \[.*\], settings of one, or an object with a method {MAKE} that returns a Simulator"
+"""Patterns of the error messages."""
 
 
 @pytest.fixture(autouse=True)
@@ -108,10 +113,81 @@ def test_a_function_that_returns_a_backend_is_called():
 @pytest.mark.parametrize(("name", "part"), [("registered-number", 4), ("registered-function-of-a-number", lambda: 4)])
 def test_anything_without_make_raises(name, part):
     register_backend(name, part)
-    with pytest.raises(
-        ValueError, match=r"^backend must be one of \[.*\], settings of one, or an object with a make\(\)"
-    ):
+    with pytest.raises(ValueError, match=f"^{WANTED}, got 4 under the name '{name}'$"):
         substeps(name)
+
+
+@pytest.mark.parametrize("backend", [object(), 4, None, BulletSettings])
+def test_objects_that_are_no_backend_raise_before_anything_is_built(backend):
+    with pytest.raises(ValueError, match=f"^{WANTED}, got {re.escape(repr(backend))}$"):
+        make_env(world_n=FLAT, backend=backend)
+
+
+class WithoutLidar:
+    """Backend that lacks a keyword of make()."""
+
+    def make(self, *, worlds, robot, connection=None, device=None) -> Simulator:
+        raise AssertionError("never called")
+
+
+def test_a_backend_whose_make_lacks_a_keyword_raises_before_it_is_called():
+    with pytest.raises(
+        ValueError,
+        match=f"^backend .*WithoutLidar object.* must have a method {MAKE}: got an unexpected keyword argument "
+        "'lidar_beams'$",
+    ):
+        make_env(world_n=FLAT, backend=WithoutLidar())
+
+
+def test_a_class_in_place_of_a_backend_raises():
+    with pytest.raises(ValueError, match=r"PlainBackend'> must have .*: it is a class; pass an object of it$"):
+        make_env(world_n=FLAT, backend=PlainBackend)
+
+
+def test_errors_inside_make_are_not_replaced():
+    class Broken:
+        def make(self, **arguments) -> Simulator:
+            raise TypeError("inside")
+
+    with pytest.raises(TypeError, match="^inside$"):
+        make_env(world_n=FLAT, backend=Broken())
+
+
+class Returning:
+    """Backend whose make() returns a given object."""
+
+    def __init__(self, simulator: Any) -> None:
+        self.simulator = simulator
+
+    def make(self, **arguments) -> Any:
+        return self.simulator
+
+
+def test_a_make_that_returns_no_simulator_raises():
+    members = (
+        "num_envs, control_dt, device, ray_angles, robot_connected, reset, set_dynamics, state, step, render, close"
+    )
+    for simulator in (None, object()):
+        with pytest.raises(
+            ValueError,
+            match=rf"^make\(\) of backend .*Returning.* must return a rover_rl\.sims\.base\.Simulator, got "
+            f"{re.escape(repr(simulator))} without {members}$",
+        ):
+            make_env(world_n=FLAT, backend=Returning(simulator))
+
+
+@pytest.mark.parametrize("missing", [("step",), ("control_dt", "render")])
+def test_the_missing_attributes_of_a_simulator_are_named(missing):
+    whole = make_simulator("bullet", worlds=[FLAT], robot=ROVER, lidar_beams=8)
+    names = (*Simulator.__annotations__, "robot_connected", "reset", "set_dynamics", "state", "step", "render", "close")
+    part = SimpleNamespace(**{name: getattr(whole, name) for name in names})
+    arguments = {"worlds": [FLAT], "robot": ROVER, "lidar_beams": 8}
+    assert make_simulator(Returning(part), **arguments) is part
+    for name in missing:
+        delattr(part, name)
+    with pytest.raises(ValueError, match=f" without {', '.join(missing)}$"):
+        make_simulator(Returning(part), **arguments)
+    whole.close()
 
 
 def test_names_of_built_in_backends_are_taken():
