@@ -304,7 +304,7 @@ def test_robot_and_drive_take_the_description_of_an_environment(
         ("--task.stuck-window 0", "rover-rl: task: stuck_window must be positive, got 0"),
         ("--randomization.friction 2 1", "rover-rl: randomization: friction must be a range of positive factors"),
         ("--action.min-speed 2", "rover-rl: action: min_speed must be less than max_speed"),
-        ("--backend my_parts:number", "backend must be one of ['bullet', 'ros2', 'warp']"),
+        ("--backend my_parts:number", "backend must be one of ['bullet', 'mujoco', 'ros2', 'warp']"),
         (
             "--backend my_parts:needy",
             "backend 'my_parts:needy' is called with 0 arguments: missing a required",

@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -26,7 +27,16 @@ def test_the_pages_have_python_blocks():
     assert len(SCRIPT_BLOCKS) >= 2
 
 
+@pytest.fixture
+def own_registries(monkeypatch):
+    """Forgets the parts that a test registers: other tests compare the lists of names."""
+    for module in ("rover_rl.sims.backends", "rover_rl.sims.robots", "rover_rl.sims.worlds", "rover_rl.envs.rewards"):
+        registry = import_module(module)._REGISTRY
+        monkeypatch.setattr(registry, "_parts", dict(registry._parts))
+
+
 @pytest.mark.parametrize("block", INLINE_BLOCKS)
+@pytest.mark.usefixtures("own_registries")
 def test_blocks_run(block, capsys):
     # Shortens or skips training, which has its own tests.
     code = re.sub(r"\.learn\([\d_]+\)", "", block)
