@@ -22,7 +22,7 @@ class Options:
     beams: tuple[int, ...] = (32, 128, 640)
     """Numbers of lidar beams per rover."""
     engines: tuple[str, ...] = ()
-    """Simulators that ``law`` and ``parity`` compare. Default: all that are installed."""
+    """Simulators that ``law``, ``parity`` and ``simulators`` compare. Default: all that are installed."""
     rovers: int = 64
     """Number of rovers in benchmarks that do not vary it."""
     warp_rovers: int = 512

@@ -1,14 +1,14 @@
-"""Speed of the Warp backend compared with Bullet: simulator alone, whole environment, and scaling to two threads.
+"""Speed of the simulators compared with Bullet: simulator alone, whole environment, and scaling to two threads.
 
-Bullet uses its default preset and 64 rovers, the number at which it is fastest; Warp uses more. Each runs on one core,
-and the two are measured alternately in one run. On machines with a GPU, also measures Warp's steps per second there:
-physics, lidar and whole environment.
+Bullet uses its default preset and 64 rovers, the number at which it is fastest, as does MuJoCo; Warp uses more. Each
+runs on one core, and two are measured alternately in one run. On machines with a GPU, also measures Warp's steps per
+second there: physics, lidar and whole environment.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import torch
@@ -16,11 +16,12 @@ from rich.console import Group
 from rich.table import Table
 from torchrl.envs import EnvBase
 
+from benchmarks.engines import choose_engines
 from benchmarks.options import Options
 from benchmarks.ratios import paired, rate
 from rover_rl import make_env
 from rover_rl.sims import Backend
-from rover_rl.sims.warp import WarpSettings
+from rover_rl.sims.backends import resolve_backend
 
 WORLDS = ("inspect", "moon", "maze")
 GPU_ROVERS = (1024, 4096, 16384, 65536)
@@ -63,8 +64,7 @@ def environment_work(env: EnvBase) -> Callable[[], int]:
 
 
 def measure(options: Options) -> dict[str, Any]:
-    """Measures the speed ratios, and the speed on a GPU; ``"gpu"`` is ``None`` on machines without one."""
-    one_core = WarpSettings(threads=1)
+    """Measures the speed ratios on the CPU, and the speed on a GPU; ``"gpu"`` is ``None`` on machines without one."""
     rows = []
 
     def compare(what: str, one: EnvBase, other: EnvBase, work: Callable[[EnvBase], Callable[[], int]]) -> None:
@@ -72,19 +72,24 @@ def measure(options: Options) -> dict[str, Any]:
         one.close()
         other.close()
 
-    for world in WORLDS:
-        for beams in BEAMS:
-            warp = _environment(world, options.warp_rovers, beams, one_core)
-            bullet = _environment(world, options.rovers, beams, "bullet")
-            compare(f"simulator, {world}, {beams} beams", warp, bullet, simulator_work)
-    for world in WORLDS:
-        warp = _environment(world, options.warp_envs, BEAMS[0], one_core)
-        bullet = _environment(world, options.rovers, BEAMS[0], "bullet")
-        compare(f"environment, {world}, {options.warp_envs:,} rovers", warp, bullet, environment_work)
-    one, two = (
-        _environment("inspect", options.warp_rovers, BEAMS[0], WarpSettings(threads=threads)) for threads in (1, 2)
-    )
-    compare("two threads / one thread", two, one, simulator_work)
+    for engine in [name for name in choose_engines(options.engines) if name != "bullet"]:
+        one_core = replace(resolve_backend(engine), threads=1)
+        rovers, envs = (
+            (options.warp_rovers, options.warp_envs) if engine == "warp" else (options.rovers, options.rovers)
+        )
+        for world in WORLDS:
+            for beams in BEAMS:
+                fast = _environment(world, rovers, beams, one_core)
+                bullet = _environment(world, options.rovers, beams, "bullet")
+                compare(f"{engine} / bullet: simulator, {world}, {beams} beams", fast, bullet, simulator_work)
+        for world in WORLDS:
+            fast = _environment(world, envs, BEAMS[0], one_core)
+            bullet = _environment(world, options.rovers, BEAMS[0], "bullet")
+            compare(f"{engine} / bullet: environment, {world}, {envs:,} rovers", fast, bullet, environment_work)
+        one, two = (
+            _environment("inspect", rovers, BEAMS[0], replace(one_core, threads=threads)) for threads in (1, 2)
+        )
+        compare(f"{engine}: two threads / one thread", two, one, simulator_work)
     return {"ratios": rows, "gpu": _measure_gpu(options) if torch.cuda.is_available() else None}
 
 
@@ -120,8 +125,8 @@ def _measure_gpu(options: Options) -> list[dict[str, Any]]:
 
 def table(found: dict[str, Any]) -> Group:
     """Formats the results as tables for the terminal."""
-    headings = "measured", "Warp, steps/s", "Bullet or one thread, steps/s", "speedup"
-    ratios = Table(*headings, title="Warp and Bullet: speed")
+    headings = "measured", "steps/s", "Bullet or one thread, steps/s", "speedup"
+    ratios = Table(*headings, title="Simulators: speed")
     for row in found["ratios"]:
         ratio = f"{row['median']:.2f} ({row['least']:.2f} to {row['most']:.2f})"
         ratios.add_row(row["what"], f"{row['rate']:,.0f}", f"{row['other']:,.0f}", ratio)

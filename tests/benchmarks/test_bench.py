@@ -72,7 +72,7 @@ def test_rollouts_cores_and_footprint(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_warp_beside_bullet(tmp_path: Path) -> None:
     pytest.importorskip("warp", reason="needs rover_rl[warp]")
-    results = bench(tmp_path, "simulators", "endurance")
+    results = bench(tmp_path, "simulators", "endurance", "--engines", "warp")
     ratios = results["simulators"]["ratios"]
     assert len(ratios) == 3 * 2 + 3 + 1
     assert all(row["median"] > 0 for row in ratios)
