@@ -86,9 +86,7 @@ def measure(options: Options) -> dict[str, Any]:
             fast = _environment(world, envs, BEAMS[0], one_core)
             bullet = _environment(world, options.rovers, BEAMS[0], "bullet")
             compare(f"{engine} / bullet: environment, {world}, {envs:,} rovers", fast, bullet, environment_work)
-        one, two = (
-            _environment("inspect", rovers, BEAMS[0], replace(one_core, threads=threads)) for threads in (1, 2)
-        )
+        one, two = (_environment("inspect", rovers, BEAMS[0], replace(one_core, threads=threads)) for threads in (1, 2))
         compare(f"{engine}: two threads / one thread", two, one, simulator_work)
     return {"ratios": rows, "gpu": _measure_gpu(options) if torch.cuda.is_available() else None}
 

@@ -26,7 +26,7 @@ def assert_all_close(values: torch.Tensor, expected: float, *, tolerance: float)
 
 
 def around_the_limit(gentle: torch.Tensor, below: float = 1.0) -> torch.Tensor:
-    """Slopes that are ``below`` degrees less than the limit in ``gentle`` directions, and a degree more in the others."""
+    """Slopes ``below`` degrees less than the limit in ``gentle`` directions, and a degree more in the others."""
     return torch.where(gentle, LIMIT - below, LIMIT + 1.0)
 
 
