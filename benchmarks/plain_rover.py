@@ -15,7 +15,7 @@ import pybullet
 import torch
 from gymnasium import spaces
 
-from rover_rl.sims.bullet.geometry import FRICTION_AXES
+from rover_rl.sims.bullet.geometry import friction_scales
 from rover_rl.sims.bullet.physics import connect, load_rover, load_world
 from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.robots import get_robot
@@ -54,6 +54,7 @@ class PlainRover(gymnasium.Env):
             }
         )
         self._settings = settings or BulletSettings()
+        self._friction_scales = friction_scales(self._settings.substeps)
         self._robot = get_robot("rover_zero")
         self._world = get_world(world)
         self._cells = free_space(self._world, self._robot).goal_cells.double().numpy()
@@ -113,11 +114,9 @@ class PlainRover(gymnasium.Env):
         half = robot.wheel_separation / 2
         left, right = (v - w * half) / robot.wheel_radius, (v + w * half) / robot.wheel_radius
         self._drive(left, right)
-        for substep in range(self._settings.substeps):
+        for scales in self._friction_scales:
             for ground in self._ground:
-                pybullet.changeDynamics(
-                    ground, -1, anisotropicFriction=FRICTION_AXES[substep % 2], physicsClientId=self._client
-                )
+                pybullet.changeDynamics(ground, -1, anisotropicFriction=scales, physicsClientId=self._client)
             pybullet.stepSimulation(physicsClientId=self._client)
         before = self._distance
         observation = self._observe()

@@ -206,7 +206,9 @@ def _make_custom(backend: Backend, arguments: dict[str, Any]) -> Simulator:
 
 
 def _simulator_attributes() -> list[str]:
-    """Returns the names of the attributes and methods of a simulator."""
+    """Returns the names of the attributes and methods that every environment uses."""
     from rover_rl.sims.base import Simulator
 
-    return [name for name in (*Simulator.__annotations__, *vars(Simulator)) if not name.startswith("_")]
+    # Only randomization and pictures need these two.
+    names = {*Simulator.__annotations__, *vars(Simulator)} - {"set_dynamics", "render"}
+    return sorted(name for name in names if not name.startswith("_"))
