@@ -11,13 +11,14 @@ from rover_rl.sims.timing import CONTROL_DT
 class BulletSettings:
     """Settings of the Bullet physics.
 
-    With the defaults a standing rover stays in place, and the yaw rate does not depend on the heading.
+    With the defaults a standing rover stays in place, and friction agrees with Coulomb's law within 5 %, except that
+    rovers creep on slopes close to the limit.
     ``docs/physics.md`` lists the speed of each preset and its error relative to steps of 1 ms.
 
     Args:
         control_dt: duration of a control step, s. The contract controls at 20 Hz.
         substeps: physics steps per control step. The default, 10 steps of 5 ms, is that of the original inspect world.
-            The number must be even because the friction directions alternate between steps.
+            The number must be even because the friction directions are mirrored in half of the steps.
         solver_iterations: maximum number of iterations of the contact solver per substep.
         solver_residual: residual below which the solver stops early. With Bullet's default, 1e-7, a standing rover
             creeps by a millimeter in 30 seconds; with 1e-9, by a fifth of that.
