@@ -47,11 +47,11 @@ def friction_scales(substeps: int) -> list[tuple[float, float, float]]:
     - ``b / a = t^2`` for several ``t`` between ``exp(-_STRETCH)`` and ``exp(_STRETCH)`` adds directions in between.
     - All scales are divided by the mean support of the parallelograms, ``2 / pi`` times the lengths of their sides.
 
-    In the plane of the ground's frame, ``c`` has no effect. On ground that is inclined to it, ``S`` turns directions
-    out of the tangent plane, so that friction also acts on the normal force. Mirrored directions stay close to the plane of
-    the frame, ``c = (a + b) / 2``: an uphill force presses the wheel into the ground, which strengthens friction. The
-    other directions would stay in the tangent plane with the same ``c``. Twice as large, it turns them to the other
-    side, which weakens friction by about as much.
+    In the plane of the ground's frame, ``c`` has no effect. On ground that is inclined to it, ``S`` turns
+    directions out of the tangent plane, so that friction also acts on the normal force. Mirrored directions stay
+    close to the plane of the frame, ``c = (a + b) / 2``: an uphill force presses the wheel into the ground, which
+    strengthens friction. The other directions would stay in the tangent plane with the same ``c``. Twice as large,
+    it turns them to the other side, which weakens friction by about as much.
 
     Args:
         substeps: number of physics steps of a control step, even.
