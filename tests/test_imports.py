@@ -16,7 +16,7 @@ MAX_LINES = 500
 VAGUE_NAMES = {"utils.py", "helpers.py", "common.py"}
 
 LAYERS = (
-    ("checks", "files", "plain", "registry", "tensordicts"),
+    ("checks", "files", "plain", "progress", "registry", "tensordicts"),
     (
         "sims.base",
         "sims.connection",

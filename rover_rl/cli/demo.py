@@ -2,81 +2,114 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rover_rl.algos.config import UNLIMITED_STEPS, with_settings
+from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, with_settings
 from rover_rl.cli.train import INTERRUPTED, format_summary
+from rover_rl.progress import ProgressDisplay
 
-FILMED = 12.0
-"""Duration of the video, s."""
+if TYPE_CHECKING:
+    from rover_rl.algos.evaluation.evaluate import Policy
+    from rover_rl.algos.evaluation.results import Evaluation
+
+FILMED = 10.0
+"""Duration of the drive that is filmed, s."""
 
 
 @dataclass(frozen=True)
 class Demo:
-    """Train PPO for a few minutes, evaluate it against a pretrained and a random policy, and film the pretrained one.
+    """Train a policy in about a minute, evaluate it beside other policies, and film it.
 
-    Uses the training settings of the pretrained policy for the world.
+    Trains PPO in the fast simulator, Warp, with the settings of a pretrained policy. Then drives the trained, the
+    pretrained, the scripted and the random policy from the same starts in another simulator, Bullet.
     """
 
     world: str = "moon"
     """World to train and evaluate in: inspect, moon or maze."""
-    minutes: float = 4.0
+    minutes: float = 1.0
     """Duration of training, minutes."""
     seed: int = 0
     """Seed of the training run."""
-    num_envs: int = 64
-    """Number of rovers in training."""
     count: int = 64
-    """Number of evaluation episodes, each with one goal and a time limit of 60 s."""
+    """Number of evaluation episodes, each with one goal."""
+    seconds: float = 30.0
+    """Time limit of each evaluation episode, s."""
     runs: str = "runs"
     """Folder that the run is written to."""
 
     def __call__(self) -> int:
         """Trains, evaluates, plots and films, and prints the paths of the results."""
-        from rover_rl.algos.evaluation.episodes import draw_episodes
-        from rover_rl.algos.evaluation.evaluate import evaluate
-        from rover_rl.algos.evaluation.plots import draw_learning_curve, draw_paths
-        from rover_rl.algos.evaluation.report import print_table, write_evaluation
-        from rover_rl.algos.policy.checkpoint import Checkpoint
+        print(f"Preparing to train PPO in {self.world} for {self.minutes:g} minutes", flush=True)
         from rover_rl.algos.pretrained import load_pretrained
         from rover_rl.algos.train import train
-        from rover_rl.algos.video.film import film
-        from rover_rl.sims.worlds import get_world
 
-        get_world(self.world)
-        name = f"{self.world.split(':')[0]}-ppo"
-        package = load_pretrained(name)
-        expert = package.make_actor()
+        pretrained = load_pretrained(f"{self.world.split(':')[0]}-warp")
         config = with_settings(
-            package.config,
+            pretrained.config,
             world=self.world,
             total_steps=UNLIMITED_STEPS,
             max_minutes=self.minutes,
             seed=self.seed,
-            num_envs=self.num_envs,
             runs=self.runs,
+            name=None,
         )
         config.check()
-        episodes = draw_episodes(self.world, self.count)
-        print(f"Training PPO in {self.world} for {self.minutes:g} minutes with {config.num_envs} rovers")
+        _compile(config)
         summary = train(config)
-        print(format_summary(summary))
+        print(format_summary(summary), flush=True)
         if summary.interrupted:
             return INTERRUPTED
-        folder = summary.folder
-        trained = evaluate(Checkpoint.load(folder).make_actor(), episodes, name="trained")
-        pretrained = evaluate(expert, episodes, name="pretrained")
-        random = evaluate(None, episodes)
-        print_table([trained, pretrained, random])
-        write_evaluation(folder / "evaluation.json", [trained, pretrained, random])
+        self._evaluate(summary.folder, pretrained.make_actor())
+        return 0
+
+    def _evaluate(self, folder: Path, pretrained: Policy) -> None:
+        """Evaluates the trained policy beside others, and writes figures, plots and a film to the run's folder."""
+        from rover_rl.algos.evaluation.episodes import draw_episodes
+        from rover_rl.algos.evaluation.parallel import GoalRequest, evaluate_all
+        from rover_rl.algos.policy.baselines import ScriptedPolicy
+        from rover_rl.algos.policy.checkpoint import Checkpoint
+
+        trained = Checkpoint.load(folder).make_actor()
+        policies = {"trained": trained, "pretrained": pretrained, "scripted": ScriptedPolicy(), "random": None}
+        print(f"Driving {len(policies)} policies from the same {self.count} starts in Bullet", flush=True)
+        episodes = draw_episodes(self.world, self.count)
+        options = {"seconds": self.seconds}
+        evaluations = evaluate_all(
+            [GoalRequest(policy, episodes, {**options, "name": name}) for name, policy in policies.items()]
+        )
+        self._show(folder, trained, evaluations)  # type: ignore[arg-type]  # requests with goals give evaluations
+
+    def _show(self, folder: Path, trained: Policy, evaluations: list[Evaluation]) -> None:
+        """Prints the results, and draws the learning curve, the paths and a film of the trained policy."""
+        from rover_rl.algos.evaluation.plots import draw_learning_curve, draw_paths
+        from rover_rl.algos.evaluation.report import print_table, write_evaluation
+        from rover_rl.algos.video.film import film
+
         pictures = {
             "Learning curve": folder / "learning_curve.png",
             "Paths driven": folder / "paths.png",
-            f"Film of pretrained:{name}": folder / f"{name}.gif",
+            "Film of the trained policy": folder / "film.gif",
         }
         curve, paths, moving = pictures.values()
-        draw_learning_curve([folder], curve, random)
-        draw_paths([trained, pretrained, random], paths)
-        film(expert, moving, world=self.world, seconds=FILMED)
+        with ProgressDisplay("drawing"):
+            write_evaluation(folder / "evaluation.json", evaluations)
+            draw_learning_curve([folder], curve, evaluations[-1])
+            draw_paths(evaluations, paths)
+        print_table(evaluations)
+        film(trained, moving, world=self.world, seconds=FILMED, seed=self.seed)
         print("\n".join(f"{what}: {path}" for what, path in pictures.items()))
-        return 0
+        print(f"To watch more of it: rover-rl play {folder}")
+
+
+def _compile(config: TrainingConfig) -> None:
+    """Compiles the kernels of the simulator on its first use, which takes up to a minute, before the clock starts."""
+    from rover_rl.envs import RoverEnv
+    from rover_rl.sims.worlds import Terrain, World
+
+    with ProgressDisplay("compiling the simulator (once)"):
+        flat = World("flat", Terrain.flat((12.0, 12.0)))
+        with closing(RoverEnv(world_n=flat, backend=config.env.backend)) as env:
+            env.reset()

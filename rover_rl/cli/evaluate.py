@@ -17,7 +17,8 @@ from rover_rl.sims.robots import get_robot
 
 if TYPE_CHECKING:
     from rover_rl.algos.evaluation.episodes import EpisodeSet
-    from rover_rl.algos.evaluation.evaluate import EndlessEvaluation, Evaluation
+    from rover_rl.algos.evaluation.parallel import EndlessRequest, GoalRequest
+    from rover_rl.algos.evaluation.results import EndlessEvaluation, Evaluation
 
 LOG = ".jsonl"
 """Suffix of the logs of ``rover-rl drive``."""
@@ -50,6 +51,8 @@ class Evaluate:
     """Also evaluate in endless mode: 32 episodes of 2,000 steps, as in the original environment."""
     jam: bool = True
     """In endless mode, end an episode after a long collision, as in the contract. The original never does."""
+    workers: int | None = None
+    """Number of processes. The results do not depend on it. Default: the number of CPU cores."""
     out: Path | None = None
     """Folder to write to. Default: the folder of the first checkpoint, or runs/evaluation."""
 
@@ -63,20 +66,11 @@ class Evaluate:
         policies = self._policies()
         backends = self._backends(policies)
         sets = self._episode_sets(policies)
-        results: list[Evaluation | EndlessEvaluation] = []
         out = self.out or next((policy.folder for policy in policies if policy.folder), Path("runs/evaluation"))
         # Fails before the evaluation, which can take minutes.
         out.mkdir(parents=True, exist_ok=True)
-        pictures: dict[Path, list[Evaluation]] = {}
-        for world, episodes in sets.items():
-            here = [policy for policy in policies if world in (policy.worlds or sets)]
-            driven = {backend: [self._drive(policy, episodes, backend) for policy in here] for backend in backends}
-            results += [evaluations[number] for number in range(len(here)) for evaluations in driven.values()]
-            if self.endless:
-                results += [self._drive_endlessly(policy, world, backend) for policy in here for backend in backends]
-            for backend, evaluations in driven.items():
-                parts = [world if len(sets) > 1 else None, backend if len(backends) > 1 else None]
-                pictures[out / ("-".join(["paths", *filter(None, parts)]).replace(":", "-") + ".png")] = evaluations
+        results = self._evaluate(policies, sets, backends)
+        pictures = self._pictures(results, out, len(backends) > 1)
         for log, drives in logs.items():
             results += drives
             for number, drive in enumerate(drives):
@@ -141,15 +135,41 @@ class Evaluate:
             for world in worlds
         }
 
-    def _drive(self, policy: ResolvedPolicy, episodes: EpisodeSet, backend: str | None) -> Evaluation:
-        from rover_rl.algos.evaluation.evaluate import evaluate
+    def _evaluate(
+        self, policies: list[ResolvedPolicy], sets: dict[str, EpisodeSet], backends: list[str | None]
+    ) -> list[Evaluation | EndlessEvaluation]:
+        """Evaluates the policies in each world and backend."""
+        from rover_rl.algos.evaluation.parallel import EndlessRequest, GoalRequest, evaluate_all
 
-        return evaluate(policy.module, episodes, seconds=self.seconds, **self._settings(policy, backend))
+        requests: list[GoalRequest | EndlessRequest] = []
+        for world, episodes in sets.items():
+            runs = [
+                (policy, self._settings(policy, backend))
+                for policy in policies
+                if world in (policy.worlds or sets)
+                for backend in backends
+            ]
+            requests += [GoalRequest(policy.module, episodes, {**s, "seconds": self.seconds}) for policy, s in runs]
+            if self.endless:
+                requests += [EndlessRequest(policy.module, world, {**s, "jam": self.jam}) for policy, s in runs]
+        return evaluate_all(requests, self.workers)
 
-    def _drive_endlessly(self, policy: ResolvedPolicy, world: str, backend: str | None) -> EndlessEvaluation:
-        from rover_rl.algos.evaluation.evaluate import evaluate_endless
+    @staticmethod
+    def _pictures(
+        results: list[Evaluation | EndlessEvaluation], out: Path, several_backends: bool
+    ) -> dict[Path, list[Evaluation]]:
+        """Returns the evaluations to draw in each picture: one picture per world and backend."""
+        from rover_rl.algos.evaluation.results import Evaluation
 
-        return evaluate_endless(policy.module, world, jam=self.jam, **self._settings(policy, backend))
+        driven = [result for result in results if isinstance(result, Evaluation)]
+        worlds = {evaluation.episodes.name for evaluation in driven}
+        pictures: dict[Path, list[Evaluation]] = {}
+        for evaluation in driven:
+            world = evaluation.episodes.name if len(worlds) > 1 else None
+            parts = ["paths", world, evaluation.backend if several_backends else None]
+            name = "-".join(part for part in parts if part).replace(":", "-")
+            pictures.setdefault(out / f"{name}.png", []).append(evaluation)
+        return pictures
 
     def _settings(self, policy: ResolvedPolicy, backend: str | None) -> dict[str, Any]:
         return {

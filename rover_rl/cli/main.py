@@ -12,6 +12,7 @@ from rover_rl.cli.evaluate import Evaluate
 from rover_rl.cli.export import Export
 from rover_rl.cli.film import Film
 from rover_rl.cli.options import read_command
+from rover_rl.cli.play import Play
 from rover_rl.cli.robot import RobotCommand
 from rover_rl.cli.train import INTERRUPTED, train_defaults
 from rover_rl.cli.worlds import Worlds
@@ -24,6 +25,7 @@ BROKEN_PIPE = 141
 
 COMMANDS = {
     "evaluate": Evaluate,
+    "play": Play,
     "film": Film,
     "worlds": Worlds,
     "demo": Demo,

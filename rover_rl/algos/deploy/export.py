@@ -277,6 +277,7 @@ class OnnxPolicy:
     def __init__(self, path: Path) -> None:
         if not path.is_file():
             raise FileNotFoundError(f"no ONNX policy at {path}")
+        self._path = path
         session = _session(path)
         try:
             settings = json.loads(session.get_modelmeta().custom_metadata_map.get(_PROPERTY, "null"))
@@ -291,6 +292,10 @@ class OnnxPolicy:
             self.config = with_settings(self.config, lidar=replace(self.config.env.lidar, points=lidar))
         self.made_for = self.config.env
         self._act = _function(session)
+
+    def __reduce__(self) -> tuple[type[OnnxPolicy], tuple[Path]]:
+        # Sessions of onnxruntime cannot be pickled: other processes read the file again.
+        return type(self), (self._path,)
 
     def __call__(self, now: TensorDictBase) -> TensorDictBase:
         """Sets ``"action"``, float32 ``[N, 2]``. Computes it row by row, because the file has a batch size of 1."""

@@ -1,4 +1,4 @@
-"""Parallel evaluation on the CPU cores of this machine.
+"""Parallel work on the CPU cores of this machine.
 
 Example:
     >>> evaluations = over_cores(partial(evaluate, episodes=stored_episodes("maze")), actors, "evaluating")
@@ -8,32 +8,111 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.sharedctypes import SynchronizedArray
 from typing import TypeVar
 
-from rich.progress import track
+from rover_rl.algos.config import usable_cores
+from rover_rl.progress import ProgressDisplay, redirected_progress
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
+_POLL_INTERVAL = 0.2
+"""Time between two updates of the display, s."""
 
-def over_cores(work: Callable[[Item], Result], items: Sequence[Item], description: str) -> list[Result]:
+
+def over_cores(
+    work: Callable[[Item], Result], items: Sequence[Item], description: str, workers: int | None = None
+) -> list[Result]:
     """Applies ``work`` to each item, with one process per CPU core, and returns the results in order.
+
+    Displays the progress of all items together. Ctrl-C and errors end all processes.
 
     Args:
         work: module-level function, or a ``partial`` of one. Its standard output is discarded.
         items: arguments of ``work``. They and the results must be picklable.
-        description: text next to the progress bar on a terminal.
+        description: name of the operation, for the display of its progress.
+        workers: largest number of processes; ``None``: the number of cores. 1 works in this process.
+
+    Raises:
+        ChildProcessError: if a process has ended, for example because the memory is full.
     """
-    # Forking a process that has run PyTorch threads can hang. A fork server also imports the modules only once.
+    workers = min(usable_cores() if workers is None else workers, len(items))
+    with ProgressDisplay(description) as display:
+        if workers <= 1:
+            return _in_this_process(work, items, display)
+        return _in_processes(work, items, workers, display)
+
+
+def _in_this_process(work: Callable[[Item], Result], items: Sequence[Item], display: ProgressDisplay) -> list[Result]:
+    results = []
+    for number, item in enumerate(items):
+        with redirected_progress(lambda fraction, done=number: display.update((done + fraction) / len(items))):  # type: ignore[misc]
+            results.append(work(item))
+    return results
+
+
+def _in_processes(
+    work: Callable[[Item], Result], items: Sequence[Item], workers: int, display: ProgressDisplay
+) -> list[Result]:
+    context = _context()
+    fractions = context.Array("d", len(items))
+    others = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(workers, context, _start_worker, (fractions,))
+    futures: list[Future[Result]] = []
+    try:
+        futures += [pool.submit(_apply, work, item, number) for number, item in enumerate(items)]
+        while True:
+            done, pending = wait(futures, _POLL_INTERVAL, FIRST_EXCEPTION)
+            failed = next((error for error in map(Future.exception, done) if error), None)
+            if failed:
+                raise failed
+            if not pending:
+                return [future.result() for future in futures]
+            display.update(sum(fractions[:]) / len(items))
+    except BrokenProcessPool as error:
+        raise ChildProcessError("a worker process has ended, perhaps because the memory is full") from error
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        if not all(future.done() for future in futures):
+            for process in set(multiprocessing.active_children()) - others:
+                process.terminate()
+
+
+def _context() -> multiprocessing.context.BaseContext:
+    """Returns the way to start processes. Forking a process that has run PyTorch threads can hang."""
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
+    # The fork server imports the modules once for all workers.
     context.set_forkserver_preload(["rover_rl.algos.evaluation.evaluate"])
-    with ProcessPoolExecutor(min(os.cpu_count() or 1, len(items)) or 1, context, _silence) as pool:
-        return list(track(pool.map(work, items), description, len(items), transient=True))
+    return context
 
 
-def _silence() -> None:
-    """Discards standard output, so that the progress bars of several processes do not overwrite each other."""
+_fractions: SynchronizedArray[float]
+"""In a worker process: fraction of each item that is done."""
+
+
+def _start_worker(fractions: SynchronizedArray[float]) -> None:
+    """Prepares a worker process. It ignores Ctrl-C, which the main process handles, and prints nothing."""
+    global _fractions
+    _fractions = fractions
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+
+
+def _apply(work: Callable[[Item], Result], item: Item, number: int) -> Result:
+    """Applies ``work`` to an item in a worker process."""
+
+    def report(fraction: float) -> None:
+        _fractions[number] = fraction
+
+    with redirected_progress(report):
+        result = work(item)
+    report(1.0)
+    return result

@@ -11,7 +11,7 @@ Example:
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +52,7 @@ class EpisodeSet:
         goal: goals, float32 ``[count, 2]``, m.
         shortest: lengths of the shortest paths from the starts to the edges of the goal discs, float32 ``[count]``, m;
             see :func:`~rover_rl.sims.worlds.shortest_paths.shortest_paths`.
+        offset: index of the first episode in the set that this is a part of.
     """
 
     name: str
@@ -60,6 +61,7 @@ class EpisodeSet:
     start: Tensor
     goal: Tensor
     shortest: Tensor
+    offset: int = 0
 
     def __len__(self) -> int:
         return len(self.start)
@@ -72,8 +74,12 @@ class EpisodeSet:
         """
         if not 1 <= count <= len(self):
             raise ValueError(f"count must be between 1 and {len(self)}, got {count}")
-        parts = (self.start[:count], self.goal[:count], self.shortest[:count])
-        return EpisodeSet(self.name, self.world, self.seed, *parts)
+        return self.part(0, count)
+
+    def part(self, begin: int, end: int) -> EpisodeSet:
+        """Returns the episodes from index ``begin`` up to, but not including, ``end``."""
+        start, goal, shortest = self.start[begin:end], self.goal[begin:end], self.shortest[begin:end]
+        return replace(self, start=start, goal=goal, shortest=shortest, offset=self.offset + begin)
 
 
 @single_threaded()
@@ -115,8 +121,8 @@ def draw_episodes(
         found.append((start[long_enough], goal[long_enough], shortest[long_enough]))
         drawn += count
         taken += int(long_enough.sum())
-    parts = (torch.cat(part)[:count] for part in zip(*found, strict=True))
-    return EpisodeSet(world if isinstance(world, str) else place.name, place, seed, *parts)
+    start, goal, shortest = (torch.cat(part)[:count] for part in zip(*found, strict=True))
+    return EpisodeSet(world if isinstance(world, str) else place.name, place, seed, start, goal, shortest)
 
 
 def _draw(world: World, robot: Robot, count: int, seed: int) -> tuple[Tensor, Tensor]:
@@ -137,8 +143,10 @@ def stored_episodes(world: str) -> EpisodeSet:
     if world not in WORLDS:
         raise ValueError(f"no episodes are stored for world {world!r}; draw them with draw_episodes()")
     data = json.loads((FOLDER / f"{world}.json").read_text())
-    columns = (torch.tensor([row[key] for row in data["episodes"]]) for key in ("start", "goal", "shortest"))
-    return EpisodeSet(world, get_world(world), data["seed"], *columns)
+    start, goal, shortest = (
+        torch.tensor([row[key] for row in data["episodes"]]) for key in ("start", "goal", "shortest")
+    )
+    return EpisodeSet(world, get_world(world), data["seed"], start, goal, shortest)
 
 
 def write_episodes(episodes: EpisodeSet, path: Path) -> None:

@@ -8,14 +8,12 @@ Example:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import replace
 from typing import TypeAlias
 
 import torch
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
@@ -28,6 +26,7 @@ from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least
 from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
 from rover_rl.envs.config import require_match
+from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World, get_world
@@ -97,13 +96,15 @@ def evaluate(
         world=episodes.world,
         num_envs=min(rows, len(episodes)),
         end_on_goal=True,
-        seed=episodes.seed,
+        seed=episodes.seed + episodes.offset,
     )
     rovers = RoverEnv(**env_config.arguments())
     rovers.length = max(1, round(seconds / rovers.control_dt))
     policy = policy or RandomPolicy(episodes.seed)
-    trajectories = _drive(rovers, policy, action_repeat, name, {"start": episodes.start, "goal": episodes.goal})
-    return Evaluation(name, episodes, action_repeat, seconds, trajectories, replace(env_config, world=episodes.name))
+    places = {"start": episodes.start, "goal": episodes.goal}
+    trajectories = _drive(rovers, policy, action_repeat, name, places, episodes.offset)
+    env_config = replace(env_config, world=episodes.name, seed=episodes.seed)
+    return Evaluation(name, episodes, action_repeat, seconds, trajectories, env_config)
 
 
 def evaluate_endless(
@@ -113,6 +114,7 @@ def evaluate_endless(
     name: str | None = None,
     rows: int = 32,
     seed: int = DEFAULT_SEED,
+    offset: int = 0,
     jam: bool = True,
     steps: int = EnvConfig.length,
     action_repeat: int = 1,
@@ -125,7 +127,8 @@ def evaluate_endless(
         world: world to drive in.
         name: name of the policy, for tables and plots.
         rows: number of rovers, each of which drives one episode.
-        seed: seed of the first episode; episode ``i`` is that of an environment seeded ``seed + i``.
+        seed: seed of the episodes; episode ``i`` is that of an environment seeded ``seed + i``.
+        offset: index of the first episode.
         jam: whether a collision of more than 15 steps ends an episode, as in the contract. In the original it never
             does: its counter is never incremented.
         steps: number of steps after which an episode ends.
@@ -139,10 +142,13 @@ def evaluate_endless(
     name = name or ("random" if policy is None else "policy")
     env_config, place = environment_for(policy, env), get_world(world)
     task = env_config.task if jam else replace(env_config.task, collision_window=steps)
-    env_config = replace(env_config, world=place, num_envs=rows, length=steps, end_on_goal=False, seed=seed, task=task)
-    trajectories = _drive(RoverEnv(**env_config.arguments()), policy or RandomPolicy(seed), action_repeat, name)
+    env_config = replace(
+        env_config, world=place, num_envs=rows, length=steps, end_on_goal=False, seed=seed + offset, task=task
+    )
+    rovers = RoverEnv(**env_config.arguments())
+    trajectories = _drive(rovers, policy or RandomPolicy(seed), action_repeat, name, offset=offset)
     world_name = world if isinstance(world, str) else place.name
-    env_config = replace(env_config, world=world_name)
+    env_config = replace(env_config, world=world_name, seed=seed)
     return EndlessEvaluation(name, world_name, place, seed, action_repeat, jam, steps, trajectories, env_config)
 
 
@@ -171,7 +177,12 @@ def environment_for(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:
 @torch.no_grad()
 @single_threaded()
 def _drive(
-    env: RoverEnv, policy: Policy, action_repeat: int, name: str, places: Mapping[str, Tensor] | None = None
+    env: RoverEnv,
+    policy: Policy,
+    action_repeat: int,
+    name: str,
+    places: Mapping[str, Tensor] | None = None,
+    offset: int = 0,
 ) -> list[Trajectory]:
     """Drives episodes and closes the environment. A rover takes the next episode when its own has ended.
 
@@ -179,9 +190,10 @@ def _drive(
         env: environment to drive in.
         policy: policy to drive with.
         action_repeat: number of steps that each action is held for.
-        name: name of the policy, for the progress bar.
+        name: name of the policy, for the display of the progress.
         places: ``start [count, 3]`` and ``goal [count, 2]`` of every episode; ``None``: each rover drives one episode,
             with the start and goal that the environment draws.
+        offset: index of the first episode, for policies that read ``episode``.
     """
     check_at_least(1, MAX_COUNT, action_repeat=action_repeat)
     places = places or {}
@@ -195,12 +207,12 @@ def _drive(
     def placed() -> dict[str, Tensor]:
         return {key: values[episode] for key, values in places.items()}
 
-    with closing(env), _progress_bar(name) as show_progress, set_exploration_type(ExplorationType.DETERMINISTIC):
+    with closing(env), ProgressDisplay(name) as display, set_exploration_type(ExplorationType.DETERMINISTIC):
         tensordict = env.reset(**placed())
         recorder.add(env, tensordict, episode, driving)
         while driving.any():
             due = tensordict["outcome", "steps"] % action_repeat == 0
-            action = torch.where(due, _decide(policy, tensordict.set("episode", episode[:, None])), action)
+            action = torch.where(due, _decide(policy, tensordict.set("episode", offset + episode[:, None])), action)
             tensordict = env.step(tensordict.set("action", action).set("_step", driving))["next"]
             recorder.add(env, tensordict, episode, driving)
             restarting = driving & tensordict["done"].squeeze(-1)
@@ -212,7 +224,7 @@ def _drive(
             if restarting.any():
                 tensordict = env.reset(tensordict.set("_reset", restarting[:, None]), **placed())
                 recorder.add(env, tensordict, episode, restarting)
-            show_progress(recorder.progress)
+            display.update(recorder.progress)
     return recorder.trajectories
 
 
@@ -281,12 +293,3 @@ class _Recorder:
             )
             for record, steps, ending in recorded
         ]
-
-
-@contextmanager
-def _progress_bar(name: str) -> Iterator[Callable[[float], None]]:
-    """Yields a function that shows the progress on a terminal. The bar is removed at the end."""
-    columns = (TextColumn(name), BarColumn(20), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, transient=True, disable=not Console().is_terminal) as bar:
-        task = bar.add_task("", total=1.0)
-        yield lambda progress: bar.update(task, completed=progress)

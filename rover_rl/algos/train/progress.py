@@ -17,12 +17,12 @@ from typing import Any
 
 import torch
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from tensordict import TensorDictBase
 
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.transforms.step_clock import NAMES
-from rover_rl.files import STANDARD_OUTPUT, errors_name, written_whole
+from rover_rl.files import errors_name, written_whole
+from rover_rl.progress import ProgressDisplay
 
 EPISODE_STEPS = EnvConfig.length
 """Number of steps of a full episode in the contract."""
@@ -123,8 +123,8 @@ class ProgressLog:
     """Writes one row per batch to ``progress.csv`` and TensorBoard, and shows recent means in a progress bar.
 
     In a resumed run, rows after the saved state are removed, because their batches are collected again. Without a
-    terminal, a line is printed after each tenth of training. TensorBoard events are written if the package
-    ``tensorboard`` is installed.
+    terminal, lines are printed (:class:`~rover_rl.progress.ProgressDisplay`). TensorBoard events are written if the
+    package ``tensorboard`` is installed.
 
     Args:
         folder: folder of the run.
@@ -136,32 +136,20 @@ class ProgressLog:
     def __init__(self, folder: Path, updates: int = 0, steps: int = 0, console: Console | None = None) -> None:
         self._path = folder / "progress.csv"
         self._recent: list[dict[str, float]] = []
-        self._printed_tenths = 0
         self._steps, self._clock = steps, time.perf_counter()
         _keep_rows(self._path, updates)
         self._events = _Events(folder / "tensorboard", steps if updates else None) if _HAS_TENSORBOARD else None
-        self._bar = Progress(
-            TextColumn("training"),
-            BarColumn(20),
-            TaskProgressColumn(),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(elapsed_when_finished=False),
-            TextColumn("{task.fields[status]}"),
-            console=console,
-            disable=not (console or Console()).is_terminal,
-        )
-        self._task = self._bar.add_task("", total=1.0, status="starting")
+        self._display = ProgressDisplay("training", keep=True, tenths=True, console=console)
 
     def __enter__(self) -> ProgressLog:
         self._clock = time.perf_counter()
-        self._bar.start()
+        self._display.__enter__()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._bar.stop()
+        self._display.__exit__(kind, error, trace)
         if self._events is not None:
             # An earlier error must not be replaced by one of closing the file.
             with suppress(OSError) if error else nullcontext():
@@ -191,15 +179,11 @@ class ProgressLog:
             f"{self._mean('goals_per_2000_steps'):.1f} goals per 2,000 steps, "
             f"success {self._success_rate():.0%}, return {self._mean('episode_return'):.0f}"
         )
-        self._bar.update(self._task, completed=share, status=status)
-        if self._bar.disable and int(share * 10) > self._printed_tenths:
-            self._printed_tenths = int(share * 10)
-            self.say(f"{share:4.0%} of training: {status}")
+        self._display.update(share, status)
 
     def say(self, text: str) -> None:
         """Prints a line above the progress bar."""
-        with errors_name(STANDARD_OUTPUT):
-            self._bar.console.print(text, soft_wrap=True, highlight=False)
+        self._display.say(text)
 
     def _append(self, row: dict[str, float]) -> None:
         """Appends a row to ``progress.csv``."""

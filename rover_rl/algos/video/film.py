@@ -13,8 +13,6 @@ import imageio.v2 as imageio
 import numpy as np
 import torch
 from PIL import Image
-from rich.console import Console
-from rich.progress import track
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
@@ -28,6 +26,7 @@ from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import reward_components
 from rover_rl.files import written_whole
+from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.base import View
 from rover_rl.sims.worlds import World
 
@@ -95,9 +94,8 @@ def film(
         # Steps after which a frame is drawn.
         frame_steps = np.linspace(0, steps, max(1, round(seconds / speed * fps)) + 1)[1:].round().astype(int)
         pictures = (camera.picture(rollout.advance_to(step)) for step in frame_steps)
-        with written_whole(path) as temporary:
-            tracked = track(pictures, "filming", len(frame_steps), disable=not Console().is_terminal, transient=True)
-            write(temporary, tracked, fps)
+        with written_whole(path) as temporary, ProgressDisplay("filming") as display:
+            write(temporary, display.track(pictures, len(frame_steps)), fps)
     return torch.stack(rollout.steps)
 
 

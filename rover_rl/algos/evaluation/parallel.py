@@ -1,0 +1,170 @@
+"""Evaluations that run on all CPU cores of this machine.
+
+Example:
+    >>> requests = [GoalRequest(actor, episodes, {"name": "PPO"}), GoalRequest(ScriptedPolicy(), episodes)]
+    >>> print_table(evaluate_all(requests))
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any, TypeAlias, cast
+
+from rover_rl.algos.evaluation.cores import over_cores
+from rover_rl.algos.evaluation.episodes import DEFAULT_SEED, EpisodeSet
+from rover_rl.algos.evaluation.evaluate import EndlessEvaluation, Evaluation, Policy, evaluate, evaluate_endless
+from rover_rl.sims.worlds import World
+
+EPISODES_PER_PART = 32
+"""Number of episodes that one process evaluates at a time. It does not depend on the number of cores, so that the
+results of randomized environments do not, either."""
+SMALL = 16
+"""Number of episodes below which starting processes takes longer than the evaluation."""
+ROWS = 8
+"""Number of rovers of an evaluation with one goal per episode. With more rovers, more of them wait for the last one."""
+
+
+@dataclass(frozen=True)
+class GoalRequest:
+    """Request for an evaluation with one goal per episode.
+
+    Attributes:
+        policy: policy to evaluate; ``None`` acts at random.
+        episodes: episodes to drive.
+        options: further arguments of :func:`~rover_rl.algos.evaluation.evaluate.evaluate`, except for ``rows``.
+    """
+
+    policy: Policy | None
+    episodes: EpisodeSet
+    options: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def count(self) -> int:
+        """Number of episodes."""
+        return len(self.episodes)
+
+    def parts(self) -> list[GoalRequest]:
+        """Divides the episodes."""
+        firsts = range(0, self.count, EPISODES_PER_PART)
+        return [replace(self, episodes=self.episodes.part(first, first + EPISODES_PER_PART)) for first in firsts]
+
+    def run(self) -> Evaluation:
+        """Evaluates the policy in this process."""
+        return evaluate(self.policy, self.episodes, rows=ROWS, **self.options)
+
+    def merge(self, parts: Sequence[Any]) -> Evaluation:
+        """Joins the results of :meth:`parts`."""
+        return replace(parts[0], episodes=self.episodes, trajectories=[t for part in parts for t in part.trajectories])
+
+
+@dataclass(frozen=True)
+class EndlessRequest:
+    """Request for an evaluation in endless mode.
+
+    Attributes:
+        policy: policy to evaluate; ``None`` acts at random.
+        world: world to drive in.
+        options: further arguments of :func:`~rover_rl.algos.evaluation.evaluate.evaluate_endless`, except for ``rows``,
+            ``seed`` and ``offset``.
+        rows: number of episodes.
+        seed: seed of the episodes.
+        offset: index of the first episode.
+    """
+
+    policy: Policy | None
+    world: str | World
+    options: dict[str, Any] = field(default_factory=dict)
+    rows: int = 32
+    seed: int = DEFAULT_SEED
+    offset: int = 0
+
+    @property
+    def count(self) -> int:
+        """Number of episodes."""
+        return self.rows
+
+    def parts(self) -> list[EndlessRequest]:
+        """Divides the episodes."""
+        firsts = range(0, self.rows, ROWS)
+        return [replace(self, rows=min(ROWS, self.rows - first), offset=self.offset + first) for first in firsts]
+
+    def run(self) -> EndlessEvaluation:
+        """Evaluates the policy in this process."""
+        return evaluate_endless(
+            self.policy, self.world, rows=self.rows, seed=self.seed, offset=self.offset, **self.options
+        )
+
+    def merge(self, parts: Sequence[Any]) -> EndlessEvaluation:
+        """Joins the results of :meth:`parts`."""
+        env = replace(parts[0].env, num_envs=self.rows)
+        return replace(parts[0], trajectories=[t for part in parts for t in part.trajectories], env=env)
+
+
+Request: TypeAlias = GoalRequest | EndlessRequest
+
+
+def evaluate_all(requests: Sequence[Request], workers: int | None = None) -> list[Evaluation | EndlessEvaluation]:
+    """Evaluates policies on all CPU cores and returns the results in the order of the requests.
+
+    The results are bit-identical for any number of cores. Small evaluations, and those on a GPU, run in this process.
+    Programs that call this function need the guard ``if __name__ == "__main__":``, as all that start processes do.
+
+    Args:
+        requests: evaluations to run.
+        workers: largest number of processes; ``None``: the number of cores.
+
+    Raises:
+        ValueError: for a number out of range, or a policy that was made for another environment.
+        ChildProcessError: if a process has ended.
+    """
+    if sum(request.count for request in requests) < SMALL or any(_on_gpu(request.options) for request in requests):
+        workers = 1
+    parts = [request.parts() for request in requests]
+    tasks: list[_Task] = [(part, None) for several in parts for part in several]
+    if workers != 1:
+        tasks = _with_pickled_worlds(tasks)
+    results = iter(over_cores(_run, tasks, "evaluating", workers))
+    return [request.merge([next(results) for _ in several]) for request, several in zip(requests, parts, strict=True)]
+
+
+def _on_gpu(options: dict[str, Any]) -> bool:
+    env = options.get("env")
+    return env is not None and env.device not in (None, "cpu")
+
+
+_Task: TypeAlias = tuple[Request, bytes | None]
+"""A request, and the pickle of its world unless the request holds the world."""
+_NO_WORLD = cast(World, None)
+
+
+def _with_pickled_worlds(tasks: list[_Task]) -> list[_Task]:
+    """Replaces worlds by their pickles, so that all parts of an evaluation share one world in each process.
+
+    What is computed once per world, such as its free space, is then computed once per process.
+    """
+    pickles: dict[World, bytes] = {}
+    packed: list[_Task] = []
+    for request, _ in tasks:
+        if isinstance(request, GoalRequest):
+            world = request.episodes.world
+            if world not in pickles:
+                pickles[world] = pickle.dumps(world)
+            packed.append((replace(request, episodes=replace(request.episodes, world=_NO_WORLD)), pickles[world]))
+        else:
+            packed.append((request, None))
+    return packed
+
+
+@lru_cache(maxsize=8)
+def _unpickled(world: bytes) -> World:
+    return pickle.loads(world)
+
+
+def _run(task: _Task) -> Evaluation | EndlessEvaluation:
+    request, world = task
+    if isinstance(request, GoalRequest) and world is not None:
+        request = replace(request, episodes=replace(request.episodes, world=_unpickled(world)))
+    return request.run()

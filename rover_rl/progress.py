@@ -1,0 +1,145 @@
+"""Progress of long operations: a bar on a terminal, and lines elsewhere, such as in a log file."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from types import TracebackType
+from typing import TypeVar
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from rover_rl.files import STANDARD_OUTPUT, errors_name
+
+Item = TypeVar("Item")
+
+LINE_INTERVAL = 8.0
+"""Longest time between two lines if the output is not a terminal, s."""
+
+_redirected: ContextVar[Callable[[float], None] | None] = ContextVar("redirected", default=None)
+"""Function that receives the progress of all displays instead of the console."""
+
+
+class ProgressDisplay:
+    """Shows the progress of an operation: a bar on a terminal; elsewhere a line at least every 8 seconds.
+
+    The lines come from a thread, so that they also appear during a single long call, such as compiling.
+
+    Args:
+        description: name of the operation, such as ``"training"``.
+        keep: whether the bar stays on the terminal when the operation has ended.
+        tenths: whether lines are also printed after each tenth of the operation.
+        console: console to print to; ``None``: standard output.
+        interval: longest time between two lines, s.
+
+    Example:
+        >>> with ProgressDisplay("measuring") as display:
+        ...     for step in range(100):
+        ...         display.update((step + 1) / 100)
+    """
+
+    def __init__(
+        self,
+        description: str,
+        *,
+        keep: bool = False,
+        tenths: bool = False,
+        console: Console | None = None,
+        interval: float = LINE_INTERVAL,
+    ) -> None:
+        self._description, self._tenths, self._interval = description, tenths, interval
+        self._redirect = _redirected.get()
+        self._lines = self._redirect is None and not (console or Console()).is_terminal
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(20),
+            TaskProgressColumn(),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(elapsed_when_finished=False),
+            TextColumn("{task.fields[status]}"),
+            console=console,
+            transient=not keep,
+            disable=self._lines or self._redirect is not None,
+        )
+        self._task = self._bar.add_task(description, total=1.0, status="")
+        self._fraction, self._status = 0.0, ""
+        self._started = self._printed = time.monotonic()
+        # A signal handler may print while the same thread prints.
+        self._lock, self._ended = threading.RLock(), threading.Event()
+        self._error: OSError | None = None
+
+    def __enter__(self) -> ProgressDisplay:
+        self._started = self._printed = time.monotonic()
+        self._bar.start()
+        if self._lines:
+            threading.Thread(target=self._print_regularly, name="progress", daemon=True).start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended.set()
+        self._bar.stop()
+
+    def update(self, fraction: float, status: str = "") -> None:
+        """Shows the fraction of the operation that is done, and figures or the current activity.
+
+        Raises:
+            OSError: if the output cannot be written, for example after ``| head``.
+        """
+        if self._redirect is not None:
+            self._redirect(fraction)
+            return
+        if self._error is not None:
+            raise self._error
+        another_tenth = int(fraction * 10) > int(self._fraction * 10)
+        self._fraction, self._status = fraction, status
+        self._bar.update(self._task, completed=fraction, status=status)
+        if self._lines and self._tenths and another_tenth:
+            self._print_line()
+
+    def say(self, text: str) -> None:
+        """Prints a line, on a terminal above the bar."""
+        with self._lock, errors_name(STANDARD_OUTPUT):
+            self._printed = time.monotonic()
+            self._bar.console.print(text, soft_wrap=True, highlight=False)
+
+    def track(self, items: Iterable[Item], count: int) -> Iterator[Item]:
+        """Yields ``count`` items and shows which fraction of them is done."""
+        for done, item in enumerate(items, 1):
+            yield item
+            self.update(done / count)
+
+    def _print_line(self) -> None:
+        status = f": {self._status}" if self._status else ""
+        seconds = time.monotonic() - self._started
+        self.say(f"{self._description} {self._fraction:4.0%} after {seconds:.0f} s{status}")
+
+    def _print_regularly(self) -> None:
+        """Prints a line whenever nothing was printed for ``interval``."""
+        while not self._ended.wait(max(0.0, self._printed + self._interval - time.monotonic())):
+            if time.monotonic() >= self._printed + self._interval:
+                try:
+                    self._print_line()
+                except OSError as error:
+                    self._error = error
+                    return
+
+
+@contextmanager
+def redirected_progress(report: Callable[[float], None]) -> Iterator[None]:
+    """Sends the progress of all displays that are created in the block to ``report``; they show nothing themselves.
+
+    Args:
+        report: function of the fraction that is done.
+    """
+    token = _redirected.set(report)
+    try:
+        yield
+    finally:
+        _redirected.reset(token)
