@@ -66,8 +66,10 @@ class ProgressDisplay:
             transient=not keep,
             disable=self._lines or self._redirect is not None,
         )
-        self._task = self._bar.add_task(description, total=1.0, status="")
-        self._fraction, self._status = 0.0, ""
+        # Without a total, the bar pulses.
+        self._task = self._bar.add_task(description, total=None, status="")
+        self._fraction: float | None = None
+        self._status = ""
         self._started = self._printed = time.monotonic()
         # A signal handler may print while the same thread prints.
         self._lock, self._ended = threading.RLock(), threading.Event()
@@ -97,9 +99,9 @@ class ProgressDisplay:
             return
         if self._error is not None:
             raise self._error
-        another_tenth = int(fraction * 10) > int(self._fraction * 10)
+        another_tenth = int(fraction * 10) > int((self._fraction or 0.0) * 10)
         self._fraction, self._status = fraction, status
-        self._bar.update(self._task, completed=fraction, status=status)
+        self._bar.update(self._task, total=1.0, completed=fraction, status=status)
         if self._lines and self._tenths and another_tenth:
             self._print_line()
 
@@ -116,9 +118,9 @@ class ProgressDisplay:
             self.update(done / count)
 
     def _print_line(self) -> None:
+        share = "" if self._fraction is None else f" {self._fraction:4.0%}"
         status = f": {self._status}" if self._status else ""
-        seconds = time.monotonic() - self._started
-        self.say(f"{self._description} {self._fraction:4.0%} after {seconds:.0f} s{status}")
+        self.say(f"{self._description}{share} after {time.monotonic() - self._started:.0f} s{status}")
 
     def _print_regularly(self) -> None:
         """Prints a line whenever nothing was printed for ``interval``."""

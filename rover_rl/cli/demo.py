@@ -67,7 +67,7 @@ class Demo:
 
     def _evaluate(self, folder: Path, pretrained: Policy) -> None:
         """Evaluates the trained policy beside others, and writes figures, plots and a film to the run's folder."""
-        from rover_rl.algos.evaluation.episodes import draw_episodes
+        from rover_rl.algos.evaluation.episodes import choose_episodes
         from rover_rl.algos.evaluation.parallel import GoalRequest, evaluate_all
         from rover_rl.algos.policy.baselines import ScriptedPolicy
         from rover_rl.algos.policy.checkpoint import Checkpoint
@@ -75,7 +75,7 @@ class Demo:
         trained = Checkpoint.load(folder).make_actor()
         policies = {"trained": trained, "pretrained": pretrained, "scripted": ScriptedPolicy(), "random": None}
         print(f"Driving {len(policies)} policies from the same {self.count} starts in Bullet", flush=True)
-        episodes = draw_episodes(self.world, self.count)
+        episodes = choose_episodes(self.world, self.count)
         options = {"seconds": self.seconds}
         evaluations = evaluate_all(
             [GoalRequest(policy, episodes, {**options, "name": name}) for name, policy in policies.items()]

@@ -12,7 +12,6 @@ import tyro
 from rover_rl.algos.config_files import experiments
 from rover_rl.cli.environment import AnyBackendEnvOptions
 from rover_rl.cli.policies import ResolvedPolicy, resolve_policy
-from rover_rl.envs.config import EnvConfig
 from rover_rl.sims.robots import get_robot
 
 if TYPE_CHECKING:
@@ -117,8 +116,8 @@ class Evaluate:
 
     def _episode_sets(self, policies: list[ResolvedPolicy]) -> dict[str, EpisodeSet]:
         """Returns the episodes of each world: the stored ones if possible, else newly drawn ones."""
-        from rover_rl.algos.evaluation.episodes import DEFAULT_SEED, STORED, draw_episodes, stored_episodes
-        from rover_rl.sims.worlds import WORLDS, get_world
+        from rover_rl.algos.evaluation.episodes import STORED, choose_episodes
+        from rover_rl.sims.worlds import get_world
 
         worlds = dict.fromkeys(world for policy in policies for world in policy.worlds)
         if not worlds and policies:
@@ -128,12 +127,7 @@ class Evaluate:
         count = STORED if self.count is None else self.count
         trained = next((policy.module for policy in policies if policy.config), None)
         robot = self.environment.description(trained, next(iter(self.backend), None)).robot
-        return {
-            world: stored_episodes(world).first(count)
-            if world in WORLDS and self.seed is None and count <= STORED and robot == EnvConfig.robot
-            else draw_episodes(world, count, DEFAULT_SEED if self.seed is None else self.seed, robot=robot)
-            for world in worlds
-        }
+        return {world: choose_episodes(world, count, self.seed, robot=robot) for world in worlds}
 
     def _evaluate(
         self, policies: list[ResolvedPolicy], sets: dict[str, EpisodeSet], backends: list[str | None]

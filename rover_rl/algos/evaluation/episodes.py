@@ -24,6 +24,7 @@ from rover_rl.envs import TaskConfig
 from rover_rl.envs.placement import Placement
 from rover_rl.envs.rng import episode_keys, row_keys
 from rover_rl.files import written_whole
+from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.worlds import WORLDS, World, get_world
 from rover_rl.sims.worlds.shortest_paths import shortest_paths
@@ -147,6 +148,26 @@ def stored_episodes(world: str) -> EpisodeSet:
         torch.tensor([row[key] for row in data["episodes"]]) for key in ("start", "goal", "shortest")
     )
     return EpisodeSet(world, get_world(world), data["seed"], start, goal, shortest)
+
+
+def choose_episodes(
+    world: str, count: int = STORED, seed: int | None = None, *, robot: str | Robot = "rover_zero"
+) -> EpisodeSet:
+    """Returns the first stored episodes of a world, or draws episodes if there are not enough stored ones.
+
+    Args:
+        world: name of a world.
+        count: number of episodes.
+        seed: seed of the first draw; ``None``: use the stored episodes if possible.
+        robot: name of a robot, or a robot. The stored episodes are those of ``rover_zero``.
+
+    Raises:
+        ValueError: as for :func:`draw_episodes`.
+    """
+    if world in WORLDS and seed is None and count <= STORED and robot == "rover_zero":
+        return stored_episodes(world).first(count)
+    with ProgressDisplay("drawing starts and goals"):
+        return draw_episodes(world, count, DEFAULT_SEED if seed is None else seed, robot=robot)
 
 
 def write_episodes(episodes: EpisodeSet, path: Path) -> None:
