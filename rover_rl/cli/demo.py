@@ -17,14 +17,16 @@ if TYPE_CHECKING:
 
 FILMED = 10.0
 """Duration of the drive that is filmed, s."""
+SETTINGS = {"num_envs": 256, "minibatch": 512, "imitation": 0.25}
+"""Settings of training that differ from those of the pretrained policy: they need fewer steps."""
 
 
 @dataclass(frozen=True)
 class Demo:
     """Train a policy in about a minute, evaluate it beside other policies, and film it.
 
-    Trains PPO in the fast simulator, Warp, with the settings of a pretrained policy. Then drives the trained, the
-    pretrained, the scripted and the random policy from the same starts in another simulator, Bullet.
+    Trains PPO in the fast simulator, Warp. Then drives the trained, the pretrained, the scripted and the random policy
+    from the same starts in another simulator, Bullet.
     """
 
     world: str = "moon"
@@ -55,6 +57,7 @@ class Demo:
             seed=self.seed,
             runs=self.runs,
             name=None,
+            **SETTINGS,
         )
         config.check()
         _compile(config)
