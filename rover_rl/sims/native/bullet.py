@@ -12,8 +12,8 @@ try:
         import pybullet
 except ImportError as error:
     raise ImportError(
-        "PyBullet is not installed: pip install 'rover_rl[bullet]', which needs a C++ compiler on this platform, or "
-        "use the backends 'warp' or 'mujoco', which run without PyBullet"
+        "PyBullet is not installed: pip install 'rover_rl[bullet]', which compiles PyBullet where it has no wheels, or "
+        "use the backends 'warp' or 'mujoco', which run without it"
     ) from error
 
 # Only the C library of Linux (glibc) has this function.

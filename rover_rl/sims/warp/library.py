@@ -1,13 +1,10 @@
-"""Import and configuration of NVIDIA Warp; raises a clear error if it is not installed."""
+"""Import and configuration of NVIDIA Warp."""
 
 from __future__ import annotations
 
-from rover_rl.sims.native.output import native_output_silenced
+import warp as wp
 
-try:
-    import warp as wp
-except ImportError as error:
-    raise ImportError("backend='warp' needs NVIDIA Warp: pip install 'rover_rl[warp]'") from error
+from rover_rl.sims.native.output import native_output_silenced
 
 wp.config.log_level = wp.LOG_ERROR
 # The simulator is not differentiated, and adjoint kernels take a minute to compile.
