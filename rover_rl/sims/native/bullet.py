@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import sys
 from collections.abc import Iterable
 
 from rover_rl.sims.native.output import native_output_silenced
@@ -17,7 +18,7 @@ except ImportError as error:
     ) from error
 
 # Only the C library of Linux (glibc) has this function.
-_return_free_memory = getattr(ctypes.CDLL(None), "malloc_trim", None)
+_return_free_memory = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
 
 
 def disconnect(clients: Iterable[int]) -> None:
