@@ -1,10 +1,13 @@
-"""Import and configuration of NVIDIA Warp."""
+"""Import and configuration of NVIDIA Warp; raises a clear error if it is not installed."""
 
 from __future__ import annotations
 
-import warp as wp
-
 from rover_rl.sims.native.output import native_output_silenced
+
+try:
+    import warp as wp
+except ImportError as error:
+    raise ImportError("pictures and backend='warp' need NVIDIA Warp: pip install warp-lang") from error
 
 wp.config.log_level = wp.LOG_ERROR
 # The simulator is not differentiated, and adjoint kernels take a minute to compile.
