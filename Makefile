@@ -1,15 +1,17 @@
-# Everything runs in .venv, which holds exactly what requirements.lock names.
-# Another Python: make test PYTHON=python3.10. More arguments: make test ARGS="-k lidar".
+# Everything runs in a virtual environment, .venv, which holds exactly what requirements.lock names.
+# Another Python, in another environment: make test PYTHON=python3.10 VENV=.venv-3.10.
+# More arguments: make test ARGS="-k lidar".
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help venv demo test lint bench clean
 
 PYTHON ?= python3
+VENV ?= .venv
 ARGS ?=
 
-BIN := .venv/bin
-STAMP := .venv/.installed
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
 PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
 
 help: ## show this list
@@ -32,16 +34,15 @@ lint: $(STAMP) ## check style, format and types
 bench: $(STAMP) ## measure the speed of rollouts and of training
 	$(BIN)/python -m benchmarks $(ARGS)
 
-clean: ## remove caches and build products; .venv and runs/ stay
+clean: ## remove caches and build products; virtual environments and runs/ stay
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage htmlcov
 	find rover_rl tests benchmarks -name __pycache__ -prune -exec rm -rf {} +
 
 $(STAMP): requirements.lock pyproject.toml
 	@$(PYTHON) -c '' || { echo "error: cannot run '$(PYTHON)'; name a Python 3.10 to 3.13: make PYTHON=python3.11" >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' || { echo "error: rover_rl needs Python 3.10 to 3.13, and '$(PYTHON)' is $$($(PYTHON) -c 'import platform; print(platform.python_version())'); name another one: make PYTHON=python3.11" >&2; exit 1; }
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info >= (3, 12))' || echo "note: PyBullet has wheels for Python 3.10 and 3.11; here it is compiled, which takes a C++ compiler and some minutes"
-	@echo "Installing into .venv; the first time takes a minute or two"
-	@$(PYTHON) -m venv .venv
+	@echo "Installing into $(VENV); the first time takes a minute or two"
+	@$(PYTHON) -m venv $(VENV)
 	@$(PIP) install -r requirements.lock
 	@$(PIP) install --no-deps --no-build-isolation -e .
 	@touch $@

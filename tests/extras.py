@@ -6,5 +6,4 @@ from importlib.util import find_spec
 
 import pytest
 
-needs_warp = pytest.mark.skipif(find_spec("warp") is None, reason="needs rover_rl[warp]")
 needs_mujoco = pytest.mark.skipif(find_spec("mujoco") is None, reason="needs rover_rl[mujoco]")

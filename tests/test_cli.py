@@ -211,7 +211,6 @@ def test_train_go_on_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path:
 
 
 def test_a_policy_is_trained_and_driven_in_warp(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    pytest.importorskip("warp", reason="needs rover_rl[warp]")
     folder = tmp_path / "run"
     given = ["train", "--backend", "warp", "--randomize", "--runs", str(tmp_path), "--name", "run", "--epochs", "1"]
     assert main([*given, *SIZE]) == 0

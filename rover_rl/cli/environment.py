@@ -51,7 +51,7 @@ class EnvOptions(AnyBackendEnvOptions):
     """Environment to drive in. Default: the one that the policy was made for, in Bullet, without randomization."""
 
     backend: str | None = None
-    """Simulator: bullet, mujoco, warp (extras), or module:attribute. Default: that of --env, else bullet."""
+    """Simulator: bullet, warp, mujoco (an extra), or module:attribute. Default: that of --env, else bullet."""
 
     def description(self, policy: Policy | None, backend: str | None = None) -> EnvConfig:
         """Returns the environment for a policy. See :meth:`AnyBackendEnvOptions.description`."""

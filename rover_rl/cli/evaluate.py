@@ -44,7 +44,7 @@ class Evaluate:
     """Number of steps (50 ms) that each action is held for."""
     environment: Annotated[AnyBackendEnvOptions, tyro.conf.arg(name="")] = field(default_factory=AnyBackendEnvOptions)
     backend: tuple[str, ...] = ()
-    """Simulators: bullet, mujoco, warp (extras), or module:attribute. Several are compared on the same episodes.
+    """Simulators: bullet, warp, mujoco (an extra), or module:attribute. Several are compared on the same episodes.
     Default: that of --env, else bullet."""
     endless: bool = False
     """Also evaluate in endless mode: 32 episodes of 2,000 steps, as in the original environment."""

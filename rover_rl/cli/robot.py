@@ -40,7 +40,7 @@ class RobotCommand:
     robot: str | None = None
     """Robot: rover_zero, or module:attribute. Default: rover_zero."""
     backend: str | None = None
-    """Simulator: bullet, mujoco, warp (extras), or module:attribute. Default: bullet."""
+    """Simulator: bullet, warp, mujoco (an extra), or module:attribute. Default: bullet."""
     physics: str | None = None
     """Preset of Bullet's physics: default, accurate or fast (docs/physics.md)."""
     lidar_beams: int = 640

@@ -276,7 +276,7 @@ class EnvConfig:
     privileged: bool = False
     """Add the nested observation "privileged": true state, path distance and randomized dynamics."""
     backend: BackendLike = "bullet"
-    """Simulator: bullet, mujoco, warp (both extras; warp is fast), ros2 (one live rover), or module:attribute."""
+    """Simulator: bullet, warp (fast), mujoco (an extra), ros2 (one live rover), or module:attribute."""
     physics: str = DEFAULT_PHYSICS
     """Physics preset of the backend. Bullet has default, accurate and fast, see docs/physics.md."""
     connection: Connection = field(default_factory=Connection)

@@ -71,7 +71,6 @@ def test_rollouts_cores_and_footprint(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_warp_beside_bullet(tmp_path: Path) -> None:
-    pytest.importorskip("warp", reason="needs rover_rl[warp]")
     results = bench(tmp_path, "simulators", "endurance", "--engines", "warp")
     ratios = results["simulators"]["ratios"]
     assert len(ratios) == 3 * 2 + 3 + 1
@@ -82,7 +81,6 @@ def test_warp_beside_bullet(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_simulators_are_compared_with_one_another(tmp_path: Path) -> None:
-    pytest.importorskip("warp", reason="needs rover_rl[warp]")
     results = bench(tmp_path, "parity", "--engines", "bullet", "warp")
     scenes = results["parity"]["scenes"]
     assert len(scenes) == 7
@@ -95,7 +93,6 @@ def test_simulators_are_compared_with_one_another(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_simulators_are_compared_with_the_law(tmp_path: Path) -> None:
-    pytest.importorskip("warp", reason="needs rover_rl[warp]")
     rows = bench(tmp_path, "law", "--engines", "warp")["law"]
     assert {row["ground"] for row in rows} == {"plane", "triangles", "slope"}
     assert all(row["engines"]["warp"]["passes"] for row in rows)

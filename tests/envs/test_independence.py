@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from rover_rl import make_env
-from tests.extras import needs_mujoco, needs_warp
+from tests.extras import needs_mujoco
 
 OBSERVED = ("lidar", "pose", "imu", "target", "velocities", "reward", "done", "terminated", "truncated")
 
@@ -49,9 +49,9 @@ def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
         ("bullet", "maze", 256, 200, 1000),
         ("bullet", "moon", 16, 15, 250),
         ("bullet", "inspect", 16, 0, 250),
-        pytest.param("warp", "maze", 256, 200, 1000, marks=needs_warp),
-        pytest.param("warp", "moon", 16, 15, 250, marks=needs_warp),
-        pytest.param("warp", "inspect", 33, 0, 250, marks=needs_warp),
+        ("warp", "maze", 256, 200, 1000),
+        ("warp", "moon", 16, 15, 250),
+        ("warp", "inspect", 33, 0, 250),
         pytest.param("mujoco", "maze", 16, 5, 400, marks=needs_mujoco),
         pytest.param("mujoco", "moon", 16, 15, 210, marks=needs_mujoco),
     ],
@@ -70,7 +70,7 @@ def test_a_rover_is_the_same_alone_and_in_a_batch(backend, world, num_envs, row,
 
 @pytest.mark.parametrize(
     "backend",
-    ["bullet", pytest.param("warp", marks=needs_warp), pytest.param("mujoco", marks=needs_mujoco)],
+    ["bullet", "warp", pytest.param("mujoco", marks=needs_mujoco)],
 )
 @pytest.mark.parametrize("world", ["maze", "inspect"])
 def test_a_rover_is_the_same_after_fifty_resets_of_itself_and_others(world, backend):

@@ -12,9 +12,9 @@ from rover_rl.envs import Randomization
 from rover_rl.envs.randomization import draw_dynamics
 from rover_rl.sims.base import Dynamics
 from rover_rl.sims.ros2 import Ros2Settings
-from tests.extras import needs_mujoco, needs_warp
+from tests.extras import needs_mujoco
 
-BACKENDS = ["bullet", pytest.param("warp", marks=needs_warp), pytest.param("mujoco", marks=needs_mujoco)]
+BACKENDS = ["bullet", "warp", pytest.param("mujoco", marks=needs_mujoco)]
 
 
 def rolled(backend: str, randomization: Randomization | None, rows: int = 4, seed: int = 0, steps: int = 40):

@@ -26,7 +26,6 @@ from torchrl.envs.utils import check_env_specs
 from rover_rl import Randomization, RoverEnv, make_env
 from rover_rl.envs import RewardedEnv
 from rover_rl.envs.devices import available_device
-from tests.extras import needs_warp
 
 OBSERVED = ("lidar", "pose", "imu", "target", "velocities", "reward", "done", "terminated", "truncated")
 
@@ -117,7 +116,7 @@ def test_serial_env_takes_it(num_envs):
 # Closing
 
 
-@pytest.mark.parametrize("backend", ["bullet", pytest.param("warp", marks=needs_warp)])
+@pytest.mark.parametrize("backend", ["bullet", "warp"])
 @pytest.mark.parametrize("num_envs", [None, 3])
 def test_a_reset_after_closing_continues_as_without_closing(num_envs, backend):
     settings = {"backend": backend, "randomization": Randomization.typical()}

@@ -32,11 +32,10 @@ from torchrl.objectives import ClipPPOLoss, SACLoss, SoftUpdate
 from torchrl.objectives.value import GAE
 
 from rover_rl import RoverEnv, make_env
-from tests.extras import needs_warp
 
 BATCHES = pytest.mark.parametrize(
     ("num_envs", "backend", "device"),
-    [(None, "bullet", "cpu"), (4, "bullet", None), pytest.param(4, "warp", "cpu", marks=needs_warp)],
+    [(None, "bullet", "cpu"), (4, "bullet", None), (4, "warp", "cpu")],
 )
 CELLS = 16
 

@@ -17,7 +17,6 @@ from rover_rl.envs.config import ActionConfig
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward
 from rover_rl.envs.transforms.step_clock import StepClock
-from tests.extras import needs_warp
 
 
 class TiltPenalty(RewardComponent):
@@ -78,7 +77,7 @@ def test_a_rollouts_only_dimension_is_time():
         {},
         {"world_n": "moon", "randomization": Randomization.typical()},
         {"end_on_goal": True, "lidar_beams": 64, "lidar_points": 16},
-        pytest.param({"backend": "warp"}, marks=needs_warp),
+        {"backend": "warp"},
     ],
     ids=["maze", "randomized", "ends on goal", "warp"],
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.leaks import WORLDS, in_fresh_process
-from tests.extras import needs_mujoco, needs_warp
+from tests.extras import needs_mujoco
 
 WARMUP, CYCLES = 2, 4
 LIMIT = 20.0
@@ -15,7 +15,7 @@ maze."""
 
 @pytest.fixture(
     scope="module",
-    params=["bullet", pytest.param("warp", marks=needs_warp), pytest.param("mujoco", marks=needs_mujoco)],
+    params=["bullet", "warp", pytest.param("mujoco", marks=needs_mujoco)],
 )
 def growth(request: pytest.FixtureRequest) -> dict[str, float]:
     return in_fresh_process(request.param, CYCLES, WARMUP)

@@ -12,7 +12,8 @@ import torch
 
 from rover_rl import RoverEnv, make_env
 from rover_rl.sims import Backend, Simulator, backend_names, backends, make_simulator, register_backend
-from rover_rl.sims.bullet import BulletSettings, BulletSimulator
+from rover_rl.sims.bullet import BulletSettings
+from rover_rl.sims.bullet.simulator import BulletSimulator
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, World
 
@@ -74,7 +75,8 @@ def test_a_registered_object():
 
 def test_backends_by_import_path(tmp_path, monkeypatch):
     source = (
-        "from rover_rl.sims.bullet import BulletSettings, BulletSimulator\n"
+        "from rover_rl.sims.bullet import BulletSettings\n"
+        "from rover_rl.sims.bullet.simulator import BulletSimulator\n"
         "class Settings:\n"
         "    def make(self, *, worlds, robot, lidar_beams, connection=None, device=None):\n"
         "        return BulletSimulator(worlds, robot, lidar_beams, BulletSettings(substeps=12))\n"

@@ -8,7 +8,7 @@ import torch
 from rover_rl.sims import Simulator, make_simulator
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, World, box
-from tests.extras import needs_mujoco, needs_warp
+from tests.extras import needs_mujoco
 
 ROVER = get_robot("rover_zero")
 FLAT = World("flat", Terrain.flat((20, 20)))
@@ -102,7 +102,6 @@ def test_rendering_after_close_and_in_several_worlds(backend):
     sim.close()
 
 
-@needs_warp
 @needs_mujoco
 def test_all_backends_render_the_same_image():
     images = []

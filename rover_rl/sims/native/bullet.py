@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import sys
 from collections.abc import Iterable
 
 from rover_rl.sims.native.output import native_output_silenced
@@ -12,12 +13,12 @@ try:
         import pybullet
 except ImportError as error:
     raise ImportError(
-        "PyBullet is not installed: pip install 'rover_rl[bullet]', which needs a C++ compiler on this platform, or "
-        "use the backends 'warp' or 'mujoco', which run without PyBullet"
+        "PyBullet is not installed: pip install 'rover_rl[bullet]', which compiles PyBullet where it has no wheels, or "
+        "use the backends 'warp' or 'mujoco', which run without it"
     ) from error
 
 # Only the C library of Linux (glibc) has this function.
-_return_free_memory = getattr(ctypes.CDLL(None), "malloc_trim", None)
+_return_free_memory = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
 
 
 def disconnect(clients: Iterable[int]) -> None:

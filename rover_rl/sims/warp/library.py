@@ -7,7 +7,7 @@ from rover_rl.sims.native.output import native_output_silenced
 try:
     import warp as wp
 except ImportError as error:
-    raise ImportError("backend='warp' needs NVIDIA Warp: pip install 'rover_rl[warp]'") from error
+    raise ImportError("pictures and backend='warp' need NVIDIA Warp: pip install warp-lang") from error
 
 wp.config.log_level = wp.LOG_ERROR
 # The simulator is not differentiated, and adjoint kernels take a minute to compile.

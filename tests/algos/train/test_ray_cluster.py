@@ -69,7 +69,6 @@ def test_ppo_takes_the_same_steps_as_on_one_machine(cluster: None, tmp_path: Pat
 
 @pytest.mark.slow
 def test_warp_simulates_on_the_cluster_too(cluster: None, tmp_path: Path) -> None:
-    pytest.importorskip("warp", reason="needs rover_rl[warp]")
     summary = train(with_settings(PPO, backend="warp", total_steps=256, runs=str(tmp_path)))
     assert progress_of(summary.folder)["steps"] == [128, 256]
     env = Checkpoint.load(summary.folder).env

@@ -63,7 +63,6 @@ def test_a_policy_can_be_trained_in_several_worlds_at_once(config: TrainingConfi
 
 @BOTH
 def test_policies_can_be_trained_in_warp(config: TrainingConfig, tmp_path: Path) -> None:
-    pytest.importorskip("warp", reason="needs rover_rl[warp]")
     config = with_settings(
         config,
         world=("inspect", "maze"),

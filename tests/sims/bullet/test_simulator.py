@@ -15,7 +15,7 @@ from rover_rl.sims.bullet.physics import ROVERS_PER_CLIENT
 from rover_rl.sims.native.bullet import pybullet
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, World, get_world
-from tests.extras import needs_mujoco, needs_warp
+from tests.extras import needs_mujoco
 
 ROVER = get_robot("rover_zero")
 FLAT = World("flat", Terrain.flat((20, 20)))
@@ -127,9 +127,7 @@ def connected() -> set[int]:
     return {client for client in range(1024) if pybullet.isConnected(client)}
 
 
-@pytest.mark.parametrize(
-    "name", ["bullet", pytest.param("warp", marks=needs_warp), pytest.param("mujoco", marks=needs_mujoco)]
-)
+@pytest.mark.parametrize("name", ["bullet", "warp", pytest.param("mujoco", marks=needs_mujoco)])
 @pytest.mark.parametrize("end", ["closed", "deleted"])
 def test_a_closed_or_deleted_simulator_leaves_no_client_connected(name, end):
     before = connected()

@@ -11,13 +11,10 @@ import torch
 from benchmarks.coulomb import steady_motion
 from rover_rl.sims import make_simulator
 from rover_rl.sims.robots import get_robot
-from rover_rl.sims.rotations import quaternion_to_euler
-from rover_rl.sims.worlds import Terrain, World, box
-
-pytest.importorskip("warp", reason="needs rover_rl[warp]")
-
 from rover_rl.sims.robots.inertial_model import read_inertial_model
+from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.warp import WarpSettings
+from rover_rl.sims.worlds import Terrain, World, box
 
 ROVER = get_robot("rover_zero")
 MODEL = read_inertial_model(ROVER)

@@ -6,9 +6,6 @@ import pytest
 import torch
 
 from rover_rl import make_env
-
-pytest.importorskip("warp", reason="needs rover_rl[warp]")
-
 from rover_rl.sims.warp.kernels import dynamics, lidar
 from rover_rl.sims.warp.library import wp
 

@@ -9,18 +9,15 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import World, get_world
-from tests.sims.warp.reference_lidar import scan as reference_scan
-
-pytest.importorskip("warp", reason="needs rover_rl[warp]")
-
 from rover_rl.sims.bullet.lidar import Lidar
+from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.warp.kernels.lidar import scan
 from rover_rl.sims.warp.library import wp
 from rover_rl.sims.warp.scene import make_robot_model, make_scene
 from rover_rl.sims.warp.state_buffers import StateBuffers
+from rover_rl.sims.worlds import World, get_world
+from tests.sims.warp.reference_lidar import scan as reference_scan
 
 ROVER = get_robot("rover_zero")
 WORLDS = ("inspect", "moon", "maze", "maze:3")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 import torch
@@ -16,14 +14,6 @@ from rover_rl.sims.warp import WarpSettings
 from rover_rl.sims.worlds import Terrain, World, boulder, box, get_world
 
 ROVER = get_robot("rover_zero")
-
-
-def test_missing_warp_raises_with_install_command(monkeypatch):
-    for name in [name for name in sys.modules if name.startswith("rover_rl.sims.warp.")]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "warp", None)
-    with pytest.raises(ImportError, match=r"backend='warp' needs NVIDIA Warp: pip install 'rover_rl\[warp\]'"):
-        RoverEnv(backend="warp")
 
 
 @pytest.mark.parametrize(
@@ -46,14 +36,6 @@ def test_presets_of_bullet_are_unknown():
     with pytest.raises(ValueError, match="unknown physics 'fast'; backend 'warp' has one preset, 'default'"):
         RoverEnv(backend="warp", physics="fast")
     assert RoverEnv(backend="warp", physics="default").simulator.settings == WarpSettings()
-
-
-pytestmark = pytest.mark.usefixtures("warp")
-
-
-@pytest.fixture
-def warp():
-    return pytest.importorskip("warp", reason="needs rover_rl[warp]")
 
 
 def test_environment_specs():

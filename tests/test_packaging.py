@@ -1,0 +1,70 @@
+"""The dependencies in ``pyproject.toml`` and ``requirements.lock``, on every supported system and Python."""
+
+from __future__ import annotations
+
+import sys
+from itertools import product
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+EXTRAS = PROJECT["optional-dependencies"]
+PYTHONS = ("3.10", "3.11", "3.12", "3.13")
+HAVE_WHEELS = (("linux", "x86_64"), ("darwin", "arm64"), ("win32", "AMD64"))
+COMPILE = (("linux", "aarch64"), ("darwin", "x86_64"), ("win32", "ARM64"))
+
+
+def selected(lines: list[str], python: str, system: str, machine: str) -> dict[str, Requirement]:
+    """Returns the requirements whose markers hold on a system, by canonical name."""
+    environment = {"python_version": python, "sys_platform": system, "platform_machine": machine, "extra": ""}
+    requirements = [Requirement(line) for line in lines]
+    chosen = [each for each in requirements if each.marker is None or each.marker.evaluate(environment)]
+    assert len({canonicalize_name(each.name) for each in chosen}) == len(chosen)
+    return {canonicalize_name(each.name): each for each in chosen}
+
+
+def pybullets(lines: list[str], python: str, system: str, machine: str) -> set[str]:
+    return {name for name in selected(lines, python, system, machine) if name.startswith("pybullet")}
+
+
+def locked() -> list[str]:
+    lines = (ROOT / "requirements.lock").read_text().splitlines()
+    return [line for line in lines if line and not line.startswith("#")]
+
+
+@pytest.mark.parametrize(("python", "system"), [*product(PYTHONS, HAVE_WHEELS)])
+def test_one_pybullet_is_installed_where_it_has_wheels(python, system):
+    original = system == HAVE_WHEELS[0] and python in PYTHONS[:2]
+    expected = {"pybullet" if original else "pybullet-arm64"}
+    assert pybullets(PROJECT["dependencies"], python, *system) == expected
+    assert pybullets(EXTRAS["bullet"], python, *system) == set()
+    assert pybullets(locked(), python, *system) == expected
+
+
+@pytest.mark.parametrize(("python", "system"), [*product(PYTHONS, COMPILE)])
+def test_only_the_extra_bullet_installs_pybullet_elsewhere(python, system):
+    assert pybullets(PROJECT["dependencies"], python, *system) == set()
+    assert pybullets(EXTRAS["bullet"], python, *system) == {"pybullet"}
+    assert pybullets(locked(), python, *system) == {"pybullet"}
+
+
+@pytest.mark.parametrize("python", PYTHONS)
+def test_the_lock_holds_one_allowed_version_of_everything_that_is_needed(python):
+    own = Requirement(next(line for line in EXTRAS["dev"] if line.startswith(PROJECT["name"])))
+    lines = [line for extra in own.extras for line in EXTRAS[extra]]
+    lines += [line for line in (*PROJECT["dependencies"], *EXTRAS["dev"]) if Requirement(line).name != own.name]
+    needed = selected(lines, python, "linux", "x86_64")
+    pinned = selected(locked(), python, "linux", "x86_64")
+    assert set(EXTRAS) == {*own.extras, "dev"}
+    for name, requirement in needed.items():
+        (version,) = (pin.version for pin in pinned[name].specifier)
+        assert version in requirement.specifier, f"{requirement} and {pinned[name]}"
