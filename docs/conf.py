@@ -77,7 +77,7 @@ nitpick_ignore_regex = [
     )
 ]
 
-# Annotations whose names autodoc cannot look up, because they are imported for type checkers or name a choice of strings.
+# Names in annotations that autodoc cannot look up: imported for type checkers alone, or choices of strings.
 nitpick_ignore = [
     ("py:class", name) for name in ("AutoresetMode", "EnvBase", "Path", "Reward", "TimeLimit", "Transform", "View")
 ]

@@ -1,4 +1,4 @@
-"""The directive ``command-help``: documents a command of ``rover-rl`` by its ``--help``, read when the site is built."""
+"""The directive ``command-help``: documents a command of ``rover-rl`` by its ``--help``, read at build time."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class CommandHelp(SphinxDirective):
         prefix = nodes.make_id(f"rover-rl {self.arguments[0]}")
         known = {head for group in self._other_options() for head, _ in group}
         yielded = [nodes.literal_block(_plain(usage), _plain(usage), language="text")]
-        yielded += [nodes.paragraph(text=text) for text in description]
+        yielded += [nodes.paragraph(text=text.replace("``", "")) for text in description]
         for title, options in boxes.items():
             options = [(head, text) for head, text in options if head not in known]
             if not options:
