@@ -22,7 +22,8 @@ from rover_rl.sims.worlds.draw import draw_map
 # The package stores 256 starts and goals in each world. ``rover-rl evaluate pretrained:maze-warp scripted`` drives
 # all of them, in Bullet, and writes tables and figures.
 
-episodes = stored_episodes("maze").first(8)
+EPISODES = 8
+episodes = stored_episodes("maze").first(EPISODES)
 policies = {"maze-warp": load_pretrained("maze-warp").make_actor(), "scripted": ScriptedPolicy()}
 env = load_pretrained("maze-warp").env  # with the backend "warp"
 results = [evaluate(policy, episodes, name=name, env=env) for name, policy in policies.items()]
@@ -33,7 +34,7 @@ results = [evaluate(policy, episodes, name=name, env=env) for name, policy in po
 # Each has a 95 % confidence interval, which is wide for eight episodes.
 
 for result in results:
-    print(f"{result.name}: {result.reached.sum()} of {len(episodes)} goals")
+    print(f"{result.name}: {result.reached.sum()} of {EPISODES} goals")
     for name in ("success_rate", "spl", "mean_time_to_traverse", "turns_per_goal"):
         estimate = result.metrics[name]
         print(f"    {name:22} {estimate.value:6.2f}  ({estimate.low:.2f} to {estimate.high:.2f})")

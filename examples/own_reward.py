@@ -38,9 +38,10 @@ env = make_env(world_n="moon", num_envs=8, seed=3, reward=[*contract_reward(), T
 # -------
 # The components are in the rollout, beside their sum.
 
+STEPS = 240  # of 0.05 s
 policy = load_pretrained("moon-warp").make_actor()
 with torch.no_grad():
-    rollout = env.rollout(240, policy, break_when_any_done=False)
+    rollout = env.rollout(STEPS, policy, break_when_any_done=False)
 components = rollout["next", "reward_components"]
 print(list(components.keys()))
 torch.testing.assert_close(sum(components.values()), rollout["next", "reward"])
@@ -75,6 +76,6 @@ figure, axes = plt.subplots(figsize=(8, 3.2), layout="constrained")
 colors = ["tab:red" if total < 0 else "tab:green" for total in totals.values()]
 bars = axes.barh(list(totals), list(totals.values()), color=colors)
 axes.bar_label(bars, fmt="%.1f", padding=3)
-axes.set(xlabel="reward per rover in 12 s", xscale="symlog", xlim=(-60, 1000))
+axes.set(xlabel="reward per rover", xscale="symlog", xlim=(-60, 1000))
 axes.invert_yaxis()
 plt.show()
