@@ -4,7 +4,7 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv demo test lint bench clean
+.PHONY: help venv demo test lint bench docs clean
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -34,8 +34,14 @@ lint: $(STAMP) ## check style, format and types
 bench: $(STAMP) ## measure the speed of rollouts and of training
 	$(BIN)/python -m benchmarks $(ARGS)
 
+docs: $(STAMP) ## build the documentation into docs/_build/html and check its links
+	rm -rf docs/_build
+	OMP_NUM_THREADS=$${OMP_NUM_THREADS:-1} $(BIN)/python -m sphinx -W --keep-going -n -b html docs docs/_build/html $(ARGS)
+	$(BIN)/python docs/check_links.py docs/_build/html
+	@echo docs/_build/html/index.html
+
 clean: ## remove caches and build products; virtual environments and runs/ stay
-	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage htmlcov
+	rm -rf build dist docs/_build docs/gallery *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage htmlcov
 	find rover_rl tests benchmarks -name __pycache__ -prune -exec rm -rf {} +
 
 $(STAMP): requirements.lock pyproject.toml

@@ -1,11 +1,9 @@
-"""The backend of ``docs/backends.md``: the Python blocks of the page run, and the backend does what the page asks."""
+"""The backend of ``docs/backends.md`` does what the page asks."""
 
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 import torch
@@ -17,9 +15,9 @@ from rover_rl.envs.randomization import Randomization
 from rover_rl.sims import RoverState, Simulator, backends, make_simulator
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, World, box, get_world
+from tests.pages import ROOT, blocks
 
-PAGE = Path(__file__).parents[1] / "docs" / "backends.md"
-BLOCKS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+BACKEND, *_ = blocks((ROOT / "docs" / "backends.md").read_text(), "python")
 MAX_LINES = 80
 
 ROVER = get_robot("rover_zero")
@@ -32,7 +30,7 @@ FIELDS = ("position", "orientation", "linear_velocity", "angular_velocity", "ran
 @pytest.fixture
 def my_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """Name of a module that consists of the page's backend."""
-    (tmp_path / "guide_backend.py").write_text(BLOCKS[0])
+    (tmp_path / "guide_backend.py").write_text(BACKEND.code)
     monkeypatch.syspath_prepend(tmp_path)
     # Other tests compare the list of registered names.
     monkeypatch.setattr(backends._REGISTRY, "_parts", dict(backends._REGISTRY._parts))
@@ -64,13 +62,11 @@ def rows_differ(a: RoverState, b: RoverState, row: int, other: int | None = None
     return [name for name in FIELDS if not torch.equal(getattr(a, name)[row], getattr(b, name)[other])]
 
 
-def test_the_backend_fits_on_a_page_and_the_other_blocks_run(my_package):
-    assert len(BLOCKS[0].splitlines()) <= MAX_LINES
-    assert len(BLOCKS) >= 2
-    module = ModuleType("page")
-    for block in BLOCKS:
-        exec(compile(block, "<page>", "exec"), module.__dict__)
-    assert module.env.base_env.simulator.num_envs == 16
+def test_the_backend_fits_on_a_page_and_builds_an_environment(backend):
+    assert len(BACKEND.code.splitlines()) <= MAX_LINES
+    env = make_env(world_n="maze", num_envs=16, backend=backend)
+    assert env.base_env.simulator.num_envs == 16
+    assert env.rollout(2).shape == (16, 2)
 
 
 def test_the_state_is_valid_before_the_first_reset(backend):

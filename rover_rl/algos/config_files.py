@@ -29,8 +29,8 @@ def plain(config: TrainingConfig) -> dict[str, Any]:
 def config_from(data: Any, source: str) -> TrainingConfig:
     """Settings from plain data; what it does not name has its default.
 
-    Settings may stand in their parts, as :func:`plain` gives them, or without parts, also by the names that they had
-    before there were parts: see :mod:`rover_rl.algos.flat_config`.
+    Settings may stand in their parts, as ``plain`` gives them, or without parts, also by the names that they had
+    before there were parts: see ``rover_rl.algos.flat_config``.
 
     Args:
         data: a dictionary.

@@ -41,7 +41,7 @@ DEFAULT_PHYSICS = "default"
 """Name of the physics preset that every backend has."""
 
 OBSERVATION_KEYS = ("lidar", "imu", "target", "velocities", "pose")
-"""Entries of the observation that a policy can read: those of :mod:`rover_rl.envs.observation`."""
+"""Entries of the observation that a policy can read: those of ``rover_rl.envs.observation``."""
 
 _UNCHANGED = (1.0, 1.0)
 

@@ -280,7 +280,7 @@ class RoverEnv(EnvBase):
         return self.simulator.render(row, view, width, height, self._state.task.goal[row])
 
     def close(self, *, raise_if_closed: bool = False) -> None:
-        """Releases the simulator. The next :meth:`reset` builds a new one. Idempotent."""
+        """Releases the simulator. The next ``reset()`` builds a new one. Idempotent."""
         self.simulator.close()
         super().close(raise_if_closed=raise_if_closed)
 

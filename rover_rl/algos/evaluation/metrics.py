@@ -47,6 +47,7 @@ _CHUNK = 4096
 """Number of poses that are tested against an obstacle at once. Limits the memory to about 100 MB."""
 
 TIME_LIMIT = "time limit"
+"""Ending of an episode at its time limit."""
 TOO_NEAR = "obstacle too near"
 """Ending of a live drive: an obstacle is closer than the required clearance."""
 STOPPED = "stopped"

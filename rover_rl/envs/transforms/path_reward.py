@@ -29,7 +29,7 @@ class PathReward(Transform):
     length, a meter right beside an obstacle counts as five.
 
     Args:
-        env: environment whose worlds and robot determine the paths.
+        env (rover_rl.RoverEnv): environment whose worlds and robot determine the paths.
         weight: reward per meter.
     """
 

@@ -270,9 +270,9 @@ class RoverEnv(GymWrapper):
     """Drop-in replacement for the original environment: same positional arguments, methods and attributes.
 
     Args:
-        *args, **kwargs: arguments of :class:`rover_rl.RoverEnv` except ``num_envs``. The ten positional arguments are
-            the contract's.
+        *args: positional arguments of :class:`rover_rl.RoverEnv`: the contract's ten.
         reward, time_limit, render_mode, camera: see :class:`GymWrapper`.
+        **kwargs: keyword arguments of :class:`rover_rl.RoverEnv` except ``num_envs``.
 
     Example:
         >>> env = RoverEnv(world_n="maze", length=500)

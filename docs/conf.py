@@ -1,0 +1,102 @@
+"""Configuration of the documentation, which ``make docs`` builds with Sphinx. The build needs no network."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+DOCS = Path(__file__).parent
+sys.path[:0] = [str(DOCS / "_extensions"), str(DOCS.parent)]
+
+from rover_rl import __version__  # noqa: E402, the checkout's package
+
+project = "rover_rl"
+author = "The rover_rl authors"
+copyright = author
+release = version = __version__
+language = "en"
+smartquotes = False  # --option stays --option
+
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "myst_parser",
+    "sphinx_copybutton",
+    "sphinx_design",
+    "sphinx_gallery.gen_gallery",
+    "command_help",
+    "gallery",
+    "docstrings",
+]
+exclude_patterns = ["_build", "gallery/**/*.ipynb", "gallery/**/*.py", "gallery/**/*.md5"]
+# Listed by the navigation of the gallery alone.
+suppress_warnings = ["toc.not_included"]
+
+html_theme = "furo"
+html_title = "rover_rl"
+html_static_path = ["_static"]
+html_css_files = ["custom.css"]
+html_theme_options = {
+    "light_css_variables": {"color-brand-primary": "#a3461c", "color-brand-content": "#a3461c"},
+    "dark_css_variables": {"color-brand-primary": "#f0a070", "color-brand-content": "#f0a070"},
+    "footer_icons": [],
+}
+html_copy_source = False
+html_show_sphinx = False
+pygments_style = "tango"
+pygments_dark_style = "monokai"
+maximum_signature_line_length = 80
+
+myst_enable_extensions = ["colon_fence", "deflist", "attrs_inline"]
+myst_heading_anchors = 4
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented"
+autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True
+autodoc_class_signature = "mixed"
+autodoc_inherit_docstrings = False
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_rtype = False
+napoleon_preprocess_types = False
+viewcode_line_numbers = True
+
+nitpicky = True
+toc_object_entries_show_parents = "hide"
+# References to other projects stay without a link: their inventories are on the network.
+nitpick_ignore_regex = [
+    (r"py:.*", rf"(?:{'|'.join(roots)})(?:\..*)?")
+    for roots in (
+        ("torch", "tensordict", "torchrl", "gymnasium", "stable_baselines3", "numpy", "matplotlib", "scipy", "rich"),
+        ("collections", "pathlib", "typing", "enum", "dataclasses", "abc", "inspect"),
+    )
+]
+
+# Names in annotations that autodoc cannot look up: imported for type checkers alone, or choices of strings.
+nitpick_ignore = [
+    ("py:class", name) for name in ("AutoresetMode", "EnvBase", "Path", "Reward", "TimeLimit", "Transform", "View")
+]
+autodoc_type_aliases = {
+    "RoverEnv": "rover_rl.RoverEnv",
+    **{name: f"rover_rl.envs.config.{name}" for name in ("BackendLike", "RewardLike", "RobotLike", "WorldLike")},
+}
+
+sphinx_gallery_conf = {
+    "examples_dirs": "../examples",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"\.py$",
+    "within_subsection_order": "gallery.place_of",
+    "thumbnail_size": (480, 360),
+    "download_all_examples": False,
+    "show_signature": False,
+    "remove_config_comments": True,
+    "write_computation_times": False,
+    "abort_on_example_error": True,
+    "image_scrapers": ("matplotlib",),
+    "matplotlib_animations": True,
+}
