@@ -26,7 +26,10 @@ def write_archive(path: Path, form: str, data: Mapping[str, Any]) -> None:
     # Written to memory first: the errors of PyTorch's writer do not say that a disk is full.
     written = io.BytesIO()
     torch.save({"format": form, **data}, written)
-    write_through(path, written.getbuffer())
+    # Released at once: the error of a full disk keeps this frame alive, and Python 3.12.1 crashes when its garbage
+    # collector finds a view that is not released.
+    with written.getbuffer() as view:
+        write_through(path, view)
 
 
 def read_archive(path: Path, forms: Sequence[str], kind: str) -> dict[str, Any]:

@@ -181,7 +181,7 @@ def _write_program(policy: PlainPolicy, checkpoint: Checkpoint, path: Path) -> N
     # Written to memory first: on a full disk, PyTorch's writer aborts the process.
     written = io.BytesIO()
     torch.export.save(program, written, extra_files={"rover_rl.json": json.dumps(plain(checkpoint.config))})
-    path.write_bytes(written.getbuffer())
+    path.write_bytes(written.getvalue())
 
 
 def onnx_function(path: Path) -> Callable[[dict[str, Any]], Tensor]:
