@@ -9,8 +9,8 @@ from rover_rl import make_env
 
 pytest.importorskip("warp", reason="needs rover_rl[warp]")
 
+from rover_rl.sims.native.warp import wp
 from rover_rl.sims.warp.kernels import dynamics, lidar
-from rover_rl.sims.warp.library import wp
 
 HOPPER = 90
 """Compute capability 9.0 (H100, H200)."""

@@ -16,9 +16,9 @@ from tests.sims.warp.reference_lidar import scan as reference_scan
 pytest.importorskip("warp", reason="needs rover_rl[warp]")
 
 from rover_rl.sims.bullet.lidar import Lidar
+from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.warp.kernels.lidar import scan
-from rover_rl.sims.warp.library import wp
 from rover_rl.sims.warp.scene import make_robot_model, make_scene
 from rover_rl.sims.warp.state_buffers import StateBuffers
 
