@@ -28,10 +28,8 @@ from rover_rl.envs.rewards import reward_components
 from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.base import View
+from rover_rl.sims.rendering.cache import MAX_SIDE
 from rover_rl.sims.worlds import World
-
-MAX_SIDE = 8192
-"""Largest width and height of a video, pixels."""
 
 
 @torch.no_grad()

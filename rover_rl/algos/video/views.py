@@ -124,9 +124,7 @@ class ChaseView:
     def picture(self, moment: Moment) -> np.ndarray:
         """Draws a frame, uint8 ``[height, width, 3]``."""
         rover = moment.rover[0]
-        scene = self._env.render(0, "chase", *self._size)
-        scene[(scene == 255).all(-1)] = _SKY
-        self._image.set_data(scene.numpy())
+        self._image.set_data(self._env.render(0, "chase", *self._size).numpy())
         self._draw_beams(rover)
         away = moment.goal[0] - rover.position[:2]
         bearing = math.atan2(away[1], away[0]) - quaternion_to_euler(rover.orientation)[2].item()
@@ -151,8 +149,6 @@ class ChaseView:
         self._hits.set_offsets(pixels[:, -1][seen[:, -1]].numpy())
 
 
-_SKY = torch.tensor((214, 227, 240), dtype=torch.uint8)
-"""Color of the sky."""
 _ARROWS = "↑↖←↙↓↘→↗"
 """Arrows for directions relative to the rover, counterclockwise from straight ahead."""
 

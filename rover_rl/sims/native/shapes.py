@@ -1,15 +1,14 @@
 """Meshes and convex hulls as Bullet shapes, without PyBullet's memory leak.
 
-``createCollisionShape`` and ``createVisualShape`` of PyBullet never release the lists passed to them: neither the lists
-of vertices, normals and indices, nor the list ``[x, y, z]`` of each vertex and normal. They do release the numbers.
-This module therefore reuses the same lists for all shapes and fills them in place, so that a leaked reference has no
-cost. Only the empty lists of the largest shape so far remain in memory (80 bytes per vertex).
+``createCollisionShape`` of PyBullet never releases the lists passed to it: neither the lists of vertices and indices,
+nor the list ``[x, y, z]`` of each vertex. It does release the numbers. This module therefore reuses the same lists for
+all shapes and fills them in place, so that a leaked reference has no cost. Only the empty lists of the largest shape so
+far remain in memory (80 bytes per vertex).
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -73,32 +72,6 @@ def make_mesh(client: int, vertices: np.ndarray, faces: np.ndarray, *, smooth: b
         )
 
 
-def make_visual_mesh(
-    client: int, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, color: Sequence[float]
-) -> int:
-    """Creates a triangle mesh as a visual shape.
-
-    Args:
-        client: id of the Bullet client.
-        vertices: vertices ``[V, 3]``, m.
-        faces: triangles as indices into ``vertices``, ``[F, 3]``.
-        normals: unit normal of each vertex, ``[V, 3]``.
-        color: red, green, blue and opacity, 0 to 1.
-
-    Returns:
-        Id of the shape.
-    """
-    with _LISTS as lists:
-        return pybullet.createVisualShape(
-            pybullet.GEOM_MESH,
-            vertices=lists.vertices.fill(vertices),
-            indices=lists.fill_indices(faces),
-            normals=lists.normals.fill(normals),
-            rgbaColor=color,
-            physicsClientId=client,
-        )
-
-
 class _Points:
     """A reusable list of ``[x, y, z]`` lists."""
 
@@ -125,7 +98,7 @@ class _ReusedLists:
     """Reusable argument lists for PyBullet. A thread locks them for one shape with the ``with`` statement."""
 
     def __init__(self) -> None:
-        self.vertices, self.normals = _Points(), _Points()
+        self.vertices = _Points()
         self._indices: list[int] = []
         self._lock = threading.Lock()
 
@@ -135,7 +108,6 @@ class _ReusedLists:
 
     def __exit__(self, *exception: Any) -> None:
         self.vertices.clear()
-        self.normals.clear()
         self._indices.clear()
         self._lock.release()
 

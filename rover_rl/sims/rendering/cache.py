@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 from torch import Tensor
 
+from rover_rl.checks import check_at_least
 from rover_rl.sims.base import View
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
 if TYPE_CHECKING:
-    from rover_rl.sims.rendering.opengl import OpenGLRenderer
     from rover_rl.sims.rendering.renderer import Renderer
 
-    AnyRenderer: TypeAlias = Renderer | OpenGLRenderer
+
+MAX_SIDE = 8192
+"""Largest width and height of an image, pixels."""
 
 
 class RendererCache:
     """One renderer per world, created on first use.
 
-    PyBullet is imported with the first renderer, so that simulators without it start faster. If it is not installed,
-    MuJoCo renders.
+    NVIDIA Warp is imported with the first renderer, so that simulators without it start faster.
 
     Args:
         robot: robot model.
@@ -29,7 +30,7 @@ class RendererCache:
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
-        self._renderers: dict[World, AnyRenderer] = {}
+        self._renderers: dict[World, Renderer] = {}
 
     def render(
         self, world: World, pose: Tensor, view: View, width: int, height: int, goal: Tensor | None = None
@@ -48,33 +49,19 @@ class RendererCache:
             RGB image, uint8 ``[height, width, 3]``.
 
         Raises:
-            ValueError: if the view is unknown.
-            ImportError: if neither PyBullet nor MuJoCo with OpenGL is available.
+            ValueError: if the view is unknown, the size is out of range, or the URDF has a visual shape that cannot be
+                rendered.
+            ImportError: if NVIDIA Warp is not installed.
         """
+        check_at_least(1, MAX_SIDE, width=width, height=height)
         if world not in self._renderers:
-            self._renderers[world] = self._make(world)
+            # Importing it compiles nothing, but takes a second.
+            from rover_rl.sims.rendering.renderer import Renderer
+
+            self._renderers[world] = Renderer(world, self._robot)
         position, orientation = pose.double().cpu().split((3, 4))
         return self._renderers[world].render(position, orientation, view, width, height, goal)
 
     def close(self) -> None:
-        """Closes all renderers. Idempotent; rendering after this creates new ones."""
-        for renderer in self._renderers.values():
-            renderer.close()
+        """Releases all renderers. Idempotent; rendering after this creates new ones."""
         self._renderers.clear()
-
-    def _make(self, world: World) -> AnyRenderer:
-        try:
-            from rover_rl.sims.rendering.renderer import Renderer
-        except ImportError:
-            return self._make_without_bullet(world)
-        return Renderer(world, self._robot)
-
-    def _make_without_bullet(self, world: World) -> AnyRenderer:
-        try:
-            from rover_rl.sims.rendering.opengl import OpenGLRenderer
-        except ImportError as error:
-            raise ImportError(
-                "pictures need PyBullet (pip install 'rover_rl[bullet]', which needs a compiler) or MuJoCo with OpenGL "
-                "(pip install 'rover_rl[mujoco]')"
-            ) from error
-        return OpenGLRenderer(world, self._robot)

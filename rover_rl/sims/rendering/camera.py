@@ -73,6 +73,13 @@ class Camera:
         first = int((~hidden).long().argmax()) if not hidden.all() else -1
         return cls(eyes[first], position + 0.8 * ahead + 0.15 * up, up, world)
 
+    @property
+    def axes(self) -> Tensor:
+        """Directions that point right and down in the image, and forward: unit vectors ``[3, 3]``."""
+        forward = torch.nn.functional.normalize(self.target - self.eye, dim=0)
+        right = torch.nn.functional.normalize(torch.linalg.cross(forward, self.up), dim=0)
+        return torch.stack((right, torch.linalg.cross(forward, right), forward))
+
     def see(self, points: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
         """Projects points into an image.
 
@@ -86,14 +93,15 @@ class Camera:
             ``[...]``. Obstacles hide points, the ground does not.
         """
         points = points.double()
-        forward = torch.nn.functional.normalize(self.target - self.eye, dim=0)
-        right = torch.nn.functional.normalize(torch.linalg.cross(forward, self.up), dim=0)
-        axes = torch.stack((right, torch.linalg.cross(forward, right), forward))
-        offset, depth = ((points - self.eye) @ axes.T).split((2, 1), -1)
+        offset, depth = ((points - self.eye) @ self.axes.T).split((2, 1), -1)
         depth = depth.masked_fill(depth < NEAR, math.nan)
-        focal = height / 2 / math.tan(math.radians(FIELD_OF_VIEW / 2))
         visible = (depth.squeeze(-1) > 0) & ~_hidden(self.world, self.eye, points)
-        return torch.tensor((width / 2, height / 2)) + focal * offset / depth, visible
+        return torch.tensor((width / 2, height / 2)) + focal_length(height) * offset / depth, visible
+
+
+def focal_length(height: int) -> float:
+    """Returns the focal length (pixels) of images of the given height (pixels)."""
+    return height / 2 / math.tan(math.radians(FIELD_OF_VIEW / 2))
 
 
 def _hidden(world: World, eye: Tensor, points: Tensor) -> Tensor:

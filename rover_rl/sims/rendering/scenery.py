@@ -1,37 +1,24 @@
-"""Colors, light and goal post of all renderers."""
+"""Colors, light and goal post of all pictures. Colors are red, green and blue, 0 to 1, as a screen shows them."""
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
-
-from rover_rl.sims.worlds import World
-
-GROUND = (0.62, 0.56, 0.48, 1.0)
-"""Color of the ground: red, green, blue and opacity, 0 to 1."""
-OBSTACLE = (0.45, 0.52, 0.60, 1.0)
-"""Color of obstacles."""
-GOAL = (0.10, 0.75, 0.25, 1.0)
+GROUND = (0.66, 0.57, 0.47)
+"""Color of the ground."""
+OBSTACLE = (0.50, 0.57, 0.65)
+"""Color of obstacles. Each is a little darker or brighter."""
+GOAL = (0.10, 0.75, 0.25)
 """Color of the post of the goal."""
+UNPAINTED = (0.70, 0.70, 0.72)
+"""Color of the rover's visual shapes for which neither the URDF nor the mesh file states one."""
+HORIZON = (0.87, 0.88, 0.88)
+"""Color of the sky at the horizon, and of the haze."""
+ZENITH = (0.30, 0.52, 0.80)
+"""Color of the sky overhead."""
+SUN = (-0.62, 0.42, 0.66)
+"""Direction to the sun in the world frame."""
+GRID = 1.0
+"""Distance between the lines on the ground, m."""
 POST_RADIUS = 0.08
 """Radius of the post of the goal, m."""
 POST_LENGTH = 1.2
 """Length of the post of the goal, m."""
-SUN = (-3.0, 2.0, 6.0)
-"""Direction from which the light comes."""
-FAR = 60.0
-"""Distance of the far plane from the camera, m."""
-
-
-def post_position(world: World, goal: Tensor | None) -> tuple[float, float, float]:
-    """Returns the center of the post (m), which is far below the ground if there is no goal.
-
-    Args:
-        world: world that defines the ground.
-        goal: position of the goal, ``[2]``, m, or ``None``.
-    """
-    if goal is None:
-        return 0.0, 0.0, -1e3
-    x, y = goal.tolist()
-    ground = world.height_at(torch.tensor((x, y), dtype=torch.float64)).item()
-    return x, y, ground + POST_LENGTH / 2

@@ -1,18 +1,22 @@
-"""URDF parser: links, joints, masses and collision shapes of a robot."""
+"""URDF parser: links, joints, masses, and collision and visual shapes of a robot."""
 
 from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
 _SIZES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}
 """URDF attributes with the dimensions of a shape, by kind of shape."""
+
+
+Color: TypeAlias = tuple[float, ...]
+"""Red, green and blue, 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -54,17 +58,22 @@ class Inertial:
 
 @dataclass(frozen=True)
 class Shape:
-    """Collision shape of a link.
+    """Collision or visual shape of a link.
 
     Attributes:
-        kind: ``"box"``, ``"cylinder"``, ``"sphere"``, or another element of URDF's ``geometry``.
+        kind: ``"box"``, ``"cylinder"``, ``"sphere"``, ``"mesh"``, or another element of URDF's ``geometry``.
         frame: pose of the shape in the frame of the link. The axis of a cylinder is z.
-        sizes: dimensions, m: x, y, z of a box; radius, length of a cylinder; radius of a sphere. Empty for others.
+        sizes: dimensions, m: x, y, z of a box; radius, length of a cylinder; radius of a sphere. Factors of the x, y
+            and z coordinates of a mesh. Empty for others.
+        file: file of a mesh, as the URDF states it. Empty for others.
+        color: color of a visual shape. ``None`` if the URDF states none.
     """
 
     kind: str
     frame: Frame
     sizes: tuple[float, ...]
+    file: str = ""
+    color: Color | None = None
 
 
 @dataclass(frozen=True)
@@ -75,11 +84,13 @@ class Link:
         name: name of the link.
         inertial: mass and inertia. ``None`` if the URDF states none.
         shapes: collision shapes.
+        visuals: visual shapes.
     """
 
     name: str
     inertial: Inertial | None
     shapes: tuple[Shape, ...]
+    visuals: tuple[Shape, ...]
 
 
 @dataclass(frozen=True)
@@ -117,6 +128,7 @@ class Description:
         joints: joints by name.
         base: name of the link that is the child of no joint. Its frame is the base frame.
         fixed: poses in the base frame of the base and of all links fixed to it, by link name.
+        frames: poses in the base frame of all links while the angles and positions of all joints are zero, by name.
 
     Raises:
         ValueError: if the file is not XML, or not the URDF of one robot.
@@ -127,12 +139,16 @@ class Description:
             root = ET.parse(path).getroot()
         except ET.ParseError as error:
             raise ValueError(f"it is not XML ({error})") from error
-        self.links = _by_name(map(_link, root.findall("link")))
+        materials = {
+            material.get("name"): color for material in root.iter("material") if (color := _color(material)) is not None
+        }
+        self.links = _by_name(_link(link, materials) for link in root.findall("link"))
         self.joints = _by_name(map(_joint, root.findall("joint")))
         if not self.links:
             raise ValueError("it has no links")
         self.base = self._find_base()
-        self.fixed = self._place_fixed()
+        self.fixed = self._place(joint for joint in self.joints.values() if joint.kind == "fixed")
+        self.frames = self._place(self.joints.values())
 
     def _find_base(self) -> str:
         ends = {joint.parent for joint in self.joints.values()} | {joint.child for joint in self.joints.values()}
@@ -143,12 +159,13 @@ class Description:
             raise ValueError(f"one link must be the child of no joint, it has {sorted(bases)}")
         return bases.pop()
 
-    def _place_fixed(self) -> dict[str, Frame]:
+    def _place(self, joints: Iterable[Joint]) -> dict[str, Frame]:
+        """Returns the poses of the base and of all links that ``joints`` connect to it."""
         frames = {self.base: Frame(np.zeros(3), np.eye(3))}
-        fixed = [joint for joint in self.joints.values() if joint.kind == "fixed"]
-        # A URDF may list a link before the one that it is fixed to, so one pass is not enough.
-        for _ in fixed:
-            for joint in fixed:
+        joints = list(joints)
+        # A URDF may list a link before its parent, so one pass is not enough.
+        for _ in joints:
+            for joint in joints:
                 if joint.parent in frames and joint.child not in frames:
                     frames[joint.child] = frames[joint.parent] @ joint.frame
         return frames
@@ -163,7 +180,7 @@ def _by_name(parts: Iterable[Part]) -> dict[str, Part]:
     return named
 
 
-def _link(element: ET.Element) -> Link:
+def _link(element: ET.Element, materials: Mapping[str | None, Color]) -> Link:
     name = _attribute(element, "name")
     inertial = element.find("inertial")
     try:
@@ -171,6 +188,7 @@ def _link(element: ET.Element) -> Link:
             name,
             None if inertial is None else _inertial(inertial),
             tuple(_shape(collision) for collision in element.findall("collision")),
+            tuple(_visual(visual, materials) for visual in element.findall("visual")),
         )
     except ValueError as error:
         raise ValueError(f"link {name!r}: {error}") from error
@@ -186,11 +204,26 @@ def _inertial(element: ET.Element) -> Inertial:
 def _shape(element: ET.Element) -> Shape:
     geometry = next(iter(_child(element, "geometry")), None)
     if geometry is None:
-        raise ValueError("a collision shape has an empty geometry")
+        raise ValueError(f"a {element.tag} shape has an empty geometry")
+    if geometry.tag == "mesh":
+        scale = _numbers(geometry, "scale", 3, "1 1 1")
+        return Shape(geometry.tag, _frame(element), tuple(scale), _attribute(geometry, "filename"))
     sizes: list[float] = []
     for name in _SIZES.get(geometry.tag, ()):
         sizes += _numbers(geometry, name, 3 if name == "size" else 1)
     return Shape(geometry.tag, _frame(element), tuple(sizes))
+
+
+def _visual(element: ET.Element, materials: Mapping[str | None, Color]) -> Shape:
+    material = element.find("material")
+    color = None if material is None else _color(material) or materials.get(material.get("name"))
+    return replace(_shape(element), color=color)
+
+
+def _color(material: ET.Element) -> Color | None:
+    """Returns the color of a material without its opacity. ``None`` if it only refers to another by name."""
+    color = material.find("color")
+    return None if color is None else tuple(_numbers(color, "rgba", 4)[:3])
 
 
 def _joint(element: ET.Element) -> Joint:

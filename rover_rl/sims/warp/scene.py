@@ -8,10 +8,10 @@ from collections.abc import Iterable
 import numpy as np
 import torch
 
+from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.inertial_model import InertialModel
 from rover_rl.sims.warp.kernels.types import MAX_WHEELS, RobotModel, Scene
-from rover_rl.sims.warp.library import wp
 from rover_rl.sims.worlds import Obstacle, World
 
 BLOCK_SIDE = 1.5

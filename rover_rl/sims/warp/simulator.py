@@ -15,6 +15,7 @@ from torch import Tensor
 
 from rover_rl.sims.base import Dynamics, RoverState, View
 from rover_rl.sims.differential_drive import SimulatedDrive
+from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.inertial_model import read_inertial_model
@@ -22,7 +23,6 @@ from rover_rl.sims.rotations import matrix_to_quaternion
 from rover_rl.sims.warp.kernels.dynamics import place, step_dynamics
 from rover_rl.sims.warp.kernels.lidar import scan
 from rover_rl.sims.warp.kernels.types import Solver
-from rover_rl.sims.warp.library import wp
 from rover_rl.sims.warp.scene import make_robot_model, make_scene
 from rover_rl.sims.warp.settings import WarpSettings
 from rover_rl.sims.warp.state_buffers import StateBuffers

@@ -6,10 +6,10 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.base import Dynamics
+from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.inertial_model import InertialModel
 from rover_rl.sims.warp.kernels.types import RoverArrays
-from rover_rl.sims.warp.library import wp
 
 
 class StateBuffers:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rover_rl.sims.native.bullet import disconnect, pybullet
-from rover_rl.sims.native.shapes import make_hull, make_mesh, make_visual_mesh
+from rover_rl.sims.native.shapes import make_hull, make_mesh
 from rover_rl.sims.worlds import Terrain
 
 
@@ -35,13 +35,12 @@ def size(client: int, shape: int) -> np.ndarray:
     return np.subtract(high, low)
 
 
-@pytest.mark.parametrize("kind", ["hull", "mesh", "visual mesh"])
+@pytest.mark.parametrize("kind", ["hull", "mesh"])
 def test_shapes_leak_no_python_objects(client, kind):
     vertices, faces = square(4.0)
     make = {
         "hull": lambda: make_hull(client, vertices),
         "mesh": lambda: make_mesh(client, vertices, faces),
-        "visual mesh": lambda: make_visual_mesh(client, vertices, faces, np.ones_like(vertices), (1, 1, 1, 1)),
     }[kind]
     make()
     gc.collect()

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from rover_rl import make_env
+from rover_rl.sims.native.warp import wp
 from rover_rl.sims.warp.kernels import dynamics, lidar
-from rover_rl.sims.warp.library import wp
 
 HOPPER = 90
 """Compute capability 9.0 (H100, H200)."""

@@ -10,10 +10,10 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from rover_rl.sims.bullet.lidar import Lidar
+from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.warp.kernels.lidar import scan
-from rover_rl.sims.warp.library import wp
 from rover_rl.sims.warp.scene import make_robot_model, make_scene
 from rover_rl.sims.warp.state_buffers import StateBuffers
 from rover_rl.sims.worlds import World, get_world

@@ -25,6 +25,7 @@ CFM). It makes the load on four wheels well defined.
 
 from __future__ import annotations
 
+from rover_rl.sims.native.warp import wp
 from rover_rl.sims.warp.kernels.contacts import (
     EXTRA_CONTACTS,
     MAX_CONTACTS,
@@ -38,7 +39,6 @@ from rover_rl.sims.warp.kernels.contacts import (
     restore_impulses,
 )
 from rover_rl.sims.warp.kernels.types import MAX_WHEELS, RobotModel, RoverArrays, Scene, Solver
-from rover_rl.sims.warp.library import wp
 
 GRAVITY = 9.81
 """Gravitational acceleration, m/s^2."""

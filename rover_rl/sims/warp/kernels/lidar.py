@@ -15,10 +15,10 @@ the origin at the lidar. Lengths in m, angles in turns of 2 pi.
 
 from __future__ import annotations
 
+from rover_rl.sims.native.warp import wp
 from rover_rl.sims.warp.kernels.convex import max_separation_plane
 from rover_rl.sims.warp.kernels.ground import ground_at
 from rover_rl.sims.warp.kernels.types import RobotModel, RoverArrays, Scene
-from rover_rl.sims.warp.library import wp
 
 BEAM_SLACK = 0.05
 """Tolerance of the angles of a segment's ends, in beam spacings; covers the error of :func:`angle_in_turns`."""

@@ -10,7 +10,7 @@ except ImportError as error:
     raise ImportError("pictures and backend='warp' need NVIDIA Warp: pip install warp-lang") from error
 
 wp.config.log_level = wp.LOG_ERROR
-# The simulator is not differentiated, and adjoint kernels take a minute to compile.
+# No kernel is differentiated, and adjoint kernels take a minute to compile.
 wp.config.enable_backward = False
 # Warp prints a warning on machines without a GPU.
 with native_output_silenced():

@@ -1,0 +1,398 @@
+"""Warp kernels of the renderer: a ray tracer with one thread per pixel.
+
+A picture takes two passes. :func:`trace_pixels` shades the center of each pixel. :func:`smooth_edges` shades four more
+points of each pixel that differs from a neighbor, so that edges of things and of shadows are smooth.
+
+Two kernels run once per scene. :func:`find_openness` computes how much of the sky each vertex sees, which darkens
+corners; :func:`find_sunshine` finds the vertices that lie in the shadow of the scenery, so that most pixels need no
+shadow ray.
+
+A pixel depends on no other pixel but its four neighbors, so that a picture is the same with any number of threads.
+
+The scene consists of bodies, each a triangle mesh with a pose: body 0 is the scenery, whose pose is the world frame,
+body 1 the rover, in its base frame, body 2 the post of the goal. To intersect a ray with a body, the kernels transform
+the ray to the frame of the body. Vertices and triangles of all bodies are numbered consecutively.
+
+Lengths in m. Colors are intensities, proportional to light; :func:`displayed` converts them.
+"""
+
+from __future__ import annotations
+
+from rover_rl.sims.native.warp import wp
+from rover_rl.sims.rendering.scenery import GRID, GROUND, HORIZON, SUN, ZENITH
+
+SCENERY = 0
+"""Body of the ground and the obstacles."""
+ROVER = 1
+"""Body of the rover."""
+FAR = 1.0e4
+"""Length of rays, m."""
+OFFSET = 1.0e-3
+"""Distance from the surface at which secondary rays start, so that rounding does not hide their own triangle, m."""
+
+SUN_DIRECTION = wp.normalize(wp.vec3(*SUN))
+SUN_RIGHT = wp.normalize(wp.cross(SUN_DIRECTION, wp.vec3(0.0, 0.0, 1.0)))
+SUN_UP = wp.cross(SUN_RIGHT, SUN_DIRECTION)
+SUN_SIZE = 0.025
+"""Angular size of the sun, rad: larger than the real one, for softer edges of shadows."""
+SUNLIGHT = wp.vec3(1.36, 1.24, 1.04)
+"""Light of the sun on a surface that faces it."""
+SKYLIGHT = wp.vec3(0.36, 0.42, 0.51)
+"""Light of the sky on a surface that faces up."""
+GROUNDLIGHT = wp.vec3(0.24, 0.21, 0.18)
+"""Light of the ground on a surface that faces down."""
+GROUND_COLOR = wp.vec3(*(c * c for c in GROUND))
+HORIZON_COLOR = wp.vec3(*(c * c for c in HORIZON))
+ZENITH_COLOR = wp.vec3(*(c * c for c in ZENITH))
+GLOW = wp.vec3(0.16, 0.12, 0.06)
+"""Light around the sun."""
+HAZE_DISTANCE = 45.0
+"""Distance at which 63% of the light comes from the haze, m."""
+ROVER_SHADE = 0.35
+"""Distance from the rover up to which it hides a part of the sky, m."""
+LINE_WIDTH = 0.02
+"""Width of the lines of the grid on the ground, m."""
+LINE_SHADE = 0.22
+"""Share of the light that lines absorb."""
+EDGE_CONTRAST = 0.08
+"""Difference of displayed colors, 0 to 1, above which a pixel lies on an edge."""
+
+
+@wp.struct
+class Scene:
+    """Meshes of all bodies and the properties of their vertices and triangles."""
+
+    # Per body: BVH in its own frame, radius of a sphere around the origin that contains it, and its first triangle.
+    meshes: wp.array[wp.uint64]
+    radii: wp.array[float]
+    first_triangles: wp.array[int]
+    # Per triangle: its three vertices, and its color with 1 for the ground and 0 for anything else.
+    triangles: wp.array2d[int]
+    colors: wp.array[wp.vec4]
+    # Per vertex: unit normal in the frame of the body, visible share of the sky (0 to 1), and light of the sun: 0 in
+    # the shadow of the scenery, 1 outside of it, 0.5 where a ray must tell.
+    normals: wp.array[wp.vec3]
+    openness: wp.array[float]
+    sunshine: wp.array[float]
+    # Height of the ground around the terrain.
+    level: float
+    # Box around the rover in its base frame: center and half side lengths.
+    rover_center: wp.vec3
+    rover_half: wp.vec3
+
+
+@wp.struct
+class Pinhole:
+    """Pinhole camera: position and direction, and the vectors from one pixel to the next at distance 1."""
+
+    eye: wp.vec3
+    forward: wp.vec3
+    right: wp.vec3
+    down: wp.vec3
+
+
+@wp.struct
+class Hit:
+    """First intersection of a ray. ``normal`` is that of the triangle, in the world frame; (u, v) are barycentric."""
+
+    distance: float
+    body: int
+    triangle: int
+    u: float
+    v: float
+    normal: wp.vec3
+
+
+@wp.func
+def to_body(pose: wp.transform, point: wp.vec3) -> wp.vec3:
+    """Converts a point from the world frame to the frame of a body."""
+    return wp.quat_rotate_inv(wp.transform_get_rotation(pose), point - wp.transform_get_translation(pose))
+
+
+@wp.func
+def may_hit(pose: wp.transform, radius: float, start: wp.vec3, direction: wp.vec3) -> bool:
+    """Whether a ray passes through the sphere around a body."""
+    offset = wp.transform_get_translation(pose) - start
+    along = wp.max(wp.dot(offset, direction), 0.0)
+    return wp.length_sq(offset - along * direction) < radius * radius
+
+
+@wp.func
+def closest_hit(scene: Scene, poses: wp.array[wp.transform], start: wp.vec3, direction: wp.vec3) -> Hit:
+    """First intersection of a ray with the scene; ``body`` is -1 if there is none."""
+    hit = Hit()
+    hit.distance = FAR
+    hit.body = -1
+    scenery = wp.mesh_query_ray(scene.meshes[SCENERY], start, direction, FAR)
+    if scenery.result:
+        hit.distance = scenery.t
+        hit.body = SCENERY
+        hit.triangle = scenery.face
+        hit.u = scenery.u
+        hit.v = scenery.v
+        hit.normal = scenery.normal
+    for body in range(ROVER, scene.meshes.shape[0]):
+        pose = poses[body]
+        if may_hit(pose, scene.radii[body], start, direction):
+            local_start = to_body(pose, start)
+            local_direction = wp.quat_rotate_inv(wp.transform_get_rotation(pose), direction)
+            query = wp.mesh_query_ray(scene.meshes[body], local_start, local_direction, hit.distance)
+            if query.result:
+                hit.distance = query.t
+                hit.body = body
+                hit.triangle = query.face
+                hit.u = query.u
+                hit.v = query.v
+                hit.normal = wp.transform_vector(pose, query.normal)
+    hit.triangle += scene.first_triangles[wp.max(hit.body, 0)]
+    return hit
+
+
+@wp.func
+def is_lit(scene: Scene, poses: wp.array[wp.transform], start: wp.vec3, sun: wp.vec3, sunshine: float) -> bool:
+    """Whether nothing lies between a point and the sun.
+
+    Args:
+        scene: scene.
+        poses: poses of the bodies.
+        start: point in the world frame.
+        sun: direction to the sun.
+        sunshine: light of the sun past the scenery: 0 for none, 1 for all, or between them if a ray must tell.
+    """
+    if sunshine == 0.0:
+        return False
+    if sunshine < 1.0:
+        if wp.mesh_query_ray_anyhit(scene.meshes[SCENERY], start, sun, FAR):
+            return False
+    for body in range(ROVER, scene.meshes.shape[0]):
+        pose = poses[body]
+        if may_hit(pose, scene.radii[body], start, sun):
+            local_start = to_body(pose, start)
+            local_sun = wp.quat_rotate_inv(wp.transform_get_rotation(pose), sun)
+            if wp.mesh_query_ray_anyhit(scene.meshes[body], local_start, local_sun, FAR):
+                return False
+    return True
+
+
+@wp.func
+def sky_color(direction: wp.vec3) -> wp.vec3:
+    """Color of the sky: from the color of the horizon to that of the zenith, with a glow around the sun."""
+    below = 1.0 - wp.max(direction[2], 0.0)
+    glow = wp.max(wp.dot(direction, SUN_DIRECTION), 0.0)
+    return wp.lerp(ZENITH_COLOR, HORIZON_COLOR, below * below * below) + glow * glow * glow * glow * GLOW
+
+
+@wp.func
+def line_coverage(x: float, width: float) -> float:
+    """Share of a pixel that a line of the grid covers.
+
+    Args:
+        x: coordinate across the lines, m.
+        width: width of the pixel on the ground, m. It blurs the lines.
+    """
+    distance = GRID * wp.abs(x / GRID - wp.round(x / GRID))
+    blurred = wp.max(width, LINE_WIDTH)
+    return wp.clamp(0.5 + (0.5 * LINE_WIDTH - distance) / blurred, 0.0, 1.0) * LINE_WIDTH / blurred
+
+
+@wp.func
+def ground_pattern(x: float, y: float, width: float) -> float:
+    """Brightness of the ground: patches, grain near the camera, and a grid, which show how the rover moves.
+
+    Args:
+        x: coordinate in the world frame, m.
+        y: coordinate in the world frame, m.
+        width: width of the pixel on the ground, m.
+    """
+    seed = wp.uint32(7)
+    at = wp.vec2(x, y)
+    brightness = 1.0 + 0.12 * wp.noise(seed, 0.4 * at)
+    detail = 1.0 - 20.0 * width
+    if detail > 0.0:
+        brightness += detail * (0.10 * wp.noise(seed, 4.0 * at) + 0.10 * wp.noise(seed, 19.0 * at))
+    lines = wp.max(line_coverage(x, width), line_coverage(y, width))
+    return brightness * (1.0 - LINE_SHADE * lines)
+
+
+@wp.func
+def rover_openness(scene: Scene, pose: wp.transform, point: wp.vec3) -> float:
+    """Share of the skylight that the rover leaves to a point beside or below it."""
+    reach = scene.radii[ROVER] + ROVER_SHADE
+    if wp.length_sq(point - wp.transform_get_translation(pose)) > reach * reach:
+        return 1.0
+    offset = to_body(pose, point) - scene.rover_center
+    gap = wp.max(wp.vec3(wp.abs(offset[0]), wp.abs(offset[1]), wp.abs(offset[2])) - scene.rover_half, wp.vec3())
+    near = wp.max(1.0 - wp.length(gap) / ROVER_SHADE, 0.0)
+    return 1.0 - 0.7 * near * near
+
+
+@wp.func
+def shade(
+    scene: Scene, poses: wp.array[wp.transform], start: wp.vec3, direction: wp.vec3, sun: wp.vec3, spread: float
+) -> wp.vec3:
+    """Color that a ray from the camera sees.
+
+    The light on a surface of normal n is ``max(n . s, 0) sunlight + openness ambient(n)`` with the direction s to the
+    sun (Lambert's law) and the ambient light of a sky above a bright ground. Haze hides the share
+    ``1 - exp(-(t / t_haze)^2)`` at the distance t.
+
+    Args:
+        scene: scene.
+        poses: poses of the bodies.
+        start: position of the camera.
+        direction: unit vector.
+        sun: direction to the visible point of the sun.
+        spread: width of a pixel at distance 1.
+    """
+    hit = closest_hit(scene, poses, start, direction)
+    haze = sky_color(direction)
+    # Around the terrain, the ground is a plane.
+    normal = wp.vec3(0.0, 0.0, 1.0)
+    flat = normal
+    openness = float(1.0)
+    sunshine = float(1.0)
+    color = GROUND_COLOR
+    is_ground = hit.body < 0
+    if is_ground:
+        hit.distance = (scene.level - start[2]) / direction[2]
+        if hit.distance <= 0.0 or direction[2] == 0.0:
+            return haze
+    else:
+        a = scene.triangles[hit.triangle, 0]
+        b = scene.triangles[hit.triangle, 1]
+        c = scene.triangles[hit.triangle, 2]
+        w = 1.0 - hit.u - hit.v
+        # Triangles are seen from both sides.
+        side = -wp.sign(wp.dot(hit.normal, direction))
+        flat = side * hit.normal
+        normal = hit.u * scene.normals[a] + hit.v * scene.normals[b] + w * scene.normals[c]
+        normal = side * wp.normalize(wp.transform_vector(poses[hit.body], normal))
+        openness = hit.u * scene.openness[a] + hit.v * scene.openness[b] + w * scene.openness[c]
+        sunshine = (scene.sunshine[a] + scene.sunshine[b] + scene.sunshine[c]) / 3.0
+        paint = scene.colors[hit.triangle]
+        color = wp.vec3(paint[0], paint[1], paint[2])
+        is_ground = paint[3] == 1.0
+    point = start + hit.distance * direction + OFFSET * flat
+    if hit.body != ROVER:
+        openness *= rover_openness(scene, poses[ROVER], point)
+    if is_ground:
+        # A pixel is longer on ground that is seen at a flat angle.
+        width = spread * hit.distance / wp.max(-wp.dot(direction, flat), 0.05)
+        color *= ground_pattern(point[0], point[1], width)
+    light = openness * wp.lerp(GROUNDLIGHT, SKYLIGHT, 0.5 + 0.5 * normal[2])
+    facing = wp.dot(normal, SUN_DIRECTION)
+    if facing > 0.0 and wp.dot(flat, SUN_DIRECTION) > 0.0:
+        if is_lit(scene, poses, point, sun, sunshine):
+            light += facing * SUNLIGHT
+    depth = hit.distance / HAZE_DISTANCE
+    return wp.lerp(haze, wp.cw_mul(color, light), wp.exp(-depth * depth))
+
+
+@wp.func
+def color_at(
+    scene: Scene, poses: wp.array[wp.transform], view: Pinhole, right: float, down: float, sun: wp.vec3
+) -> wp.vec3:
+    """Color at a point of the picture, in pixels from its center."""
+    ray = wp.normalize(view.forward + right * view.right + down * view.down)
+    return shade(scene, poses, view.eye, ray, sun, wp.length(view.right))
+
+
+@wp.func
+def displayed(color: wp.vec3) -> wp.vec3:
+    """Value of a screen, 0 to 1, that shows a color: gamma correction with an exponent of 2."""
+    return wp.vec3(
+        wp.sqrt(wp.clamp(color[0], 0.0, 1.0)),
+        wp.sqrt(wp.clamp(color[1], 0.0, 1.0)),
+        wp.sqrt(wp.clamp(color[2], 0.0, 1.0)),
+    )
+
+
+@wp.func
+def contrast(colors: wp.array2d[wp.vec3], color: wp.vec3, row: int, column: int) -> float:
+    """Largest difference of a color from that of a pixel, 0 outside of the picture."""
+    if row < 0 or column < 0 or row >= colors.shape[0] or column >= colors.shape[1]:
+        return 0.0
+    return wp.max(wp.abs(colors[row, column] - color))
+
+
+@wp.kernel
+def trace_pixels(first: int, scene: Scene, poses: wp.array[wp.transform], view: Pinhole, colors: wp.array2d[wp.vec3]):
+    """Writes the displayed color of the center of each pixel, beginning with row ``first``."""
+    row, column = wp.tid()
+    row += first
+    right = float(column) + 0.5 - 0.5 * float(colors.shape[1])
+    down = float(row) + 0.5 - 0.5 * float(colors.shape[0])
+    colors[row, column] = displayed(color_at(scene, poses, view, right, down, SUN_DIRECTION))
+
+
+@wp.kernel
+def smooth_edges(
+    first: int,
+    scene: Scene,
+    poses: wp.array[wp.transform],
+    view: Pinhole,
+    colors: wp.array2d[wp.vec3],
+    picture: wp.array3d[wp.uint8],
+):
+    """Writes the picture, ``[height, width, 3]``, beginning with row ``first``.
+
+    A pixel on an edge is the mean of four points on a rotated grid. Each sees another point of the sun.
+    """
+    row, column = wp.tid()
+    row += first
+    color = colors[row, column]
+    vertical = wp.max(contrast(colors, color, row - 1, column), contrast(colors, color, row + 1, column))
+    horizontal = wp.max(contrast(colors, color, row, column - 1), contrast(colors, color, row, column + 1))
+    if wp.max(vertical, horizontal) > EDGE_CONTRAST:
+        right = float(column) + 0.5 - 0.5 * float(colors.shape[1])
+        down = float(row) + 0.5 - 0.5 * float(colors.shape[0])
+        # Offset from the center of the pixel; every turn by 90 degrees gives the next point.
+        u = float(0.125)
+        v = float(0.375)
+        total = wp.vec3()
+        for _point in range(4):
+            sun = SUN_DIRECTION + SUN_SIZE * (u * SUN_RIGHT + v * SUN_UP)
+            total += color_at(scene, poses, view, right + u, down + v, sun)
+            turned = -v
+            v = u
+            u = turned
+        color = displayed(0.25 * total)
+    for channel in range(3):
+        picture[row, column, channel] = wp.uint8(255.0 * color[channel] + 0.5)
+
+
+@wp.kernel
+def find_openness(
+    first: int,
+    mesh: wp.uint64,
+    vertices: wp.array[wp.vec3],
+    normals: wp.array[wp.vec3],
+    directions: wp.array[wp.vec3],
+    reach: float,
+    openness: wp.array[float],
+):
+    """Writes the visible share of the sky for each vertex of a mesh, beginning with vertex ``first``.
+
+    Ambient occlusion: the mean over rays of ``min(t / reach, 1)``, where t is the distance to the first triangle. A
+    sum of the normal and a point on the unit sphere (``directions``) gives rays in proportion to the cosine of their
+    angle to the normal, as they contribute to the light.
+    """
+    vertex = first + wp.tid()
+    normal = normals[vertex]
+    start = vertices[vertex] + 10.0 * OFFSET * normal
+    total = float(0.0)
+    for k in range(directions.shape[0]):
+        query = wp.mesh_query_ray(mesh, start, wp.normalize(normal + directions[k]), reach)
+        # A vertex inside of a body, which sees back sides, is hidden. It counts half, as its triangle may reach out.
+        total += wp.where(query.result, wp.where(query.sign > 0.0, query.t / reach, 0.5), 1.0)
+    openness[vertex] = total / float(directions.shape[0])
+
+
+@wp.kernel
+def find_sunshine(
+    first: int, mesh: wp.uint64, vertices: wp.array[wp.vec3], normals: wp.array[wp.vec3], sunshine: wp.array[float]
+):
+    """Writes whether the sun reaches each vertex of a mesh, 0 or 1, beginning with vertex ``first``."""
+    vertex = first + wp.tid()
+    start = vertices[vertex] + 10.0 * OFFSET * normals[vertex]
+    sunshine[vertex] = wp.where(wp.mesh_query_ray_anyhit(mesh, start, SUN_DIRECTION, FAR), 0.0, 1.0)

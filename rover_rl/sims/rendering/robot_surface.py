@@ -1,0 +1,92 @@
+"""Surface of a robot: the visual shapes of its URDF, with all joint angles at zero."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from rover_rl.sims.rendering.scenery import UNPAINTED
+from rover_rl.sims.rendering.surfaces import SEGMENTS, Surface
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.description import Description, Frame, Shape
+
+_PACKAGE = "package://"
+
+
+def robot_surface(robot: Robot) -> Surface:
+    """Creates the surface of a robot in its base frame.
+
+    A robot without visual shapes has its collision shapes instead.
+
+    Raises:
+        ValueError: if a shape is neither a box, cylinder, sphere nor mesh, or a mesh file is missing or unreadable.
+    """
+    description = Description(robot.urdf)
+    links = [(description.links[name], frame) for name, frame in description.frames.items()]
+    shapes = [(shape, frame) for link, frame in links for shape in link.visuals]
+    shapes = shapes or [(shape, frame) for link, frame in links for shape in link.shapes]
+    try:
+        return Surface.join([part for shape, frame in shapes for part in _parts(shape, frame, robot.urdf)])
+    except ValueError as error:
+        raise ValueError(f"robot {robot.name!r} cannot be rendered with its URDF {robot.urdf}: {error}") from error
+
+
+def _parts(shape: Shape, link: Frame, urdf: Path) -> list[Surface]:
+    """Creates the surfaces of a shape. A mesh file may hold several of different colors."""
+    pose = link @ shape.frame
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = pose.rotation, pose.position
+    meshes = _load(shape, urdf) if shape.kind == "mesh" else [_primitive(shape)]
+    return [Surface.of_solid(mesh.apply_transform(matrix), shape.color or _own_color(mesh)) for mesh in meshes]
+
+
+def _primitive(shape: Shape) -> trimesh.Trimesh:
+    if shape.kind == "box":
+        return trimesh.creation.box(shape.sizes)
+    if shape.kind == "cylinder":
+        radius, length = shape.sizes
+        return trimesh.creation.cylinder(radius, length, sections=SEGMENTS)
+    if shape.kind == "sphere":
+        return trimesh.creation.icosphere(subdivisions=3, radius=shape.sizes[0])
+    raise ValueError(f"a visual shape is a {shape.kind}; use a box, cylinder, sphere or mesh")
+
+
+def _load(shape: Shape, urdf: Path) -> list[trimesh.Trimesh]:
+    """Loads a mesh file in any format of trimesh, such as OBJ and STL, and scales it."""
+    path = _find(shape.file, urdf)
+    try:
+        meshes = trimesh.load_scene(path).dump()
+    # The readers of trimesh raise errors of many kinds for damaged files and missing libraries.
+    except Exception as error:
+        raise ValueError(f"cannot read the mesh {path}: {error}") from error
+    meshes = [mesh for mesh in meshes if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
+    if not meshes:
+        raise ValueError(f"the mesh {path} has no triangles")
+    return [mesh.apply_scale(shape.sizes) for mesh in meshes]
+
+
+def _find(file: str, urdf: Path) -> Path:
+    """Returns the path of a mesh file: absolute, beside the URDF, or in the ROS package that holds the URDF."""
+    folder = urdf.resolve().parent
+    name = file.removeprefix("file://")
+    paths = [folder / name]
+    if file.startswith(_PACKAGE):
+        package, _, rest = file.removeprefix(_PACKAGE).partition("/")
+        paths = [parent / rest for parent in folder.parents if parent.name == package]
+        paths += [parent / package / rest for parent in (folder, *folder.parents)]
+    for path in paths:
+        if path.is_file():
+            return path
+    raise ValueError(f"the mesh {file!r} does not exist; mesh files are relative to the folder of the URDF")
+
+
+def _own_color(mesh: trimesh.Trimesh) -> tuple[float, ...]:
+    """Returns the main color that a mesh file states, or :data:`~rover_rl.sims.rendering.scenery.UNPAINTED`."""
+    visual: Any = mesh.visual
+    if not visual.defined:
+        return UNPAINTED
+    painted = visual.material if visual.kind == "texture" else visual
+    return tuple(painted.main_color[:3] / 255)
