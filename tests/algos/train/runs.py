@@ -12,6 +12,7 @@ from rover_rl.algos.config import training_config
 from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.progress import read_progress
 from rover_rl.algos.train.sac import SACLearner
+from rover_rl.sims.worlds import Terrain, World, box
 
 PPO = training_config(
     "ppo",
@@ -43,6 +44,18 @@ BOTH = pytest.mark.parametrize("config", [PPO, SAC], ids=["ppo", "sac"])
 """Runs a test with PPO and with SAC."""
 LEARNERS: dict[str, Any] = {"ppo": PPOLearner, "sac": SACLearner}
 """Learners, by the algorithm's name."""
+
+
+FIELD, WALL = f"{__name__}:field", f"{__name__}:wall"
+"""Worlds that are quick to prepare and to simulate."""
+
+
+def field() -> World:
+    return World("field", Terrain.flat((6.0, 6.0)))
+
+
+def wall() -> World:
+    return World("wall", Terrain.flat((6.0, 6.0)), [box((0.0, 0.0, 0.5), (0.2, 3.0, 1.0))])
 
 
 def progress_of(folder: Path) -> dict[str, list[float]]:
