@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import yaml
+
+from rover_rl.cli import main
+from tests.fork_server import quick_workers
 
 PACKAGE = """
 from dataclasses import dataclass, replace
@@ -68,33 +70,21 @@ PARTS = [
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the package and a run that was trained with its parts, by two workers."""
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The current folder, with the package and a run that was trained with its parts, by two workers."""
     folder = tmp_path_factory.mktemp("own")
     (folder / "my_package").mkdir()
     (folder / "my_package" / "__init__.py").touch()
     (folder / "my_package" / "parts.py").write_text(PACKAGE)
-    size = ["--total-steps", "256", "--num-envs", "4", "--workers", "2", "--rollout-length", "4", "--hidden", "8"]
-    rover_rl(folder, "train", *PARTS, *size, "--lidar.points", "16", "--name", "own")
-    return folder
-
-
-def rover_rl(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    result = run(folder, *arguments)
-    assert result.returncode == 0, result.stderr
-    return result
-
-
-def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    code = "import sys; from rover_rl.cli import main; sys.exit(main())"
-    paths = os.pathsep.join(filter(None, (str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH"))))
-    return subprocess.run(
-        [sys.executable, "-c", code, *arguments],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": paths},
-        capture_output=True,
-        text=True,
-    )
+    size = ["--total-steps", "128", "--num-envs", "4", "--workers", "2", "--rollout-length", "4", "--hidden", "8"]
+    with pytest.MonkeyPatch.context() as patch, quick_workers():
+        patch.chdir(folder)
+        # The command finds the package in the current folder.
+        patch.setattr(sys, "path", [*sys.path])
+        assert main(["train", *PARTS, *size, "--lidar.points", "16", "--name", "own"]) == 0
+        yield folder
+    for name in [name for name in sys.modules if name.startswith("my_package")]:
+        del sys.modules[name]
 
 
 @pytest.mark.slow
@@ -105,18 +95,21 @@ def test_the_run_names_the_parts(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_policy_is_evaluated_and_filmed_and_trained_on(folder: Path) -> None:
-    rover_rl(folder, "evaluate", "runs/own", "--count", "2", "--seconds", "1", "--backend", "my_package.parts:Slow")
+def test_the_policy_is_evaluated_and_filmed_and_trained_on(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = "runs/own"
+    assert main(["evaluate", run, "--count", "2", "--seconds", "1", "--backend", "my_package.parts:Slow"]) == 0
     (evaluation,) = json.loads((folder / "runs" / "own" / "evaluation.json").read_text())
     assert evaluation["env"]["robot"] == "my_package.parts:scout"
     assert evaluation["env"]["backend"] == "my_package.parts:Slow"
-    rover_rl(folder, "film", "runs/own", "--out", "own.gif", "--seconds", "0.5", "--rewards", "rewards.png")
+    assert main(["film", run, "--out", "own.gif", "--seconds", "0.5", "--rewards", "rewards.png"]) == 0
     assert (folder / "own.gif").stat().st_size > 1000
-    assert "after 512 steps" in rover_rl(folder, "train", "--resume", "runs/own", "--total-steps", "512").stdout
+    capsys.readouterr()
+    assert main(["train", "--resume", run, "--total-steps", "256"]) == 0
+    assert "after 256 steps" in capsys.readouterr().out
 
 
 @pytest.mark.slow
-def test_a_mismatch_is_one_sentence(folder: Path) -> None:
+def test_a_mismatch_is_one_sentence(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "other.yaml").write_text("lidar: {points: 32}\nrobot: my_package.parts:scout\n")
     (folder / "forward.yaml").write_text("action: {min_speed: 0.0}\n")
     mismatches = {
@@ -126,7 +119,7 @@ def test_a_mismatch_is_one_sentence(folder: Path) -> None:
         ("pretrained:moon-ppo", "--env", "forward.yaml"): "and the environment has (0.0, 1.0,",
     }
     for arguments, message in mismatches.items():
-        result = run(folder, "evaluate", *arguments, "--count", "1")
-        assert result.returncode == 2
-        assert message in result.stderr
-        assert len(result.stderr.splitlines()) == 1
+        assert main(["evaluate", *arguments, "--count", "1"]) == 2
+        error = capsys.readouterr().err
+        assert message in error
+        assert len(error.splitlines()) == 1

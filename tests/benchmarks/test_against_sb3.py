@@ -17,6 +17,7 @@ from rover_rl.algos.config import UNLIMITED_STEPS, with_settings
 from rover_rl.algos.policy.networks import ObservationEncoder, make_action_critic, make_actor, make_critic
 from rover_rl.envs.config import ActionConfig
 from rover_rl.envs.sb3 import SB3VecEnv
+from tests.fork_server import quick_workers
 
 
 def settings(algo: str, folder=None, **changes):
@@ -154,7 +155,9 @@ def test_ours_may_never_get_there(tmp_path):
 
 
 def test_one_command_runs_all(tmp_path):
-    against_sb3.main(Options(algo="ppo", world="maze", minutes=0.01, num_envs=2, count=2, seconds=0.5, runs=tmp_path))
+    options = Options(algo="ppo", world="maze", minutes=0.005, num_envs=2, count=2, seconds=0.5, runs=tmp_path)
+    with quick_workers():
+        against_sb3.main(options)
     results = json.loads((tmp_path / "against_sb3-ppo-maze" / "against_sb3.json").read_text())
     assert [curve["name"] for curve in results["curves"]] == list(against_sb3.CONTENDERS)
     assert all(curve["points"][-1]["steps"] > 0 for curve in results["curves"])

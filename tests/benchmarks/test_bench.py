@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import json
-import subprocess
+import runpy
 import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
 
+from benchmarks import footprint, simulators
 from benchmarks.engines import choose_engines
 from benchmarks.law import quantities
 from benchmarks.options import Options
 from benchmarks.plain_rover import PlainRover
 from benchmarks.ratios import paired
 from rover_rl import RoverEnv
+from tests.fork_server import fork_server, quick_workers
 
+Bench = Callable[..., dict[str, Any]]
 SMALL = [
     "--num-envs",
     "1",
@@ -49,16 +55,26 @@ SMALL = [
 ]
 
 
-def bench(out: Path, *parts: str) -> dict:
-    command = [sys.executable, "-m", "benchmarks", *parts, *SMALL, "--out", str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    return json.loads((out / "bench.json").read_text())
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    """Runs parts of ``python -m benchmarks`` in this process, and returns what they have written."""
+    threads = torch.get_num_threads()
+
+    def run(*parts: str) -> dict[str, Any]:
+        monkeypatch.setattr(sys, "argv", ["benchmarks", *parts, *SMALL, "--out", str(tmp_path)])
+        runpy.run_module("benchmarks", run_name="__main__", alter_sys=True)
+        return json.loads((tmp_path / "bench.json").read_text())
+
+    with quick_workers():
+        yield run
+    torch.set_num_threads(threads)
 
 
 @pytest.mark.slow
-def test_rollouts_cores_and_footprint(tmp_path: Path) -> None:
-    results = bench(tmp_path, "rollouts", "breakdown", "cores", "footprint")
+def test_rollouts_cores_and_footprint(bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Processes that are not fresh start sooner, and what they measure does not matter here.
+    monkeypatch.setattr(footprint, "ProcessPoolExecutor", lambda count, _: ProcessPoolExecutor(count, fork_server()))
+    results = bench("rollouts", "breakdown", "cores", "footprint")
     assert [row["num_envs"] for row in results["rollouts"]] == [1, 2]
     assert all(row["physics"] > 0 and row["rays"] > 0 and row["rest"] > 0 for row in results["rollouts"])
     assert [row["all_workers"] is None for row in results["rollouts"]] == [True, False]
@@ -70,8 +86,10 @@ def test_rollouts_cores_and_footprint(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_warp_beside_bullet(tmp_path: Path) -> None:
-    results = bench(tmp_path, "simulators", "endurance", "--engines", "warp")
+def test_warp_beside_bullet(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Bullet takes a second to prepare the ground of inspect and moon.
+    monkeypatch.setattr(simulators, "WORLDS", ("maze", "maze:1", "maze:2"))
+    results = bench("simulators", "endurance", "--engines", "warp")
     ratios = results["simulators"]["ratios"]
     assert len(ratios) == 3 * 2 + 3 + 1
     assert all(row["median"] > 0 for row in ratios)
@@ -80,8 +98,8 @@ def test_warp_beside_bullet(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_simulators_are_compared_with_one_another(tmp_path: Path) -> None:
-    results = bench(tmp_path, "parity", "--engines", "bullet", "warp")
+def test_simulators_are_compared_with_one_another(bench: Bench) -> None:
+    results = bench("parity", "--engines", "bullet", "warp")
     scenes = results["parity"]["scenes"]
     assert len(scenes) == 7
     for row in scenes:
@@ -92,8 +110,8 @@ def test_simulators_are_compared_with_one_another(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_simulators_are_compared_with_the_law(tmp_path: Path) -> None:
-    rows = bench(tmp_path, "law", "--engines", "warp")["law"]
+def test_simulators_are_compared_with_the_law(bench: Bench) -> None:
+    rows = bench("law", "--engines", "warp")["law"]
     assert {row["ground"] for row in rows} == {"plane", "triangles", "slope"}
     assert all(row["engines"]["warp"]["passes"] for row in rows)
     for row in rows:
@@ -120,8 +138,8 @@ def test_unknown_engines_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_peers(tmp_path: Path) -> None:
-    rows = bench(tmp_path, "peers")["peers"]
+def test_peers(bench: Bench) -> None:
+    rows = bench("peers")["peers"]
     assert len({row["peer"] for row in rows}) == 3
     assert all(row["rate"] > 0 and row["other"] > 0 for row in rows)
 

@@ -1,12 +1,28 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from benchmarks import results
+from rover_rl.algos.config import with_settings
+from rover_rl.algos.evaluation.evaluate import evaluate_endless
 from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.pretrained import load_pretrained
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Makes trainings and evaluations in endless mode short, and runs them in this process."""
+    pretrained = load_pretrained("inspect-ppo")
+    config = with_settings(pretrained.config, num_envs=4, rollout_length=4, hidden=(8,))
+    for module in ("rover_rl.algos.config", "rover_rl.algos.evaluation.cores"):
+        monkeypatch.setattr(f"{module}.usable_cores", lambda: 1)
+    monkeypatch.setattr(results, "load_pretrained", lambda name: replace(pretrained, config=config))
+    monkeypatch.setattr(results, "evaluate_endless", partial(evaluate_endless, steps=20))
 
 
 def test_a_table_has_the_mean_the_least_and_the_most_of_the_seeds() -> None:
@@ -26,9 +42,10 @@ def test_a_table_has_the_mean_the_least_and_the_most_of_the_seeds() -> None:
 
 
 @pytest.mark.slow
-def test_it_trains_measures_and_goes_on(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("small")
+def test_it_trains_measures_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     options = results.Options(
-        policies=["inspect-ppo"], seeds=[3, 4], minutes=1e-6, count=2, seconds=1.0, endless=1, runs=tmp_path
+        policies=["inspect-ppo"], seeds=[3, 4], minutes=1e-6, count=2, seconds=0.5, endless=1, runs=tmp_path
     )
     assert results.main(options) == 0
     told = json.loads((tmp_path / "results.json").read_text())
@@ -40,5 +57,7 @@ def test_it_trains_measures_and_goes_on(tmp_path: Path) -> None:
         assert told[f"inspect-ppo-{seed}"]["steps to 90%"] is None
     assert {"results.md", "learning_curves.png"} <= {file.name for file in tmp_path.iterdir()}
     before = (tmp_path / "inspect-ppo-3" / "checkpoint.pt").read_bytes()
+    # There is nothing left to measure, for a process per run.
+    monkeypatch.setattr("rover_rl.algos.evaluation.cores.usable_cores", lambda: 2)
     assert results.main(options) == 0
     assert (tmp_path / "inspect-ppo-3" / "checkpoint.pt").read_bytes() == before

@@ -12,30 +12,31 @@ from rover_rl.algos.config import training_config
 from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.progress import read_progress
 from rover_rl.algos.train.sac import SACLearner
+from rover_rl.sims.worlds import Terrain, World, box
 
 PPO = training_config(
     "ppo",
     world="maze",
-    total_steps=512,
+    total_steps=256,
     num_envs=4,
     workers=1,
-    rollout_length=8,
+    rollout_length=4,
     epochs=2,
-    minibatch=16,
+    minibatch=8,
     hidden=(16,),
     snapshots=2,
 )
 SAC = training_config(
     "sac",
     world="maze",
-    total_steps=512,
+    total_steps=256,
     num_envs=4,
     workers=1,
     rollout_length=2,
     gradient_steps=2,
     minibatch=8,
     learning_starts=24,
-    buffer_size=64,
+    buffer_size=32,
     hidden=(16,),
     snapshots=2,
 )
@@ -43,6 +44,18 @@ BOTH = pytest.mark.parametrize("config", [PPO, SAC], ids=["ppo", "sac"])
 """Runs a test with PPO and with SAC."""
 LEARNERS: dict[str, Any] = {"ppo": PPOLearner, "sac": SACLearner}
 """Learners, by the algorithm's name."""
+
+
+FIELD, WALL = f"{__name__}:field", f"{__name__}:wall"
+"""Worlds that are quick to prepare and to simulate."""
+
+
+def field() -> World:
+    return World("field", Terrain.flat((6.0, 6.0)))
+
+
+def wall() -> World:
+    return World("wall", Terrain.flat((6.0, 6.0)), [box((0.0, 0.0, 0.5), (0.2, 3.0, 1.0))])
 
 
 def progress_of(folder: Path) -> dict[str, list[float]]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
 import signal
+from collections.abc import Iterator
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pytest
 
 from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, with_settings
@@ -19,22 +22,32 @@ from tests.algos.train.runs import BOTH, LEARNERS, PPO, SAC, progress_of
 
 @pytest.mark.slow
 def test_two_workers_share_the_rovers(tmp_path: Path) -> None:
-    summary = train(with_settings(PPO, workers=2, runs=str(tmp_path)))
-    assert progress_of(summary.folder)["steps"][-1] == 512
+    # The only test whose workers start as those of a user: each with a new interpreter.
+    summary = train(with_settings(PPO, workers=2, total_steps=128, runs=str(tmp_path)))
+    assert progress_of(summary.folder)["steps"] == [64, 128]
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_workers")
 def test_sac_learns_from_one_worker_while_the_other_collects(tmp_path: Path) -> None:
     progress = progress_of(train(with_settings(SAC, workers=2, runs=str(tmp_path))).folder)
     # Each batch holds two decisions of the two rovers of one worker, followed by half of the gradient steps.
-    assert progress["steps"] == list(range(16, 513, 16))
-    assert progress["gradient_steps"] == [0.0] * 5 + [1.0] * 27
+    assert progress["steps"] == list(range(16, 257, 16))
+    assert progress["gradient_steps"] == [0.0] * 5 + [1.0] * 11
+
+
+@pytest.fixture
+def workers(quick_workers: None) -> Iterator[set[BaseProcess]]:
+    """Processes that run before the test; afterwards there are no others."""
+    before = set(multiprocessing.active_children())
+    yield before
+    assert not set(multiprocessing.active_children()) - before
 
 
 @BOTH
 @pytest.mark.slow
 def test_a_crashed_worker_ends_the_run_with_a_checkpoint_and_its_output(
-    config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    config: TrainingConfig, workers: set[BaseProcess], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     learner = LEARNERS[config.algo]
     update, calls = learner.update, []
@@ -42,8 +55,9 @@ def test_a_crashed_worker_ends_the_run_with_a_checkpoint_and_its_output(
     def killing(self: Any, *args: Any) -> dict[str, float]:
         calls.append(1)
         if len(calls) == 3:
-            worker = next(child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline()))
-            worker.send_signal(signal.SIGSEGV)
+            worker = next(iter(set(multiprocessing.active_children()) - workers))
+            assert worker.pid is not None
+            os.kill(worker.pid, signal.SIGSEGV)
         return update(self, *args)
 
     monkeypatch.setattr(learner, "update", killing)
@@ -55,11 +69,11 @@ def test_a_crashed_worker_ends_the_run_with_a_checkpoint_and_its_output(
     steps = Checkpoint.load(folder).steps
     again = train(with_settings(config, workers=2, total_steps=steps + 128, runs=str(tmp_path), name="dying"), folder)
     assert again.steps == steps + 128
-    assert not [child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline())]
 
 
 @BOTH
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_workers")
 def test_an_error_of_a_worker_is_reported(
     config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

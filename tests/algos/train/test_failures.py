@@ -50,7 +50,7 @@ def test_a_diverging_training_keeps_its_last_good_checkpoint(
     assert Checkpoint.load(folder).steps == load_state(folder / "training_state.pt")["steps"] == 2 * each
     assert max(int(file.stem) for file in (folder / "snapshots").iterdir()) <= 2 * each if config is PPO else True
     monkeypatch.undo()
-    assert train(with_settings(config, learning_rate=3e-4), folder).steps == 512
+    assert train(with_settings(config, learning_rate=3e-4), folder).steps == 256
 
 
 def test_a_training_that_diverges_before_its_first_checkpoint_raises(tmp_path: Path) -> None:
@@ -62,13 +62,13 @@ def test_a_training_that_diverges_before_its_first_checkpoint_raises(tmp_path: P
 
 def test_a_full_disk_ends_a_run_and_keeps_its_checkpoint(tmp_path: Path) -> None:
     config = with_settings(PPO, runs=str(tmp_path), snapshots=0)
-    folder = train(with_settings(config, total_steps=256)).folder
+    folder = train(with_settings(config, total_steps=128)).folder
     whole = {path.name: path.read_bytes() for path in folder.glob("*.pt")}
     with largest_file(7000), pytest.raises(OSError, match=f"File too large: '{folder}/"):
         train(config, folder)
     assert {path.name: path.read_bytes() for path in folder.glob("*.pt")} == whole
     assert not [path.name for path in folder.iterdir() if path.name.startswith(".")]
-    assert train(config, folder).steps == 512
+    assert train(config, folder).steps == 256
 
 
 @pytest.mark.parametrize("kind", [OSError, SystemExit])

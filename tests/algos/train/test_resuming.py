@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import random
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +19,26 @@ from rover_rl.algos.config import TrainingConfig, with_settings
 from rover_rl.algos.evaluation.evaluate import draw_episodes, evaluate
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.train import train
+from rover_rl.algos.train.run import TrainingSummary
 from rover_rl.algos.train.run_folder import load_state, save_run
-from tests.algos.train.runs import BOTH, LEARNERS, PPO, SAC, equal, progress_of
+from rover_rl.cli import main
+from tests.algos.train.runs import BOTH, LEARNERS, PPO, equal, progress_of
+from tests.fork_server import fork_server
+
+Trained = Callable[[str], TrainingSummary]
+OwnRun = Callable[[TrainingConfig], Path]
 
 
 @BOTH
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_stopped_run_continues_where_it_was(
-    config: TrainingConfig, number: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    config: TrainingConfig,
+    number: signal.Signals,
+    trained: Trained,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    whole = train(with_settings(config, runs=str(tmp_path), name="whole"))
+    whole = trained(config.algo)
     handlers = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
     learner = LEARNERS[config.algo]
     update, calls = learner.update, []
@@ -52,54 +62,54 @@ def test_a_stopped_run_continues_where_it_was(
 
 
 @BOTH
-def test_the_learners_state_is_restored_exactly(config: TrainingConfig, tmp_path: Path) -> None:
-    folder = train(with_settings(config, runs=str(tmp_path))).folder
+def test_the_learners_state_is_restored_exactly(config: TrainingConfig, own_run: OwnRun, tmp_path: Path) -> None:
+    folder = own_run(config)
     state = load_state(folder / "training_state.pt")
     learner = LEARNERS[config.algo](config)
     learner.load_state_dict(state["learner"])
     assert equal(learner.state_dict(), state["learner"])
     # A run that has used its budget is not continued.
     again = train(with_settings(config, runs=str(tmp_path)), folder)
-    assert again.steps == 512
+    assert again.steps == 256
     assert equal(load_state(folder / "training_state.pt")["learner"], state["learner"])
 
 
-def test_a_full_replay_buffer_continues_at_the_same_place(tmp_path: Path) -> None:
-    state = load_state(train(with_settings(SAC, runs=str(tmp_path))).folder / "training_state.pt")
-    # 128 decisions were written to 64 places.
-    assert len(state["learner"]["memory"]["action"]) == 64
+def test_a_full_replay_buffer_continues_at_the_same_place(trained: Trained) -> None:
+    state = load_state(trained("sac").folder / "training_state.pt")
+    # 64 decisions were written to 32 places.
+    assert len(state["learner"]["memory"]["action"]) == 32
     assert state["learner"]["cursor"] == 0
 
 
-def test_a_state_of_other_settings_raises(tmp_path: Path) -> None:
-    folder = train(with_settings(PPO, runs=str(tmp_path))).folder
+def test_a_state_of_other_settings_raises(own_run: OwnRun, tmp_path: Path) -> None:
+    folder = own_run(PPO)
     with pytest.raises(ValueError, match="training state does not fit its settings"):
         train(with_settings(PPO, runs=str(tmp_path), hidden=(8,)), folder)
 
 
 def test_a_run_killed_before_its_first_checkpoint_starts_over(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    own_run: OwnRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder = train(with_settings(PPO, total_steps=256, runs=str(tmp_path))).folder
+    folder = own_run(PPO)
     expected = progress_of(folder)["loss_objective"]
     for name in ("checkpoint.pt", "training_state.pt"):
         (folder / name).unlink()
     capsys.readouterr()
-    assert train(with_settings(PPO, total_steps=256, runs=str(tmp_path)), folder).steps == 256
+    assert train(with_settings(PPO, runs=str(tmp_path)), folder).steps == 256
     assert f"{folder} has no checkpoint yet: its training begins from the start\n" in capsys.readouterr().out
     assert progress_of(folder)["loss_objective"] == expected
 
 
-def test_a_checkpoint_without_its_training_state_is_not_overwritten(tmp_path: Path) -> None:
-    folder = train(with_settings(PPO, total_steps=128, runs=str(tmp_path))).folder
+def test_a_checkpoint_without_its_training_state_is_not_overwritten(own_run: OwnRun, tmp_path: Path) -> None:
+    folder = own_run(PPO)
     (folder / "training_state.pt").unlink()
     with pytest.raises(ValueError, match=r"has a checkpoint, but no training_state\.pt to go on from; begin a new run"):
         train(with_settings(PPO, runs=str(tmp_path)), folder)
-    assert Checkpoint.load(folder).steps == 128
+    assert Checkpoint.load(folder).steps == 256
 
 
-def test_a_state_with_infinite_weights_raises(tmp_path: Path) -> None:
-    folder = train(with_settings(PPO, total_steps=128, runs=str(tmp_path))).folder
+def test_a_state_with_infinite_weights_raises(own_run: OwnRun, tmp_path: Path) -> None:
+    folder = own_run(PPO)
     state = load_state(folder / "training_state.pt")
     name = next(name for name in state["learner"]["loss"] if name.startswith("critic_network_params"))
     state["learner"]["loss"][name].fill_(torch.inf)
@@ -108,14 +118,14 @@ def test_a_state_with_infinite_weights_raises(tmp_path: Path) -> None:
         train(with_settings(PPO, runs=str(tmp_path)), folder)
 
 
-def test_steps_after_the_last_state_are_repeated(tmp_path: Path) -> None:
-    folder = train(with_settings(PPO, runs=str(tmp_path))).folder
+def test_steps_after_the_last_state_are_repeated(own_run: OwnRun, tmp_path: Path) -> None:
+    folder = own_run(PPO)
     progress = folder / "progress.csv"
     lines = progress.read_text().splitlines()
     # As after a kill: a row that is newer than the state, and half of another.
     progress.write_text("\n".join([*lines, lines[-1], lines[-1][:20]]))
-    train(with_settings(PPO, runs=str(tmp_path), total_steps=1024), folder)
-    assert progress_of(folder)["updates"] == list(range(1, 9))
+    train(with_settings(PPO, runs=str(tmp_path), total_steps=384), folder)
+    assert progress_of(folder)["updates"] == list(range(1, 7))
 
 
 @pytest.mark.slow
@@ -144,19 +154,21 @@ def test_a_killed_run_continues_without_gaps_or_duplicates(tmp_path: Path) -> No
         process = start(["--resume", str(folder)] if resumed else begin)
         if life % 2:
             # While worlds and networks are built.
-            time.sleep(moments.uniform(0, 4))
+            time.sleep(moments.uniform(0, 1))
         else:
             seen = rows(folder)
             wait_until(lambda seen=seen: rows(folder) > seen, process)
-            time.sleep(moments.uniform(0, 1.5))
+            time.sleep(moments.uniform(0, 0.5))
         process.kill()
-        process.wait()
+        process.join()
         if (folder / "training_state.pt").is_file():
             assert load_state(folder / "training_state.pt")["updates"] <= len(progress_of(folder)["updates"])
         if (folder / "checkpoint.pt").is_file():
             Checkpoint.load(folder)
     reached = load_state(folder / "training_state.pt")["steps"]
-    assert start(["--resume", str(folder), "--total-steps", str(reached + 160)]).wait() == 0
+    last = start(["--resume", str(folder), "--total-steps", str(reached + 160)])
+    last.join()
+    assert last.exitcode == 0
     columns = progress_of(folder)
     assert columns["updates"] == list(range(1, len(columns["updates"]) + 1))
     assert columns["steps"] == [16 * update for update in columns["updates"]]
@@ -168,15 +180,22 @@ def rows(folder: Path) -> int:
     return len(progress_of(folder).get("updates", ())) if (folder / "progress.csv").is_file() else 0
 
 
-def start(options: list[str]) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-c", "import sys; from rover_rl.cli import main; sys.exit(main())", "train", *options]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+def start(options: list[str]) -> BaseProcess:
+    process: BaseProcess = fork_server().Process(target=command, args=(["train", *options],))  # type: ignore[attr-defined]
+    process.start()
+    return process
 
 
-def wait_until(condition: Callable[[], bool], process: subprocess.Popen[bytes]) -> None:
+def command(arguments: list[str]) -> None:
+    """Runs the command line in a process of its own, without its output."""
+    sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+    sys.exit(main(arguments))
+
+
+def wait_until(condition: Callable[[], bool], process: BaseProcess) -> None:
     latest = time.monotonic() + 120
     while not condition():
-        assert process.poll() is None
+        assert process.is_alive()
         assert time.monotonic() < latest
         time.sleep(0.05)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,40 +15,46 @@ from rover_rl.algos.config_files import read_config
 from rover_rl.algos.evaluation.evaluate import draw_episodes, evaluate
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.train import train
+from rover_rl.algos.train.run import TrainingSummary
 from rover_rl.algos.train.run_folder import load_state
 from rover_rl.envs.randomization import Randomization
-from tests.algos.train.runs import BOTH, PPO, equal, progress_of
+from tests.algos.train.runs import BOTH, FIELD, PPO, WALL, equal, progress_of
+
+Trained = Callable[[str], TrainingSummary]
 
 
 @BOTH
-def test_a_run_writes_settings_progress_and_policies(config: TrainingConfig, tmp_path: Path) -> None:
-    summary = train(with_settings(config, runs=str(tmp_path)))
+def test_a_run_writes_settings_progress_and_policies(config: TrainingConfig, trained: Trained) -> None:
+    summary = trained(config.algo)
     folder = summary.folder
-    assert folder == tmp_path / f"{config.algo}-maze"
-    assert (summary.steps, summary.interrupted) == (512, False)
+    assert folder.name == f"{config.algo}-maze"
+    assert (summary.steps, summary.interrupted) == (256, False)
     names = {file.name for file in folder.iterdir()}
     assert names - {"tensorboard"} == {"config.yaml", "progress.csv", "checkpoint.pt", "training_state.pt", "snapshots"}
-    assert read_config(folder / "config.yaml") == with_settings(config, runs=str(tmp_path))
+    assert read_config(folder / "config.yaml") == with_settings(config, runs=str(folder.parent))
     columns = progress_of(folder)
     taken = config.num_envs * config.algorithm.rollout_length * config.collection.action_repeat
-    assert columns["steps"] == list(range(taken, 513, taken))
-    assert columns["updates"] == list(range(1, 512 // taken + 1))
+    assert columns["steps"] == list(range(taken, 257, taken))
+    assert columns["updates"] == list(range(1, 256 // taken + 1))
     assert columns["learning_rate"][0] == config.algorithm.learning_rate > columns["learning_rate"][-1]
-    assert sorted(file.name for file in (folder / "snapshots").iterdir()) == ["000000256.pt", "000000512.pt"]
+    assert sorted(file.name for file in (folder / "snapshots").iterdir()) == ["000000128.pt", "000000256.pt"]
     assert sum(summary.shares.values()) == pytest.approx(1)
     assert all(share >= 0 for share in summary.shares.values())
 
 
 @BOTH
-def test_a_trained_policy_can_be_evaluated(config: TrainingConfig, tmp_path: Path) -> None:
-    checkpoint = Checkpoint.load(train(with_settings(config, runs=str(tmp_path))).checkpoint)
-    assert (checkpoint.algorithm, checkpoint.steps) == (config.algo, 512)
+def test_a_trained_policy_can_be_evaluated(config: TrainingConfig, trained: Trained) -> None:
+    checkpoint = Checkpoint.load(trained(config.algo).checkpoint)
+    assert (checkpoint.algorithm, checkpoint.steps) == (config.algo, 256)
     assert len(evaluate(checkpoint.make_actor(), draw_episodes("maze", 2, 0), seconds=1).endings) == 2
 
 
 @BOTH
-def test_the_same_seed_gives_the_same_weights_to_the_last_bit(config: TrainingConfig, tmp_path: Path) -> None:
-    runs = [train(with_settings(config, runs=str(tmp_path), seed=seed)) for seed in (3, 3, 4)]
+def test_the_same_seed_gives_the_same_weights_to_the_last_bit(
+    config: TrainingConfig, trained: Trained, tmp_path: Path
+) -> None:
+    seeds = (config.seed, config.seed + 1)
+    runs = [trained(config.algo), *(train(with_settings(config, runs=str(tmp_path), seed=seed)) for seed in seeds)]
     first, again, other = (load_state(run.folder / "training_state.pt")["learner"] for run in runs)
     assert equal(first, again)
     assert not equal(first, other)
@@ -55,7 +62,7 @@ def test_the_same_seed_gives_the_same_weights_to_the_last_bit(config: TrainingCo
 
 @BOTH
 def test_a_policy_can_be_trained_in_several_worlds_at_once(config: TrainingConfig, tmp_path: Path) -> None:
-    summary = train(with_settings(config, world=("inspect", "maze"), runs=str(tmp_path)))
+    summary = train(with_settings(config, world=("inspect", "maze"), total_steps=64, runs=str(tmp_path)))
     assert summary.folder.name == f"{config.algo}-inspect-maze"
     assert read_config(summary.folder / "config.yaml").env.worlds == ("inspect", "maze")
     assert Checkpoint.load(summary.checkpoint).config.env.worlds == ("inspect", "maze")
@@ -73,29 +80,29 @@ def test_policies_can_be_trained_in_warp(config: TrainingConfig, tmp_path: Path)
         name="warp",
     )
     summary = train(config)
-    assert summary.steps == 512
+    assert summary.steps == 256
     assert read_config(summary.folder / "config.yaml").collection.workers == 1
-    again = train(with_settings(config, total_steps=640), summary.folder)
-    assert again.steps == 640
+    again = train(with_settings(config, total_steps=320), summary.folder)
+    assert again.steps == 320
 
 
 def test_the_expert_knows_the_world_of_each_rover(tmp_path: Path) -> None:
-    config = with_settings(
-        PPO, world=("maze", "maze:1"), total_steps=128, imitation=1.0, path_reward=1.0, runs=str(tmp_path)
-    )
-    assert train(config).steps == 128
+    config = with_settings(PPO, world=(FIELD, WALL), total_steps=64, imitation=1.0, path_reward=1.0, runs=str(tmp_path))
+    assert train(config).steps == 64
 
 
 def test_imitation_makes_the_experts_actions_more_likely(tmp_path: Path) -> None:
     folder = train(
         with_settings(
             PPO,
-            total_steps=2048,
+            total_steps=512,
             imitation=1.0,
             epochs=30,
+            learning_rate=3e-3,
             hidden=(64,),
             anneal=False,
-            world="moon",
+            world=FIELD,
+            minibatch=16,
             runs=str(tmp_path),
         )
     ).folder
@@ -113,12 +120,12 @@ def test_imitation_makes_the_experts_actions_more_likely(tmp_path: Path) -> None
 def test_the_time_limit_ends_a_run(tmp_path: Path) -> None:
     summary = train(with_settings(PPO, total_steps=UNLIMITED_STEPS, max_minutes=1e-6, runs=str(tmp_path)))
     assert len(progress_of(summary.folder)["steps"]) == 1
-    assert [file.name for file in (summary.folder / "snapshots").iterdir()] == ["000000128.pt"]
+    assert [file.name for file in (summary.folder / "snapshots").iterdir()] == ["000000064.pt"]
     assert not summary.interrupted
 
 
 def test_a_training_without_a_seed_draws_one_and_keeps_it(tmp_path: Path) -> None:
-    config = with_settings(PPO, seed=None, total_steps=128, runs=str(tmp_path))
+    config = with_settings(PPO, seed=None, total_steps=64, runs=str(tmp_path))
     seeds = {read_config(train(config).folder / "config.yaml").env.seed for _ in range(2)}
     assert len(seeds) == 2
     assert None not in seeds
