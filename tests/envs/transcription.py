@@ -63,7 +63,7 @@ WORLDS = {
 
 @dataclass(frozen=True)
 class Reading:
-    """Raw sensor values at one step: meters, radians, m/s, rad/s."""
+    """Raw sensor values at one step: meters, radians, m/s, rad/s. ``dt`` is the time since the last step, s."""
 
     x: float
     y: float
@@ -74,6 +74,7 @@ class Reading:
     ranges: Sequence[float]
     v: float
     w: float
+    dt: float = DT
 
 
 @dataclass(frozen=True)
@@ -217,7 +218,7 @@ class ContractRover:
         speed = max(-1.0, min(1.0, action[0]))
         offset = max(-math.pi, min(math.pi, action[1]))
         yaw = self.reading.yaw
-        return speed, self.pid(yaw + offset, yaw)
+        return speed, self.pid(yaw + offset, yaw, self.reading.dt)
 
     def step(self, reading: Reading, next_goal: Pair) -> Step:
         """Computes the result of a step from the readings after it.

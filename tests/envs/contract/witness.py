@@ -42,6 +42,7 @@ class Verdict:
     goal_before: tuple[float, float]
     goal: tuple[float, float]
     position: tuple[float, float]
+    dt: float
     expected: contract.Step
     expected_total_steps: int
 
@@ -82,9 +83,10 @@ class Witness:
             raw.ranges.tolist(),
             raw.linear_velocity.flatten().tolist(),
             raw.angular_velocity.flatten().tolist(),
+            raw.dt.flatten().tolist(),
             strict=True,
         )
-        return [contract.Reading(*p, *contract.euler(q), ranges, v, w) for p, q, ranges, v, w in columns]
+        return [contract.Reading(*p, *contract.euler(q), ranges, v, w, dt) for p, q, ranges, v, w, dt in columns]
 
     def reset(self, td: TensorDict, rows: list[int]) -> None:
         readings, goals = self.readings(), bare(self.env).goal.tolist()
@@ -116,6 +118,7 @@ class Witness:
                     goal_before=tuple(goals_before[row]),
                     goal=tuple(goals[row]),
                     position=(readings[row].x, readings[row].y),
+                    dt=readings[row].dt,
                     expected=expected,
                     expected_total_steps=rover.total_steps,
                 )
@@ -153,13 +156,21 @@ def assert_same_observation(actual: dict[str, list[float]], expected: dict[str, 
     assert_same_angle(actual["target"][1], expected["target"][1], 1e-5 + 1e-5 / max(expected["target"][0], 1e-3))
 
 
-def check_witnessed(seen: Witness) -> None:
-    """Asserts that the environment returned what the transcription requires, in every step."""
+def check_witnessed(seen: Witness, *, scans_may_be_missed: bool = False) -> None:
+    """Asserts that the environment returned what the transcription requires, in every step.
+
+    Args:
+        seen: record of the steps.
+        scans_may_be_missed: whether a step may last several control steps, as on a live rover whose scans arrive while
+            this process is busy.
+    """
     close_calls = 0
     for actual, expected in seen.first_observations:
         assert_same_observation(actual, expected)
     for v in seen.verdicts:
         assert_same_observation(v.observation, v.expected_observation)
+        control_steps = max(1, round(v.dt / contract.DT)) if scans_may_be_missed else 1
+        assert v.dt == pytest.approx(control_steps * contract.DT, abs=1e-6)
         assert v.command == pytest.approx(v.expected_command, abs=1e-4)
         assert {name: v.outcome[name] for name in contract.EVENTS} == v.expected.events
         assert not v.outcome["invalid_action"]

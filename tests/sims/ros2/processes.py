@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 
@@ -16,20 +19,89 @@ def until(condition: Callable[[], object], seconds: float = 40.0) -> None:
         time.sleep(0.01)
 
 
-COMMAND = (sys.executable, "-c", "import sys; from rover_rl.cli import main; sys.exit(main())")
+ROBOT = ("robot", "--lidar-beams", "128")
+
+# A new interpreter takes seconds to import PyTorch. The fork server imports once what the commands need; the processes
+# that it forks begin with that.
+_FORK_SERVER = multiprocessing.get_context("forkserver")
+_FORK_SERVER.set_forkserver_preload(
+    [
+        "pytest",
+        "rover_rl.cli",
+        "rover_rl.algos.deploy.driving",
+        "rover_rl.algos.evaluation.evaluate",
+        "rover_rl.sims.bullet",
+        "rover_rl.sims.ros2.dds",
+    ]
+)
 
 
-def start(environment: dict[str, str], *arguments: str) -> subprocess.Popen[str]:
-    """Starts ``rover-rl`` with arguments; its output and errors go to ``stdout``."""
-    command = [*COMMAND, *arguments]
-    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+class Command:
+    """``rover-rl`` in a process of its own, forked from a server that has imported the package.
+
+    Args:
+        environment: environment variables of the process.
+        arguments: arguments of the command line.
+    """
+
+    def __init__(self, environment: dict[str, str], *arguments: str) -> None:
+        self._output = tempfile.NamedTemporaryFile("r")  # noqa: SIM115
+        self._process = _FORK_SERVER.Process(target=_run, args=(environment, arguments, self._output.name), daemon=True)
+        self._process.start()
+
+    @property
+    def output(self) -> str:
+        """Standard output and errors so far."""
+        self._output.seek(0)
+        return self._output.read()
+
+    @property
+    def running(self) -> bool:
+        """Whether the process has not ended yet."""
+        return self._process.is_alive()
+
+    def send_signal(self, number: int) -> None:
+        """Sends a signal."""
+        assert self._process.pid is not None
+        os.kill(self._process.pid, number)
+
+    def kill(self) -> None:
+        """Kills the process and waits for its end. Does nothing to one that has ended."""
+        self._process.kill()
+        self._process.join()
+
+    def wait(self, seconds: float) -> int:
+        """Waits for the end, at most for the given time (s). Returns the exit code."""
+        self._process.join(seconds)
+        assert self._process.exitcode is not None, f"the process does not end in time; its output: {self.output}"
+        return self._process.exitcode
 
 
-def start_robot(environment: dict[str, str], *arguments: str) -> subprocess.Popen[str]:
+def _run(environment: dict[str, str], arguments: tuple[str, ...], output: str) -> None:
+    """Runs ``rover-rl`` in this process, with its output in a file."""
+    from rover_rl.cli import main
+
+    descriptor = os.open(output, os.O_WRONLY | os.O_APPEND)
+    os.dup2(descriptor, 1)
+    os.dup2(descriptor, 2)
+    os.environ.clear()
+    os.environ.update(environment)
+    sys.exit(main(list(arguments)))
+
+
+def start_robot(environment: dict[str, str], *arguments: str) -> Command:
     """Starts ``rover-rl robot``, and waits until it is ready."""
-    command = [*COMMAND, "robot", "--lidar-beams", "128", *arguments]
+    robot = Command(environment, *ROBOT, *arguments)
+    until(lambda: "on ROS 2" in robot.output or not robot.running)
+    assert robot.running, robot.output
+    return robot
+
+
+def start_fresh_robot(environment: dict[str, str]) -> subprocess.Popen[str]:
+    """Starts ``rover-rl robot`` in a new interpreter, which runs its own exit, and waits until it is ready."""
+    program = "import sys; from rover_rl.cli import main; sys.exit(main())"
     # Standard error is inherited: a full pipe that nobody reads would block the process.
-    robot = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+    robot = subprocess.Popen([sys.executable, "-c", program, *ROBOT], env=environment, stdout=subprocess.PIPE, text=True)
     assert robot.stdout is not None
     assert "on ROS 2" in robot.stdout.readline()
     return robot

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import signal
-import subprocess
+import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -23,7 +23,7 @@ from rover_rl.cli import main
 from rover_rl.sims.ros2.dds import DdsTransport
 from rover_rl.sims.ros2.messages import Odometry, Point, PoseArray, Twist
 from rover_rl.sims.ros2.pose_reset import TargetPose, TopicPlacer
-from tests.sims.ros2.processes import start, start_robot, until
+from tests.sims.ros2.processes import Command, start_robot, until
 
 pytestmark = [pytest.mark.ros2, pytest.mark.slow]
 
@@ -38,11 +38,10 @@ def environment(domain) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def robot(environment) -> Iterator[subprocess.Popen[str]]:
+def robot(environment) -> Iterator[Command]:
     robot = start_robot(environment, "--world", "maze")
     yield robot
     robot.kill()
-    robot.communicate()
 
 
 class Observer:
@@ -50,12 +49,21 @@ class Observer:
 
     def __init__(self, environment: dict[str, str]) -> None:
         self.twists: list[Twist] = []
+        self._received = 0.0
         self.speed = 0.0
         self.position = Point(math.inf)
         self.transport = DdsTransport("observer", environment)
-        self.transport.subscribe("/cmd_vel", Twist, self.twists.append)
+        self.transport.subscribe("/cmd_vel", Twist, self._receive_twist)
         self.transport.subscribe("/odometry/wheels", Odometry, self._receive_odometry)
         self.transport.subscribe("/rover/pose_array", PoseArray, self._receive_pose)
+
+    def is_silent(self) -> bool:
+        """Whether no command has arrived for 0.3 s."""
+        return time.monotonic() - self._received > 0.3
+
+    def _receive_twist(self, twist: Twist) -> None:
+        self.twists.append(twist)
+        self._received = time.monotonic()
 
     def _receive_odometry(self, odometry: Odometry) -> None:
         self.speed = abs(odometry.twist.twist.linear.x)
@@ -78,31 +86,30 @@ def observer(environment, robot) -> Iterator[Observer]:
 
 
 @pytest.fixture
-def driving(environment) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+def driving(environment) -> Iterator[Callable[..., Command]]:
     """Starts ``rover-rl drive`` with arguments; kills all started processes at the end."""
-    started: list[subprocess.Popen[str]] = []
+    started: list[Command] = []
 
-    def drive(*arguments: str, variables: dict[str, str] = environment) -> subprocess.Popen[str]:
-        started.append(start(variables, "drive", *arguments))
+    def drive(*arguments: str) -> Command:
+        started.append(Command(environment, "drive", *arguments))
         return started[-1]
 
     yield drive
     for process in started:
         process.kill()
-        process.communicate()
 
 
 def test_drive_writes_a_log_that_evaluate_reads(driving, observer, tmp_path):
     log = tmp_path / "drive.jsonl"
     goals = ("--random", "2", "--seconds", "5", "--clearance", "0")
     drive = driving("pretrained:maze-ppo", *goals, "--log", str(log))
-    output, _ = drive.communicate(timeout=90)
-    assert drive.returncode in (0, 1), output
-    assert output.count("goal 1,") == output.count("goal 2,") == 1
+    code = drive.wait(90)
+    assert code in (0, 1), drive.output
+    assert drive.output.count("goal 1,") == drive.output.count("goal 2,") == 1
     (drives,) = read_drives(log)
     endings = drives.endings
     assert len(endings) == 2
-    assert (drive.returncode == 0) == (endings == ["goal", "goal"])
+    assert (code == 0) == (endings == ["goal", "goal"])
     assert main(["evaluate", str(log), "--out", str(tmp_path)]) == 0
     assert (tmp_path / "paths-drive.png").is_file()
 
@@ -112,8 +119,7 @@ def test_a_signal_stops_the_rover(driving, observer, tmp_path, number):
     drive = driving("scripted", "--world", "maze", *FAR, "--log", str(tmp_path / "drive.jsonl"))
     until(lambda: observer.speed > 0.1)
     drive.send_signal(number)
-    output, _ = drive.communicate(timeout=20)
-    assert drive.returncode == 130, output
+    assert drive.wait(20) == 130, drive.output
     assert observer.twists[-1] == observer.twists[-2] == Twist()
     until(lambda: observer.speed < 0.01, seconds=5)
 
@@ -143,10 +149,9 @@ def test_an_interrupt_suppressed_by_a_library_stops_the_rover_at_the_next_step(
 def test_a_dry_run_sends_nothing(driving, observer, tmp_path):
     options = ("--dry-run", "--seconds", "1", "--log", str(tmp_path / "drive.jsonl"))
     drive = driving("scripted", "--world", "maze", *FAR, *options)
-    output, _ = drive.communicate(timeout=60)
-    assert drive.returncode == 1, output
-    assert output.count("m/s") >= 2 * 5
-    assert "goal 1, 9.00 9.00: time limit" in output
+    assert drive.wait(60) == 1, drive.output
+    assert drive.output.count("m/s") >= 2 * 5
+    assert "goal 1, 9.00 9.00: time limit" in drive.output
     assert not observer.twists
     assert observer.speed < 0.01
 
@@ -157,11 +162,11 @@ def test_silent_sensors_stop_the_rover(driving, robot, observer, tmp_path):
     until(lambda: observer.speed > 0.1)
     robot.send_signal(signal.SIGSTOP)
     try:
-        output, _ = drive.communicate(timeout=30)
+        code = drive.wait(30)
     finally:
         robot.send_signal(signal.SIGCONT)
-    assert drive.returncode == 2, output
-    assert "rover-rl: lost the robot: " in output
+    assert code == 2, drive.output
+    assert "rover-rl: lost the robot: " in drive.output
     assert read_drives(log)[0].endings == ["stopped"]
     until(lambda: observer.speed < 0.01)
 
@@ -170,20 +175,19 @@ def test_the_watchdog_stops_the_rover_if_the_process_is_killed(driving, observer
     drive = driving("scripted", "--world", "maze", *FAR, "--log", str(tmp_path / "drive.jsonl"))
     until(lambda: observer.speed > 0.1)
     drive.kill()
-    drive.wait()
     observer.twists.clear()
     until(lambda: observer.twists.count(Twist()) > 10, seconds=5)
     assert observer.twists[-1] == Twist()
+    # The watchdog sends stop commands for two seconds, also to the rover of the next test.
+    until(observer.is_silent)
 
 
-def test_drive_without_a_robot_reports_an_error(driving, tmp_path, domain):
+def test_drive_without_a_robot_reports_an_error(tmp_path, domain):
     alone = {**os.environ, **domain, "ROS_DOMAIN_ID": str(int(domain["ROS_DOMAIN_ID"]) + 4)}
-    drive = start(
-        alone, "drive", "scripted", "--world", "maze", *FAR, "--wait", "1", "--log", str(tmp_path / "drive.jsonl")
-    )
-    output, _ = drive.communicate(timeout=60)
-    assert drive.returncode == 2, output
-    assert "rover-rl: lost the robot: /scan (scan): no message has arrived yet" in output
+    options = ("--wait", "0.2", "--log", str(tmp_path / "drive.jsonl"))
+    drive = Command(alone, "drive", "scripted", "--world", "maze", *FAR, *options)
+    assert drive.wait(60) == 2, drive.output
+    assert "rover-rl: lost the robot: /scan (scan): no message has arrived yet" in drive.output
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from rover_rl.sims.ros2.cdr import encode
 from rover_rl.sims.ros2.dds import DdsTransport
 from rover_rl.sims.ros2.messages import Header, LaserScan, Time, Twist, Vector3
 from rover_rl.sims.ros2.pose_reset import GazeboPlacer, PoseResetError, TargetPose
-from tests.sims.ros2.processes import start, until
+from tests.sims.ros2.processes import Command, until
 
 pytestmark = [pytest.mark.ros2, pytest.mark.slow]
 
@@ -110,10 +110,9 @@ def bad_scan(ranges: list[float], increment: float = 2 * math.pi / 640, announce
 def test_a_drive_with_unusable_scans_from_fast_dds_is_rejected(start_peer, domain, tmp_path, scan, message):
     peer = start_peer(scan)
     options = ("--world", "maze", "--goal", "1", "1", "--wait", "20", "--log", str(tmp_path / "drive.jsonl"))
-    drive = start({**os.environ, **domain}, "drive", "scripted", *options)
-    output, _ = drive.communicate(timeout=60)
-    assert drive.returncode == 2, output
-    assert [message in line for line in output.splitlines() if line.startswith("rover-rl:")] == [True]
+    drive = Command({**os.environ, **domain}, "drive", "scripted", *options)
+    assert drive.wait(60) == 2, drive.output
+    assert [message in line for line in drive.output.splitlines() if line.startswith("rover-rl:")] == [True]
     peer.kill()
     twists, _ = peer.communicate()
     assert set(twists.split()) <= {encode(Twist()).hex()}
