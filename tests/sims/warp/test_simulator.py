@@ -19,10 +19,10 @@ ROVER = get_robot("rover_zero")
 
 
 def test_missing_warp_raises_with_install_command(monkeypatch):
-    for name in [name for name in sys.modules if name.startswith("rover_rl.sims.warp.")]:
+    for name in [name for name in sys.modules if name.startswith(("rover_rl.sims.warp.", "rover_rl.sims.native.warp"))]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "warp", None)
-    with pytest.raises(ImportError, match=r"backend='warp' needs NVIDIA Warp: pip install 'rover_rl\[warp\]'"):
+    with pytest.raises(ImportError, match="backend='warp' need NVIDIA Warp: pip install warp-lang"):
         RoverEnv(backend="warp")
 
 
