@@ -7,7 +7,7 @@ import torch
 
 from rover_rl.sims import Simulator, make_simulator
 from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain, World, box
+from rover_rl.sims.worlds import Terrain, World, box, get_world
 from tests.extras import needs_mujoco
 
 ROVER = get_robot("rover_zero")
@@ -88,6 +88,18 @@ def test_rows_may_be_in_different_worlds(backend):
     state = sim.reset(all_rows(3), torch.zeros(3, 3))
     assert torch.isinf(state.ranges[:2, 0]).all()
     assert state.ranges[2, 0] == pytest.approx(2.5 - 0.174, abs=0.01)
+
+
+def test_render_has_a_chase_view_and_a_top_view(backend):
+    sim = simulator(backend, [get_world("moon")])
+    for view in ("chase", "top"):
+        image = sim.render(0, view, 64, 48, torch.tensor([1.0, 1.0]))
+        assert image.shape == (48, 64, 3)
+        assert image.dtype == torch.uint8
+        assert image.float().std() > 5
+    with pytest.raises(ValueError, match=r"unknown view 'side'.*'chase' or 'top'"):
+        sim.render(0, "side", 64, 48)
+    sim.close()
 
 
 def test_rendering_after_close_and_in_several_worlds(backend):

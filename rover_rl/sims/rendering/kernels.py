@@ -209,7 +209,7 @@ def ground_pattern(x: float, y: float, width: float) -> float:
     brightness = 1.0 + 0.12 * wp.noise(seed, 0.4 * at)
     detail = 1.0 - 20.0 * width
     if detail > 0.0:
-        brightness += detail * (0.10 * wp.noise(seed, 4.0 * at) + 0.10 * wp.noise(seed, 19.0 * at))
+        brightness += detail * (0.08 * wp.noise(seed, 4.0 * at) + 0.06 * wp.noise(seed, 19.0 * at))
     lines = wp.max(line_coverage(x, width), line_coverage(y, width))
     return brightness * (1.0 - LINE_SHADE * lines)
 

@@ -39,7 +39,7 @@ def test_lines_are_drawn_over_what_the_simulator_renders(yaw: float) -> None:
     goal = 4 * torch.tensor([[math.cos(yaw + 0.2), math.sin(yaw + 0.2)]])
     env.reset(start=torch.tensor([[0.0, 0.0, yaw]]), goal=goal)
     picture = env.render(width=320, height=240).int()
-    post = (picture[..., 1:2] > picture[..., ::2] + 60).all(-1).nonzero()
+    post = (picture[..., 1:2] > picture[..., ::2] + 35).all(-1).nonzero()
     env.close()
     ends = torch.tensor([[*goal[0].tolist(), height] for height in (0.0, 1.2)])
     pixels, seen = chase(env).see(ends, 320, 240)

@@ -215,35 +215,3 @@ def test_training_evaluation_and_gymnasium_run_without_pybullet(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "PyBullet is not installed: pip install 'rover_rl[bullet]'" in done.stdout
     assert "'warp' or 'mujoco'" in done.stdout
-
-
-PICTURE_WITHOUT_BULLET = """
-import sys
-sys.modules["pybullet"] = None
-import torch
-from rover_rl import RoverEnv, World
-from rover_rl.sims.worlds import Terrain, box
-world = World("box", Terrain.flat((20, 20)), [box((3, 2, 0.5), (1, 1, 1))], spawn_range=((-1, 1), (-1, 1)))
-simulator = RoverEnv(world_n=world, backend="mujoco").simulator
-simulator.reset(torch.ones(1, dtype=torch.bool), torch.zeros(1, 3))
-try:
-    image = simulator.render(0, "chase", 96, 72, torch.tensor([2.0, 0.0])).float()
-except ImportError as error:
-    print(error)
-else:
-    simulator.close()
-    red, green, blue = image.unbind(-1)
-    # The chassis is orange, the post of the goal green.
-    print("orange", int(((red > 1.4 * green) & (green > 1.4 * blue)).sum()))
-    print("green", int(((green > 2 * red) & (green > 2 * blue)).sum()))
-"""
-
-
-def test_pictures_without_pybullet_show_the_rover_and_the_goal():
-    done = subprocess.run([sys.executable, "-c", PICTURE_WITHOUT_BULLET], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    if "pictures need PyBullet" in done.stdout:
-        pytest.skip("needs OpenGL without a display")
-    counts = dict(line.split() for line in done.stdout.splitlines())
-    assert int(counts["orange"]) > 10
-    assert int(counts["green"]) > 5

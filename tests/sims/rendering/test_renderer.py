@@ -1,0 +1,229 @@
+"""Pictures of a rover in its world."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from rover_rl.sims.rendering import scene
+from rover_rl.sims.rendering.cache import RendererCache
+from rover_rl.sims.rendering.camera import Camera
+from rover_rl.sims.rendering.scenery import SUN
+from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.rotations import quaternion_product
+from rover_rl.sims.worlds import Terrain, World, box
+
+ROVER = get_robot("rover_zero")
+FLAT = World("flat", Terrain.flat((20, 20)))
+
+
+def pose(x: float = 0.0, y: float = 0.0, z: float = 0.0, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0):
+    """Position and quaternion of successive rotations about the fixed axes x, y and z, ``[7]``."""
+    turn = torch.tensor((0.0, 0.0, 0.0, 1.0), dtype=torch.float64)
+    for axis, angle in enumerate((roll, pitch, yaw)):
+        one = torch.zeros(4, dtype=torch.float64)
+        one[axis], one[3] = math.sin(angle / 2), math.cos(angle / 2)
+        turn = quaternion_product(one, turn)
+    return torch.cat((torch.tensor((x, y, z), dtype=torch.float64), turn))
+
+
+def render(world: World = FLAT, at: Tensor | None = None, view="chase", size=(160, 120), goal=None, robot=ROVER):
+    """Renders one picture, int ``[height, width, 3]``."""
+    goal = None if goal is None else torch.tensor(goal)
+    return RendererCache(robot).render(world, pose() if at is None else at, view, *size, goal).int()
+
+
+def is_orange(image: Tensor) -> Tensor:
+    """Pixels of the chassis."""
+    red, green, blue = image.unbind(-1)
+    return (red > 1.4 * green) & (green > 1.4 * blue)
+
+
+def is_green(image: Tensor) -> Tensor:
+    """Pixels of the post of the goal."""
+    red, green, blue = image.unbind(-1)
+    return (green > 1.5 * red) & (green > 1.5 * blue)
+
+
+def is_blue(image: Tensor) -> Tensor:
+    """Pixels of the lidar."""
+    red, green, blue = image.unbind(-1)
+    return (blue > 1.5 * green) & (blue > 1.5 * red)
+
+
+def pixels_of(points: Tensor, at: Tensor, view, size, world: World = FLAT) -> Tensor:
+    """Columns and rows of the pixels that the camera assigns to points, int64 ``[..., 2]``."""
+    position, orientation = at.split((3, 4))
+    pixels, seen = Camera.on(position, orientation, world, view).see(points, *size)
+    assert seen.all()
+    return pixels.floor().long()
+
+
+@pytest.mark.parametrize("view", ["chase", "top"])
+def test_the_rover_is_seen_where_it_is(view):
+    image = render(at=pose(3.0, -2.0, yaw=1.0), view=view)
+    rows, columns = is_orange(image).nonzero().float().mean(0)
+    # The chase camera looks ahead of the rover, which is below the center of the picture.
+    assert 50 < rows < 90
+    assert columns == pytest.approx(80, abs=4)
+
+
+@pytest.mark.parametrize("view", ["chase", "top"])
+def test_the_goal_is_seen_only_if_there_is_one(view):
+    assert is_green(render(view=view, goal=(2.0, 0.0), size=(320, 240))).sum() > 10
+    assert is_green(render(view=view, size=(320, 240))).sum() == 0
+
+
+def test_an_obstacle_hides_the_goal():
+    wall = World("wall", Terrain.flat((20, 20)), [box((3.0, 0.0, 1.5), (0.5, 6.0, 3.0))])
+    assert is_green(render(goal=(5.0, 0.0))).sum() > 10
+    assert is_green(render(wall, goal=(5.0, 0.0))).sum() == 0
+
+
+def test_the_post_stands_on_the_ground():
+    hill = World("hill", Terrain.flat((20, 20), height=3.0))
+    at = pose(z=3.0)
+    image = render(hill, at, goal=(3.0, 0.0), size=(320, 240))
+    rows = is_green(image).nonzero()[:, 0]
+    bottom_and_top = pixels_of(torch.tensor([[3.0, 0.0, 3.0], [3.0, 0.0, 4.2]]), at, "chase", (320, 240), hill)[:, 1]
+    torch.testing.assert_close(torch.stack((rows.max(), rows.min())), bottom_and_top, atol=4, rtol=0)
+
+
+@pytest.mark.parametrize("view", ["chase", "top"])
+@pytest.mark.parametrize("size", [(640, 480), (300, 600)])
+def test_points_of_the_post_are_where_the_camera_projects_them(view, size):
+    at, goal = pose(1.0, 2.0, yaw=0.7), (3.2, 3.4)
+    image = render(at=at, view=view, goal=goal, size=size)
+    # The axis of the post and points 3 cm inside of its surface, from left to right in the chase view.
+    heights = torch.linspace(0.1, 1.15, 8).repeat_interleave(3)
+    sides = torch.tensor((-0.05, 0.0, 0.05)).repeat(8)
+    points = torch.stack((goal[0] - sides * math.sin(0.7), goal[1] + sides * math.cos(0.7), heights), -1)
+    columns, rows = pixels_of(points, at, view, size).unbind(-1)
+    assert is_green(image[rows, columns]).all()
+    if view == "chase":
+        center = is_green(image).nonzero()[:, 1].float().mean()
+        assert center == pytest.approx(columns.float().mean(), abs=1)
+
+
+@pytest.mark.parametrize("view", ["chase", "top"])
+@pytest.mark.parametrize(("roll", "pitch", "yaw"), [(0, 0, 2.0), (0.5, 0, 0), (0, 0.5, 0), (0.3, -0.3, -1.0)])
+def test_the_rover_turns_with_its_pose(view, roll, pitch, yaw):
+    size = (640, 480)
+    at = pose(1.0, -1.0, 0.2, roll, pitch, yaw)
+    rotated = at[3:]
+    # The middle of the lidar's top, in the base frame.
+    top = torch.tensor((0.174, 0.0, 0.345), dtype=torch.float64)
+    twice = 2 * torch.linalg.cross(rotated[:3], top)
+    point = at[:3] + top + rotated[3] * twice + torch.linalg.cross(rotated[:3], twice)
+    column, row = pixels_of(point, at, view, size)
+    assert is_blue(render(at=at, view=view, size=size)[row, column])
+
+
+def brightness(image: Tensor, points: Tensor, at: Tensor, world: World, size) -> Tensor:
+    columns, rows = pixels_of(points, at, "top", size, world).unbind(-1)
+    return image[rows, columns].float().mean(-1)
+
+
+def test_shadows_fall_away_from_the_sun():
+    size, at = (320, 240), pose(-4.0, -4.0)
+    world = World("block", Terrain.flat((20, 20)), [box((0.0, 0.0, 0.5), (0.6, 0.6, 1.0))])
+    image = render(world, at, "top", size)
+    away = -torch.tensor((*SUN[:2], 0.0)) / math.hypot(*SUN[:2])
+    # The shadow of a block of 1 m ends at this distance from its edges.
+    length = math.hypot(*SUN[:2]) / SUN[2]
+    points = torch.stack((0.8 * length * away, -0.8 * length * away, (length + 1.0) * away))
+    shadow, opposite, beyond = brightness(image, points, at, world, size).tolist()
+    assert shadow < 0.75 * opposite
+    assert shadow < 0.75 * beyond
+    assert opposite == pytest.approx(beyond, rel=0.1)
+
+
+def test_the_rover_casts_a_shadow():
+    size, at = (320, 240), pose(yaw=0.3)
+    image = render(at=at, view="top", size=size)
+    away = -torch.tensor((*SUN[:2], 0.0)) / math.hypot(*SUN[:2])
+    shadow, opposite = brightness(image, torch.stack((0.45 * away, -0.45 * away)), at, FLAT, size)
+    assert shadow < 0.75 * opposite
+
+
+def test_the_sky_is_above_the_horizon_and_hills_are_shaded():
+    x = torch.linspace(-10, 10, 81)
+    hills = World("hills", Terrain(0.3 * torch.sin(2 * x).expand(81, 81), 0.25))
+    image = render(hills, pose(z=0.3))
+    red, _, blue = image.float().unbind(-1)
+    assert (blue[:5] > red[:5]).all()
+    assert (blue[60:] < red[60:]).float().mean() > 0.8
+    # Slopes toward the sun are brighter than the others.
+    assert red[60:, :40].std() > 2 * render().float()[60:, :40, 0].std()
+
+
+def test_ground_continues_around_the_terrain():
+    small = World("small", Terrain.flat((4, 4)), bounds=((-2, 2), (-2, 2)))
+    difference = (render(small, view="top") - render(view="top")).abs()
+    assert difference.max() <= 3
+
+
+@pytest.mark.parametrize("size", [(1, 1), (7, 64), (64, 7)])
+def test_images_have_the_size_asked_for(size):
+    image = RendererCache(ROVER).render(FLAT, pose(), "chase", *size)
+    assert image.shape == (size[1], size[0], 3)
+    assert image.dtype == torch.uint8
+
+
+@pytest.mark.parametrize(("size", "message"), [((0, 10), "width .* got 0"), ((10, 9000), "height .* got 9000")])
+def test_sizes_out_of_range_are_rejected(size, message):
+    with pytest.raises(ValueError, match=message):
+        render(size=size)
+
+
+def test_an_unknown_view_is_rejected():
+    with pytest.raises(ValueError, match=r"unknown view 'side'; use 'chase' or 'top'"):
+        render(view="side")
+
+
+def test_the_same_pose_gives_the_same_bytes_with_any_number_of_threads(monkeypatch):
+    at, goal = pose(0.5, 0.5, 0.01, 0.05, 0.1, 0.8), torch.tensor((2.0, 2.0))
+    images = []
+    for threads in (1, 1, 5):
+        monkeypatch.setattr(scene, "MAX_THREADS", threads)
+        monkeypatch.setattr(scene.os, "cpu_count", lambda: 8)
+        images.append(RendererCache(ROVER).render(FLAT, at, "chase", 97, 71, goal))
+    assert torch.equal(images[0], images[1])
+    assert torch.equal(images[0], images[2])
+
+
+def test_pictures_need_neither_pybullet_nor_mujoco_nor_opengl():
+    code = """
+import sys
+for name in ("pybullet", "mujoco", "OpenGL", "glfw"):
+    sys.modules[name] = None
+import torch
+from rover_rl.sims.rendering.cache import RendererCache
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.worlds import Terrain, World
+assert "warp" not in sys.modules and "trimesh" not in sys.modules
+pose = torch.tensor((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), dtype=torch.float64)
+world = World("flat", Terrain.flat((20, 20)))
+image = RendererCache(get_robot("rover_zero")).render(world, pose, "chase", 80, 60, torch.tensor((2.0, 0.0)))
+sys.stdout.buffer.write(image.numpy().tobytes())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
+    assert done.stdout == bytes(render(goal=(2.0, 0.0), size=(80, 60)).byte().numpy())
+
+
+def test_a_pose_that_is_not_a_number_gives_a_picture():
+    assert render(at=torch.full((7,), math.nan, dtype=torch.float64)).shape == (120, 160, 3)
+
+
+def test_a_robot_that_cannot_be_rendered_raises(tmp_path):
+    urdf = tmp_path / "rover.urdf"
+    urdf.write_text(ROVER.urdf.read_text().replace('<box size="0.36 0.20 0.10"/>', '<mesh filename="lost.stl"/>'))
+    robot: Robot = replace(ROVER, urdf=urdf)
+    with pytest.raises(ValueError, match=r"'rover_zero' cannot be rendered .*'lost.stl' does not exist"):
+        render(robot=robot)
