@@ -15,7 +15,6 @@ author = "The rover_rl authors"
 copyright = author
 release = version = __version__
 language = "en"
-smartquotes = False  # --option stays --option
 
 extensions = [
     "sphinx.ext.autodoc",
@@ -63,6 +62,7 @@ autodoc_inherit_docstrings = False
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_rtype = False
+napoleon_use_ivar = True
 napoleon_preprocess_types = False
 viewcode_line_numbers = True
 
@@ -83,7 +83,7 @@ nitpick_ignore = [
 ]
 autodoc_type_aliases = {
     "RoverEnv": "rover_rl.RoverEnv",
-    **{name: f"rover_rl.envs.config.{name}" for name in ("BackendLike", "RewardLike", "RobotLike", "WorldLike")},
+    **{name: name for name in ("BackendLike", "RewardLike", "RobotLike", "WorldLike")},
 }
 
 sphinx_gallery_conf = {

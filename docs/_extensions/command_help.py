@@ -62,7 +62,7 @@ class CommandHelp(SphinxDirective):
         prefix = nodes.make_id(f"rover-rl {self.arguments[0]}")
         known = {head for group in self._other_options() for head, _ in group}
         yielded = [nodes.literal_block(_plain(usage), _plain(usage), language="text")]
-        yielded += [nodes.paragraph(text=text.replace("``", "")) for text in description]
+        yielded += [nodes.paragraph("", "", *_words(text)) for text in description]
         for title, options in boxes.items():
             options = [(head, text) for head, text in options if head not in known]
             if not options:
@@ -143,10 +143,21 @@ def _options(options: list[tuple[str, list[str]]], prefix: str) -> nodes.definit
     for head, text in options:
         name = nodes.make_id(f"{prefix} {head.split()[0]}")
         term = nodes.term("", "", nodes.literal(text=_plain(head)), ids=[name])
-        help_line = re.sub(r" ?\(default: (None)?\)$", "", " ".join(text)).replace("``", "")
-        definition = nodes.definition("", nodes.paragraph(text=help_line))
+        line = re.sub(r" ?\(default: (None)?\)$", "", " ".join(text))
+        definition = nodes.definition("", nodes.paragraph("", "", *_words(line)))
         listed += nodes.definition_list_item("", term, definition)
     return listed
+
+
+def _words(text: str) -> list[nodes.Node]:
+    """Returns a text with its options, pages and code as literals."""
+    parts = re.split(r"``(.+?)``|((?<!\S)--[a-z][\w.-]*\w|\bdocs/\w+\.md)", text)
+    texts, *codes = parts[::3], parts[1::3], parts[2::3]
+    found: list[nodes.Node] = []
+    for number, plain in enumerate(texts):
+        found.append(nodes.Text(plain))
+        found += [nodes.literal(text=code[number]) for code in codes if number < len(code) and code[number]]
+    return found
 
 
 def _plain(head: str) -> str:

@@ -22,9 +22,17 @@ def setup(app: Sphinx) -> dict[str, Any]:
     """Connects the extension to a build."""
     app.connect("missing-reference", resolve)
     app.connect("html-page-context", unlink_source)
+    app.connect("autodoc-process-signature", shorten_factories)
     # Before napoleon, whose priority is 500.
     app.connect("autodoc-process-docstring", keep_colon, priority=400)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def shorten_factories(
+    app: Sphinx, what: str, name: str, thing: object, options: object, signature: str | None, returned: str | None
+) -> tuple[str | None, str | None]:
+    """Writes defaults that a dataclass computes as ``...``, which Sphinx can parse."""
+    return signature and signature.replace("<factory>", "..."), returned
 
 
 def keep_colon(app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
