@@ -27,9 +27,10 @@ from rover_rl.sims.differential_drive import SimulatedDrive
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 from tests.accelerator import Accelerator, accelerator
+from tests.algos.train.runs import FIELD, WALL
 
 ROVERS = 6
-WORLDS = ("maze", "maze:1")
+WORLDS = (FIELD, WALL)
 
 
 class SlidingBackend:
@@ -108,7 +109,7 @@ def _stepped(on: Accelerator | None) -> tuple[list[dict[str, Tensor]], list[str]
     env = _env(on)
     td = env.reset()
     seen, looks = [], []
-    for step in range(40):
+    for step in range(16):
         action = torch.tensor([[0.9, 0.3], [-0.5, 2.0]], device=env.device).repeat(ROVERS // 2, 1)
         if on is not None:
             on.looks.clear()
@@ -153,7 +154,7 @@ def _env(on: Accelerator | None) -> TransformedEnv:
     return make_env(
         world_n=WORLDS,
         num_envs=ROVERS,
-        length=30,
+        length=12,
         backend=SlidingBackend(),
         randomization=Randomization.typical(),
         seed=0,

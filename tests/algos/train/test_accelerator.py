@@ -6,19 +6,19 @@ PyTorch gets a simulated device, so that no GPU is needed. Tests on a real one a
 from __future__ import annotations
 
 from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from typing import Any
 
 import pytest
 import torch
 
 from tests.algos.train.accelerated import LEARNERS, on_both
+from tests.fork_server import fork_server
 
 
 @pytest.fixture(scope="module")
 def found() -> dict[str, Any]:
     # In a separate process, because such a device cannot be removed from PyTorch.
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(1, fork_server()) as pool:
         return pool.submit(on_both).result()
 
 
