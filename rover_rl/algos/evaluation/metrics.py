@@ -18,7 +18,6 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-from scipy.stats import DegenerateDataWarning, binomtest, bootstrap
 from torch import Tensor
 
 from rover_rl.sims.robots import Robot
@@ -39,8 +38,6 @@ TOUCH = 0.01
 """Largest distance between the body and an obstacle that counts as a contact, m."""
 RESAMPLES = 2000
 """Number of bootstrap resamples."""
-_RNG = "rng" if "rng" in signature(bootstrap).parameters else "random_state"
-"""Name of the random generator's argument of ``scipy.stats.bootstrap``, which SciPy 1.15 renames."""
 _OUTLINE_SPACING = 0.02
 """Largest distance between neighboring points of the rover's outline, m."""
 _CHUNK = 4096
@@ -181,6 +178,9 @@ def proportion(successes: int, count: int) -> Estimate:
     """
     if not count:
         return Estimate(math.nan, math.nan, math.nan)
+    # Importing scipy.stats takes about a second, and most programs that import this module compute no metrics.
+    from scipy.stats import binomtest
+
     interval = binomtest(successes, count).proportion_ci(confidence_level=0.95, method="wilson")
     return Estimate(successes / count, float(interval.low), float(interval.high))
 
@@ -207,6 +207,10 @@ def ratio(numerators: Sequence[float], denominators: Sequence[float] | None = No
     value = (top.sum() / bottom.sum()).item() if counted else math.nan
     if counted < 2 or math.isnan(value):
         return Estimate(value, math.nan, math.nan)
+    from scipy.stats import DegenerateDataWarning, bootstrap
+
+    # SciPy 1.15 renames the argument.
+    rng = "rng" if "rng" in signature(bootstrap).parameters else "random_state"
     with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
         # SciPy warns when its own interval is nan because of 0 / 0.
         warnings.simplefilter("ignore", DegenerateDataWarning)
@@ -217,7 +221,7 @@ def ratio(numerators: Sequence[float], denominators: Sequence[float] | None = No
             vectorized=True,
             paired=True,
             method="percentile",
-            **{_RNG: np.random.default_rng(0)},
+            **{rng: np.random.default_rng(0)},
         ).bootstrap_distribution
     # Unlike SciPy's interval, this one skips nan and does not interpolate between infinities, which would give nan.
     low, high = np.nanquantile(resampled, (0.025, 0.975), method="nearest").tolist()
