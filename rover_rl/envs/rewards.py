@@ -27,7 +27,7 @@ from rover_rl.tensordicts import unchecked_tensordict
 class RewardComponent(Transform):
     """Base class of reward components. The value is written to ``("reward_components", name)``.
 
-    Subclasses define :attr:`name`, :attr:`phases` and :meth:`value`.
+    Subclasses define ``name``, ``phases`` and :meth:`value`.
 
     Attributes:
         name: name of the component.
