@@ -42,30 +42,38 @@ def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
         assert torch.equal(a[key], b[key]), f"{key} differs first at step {(a[key] != b[key]).nonzero()[0, 0].item()}"
 
 
+SEED = 240
+"""Seed of the rover that is compared. Row k of a batch with the seed s is the single rover with the seed s + k."""
+SETTINGS = {"lidar_beams": 32, "length": 100}
+
+
 @pytest.mark.parametrize(
-    ("backend", "world", "num_envs", "row", "steps"),
+    ("backend", "world", "batches"),
     [
-        ("bullet", "maze", 16, 5, 1000),
-        ("bullet", "maze", 256, 200, 1000),
-        ("bullet", "moon", 16, 15, 250),
-        ("bullet", "inspect", 16, 0, 250),
-        ("warp", "maze", 256, 200, 1000),
-        ("warp", "moon", 16, 15, 250),
-        ("warp", "inspect", 33, 0, 250),
-        pytest.param("mujoco", "maze", 16, 5, 400, marks=needs_mujoco),
-        pytest.param("mujoco", "moon", 16, 15, 210, marks=needs_mujoco),
+        # One step of 256 rovers in Bullet takes a tenth of a second: they are compared over one episode and the
+        # beginning of the next, and the batch of 16 over ten episodes.
+        ("bullet", "maze", [(16, 5, 1000), (256, 200, 110)]),
+        ("bullet", "moon", [(16, 15, 150)]),
+        ("bullet", "inspect", [(16, 0, 150)]),
+        ("warp", "maze", [(256, 200, 1000)]),
+        ("warp", "moon", [(16, 15, 150)]),
+        ("warp", "inspect", [(33, 0, 150)]),
+        pytest.param("mujoco", "maze", [(16, 5, 250)], marks=needs_mujoco),
+        pytest.param("mujoco", "moon", [(16, 15, 150)], marks=needs_mujoco),
     ],
 )
-def test_a_rover_is_the_same_alone_and_in_a_batch(backend, world, num_envs, row, steps):
-    settings = {"backend": backend, "world_n": world, "lidar_beams": 32, "length": 200}
-    single = make_env(num_envs=1, seed=40 + row, **settings)
-    row_actions = actions_of_one_row(single, steps)
-    expected = trajectory(single, steps, 0, row_actions)
-    batch = make_env(num_envs=num_envs, seed=40, **settings)
-    assert_same(trajectory(batch, steps, row, row_actions), expected)
-    # The comparison is meaningful: the rover moved, and episodes ended.
-    assert expected["pose"].std(0)[:2].max() > 0.05
-    assert expected["done"].any()
+def test_a_rover_is_the_same_alone_and_in_a_batch(backend, world, batches):
+    """Each batch is a number of rovers, the row of the compared rover and the number of compared steps."""
+    single = make_env(backend=backend, world_n=world, num_envs=1, seed=SEED, **SETTINGS)
+    row_actions = actions_of_one_row(single, max(steps for _, _, steps in batches))
+    alone = trajectory(single, len(row_actions), 0, row_actions)
+    for num_envs, row, steps in batches:
+        batch = make_env(backend=backend, world_n=world, num_envs=num_envs, seed=SEED - row, **SETTINGS)
+        expected = {key: values[:steps] for key, values in alone.items()}
+        assert_same(trajectory(batch, steps, row, row_actions[:steps]), expected)
+        # The comparison is meaningful: the rover moved, and episodes ended.
+        assert expected["pose"].std(0)[:2].max() > 0.05
+        assert expected["done"].any()
 
 
 @pytest.mark.parametrize(
@@ -74,9 +82,9 @@ def test_a_rover_is_the_same_alone_and_in_a_batch(backend, world, num_envs, row,
 )
 @pytest.mark.parametrize("world", ["maze", "inspect"])
 def test_a_rover_is_the_same_after_fifty_resets_of_itself_and_others(world, backend):
-    env = make_env(backend=backend, world_n=world, num_envs=8, seed=3, lidar_beams=32, length=300)
-    row_actions = actions_of_one_row(env, 300)
-    expected = trajectory(env, 300, 2, row_actions)
+    env = make_env(backend=backend, world_n=world, num_envs=8, seed=3, lidar_beams=32, length=100)
+    row_actions = actions_of_one_row(env, 120)
+    expected = trajectory(env, 120, 2, row_actions)
     td = env.reset()
     for k in range(50):
         reset = torch.zeros(8, 1, dtype=torch.bool)
@@ -84,7 +92,7 @@ def test_a_rover_is_the_same_after_fifty_resets_of_itself_and_others(world, back
         td = env.reset(td.set("_reset", reset))
         td = env.step(td.set("action", env.action_spec.rand()))["next"]
     env.set_seed(3)
-    assert_same(trajectory(env, 300, 2, row_actions), expected)
+    assert_same(trajectory(env, 120, 2, row_actions), expected)
 
 
 def test_another_seed_gives_another_trajectory():
