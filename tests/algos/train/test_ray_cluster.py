@@ -57,45 +57,30 @@ def _words(process: psutil.Process) -> list[str]:
 
 
 @pytest.mark.slow
-def test_ppo_takes_the_same_steps_as_on_one_machine(cluster: None, tmp_path: Path) -> None:
-    summary = train(with_settings(PPO, runs=str(tmp_path)))
-    progress = progress_of(summary.folder)
-    assert progress["steps"] == [128, 256, 384, 512]
-    assert sum(summary.shares.values()) == pytest.approx(1)
-    # One worker per processor of the cluster.
-    assert "workers: 2" in (summary.folder / "config.yaml").read_text()
-    assert not remote_workers()
-
-
-@pytest.mark.slow
-def test_warp_simulates_on_the_cluster_too(cluster: None, tmp_path: Path) -> None:
-    summary = train(with_settings(PPO, backend="warp", total_steps=256, runs=str(tmp_path)))
-    assert progress_of(summary.folder)["steps"] == [128, 256]
-    env = Checkpoint.load(summary.folder).env
-    assert (env.backend, env.num_envs) == ("warp", PPO.num_envs)
-
-
-@pytest.mark.slow
 def test_sac_learns_from_one_worker_while_the_other_collects(cluster: None, tmp_path: Path) -> None:
-    progress = progress_of(train(with_settings(SAC, runs=str(tmp_path))).folder)
-    assert progress["steps"] == list(range(16, 513, 16))
+    progress = progress_of(train(with_settings(SAC, total_steps=128, runs=str(tmp_path))).folder)
+    assert progress["steps"] == list(range(16, 129, 16))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seconds", [0, 2], ids=["just now", "a while ago"])
-def test_a_worker_that_is_killed_ends_the_run_resumably(
-    cluster: None, seconds: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def kill_a_worker_at_the_third_update(monkeypatch: pytest.MonkeyPatch, wait: float) -> None:
+    """Lets PPO kill a worker and wait for some seconds."""
     update, calls = PPOLearner.update, []
 
     def killing(self: Any, *args: Any) -> dict[str, float]:
         calls.append(1)
         if len(calls) == 3:
             remote_workers()[0].send_signal(signal.SIGKILL)
-            time.sleep(seconds)
+            time.sleep(wait)
         return update(self, *args)
 
     monkeypatch.setattr(PPOLearner, "update", killing)
+
+
+@pytest.mark.slow
+def test_ppo_takes_the_same_steps_as_on_one_machine_also_if_a_worker_was_killed(
+    cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kill_a_worker_at_the_third_update(monkeypatch, wait=0)
     with pytest.raises(WorkerError, match="actor died"):
         train(with_settings(PPO, total_steps=UNLIMITED_STEPS, runs=str(tmp_path), name="dying"))
     folder = tmp_path / "dying"
@@ -104,6 +89,31 @@ def test_a_worker_that_is_killed_ends_the_run_resumably(
     steps = Checkpoint.load(folder).steps
     again = train(with_settings(PPO, total_steps=steps + 128, runs=str(tmp_path), name="dying"), folder)
     assert again.steps == steps + 128
+    assert progress_of(folder)["steps"] == list(range(64, steps + 129, 64))
+    assert sum(again.shares.values()) == pytest.approx(1)
+    # One worker per processor of the cluster.
+    assert "workers: 2" in (folder / "config.yaml").read_text()
+    assert not remote_workers()
+
+
+@pytest.mark.slow
+def test_a_run_in_warp_ends_resumably_if_a_worker_was_killed_a_while_ago(
+    cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = with_settings(PPO, backend="warp", runs=str(tmp_path), name="dying")
+    kill_a_worker_at_the_third_update(monkeypatch, wait=2)
+    with pytest.raises(WorkerError, match="actor died"):
+        train(with_settings(config, total_steps=UNLIMITED_STEPS))
+    folder = tmp_path / "dying"
+    assert load_state(folder / "training_state.pt")["updates"] >= 3
+    monkeypatch.undo()
+    checkpoint = Checkpoint.load(folder)
+    assert (checkpoint.env.backend, checkpoint.env.num_envs) == ("warp", PPO.num_envs)
+    steps = checkpoint.steps
+    # Without the cluster, whose workers take seconds to start.
+    config = with_settings(config, collector="auto", workers=1, total_steps=steps + 64)
+    assert train(config, folder).steps == steps + 64
+    assert progress_of(folder)["steps"] == list(range(64, steps + 65, 64))
 
 
 @pytest.mark.slow
