@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import webbrowser
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,7 +28,7 @@ class Play:
     """Folder of a run, checkpoint file, pretrained:NAME, scripted or random."""
     world: str | None = None
     """World to drive in. Default: the one that the policy was trained in, or moon."""
-    seconds: float = 8.0
+    seconds: float = 6.0
     """Duration of the drive, s."""
     seed: int = 0
     """Seed of starts and goals."""
@@ -37,9 +38,12 @@ class Play:
     def __call__(self) -> int:
         """Films the policy, prints the path of the film and opens it."""
         print(f"Filming {self.seconds:g} s of {self.policy}", flush=True)
-        from rover_rl.algos.video.film import film
+        with ThreadPoolExecutor(1) as background:
+            # The first film compiles the renderer, which takes some seconds, as do the imports.
+            background.submit(_compile_renderer)
+            from rover_rl.algos.video.film import film
 
-        policy = resolve_policy(self.policy, () if self.world is None else (self.world,))
+            policy = resolve_policy(self.policy, () if self.world is None else (self.world,))
         world = policy.worlds[0] if policy.worlds else "moon"
         path = (policy.folder or FOLDER) / f"{policy.name}-{world}.gif".replace(":", "-")
         film(policy.module, path, world=world, seconds=self.seconds, seed=self.seed, width=480, height=360)
@@ -47,6 +51,14 @@ class Play:
         if self.show and _has_display():
             webbrowser.open(path.resolve().as_uri())
         return 0
+
+
+def _compile_renderer() -> None:
+    """Compiles the kernels of the renderer, or loads them from the cache of an earlier film."""
+    from rover_rl.sims.native.warp import wp
+    from rover_rl.sims.rendering import kernels
+
+    wp.load_module(kernels, device="cpu")
 
 
 def _has_display() -> bool:
