@@ -57,13 +57,13 @@ class ProgressDisplay:
         self._redirect = _redirected.get()
         self._lines = self._redirect is None and not (console or Console()).is_terminal
         self._bar = Progress(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(20),
             TaskProgressColumn(),
             TimeElapsedColumn(),
             TextColumn("left"),
             TimeRemainingColumn(elapsed_when_finished=False),
-            TextColumn("{task.fields[status]}"),
+            TextColumn("{task.fields[status]}", markup=False),
             console=console,
             transient=not keep,
             disable=self._lines or self._redirect is not None,
@@ -120,7 +120,7 @@ class ProgressDisplay:
         with self._lock, errors_name(STANDARD_OUTPUT):
             self._printed = time.monotonic()
             try:
-                self._bar.console.print(text, soft_wrap=True, highlight=False)
+                self._bar.console.print(text, soft_wrap=True, highlight=False, markup=False)
             except SystemExit as error:
                 # Rich exits when a pipe is closed, which would only end the thread that prints regularly.
                 raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE)) from error
