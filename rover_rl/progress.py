@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -55,13 +57,13 @@ class ProgressDisplay:
         self._redirect = _redirected.get()
         self._lines = self._redirect is None and not (console or Console()).is_terminal
         self._bar = Progress(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(20),
             TaskProgressColumn(),
             TimeElapsedColumn(),
             TextColumn("left"),
             TimeRemainingColumn(elapsed_when_finished=False),
-            TextColumn("{task.fields[status]}"),
+            TextColumn("{task.fields[status]}", markup=False),
             console=console,
             transient=not keep,
             disable=self._lines or self._redirect is not None,
@@ -74,18 +76,22 @@ class ProgressDisplay:
         # A signal handler may print while the same thread prints.
         self._lock, self._ended = threading.RLock(), threading.Event()
         self._error: OSError | None = None
+        self._thread = threading.Thread(target=self._print_regularly, name="progress", daemon=True)
 
     def __enter__(self) -> ProgressDisplay:
         self._started = self._printed = time.monotonic()
         self._bar.start()
         if self._lines:
-            threading.Thread(target=self._print_regularly, name="progress", daemon=True).start()
+            self._thread.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._ended.set()
+        if self._thread.is_alive():
+            # A line must not appear below the results of the operation.
+            self._thread.join()
         self._bar.stop()
 
     def update(self, fraction: float, status: str = "") -> None:
@@ -106,10 +112,18 @@ class ProgressDisplay:
             self._print_line()
 
     def say(self, text: str) -> None:
-        """Prints a line, on a terminal above the bar."""
+        """Prints a line, on a terminal above the bar.
+
+        Raises:
+            OSError: if the output cannot be written, for example after ``| head``.
+        """
         with self._lock, errors_name(STANDARD_OUTPUT):
             self._printed = time.monotonic()
-            self._bar.console.print(text, soft_wrap=True, highlight=False)
+            try:
+                self._bar.console.print(text, soft_wrap=True, highlight=False, markup=False)
+            except SystemExit as error:
+                # Rich exits when a pipe is closed, which would only end the thread that prints regularly.
+                raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE)) from error
 
     def track(self, items: Iterable[Item], count: int) -> Iterator[Item]:
         """Yields ``count`` items and shows which fraction of them is done."""

@@ -7,14 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, with_settings
+from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, training_config, with_settings
+from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least
 from rover_rl.cli.train import INTERRUPTED, format_summary
 from rover_rl.progress import ProgressDisplay
+from rover_rl.sims.timing import CONTROL_DT
 
 if TYPE_CHECKING:
     from rover_rl.algos.evaluation.evaluate import Policy
     from rover_rl.algos.evaluation.results import Evaluation
 
+WORLDS = ("inspect", "maze", "moon")
+"""Worlds that have a pretrained policy."""
 FILMED = 10.0
 """Duration of the drive that is filmed, s."""
 SETTINGS = {"num_envs": 256, "minibatch": 512, "imitation": 0.25}
@@ -44,10 +48,13 @@ class Demo:
 
     def __call__(self) -> int:
         """Trains, evaluates, plots and films, and prints the paths of the results."""
+        self._check()
         print(f"Preparing to train PPO in {self.world} for {self.minutes:g} minutes", flush=True)
         from rover_rl.algos.pretrained import load_pretrained
         from rover_rl.algos.train import train
+        from rover_rl.sims.worlds import get_world
 
+        get_world(self.world)
         pretrained = load_pretrained(f"{self.world.split(':')[0]}-warp")
         config = with_settings(
             pretrained.config,
@@ -59,7 +66,6 @@ class Demo:
             name=None,
             **SETTINGS,
         )
-        config.check()
         _compile(config)
         summary = train(config)
         print(format_summary(summary), flush=True)
@@ -67,6 +73,14 @@ class Demo:
             return INTERRUPTED
         self._evaluate(summary.folder, pretrained.make_actor())
         return 0
+
+    def _check(self) -> None:
+        """Checks the options, before PyTorch is imported and a policy is trained."""
+        if self.world.split(":")[0] not in WORLDS:
+            raise ValueError(f"unknown world {self.world!r}; use one of {[*WORLDS]}, or 'name:seed'")
+        training_config("ppo", max_minutes=self.minutes, seed=self.seed).check()
+        check_at_least(1, MAX_COUNT, count=self.count)
+        check_at_least(CONTROL_DT, MAX_SECONDS, seconds=self.seconds)
 
     def _evaluate(self, folder: Path, pretrained: Policy) -> None:
         """Evaluates the trained policy beside others, and writes figures, plots and a film to the run's folder."""

@@ -88,8 +88,7 @@ def evaluate(
     Raises:
         ValueError: for a number out of range, or a policy that was made for another environment.
     """
-    check_at_least(CONTROL_DT, MAX_SECONDS, seconds=seconds)
-    check_at_least(1, MAX_COUNT, rows=rows, action_repeat=action_repeat)
+    check_options(rows=rows, seconds=seconds, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
     env_config = replace(
         environment_for(policy, env),
@@ -138,7 +137,7 @@ def evaluate_endless(
     Raises:
         ValueError: for a number out of range, an unknown world, or a policy that was made for another environment.
     """
-    check_at_least(1, MAX_COUNT, rows=rows, steps=steps, action_repeat=action_repeat)
+    check_options(rows=rows, steps=steps, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
     env_config, place = environment_for(policy, env), get_world(world)
     task = env_config.task if jam else replace(env_config.task, collision_window=steps)
@@ -150,6 +149,16 @@ def evaluate_endless(
     world_name = world if isinstance(world, str) else place.name
     env_config = replace(env_config, world=world_name, seed=seed)
     return EndlessEvaluation(name, world_name, place, seed, action_repeat, jam, steps, trajectories, env_config)
+
+
+def check_options(*, seconds: float = 60.0, rows: int = 1, steps: int = 1, action_repeat: int = 1) -> None:
+    """Checks numbers that are given to :func:`evaluate` or :func:`evaluate_endless`.
+
+    Raises:
+        ValueError: for a number out of range.
+    """
+    check_at_least(CONTROL_DT, MAX_SECONDS, seconds=seconds)
+    check_at_least(1, MAX_COUNT, rows=rows, steps=steps, action_repeat=action_repeat)
 
 
 def environment_for(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:

@@ -15,8 +15,16 @@ from typing import Any, TypeAlias, cast
 
 from rover_rl.algos.evaluation.cores import over_cores
 from rover_rl.algos.evaluation.episodes import DEFAULT_SEED, EpisodeSet
-from rover_rl.algos.evaluation.evaluate import EndlessEvaluation, Evaluation, Policy, evaluate, evaluate_endless
-from rover_rl.sims.worlds import World
+from rover_rl.algos.evaluation.evaluate import (
+    EndlessEvaluation,
+    Evaluation,
+    Policy,
+    check_options,
+    environment_for,
+    evaluate,
+    evaluate_endless,
+)
+from rover_rl.sims.worlds import World, get_world
 
 EPISODES_PER_PART = 32
 """Number of episodes that one process evaluates at a time. It does not depend on the number of cores, so that the
@@ -117,9 +125,11 @@ def evaluate_all(requests: Sequence[Request], workers: int | None = None) -> lis
         workers: largest number of processes; ``None``: the number of cores.
 
     Raises:
-        ValueError: for a number out of range, or a policy that was made for another environment.
+        ValueError: for a number out of range, an unknown world, or a policy that was made for another environment.
         ChildProcessError: if a process has ended.
     """
+    for request in requests:
+        _check(request)
     if sum(request.count for request in requests) < SMALL or any(_on_gpu(request.options) for request in requests):
         workers = 1
     parts = [request.parts() for request in requests]
@@ -128,6 +138,16 @@ def evaluate_all(requests: Sequence[Request], workers: int | None = None) -> lis
         tasks = _with_pickled_worlds(tasks)
     results = iter(over_cores(_run, tasks, "evaluating", workers))
     return [request.merge([next(results) for _ in several]) for request, several in zip(requests, parts, strict=True)]
+
+
+def _check(request: Request) -> None:
+    """Checks a request here, because processes take seconds to start."""
+    numbers = {name: request.options[name] for name in ("seconds", "steps", "action_repeat") if name in request.options}
+    check_options(**numbers)
+    environment_for(request.policy, request.options.get("env"))
+    if isinstance(request, EndlessRequest):
+        check_options(rows=request.rows)
+        get_world(request.world)
 
 
 def _on_gpu(options: dict[str, Any]) -> bool:

@@ -1,0 +1,158 @@
+"""Progress of long operations on a terminal, elsewhere, and in workers."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+import threading
+import time
+
+import pytest
+from rich.console import Console
+
+from rover_rl.progress import ProgressDisplay, redirected_progress
+from tests.fork_server import fork_server
+
+QUICK = 0.01
+"""Interval of lines, s."""
+
+
+class Watched(io.StringIO):
+    """Text in memory that a test can wait for."""
+
+    def wait_for(self, text: str, times: int = 1) -> None:
+        latest = time.monotonic() + 60
+        while self.getvalue().count(text) < times:
+            assert time.monotonic() < latest, self.getvalue()
+            time.sleep(QUICK)
+
+
+def display_on(output: io.StringIO, terminal: bool = False, **settings: object) -> ProgressDisplay:
+    console = Console(file=output, force_terminal=terminal, width=120, _environ={})
+    return ProgressDisplay("working", console=console, **settings)  # type: ignore[arg-type]
+
+
+def test_lines_appear_during_a_single_long_call() -> None:
+    output = Watched()
+    with display_on(output, interval=QUICK):
+        # Blocks this thread, as a compiler does. The amount of work is unknown.
+        output.wait_for("working after 0 s\n", times=2)
+    assert "%" not in output.getvalue()
+
+
+def test_lines_tell_the_fraction_and_the_status() -> None:
+    output = Watched()
+    with display_on(output, interval=QUICK) as display:
+        display.update(0.25, "third wheel")
+        output.wait_for("working  25% after 0 s: third wheel\n")
+
+
+def test_no_line_appears_after_the_end() -> None:
+    output = Watched()
+    with display_on(output, interval=1e-6):
+        output.wait_for("working")
+    told = output.getvalue()
+    assert not [thread for thread in threading.enumerate() if thread.name == "progress"]
+    assert output.getvalue() == told
+
+
+def test_quick_operations_print_nothing() -> None:
+    output = Watched()
+    with display_on(output) as display:
+        assert [*display.track("abc", 3)] == ["a", "b", "c"]
+    assert output.getvalue() == ""
+
+
+def test_tenths_are_lines_of_their_own() -> None:
+    output = Watched()
+    with display_on(output, tenths=True) as display:
+        for fraction in (0.02, 0.1, 0.15, 0.31, 0.39, 1.0):
+            display.update(fraction, f"at {fraction}")
+    lines = output.getvalue().splitlines()
+    assert [line.split()[1] for line in lines] == ["10%", "31%", "100%"]
+    assert [line.split("s: ")[1] for line in lines] == ["at 0.1", "at 0.31", "at 1.0"]
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_a_line_is_said_at_once_as_it_is(terminal: bool) -> None:
+    output = Watched()
+    with display_on(output, terminal) as display:
+        display.update(0.5, "[/status]")
+        display.say("runs/[/b] c")
+    assert "runs/[/b] c\n" in output.getvalue()
+
+
+def test_a_terminal_shows_a_bar() -> None:
+    output = Watched()
+    with display_on(output, terminal=True, keep=True) as display:
+        for _ in display.track(range(4), 4):
+            pass
+        display.update(1.0, "all of it")
+        display.say("a line above")
+    told = output.getvalue()
+    assert "━" in told
+    assert "working" in told
+    assert "100%" in told
+    assert "all of it" in told
+    assert "a line above" in told
+    assert "after 0 s" not in told
+
+
+def test_redirected_progress_reaches_the_function_alone() -> None:
+    output, fractions = Watched(), []
+    with redirected_progress(fractions.append):
+        with display_on(output, tenths=True, interval=QUICK) as display:
+            display.update(0.25)
+            display.update(0.5, "half")
+        with display_on(output, terminal=True) as display:
+            display.update(0.75)
+    assert fractions == [0.25, 0.5, 0.75]
+    assert output.getvalue() == ""
+    with display_on(output, tenths=True) as display:
+        display.update(1.0)
+    assert fractions == [0.25, 0.5, 0.75]
+    assert "100%" in output.getvalue()
+
+
+class Closed(io.StringIO):
+    def write(self, text: str) -> int:
+        raise OSError(28, "No space left on device")
+
+
+def test_output_that_cannot_be_written_raises_at_the_next_update() -> None:
+    def updates(display: ProgressDisplay) -> None:
+        latest = time.monotonic() + 60
+        while time.monotonic() < latest:
+            display.update(0.5)
+            time.sleep(QUICK)
+
+    with (
+        display_on(Closed(), interval=QUICK) as display,
+        pytest.raises(OSError, match=r"No space left.*standard output"),
+    ):
+        updates(display)
+
+
+def print_to_a_closed_pipe(tenths: bool) -> None:
+    """Updates a display whose reader has left; exits with 5 if that raises ``BrokenPipeError``."""
+    read, write = os.pipe()
+    os.close(read)
+    sys.stdout = os.fdopen(write, "w")
+    try:
+        with ProgressDisplay("working", tenths=tenths, interval=3600 if tenths else QUICK) as display:
+            for step in range(6000):
+                display.update(step / 6000)
+                time.sleep(QUICK)
+    except BrokenPipeError as error:
+        os._exit(5 if error.filename == "standard output" else 6)
+    os._exit(7)
+
+
+@pytest.mark.parametrize("tenths", [False, True], ids=["in the thread", "in an update"])
+def test_a_reader_that_leaves_raises_at_the_next_update(tenths: bool) -> None:
+    # In another process, because Rich replaces the standard output.
+    process = fork_server().Process(target=print_to_a_closed_pipe, args=(tenths,))  # type: ignore[attr-defined]
+    process.start()
+    process.join()
+    assert process.exitcode == 5
