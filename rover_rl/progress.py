@@ -19,7 +19,7 @@ from rover_rl.files import STANDARD_OUTPUT, errors_name
 
 Item = TypeVar("Item")
 
-LINE_INTERVAL = 8.0
+LINE_INTERVAL = 4.0
 """Longest time between two lines if the output is not a terminal, s."""
 
 _redirected: ContextVar[Callable[[float], None] | None] = ContextVar("redirected", default=None)
@@ -27,7 +27,7 @@ _redirected: ContextVar[Callable[[float], None] | None] = ContextVar("redirected
 
 
 class ProgressDisplay:
-    """Shows the progress of an operation: a bar on a terminal; elsewhere a line at least every 8 seconds.
+    """Shows the progress of an operation: a bar on a terminal; elsewhere a line at least every 4 seconds.
 
     The lines come from a thread, so that they also appear during a single long call, such as compiling.
 

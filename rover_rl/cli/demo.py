@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 WORLDS = ("inspect", "maze", "moon")
 """Worlds that have a pretrained policy."""
-FILMED = 10.0
+FILMED = 8.0
 """Duration of the drive that is filmed, s."""
 SETTINGS = {"num_envs": 256, "minibatch": 512, "imitation": 0.25}
 """Settings of training that differ from those of the pretrained policy: they need fewer steps."""
@@ -39,9 +39,9 @@ class Demo:
     """Duration of training, minutes."""
     seed: int = 0
     """Seed of the training run."""
-    count: int = 64
+    count: int = 48
     """Number of evaluation episodes, each with one goal."""
-    seconds: float = 30.0
+    seconds: float = 20.0
     """Time limit of each evaluation episode, s."""
     runs: str = "runs"
     """Folder that the run is written to."""
@@ -49,24 +49,23 @@ class Demo:
     def __call__(self) -> int:
         """Trains, evaluates, plots and films, and prints the paths of the results."""
         self._check()
-        print(f"Preparing to train PPO in {self.world} for {self.minutes:g} minutes", flush=True)
-        from rover_rl.algos.pretrained import load_pretrained
-        from rover_rl.algos.train import train
-        from rover_rl.sims.worlds import get_world
+        print(f"Training PPO in {self.world} for {self.minutes:g} minutes, after some preparation", flush=True)
+        with ProgressDisplay("preparing"):
+            from rover_rl.algos.pretrained import load_pretrained
+            from rover_rl.algos.train import train
 
-        get_world(self.world)
-        pretrained = load_pretrained(f"{self.world.split(':')[0]}-warp")
-        config = with_settings(
-            pretrained.config,
-            world=self.world,
-            total_steps=UNLIMITED_STEPS,
-            max_minutes=self.minutes,
-            seed=self.seed,
-            runs=self.runs,
-            name=None,
-            **SETTINGS,
-        )
-        _compile(config)
+            pretrained = load_pretrained(f"{self.world.split(':')[0]}-warp")
+            config = with_settings(
+                pretrained.config,
+                world=self.world,
+                total_steps=UNLIMITED_STEPS,
+                max_minutes=self.minutes,
+                seed=self.seed,
+                runs=self.runs,
+                name=None,
+                **SETTINGS,
+            )
+            _warm_up(config)
         summary = train(config)
         print(format_summary(summary), flush=True)
         if summary.interrupted:
@@ -116,17 +115,17 @@ class Demo:
             draw_learning_curve([folder], curve, evaluations[-1])
             draw_paths(evaluations, paths)
         print_table(evaluations)
-        film(trained, moving, world=self.world, seconds=FILMED, seed=self.seed)
+        film(trained, moving, world=self.world, seconds=FILMED, seed=self.seed, width=480, height=360)
         print("\n".join(f"{what}: {path}" for what, path in pictures.items()))
         print(f"To watch more of it: rover-rl play {folder}")
 
 
-def _compile(config: TrainingConfig) -> None:
-    """Compiles the kernels of the simulator on its first use, which takes up to a minute, before the clock starts."""
+def _warm_up(config: TrainingConfig) -> None:
+    """Makes the world, and compiles the simulator on its first use, before the time of the training counts."""
     from rover_rl.envs import RoverEnv
-    from rover_rl.sims.worlds import Terrain, World
+    from rover_rl.sims.worlds import Terrain, World, get_world
 
-    with ProgressDisplay("compiling the simulator (once)"):
-        flat = World("flat", Terrain.flat((12.0, 12.0)))
-        with closing(RoverEnv(world_n=flat, backend=config.env.backend)) as env:
-            env.reset()
+    get_world(config.env.world_names[0])
+    flat = World("flat", Terrain.flat((12.0, 12.0)))
+    with closing(RoverEnv(world_n=flat, backend=config.env.backend)) as env:
+        env.reset()

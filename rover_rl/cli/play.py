@@ -46,7 +46,7 @@ class Play:
             policy = resolve_policy(self.policy, () if self.world is None else (self.world,))
         world = policy.worlds[0] if policy.worlds else "moon"
         path = (policy.folder or FOLDER) / f"{policy.name}-{world}.gif".replace(":", "-")
-        film(policy.module, path, world=world, seconds=self.seconds, seed=self.seed, width=480, height=360)
+        film(policy.module, path, world=world, seconds=self.seconds, seed=self.seed, width=400, height=300)
         print(f"Film: {path}")
         if self.show and _has_display():
             webbrowser.open(path.resolve().as_uri())

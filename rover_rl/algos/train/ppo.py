@@ -42,6 +42,7 @@ from rover_rl.algos.policy.networks import (
 from rover_rl.algos.train.env import world_of_each_row
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import TrainingRun, TrainingSummary, prepare, set_learning_rate
+from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.robots import get_robot
 
 __all__ = ["PPOConfig", "PPOLearner", "train_ppo"]
@@ -62,8 +63,9 @@ def train_ppo(config: TrainingConfig, folder: Path | None = None) -> TrainingSum
         ValueError: for an unknown world, or a setting out of range.
         FileExistsError: if a run of that name exists.
     """
-    config = prepare(config)
-    learner = PPOLearner(config)
+    with ProgressDisplay("preparing"):
+        config = prepare(config)
+        learner = PPOLearner(config)
     with TrainingRun(config, learner, folder) as run:
         for batch in run.batches():
             run.record(learner.update(batch, run.share, run.stopwatch))

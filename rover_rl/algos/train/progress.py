@@ -26,6 +26,8 @@ from rover_rl.progress import ProgressDisplay
 
 EPISODE_STEPS = EnvConfig.length
 """Number of steps of a full episode in the contract."""
+_LINE_INTERVAL = 8.0
+"""Longest time between two lines if the output is not a terminal, s."""
 _RECENT_STEPS = 80_000
 """Number of latest steps over which the progress bar averages."""
 
@@ -139,7 +141,7 @@ class ProgressLog:
         self._steps, self._clock = steps, time.perf_counter()
         _keep_rows(self._path, updates)
         self._events = _Events(folder / "tensorboard", steps if updates else None) if _HAS_TENSORBOARD else None
-        self._display = ProgressDisplay("training", keep=True, tenths=True, console=console)
+        self._display = ProgressDisplay("training", keep=True, tenths=True, console=console, interval=_LINE_INTERVAL)
 
     def __enter__(self) -> ProgressLog:
         self._clock = time.perf_counter()

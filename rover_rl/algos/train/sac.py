@@ -43,6 +43,7 @@ from rover_rl.algos.policy.networks import (
 )
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import TrainingRun, TrainingSummary, prepare, set_learning_rate
+from rover_rl.progress import ProgressDisplay
 
 __all__ = ["SACConfig", "SACLearner", "train_sac"]
 
@@ -62,8 +63,9 @@ def train_sac(config: TrainingConfig, folder: Path | None = None) -> TrainingSum
         ValueError: for an unknown world, or a setting out of range.
         FileExistsError: if a run of that name exists.
     """
-    config = prepare(config)
-    learner = SACLearner(config)
+    with ProgressDisplay("preparing"):
+        config = prepare(config)
+        learner = SACLearner(config)
     with TrainingRun(config, learner, folder) as run:
         for batch in run.batches():
             learner.extend_buffer(batch)
