@@ -1,0 +1,184 @@
+"""Evaluations in several processes: the same results, and errors in words."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDictBase
+
+from rover_rl import World
+from rover_rl.algos.evaluation import parallel
+from rover_rl.algos.evaluation.cores import over_cores
+from rover_rl.algos.evaluation.episodes import draw_episodes
+from rover_rl.algos.evaluation.evaluate import EndlessEvaluation, Evaluation, Policy, evaluate, evaluate_endless
+from rover_rl.algos.evaluation.parallel import EndlessRequest, GoalRequest, Request, evaluate_all
+from rover_rl.algos.policy.baselines import ScriptedPolicy
+from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.envs import EnvConfig
+from rover_rl.envs.config import LidarConfig, Randomization
+from rover_rl.sims.worlds import Terrain
+from tests.fork_server import fork_server
+
+FIELD = World("field", Terrain.flat((6.0, 6.0)))
+# Two parts, the second of which is shorter.
+EPISODES = draw_episodes(FIELD, 40, seed=1, min_path=1.0)
+SECONDS, STEPS = 0.5, 10
+WORLD = "tests.algos.train.runs:field"
+
+
+@pytest.fixture(autouse=True)
+def preloaded() -> None:
+    """Lets the fork server, if it does not run yet, import what other tests need, too."""
+    fork_server()
+
+
+def policies(checkpoint: Checkpoint) -> dict[str, Policy | None]:
+    return {"scripted": ScriptedPolicy(), "random": None, "network": checkpoint.make_actor()}
+
+
+def assert_same(ours: Evaluation | EndlessEvaluation, theirs: Evaluation | EndlessEvaluation) -> None:
+    """The same to the last bit, except for the number of rovers that drive at once."""
+    assert replace(ours.env, num_envs=1) == replace(theirs.env, num_envs=1)
+    assert ours.to_json()["episodes"] == theirs.to_json()["episodes"]
+    assert ours.name == theirs.name
+    for one, other in zip(ours.trajectories, theirs.trajectories, strict=True):
+        assert (one.ending, one.dt) == (other.ending, other.dt)
+        for key in ("position", "angles", "collision", "goal"):
+            assert torch.equal(getattr(one, key), getattr(other, key))
+
+
+def test_results_in_two_processes_are_those_of_one_evaluation_after_another(checkpoint: Checkpoint) -> None:
+    requests: list[Request] = []
+    expected: list[Evaluation | EndlessEvaluation] = []
+    for name, policy in policies(checkpoint).items():
+        requests += [
+            GoalRequest(policy, EPISODES, {"name": name, "seconds": SECONDS}),
+            EndlessRequest(policy, WORLD, {"name": name, "steps": STEPS}, rows=10, seed=3),
+        ]
+        expected += [
+            evaluate(policy, EPISODES, name=name, seconds=SECONDS),
+            evaluate_endless(policy, WORLD, name=name, rows=10, seed=3, steps=STEPS),
+        ]
+    before = torch.random.get_rng_state()
+    for ours, theirs in zip(evaluate_all(requests, workers=2), expected, strict=True):
+        assert_same(ours, theirs)
+        assert len(ours.trajectories) in (40, 10)
+    assert torch.equal(torch.random.get_rng_state(), before)
+
+
+def test_results_in_a_randomized_environment_do_not_depend_on_the_number_of_processes(checkpoint: Checkpoint) -> None:
+    env = EnvConfig(randomization=Randomization.typical())
+    requests: list[Request] = []
+    for policy in policies(checkpoint).values():
+        requests.append(GoalRequest(policy, EPISODES, {"seconds": SECONDS, "env": env}))
+        requests.append(EndlessRequest(policy, WORLD, {"steps": STEPS, "env": env}, rows=10))
+    one, two = (evaluate_all(requests, workers) for workers in (1, 2))
+    for ours, theirs in zip(one, two, strict=True):
+        assert_same(ours, theirs)
+    # Parts of an evaluation are randomized differently.
+    (plain,) = evaluate_all([GoalRequest(ScriptedPolicy(), EPISODES, {"seconds": SECONDS})], 1)
+    assert not torch.equal(one[0].trajectories[0].position, plain.trajectories[0].position)
+
+
+def test_results_are_in_the_order_of_the_requests() -> None:
+    names = [f"policy {number}" for number in range(5)]
+    requests = [GoalRequest(None, EPISODES.first(4), {"name": name, "seconds": 0.1}) for name in names]
+    assert [result.name for result in evaluate_all(requests, workers=2)] == names
+    assert evaluate_all([]) == []
+
+
+def in_this_process(td: TensorDictBase) -> TensorDictBase:
+    assert multiprocessing.parent_process() is None
+    return td.set("action", torch.zeros(len(td), 2))
+
+
+def in_another_process(td: TensorDictBase) -> TensorDictBase:
+    assert multiprocessing.parent_process() is not None
+    return td.set("action", torch.zeros(len(td), 2))
+
+
+def test_only_small_evaluations_stay_in_this_process() -> None:
+    few, many = EPISODES.first(parallel.SMALL - 1), EPISODES.first(parallel.SMALL)
+    evaluate_all([GoalRequest(in_this_process, few, {"seconds": 0.1})], workers=2)
+    evaluate_all([GoalRequest(in_this_process, EPISODES, {"seconds": 0.1})], workers=1)
+    evaluate_all([GoalRequest(in_another_process, many, {"seconds": 0.1})] * 2, workers=2)
+
+
+def failing(td: TensorDictBase) -> TensorDictBase:
+    raise ZeroDivisionError("in the policy")
+
+
+def endless(_: Any) -> None:
+    signal.pause()
+
+
+def killed(_: Any) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def call(function: Any) -> Any:
+    return function(None)
+
+
+def other_processes() -> set[Any]:
+    return set(multiprocessing.active_children())
+
+
+def test_an_error_in_a_process_is_raised_as_it_is_and_ends_the_others() -> None:
+    with pytest.raises(ZeroDivisionError, match="^in the policy$"):
+        evaluate_all([GoalRequest(failing, EPISODES, {"seconds": 0.1})], workers=2)
+    before = other_processes()
+    with pytest.raises(ZeroDivisionError, match="^in the policy$"):
+        over_cores(call, [endless, failing], "working", workers=2)
+    for process in other_processes() - before:
+        process.join(60)
+        assert process.exitcode is not None
+
+
+def test_a_killed_process_is_reported_in_words_and_ends_the_others() -> None:
+    before = other_processes()
+    with pytest.raises(ChildProcessError, match="^a worker process has ended, perhaps because the memory is full$"):
+        over_cores(call, [endless, killed], "working", workers=2)
+    for process in other_processes() - before:
+        process.join(60)
+        assert process.exitcode is not None
+
+
+def test_invalid_requests_raise_before_a_process_starts(
+    checkpoint: Checkpoint, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(parallel, "over_cores", lambda *_: pytest.fail("a process was started"))
+    actor = checkpoint.make_actor()
+    points = {"env": EnvConfig(lidar=LidarConfig(points=16))}
+    invalid: list[tuple[Request, str]] = [
+        (GoalRequest(None, EPISODES, {"seconds": 0.01}), "seconds must be at least 0.05"),
+        (GoalRequest(None, EPISODES, {"action_repeat": 0}), "action_repeat must be at least 1"),
+        (GoalRequest(actor, EPISODES, points), "made for lidar points 32, and the environment has 16"),
+        (EndlessRequest(actor, WORLD, points), "made for lidar points 32, and the environment has 16"),
+        (EndlessRequest(None, WORLD, {"steps": 0}), "steps must be at least 1"),
+        (EndlessRequest(None, WORLD, rows=0), "rows must be at least 1"),
+        (EndlessRequest(None, "mars"), "unknown world 'mars'"),
+    ]
+    for request, message in invalid:
+        with pytest.raises(ValueError, match=message):
+            evaluate_all([GoalRequest(None, EPISODES), request])
+
+
+def test_the_number_of_processes_is_checked() -> None:
+    with pytest.raises(ValueError, match="workers must be at least 1"):
+        over_cores(call, [endless], "working", workers=0)
+
+
+def doubled(number: int) -> int:
+    return 2 * number
+
+
+@pytest.mark.parametrize("workers", [1, 2, None])
+def test_work_is_shared_by_the_cores_in_order(workers: int | None) -> None:
+    assert over_cores(doubled, range(5), "working", workers) == [0, 2, 4, 6, 8]
