@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import pytest
 import torch
@@ -12,12 +13,17 @@ from rover_rl.envs import Randomization
 from rover_rl.envs.randomization import draw_dynamics
 from rover_rl.sims.base import Dynamics
 from rover_rl.sims.ros2 import Ros2Settings
+from rover_rl.sims.worlds import Terrain, World
 from tests.extras import needs_mujoco
 
+RISE = math.tan(math.radians(20)) * (torch.arange(33) * 0.25 - 4)
+SLOPE = World("slope", Terrain(RISE.expand(33, -1), 0.25), spawn_range=((-2, 2), (-2, 2)))
 BACKENDS = ["bullet", "warp", pytest.param("mujoco", marks=needs_mujoco)]
 
 
+@cache
 def rolled(backend: str, randomization: Randomization | None, rows: int = 4, seed: int = 0, steps: int = 40):
+    """Results of a rollout, ``[rows, steps]``. Each is run once for all tests."""
     env = make_env(
         backend=backend,
         world_n="maze",
@@ -71,13 +77,9 @@ def test_each_thing_changes_how_rovers_drive(backend, randomization):
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_less_friction_makes_a_rover_slide_down_a_slope_and_more_holds_it(backend):
-    from rover_rl.sims.worlds import Terrain, World
-
-    rise = math.tan(math.radians(20)) * (torch.arange(81) * 0.25 - 10)
-    world = World("slope", Terrain(rise.expand(81, -1), 0.25))
     moved = []
     for factor in (0.5, 1.5):
-        env = RoverEnv(backend=backend, world_n=world, seed=0, randomization=Randomization(friction=(factor, factor)))
+        env = RoverEnv(backend=backend, world_n=SLOPE, seed=0, randomization=Randomization(friction=(factor, factor)))
         td = env.reset(start=torch.tensor([[0.0, 0.0, 0.0]]), goal=torch.tensor([[3.0, 3.0]]))
         for _ in range(30):
             td = env.step(td.set("action", torch.zeros(1, 2)))["next"]
@@ -106,13 +108,13 @@ def test_factors_are_drawn_evenly_from_their_ranges_and_anew_in_each_episode():
 def test_sensors_have_the_noise_that_was_asked_for(backend):
     def standing(randomization):
         env = RoverEnv(
-            backend=backend, world_n="maze", num_envs=64, seed=0, lidar_beams=64, randomization=randomization
+            backend=backend, world_n="maze", num_envs=32, seed=0, lidar_beams=64, randomization=randomization
         )
         env.reset()
-        action = torch.zeros(64, 2)
+        action = torch.zeros(32, 2)
         td = env.reset()
         states = []
-        for _ in range(20):
+        for _ in range(10):
             td = env.step(td.set("action", action))["next"]
             states.append(env.sensed_state)
         return torch.stack([state.ranges for state in states]), torch.stack([state.orientation for state in states])
@@ -138,15 +140,15 @@ def test_wheel_odometry_has_the_noise_that_was_asked_for(backend):
     env = RoverEnv(
         backend=backend,
         world_n="maze",
-        num_envs=64,
+        num_envs=32,
         seed=0,
         lidar_beams=32,
         randomization=Randomization(odometry_noise=0.05),
     )
     td = env.reset()
     speeds = []
-    for step in range(30):
-        td = env.step(td.set("action", torch.tensor([[0.3, 0.0]] * 64)))["next"]
+    for step in range(25):
+        td = env.step(td.set("action", torch.tensor([[0.3, 0.0]] * 32)))["next"]
         if step >= 10:
             speeds.append(env.sensed_state.linear_velocity)
     assert (torch.stack(speeds) / 0.3).std().item() == pytest.approx(0.05, rel=0.2)

@@ -189,13 +189,17 @@ class ContractRover:
         self.total_steps = 0
 
     def reset(self, reading: Reading, goal: Pair) -> None:
-        self.reading = reading
+        self._read(reading)
         self.goal = goal
         self.pid.reset()
         self.steps = 0
         self.collision_count = 0
         self.position_history: list[Pair] = []
         self.previous_distance = self.target(goal)[0]
+
+    def _read(self, reading: Reading) -> None:
+        self.reading = reading
+        self.lidar = pool(reading.ranges, self.lidar_points)
 
     def target(self, goal: Pair) -> Pair:
         return target_info(self.reading.x, self.reading.y, self.reading.yaw, goal)
@@ -206,7 +210,7 @@ class ContractRover:
         distance, angle = self.target(self.goal)
         limits = (30.0, 30.0, 10.0)
         return {
-            "lidar": pool(r.ranges, self.lidar_points),
+            "lidar": self.lidar,
             "pose": [max(-a, min(a, p)) for p, a in zip((r.x, r.y, r.z), limits, strict=True)],
             "imu": [r.pitch, r.roll, r.yaw],
             "target": [min(distance, 100.0), angle],
@@ -227,13 +231,13 @@ class ContractRover:
             reading: sensor values after the step.
             next_goal: goal that replaces the current one if it is reached.
         """
-        self.reading = reading
+        self._read(reading)
         self.steps += 1
         self.total_steps += 1
         self.position_history.append((reading.x, reading.y))
         if len(self.position_history) > self.stuck_window:
             self.position_history.pop(0)
-        colliding = any(value < COLLISION_THRESHOLD for value in pool(reading.ranges, self.lidar_points))
+        colliding = any(value < COLLISION_THRESHOLD for value in self.lidar)
         self.collision_count = self.collision_count + 1 if colliding else 0
         distance, angle = self.target(self.goal)
 

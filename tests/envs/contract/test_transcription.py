@@ -76,7 +76,7 @@ def mixed_policies(td: TensorDict, env: RoverEnv, k: int) -> Tensor:
 def rollout(request) -> Witness:
     """A record of 2,000 steps in one world: 8 rovers, 250 steps each, with automatic resets."""
     name = request.param
-    env = make_env(world_n=name, num_envs=ROLLOUT_ROWS, seed=11, length=ROLLOUT_LENGTH, lidar_beams=100)
+    env = make_env(world_n=name, num_envs=ROLLOUT_ROWS, seed=11, length=ROLLOUT_LENGTH, lidar_beams=50)
     env.reset()
     state = bare(env).rover_state
     yaw = torch.tensor([contract.euler(q)[2] for q in state.orientation.tolist()])
