@@ -10,6 +10,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -17,7 +18,6 @@ from multiprocessing.sharedctypes import SynchronizedArray
 from typing import TypeVar
 
 from rover_rl.algos.config import usable_cores
-from rover_rl.checks import MAX_COUNT, check_at_least
 from rover_rl.progress import ProgressDisplay, redirected_progress
 
 Item = TypeVar("Item")
@@ -41,11 +41,8 @@ def over_cores(
         workers: largest number of processes; ``None``: the number of cores. 1 works in this process.
 
     Raises:
-        ValueError: if ``workers`` is less than 1.
         ChildProcessError: if a process has ended, for example because the memory is full.
     """
-    if workers is not None:
-        check_at_least(1, MAX_COUNT, workers=workers)
     workers = min(usable_cores() if workers is None else workers, len(items))
     with ProgressDisplay(description) as display:
         if workers <= 1:
@@ -107,7 +104,16 @@ def _start_worker(fractions: SynchronizedArray[float]) -> None:
     global _fractions
     _fractions = fractions
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_exit_with_parent, daemon=True).start()
     sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+
+
+def _exit_with_parent() -> None:
+    """Ends a worker process when the main process has been killed. It would finish its item otherwise."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
 
 def _apply(work: Callable[[Item], Result], item: Item, number: int) -> Result:
