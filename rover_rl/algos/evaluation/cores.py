@@ -17,7 +17,6 @@ from multiprocessing.sharedctypes import SynchronizedArray
 from typing import TypeVar
 
 from rover_rl.algos.config import usable_cores
-from rover_rl.checks import MAX_COUNT, check_at_least
 from rover_rl.progress import ProgressDisplay, redirected_progress
 
 Item = TypeVar("Item")
@@ -41,11 +40,8 @@ def over_cores(
         workers: largest number of processes; ``None``: the number of cores. 1 works in this process.
 
     Raises:
-        ValueError: if ``workers`` is less than 1.
         ChildProcessError: if a process has ended, for example because the memory is full.
     """
-    if workers is not None:
-        check_at_least(1, MAX_COUNT, workers=workers)
     workers = min(usable_cores() if workers is None else workers, len(items))
     with ProgressDisplay(description) as display:
         if workers <= 1:

@@ -24,6 +24,7 @@ from rover_rl.algos.evaluation.evaluate import (
     evaluate,
     evaluate_endless,
 )
+from rover_rl.checks import MAX_COUNT, check_at_least
 from rover_rl.sims.worlds import World, get_world
 
 EPISODES_PER_PART = 32
@@ -128,6 +129,8 @@ def evaluate_all(requests: Sequence[Request], workers: int | None = None) -> lis
         ValueError: for a number out of range, an unknown world, or a policy that was made for another environment.
         ChildProcessError: if a process has ended.
     """
+    if workers is not None:
+        check_at_least(1, MAX_COUNT, workers=workers)
     for request in requests:
         _check(request)
     if sum(request.count for request in requests) < SMALL or any(_on_gpu(request.options) for request in requests):
