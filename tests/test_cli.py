@@ -5,12 +5,18 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+import torch
 
-from rover_rl.algos.config import SACConfig
+from rover_rl.algos.config import SACConfig, training_config
 from rover_rl.algos.config_files import read_config
+from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.policy.networks import make_actor
+from rover_rl.algos.video.film import film
 from rover_rl.cli import main
+from rover_rl.progress import redirected_progress
 from tests.full_disk import largest_file
 
 
@@ -44,7 +50,8 @@ def test_checkpoints_that_are_none_are_refused_in_one_line(capsys: pytest.Captur
     assert "no checkpoint of rover_rl" in failed(capsys, "evaluate", tmp_path / "foreign.pt")
 
 
-NAMES = "use one of ['train', 'evaluate', 'film', 'worlds', 'demo', 'robot', 'drive', 'export']; see rover-rl --help"
+COMMANDS = ["train", "evaluate", "play", "film", "worlds", "demo", "robot", "drive", "export"]
+NAMES = f"use one of {COMMANDS}; see rover-rl --help"
 
 
 @pytest.mark.parametrize(
@@ -112,6 +119,9 @@ def test_a_malformed_command_line_is_refused_in_one_line(
         ("train --path-reward nan", "path_reward must be at least 0 and at most 1e+30, got nan"),
         ("train --world nowhere", "unknown world 'nowhere'; use one of ['inspect', 'maze', 'moon'], 'name:seed'"),
         ("demo --minutes -1", "max_minutes must be positive and at most 1e+30, got -1.0"),
+        ("demo --count 0", "count must be at least 1 and at most 1e+12, got 0"),
+        ("demo --seconds 0", "seconds must be at least 0.05 and at most 1e+06, got 0.0"),
+        ("evaluate scripted --world maze --endless --action-repeat 0", "action_repeat must be at least 1"),
     ],
 )
 def test_numbers_and_worlds_out_of_range_are_refused_in_one_line(
@@ -148,8 +158,8 @@ def test_settings_that_cannot_be_read_are_refused_in_one_line(
     ("line", "name"),
     [
         ("export pretrained:moon-ppo --format torch --out {}/moon.pt2", "moon.pt2"),
-        ("film scripted --seconds 0.5 --out {}/film.gif", "film.gif"),
-        ("film scripted --seconds 0.5 --out {}/film.mp4", "film.mp4"),
+        ("film scripted --world maze --seconds 0.5 --width 64 --height 48 --out {}/film.gif", "film.gif"),
+        ("film scripted --world maze --seconds 0.5 --width 64 --height 48 --out {}/film.mp4", "film.mp4"),
         ("train --runs {} --name run", "run/config.yaml"),
     ],
 )
@@ -158,7 +168,8 @@ def test_without_space_the_file_is_named_and_nothing_is_left(
 ) -> None:
     if name.endswith(".mp4"):
         pytest.importorskip("imageio_ffmpeg", reason="needs rover_rl[video]")
-    with largest_file(100):
+    # The first film compiles the renderer, for which lines of progress appear.
+    with largest_file(100), redirected_progress(lambda fraction: None):
         assert failed(capsys, *line.format(tmp_path).split()) == f"rover-rl: {tmp_path}/{name}: File too large\n"
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
@@ -188,11 +199,12 @@ def test_too_little_memory_is_told_in_one_line(capsys: pytest.CaptureFixture[str
     assert "not enough memory" in failed(capsys, "train", "--hidden", 10**12)
 
 
-SIZE = ["--num-envs", "4", "--workers", "1", "--rollout-length", "8", "--total-steps", "128"]
+SIZE = ["--num-envs", "4", "--workers", "1", "--rollout-length", "4", "--total-steps", "64", "--hidden", "16"]
 
 
 def test_train_go_on_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert main(["train", "--algo", "ppo", "--runs", str(tmp_path), "--name", "run", "--epochs", "1", *SIZE]) == 0
+    given = ["train", "--algo", "ppo", "--world", "maze", "--runs", str(tmp_path), "--name", "run", "--epochs", "1"]
+    assert main([*given, *SIZE]) == 0
     folder = tmp_path / "run"
     told = capsys.readouterr().out
     assert str(folder / "checkpoint.pt") in told
@@ -200,8 +212,8 @@ def test_train_go_on_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path:
     assert (folder / "learning_curve.png").is_file()
     assert "already" in failed(capsys, "train", "--runs", tmp_path, "--name", "run")
 
-    assert main(["train", "--resume", str(folder), "--total-steps", "256"]) == 0
-    assert "after 256 steps" in capsys.readouterr().out
+    assert main(["train", "--resume", str(folder), "--total-steps", "128"]) == 0
+    assert "after 128 steps" in capsys.readouterr().out
 
     out = tmp_path / "results"
     options = ["--count", "2", "--seconds", "1"]
@@ -212,8 +224,9 @@ def test_train_go_on_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path:
 
 def test_a_policy_is_trained_and_driven_in_warp(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    given = ["train", "--backend", "warp", "--randomize", "--runs", str(tmp_path), "--name", "run", "--epochs", "1"]
-    assert main([*given, *SIZE]) == 0
+    given = ["train", "--backend", "warp", "--world", "maze", "--randomize", "--epochs", "1", *SIZE]
+    given += ["--runs", str(tmp_path), "--name", "run"]
+    assert main(given) == 0
     driven = ["evaluate", str(folder), "--backend", "warp", "--count", "2", "--seconds", "1", "--out", str(tmp_path)]
     assert main(driven) == 0
     assert (tmp_path / "evaluation.json").is_file()
@@ -222,14 +235,15 @@ def test_a_policy_is_trained_and_driven_in_warp(capsys: pytest.CaptureFixture[st
 
 
 def test_settings_come_from_a_file_and_options_go_first(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    (tmp_path / "mine.yaml").write_text("algo: sac\nworld: moon\nhidden: [16]\nwarmup: 16\n")
+    (tmp_path / "mine.yaml").write_text("algo: sac\nworld: maze\nhidden: [8]\nwarmup: 16\n")
     runs = ["--runs", str(tmp_path), "--name", "run"]
-    assert main(["train", "--config", str(tmp_path / "mine.yaml"), *runs, *SIZE, "--gradient-steps", "1"]) == 0
+    size = ["--num-envs", "4", "--workers", "1", "--rollout-length", "8", "--total-steps", "128"]
+    assert main(["train", "--config", str(tmp_path / "mine.yaml"), *runs, *size, "--gradient-steps", "1"]) == 0
     config = read_config(tmp_path / "run" / "config.yaml")
     assert isinstance(config.algorithm, SACConfig)
     assert config.algorithm.learning_starts == 16
     parts = (config.env.world, config.network.hidden, config.env.num_envs, config.algorithm.gradient_steps)
-    assert parts == ("moon", (16,), 4, 1)
+    assert parts == ("maze", (8,), 4, 1)
     capsys.readouterr()
     assert "--algo is ppo" in failed(capsys, "train", "--config", tmp_path / "mine.yaml", "--algo", "ppo")
     assert "give one of them" in failed(capsys, "train", "--config", tmp_path / "mine.yaml", "--resume", tmp_path)
@@ -238,8 +252,9 @@ def test_settings_come_from_a_file_and_options_go_first(capsys: pytest.CaptureFi
 
 
 def test_settings_can_be_those_of_a_pretrained_policy(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    given = ["--config", "pretrained:maze-ppo", "--runs", str(tmp_path), *SIZE, "--max-minutes", "1e-6"]
-    assert main(["train", *given]) == 0
+    # Without the reward for the shortest path, whose maps take seconds.
+    given = ["--config", "pretrained:maze-ppo", "--path-reward", "0", "--imitation", "0", "--max-minutes", "1e-6"]
+    assert main(["train", *given, "--runs", str(tmp_path), *SIZE]) == 0
     assert read_config(tmp_path / "ppo-maze" / "config.yaml").env.world == "maze"
     capsys.readouterr()
     assert "no pretrained policy 'mars-ppo'" in failed(capsys, "train", "--config", "pretrained:mars-ppo")
@@ -268,20 +283,101 @@ def test_worlds_are_listed_and_drawn(capsys: pytest.CaptureFixture[str], tmp_pat
     assert "moon" in capsys.readouterr().out
 
 
+def test_the_results_of_an_evaluation_do_not_depend_on_the_number_of_processes(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    given = ["evaluate", "scripted", "random", "--world", "maze", "--seconds", "0.2"]
+    for workers in ("1", "2"):
+        assert main([*given, "--count", "8", "--workers", workers, "--out", str(tmp_path / workers)]) == 0
+    one, two = (json.loads((tmp_path / workers / "evaluation.json").read_text()) for workers in ("1", "2"))
+    assert one == two
+    assert [row["count"] for row in one] == [8, 8]
+    capsys.readouterr()
+    assert "workers must be at least 1" in failed(capsys, *given, "--count", 1, "--workers", 0, "--out", tmp_path)
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Addresses that were opened in a viewer. There is no display."""
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    addresses: list[str] = []
+    monkeypatch.setattr("webbrowser.open", addresses.append)
+    return addresses
+
+
+def test_play_films_a_policy_and_opens_the_film_on_a_display(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, opened: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    given = ["play", "scripted", "--world", "maze", "--seconds", "0.1"]
+    assert main(given) == 0
+    film = Path("runs/play/scripted-maze.gif")
+    told = capsys.readouterr().out
+    assert told.startswith("Filming 0.1 s of scripted\n")
+    assert f"Film: {film}\n" in told
+    assert film.stat().st_size > 1000
+    assert opened == []
+    monkeypatch.setenv("DISPLAY", ":0")
+    assert main([*given, "--no-show"]) == 0
+    assert opened == []
+    assert main(given) == 0
+    assert opened == [film.resolve().as_uri()]
+
+
+def test_play_films_a_trained_policy_in_its_world_and_folder(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, opened: list[str]
+) -> None:
+    config = training_config("ppo", world="maze:3", hidden=(8,))
+    Checkpoint(config=config, steps=0, actor=make_actor(hidden=(8,)).state_dict()).save(tmp_path / "checkpoint.pt")
+    assert main(["play", str(tmp_path), "--seconds", "0.1"]) == 0
+    film = tmp_path / f"{tmp_path.name}-maze-3.gif"
+    assert f"Film: {film}\n" in capsys.readouterr().out
+    assert film.is_file()
+    assert main(["play", str(tmp_path / "nothing")]) == 2
+    assert "no checkpoint at" in capsys.readouterr().err
+
+
 @pytest.mark.slow
-def test_the_demo_trains_and_shows_a_pretrained_policy(
+def test_the_demo_trains_in_warp_and_shows_the_policy_beside_others_in_bullet(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rover_rl.cli.demo.FILMED", 1.0)
-    short = ["--world", "inspect", "--minutes", "1e-6", "--count", "1", "--num-envs", "4", "--runs", str(tmp_path)]
+    monkeypatch.setattr("rover_rl.cli.demo.FILMED", 0.2)
+    monkeypatch.setattr("rover_rl.cli.demo.SETTINGS", {"num_envs": 4, "minibatch": 32})
+    filmed: list[Any] = []
+
+    def recorded(policy: Any, *args: Any, **options: Any) -> Any:
+        filmed.append(policy)
+        return film(policy, *args, **options)
+
+    monkeypatch.setattr("rover_rl.algos.video.film.film", recorded)
+    short = ["--world", "inspect", "--minutes", "1e-6", "--count", "2", "--seconds", "0.5", "--runs", str(tmp_path)]
     assert main(["demo", *short]) == 0
     folder = tmp_path / "ppo-inspect"
+    assert read_config(folder / "config.yaml").env.backend == "warp"
+    rows = json.loads((folder / "evaluation.json").read_text())
+    assert [row["policy"] for row in rows] == ["trained", "pretrained", "scripted", "random"]
+    assert {row["env"]["backend"] for row in rows} == {"bullet"}
+    starts = [[episode["shortest"] for episode in row["episodes"]] for row in rows]
+    assert len(starts[0]) == 2
+    assert starts == [starts[0]] * 4
+    (policy,) = filmed
+    trained = Checkpoint.load(folder).make_actor().state_dict()
+    assert all(torch.equal(value, trained[name]) for name, value in policy.state_dict().items())
+
     told = capsys.readouterr().out
-    for picture in ("learning_curve.png", "paths.png", "inspect-ppo.gif"):
+    for picture in ("learning_curve.png", "paths.png", "film.gif"):
         assert str(folder / picture) in told
         assert (folder / picture).stat().st_size > 1000
-    policies = {row["policy"] for row in json.loads((folder / "evaluation.json").read_text())}
-    assert policies == {"trained", "pretrained", "random"}
+    # There is no terminal, so that each phase is told by lines, without a bar.
+    lines = told.splitlines()
+    assert lines[0].startswith("Training PPO in inspect for 1e-06 minutes")
+    assert any(line.startswith("training 100% after") for line in lines)
+    assert "Driving 4 policies from the same 2 starts in Bullet" in lines
+    assert lines[-1] == f"To watch more of it: rover-rl play {folder}"
+    assert "\x1b" not in told
+    assert "━━━━━━━━━━" not in told
 
 
 def test_robot_and_drive_take_the_description_of_an_environment(

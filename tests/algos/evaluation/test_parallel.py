@@ -168,11 +168,8 @@ def test_invalid_requests_raise_before_a_process_starts(
     for request, message in invalid:
         with pytest.raises(ValueError, match=message):
             evaluate_all([GoalRequest(None, EPISODES), request])
-
-
-def test_the_number_of_processes_is_checked() -> None:
     with pytest.raises(ValueError, match="workers must be at least 1"):
-        over_cores(call, [endless], "working", workers=0)
+        evaluate_all([GoalRequest(None, EPISODES.first(1))], workers=0)
 
 
 def doubled(number: int) -> int:
