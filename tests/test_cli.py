@@ -372,7 +372,7 @@ def test_the_demo_trains_in_warp_and_shows_the_policy_beside_others_in_bullet(
         assert (folder / picture).stat().st_size > 1000
     # There is no terminal, so that each phase is told by lines, without a bar.
     lines = told.splitlines()
-    assert lines[0].startswith("Training PPO in inspect for 1e-06 minutes")
+    assert lines[0] == "Training PPO in inspect for 1e-06 minutes, after some preparation"
     assert any(line.startswith("training 100% after") for line in lines)
     assert "Driving 4 policies from the same 2 starts in Bullet" in lines
     assert lines[-1] == f"To watch more of it: rover-rl play {folder}"

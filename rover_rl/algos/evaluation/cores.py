@@ -10,6 +10,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -103,7 +104,16 @@ def _start_worker(fractions: SynchronizedArray[float]) -> None:
     global _fractions
     _fractions = fractions
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_exit_with_parent, daemon=True).start()
     sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+
+
+def _exit_with_parent() -> None:
+    """Ends a worker process when the main process has been killed. It would finish its item otherwise."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
 
 def _apply(work: Callable[[Item], Result], item: Item, number: int) -> Result:
