@@ -16,6 +16,7 @@ from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import make_actor
 from rover_rl.algos.video.film import film
 from rover_rl.cli import main
+from rover_rl.progress import redirected_progress
 from tests.full_disk import largest_file
 
 
@@ -167,7 +168,8 @@ def test_without_space_the_file_is_named_and_nothing_is_left(
 ) -> None:
     if name.endswith(".mp4"):
         pytest.importorskip("imageio_ffmpeg", reason="needs rover_rl[video]")
-    with largest_file(100):
+    # The first film compiles the renderer, for which lines of progress appear.
+    with largest_file(100), redirected_progress(lambda fraction: None):
         assert failed(capsys, *line.format(tmp_path).split()) == f"rover-rl: {tmp_path}/{name}: File too large\n"
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
