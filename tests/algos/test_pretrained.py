@@ -41,8 +41,8 @@ def test_it_reaches_its_goals(name: str) -> None:
     checkpoint = load_pretrained(name)
     env = checkpoint.env
     assert f"{env.world}-{'warp' if env.backend == 'warp' else checkpoint.algorithm}" == name
-    episodes = stored_episodes(env.world).first(20)
-    result = evaluate(checkpoint.make_actor(), episodes, name=name, seconds=20, rows=20)
+    episodes = stored_episodes(env.world).first(24)
+    result = evaluate(checkpoint.make_actor(), episodes, name=name, seconds=40, rows=12)
     assert result.success_rate >= FLOOR[env.world]
 
 
