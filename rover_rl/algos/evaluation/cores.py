@@ -68,6 +68,7 @@ def _in_processes(
     futures: list[Future[Result]] = []
     try:
         futures += [pool.submit(_apply, work, item, number) for number, item in enumerate(items)]
+        processes = set(multiprocessing.active_children()) - others
         while True:
             done, pending = wait(futures, _POLL_INTERVAL, FIRST_EXCEPTION)
             failed = next((error for error in map(Future.exception, done) if error), None)
@@ -75,6 +76,9 @@ def _in_processes(
                 raise failed
             if not pending:
                 return [future.result() for future in futures]
+            # The pool may notice the end of a process only after the next result of another one.
+            if any(process.exitcode is not None for process in processes):
+                raise BrokenProcessPool
             display.update(sum(fractions[:]) / len(items))
     except BrokenProcessPool as error:
         raise ChildProcessError("a worker process has ended, perhaps because the memory is full") from error
