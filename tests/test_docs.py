@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import redirect_stdout
 from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -218,6 +219,9 @@ def test_python_programs_and_their_arguments_exist(args: list[str]) -> None:
         compile(args[1], "<page>", "exec")
         return
     named, *options = args[1:] if args[0] == "-m" else args
+    if args[0] == "-m" and not (ROOT / named.partition(".")[0]).is_dir():
+        assert find_spec(named) is not None
+        return
     path = ROOT / (named.replace(".", "/") if args[0] == "-m" else named)
     path = path / "__main__.py" if path.is_dir() else path.with_suffix(".py")
     assert path.is_file()
