@@ -7,7 +7,7 @@ import pytest
 from benchmarks.leaks import WORLDS, in_fresh_process
 from tests.extras import needs_mujoco
 
-WARMUP, CYCLES = 2, 4
+WARMUP, CYCLES = 5, 4
 LIMIT = 5.0 * CYCLES
 """Allowed growth in MB. The lists leaked by PyBullet's own functions take 21 to 115 MB per environment, except in the
 maze."""
