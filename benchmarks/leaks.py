@@ -11,6 +11,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import sys
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -43,16 +44,16 @@ class Options:
     """Names of the backends."""
 
 
-def growth(backend: str, cycles: int, warmup: int) -> dict[str, float]:
-    """Returns the growth of this process over ``cycles`` environments in each of :data:`WORLDS`, MB."""
+def growth(backend: str, cycles: int, warmup: int, worlds: Sequence[str] = WORLDS) -> dict[str, float]:
+    """Returns the growth of this process over ``cycles`` environments in each of ``worlds``, MB."""
     torch.set_num_threads(1)
-    return {name: _growth(name, backend, cycles, warmup) for name in WORLDS}
+    return {name: _growth(name, backend, cycles, warmup) for name in worlds}
 
 
-def in_fresh_process(backend: str, cycles: int, warmup: int) -> dict[str, float]:
+def in_fresh_process(backend: str, cycles: int, warmup: int, worlds: Sequence[str] = WORLDS) -> dict[str, float]:
     """Returns :func:`growth`, measured in a fresh process."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        return pool.submit(growth, backend, cycles, warmup).result()
+        return pool.submit(growth, backend, cycles, warmup, worlds).result()
 
 
 def _growth(name: str, backend: str, cycles: int, warmup: int) -> float:

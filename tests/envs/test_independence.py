@@ -52,10 +52,10 @@ SETTINGS = {"lidar_beams": 32, "length": 100}
     [
         # One step of 256 rovers in Bullet takes a tenth of a second: they are compared over one episode and the
         # beginning of the next, and the batch of 16 over ten episodes.
-        ("bullet", "maze", [(16, 5, 1000), (256, 200, 110)]),
+        ("bullet", "maze", [(16, 5, 400), (256, 200, 110)]),
         ("bullet", "moon", [(16, 15, 150)]),
         ("bullet", "inspect", [(16, 0, 150)]),
-        ("warp", "maze", [(256, 200, 1000)]),
+        ("warp", "maze", [(256, 200, 400)]),
         ("warp", "moon", [(16, 15, 150)]),
         ("warp", "inspect", [(33, 0, 150)]),
         pytest.param("mujoco", "maze", [(16, 5, 250)], marks=needs_mujoco),

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.free_space import free_space
-from rover_rl.sims.worlds.shortest_paths import distance_fields
+from rover_rl.sims.worlds.shortest_paths import DistanceFields
 from rover_rl.sims.worlds.world import World
 
 ANCHOR_SPACING = 0.5
@@ -26,17 +26,18 @@ Part = TypeVar("Part")
 
 
 class PathDistance:
-    """Path distances in one world, from precomputed distance fields.
+    """Path distances in one world, from distance fields.
 
     There is one field per anchor. Anchors are points of the goal area, 0.5 m apart. The distance to a goal is the
-    distance to the nearest anchor.
+    distance to the nearest anchor. A field is computed when the first goal near its anchor is given, and kept. On a
+    GPU, all fields are computed ahead, as a check for missing ones would wait for the device.
 
     Args:
         world: world of the paths.
         robot: robot that determines the free space.
         device: device of positions and goals. ``None`` is the CPU.
         caution: relative extra cost of a path right beside an obstacle. See
-            :func:`~rover_rl.sims.worlds.shortest_paths.distance_fields`.
+            :class:`~rover_rl.sims.worlds.shortest_paths.DistanceFields`.
     """
 
     def __init__(
@@ -45,14 +46,28 @@ class PathDistance:
         space = free_space(world, robot)
         blocks = torch.unique((space.goal_cells / ANCHOR_SPACING).round(), dim=0) * ANCHOR_SPACING
         anchors = space.goal_cells[torch.cdist(blocks, space.goal_cells).argmin(-1)].float()
-        self._fields = distance_fields(world, robot, anchors, caution).to(device)
+        self._distance_fields = DistanceFields(world, robot, caution)
         self._anchors = anchors.to(device)
         self._origin = torch.tensor(space.origin, device=device)
         self._cell = space.cell
+        self._fields = torch.empty(len(anchors), *space.passable.shape, device=device)
+        self._is_computed = torch.zeros(len(anchors), dtype=torch.bool)
+        if self._anchors.is_cuda:
+            self._compute(torch.arange(len(anchors)))
+
+    def _compute(self, anchors: Tensor) -> None:
+        """Computes the fields of the anchors with the given indices."""
+        self._fields[anchors] = self._distance_fields(self._anchors[anchors].cpu()).to(self._fields.device)
+        self._is_computed[anchors] = True
 
     def anchor(self, goal: Tensor) -> Tensor:
         """Returns the index of the anchor nearest to each goal ``[N, 2]``: int64 ``[N]``."""
-        return torch.cdist(goal, self._anchors).argmin(-1)
+        nearest = torch.cdist(goal, self._anchors).argmin(-1)
+        if not self._anchors.is_cuda:
+            missing = nearest[~self._is_computed[nearest]]
+            if len(missing):
+                self._compute(missing.unique())
+        return nearest
 
     def to_anchor(self, anchor: Tensor, position: Tensor) -> Tensor:
         """Returns the distance from positions to anchors.
@@ -117,7 +132,7 @@ class PathDistances:
         robot: robot that determines the free space.
         device: device of positions and goals. ``None`` is the CPU.
         caution: relative extra cost of a path right beside an obstacle. See
-            :func:`~rover_rl.sims.worlds.shortest_paths.distance_fields`.
+            :class:`~rover_rl.sims.worlds.shortest_paths.DistanceFields`.
     """
 
     def __init__(

