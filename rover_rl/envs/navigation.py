@@ -159,4 +159,5 @@ def _outcome(state: StepState, events: Tensor, *, phase: Tensor, progress: Tenso
         angular_velocity=state.reference.rover.angular_velocity,
         steps=state.task.steps,
         total_steps=state.task.total_steps,
+        **({} if state.world is None else {"world": state.world}),
     )

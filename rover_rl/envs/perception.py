@@ -44,6 +44,7 @@ class StepState:
         sensed: perception from the sensor readings. The same object as ``truth`` if there is no sensor noise.
         reference: the one of ``truth`` and ``sensed`` that events and rewards are computed from.
         task: goals, targets and counters.
+        world: index of each row's world in the pool, int64 ``[N, 1]``. ``None`` if there is only one.
         outcome: events and measurements of the last step.
         terminated, truncated: whether the last step ended the episode, bool ``[N, 1]``.
     """
@@ -52,9 +53,11 @@ class StepState:
     sensed: Perception
     reference: Perception
     task: TaskState
+    world: Tensor | None
     outcome: TensorDict
     terminated: Tensor
     truncated: Tensor
 
-    def __init__(self, task: TaskState) -> None:
+    def __init__(self, task: TaskState, world: Tensor | None) -> None:
         self.task = task
+        self.world = world

@@ -44,7 +44,7 @@ class PrivilegedObservation:
     - ``latency``: delay of commands, control steps.
 
     Args:
-        worlds: world of each row.
+        worlds: worlds of the environment, by index.
         robot: robot that determines the free space.
         device: device of the observation.
     """
@@ -52,11 +52,14 @@ class PrivilegedObservation:
     def __init__(self, worlds: Sequence[World], robot: Robot, device: torch.device) -> None:
         self._distances = PathDistances(worlds, robot, device)
 
-    def __call__(self, truth: Perception, goal: Tensor, dynamics: Dynamics, latency: Tensor) -> TensorDict:
+    def __call__(
+        self, truth: Perception, world: Tensor, goal: Tensor, dynamics: Dynamics, latency: Tensor
+    ) -> TensorDict:
         """Returns the privileged observation, ``[N]``.
 
         Args:
             truth: true state of the rovers.
+            world: index of each row's world, int64 ``[N, 1]``.
             goal: positions of the goals, ``[N, 2]``, m.
             dynamics: scale factors of the dynamics, ``[N]`` each.
             latency: delays of commands, ``[N, 1]``, control steps.
@@ -67,7 +70,7 @@ class PrivilegedObservation:
             "attitude": truth.euler,
             "velocities": torch.cat((rover.linear_velocity, rover.angular_velocity), -1),
             "target": target_info(truth.position, truth.yaw, goal),
-            "path_distance": self._distances(truth.position, goal),
+            "path_distance": self._distances(world, truth.position, goal),
             "friction": dynamics.friction[:, None],
             "chassis_mass": dynamics.chassis_mass[:, None],
             "motor_torque": dynamics.motor_torque[:, None],

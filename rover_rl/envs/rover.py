@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import secrets
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -32,20 +31,22 @@ from rover_rl.envs.inputs import checked_action, checked_place
 from rover_rl.envs.navigation import Navigation
 from rover_rl.envs.observation import Observer, observation_bounds
 from rover_rl.envs.perception import Perception, StepState
-from rover_rl.envs.placement import Placement, assign_rows
+from rover_rl.envs.placement import Placement
 from rover_rl.envs.privileged import PrivilegedObservation
 from rover_rl.envs.randomization import CommandDelay, draw_dynamics, sense
 from rover_rl.envs.rng import episode_keys, row_keys
+from rover_rl.envs.row_worlds import RowWorlds
 from rover_rl.envs.sensing import LidarPooling
 from rover_rl.envs.task import (
     TaskState,
     target_info,
 )
 from rover_rl.sims import BackendLike, Connection, RoverState, Simulator, make_simulator
-from rover_rl.sims.base import View
+from rover_rl.sims.base import View, WorldChanger
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds.pool import WorldPool, WorldSource
 from rover_rl.tensordicts import unchecked_tensordict
 
 
@@ -77,7 +78,8 @@ class RoverEnv(EnvBase):
         scan_topic, imu_topic, cmd_vel_topic, camera_topic: ROS 2 topics of a live rover.
         world_n: name of a world (``"inspect"``, ``"moon"``, ``"maze"``, ``"maze:7"`` for seed 7, or
             ``"module:attribute"``), a :class:`~rover_rl.sims.worlds.World`, or a list of worlds, which are assigned to
-            equal blocks of rows.
+            equal blocks of rows. With a range of seeds (``"maze:0-999"``, or ``"maze:*"`` for those from 0 to 9999), a
+            list that has one, or a :class:`~rover_rl.sims.worlds.pool.WorldPool`, each episode draws a world.
         connection_check_timeout: time to wait for a live rover's first scan, s.
         lidar_points: number of lidar readings in an observation, each the minimum of a segment of the scan.
         max_lidar_range: maximum of a lidar reading, m. Larger ranges are clipped.
@@ -101,7 +103,7 @@ class RoverEnv(EnvBase):
 
     Attributes:
         config: description of the environment.
-        num_envs: number of rovers, and of rows of :attr:`goal`, :attr:`rover_state` and ``worlds``. 1 if unbatched.
+        num_envs: number of rovers, and of rows of :attr:`goal`, :attr:`rover_state` and :attr:`worlds`. 1 if unbatched.
         simulator: simulator. A reset after ``close()`` replaces it.
 
     Raises:
@@ -124,7 +126,7 @@ class RoverEnv(EnvBase):
         imu_topic: str = "/imu/data",
         cmd_vel_topic: str = "/cmd_vel",
         camera_topic: str = "/camera/image_raw",
-        world_n: str | World | Sequence[str | World] = "inspect",
+        world_n: WorldSource = "inspect",
         connection_check_timeout: float = 30,
         lidar_points: int = 32,
         max_lidar_range: float = 12.0,
@@ -183,7 +185,8 @@ class RoverEnv(EnvBase):
         self.num_envs = num_envs
         self._row_shape = torch.Size([num_envs])
         self.robot = get_robot(config.robot)
-        self.worlds = assign_rows(config.world, num_envs)
+        first_keys = episode_keys(row_keys(seed, num_envs, self._tensor_device), 1)
+        self._row_worlds = RowWorlds(config.world, first_keys)
         self.lidar = LidarPooling(config.lidar.beams, config.lidar.points, config.lidar.max_range, self._tensor_device)
         self._make_simulator = partial(
             make_simulator,
@@ -210,8 +213,18 @@ class RoverEnv(EnvBase):
         self._navigation = Navigation(config, self.placement, self.num_envs, device)
         self.controller = HeadingController(self.num_envs, config.heading_gains, device)
         self._delay = CommandDelay(config.randomization.latency, self.num_envs, device)
-        self._privileged = PrivilegedObservation(self.worlds, self.robot, device) if config.privileged else None
-        self._state = StepState(task=TaskState.zeros(self.num_envs, device))
+        self._privileged = PrivilegedObservation(self.pool, self.robot, device) if config.privileged else None
+        self._state = StepState(task=TaskState.zeros(self.num_envs, device), world=self._row_worlds.index_if_several)
+
+    @property
+    def worlds(self) -> list[World]:
+        """World of each row."""
+        return self._row_worlds.worlds
+
+    @property
+    def pool(self) -> WorldPool:
+        """All worlds that rows can be in. ``outcome["world"]`` is the index of a row's world."""
+        return self._row_worlds.pool
 
     @property
     def length(self) -> int:
@@ -305,7 +318,7 @@ class RoverEnv(EnvBase):
         batch_size, device, privileged = self.batch_size, self.device, self.config.privileged
         action = specs.action_bounds(self.config.action)
         bounds = observation_bounds(self.config.lidar)
-        self.observation_spec = specs.observation_spec(bounds, batch_size, device, privileged)
+        self.observation_spec = specs.observation_spec(bounds, batch_size, device, privileged, len(self.pool) > 1)
         self.action_spec = specs.bounded_spec(action, batch_size, device)
         self.reward_spec = specs.reward_spec(batch_size, device)
         self.full_done_spec = specs.done_spec(batch_size, device)
@@ -334,6 +347,7 @@ class RoverEnv(EnvBase):
         self._episode = self._episode + mask
         self._keys = torch.where(mask, episode_keys(self._row_keys, self._episode), self._keys)
 
+        self._change_worlds(mask)
         poses = self.placement.draw_start(self._keys) if start is None else start
         device = self.simulator.device
         rows = mask.squeeze(-1).to(device)
@@ -356,6 +370,16 @@ class RoverEnv(EnvBase):
             terminated=state.terminated,
             truncated=state.truncated,
         )
+
+    def _change_worlds(self, mask: Tensor) -> None:
+        """Draws the worlds of new episodes, in a simulator that can change the worlds of rows."""
+        if self._row_worlds.is_drawn and isinstance(self.simulator, WorldChanger):
+            rows = self._row_worlds.draw(mask, self._keys)
+            if rows:
+                worlds = [self.worlds[row] for row in rows]
+                self.placement.set_worlds(rows, worlds)
+                self.simulator.set_worlds(rows, worlds)
+                self._state.world = self._row_worlds.index_if_several
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         self._require_open("step")
@@ -403,7 +427,9 @@ class RoverEnv(EnvBase):
         target = state.task.target if same else target_info(sensed.position, sensed.yaw, goal)
         observation: dict[str, Any] = self._observer(sensed, target)
         if self._privileged is not None:
-            observation["privileged"] = self._privileged(state.truth, goal, self._dynamics, self._delay.steps)
+            observation["privileged"] = self._privileged(
+                state.truth, self._row_worlds.index, goal, self._dynamics, self._delay.steps
+            )
         return observation
 
     def _pack(self, observation: dict[str, Any], **entries: Any) -> TensorDict:

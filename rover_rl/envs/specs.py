@@ -51,6 +51,7 @@ def observation_spec(
     batch_size: Sequence[int],
     device: torch.device | str | None,
     privileged: bool = False,
+    several_worlds: bool = False,
 ) -> Composite:
     """Creates the spec of the observation and the nested ``outcome``.
 
@@ -59,11 +60,14 @@ def observation_spec(
         batch_size: batch size of the environment.
         device: device of the environment.
         privileged: whether to add the nested ``privileged`` observation.
+        several_worlds: whether to add the index of the world to ``outcome``.
     """
     entries = {key: bounded_spec(each, batch_size, device) for key, each in bounds.items()}
     if privileged:
         entries["privileged"] = _privileged_spec(batch_size, device)
-    return Composite(**entries, outcome=_outcome_spec(batch_size, device), shape=batch_size, device=device)
+    return Composite(
+        **entries, outcome=_outcome_spec(batch_size, device, several_worlds), shape=batch_size, device=device
+    )
 
 
 def _privileged_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Composite:
@@ -89,7 +93,7 @@ def reward_spec(batch_size: Sequence[int], device: torch.device | str | None) ->
     return Unbounded(shape=(*batch_size, 1), dtype=torch.float32, device=device)
 
 
-def _outcome_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Composite:
+def _outcome_spec(batch_size: Sequence[int], device: torch.device | str | None, several_worlds: bool) -> Composite:
     shape = (*batch_size, 1)
     return Composite(
         **{event: _flag(batch_size, device) for event in EVENTS},
@@ -100,6 +104,7 @@ def _outcome_spec(batch_size: Sequence[int], device: torch.device | str | None) 
         angular_velocity=Unbounded(shape=shape, device=device),
         steps=Unbounded(shape=shape, dtype=torch.int64, device=device),
         total_steps=Unbounded(shape=shape, dtype=torch.int64, device=device),
+        **({"world": Unbounded(shape=shape, dtype=torch.int64, device=device)} if several_worlds else {}),
         shape=batch_size,
         device=device,
     )

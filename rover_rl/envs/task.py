@@ -8,7 +8,8 @@ from unclipped state. Rewards, metrics and ``info`` dictionaries are computed fr
 - ``progress``: decrease of the distance to the goal in this step, m;
 - ``alignment``: heading alignment, see :func:`heading_alignment`;
 - ``linear_velocity`` (m/s) and ``angular_velocity`` (rad/s) from wheel odometry;
-- ``steps`` of the episode, and ``total_steps`` of the row.
+- ``steps`` of the episode, and ``total_steps`` of the row;
+- ``world``: index of the row's world in ``RoverEnv.pool``, if the pool has several worlds.
 """
 
 from __future__ import annotations

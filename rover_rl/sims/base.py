@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, runtime_checkable
 
 import torch
 from tensordict import TensorClass
 from torch import Tensor
 
 from rover_rl.tensordicts import unchecked_tensordict
+
+if TYPE_CHECKING:
+    from rover_rl.sims.worlds import World
 
 View: TypeAlias = Literal["chase", "top"]
 
@@ -137,4 +141,18 @@ class Simulator(Protocol):
 
     def close(self) -> None:
         """Releases all resources. Idempotent."""
+        ...
+
+
+@runtime_checkable
+class WorldChanger(Protocol):
+    """Interface of a simulator whose rovers can change worlds. With other simulators, a rover keeps its first world."""
+
+    def set_worlds(self, rows: Sequence[int], worlds: Sequence[World]) -> None:
+        """Moves rovers to other worlds. The caller resets them next.
+
+        Args:
+            rows: indices of the rovers.
+            worlds: new world of each of these rovers.
+        """
         ...

@@ -12,14 +12,12 @@ from torchrl.envs import EnvBase, RandomTruncationTransform, RewardSum, StepCoun
 from rover_rl.algos.config import TrainingConfig, usable_cores
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.make import add_reward
-from rover_rl.envs.placement import assign_rows
 from rover_rl.envs.rewards import reward_components
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward
 from rover_rl.envs.transforms.step_clock import StepClock
 from rover_rl.sims.backends import find_settings
-from rover_rl.sims.worlds import World
 
 SESSION_SEEDS = 1_000_003
 """Offset of the seeds of each session of a run, so that a resumed run draws new starts and goals."""
@@ -66,11 +64,6 @@ def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> Env
         # On the CPU, tensordicts without a device are faster.
         device=config.device if config.on_gpu else None,
     )
-
-
-def world_of_each_row(config: TrainingConfig) -> list[World]:
-    """Returns the world of each row of a batch. Each worker has rovers in all worlds."""
-    return assign_rows(config.env.world, config.rovers_per_worker) * config.workers
 
 
 class GoalCounter(Transform):

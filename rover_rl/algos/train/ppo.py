@@ -39,11 +39,11 @@ from rover_rl.algos.policy.networks import (
     mirrored,
     single_threaded,
 )
-from rover_rl.algos.train.env import world_of_each_row
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import TrainingRun, TrainingSummary, prepare, set_learning_rate
 from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.robots import get_robot
+from rover_rl.sims.worlds.pool import WorldPool
 
 __all__ = ["PPOConfig", "PPOLearner", "train_ppo"]
 
@@ -97,7 +97,7 @@ class PPOLearner:
         )
         self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=settings.learning_rate)
         self._expert = (
-            PrivilegedExpert(world_of_each_row(config), get_robot(config.env.robot), device)
+            PrivilegedExpert(WorldPool.of(config.env.world), get_robot(config.env.robot), device)
             if settings.imitation
             else None
         )

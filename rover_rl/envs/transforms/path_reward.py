@@ -35,7 +35,7 @@ class PathReward(Transform):
 
     def __init__(self, env: RoverEnv, weight: float) -> None:
         super().__init__()
-        self._distances = PathDistances(env.worlds, env.robot, env.device, CAUTION)
+        self._distances = PathDistances(env.pool, env.robot, env.device, CAUTION)
         self._weight = weight
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -49,13 +49,20 @@ class PathReward(Transform):
 
     def _path_length(self, observation: TensorDictBase) -> Tensor:
         rows = in_rows(observation)
-        return self._distances(rows["pose"][..., :2], goal_of(rows)).reshape(*observation.batch_size, 1)
+        length = self._distances(world_of(rows), rows["pose"][..., :2], goal_of(rows))
+        return length.reshape(*observation.batch_size, 1)
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Adds ``path_length``."""
         shape = (*observation_spec.shape, 1)
         observation_spec["path_length"] = Unbounded(shape=shape, device=observation_spec.device)
         return observation_spec
+
+
+def world_of(observation: TensorDictBase) -> Tensor:
+    """Returns the index of the world, int64 ``[..., 1]``: ``outcome["world"]``, or 0 if there is only one world."""
+    world = observation.get(("outcome", "world"), None)
+    return torch.zeros_like(observation["outcome", "steps"]) if world is None else world
 
 
 def goal_of(observation: TensorDictBase) -> Tensor:

@@ -24,6 +24,31 @@ GRID_CELL = 1.0
 """Side length of a cell of the broad-phase grid, m."""
 
 
+class SceneTable:
+    """Scenes of the worlds in :class:`~rover_rl.sims.worlds.slots.Slots`, in one array.
+
+    Args:
+        capacity: maximum number of slots.
+        reach: radius of a sphere around the center of mass that contains the rover, m.
+        device: device of the arrays.
+
+    Attributes:
+        scenes: scene of each slot.
+    """
+
+    def __init__(self, capacity: int, reach: float, device: wp.Device) -> None:
+        self._reach, self._device = reach, device
+        self.scenes = wp.zeros(capacity, dtype=Scene, device=device)
+        # A struct in an array refers to other arrays without owning them.
+        self._owners: list[Scene | None] = [None] * capacity
+
+    def __setitem__(self, slot: int, world: World) -> None:
+        """Copies a world to a slot."""
+        scene = make_scene(world, self._reach, self._device)
+        wp.copy(self.scenes, wp.array([scene], dtype=Scene, device=self._device), dest_offset=slot, count=1)
+        self._owners[slot] = scene
+
+
 def make_scene(world: World, reach: float, device: wp.Device) -> Scene:
     """Copies a world to a device.
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from itertools import groupby
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -23,13 +23,17 @@ from rover_rl.sims.rotations import matrix_to_quaternion
 from rover_rl.sims.warp.kernels.dynamics import place, step_dynamics
 from rover_rl.sims.warp.kernels.lidar import scan
 from rover_rl.sims.warp.kernels.types import Solver
-from rover_rl.sims.warp.scene import make_robot_model, make_scene
+from rover_rl.sims.warp.scene import SceneTable, make_robot_model
 from rover_rl.sims.warp.settings import WarpSettings
 from rover_rl.sims.warp.state_buffers import StateBuffers
 from rover_rl.sims.worlds import World, rest_on_ground
+from rover_rl.sims.worlds.slot_table import TerrainTable
+from rover_rl.sims.worlds.slots import Slots
 
 MIN_ROVERS_PER_THREAD = 16
 """Minimum number of rovers per CPU thread; with fewer, another thread does not pay."""
+SPARE_WORLDS = 64
+"""Number of worlds that stay on the device after the last rover has left them."""
 GPU_BLOCK_SIZE = 32
 """Threads per block on a GPU: one warp, so that a few thousand rovers spread over all multiprocessors."""
 
@@ -37,7 +41,7 @@ GPU_BLOCK_SIZE = 32
 class WarpSimulator:
     """Batch of rovers simulated by Warp kernels: one for the physics of a control step and one for the lidar.
 
-    A kernel thread simulates one rover. Consecutive rovers of the same world share a launch; rovers do not interact.
+    A kernel thread simulates one rover. All rovers share a launch, whatever world they are in; they do not interact.
 
     Args:
         worlds: world of each rover.
@@ -74,10 +78,11 @@ class WarpSimulator:
         inertial_model = read_inertial_model(robot)
         self._buffers = StateBuffers(inertial_model, robot, count, lidar_beams, self.device)
         self._model = make_robot_model(robot, inertial_model, self._wp_device)
-        self._worlds = [
-            (world, slice((rows := list(block))[0], rows[-1] + 1))
-            for world, block in groupby(range(count), key=worlds.__getitem__)
-        ]
+        self._slots = Slots(worlds, SPARE_WORLDS)
+        # Rows enter their new worlds one by one, so that one more slot than rows and spare worlds is in use at most.
+        self._scenes = SceneTable(count + SPARE_WORLDS + 1, self._model.bounding_radius, self._wp_device)
+        self._terrains = TerrainTable(self.device)
+        self._fill(range(len(self._slots.worlds)))
         self._poses = wp.from_torch(self._buffers.poses)
         directions = np.stack((np.cos(angles), np.sin(angles)), -1)
         self._shards = self._record(wp.array(directions, dtype=wp.vec2, device=self._wp_device))
@@ -95,27 +100,36 @@ class WarpSimulator:
         return {"device": self._wp_device, **blocks}
 
     def _record(self, beams: wp.array) -> list[_Shard]:
-        """Records the launches of each CPU thread: a share of the rovers of every world."""
+        """Records the launches of each CPU thread, for a share of the rovers."""
         threads = self.settings.threads or torch.get_num_threads()
         # Launches on a GPU are asynchronous: one host thread suffices.
         max_threads = 1 if self.device.type == "cuda" else max(1, self.num_envs // MIN_ROVERS_PER_THREAD)
-        shards = [_Shard() for _ in range(min(threads, max_threads))]
-        solver, rovers = _solver(self.settings), self._buffers.rovers
-        for world, rows in self._worlds:
-            scene = make_scene(world, self._model.bounding_radius, self._wp_device)
-            ends = np.linspace(rows.start, rows.stop, len(shards) + 1).astype(int).tolist()
-            for shard, first, last in zip(shards, ends[:-1], ends[1:], strict=True):
-                launch = {"dim": last - first, "record_cmd": True, **self._launch_options}
-                if last > first:
-                    inputs = [scene, self._model, solver, rovers, first]
-                    shard.dynamics.append(wp.launch(step_dynamics, inputs=inputs, **launch))
-                    shard.scans.append(wp.launch(scan, inputs=[scene, self._model, rovers, beams, first], **launch))
+        ends = np.linspace(0, self.num_envs, min(threads, max_threads) + 1).astype(int).tolist()
+        scenes, rovers, solver = self._scenes.scenes, self._buffers.rovers, _solver(self.settings)
+        shards = []
+        for first, last in pairwise(ends):
+            launch = {"dim": last - first, "record_cmd": True, **self._launch_options}
+            dynamics = wp.launch(step_dynamics, inputs=[scenes, self._model, solver, rovers, first], **launch)
+            shards.append(
+                _Shard(dynamics, wp.launch(scan, inputs=[scenes, self._model, rovers, beams, first], **launch))
+            )
         return shards
+
+    def set_worlds(self, rows: Sequence[int], worlds: Sequence[World]) -> None:
+        """Moves rovers to other worlds: see :meth:`WorldChanger.set_worlds`."""
+        self._fill(self._slots.assign(rows, worlds))
+
+    def _fill(self, slots: Iterable[int]) -> None:
+        """Copies the worlds of slots to the device, and the slot of every rover."""
+        for slot in slots:
+            world = self._slots.worlds[slot]
+            self._scenes[slot] = world
+            self._terrains[slot] = world.terrain
+        self._buffers.scene.copy_(torch.tensor(self._slots.of_row, dtype=torch.int32))
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
         """Places the rovers of ``mask`` at rest on the ground at ``poses``: see :meth:`Simulator.reset`."""
-        for world, rows in self._worlds:
-            self._set_rest_poses(world, rows, mask[rows], poses[rows])
+        self._set_rest_poses(mask, poses)
         self._buffers.active.copy_(mask)
         inputs = [self._model, self._buffers.rovers, self._poses]
         wp.launch(place, dim=self.num_envs, inputs=inputs, stream=self._stream, **self._launch_options)
@@ -123,12 +137,13 @@ class WarpSimulator:
         self._drive.reset(mask)
         return self.state()
 
-    def _set_rest_poses(self, world: World, rows: slice, mask: Tensor, poses: Tensor) -> None:
-        """Computes the resting poses of the rovers of ``mask`` on the ground of their world."""
-        target = self._buffers.poses[rows]
+    def _set_rest_poses(self, mask: Tensor, poses: Tensor) -> None:
+        """Computes the resting poses of the rovers of ``mask`` on the ground of their worlds."""
         # On the CPU, computes only the rows of the mask. On a GPU, selecting rows would synchronize with the device.
         chosen = mask.nonzero().squeeze(-1) if self.device.type == "cpu" else slice(None)
-        position, rotation = rest_on_ground(world, self._robot, poses[chosen])
+        ground = self._terrains.of(self._buffers.scene[chosen].long())
+        position, rotation = rest_on_ground(ground, self._robot, poses[chosen])
+        target = self._buffers.poses
         target[chosen] = torch.cat((position, matrix_to_quaternion(rotation)), -1).to(target.dtype)
 
     def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
@@ -150,8 +165,8 @@ class WarpSimulator:
         return self._drive.state(self._buffers.base_state.clone(), self._buffers.ranges.clone())
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
-        """Renders an image with Bullet's software renderer: see :meth:`Simulator.render`."""
-        world = next(world for world, rows in self._worlds if rows.start <= row < rows.stop)
+        """Renders an image: see :meth:`Simulator.render`."""
+        world = self._slots.worlds[self._slots.of_row[row]]
         return self._renderers.render(world, self._buffers.base_state[row, :7], view, width, height, goal)
 
     @property
@@ -184,19 +199,17 @@ class WarpSimulator:
             other.result()
 
 
-class _Shard:
-    """Recorded launches of one CPU thread: for each world, those for a share of its rovers."""
+class _Shard(NamedTuple):
+    """Recorded launches of one CPU thread, for a share of the rovers."""
 
-    def __init__(self) -> None:
-        self.dynamics: list[wp.Launch] = []
-        self.scans: list[wp.Launch] = []
+    dynamics: wp.Launch
+    scan: wp.Launch
 
     def launch(self, *, physics: bool, lidar: bool, stream: wp.Stream | None) -> None:
-        for dynamics_launch, scan_launch in zip(self.dynamics, self.scans, strict=True):
-            if physics:
-                dynamics_launch.launch(stream)
-            if lidar:
-                scan_launch.launch(stream)
+        if physics:
+            self.dynamics.launch(stream)
+        if lidar:
+            self.scan.launch(stream)
 
 
 def _solver(settings: WarpSettings) -> Solver:

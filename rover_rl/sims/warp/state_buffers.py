@@ -25,6 +25,7 @@ class StateBuffers:
     Attributes:
         rovers: Warp arrays for the kernels.
         poses: poses of the base frames for the next placement, position (m) and quaternion (x, y, z, w), ``[N, 7]``.
+        scene: index of each rover's world in the array of scenes, int32 ``[N]``.
         target_speeds: target speeds of the left and right wheels, ``[N, 2]``, rad/s.
         active: rovers that the next launch simulates, bool ``[N]``.
         base_state: position (m) and orientation (x, y, z, w) of the base frame, and mean speed of the left and of the
@@ -37,6 +38,7 @@ class StateBuffers:
         self._device = device
         wheels = len(model.hubs)
         self.poses = self._zeros(count, 7)
+        self.scene = torch.zeros(count, dtype=torch.int32, device=device)
         self.target_speeds = self._zeros(count, 2)
         self.active = torch.ones(count, dtype=torch.bool, device=device)
         self.base_state = self._zeros(count, 9)
@@ -62,6 +64,7 @@ class StateBuffers:
         rovers.inverse_inertia = self._shared(self._inverse_inertia, wp.mat33)
         rovers.friction_scale = self._shared(self._friction_scale, wp.float32)
         rovers.motor_torque = self._shared(self._motor_torque, wp.float32)
+        rovers.scene = self._shared(self.scene, wp.int32)
         rovers.target_speeds = self._shared(self.target_speeds, wp.vec2)
         rovers.active = self._shared(self.active, wp.bool)
         rovers.base_state = self._shared(self.base_state, wp.float32)

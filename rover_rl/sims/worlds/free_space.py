@@ -53,9 +53,7 @@ class FreeSpace:
         origin: x, y of the center of ``passable[0, 0]``, m.
         passable: whether the rover's center may be anywhere in a cell, bool ``[rows, columns]``. Rows are along y.
         spawn_cells: centers of the cells in which episodes start, ``[S, 2]``, m, float64.
-        spawn_headings: allowed heading bins of each spawn cell in ascending order, padded with the first one, int64
-            ``[S, HEADINGS]``.
-        spawn_heading_counts: number of allowed heading bins of each spawn cell, at least 1, int64 ``[S]``.
+        spawn_headings: allowed heading bins of each spawn cell, at least one: bit k of an int64 is bin k, ``[S]``.
         goal_cells: centers of the cells that may contain goals, ``[G, 2]``, m, float64.
         goal_extremes: outermost goal cells in 16 directions, ``[16, 2]``, m, float64. For every spawn position and
             every goal, at least one of them is 1 m or more away.
@@ -66,13 +64,12 @@ class FreeSpace:
     passable: Tensor
     spawn_cells: Tensor
     spawn_headings: Tensor
-    spawn_heading_counts: Tensor
     goal_cells: Tensor
     goal_extremes: Tensor
 
     def to(self, device: torch.device | str | None) -> FreeSpace:
         """Returns a copy with its tensors on ``device``. ``None`` is the CPU."""
-        tensors = ("passable", "spawn_cells", "spawn_headings", "spawn_heading_counts", "goal_cells", "goal_extremes")
+        tensors = ("passable", "spawn_cells", "spawn_headings", "goal_cells", "goal_extremes")
         moved: dict[str, Any] = {name: getattr(self, name).to(device or "cpu") for name in tensors}
         return replace(self, **moved)
 
@@ -121,8 +118,7 @@ def _compute(world: World, robot: Robot) -> FreeSpace:
         origin=grid.origin,
         passable=torch.from_numpy(passable),
         spawn_cells=spawn_cells,
-        spawn_headings=_allowed_first(allowed),
-        spawn_heading_counts=allowed.sum(1),
+        spawn_headings=(allowed.long() << torch.arange(HEADINGS)).sum(1),
         goal_cells=goal_cells,
         goal_extremes=_extremes(world, goal_cells, spawn_cells, grid.cell),
     )
@@ -132,12 +128,6 @@ def _check_any(world: World, robot: Robot, kind: str, cells: Tensor) -> None:
     if len(cells) == 0:
         area = getattr(world, f"{kind}_range")
         raise ValueError(f"world {world.name!r} has no free {kind} cell for {robot.name!r} in {kind}_range {area}")
-
-
-def _allowed_first(allowed: Tensor) -> Tensor:
-    """Returns the indices of the true entries in each row of ``allowed [S, HEADINGS]``, padded with the first one."""
-    order = allowed.long().argsort(dim=1, descending=True, stable=True)
-    return torch.where(torch.arange(allowed.shape[1]) < allowed.sum(1, keepdim=True), order, order[:, :1])
 
 
 def _extremes(world: World, goal_cells: Tensor, spawn_cells: Tensor, cell: float) -> Tensor:

@@ -1,138 +1,48 @@
-"""Distance to a goal along the shortest free path, batched in torch.
+"""Distances to goals along the shortest free paths, for batches whose rows are in different worlds.
 
 Example:
-    >>> distances = PathDistances([get_world("maze")] * 2, get_robot("rover_zero"))
-    >>> distances(torch.zeros(2, 2), torch.tensor([[3.0, 0.0], [0.0, 3.0]])).shape
+    >>> distances = PathDistances([get_world("maze")], get_robot("rover_zero"))
+    >>> distances(torch.zeros(2, 1, dtype=torch.int64), torch.zeros(2, 2), torch.tensor([[3.0, 0.0], [0.0, 3.0]])).shape
     torch.Size([2, 1])
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Generic, TypeVar
+from collections import OrderedDict
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import groupby
 
 import torch
 from torch import Tensor
 
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.free_space import free_space
-from rover_rl.sims.worlds.shortest_paths import DistanceFields
+from rover_rl.sims.worlds.path_grid import PathGrid
+from rover_rl.sims.worlds.slot_table import SlotTable
 from rover_rl.sims.worlds.world import World
 
-ANCHOR_SPACING = 0.5
-"""Distance between the anchors, which represent the goals around them, m."""
-
-Part = TypeVar("Part")
-
-
-class PathDistance:
-    """Path distances in one world, from distance fields.
-
-    There is one field per anchor. Anchors are points of the goal area, 0.5 m apart. The distance to a goal is the
-    distance to the nearest anchor. A field is computed when the first goal near its anchor is given, and kept. On a
-    GPU, all fields are computed ahead, as a check for missing ones would wait for the device.
-
-    Args:
-        world: world of the paths.
-        robot: robot that determines the free space.
-        device: device of positions and goals. ``None`` is the CPU.
-        caution: relative extra cost of a path right beside an obstacle. See
-            :class:`~rover_rl.sims.worlds.shortest_paths.DistanceFields`.
-    """
-
-    def __init__(
-        self, world: World, robot: Robot, device: torch.device | str | None = None, caution: float = 0.0
-    ) -> None:
-        space = free_space(world, robot)
-        blocks = torch.unique((space.goal_cells / ANCHOR_SPACING).round(), dim=0) * ANCHOR_SPACING
-        anchors = space.goal_cells[torch.cdist(blocks, space.goal_cells).argmin(-1)].float()
-        self._distance_fields = DistanceFields(world, robot, caution)
-        self._anchors = anchors.to(device)
-        self._origin = torch.tensor(space.origin, device=device)
-        self._cell = space.cell
-        self._fields = torch.empty(len(anchors), *space.passable.shape, device=device)
-        self._is_computed = torch.zeros(len(anchors), dtype=torch.bool)
-        if self._anchors.is_cuda:
-            self._compute(torch.arange(len(anchors)))
-
-    def _compute(self, anchors: Tensor) -> None:
-        """Computes the fields of the anchors with the given indices."""
-        self._fields[anchors] = self._distance_fields(self._anchors[anchors].cpu()).to(self._fields.device)
-        self._is_computed[anchors] = True
-
-    def anchor(self, goal: Tensor) -> Tensor:
-        """Returns the index of the anchor nearest to each goal ``[N, 2]``: int64 ``[N]``."""
-        nearest = torch.cdist(goal, self._anchors).argmin(-1)
-        if not self._anchors.is_cuda:
-            missing = nearest[~self._is_computed[nearest]]
-            if len(missing):
-                self._compute(missing.unique())
-        return nearest
-
-    def to_anchor(self, anchor: Tensor, position: Tensor) -> Tensor:
-        """Returns the distance from positions to anchors.
-
-        Args:
-            anchor: indices of the anchors, int64 ``[...]``.
-            position: positions ``[..., 2]``, m.
-
-        Returns:
-            Distances, float32 ``[...]``, m.
-        """
-        rows, columns = self._fields.shape[1:]
-        column, row = ((position - self._origin) / self._cell).round().long().unbind(-1)
-        return self._fields[anchor, row.clamp(0, rows - 1), column.clamp(0, columns - 1)]
-
-    def __call__(self, position: Tensor, goal: Tensor) -> Tensor:
-        """Returns the distance from each position ``[N, 2]`` to its goal ``[N, 2]``: float32 ``[N, 1]``, m."""
-        return self.to_anchor(self.anchor(goal), position)[:, None]
-
-
-class PerWorld(Generic[Part]):
-    """One object per distinct world of a batch. Calls process each row with the object of its world.
-
-    Args:
-        worlds: world of each row.
-        make: function that creates the object of a world.
-        device: device of the rows' tensors. ``None`` is the CPU.
-    """
-
-    def __init__(
-        self, worlds: Sequence[World], make: Callable[[World], Part], device: torch.device | str | None = None
-    ) -> None:
-        distinct = dict.fromkeys(worlds)
-        self._parts = [make(world) for world in distinct]
-        rows = [torch.tensor([row for row, world in enumerate(worlds) if world is other]) for other in distinct]
-        self._rows = [index.to(device) for index in rows]
-        self._order = torch.cat(rows).argsort().to(device)
-
-    def __call__(self, call: Callable[..., Tensor], *rows: Tensor) -> Tensor:
-        """Calls ``call(part, *rows)`` for each world, with the rows of that world.
-
-        Args:
-            call: function that takes the world's object and tensors ``[M, k]``, and returns ``[M, j]``.
-            *rows: tensors ``[N, ..., k]`` of the batch. The dimensions before the last are flattened for the call.
-
-        Returns:
-            Results in the order of the batch, ``[N, ..., j]``.
-        """
-        results = []
-        for part, index in zip(self._parts, self._rows, strict=True):
-            selected = [tensor[index] for tensor in rows]
-            flat = [tensor.reshape(-1, tensor.shape[-1]) for tensor in selected]
-            results.append(call(part, *flat).unflatten(0, selected[0].shape[:-1]))
-        return torch.cat(results)[self._order]
+SQUARE = 0.5
+"""Side length of the squares whose goals share a field, m."""
+KEPT_BYTES = 2**29
+"""Memory of the fields that are kept, the last used ones."""
+KEPT_GRIDS = 256
+"""Number of worlds whose grids are kept, the last used ones."""
+_OFFSET = 1 << 15
+"""Makes the numbers of squares positive: worlds reach at most 16 km from their origins."""
 
 
 class PathDistances:
-    """Path distances of a batch whose rows may be in different worlds. See :class:`PathDistance`.
+    """Distances to goals along the shortest free paths, for batches whose rows are in different worlds.
+
+    The goals in a square of 0.5 m share a field of distances, those to the square's center. A field is computed on the
+    CPU for the first goal in its square, and kept while there is memory.
 
     Args:
-        worlds: world of each row.
+        worlds: worlds, by index. Usually ``RoverEnv.pool``.
         robot: robot that determines the free space.
         device: device of positions and goals. ``None`` is the CPU.
         caution: relative extra cost of a path right beside an obstacle. See
-            :class:`~rover_rl.sims.worlds.shortest_paths.DistanceFields`.
+            :class:`~rover_rl.sims.worlds.path_grid.PathGrid`.
     """
 
     def __init__(
@@ -142,8 +52,82 @@ class PathDistances:
         device: torch.device | str | None = None,
         caution: float = 0.0,
     ) -> None:
-        self._by_world = PerWorld(worlds, lambda world: PathDistance(world, robot, device, caution), device)
+        self._grid = lru_cache(KEPT_GRIDS)(lambda index: PathGrid(worlds[index], robot, caution))
+        device = device or "cpu"
+        # Distances of all cells, row by row; negative where the cell is not passable.
+        self._fields = SlotTable((), torch.float32, device)
+        # x and y of the first cell, side length of a cell, numbers of rows and columns.
+        self._frames = SlotTable((), torch.float32, device)
+        self._slots: OrderedDict[int, int] = OrderedDict()
 
-    def __call__(self, position: Tensor, goal: Tensor) -> Tensor:
-        """Returns the distance from positions ``[N, ..., 2]`` to goals ``[N, ..., 2]``: float32 ``[N, ..., 1]``, m."""
-        return self._by_world(PathDistance.__call__, position, goal)
+    def __call__(self, world: Tensor, position: Tensor, goal: Tensor) -> Tensor:
+        """Returns the distance from each position to its goal.
+
+        Args:
+            world: index of each row's world, int64 ``[..., 1]``.
+            position: positions, ``[..., 2]``, m.
+            goal: goals, ``[..., 2]``, m.
+
+        Returns:
+            Distances, float32 ``[..., 1]``, m.
+        """
+        fields = self.fields(world.flatten(), goal.reshape(-1, 2))
+        return self.along(fields, position.reshape(-1, 2))[0].reshape(world.shape)
+
+    def fields(self, world: Tensor, goal: Tensor) -> Tensor:
+        """Returns the number of each goal's field for :meth:`along`, valid until the next call: int64 ``[N]``.
+
+        Args:
+            world: index of each row's world, int64 ``[N]``.
+            goal: goals, ``[N, 2]``, m.
+        """
+        square = (goal / SQUARE).round().long() + _OFFSET
+        keys, row = torch.unique((world << 32) | (square[:, 0] << 16) | square[:, 1], return_inverse=True)
+        keys = keys.tolist()
+        for key in keys:
+            if key in self._slots:
+                self._slots.move_to_end(key)
+        missing = [key for key in keys if key not in self._slots]
+        for index, group in groupby(missing, key=lambda key: key >> 32):
+            self._compute(index, list(group), len(keys))
+        return torch.tensor([self._slots[key] for key in keys], device=goal.device)[row]
+
+    def along(self, fields: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns the distance from positions to the goals of ``fields``, and whether the positions are passable.
+
+        Args:
+            fields: number of each row's field, from :meth:`fields`, int64 ``[N]``.
+            position: positions, ``[N, ..., 2]``, m.
+
+        Returns:
+            Distances, float32 ``[N, ...]``, m, and bool ``[N, ...]``.
+        """
+        rows = [-1, *[1] * (position.ndim - 2)]
+        x, y, cell, count_y, count_x = (part.reshape(rows) for part in self._frames.values[fields].unbind(-1))
+        column, row = ((position[..., 0] - x) / cell).round(), ((position[..., 1] - y) / cell).round()
+        inside = (column >= 0) & (row >= 0) & (column < count_x) & (row < count_y)
+        column, row = (torch.minimum(n.clamp(min=0), most - 1) for n, most in ((column, count_x), (row, count_y)))
+        values = self._fields.values[fields.reshape(rows), (row * count_x + column).long()]
+        return values.abs(), inside & ~values.signbit()
+
+    def _compute(self, index: int, keys: list[int], needed: int) -> None:
+        """Computes the fields of squares in one world.
+
+        Args:
+            index: index of the world.
+            keys: keys of the squares: index of the world, and numbers of the square, in 32, 16 and 16 bits.
+            needed: number of fields that the current call needs in all.
+        """
+        grid = self._grid(index)
+        squares = torch.tensor([((key >> 16) & 0xFFFF, key & 0xFFFF) for key in keys]) - _OFFSET
+        costs = torch.where(grid.passable, 1.0, -1.0) * grid.costs(squares * SQUARE)
+        frame = torch.tensor((*grid.origin, grid.cell, *grid.passable.shape))
+        for key, field in zip(keys, costs, strict=True):
+            slot = self._free_slot(field.numel(), needed)
+            self._slots[key] = slot
+            self._fields[slot], self._frames[slot] = field.flatten(), frame
+
+    def _free_slot(self, size: int, needed: int) -> int:
+        """Returns a new slot, or that of the field which has not been used for longest if the memory is used up."""
+        most = max(needed, KEPT_BYTES // (4 * max(size, self._fields.values.shape[1])))
+        return len(self._slots) if len(self._slots) < most else self._slots.popitem(last=False)[1]

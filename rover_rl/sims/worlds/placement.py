@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import torch
 from torch import Tensor
 
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.world import World
 
 CLEARANCE = 5e-4
 """Gap between the lowest wheel and the ground, which avoids initial penetration, m."""
 
 
-def rest_on_ground(world: World, robot: Robot, poses: Tensor) -> tuple[Tensor, Tensor]:
+class Ground(Protocol):
+    """Ground that rovers stand on: a :class:`~rover_rl.sims.worlds.World`, or the terrain of each row of a batch."""
+
+    def height_at(self, xy: Tensor) -> Tensor:
+        """Returns the height of the ground (m) at points ``xy [N, ..., 2]``, without obstacles: ``[N, ...]``."""
+        ...
+
+
+def rest_on_ground(ground: Ground, robot: Robot, poses: Tensor) -> tuple[Tensor, Tensor]:
     """Returns the poses of rovers that stand on the ground.
 
     A rover is aligned with the plane fitted to the ground below its wheels, and raised until no wheel is below the
     ground.
 
     Args:
-        world: world that defines the ground.
+        ground: ground below the rovers.
         robot: robot that defines the wheels.
         poses: planar poses ``[N, 3]``: x, y (m) and yaw (rad).
 
@@ -28,19 +37,19 @@ def rest_on_ground(world: World, robot: Robot, poses: Tensor) -> tuple[Tensor, T
         are float64, so that a result does not depend on the size of the batch.
     """
     poses = poses.double()
-    height, rotation = ground_frame(world, robot, poses)
+    height, rotation = ground_frame(ground, robot, poses)
     position = torch.cat((poses[:, :2], height[:, None]), -1)
     rims = position[:, None] + (rotation[:, None] @ _rims(robot, poses.device)[..., None]).squeeze(-1)
-    gaps = rims[..., 2] - world.height_at(rims[..., :2])
+    gaps = rims[..., 2] - ground.height_at(rims[..., :2])
     position[:, 2] += CLEARANCE - gaps.min(-1).values
     return position, rotation
 
 
-def ground_frame(world: World, robot: Robot, poses: Tensor) -> tuple[Tensor, Tensor]:
+def ground_frame(ground: Ground, robot: Robot, poses: Tensor) -> tuple[Tensor, Tensor]:
     """Fits a plane to the ground below the wheels.
 
     Args:
-        world: world that defines the ground.
+        ground: ground below the rovers.
         robot: robot that defines the wheels.
         poses: planar poses ``[N, 3]``: x, y (m) and yaw (rad).
 
@@ -53,7 +62,7 @@ def ground_frame(world: World, robot: Robot, poses: Tensor) -> tuple[Tensor, Ten
     ahead = torch.stack((yaw.cos(), yaw.sin()), -1)
     left = torch.stack((-yaw.sin(), yaw.cos()), -1)
     below = xy[:, None] + wheels[:, :1] * ahead[:, None] + wheels[:, 1:2] * left[:, None]
-    heights = world.height_at(below)
+    heights = ground.height_at(below)
     # Least squares. The wheels' x and y are uncorrelated, so the slopes are separate regressions.
     middle = wheels[:, :2].mean(0)
     arm = wheels[:, :2] - middle

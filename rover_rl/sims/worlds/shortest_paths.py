@@ -1,4 +1,4 @@
-"""Lengths of shortest paths through the free space of a world, and distance fields of goals.
+"""Lengths of shortest paths through the free space of a world.
 
 Example:
     >>> start, goal = torch.tensor([[-3.0, 0.0]]), torch.tensor([[-3.0, 3.0]])
@@ -9,23 +9,18 @@ Example:
 from __future__ import annotations
 
 import math
-from fractions import Fraction
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 import torch
-from scipy.ndimage import distance_transform_edt
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.free_space import free_space
+from rover_rl.sims.worlds.path_steps import LONGEST, STEPS
 from rover_rl.sims.worlds.world import World
-
-CAUTION_DISTANCE = 0.35
-"""Distance from the edge of the passable ground within which caution increases the path cost, m."""
 
 GOAL_RADIUS = 0.5
 """Distance at which the contract's task counts a goal as reached, m."""
@@ -55,37 +50,6 @@ def shortest_paths(world: World, robot: Robot, start: Tensor, goal: Tensor, goal
     return _PathFinder(world, robot, goal_radius).lengths(start, goal)
 
 
-class DistanceFields:
-    """Costs of the shortest paths of the rover's center to goals, from every cell of the free-space grid.
-
-    Paths are those of :func:`shortest_paths` before string pulling, and end at the passable cell nearest to the goal. A
-    cell that is not passable has the value of the nearest passable cell.
-
-    Args:
-        world: world of the paths.
-        robot: robot that determines the free space.
-        caution: relative extra cost of a path at the edge of the passable ground. It decreases linearly to 0 at a
-            distance of 0.35 m from the edge. With 0, the cost is the length.
-
-    Example:
-        >>> fields = DistanceFields(get_world("maze"), get_robot("rover_zero"))
-        >>> fields(torch.tensor([[-3.0, 0.0]])).shape
-        torch.Size([1, 200, 200])
-    """
-
-    def __init__(self, world: World, robot: Robot, caution: float = 0.0) -> None:
-        self._finder = _PathFinder(world, robot)
-        self._graph = self._finder.graph_with_caution(caution)
-
-    def __call__(self, goals: Tensor) -> Tensor:
-        """Returns the costs from every cell to goals ``[G, 2]`` (m).
-
-        Returns:
-            Costs, float32 ``[G, rows, columns]``, m, on the grid of ``free_space(world, robot).passable``.
-        """
-        return self._finder.fields(self._graph, goals)
-
-
 class _PathFinder:
     """Shortest paths over the passable cells of a world.
 
@@ -110,24 +74,6 @@ class _PathFinder:
         for index in np.flatnonzero(~self._visible(starts, entries) & (lengths > 0)):
             lengths[index] = self._detour_length(starts[index], goals[index])
         return torch.from_numpy(lengths * self._cell).float()
-
-    def graph_with_caution(self, caution: float) -> csr_array:
-        """Returns the costs of the steps between passable cells, in cells: sparse ``[P, P]``."""
-        weight = 1 + caution * (1 - self._clearance * self._cell / CAUTION_DISTANCE).clip(0)
-        graph = self._graph.tocoo()
-        graph.data = graph.data * (weight[graph.row] + weight[graph.col]) / 2
-        return graph.tocsr()
-
-    def fields(self, graph: csr_array, goals: Tensor) -> Tensor:
-        """Returns the costs from all cells to goals ``[G, 2]`` (m), given those of the steps."""
-        centers = (goals.double().numpy() - self._origin) / self._cell
-        nearest = ((self._points - centers[:, None]) ** 2).sum(-1).argmin(-1)
-        lengths = np.full((len(centers), *self._number.shape), math.inf, dtype=np.float32)
-        lengths[:, self._number >= 0] = dijkstra(graph, indices=nearest) * self._cell
-        # Cells that are connected to all goals. The others take the value of the nearest of these cells.
-        known = np.isfinite(lengths).all(0)
-        rows, columns = distance_transform_edt(~known, return_distances=False, return_indices=True)
-        return torch.from_numpy(lengths[:, rows, columns])
 
     def _entries(self, points: np.ndarray, goals: np.ndarray) -> np.ndarray:
         """Returns where the straight line from each point to its goal enters the goal's disc (inside: the point)."""
@@ -155,18 +101,12 @@ class _PathFinder:
         return self._passable[index[..., 1], index[..., 0]]
 
     @cached_property
-    def _clearance(self) -> np.ndarray:
-        """Distance of every passable cell to the nearest cell that is not passable, in cells: ``[P]``."""
-        x, y = self._points.astype(int).T
-        return distance_transform_edt(self._passable)[y + 1, x + 1]
-
-    @cached_property
     def _graph(self) -> csr_array:
         """Lengths of the steps between passable cells in 32 directions: sparse ``[P, P]``."""
-        number = np.pad(self._number, _LONGEST, constant_values=-1)
+        number = np.pad(self._number, LONGEST, constant_values=-1)
         rows, columns, lengths = [], [], []
-        for step, crossed in _STEPS.items():
-            starts = number[_LONGEST:-_LONGEST, _LONGEST:-_LONGEST]
+        for step, crossed in STEPS.items():
+            starts = number[LONGEST:-LONGEST, LONGEST:-LONGEST]
             free = np.logical_and.reduce([_shifted(number, cell) >= 0 for cell in crossed])
             rows.append(starts[free])
             columns.append(_shifted(number, step)[free])
@@ -213,27 +153,4 @@ def _shifted(values: np.ndarray, step: tuple[int, int]) -> np.ndarray:
     """Returns a view of ``values``, a grid with a margin of 3 cells: each cell's neighbor at ``step``, less margin."""
     x, y = step
     rows, columns = values.shape
-    return values[_LONGEST + y : rows - _LONGEST + y, _LONGEST + x : columns - _LONGEST + x]
-
-
-def _crossed_cells(step: tuple[int, int]) -> list[tuple[int, int]]:
-    """Returns the cells that a straight line from the center of cell (0, 0) to that of another cell runs through.
-
-    Cells that the line only touches in a corner do not count.
-    """
-    # Shares of the line at which it crosses the borders between cells, as exact fractions.
-    borders = {Fraction(2 * k + 1, 2 * abs(side)) for side in step for k in range(abs(side))}
-    shares = sorted({Fraction(0), Fraction(1), *borders})
-    middles = [(a + b) / 2 for a, b in pairwise(shares)]
-    return [(math.floor(t * step[0] + Fraction(1, 2)), math.floor(t * step[1] + Fraction(1, 2))) for t in middles]
-
-
-_LONGEST = 3
-"""Greatest extent of a step along an axis, in cells."""
-_STEPS = {
-    (x, y): _crossed_cells((x, y))
-    for x in range(-_LONGEST, _LONGEST + 1)
-    for y in range(-_LONGEST, _LONGEST + 1)
-    if math.gcd(x, y) == 1
-}
-"""Steps ``(x, y)`` to other cells in 32 directions, in cells, and the cells that each runs through."""
+    return values[LONGEST + y : rows - LONGEST + y, LONGEST + x : columns - LONGEST + x]

@@ -115,10 +115,7 @@ class Terrain:
         u, v = u - i, v - j
         h00, h10 = heights[j, i], heights[j, i + 1]
         h01, h11 = heights[j + 1, i], heights[j + 1, i + 1]
-        upper = u + v > 1
-        rise_x = torch.where(upper, h11 - h01, h10 - h00)
-        rise_y = torch.where(upper, h11 - h10, h01 - h00)
-        height = torch.where(upper, h11 - (1 - u) * rise_x - (1 - v) * rise_y, h00 + u * rise_x + v * rise_y)
+        height, rise_x, rise_y = interpolate_triangles(u, v, h00, h10, h01, h11)
         return height, rise_x / self.cell, rise_y / self.cell
 
     def mesh(self, rows: slice = slice(None), columns: slice = slice(None)) -> tuple[Tensor, Tensor]:
@@ -144,3 +141,23 @@ class Terrain:
         lower = torch.stack((a, b, c), -1).reshape(-1, 3)
         upper = torch.stack((b, d, c), -1).reshape(-1, 3)
         return vertices, torch.cat((lower, upper))
+
+
+def interpolate_triangles(
+    u: Tensor, v: Tensor, h00: Tensor, h10: Tensor, h01: Tensor, h11: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Interpolates the heights of the corners of a cell on its two triangles.
+
+    Args:
+        u: position in the cell along x, 0 to 1, ``[...]``.
+        v: position in the cell along y, 0 to 1, ``[...]``.
+        h00, h10, h01, h11: heights of the corners at (0, 0), (1, 0), (0, 1) and (1, 1), ``[...]``, m.
+
+    Returns:
+        Height (m), and rises of the triangle along x and along y over the length of the cell (m), ``[...]`` each.
+    """
+    upper = u + v > 1
+    rise_x = torch.where(upper, h11 - h01, h10 - h00)
+    rise_y = torch.where(upper, h11 - h10, h01 - h00)
+    height = torch.where(upper, h11 - (1 - u) * rise_x - (1 - v) * rise_y, h00 + u * rise_x + v * rise_y)
+    return height, rise_x, rise_y

@@ -28,7 +28,7 @@ def rollout(start: list[float], goal: list[float], steps: int) -> tuple[Tensor, 
     td = env.reset(start=torch.tensor([start]), goal=torch.tensor([goal]))
     left, reached = [], []
     for _ in range(steps):
-        left.append(distance(td["pose"][:, :2], env.base_env.goal))
+        left.append(distance(torch.zeros(1, 1, dtype=torch.int64), td["pose"][:, :2], env.base_env.goal))
         td = env.step(td.set("action", expert.action(td)))["next"]
         reached.append(td["outcome", "goal_reached"])
         if reached[-1].item():
@@ -52,6 +52,6 @@ def test_it_drives_straight_where_nothing_is_in_the_way() -> None:
 
 def test_its_actions_lie_within_the_contracts_bounds() -> None:
     env = make_env(world_n="maze", num_envs=64, seed=0)
-    action = PrivilegedExpert(env.base_env.worlds, ROVER).action(env.reset())
+    action = PrivilegedExpert(env.base_env.pool, ROVER).action(env.reset())
     assert action.shape == (64, 2)
     assert (action.abs() <= torch.tensor([1.0, math.pi])).all()

@@ -14,7 +14,7 @@ from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.warp.kernels.lidar import scan
-from rover_rl.sims.warp.scene import make_robot_model, make_scene
+from rover_rl.sims.warp.scene import SceneTable, make_robot_model
 from rover_rl.sims.warp.state_buffers import StateBuffers
 from rover_rl.sims.worlds import World, get_world
 from tests.sims.warp.reference_lidar import scan as reference_scan
@@ -43,8 +43,9 @@ def warp_scan(world: World, position: np.ndarray, rotation: Rotation, beams: int
     buffers.base_state[:, 3:7] = torch.from_numpy(rotation.as_quat())
     angles = np.arange(beams) * (2 * math.pi / beams)
     directions = wp.array(np.stack((np.cos(angles), np.sin(angles)), -1), dtype=wp.vec2, device="cpu")
-    scene = make_scene(world, model.bounding_radius, "cpu")
-    wp.launch(scan, dim=len(position), inputs=[scene, model, buffers.rovers, directions, 0], device="cpu")
+    table = SceneTable(1, model.bounding_radius, "cpu")
+    table[0] = world
+    wp.launch(scan, dim=len(position), inputs=[table.scenes, model, buffers.rovers, directions, 0], device="cpu")
     return buffers.ranges.numpy()
 
 

@@ -8,7 +8,7 @@ import torch
 from rover_rl import Terrain, World, box
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import free_space
-from rover_rl.sims.worlds.shortest_paths import CAUTION_DISTANCE, DistanceFields
+from rover_rl.sims.worlds.path_grid import CAUTION_DISTANCE, PathGrid
 
 ROVER = get_robot("rover_zero")
 POCKET = World(
@@ -22,7 +22,7 @@ POCKET = World(
 @pytest.mark.parametrize("caution", [0.5, 4.0])
 def test_caution_increases_only_the_cost_of_paths_along_walls(caution: float) -> None:
     goal = torch.tensor([[-5.0, -5.0]])
-    plain, careful = (DistanceFields(POCKET, ROVER, value)(goal)[0] for value in (0.0, caution))
+    plain, careful = (PathGrid(POCKET, ROVER, value).costs(goal)[0] for value in (0.0, caution))
     passable = free_space(POCKET, ROVER).passable
     ratio = (careful / plain)[passable & (plain > CAUTION_DISTANCE)]
     assert ratio.min() >= 1 - 1e-5

@@ -185,7 +185,7 @@ def solve_contacts(
 
 
 @wp.kernel
-def step_dynamics(scene: Scene, model: RobotModel, solver: Solver, rovers: RoverArrays, first: int):
+def step_dynamics(scenes: wp.array[Scene], model: RobotModel, solver: Solver, rovers: RoverArrays, first: int):
     """One control step of ``solver.substeps`` substeps; thread ``t`` simulates rover ``first + t``.
 
     Inactive rovers keep their state. The impulses of the wheel contacts and motors are stored for the warm start of the
@@ -194,6 +194,7 @@ def step_dynamics(scene: Scene, model: RobotModel, solver: Solver, rovers: Rover
     row = first + wp.tid()
     if not rovers.active[row]:
         return
+    scene = scenes[rovers.scene[row]]
     wheels = model.wheels
     wheel_contacts = 2 * wheels
     # Working memory of the thread.

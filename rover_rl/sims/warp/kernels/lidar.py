@@ -421,7 +421,7 @@ def slice_obstacle(
 
 
 @wp.kernel
-def scan(scene: Scene, model: RobotModel, rovers: RoverArrays, beams: wp.array[wp.vec2], first: int):
+def scan(scenes: wp.array[Scene], model: RobotModel, rovers: RoverArrays, beams: wp.array[wp.vec2], first: int):
     """One scan per active rover; thread ``t`` scans for rover ``first + t`` from the pose in ``rovers.base_state``.
 
     Ranges are in m, ``inf`` without a return, and 0 for a lidar inside an obstacle or below the ground. ``beams`` holds
@@ -432,6 +432,7 @@ def scan(scene: Scene, model: RobotModel, rovers: RoverArrays, beams: wp.array[w
     row = first + wp.tid()
     if not rovers.active[row]:
         return
+    scene = scenes[rovers.scene[row]]
     base = wp.vec3(rovers.base_state[row, 0], rovers.base_state[row, 1], rovers.base_state[row, 2])
     orientation = wp.quat(
         rovers.base_state[row, 3], rovers.base_state[row, 4], rovers.base_state[row, 5], rovers.base_state[row, 6]

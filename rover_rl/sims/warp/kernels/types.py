@@ -108,6 +108,8 @@ class RoverArrays:
     center: wp.array[wp.vec3]
     inertia: wp.array[wp.mat33]
     inverse_inertia: wp.array[wp.mat33]
+    # Index of the rover's world in the array of scenes.
+    scene: wp.array[int]
     # Factor of all friction coefficients, and maximum torque of a wheel motor, N m.
     friction_scale: wp.array[float]
     motor_torque: wp.array[float]

@@ -1,0 +1,79 @@
+"""The world of each row of a batch."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from rover_rl.envs.rng import random_bits, to_index
+from rover_rl.sims.worlds.pool import WorldPool, WorldSource
+
+_WORLD = 16
+"""Stream of random numbers."""
+
+
+class RowWorlds:
+    """The world of each row of a batch: one for life, or another one for each episode.
+
+    Worlds without a range are assigned to equal blocks of rows. If ``world_n`` has a range of seeds, as in
+    ``"maze:*"``, or is a :class:`~rover_rl.sims.worlds.pool.WorldPool`, each episode draws a world of the pool. The
+    draw depends on the seed of the row and the number of the episode only.
+
+    Args:
+        world_n: worlds.
+        keys: random keys of the first episodes, ``[N, 1]``.
+
+    Attributes:
+        pool: all worlds that rows can be in.
+        is_drawn: whether episodes draw their worlds.
+        index: index of each row's world in the pool, int64 ``[N, 1]``.
+        worlds: world of each row.
+
+    Raises:
+        ValueError: if a world is unknown, or there are more worlds than rows.
+    """
+
+    def __init__(self, world_n: WorldSource, keys: Tensor) -> None:
+        num_envs = len(keys)
+        if world_n == [] or world_n == ():
+            raise ValueError(f"world_n must give between 1 and num_envs={num_envs} worlds, got 0")
+        self.pool = WorldPool.of(world_n)
+        count = len(self.pool)
+        self.is_drawn = isinstance(world_n, WorldPool) or self.pool.has_ranges
+        if not self.is_drawn and count > num_envs:
+            raise ValueError(f"world_n must give between 1 and num_envs={num_envs} worlds, got {count}")
+        rows = torch.arange(num_envs, device=keys.device)[:, None]
+        self.index = self._drawn(keys) if self.is_drawn else rows * count // num_envs
+        self.worlds = [self.pool[index] for index in self.index.flatten().tolist()]
+
+    @property
+    def index_if_several(self) -> Tensor | None:
+        """:attr:`index`, or ``None`` if the pool has only one world."""
+        return self.index if len(self.pool) > 1 else None
+
+    def draw(self, mask: Tensor, keys: Tensor) -> list[int]:
+        """Draws the worlds of new episodes.
+
+        Use it only if :attr:`is_drawn`.
+
+        Args:
+            mask: rows that begin an episode, bool ``[N, 1]``.
+            keys: random keys of the episodes, ``[N, 1]``.
+
+        Returns:
+            Rows whose world is another one than before.
+        """
+        drawn = self._drawn(keys)
+        changed = (mask & (drawn != self.index)).squeeze(-1)
+        self.index = torch.where(mask, drawn, self.index)
+        rows = changed.nonzero().squeeze(-1)
+        for row, index in zip(rows.tolist(), self.index[rows, 0].tolist(), strict=True):
+            self.worlds[row] = self.pool[index]
+        return rows.tolist()
+
+    def _drawn(self, keys: Tensor) -> Tensor:
+        """Returns the index of the world that each episode draws, int64 ``[N, 1]``."""
+        bits = random_bits(keys, _WORLD, 0, 2)
+        sizes = torch.tensor(self.pool.sizes, device=keys.device)
+        entry = to_index(bits[:, :1], torch.full_like(keys, len(sizes)))
+        return (sizes.cumsum(0) - sizes)[entry] + to_index(bits[:, 1:], sizes[entry])

@@ -1,0 +1,125 @@
+"""Warp kernels of shortest paths over the passable cells of a grid.
+
+Cells are numbered row by row. Costs are in cells: a step costs its length times the mean weight of its two ends, and
+weights are at least 1. A path may leave a cell in 32 directions, the steps of :mod:`rover_rl.sims.worlds.path_steps`.
+"""
+
+from __future__ import annotations
+
+from rover_rl.sims.native.warp import wp
+
+BUCKETS = wp.constant(64)
+"""Number of buckets of the queue. The cost of a step must be below ``BUCKETS - 1``."""
+
+
+@wp.kernel
+def find_steps(
+    weights: wp.array2d[float],
+    crossed: wp.array[wp.vec2i],
+    crossed_starts: wp.array[int],
+    steps: wp.array2d[wp.uint32],
+):
+    """Finds the steps that are free from each cell; thread ``(j, i)`` does so for the cell in row j and column i.
+
+    Bit k of ``steps`` is set if step k runs through passable cells only. Cells with a weight of 0 are not passable.
+    """
+    j, i = wp.tid()
+    bits = wp.uint32(0)
+    if weights[j, i] > 0.0:
+        for k in range(crossed_starts.shape[0] - 1):
+            free = bool(True)
+            for n in range(crossed_starts[k], crossed_starts[k + 1]):
+                column = i + crossed[n][0]
+                row = j + crossed[n][1]
+                if row < 0 or column < 0 or row >= weights.shape[0] or column >= weights.shape[1]:
+                    free = False
+                # Kernels evaluate both sides of "or", so that a single condition would read outside of the grid.
+                elif weights[row, column] == 0.0:
+                    free = False
+            if free:
+                bits = bits | (wp.uint32(1) << wp.uint32(k))
+    steps[j, i] = bits
+
+
+@wp.func
+def unlink(cell: int, bucket: int, heads: wp.array[int], following: wp.array[int], preceding: wp.array[int]):
+    """Removes a cell from the doubly linked list of its bucket. -1 ends a list."""
+    after = following[cell]
+    before = preceding[cell]
+    if before >= 0:
+        following[before] = after
+    else:
+        heads[bucket] = after
+    if after >= 0:
+        preceding[after] = before
+
+
+@wp.func
+def link(cell: int, bucket: int, heads: wp.array[int], following: wp.array[int], preceding: wp.array[int]):
+    """Adds a cell at the head of the list of a bucket."""
+    head = heads[bucket]
+    following[cell] = head
+    preceding[cell] = -1
+    if head >= 0:
+        preceding[head] = cell
+    heads[bucket] = cell
+
+
+@wp.kernel
+def spread_costs(
+    weights: wp.array[float],
+    steps: wp.array[wp.uint32],
+    offsets: wp.array[int],
+    lengths: wp.array[float],
+    sources: wp.array[int],
+    costs: wp.array2d[float],
+    heads: wp.array2d[int],
+    following: wp.array2d[int],
+    preceding: wp.array2d[int],
+):
+    """Costs of the shortest paths from all cells to one cell; thread ``t`` does so for the cell ``sources[t]``.
+
+    Dijkstra's algorithm with a circular queue of buckets. A bucket holds the cells whose costs have the same whole part
+    (E. V. Denardo and B. L. Fox, "Shortest-route methods: 1. Reaching, pruning, and buckets", Operations Research 27,
+    1979). As no step costs less than 1, no cell of the first bucket can improve another one in it.
+
+    Args:
+        weights: weights of the cells; 0 for a cell that is not passable.
+        steps: free steps of each cell, from :func:`find_steps`.
+        offsets: difference of the cell numbers at the two ends of each step.
+        lengths: lengths of the steps, in cells.
+        sources: numbers of the cells at which the paths end.
+        costs: results, ``[sources, cells]``, filled with infinity.
+        heads: first cell of each bucket, ``[sources, BUCKETS]``, filled with -1.
+        following: working memory, ``[sources, cells]``.
+        preceding: working memory, ``[sources, cells]``.
+    """
+    t = wp.tid()
+    first = heads[t]
+    after = following[t]
+    before = preceding[t]
+    cost = costs[t]
+    cost[sources[t]] = 0.0
+    link(sources[t], 0, first, after, before)
+    whole = int(0)
+    empty = int(0)
+    while empty < BUCKETS:
+        bucket = whole % BUCKETS
+        if first[bucket] < 0:
+            whole += 1
+            empty += 1
+        else:
+            empty = int(0)
+            cell = first[bucket]
+            unlink(cell, bucket, first, after, before)
+            # Settled: no other path to the cell is shorter.
+            free = steps[cell]
+            for k in range(offsets.shape[0]):
+                if (free >> wp.uint32(k)) & wp.uint32(1) == wp.uint32(1):
+                    other = cell + offsets[k]
+                    candidate = cost[cell] + 0.5 * lengths[k] * (weights[cell] + weights[other])
+                    if candidate < cost[other]:
+                        if cost[other] < wp.inf:
+                            unlink(other, int(cost[other]) % BUCKETS, first, after, before)
+                        cost[other] = candidate
+                        link(other, int(candidate) % BUCKETS, first, after, before)

@@ -1,0 +1,94 @@
+"""Tables with data of the worlds in :class:`~rover_rl.sims.worlds.slots.Slots`, for lookups by row."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from rover_rl.sims.worlds.terrain import Terrain, interpolate_triangles
+
+
+class SlotTable:
+    """A list of values for each slot, in one tensor. Lists of different lengths are padded.
+
+    Args:
+        shape: shape of a value.
+        dtype: type of the values.
+        device: device of the table.
+
+    Attributes:
+        values: values, ``[slots, capacity, *shape]``. Both numbers grow as needed.
+        lengths: number of values of each slot, int64 ``[slots]``.
+    """
+
+    def __init__(self, shape: tuple[int, ...], dtype: torch.dtype, device: torch.device | str) -> None:
+        self.values = torch.zeros((0, 0, *shape), dtype=dtype, device=device)
+        self.lengths = torch.zeros(0, dtype=torch.int64, device=device)
+
+    def __setitem__(self, slot: int, values: Tensor) -> None:
+        """Sets the list of a slot to ``values [length, *shape]``."""
+        self._reserve(slot + 1, len(values))
+        self.values[slot, : len(values)] = values.to(self.values)
+        self.lengths[slot] = len(values)
+
+    def _reserve(self, slots: int, capacity: int) -> None:
+        old_slots, old_capacity = self.values.shape[:2]
+        if slots <= old_slots and capacity <= old_capacity:
+            return
+        # Doubling keeps the number of copies low when slots are added one by one.
+        slots = old_slots if slots <= old_slots else max(slots, 2 * old_slots)
+        grown = self.values.new_zeros((slots, max(capacity, old_capacity), *self.values.shape[2:]))
+        grown[:old_slots, :old_capacity] = self.values
+        self.values = grown
+        self.lengths = torch.cat((self.lengths, self.lengths.new_zeros(slots - old_slots)))
+
+
+class TerrainTable:
+    """Terrains of the worlds in slots. The height at a point is that of :meth:`Terrain.height_at`, to the last bit.
+
+    Args:
+        device: device of the table.
+    """
+
+    def __init__(self, device: torch.device | str) -> None:
+        self._heights = SlotTable((), torch.float32, device)
+        # x and y of the first height, spacing, numbers of rows and columns.
+        self._grids = SlotTable((), torch.float64, device)
+
+    def __setitem__(self, slot: int, terrain: Terrain) -> None:
+        """Sets the terrain of a slot."""
+        rows, columns = terrain.heights.shape
+        self._heights[slot] = terrain.heights.reshape(-1)
+        self._grids[slot] = torch.tensor((*terrain.origin, terrain.cell, rows, columns), dtype=torch.float64)
+
+    def of(self, slots: Tensor) -> TerrainRows:
+        """Returns the terrains of rows, by their slots ``[N]``."""
+        return TerrainRows(self._heights.values, slots, self._grids.values[slots])
+
+
+class TerrainRows:
+    """Terrain of each of ``N`` rows.
+
+    Args:
+        heights: heights of all slots, ``[slots, capacity]``, m.
+        slots: slot of each row, ``[N]``.
+        grids: x and y of the first height (m), spacing (m), and numbers of rows and columns for each row, float64
+            ``[N, 5]``.
+    """
+
+    def __init__(self, heights: Tensor, slots: Tensor, grids: Tensor) -> None:
+        self._heights, self._slots, self._grids = heights, slots, grids
+
+    def height_at(self, xy: Tensor) -> Tensor:
+        """Returns the ground height (m) at points ``xy [N, ..., 2]``, float64, of each row's terrain: ``[N, ...]``."""
+        rows = [-1, *[1] * (xy.ndim - 2)]
+        x, y, cell, count_y, count_x = (part.reshape(rows) for part in self._grids.unbind(-1))
+        u = torch.minimum(((xy[..., 0] - x) / cell).clamp(min=0), count_x - 1)
+        v = torch.minimum(((xy[..., 1] - y) / cell).clamp(min=0), count_y - 1)
+        # The lower limit keeps the index of NaN, whose conversion is undefined, on the grid. Its height is NaN.
+        i = torch.minimum(u.long().clamp(min=0), count_x.long() - 2)
+        j = torch.minimum(v.long().clamp(min=0), count_y.long() - 2)
+        columns = count_x.long()
+        corner, slots = j * columns + i, self._slots.reshape(rows)
+        corners = (corner, corner + 1, corner + columns, corner + columns + 1)
+        return interpolate_triangles(u - i, v - j, *(self._heights[slots, k].to(xy.dtype) for k in corners))[0]
