@@ -45,7 +45,7 @@ class Areas:
         spawn_range: area in which episodes start.
         goal_range: area of the goals.
         bounds: area whose exit ends the episode.
-        note: how the automatic ones were found. Empty if they were given.
+        note: how the spawn area was found. Empty if it was given.
     """
 
     spawn_range: Area
@@ -79,7 +79,6 @@ def find_areas(
         ValueError: if there is no free ground in the areas.
     """
     solid = [obstacle for obstacle in obstacles if _in_the_way(terrain, obstacle)]
-    note = ""
     automatic = _enclosed(solid, limits, known)
     if automatic is not None:
         spawn, bounds = automatic, _overlap(_grown(automatic, MARGIN), terrain.extent)
@@ -87,14 +86,11 @@ def find_areas(
     else:
         spawn, bounds = _open(terrain, solid, limits)
         note = "areas: the middle of the open ground"
-    given = options.spawn_range, options.goal_range, options.bounds
-    if all(given):
-        note = ""
     spawn_range = options.spawn_range or (spawn if options.bounds is None else _overlap(spawn, options.bounds))
     goal_range = options.goal_range or spawn_range
     if options.bounds is None:
         bounds = _union(bounds, _overlap(_grown(_union(spawn_range, goal_range), MARGIN), terrain.extent))
-    areas = Areas(spawn_range, goal_range, options.bounds or bounds, note)
+    areas = Areas(spawn_range, goal_range, options.bounds or bounds, "" if options.spawn_range else note)
     for name, area in (("spawn_range", areas.spawn_range), ("goal_range", areas.goal_range)):
         _check_free(terrain, solid, name, area)
     return areas
