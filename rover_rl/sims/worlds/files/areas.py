@@ -175,7 +175,7 @@ def _open(terrain: Terrain, obstacles: list[Obstacle], limits: Area) -> tuple[Ar
         box = (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
     else:
         box = bounds
-    within = _overlap(_shrunk(bounds, MARGIN), box) if not terrain.is_flat else box
+    within = _overlap(_shrunk(bounds, MARGIN), box)
     if any(high <= low for low, high in within):
         within = _shrunk(bounds, MARGIN)
     spawn = tuple(_middle(low, high) for low, high in within)

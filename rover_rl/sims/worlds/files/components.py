@@ -15,6 +15,8 @@ MERGE = 1e-5
 def split(piece: Piece) -> list[Piece]:
     """Splits a mesh into its connected parts, after merging equal vertices and dropping triangles without area.
 
+    Two triangles are connected if they share an edge with no third one: bodies that touch stay apart.
+
     Returns:
         The parts. A convex piece without faces is returned as it is.
     """
@@ -31,13 +33,23 @@ def split(piece: Piece) -> list[Piece]:
     faces = faces[np.sort(keep)]
     if not len(faces):
         return []
-    edges = np.concatenate((faces[:, :2], faces[:, 1:]))
-    graph = coo_array((np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])), shape=(len(vertices),) * 2)
-    _, label = connected_components(graph, directed=False)
-    of_face = label[faces[:, 0]]
+    left, right = edge_pairs(faces)
+    graph = coo_array((np.ones(len(left), dtype=np.int8), (left, right)), shape=(len(faces),) * 2)
+    _, of_face = connected_components(graph, directed=False)
     order = np.argsort(of_face, kind="stable")
     groups = np.split(faces[order], np.flatnonzero(np.diff(of_face[order])) + 1)
     return [_part(piece.name, vertices, group) for group in groups]
+
+
+def edge_pairs(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the pairs of triangles that share an edge with no third triangle, as indices: ``[P]`` and ``[P]``."""
+    edges = np.sort(np.concatenate((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]])), axis=1)
+    owner = np.tile(np.arange(len(faces)), 3)
+    _, of_edge, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+    of_edge = of_edge.reshape(-1)
+    shared = np.flatnonzero(count[of_edge] == 2)
+    order = shared[np.argsort(of_edge[shared], kind="stable")]
+    return owner[order[::2]], owner[order[1::2]]
 
 
 def _part(name: str, vertices: np.ndarray, faces: np.ndarray) -> Piece:

@@ -20,6 +20,8 @@ LEAST_SURFACE = 0.2
 """Least share of a ground piece's bounding rectangle that its surface covers, seen from above."""
 LEAST_COVER = 0.25
 """Least share of the scene's bounding rectangle that ground covers, or else there is none."""
+HIGHEST_SLAB = 0.5
+"""Largest height of a simple shape, such as a box, that is ground on top of a plane or an elevation grid, m."""
 LEAST_AREA = 16.0
 """Least area of a piece that is ground on top of a plane or an elevation grid, m^2."""
 STEP = 0.01
@@ -64,9 +66,9 @@ def ground_pieces(pieces: list[Piece], wanted: str, has_base: bool) -> list[Surf
 
     Automatically, a piece is a candidate if it is broad: at most half as high as its shorter side, and its upward
     faces cover a fifth of its bounding rectangle. Seen from below, a candidate is ground if it is the lowest one over
-    at least half of its own area, and most other pieces above or below it do not hang below it. All ground together
+    at least half of its own area, and most other pieces above or below it do not end below it. All ground together
     must cover a quarter of the scene, or else there is no ground. On top of a plane or an elevation grid, a piece must
-    also cover a quarter of the scene and 16 m^2 itself.
+    also cover a quarter of the scene and 16 m^2 itself, and be a mesh or at most 0.5 m high.
 
     Args:
         pieces: connected pieces.
@@ -84,6 +86,8 @@ def ground_pieces(pieces: list[Piece], wanted: str, has_base: bool) -> list[Surf
     low, high = everything.min(0), everything.max(0)
     scene = float(np.prod(high - low))
     broad = [piece for piece in pieces if _is_flat(piece)]
+    if has_base:
+        broad = [piece for piece in broad if piece.faces is not None or np.ptp(piece.vertices[:, 2]) <= HIGHEST_SLAB]
     candidates = [surface for surface in map(surface_of, broad) if _covers(surface)]
     if not candidates or scene <= 0:
         return []
@@ -145,12 +149,13 @@ def _covers(surface: Surface) -> bool:
 
 
 def _hangs(surface: Surface, height: np.ndarray, pieces: list[Piece], origin: tuple[float, float], cell: float) -> bool:
-    """Returns whether most other pieces over or under a surface hang below it, as walls do below a roof."""
-    middles = np.array([(p.vertices.min(0) + p.vertices.max(0)) / 2 for p in pieces if p is not surface.piece])
-    if not len(middles):
+    """Returns whether most other pieces over or under a surface end below it, as walls do below a roof."""
+    others = [piece.vertices for piece in pieces if piece is not surface.piece]
+    if not others:
         return False
-    column, row = np.rint((middles[:, :2] - origin) / cell).astype(int).T
+    tops = np.array([(*(points.min(0) + points.max(0))[:2] / 2, points[:, 2].max()) for points in others])
+    column, row = np.rint((tops[:, :2] - origin) / cell).astype(int).T
     row, column = np.clip(row, 0, height.shape[0] - 1), np.clip(column, 0, height.shape[1] - 1)
     here = height[row, column]
     over = np.isfinite(here)
-    return bool(over.any() and (middles[over, 2] < here[over] - STEP).mean() > 0.5)
+    return bool(over.any() and (tops[over, 2] <= here[over] + STEP).mean() > 0.5)

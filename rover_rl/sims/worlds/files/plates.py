@@ -7,6 +7,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError
 
+from rover_rl.sims.worlds.files.components import edge_pairs
+
 HALF_THICKNESS = 0.01
 """Distance of both faces of a plate from the surface, m."""
 SAME_PLANE = 1e-4
@@ -37,12 +39,7 @@ def plates(vertices: np.ndarray, faces: np.ndarray, most: int) -> list[np.ndarra
 
 def _coplanar(faces: np.ndarray, normals: np.ndarray) -> list[np.ndarray]:
     """Returns groups of triangles that are connected by edges and lie in one plane, as indices."""
-    edges = np.sort(np.concatenate((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]])), axis=1)
-    owner = np.tile(np.arange(len(faces)), 3)
-    order = np.lexsort(edges.T)
-    edges, owner = edges[order], owner[order]
-    pairs = np.flatnonzero((edges[1:] == edges[:-1]).all(1))
-    left, right = owner[pairs], owner[pairs + 1]
+    left, right = edge_pairs(faces)
     # The normals of a sheet may point to either side.
     along = np.abs((normals[left] * normals[right]).sum(1))
     flat = along > 1 - SAME_PLANE**2

@@ -17,7 +17,7 @@ from rover_rl.sims.worlds.files.options import ImportOptions
 from rover_rl.sims.worlds.files.shapes import ShapeReader
 from rover_rl.sims.worlds.files.xml_tree import is_true, numbers, read_xml, text_of
 
-MAX_MODELS = 20_000
+MAX_MODELS = 3_000
 """Largest number of models of a world, includes counted each time."""
 MAX_NESTING = 20
 """Largest number of includes and models within one another."""

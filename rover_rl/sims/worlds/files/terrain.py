@@ -67,10 +67,9 @@ def make_terrain(ground: Ground, around: np.ndarray, cell: float | None) -> tupl
     exact = _as_it_is(ground, cell)
     if exact is not None:
         return exact, []
-    if not ground.grids and not ground.surfaces and len({_level(plane) for plane in ground.planes} - {None}) == 1:
-        level = _level(ground.planes[0])
-        assert level is not None
-        return _flat(level, around), []
+    levels = [level for level in map(_level, ground.planes) if level is not None]
+    if not ground.grids and not ground.surfaces and len(levels) == len(ground.planes):
+        return _flat(max(levels), around), []
     points = ground.corners()
     if ground.planes and len(around):
         points = np.concatenate((points, around - 3.0, around + 3.0))
