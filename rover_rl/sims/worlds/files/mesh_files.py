@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from PIL import Image
 from trimesh.resolvers import Resolver
 
 from rover_rl.sims.worlds.files.contents import Piece
@@ -105,7 +106,7 @@ class _LeavesError(ValueError):
 
 
 class _FolderResolver(Resolver):
-    """Gives the mesh readers the files of one folder, and none of materials and textures.
+    """Gives the mesh readers the geometry in the files of one folder, and nothing for materials and textures.
 
     Args:
         folder: the folder.
@@ -117,11 +118,11 @@ class _FolderResolver(Resolver):
     def get(self, name: str) -> bytes:
         """Returns the content of a file with geometry, such as a glTF buffer."""
         path = Path(os.path.abspath(self._folder / name.strip()))
+        if path.suffix.lower() not in (".bin", ".glb"):
+            # Materials and pictures are no geometry, and often missing: they are empty, and white.
+            return b"" if path.suffix.lower() == ".mtl" else _white_pixel()
         if "://" in name or not path.is_relative_to(self._folder):
             raise _LeavesError(f"{name} is outside of its folder")
-        if path.suffix.lower() not in (".bin", ".glb"):
-            # Pictures and materials: no geometry.
-            raise FileNotFoundError(name)
         return _read(path)
 
     def write(self, name: str, data: Any) -> None:
@@ -134,6 +135,13 @@ class _FolderResolver(Resolver):
     def keys(self) -> list[str]:
         """Returns no names: nothing is searched."""
         return []
+
+
+def _white_pixel() -> bytes:
+    """Returns a picture of one pixel."""
+    content = io.BytesIO()
+    Image.new("RGB", (1, 1), "white").save(content, "PNG")
+    return content.getvalue()
 
 
 def _check_json(path: Path, data: bytes) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import struct
+import sys
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -339,3 +340,18 @@ def test_a_mesh_that_intersects_itself_is_repaired(tmp_path):
     )
     trimesh.Scene([BOX, crossed]).to_mesh().export(tmp_path / "crossed.stl")
     assert len(World.from_file(tmp_path / "crossed.stl").obstacles) >= 2
+
+
+@pytest.mark.parametrize(
+    ("module", "write"),
+    [
+        ("defusedxml.ElementTree", sdf("")),
+        ("coacd", mesh("bad.stl", trimesh.Scene([BOX, corner_wall()]).to_mesh())),
+        ("collada", text("bad.dae", "<COLLADA/>")),
+        ("tifffile", data("bad.tif", b"")),
+    ],
+)
+def test_a_missing_package_of_the_extra_is_named(tmp_path, monkeypatch, module, write):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ImportError, match=rf'needs the package {module}: pip install "rover_rl\[worlds\]"'):
+        World.from_file(write(tmp_path))

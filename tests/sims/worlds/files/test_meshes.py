@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from PIL import Image
 
 from rover_rl.sims.worlds import World, get_world
 from tests.extras import needs_worlds
@@ -215,3 +216,24 @@ def test_spheres_are_simplified_within_the_error(tmp_path):
     assert ball.vertices.norm(dim=1).min() > 0.99
     directions = torch.nn.functional.normalize(torch.randn(2000, 3, generator=torch.Generator().manual_seed(0)), dim=1)
     assert ball.contains(0.985 * directions.double()).all()
+
+
+def test_missing_materials_and_pictures_do_not_matter(tmp_path):
+    house().to_mesh().export(tmp_path / "house.obj")
+    text = (tmp_path / "house.obj").read_text()
+    (tmp_path / "house.obj").write_text("mtllib ../../no.mtl\nusemtl paint\n" + text)
+    assert len(World.from_file(tmp_path / "house.obj").obstacles) == 7
+    textured = FLOOR.copy()
+    picture = Image.new("RGB", (4, 4), "red")
+    textured.visual = trimesh.visual.TextureVisuals(
+        uv=np.zeros((len(textured.vertices), 2)), material=trimesh.visual.material.SimpleMaterial(image=picture)
+    )
+    path = saved(trimesh.Scene([textured]), tmp_path / "floor.gltf")
+    data = json.loads(path.read_text())
+    data["images"] = [{"uri": "../textures/no.png"}]
+    path.write_text(json.dumps(data))
+    assert World.from_file(path).terrain.extent[0] == pytest.approx((-5, 5), abs=1e-5)
+    images = '<library_images><image id="i"><init_from>../no.jpg</init_from></image></library_images>'
+    path = saved(trimesh.Scene([FLOOR]), tmp_path / "floor.dae")
+    path.write_text(path.read_text().replace("<library_geometries>", images + "<library_geometries>"))
+    assert World.from_file(path).terrain.extent[0] == pytest.approx((-5, 5), abs=1e-5)
