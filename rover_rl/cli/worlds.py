@@ -2,23 +2,146 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+import warnings
+from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union
+
+import tyro
+
+from rover_rl.checks import check_seed
+
+if TYPE_CHECKING:
+    from rover_rl.sims.worlds import World
+
+Corners: TypeAlias = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class ImportWorld:
+    """Import a world from a file, tell what was understood, and save it as a world file.
+
+    FILE is an SDF world or model (.sdf, .world), a mesh (.obj, .stl, .dae, .glb, .gltf, .ply), an elevation model
+    (.tif, .png, .npy), or a ROS map (.yaml). docs/world_files.md describes the options.
+    """
+
+    file: tyro.conf.Positional[Path]
+    """File to import."""
+    out: Path | None = None
+    """World file to write, whose name ends in .world.npz. Default: FILE's name with this ending, in this folder."""
+    name: str | None = None
+    """Name of the world. Default: that in the file, else the file's name."""
+    spawn: Corners | None = None
+    """Area in which episodes start: x_low x_high y_low y_high, m. Default: automatic."""
+    goal: Corners | None = None
+    """Area of the goals: x_low x_high y_low y_high, m. Default: the spawn area."""
+    bounds: Corners | None = None
+    """Area whose exit ends the episode: x_low x_high y_low y_high, m. Default: automatic."""
+    cell: float | None = None
+    """Spacing of the ground's grid, m. Default: that of the data; for meshes, as fine as 1 cm of error takes."""
+    missing: Literal["error", "skip"] = "error"
+    """What happens with models and meshes that are not found."""
+    model_paths: tuple[str, ...] = ()
+    """Folders with models, before those of GZ_SIM_RESOURCE_PATH and GAZEBO_MODEL_PATH."""
+    visuals: bool = True
+    """Take the visual geometry of links that have no collision geometry."""
+    ground: str = "auto"
+    """Parts of a mesh or SDF file that are ground: auto, none, or patterns such as "terrain*,floor"."""
+    up: Literal["auto", "x", "y", "z"] = "auto"
+    """Axis of a mesh file that points up. Default: that of the format (glTF: y, COLLADA: in the file, else z)."""
+    scale: float = 1.0
+    """Factor from the lengths of a mesh file to meters."""
+    obstacle_error: float = 0.02
+    """Accepted distance between an obstacle and the convex solids in its place, m."""
+    pixel: float | None = None
+    """Size of a pixel of an elevation image or array, m. Default: that of the GeoTIFF."""
+    height: float | None = None
+    """Elevation of white in an 8 or 16 bit image, m."""
+    unknown: Literal["open", "wall", "free"] = "open"
+    """Meaning of the unknown cells of a map: no wall, but not in the automatic areas; wall; or free."""
+    wall_height: float = 2.0
+    """Height of the walls of a map, m."""
+
+    def __call__(self) -> int:
+        """Imports the world, prints what was understood, and writes the file."""
+        from rover_rl.sims.worlds import World
+
+        out = self.out or Path(f"{self.file.name.partition('.')[0]}.world.npz")
+        with warnings.catch_warnings():
+            # The notes of the world say the same.
+            warnings.simplefilter("ignore", UserWarning)
+            world = World.from_file(self.file, **self._options())
+        world.save(out)
+        print(_description(world))
+        print(f"saved as {out}; look at it with: rover-rl worlds show {out}")
+        return 0
+
+    def _options(self) -> dict[str, Any]:
+        areas = {"spawn": "spawn_range", "goal": "goal_range", "bounds": "bounds"}
+        own = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in ("file", "out")}
+        return {
+            areas.get(name, name): (value[:2], value[2:]) if name in areas and value is not None else value
+            for name, value in own.items()
+        }
+
+
+@dataclass(frozen=True)
+class ShowWorld:
+    """Draw a world: ground, obstacles, free space, and a start and a goal with the shortest path."""
+
+    file: tyro.conf.Positional[str]
+    """World to draw: a file, a name, or module:attribute."""
+    out: Path | None = None
+    """Picture to write. Default: the world's name with .png, in this folder."""
+    robot: str = "rover_zero"
+    """Robot whose free space is drawn: rover_zero, or module:attribute."""
+    seed: int = 0
+    """Seed of the start and the goal."""
+
+    def __call__(self) -> int:
+        """Draws the picture, and prints what was understood."""
+        from rover_rl.files import written_whole
+        from rover_rl.sims.robots import get_robot
+        from rover_rl.sims.worlds import get_world
+        from rover_rl.sims.worlds.draw_task import draw_task
+
+        robot, world = get_robot(self.robot), get_world(self.file)
+        out = self.out or Path(f"{Path(self.file).name.partition('.')[0].replace(':', '-')}.png")
+        with written_whole(out) as temporary:
+            length = draw_task(world, robot, check_seed(self.seed), temporary)
+        print(_description(world))
+        way = f"{length:.1f} m" if math.isfinite(length) else "none"
+        print(f"shortest path from a start to a goal: {way}; drawn in {out}")
+        return 0
 
 
 @dataclass(frozen=True)
 class Worlds:
-    """List the worlds and draw a map of each."""
+    """List the worlds and draw a map of each. Subcommands import a world from a file, and show it."""
 
     world: tuple[str, ...] = ()
-    """Worlds to draw, by name or as module:attribute. Default: all registered worlds."""
+    """Worlds to draw, by name, as module:attribute, or as a file. Default: all registered worlds."""
     robot: str = "rover_zero"
     """Robot whose free space is drawn: rover_zero, or module:attribute."""
     out: Path = Path("worlds")
     """Folder to write the maps to."""
+    action: tyro.conf.OmitArgPrefixes[
+        Annotated[
+            Union[  # noqa: UP007
+                Annotated[None, tyro.conf.subcommand("list", prefix_name=False)],
+                Annotated[ImportWorld, tyro.conf.subcommand("import", prefix_name=False)],
+                Annotated[ShowWorld, tyro.conf.subcommand("show", prefix_name=False)],
+            ],
+            tyro.conf.arg(name=""),
+        ]
+    ] = field(default=None)
+    """Import a world from a file, or show it. Default: list and draw worlds."""
 
     def __call__(self) -> int:
-        """Draws the maps and prints a line about each world."""
+        """Runs the action. Without one, draws the maps and prints a line about each world."""
+        if self.action is not None:
+            return self.action()
         from rover_rl.files import written_whole
         from rover_rl.sims.robots import get_robot
         from rover_rl.sims.worlds import get_world, world_names
@@ -26,9 +149,29 @@ class Worlds:
 
         robot = get_robot(self.robot)
         for name in self.world or world_names():
-            world, path = get_world(name), self.out / f"{name.replace(':', '-')}.png"
+            world, path = get_world(name), self.out / f"{_file_name(name)}.png"
             with written_whole(path) as temporary:
                 draw_world(world, robot, temporary)
             width, depth = (f"{high - low:.0f}" for low, high in world.spawn_range)
             print(f"{name:8} {len(world.obstacles):3} obstacles, start area {width} x {depth} m: {path}")
         return 0
+
+
+def _file_name(world: str) -> str:
+    """Returns the name of a picture for a world: its name, or the file's without its ending."""
+    return Path(world).name.removesuffix(".npz").replace(":", "-")
+
+
+def _description(world: World) -> str:
+    """Returns lines about a world: its size, and what the importer has to say."""
+    terrain = world.terrain
+    (x_low, x_high), (y_low, y_high) = world.bounds
+    lowest, highest = (float(end) for end in terrain.heights.aminmax())
+    lines = [
+        f"{world.name}: {len(world.obstacles)} obstacles, {len(world.actors)} actors",
+        f"  ground: {lowest:.2f} to {highest:.2f} m high, cell {terrain.cell:.3g} m",
+        f"  bounds: x {x_low:.1f} to {x_high:.1f} m, y {y_low:.1f} to {y_high:.1f} m",
+    ]
+    for name, ((left, right), (bottom, top)) in (("start", world.spawn_range), ("goal", world.goal_range)):
+        lines.append(f"  {name} area: x {left:.1f} to {right:.1f} m, y {bottom:.1f} to {top:.1f} m")
+    return "\n".join([*lines, *(f"  {note}" for note in world.notes)])

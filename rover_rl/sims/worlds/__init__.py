@@ -5,8 +5,11 @@ from __future__ import annotations
 import inspect as signatures
 from collections.abc import Callable
 from functools import lru_cache
+from pathlib import Path
 
 from rover_rl.registry import Registry
+from rover_rl.sims.worlds.actor import Actor
+from rover_rl.sims.worlds.files.suffixes import is_world_file
 from rover_rl.sims.worlds.free_space import FreeSpace, free_space
 from rover_rl.sims.worlds.inspect_site import inspect
 from rover_rl.sims.worlds.maze import maze
@@ -20,7 +23,7 @@ WORLDS: dict[str, Callable[[int], World]] = {"inspect": inspect, "moon": moon, "
 """Built-in worlds: functions from a seed to a world, by name."""
 
 
-_REGISTRY = Registry("world", WORLDS, also=", 'name:seed', or a World")
+_REGISTRY = Registry("world", WORLDS, also=", 'name:seed', the path of a file, or a World")
 
 
 def register_world(name: str, world: World | Callable[..., World] | str) -> None:
@@ -52,21 +55,36 @@ def get_world(world: str | World) -> World:
 
     Args:
         world: name in :func:`world_names`, ``"module:attribute"`` of a world or of a function that returns one, or a
-            world. A suffix ``:seed`` selects another layout, for example ``"maze:7"`` or ``"my_package:canyon:7"``.
+            world. A suffix ``:seed`` selects another layout, for example ``"maze:7"`` or ``"my_package:canyon:7"``. The
+            path of a world file also is a name: see :meth:`World.from_file`.
 
     Returns:
         The world. The same name returns the same object (the last 256 names are cached).
 
     Raises:
+        FileNotFoundError: if the name is a path, and there is no such file.
         ValueError: if the name is unknown, refers to something else than a world, or has a seed that the world does
             not take.
     """
     if isinstance(world, World):
         return world
+    if is_world_file(str(world)):
+        return _read_file(Path(world).resolve())
     name, _, seed = str(world).rpartition(":")
     if name and seed.isascii() and seed.isdigit():
         return _make_world(name, int(seed))
     return _make_world(str(world), 0 if world in WORLDS else None)
+
+
+def _read_file(path: Path) -> World:
+    """Returns the world in a file, which is read again after it has changed."""
+    status = path.stat() if path.exists() else None
+    return _read_version(path, None if status is None else (status.st_mtime_ns, status.st_size))
+
+
+@lru_cache(maxsize=256)
+def _read_version(path: Path, version: tuple[int, int] | None) -> World:
+    return World.from_file(path)
 
 
 @lru_cache(maxsize=256)
@@ -86,6 +104,7 @@ def _make_world(name: str, seed: int | None) -> World:
 
 __all__ = [
     "WORLDS",
+    "Actor",
     "FreeSpace",
     "Obstacle",
     "Terrain",

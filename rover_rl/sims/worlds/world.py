@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from pathlib import Path
+from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor
 
+from rover_rl.sims.worlds.actor import Actor
 from rover_rl.sims.worlds.obstacles import Obstacle
 from rover_rl.sims.worlds.terrain import Terrain
 
@@ -33,6 +35,8 @@ class World:
         spawn_height: height at which a live simulator drops the rover, as the original environment does, m.
         spawn_height_areas: ``(area, height)`` pairs with other drop heights. The first area that contains a point
             applies.
+        actors: moving figures of an imported world. Simulators do not move them.
+        notes: what an importer has to say about the world, such as the error of the ground.
 
     Raises:
         ValueError: if the ends of an area are not in order, or the spawn or goal area exceeds ``bounds``.
@@ -55,6 +59,8 @@ class World:
     bounds: Area = None  # type: ignore[assignment]
     spawn_height: float = 0.75
     spawn_height_areas: tuple[tuple[Area, float], ...] = ()
+    actors: tuple[Actor, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         (x_low, x_high), (y_low, y_high) = self.terrain.extent
@@ -70,6 +76,40 @@ class World:
                 raise ValueError(f"{message} be ((x_low, x_high), (y_low, y_high)), got {area}")
             if any(a[0] < b[0] or a[1] > b[1] for a, b in zip(area, self.bounds, strict=True)):
                 raise ValueError(f"{message} lie in its bounds {self.bounds}, got {area}")
+
+    @classmethod
+    def from_file(cls, path: str | Path, **options: Any) -> World:
+        """Imports a world from a file. Coordinates stay those of the file.
+
+        Args:
+            path: SDF world or model (``.sdf``, ``.world``), mesh (``.obj``, ``.stl``, ``.dae``, ``.glb``, ``.gltf``,
+                ``.ply``), elevation model (``.tif``, ``.png``, ``.npy``), ROS map (``.yaml``), or a file of
+                :meth:`save`.
+            **options: fields of :class:`rover_rl.sims.worlds.files.options.ImportOptions`, such as ``spawn_range`` and
+                ``missing="skip"``.
+
+        Raises:
+            FileNotFoundError: if there is no such file.
+            ImportError: if a package of the extra ``worlds`` is missing.
+            ValueError: if the file or an option is wrong. The message is one sentence.
+        """
+        from rover_rl.sims.worlds.files.read import read_world
+
+        return cls(**vars(read_world(Path(path), **options)))
+
+    def save(self, path: str | Path) -> None:
+        """Writes the world to a file that :meth:`from_file` reads without any extra.
+
+        Args:
+            path: new file, whose name ends in ``.world.npz``.
+
+        Raises:
+            OSError: if the file cannot be written.
+            ValueError: if the name has another ending.
+        """
+        from rover_rl.sims.worlds.files.archive import write_archive
+
+        write_archive(self, Path(path))
 
     def height_at(self, xy: Tensor) -> Tensor:
         """Returns the height of the ground (m) at points ``xy [..., 2]``, without obstacles: ``[...]``."""

@@ -1,0 +1,67 @@
+"""Map of a world with a start, a goal, and the shortest path between them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.worlds.draw import GOAL, SPAWN, draw_world
+from rover_rl.sims.worlds.free_space import FreeSpace, free_space
+from rover_rl.sims.worlds.shortest_paths import distance_fields, shortest_paths
+from rover_rl.sims.worlds.world import World
+
+CANDIDATES = 16
+"""Number of goals, of which the farthest from the start is drawn."""
+CAUTION = 1.0
+"""Relative extra cost of the drawn path at obstacles: it keeps away from them where there is room."""
+STEP = 3
+"""Longest step of the drawn path, in cells."""
+
+
+def draw_task(world: World, robot: Robot, seed: int, path: str | Path) -> float:
+    """Draws a map of a world with a start, a goal and a path that the robot can drive.
+
+    Args:
+        world: world to draw.
+        robot: robot for which the free space is computed.
+        seed: seed of the start and the goal.
+        path: image file, whose suffix selects the format.
+
+    Returns:
+        Length of the shortest path from the start to the goal, m.
+
+    Raises:
+        ValueError: if the world has no free space for the robot.
+    """
+    space, rng = free_space(world, robot), np.random.default_rng(seed)
+    start = space.spawn_cells[int(rng.integers(len(space.spawn_cells)))]
+    goals = space.goal_cells[torch.from_numpy(rng.integers(len(space.goal_cells), size=CANDIDATES))]
+    goal = goals[int((goals - start).norm(dim=-1).argmax())]
+    figure = draw_world(world, robot)
+    ax = figure.axes[0]
+    field = distance_fields(world, robot, goal[None], caution=CAUTION)[0].numpy()
+    way = _descend(space, field, start.numpy())
+    ax.plot(*way.T, color="white", linewidth=4.5, zorder=5)
+    ax.plot(*way.T, color=SPAWN, linewidth=2.2, zorder=6)
+    for point, color, marker in ((start, SPAWN, "o"), (goal, GOAL, "*")):
+        ax.plot(*point.tolist(), marker, color=color, markeredgecolor="white", markersize=15, zorder=7)
+    figure.savefig(path, dpi=150)
+    return float(shortest_paths(world, robot, start[None], goal[None])[0])
+
+
+def _descend(space: FreeSpace, field: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Returns the path that descends the distances to a goal from cell to cell: ``[P, 2]``, m."""
+    passable = space.passable.numpy()
+    column, row = np.rint((start - space.origin) / space.cell).astype(int)
+    cells = [(row, column)]
+    while True:
+        rows, columns = (slice(max(0, k - STEP), k + STEP + 1) for k in cells[-1])
+        near = np.where(passable[rows, columns], field[rows, columns], np.inf)
+        best = np.unravel_index(near.argmin(), near.shape)
+        cell = int(rows.start + best[0]), int(columns.start + best[1])
+        if field[cell] >= field[cells[-1]]:
+            return np.array(cells)[:, ::-1] * space.cell + space.origin
+        cells.append(cell)

@@ -1,0 +1,171 @@
+"""The project's own world file, ``NAME.world.npz``: plain arrays and JSON, with a version."""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from rover_rl.files import errors_name, written_whole
+from rover_rl.sims.worlds.actor import Actor
+from rover_rl.sims.worlds.files.assemble import WorldParts
+from rover_rl.sims.worlds.files.suffixes import ARCHIVE_SUFFIX
+from rover_rl.sims.worlds.obstacles import Obstacle
+from rover_rl.sims.worlds.terrain import Terrain
+
+if TYPE_CHECKING:
+    from rover_rl.sims.worlds.world import World
+
+FORMAT = "rover_rl world"
+VERSION = 1
+MAX_BYTES = 512 * 2**20
+"""Largest size of the arrays of a file."""
+ARRAYS = {"about": (1, "u1"), "heights": (2, "<f4"), "vertices": (2, "<f8"), "ends": (1, "<i8")}
+"""Number of dimensions and type of each array: JSON text as bytes, the terrain, and the obstacles' vertices."""
+
+
+def write_archive(world: World, path: Path) -> None:
+    """Writes a world file, atomically.
+
+    Raises:
+        OSError: if the file cannot be written.
+        ValueError: if the name does not end in ``.world.npz``.
+    """
+    if not path.name.endswith(ARCHIVE_SUFFIX):
+        raise ValueError(f"the name of a world file must end in {ARCHIVE_SUFFIX}, got {path.name!r}")
+    about = {
+        "format": FORMAT,
+        "version": VERSION,
+        "name": world.name,
+        "cell": world.terrain.cell,
+        "origin": world.terrain.origin,
+        "spawn_range": world.spawn_range,
+        "goal_range": world.goal_range,
+        "bounds": world.bounds,
+        "spawn_height": world.spawn_height,
+        "spawn_height_areas": world.spawn_height_areas,
+        "actors": [asdict(actor) for actor in world.actors],
+        "notes": world.notes,
+    }
+    vertices = [obstacle.vertices.numpy() for obstacle in world.obstacles]
+    arrays = {
+        "about": np.frombuffer(json.dumps(about).encode(), dtype="u1"),
+        "heights": world.terrain.heights.numpy().astype("<f4"),
+        "vertices": np.concatenate([np.empty((0, 3)), *vertices]).astype("<f8"),
+        "ends": np.cumsum([len(points) for points in vertices], dtype="<i8"),
+    }
+    with written_whole(path) as temporary, errors_name(path, temporary), temporary.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def read_archive(path: Path) -> WorldParts:
+    """Reads a world file.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if the file is damaged, too large, of another format, or of a newer version.
+    """
+    arrays = _read_arrays(path)
+    try:
+        about = json.loads(arrays["about"].tobytes())
+        version = about["version"] if about["format"] == FORMAT else None
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ValueError(f"{path} is no world file: its description cannot be read") from error
+    if version != VERSION:
+        raise ValueError(f"{path} is a world file of version {version}; this version of rover_rl reads {VERSION}")
+    try:
+        return _parts(about, arrays)
+    except (KeyError, TypeError, ValueError) as error:
+        reason = f"{error} is missing" if isinstance(error, KeyError) else error
+        raise ValueError(f"{path} is a damaged world file: {reason}") from error
+
+
+def _parts(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> WorldParts:
+    ends = arrays["ends"]
+    if len(ends) and (ends[-1] != len(arrays["vertices"]) or (np.diff(ends, prepend=0) < 4).any()):
+        raise ValueError("the obstacles do not match their vertices")
+    points = np.split(arrays["vertices"], ends[:-1]) if len(ends) else []
+    terrain = Terrain(torch.from_numpy(arrays["heights"]), float(about["cell"]), _pair(about["origin"]))
+    return WorldParts(
+        name=str(about["name"]),
+        terrain=terrain,
+        obstacles=tuple(Obstacle(torch.from_numpy(part)) for part in points),
+        spawn_range=_area(about["spawn_range"]),
+        goal_range=_area(about["goal_range"]),
+        bounds=_area(about["bounds"]),
+        spawn_height=float(about["spawn_height"]),
+        spawn_height_areas=tuple((_area(area), float(height)) for area, height in about["spawn_height_areas"]),
+        actors=tuple(_actor(actor) for actor in about["actors"]),
+        notes=tuple(str(note) for note in about["notes"]),
+    )
+
+
+def _pair(values: Any) -> tuple[float, float]:
+    low, high = (float(value) for value in values)
+    if not (math.isfinite(low) and math.isfinite(high)):
+        raise ValueError(f"{values} must be finite")
+    return low, high
+
+
+def _area(values: Any) -> tuple[tuple[float, float], tuple[float, float]]:
+    x, y = values
+    return _pair(x), _pair(y)
+
+
+def _actor(data: dict[str, Any]) -> Actor:
+    poses = tuple(tuple(float(number) for number in pose) for pose in data["poses"])
+    return Actor(
+        name=str(data["name"]),
+        times=tuple(float(time) for time in data["times"]),
+        poses=poses,  # type: ignore[arg-type]
+        loop=bool(data["loop"]),
+        delay_start=float(data["delay_start"]),
+        auto_start=bool(data["auto_start"]),
+    )
+
+
+def _read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Reads the arrays of a file after checking their types and sizes."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = {info.filename: info for info in archive.infolist()}
+            missing = [name for name in ARRAYS if f"{name}.npy" not in names]
+            if missing:
+                raise ValueError(f"{path} is no world file: it has no {missing[0]}")
+            if sum(info.file_size for info in names.values()) > MAX_BYTES:
+                raise ValueError(f"{path} unpacks to more than {MAX_BYTES >> 20} MB, which is more than a world has")
+            return {name: _read_array(path, archive, names[f"{name}.npy"]) for name in ARRAYS}
+    except FileNotFoundError:
+        raise
+    except ValueError as error:
+        if str(path) in str(error):
+            raise
+        raise ValueError(f"{path} is a damaged world file: {error}") from error
+    # zipfile and zlib raise errors without a common class.
+    except Exception as error:
+        raise ValueError(f"{path} is no world file, or a damaged one: {error}") from error
+
+
+def _read_array(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
+    """Reads one array. Its header must say what the file holds, before any memory is taken for it."""
+    name = info.filename.removesuffix(".npy")
+    dimensions, kind = ARRAYS[name]
+    with archive.open(info) as file:
+        version = np.lib.format.read_magic(file)
+        read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+        shape, fortran, dtype = read_header[version](file)
+        if dtype != np.dtype(kind) or len(shape) != dimensions or fortran or (name == "vertices" and shape[1] != 3):
+            raise ValueError(f"{path} is no world file: its {name} have the shape {shape} and the type {dtype}")
+        size = math.prod(shape) * dtype.itemsize
+        if size > info.file_size:
+            raise ValueError(f"{path} is a damaged world file: its {name} are shorter than they say")
+        data = file.read(size)
+    if len(data) != size:
+        raise ValueError(f"{path} is a damaged world file: its {name} are cut off")
+    return np.frombuffer(data, dtype=dtype).reshape(shape).copy()

@@ -1,0 +1,96 @@
+"""What the readers find in a file, before it becomes a world."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rover_rl.sims.worlds.actor import Actor
+from rover_rl.sims.worlds.files.options import MAX_SIZE
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A solid or a surface in the world frame.
+
+    Args:
+        name: name in the file, for messages and for the option ``ground``.
+        vertices: ``[V, 3]``, m.
+        faces: triangles ``[F, 3]``. ``None``: the piece is the convex hull of the vertices.
+    """
+
+    name: str
+    vertices: np.ndarray
+    faces: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.vertices).all():
+            raise ValueError(f"{self.name} has a vertex that is NaN or infinite")
+        if len(self.vertices) and np.abs(self.vertices).max() > MAX_SIZE:
+            raise ValueError(
+                f"{self.name} reaches {np.abs(self.vertices).max():.3g} m from the origin; at most {MAX_SIZE:g} m are "
+                "supported, so check the unit and the scale"
+            )
+
+
+@dataclass(frozen=True)
+class Plane:
+    """An infinite plane of ground.
+
+    Args:
+        point: a point of the plane, ``[3]``, m.
+        normal: unit normal with a positive z component, ``[3]``.
+        size: side lengths that the file gives, m.
+    """
+
+    point: np.ndarray
+    normal: np.ndarray
+    size: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Elevations on a regular grid, turned about z.
+
+    Args:
+        heights: elevations ``[rows, columns]``, m, with rows along +y. NaN: no ground.
+        cell: spacing ``(along x, along y)``, m.
+        origin: position of ``heights[0, 0]``, ``(x, y)``, m.
+        yaw: turn of the grid about ``origin``, rad.
+    """
+
+    heights: np.ndarray
+    cell: tuple[float, float]
+    origin: tuple[float, float]
+    yaw: float = 0.0
+
+
+@dataclass
+class Contents:
+    """Everything that a reader found in a file.
+
+    Attributes:
+        name: name of the world in the file.
+        pieces: solids and surfaces.
+        planes: infinite planes.
+        grids: elevation grids.
+        actors: moving figures.
+        left_out: what was left out and why, one sentence each. Told as warnings.
+        notes: what else a user may want to know, one sentence each.
+    """
+
+    name: str
+    pieces: list[Piece] = field(default_factory=list)
+    planes: list[Plane] = field(default_factory=list)
+    grids: list[Grid] = field(default_factory=list)
+    actors: list[Actor] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def listed(names: Iterable[str], most: int = 8) -> str:
+    """Returns names as text, shortened after ``most``."""
+    names = list(dict.fromkeys(names))
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -1,0 +1,161 @@
+"""Tells ground and obstacles apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from rover_rl.sims.worlds.files.components import is_closed, signed_volume
+from rover_rl.sims.worlds.files.contents import Piece
+from rover_rl.sims.worlds.files.raster import projected_area, surface_heights, upward_faces
+
+CELLS = 256
+"""Number of cells along the longer side of the grid on which pieces are compared."""
+THICKEST = 0.5
+"""Largest height of a ground piece, in its shorter horizontal side."""
+LEAST_SURFACE = 0.2
+"""Least share of a ground piece's bounding rectangle that its surface covers, seen from above."""
+LEAST_COVER = 0.25
+"""Least share of the scene's bounding rectangle that ground covers, or else there is none."""
+HIGHEST_SLAB = 0.5
+"""Largest height of a simple shape, such as a box, that is ground on top of a plane or an elevation grid, m."""
+LEAST_AREA = 16.0
+"""Least area of a piece that is ground on top of a plane or an elevation grid, m^2."""
+STEP = 0.01
+"""Difference in height from which one piece is below another, m."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The part of a piece that a wheel could stand on.
+
+    Args:
+        piece: the piece.
+        vertices: ``[V, 3]``, m.
+        faces: its upward faces ``[F, 3]``.
+    """
+
+    piece: Piece
+    vertices: np.ndarray
+    faces: np.ndarray
+
+    def heights(self, origin: tuple[float, float], cell: float, shape: tuple[int, int]) -> np.ndarray:
+        """Returns the lowest upward surface at each point of a grid: ``[rows, columns]``, m, NaN beside it."""
+        return surface_heights(self.vertices, self.faces, origin, cell, shape)
+
+
+def surface_of(piece: Piece) -> Surface:
+    """Returns the upward surface of a piece. Both sides of an open surface count."""
+    faces = piece.faces
+    if faces is None:
+        try:
+            faces = _hull_faces(piece.vertices)
+        except (QhullError, ValueError):
+            faces = np.empty((0, 3), dtype=int)
+    closed = is_closed(faces) if len(faces) else False
+    if closed and signed_volume(piece.vertices, faces) < 0:
+        faces = faces[:, ::-1]
+    return Surface(piece, piece.vertices, upward_faces(piece.vertices, faces, both_sides=not closed))
+
+
+def ground_pieces(pieces: list[Piece], wanted: str, has_base: bool) -> list[Surface]:
+    """Returns the pieces that are ground.
+
+    Automatically, a piece is a candidate if it is broad: at most half as high as its shorter side, and its upward
+    faces cover a fifth of its bounding rectangle. Seen from below, a candidate is ground if it is the lowest one over
+    at least half of its own area, and most other pieces above or below it do not end below it. All ground together
+    must cover a quarter of the scene, or else there is no ground. On top of a plane or an elevation grid, a piece must
+    also cover a quarter of the scene and 16 m^2 itself, and be a mesh or at most 0.5 m high.
+
+    Args:
+        pieces: connected pieces.
+        wanted: ``"auto"``, ``"none"``, or patterns of names, separated by commas.
+        has_base: whether there is a plane or an elevation grid.
+
+    Raises:
+        ValueError: if no piece has a name that a pattern matches, or those have no upward surface.
+    """
+    if not pieces or wanted == "none":
+        return []
+    if wanted != "auto":
+        return _named(pieces, [pattern.strip() for pattern in wanted.split(",")])
+    everything = np.concatenate([piece.vertices[:, :2] for piece in pieces])
+    low, high = everything.min(0), everything.max(0)
+    scene = float(np.prod(high - low))
+    broad = [piece for piece in pieces if _is_flat(piece)]
+    if has_base:
+        broad = [piece for piece in broad if piece.faces is not None or np.ptp(piece.vertices[:, 2]) <= HIGHEST_SLAB]
+    candidates = [surface for surface in map(surface_of, broad) if _covers(surface)]
+    if not candidates or scene <= 0:
+        return []
+    cell = float((high - low).max()) / CELLS
+    columns, rows = (int(n) + 1 for n in np.ceil((high - low) / cell))
+    origin = (float(low[0]) + cell / 2, float(low[1]) + cell / 2)
+    heights = [surface.heights(origin, cell, (rows, columns)) for surface in candidates]
+    lowest = np.fmin.reduce(heights) if len(heights) > 1 else heights[0]
+    chosen, covered = [], np.zeros((rows, columns), dtype=bool)
+    for surface, height in zip(candidates, heights, strict=True):
+        own = np.isfinite(height)
+        area = own.sum() * cell**2
+        if has_base and (area < LEAST_AREA or area < LEAST_COVER * scene):
+            continue
+        if (
+            own.any()
+            and (height <= lowest + STEP)[own].mean() >= 0.5
+            and not _hangs(surface, height, pieces, origin, cell)
+        ):
+            chosen.append(surface)
+            covered |= own
+    return chosen if covered.sum() * cell**2 >= LEAST_COVER * scene else []
+
+
+def matches(name: str, patterns: list[str]) -> bool:
+    """Returns whether a name, or one of its parts between slashes, matches a pattern."""
+    return any(fnmatchcase(part, pattern) for pattern in patterns for part in (name, *name.split("/")))
+
+
+def _named(pieces: list[Piece], patterns: list[str]) -> list[Surface]:
+    named = [piece for piece in pieces if matches(piece.name, patterns)]
+    surfaces = [surface for surface in map(surface_of, named) if len(surface.faces)]
+    if not surfaces:
+        names = sorted({piece.name for piece in pieces})
+        raise ValueError(
+            f"ground={','.join(patterns)!r} matches no piece with an upward surface; there are {names[:20]}"
+        )
+    return surfaces
+
+
+def _hull_faces(vertices: np.ndarray) -> np.ndarray:
+    """Returns the triangles of the convex hull of points, normals outward: ``[F, 3]``."""
+    hull = ConvexHull(vertices)
+    faces = hull.simplices.copy()
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    inward = (np.cross(b - a, c - a) * hull.equations[:, :3]).sum(1) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return faces
+
+
+def _is_flat(piece: Piece) -> bool:
+    x, y, z = np.ptp(piece.vertices, axis=0)
+    return bool(min(x, y) > 0 and z <= THICKEST * min(x, y))
+
+
+def _covers(surface: Surface) -> bool:
+    x, y, _ = np.ptp(surface.vertices, axis=0)
+    return projected_area(surface.vertices, surface.faces) >= LEAST_SURFACE * x * y
+
+
+def _hangs(surface: Surface, height: np.ndarray, pieces: list[Piece], origin: tuple[float, float], cell: float) -> bool:
+    """Returns whether most other pieces over or under a surface end below it, as walls do below a roof."""
+    others = [piece.vertices for piece in pieces if piece is not surface.piece]
+    if not others:
+        return False
+    tops = np.array([(*(points.min(0) + points.max(0))[:2] / 2, points[:, 2].max()) for points in others])
+    column, row = np.rint((tops[:, :2] - origin) / cell).astype(int).T
+    row, column = np.clip(row, 0, height.shape[0] - 1), np.clip(column, 0, height.shape[1] - 1)
+    here = height[row, column]
+    over = np.isfinite(here)
+    return bool(over.any() and (tops[over, 2] <= here[over] + STEP).mean() > 0.5)

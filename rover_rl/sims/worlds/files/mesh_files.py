@@ -1,0 +1,176 @@
+"""Reading of mesh files: nodes with their transforms, in meters, with z up."""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from PIL import Image
+from trimesh.resolvers import Resolver
+
+from rover_rl.sims.worlds.files.contents import Piece
+from rover_rl.sims.worlds.files.extra import optional
+from rover_rl.sims.worlds.files.options import Up
+from rover_rl.sims.worlds.files.suffixes import MESH_SUFFIXES
+from rover_rl.sims.worlds.files.xml_tree import read_xml, text_of
+
+MAX_BYTES = 512 * 2**20
+"""Largest mesh file."""
+MAX_FACES = 5_000_000
+"""Largest number of triangles of a mesh file."""
+_TO_Z_UP = {
+    "x": np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]),
+    "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
+    "z": np.eye(3),
+}
+"""Rotations that turn the axis that points up into z. COLLADA 1.4.1 defines the two other axes of each."""
+
+
+def read_mesh(path: Path, up: Up = "auto", scale: float = 1.0) -> list[Piece]:
+    """Reads a mesh file.
+
+    Args:
+        path: the file.
+        up: axis that points up. ``"auto"``: y for glTF, the file's own for COLLADA, else z.
+        scale: factor for all lengths, on top of the unit in the file.
+
+    Returns:
+        A piece for each node with triangles.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ImportError: if a package of the extra is missing.
+        ValueError: if the file is damaged, holds no triangles, or refers to files outside of its folder.
+    """
+    data = _read(path)
+    kind = path.suffix.lower()
+    if kind not in MESH_SUFFIXES:
+        raise ValueError(f"{path} is no mesh; use one of {[*MESH_SUFFIXES]}")
+    unit, axis = _collada_frame(path, data) if kind == ".dae" else (1.0, "y" if kind in (".glb", ".gltf") else "z")
+    if kind == ".gltf":
+        _check_json(path, data)
+    turn = scale * unit * _TO_Z_UP[axis if up == "auto" else up]
+    pieces = []
+    scene = _load(path, data)
+    for node in sorted(scene.graph.nodes_geometry):
+        transform, name = scene.graph[node]
+        mesh = scene.geometry[name]
+        if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
+            vertices = trimesh.transform_points(mesh.vertices, transform) @ turn.T
+            mirrored = np.linalg.det(transform[:3, :3]) < 0
+            faces = np.asarray(mesh.faces)[:, ::-1] if mirrored else np.asarray(mesh.faces)
+            pieces.append(Piece(str(node), vertices, faces))
+    if not pieces:
+        raise ValueError(f"{path} holds no triangles")
+    if sum(len(piece.faces) for piece in pieces if piece.faces is not None) > MAX_FACES:
+        raise ValueError(f"{path} has more than {MAX_FACES:,} triangles; simplify it first")
+    return pieces
+
+
+def _read(path: Path) -> bytes:
+    if path.stat().st_size > MAX_BYTES:
+        raise ValueError(f"{path} has more than {MAX_BYTES >> 20} MB; simplify it first")
+    return path.read_bytes()
+
+
+def _load(path: Path, data: bytes) -> trimesh.Scene:
+    if path.suffix.lower() == ".dae":
+        optional("collada")
+    log = logging.getLogger("trimesh")
+    level = log.level
+    # A missing material is of no interest, and a damaged file is told in one sentence.
+    log.setLevel(logging.CRITICAL)
+    try:
+        loaded = trimesh.load_scene(
+            io.BytesIO(data), file_type=path.suffix.lower()[1:], resolver=_FolderResolver(path.parent), process=False
+        )
+    except MemoryError as error:
+        raise ValueError(f"{path} asks for more memory than there is; it may be damaged") from error
+    # The readers raise errors of all kinds for a damaged file.
+    except Exception as error:
+        reason = str(error) if isinstance(error, (OSError, _LeavesError)) else f"{type(error).__name__}: {error}"
+        raise ValueError(f"{path} cannot be read as a mesh: {reason.splitlines()[0][:200]}") from error
+    finally:
+        log.setLevel(level)
+    return loaded
+
+
+class _LeavesError(ValueError):
+    """A mesh names a file outside of its folder."""
+
+
+class _FolderResolver(Resolver):
+    """Gives the mesh readers the geometry in the files of one folder, and nothing for materials and textures.
+
+    Args:
+        folder: the folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = Path(os.path.abspath(folder))
+
+    def get(self, name: str) -> bytes:
+        """Returns the content of a file with geometry, such as a glTF buffer."""
+        path = Path(os.path.abspath(self._folder / name.strip()))
+        if path.suffix.lower() not in (".bin", ".glb"):
+            # Materials and pictures are no geometry, and often missing: they are empty, and white.
+            return b"" if path.suffix.lower() == ".mtl" else _white_pixel()
+        if "://" in name or not path.is_relative_to(self._folder):
+            raise _LeavesError(f"{name} is outside of its folder")
+        return _read(path)
+
+    def write(self, name: str, data: Any) -> None:
+        """Writes nothing."""
+
+    def namespaced(self, namespace: str) -> _FolderResolver:
+        """Returns the resolver of a folder in the folder."""
+        return _FolderResolver(self._folder / namespace)
+
+    def keys(self) -> list[str]:
+        """Returns no names: nothing is searched."""
+        return []
+
+
+def _white_pixel() -> bytes:
+    """Returns a picture of one pixel."""
+    content = io.BytesIO()
+    Image.new("RGB", (1, 1), "white").save(content, "PNG")
+    return content.getvalue()
+
+
+def _check_json(path: Path, data: bytes) -> None:
+    """Checks that the buffers of a glTF file are local, before anything reads them."""
+    try:
+        buffers = json.loads(data)["buffers"]
+        names = [str(buffer.get("uri", "")) for buffer in buffers]
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(f"{path} cannot be read as a mesh: it is no glTF with buffers") from error
+    outside = [name for name in names if "://" in name or name.startswith("/") or ".." in Path(name).parts]
+    if outside:
+        raise ValueError(f"{path} names {outside[0]}, which is outside of its folder")
+
+
+def _collada_frame(path: Path, data: bytes) -> tuple[float, str]:
+    """Returns the unit (m) and the axis that points up of a COLLADA file. Its XML is checked on the way."""
+    root = read_xml(path, data)
+    namespace = root.tag.partition("}")[0] + "}" if root.tag.startswith("{") else ""
+    asset = root.find(f"{namespace}asset")
+    unit, axis = 1.0, "y"
+    if asset is not None:
+        element = asset.find(f"{namespace}unit")
+        text = "1" if element is None else element.get("meter", "1")
+        try:
+            unit = float(text)
+        except ValueError:
+            unit = float("nan")
+        if not 1e-6 <= unit <= 1e6:
+            raise ValueError(f"the unit of {path} must be a positive number of meters, got {text!r}")
+        # COLLADA 1.4.1: without up_axis, y points up.
+        axis = {"X_UP": "x", "Y_UP": "y", "Z_UP": "z"}.get(text_of(asset.find(f"{namespace}up_axis")), "y")
+    return unit, axis

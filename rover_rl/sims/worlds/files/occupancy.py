@@ -1,0 +1,180 @@
+"""Occupancy grids: ``map.yaml`` of ROS with its picture."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import yaml
+
+from rover_rl.sims.worlds.files.areas import find_areas
+from rover_rl.sims.worlds.files.assemble import WorldParts, check_triangles
+from rover_rl.sims.worlds.files.contents import Plane
+from rover_rl.sims.worlds.files.images import read_gray
+from rover_rl.sims.worlds.files.locate import Locator
+from rover_rl.sims.worlds.files.options import MAX_SIZE, ImportOptions
+from rover_rl.sims.worlds.files.rectangles import cover
+from rover_rl.sims.worlds.files.terrain import Ground, make_terrain
+from rover_rl.sims.worlds.obstacles import box
+
+MODES = ("trinary", "scale", "raw")
+MAX_BYTES = 2**20
+"""Largest YAML file."""
+OCCUPIED, UNKNOWN = 100, 255
+"""Values of nav_msgs/OccupancyGrid; UNKNOWN is its -1 as an unsigned byte."""
+
+
+class _Map(NamedTuple):
+    """The settings of a map, as nav2's map_server reads them."""
+
+    image: str
+    mode: str
+    resolution: float
+    origin: tuple[float, float, float]
+    negate: bool
+    occupied: float
+    free: float
+
+
+def read_map(path: Path, options: ImportOptions) -> WorldParts:
+    """Reads an occupancy grid: walls become boxes on flat ground.
+
+    Cells are occupied, free or unknown as in nav2's map_server. ``trinary`` and ``scale`` compare the darkness of a
+    pixel with the thresholds; between them it is unknown, also where ``scale`` gives a share. ``raw`` takes the values
+    as they are: 100 is occupied, more is unknown, and less is free.
+
+    Raises:
+        FileNotFoundError: if the file or its picture does not exist.
+        ValueError: if the map cannot be read, or has no free cell.
+    """
+    settings = _settings(path)
+    picture, renamed = _picture(path, settings.image)
+    states = _states(settings, read_gray(picture))
+    rows, columns = states.shape
+    if max(rows, columns) * settings.resolution > MAX_SIZE:
+        raise ValueError(
+            f"{path} spans {columns * settings.resolution:g} x {rows * settings.resolution:g} m, too large"
+        )
+    if not (states == 0).any():
+        raise ValueError(f"{path} has no free cell; check negate and the thresholds")
+    walls = states == OCCUPIED
+    if options.unknown == "wall":
+        walls |= states == UNKNOWN
+    rectangles = cover(walls)
+    check_triangles(12 * len(rectangles))
+    obstacles = [_wall(settings, rectangle, options.wall_height) for rectangle in rectangles]
+    known = states == 0 if options.unknown == "open" else states != OCCUPIED
+    centers = _centers(settings, known)
+    level = Plane(np.zeros(3), np.array((0.0, 0.0, 1.0)), (0.0, 0.0))
+    corners = _points(settings, np.array([(0, 0), (columns, 0), (0, rows), (columns, rows)], dtype=float))
+    terrain, _ = make_terrain(Ground([level], [], []), corners, None)
+    low, high = centers.min(0) - settings.resolution / 2, centers.max(0) + settings.resolution / 2
+    limits = (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
+    areas = find_areas(terrain, obstacles, options, limits, centers)
+    share = float((states == UNKNOWN).mean())
+    unknown = [f"map: {100 * share:.0f} % of the cells are unknown, taken as {options.unknown}"] if share else []
+    notes = [*renamed, f"map: {int(walls.sum()):,} wall cells in {len(rectangles):,} boxes", *unknown, areas.note]
+    return WorldParts(
+        name=options.name or path.stem,
+        terrain=terrain,
+        obstacles=tuple(obstacles),
+        spawn_range=areas.spawn_range,
+        goal_range=areas.goal_range,
+        bounds=areas.bounds,
+        notes=tuple(filter(None, notes)),
+    )
+
+
+def _picture(path: Path, name: str) -> tuple[Path, list[str]]:
+    """Returns the picture of a map, and a note if it is not the one that the map names.
+
+    A map whose two files were renamed together still names the old picture: then the one beside it with its own new
+    name is taken.
+    """
+    beside = [path.with_suffix(suffix) for suffix in (Path(name).suffix, ".pgm", ".png")]
+    found = Locator(path).find(name, path.parent)
+    if found is not None and found.is_file():
+        return found, []
+    for other in beside:
+        if other.is_file() and other != path:
+            return other, [f"map: the picture {name} does not exist, and {other.name} is taken"]
+    raise FileNotFoundError(f"{path} names the picture {name}, which does not exist")
+
+
+def _settings(path: Path) -> _Map:
+    """Reads the YAML file of a map."""
+    if path.stat().st_size > MAX_BYTES:
+        raise ValueError(f"{path} has more than {MAX_BYTES >> 20} MB, which is more than a map has")
+    text = path.read_bytes()
+    if text.count(b"&") > 100:
+        raise ValueError(f"{path} has YAML anchors, which a map has not")
+    try:
+        data = yaml.safe_load(text)
+    except (yaml.YAMLError, UnicodeError, ValueError, RecursionError) as error:
+        raise ValueError(f"{path} is not valid YAML: {' '.join(str(error).split())[:200]}") from error
+    if not isinstance(data, dict) or not {"image", "resolution", "origin"} <= set(data):
+        raise ValueError(f"{path} is no map: it must have image, resolution and origin")
+    mode = data.get("mode", "trinary")
+    if mode not in MODES:
+        raise ValueError(f"mode in {path} must be one of {[*MODES]}, got {mode!r}")
+    if not isinstance(data["image"], str) or not data["image"]:
+        raise ValueError(f"image in {path} must be the name of a file, got {data['image']!r}")
+    occupied, free = (
+        _number(path, data, key, 0.0, 1.0, usual) for key, usual in (("occupied_thresh", 0.65), ("free_thresh", 0.25))
+    )
+    if free >= occupied:
+        raise ValueError(f"free_thresh in {path} must be below occupied_thresh, got {free:g} and {occupied:g}")
+    negate = data.get("negate", 0)
+    if negate not in (0, 1):
+        raise ValueError(f"negate in {path} must be 0 or 1, got {negate!r}")
+    resolution = _number(path, data, "resolution", 1e-3, 100.0)
+    return _Map(data["image"], mode, resolution, _origin(path, data["origin"]), bool(negate), occupied, free)
+
+
+def _number(path: Path, data: dict[str, Any], key: str, low: float, high: float, usual: float | None = None) -> float:
+    value = data.get(key, usual)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+        raise ValueError(f"{key} in {path} must be a number from {low:g} to {high:g}, got {value!r}")
+    return float(value)
+
+
+def _origin(path: Path, origin: Any) -> tuple[float, float, float]:
+    numbers = origin if isinstance(origin, list) else []
+    plain = [isinstance(n, (int, float)) and not isinstance(n, bool) and abs(n) <= MAX_SIZE for n in numbers]
+    if len(numbers) not in (2, 3) or not all(plain):
+        raise ValueError(f"origin in {path} must be [x, y, yaw] within {MAX_SIZE:g} m, got {origin!r}")
+    x, y, yaw = (*numbers, 0.0)[:3]
+    return float(x), float(y), float(yaw)
+
+
+def _states(settings: _Map, gray: np.ndarray) -> np.ndarray:
+    """Returns 0 (free), 100 (occupied) or 255 (unknown) of each cell, with rows along +y: ``[rows, columns]``."""
+    gray = gray[::-1]
+    if settings.mode == "raw":
+        return np.where(gray == OCCUPIED, OCCUPIED, np.where(gray > OCCUPIED, UNKNOWN, 0)).astype(np.uint8)
+    white = float(np.iinfo(gray.dtype).max) if gray.dtype.kind == "u" else 1.0
+    shade = gray / white
+    occupancy = shade if settings.negate else 1.0 - shade
+    free = np.where(occupancy < settings.free, 0, UNKNOWN)
+    return np.where(occupancy > settings.occupied, OCCUPIED, free).astype(np.uint8)
+
+
+def _points(settings: _Map, cells: np.ndarray) -> np.ndarray:
+    """Returns positions (m) of points in cells from the lower left corner: ``[P, 2]``. The origin's yaw turns them."""
+    x, y, yaw = settings.origin
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    return settings.resolution * cells @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
+
+
+def _centers(settings: _Map, cells: np.ndarray) -> np.ndarray:
+    rows, columns = np.nonzero(cells)
+    return _points(settings, np.stack((columns, rows), -1) + 0.5)
+
+
+def _wall(settings: _Map, rectangle: tuple[int, int, int, int], height: float):
+    row, column, rows, columns = rectangle
+    ((x, y),) = _points(settings, np.array([(column + columns / 2, row + rows / 2)]))
+    sides = settings.resolution * columns, settings.resolution * rows
+    return box((float(x), float(y), height / 2), (*sides, height), yaw=settings.origin[2])

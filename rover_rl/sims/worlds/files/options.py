@@ -1,0 +1,115 @@
+"""Options of the importers of world files."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+if TYPE_CHECKING:
+    from rover_rl.sims.worlds.world import Area
+
+MAX_SIZE = 10_000.0
+"""Largest distance of anything in an imported world from the origin, m."""
+
+Missing = Literal["error", "skip"]
+Unknown = Literal["open", "wall", "free"]
+Up = Literal["auto", "x", "y", "z"]
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """Options of :meth:`rover_rl.World.from_file`. An option without meaning for a format has no effect.
+
+    Args:
+        name: name of the world. ``None``: that in the file, else the file's name.
+        spawn_range: area in which episodes start, ``((x_low, x_high), (y_low, y_high))``, m. ``None``: automatic.
+        goal_range: area of the goals. ``None``: ``spawn_range``.
+        bounds: area whose exit ends the episode. ``None``: automatic.
+        cell: spacing of the ground's grid, m. ``None``: that of the elevation data, or for meshes the coarsest of 0.1,
+            0.05 and 0.025 m whose error is at most 1 cm for 99 % of the ground.
+        missing: what happens with models and meshes that are not found: ``"error"``, or ``"skip"`` with a warning.
+        model_paths: folders with models, for ``model://NAME``, before those of the environment variables.
+        visuals: take the visual geometry of links that have no collision geometry.
+        ground: parts of a mesh file, or models and links of an SDF file, that are ground: ``"auto"``, ``"none"``, or
+            patterns such as ``"terrain*"``, separated by commas.
+        up: axis of a mesh file that points up. ``"auto"``: that of the format (glTF: y; COLLADA: in the file; else z).
+        scale: factor from the lengths of a mesh file to meters, on top of the unit in the file.
+        obstacle_error: accepted distance between an obstacle and the convex solids that replace it, m.
+        pixel: size of a pixel of an elevation image or array, m. ``None``: that of the GeoTIFF.
+        height: elevation of white in an 8 or 16 bit image, m; factor for the values of other files.
+        unknown: meaning of an occupancy grid's unknown cells: ``"open"`` (no wall, and automatic areas leave them
+            out), ``"wall"`` or ``"free"``.
+        wall_height: height of the walls of an occupancy grid, m.
+
+    Raises:
+        ValueError: for a value out of range.
+    """
+
+    name: str | None = None
+    spawn_range: Area | None = None
+    goal_range: Area | None = None
+    bounds: Area | None = None
+    cell: float | None = None
+    missing: Missing = "error"
+    model_paths: tuple[str, ...] = ()
+    visuals: bool = True
+    ground: str = "auto"
+    up: Up = "auto"
+    scale: float = 1.0
+    obstacle_error: float = 0.02
+    pixel: float | None = None
+    height: float | None = None
+    unknown: Unknown = "open"
+    wall_height: float = 2.0
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("missing", Missing), ("unknown", Unknown), ("up", Up)):
+            if getattr(self, name) not in get_args(allowed):
+                raise ValueError(f"{name} must be one of {[*get_args(allowed)]}, got {getattr(self, name)!r}")
+        ranges = {
+            "cell": (0.005, 100.0),
+            "scale": (1e-6, 1e6),
+            "obstacle_error": (0.001, 1.0),
+            "pixel": (1e-4, 1000.0),
+            "height": (-MAX_SIZE, MAX_SIZE),
+            "wall_height": (0.01, 1000.0),
+        }
+        for name, (low, high) in ranges.items():
+            value = getattr(self, name)
+            if value is not None and not low <= _number(name, value) <= high:
+                raise ValueError(f"{name} must be from {low:g} to {high:g}, got {value}")
+        for name in ("spawn_range", "goal_range", "bounds"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _area(name, getattr(self, name)))
+        paths = (self.model_paths,) if isinstance(self.model_paths, str) else self.model_paths
+        object.__setattr__(self, "model_paths", tuple(str(path) for path in paths))
+
+
+def make_options(given: dict[str, Any]) -> ImportOptions:
+    """Returns options by name.
+
+    Raises:
+        ValueError: for an unknown option or a value out of range.
+    """
+    known = [field.name for field in fields(ImportOptions)]
+    if unknown := sorted(set(given) - set(known)):
+        raise ValueError(f"unknown options of a world file: {unknown}; use some of {known}")
+    return ImportOptions(**given)
+
+
+def _number(name: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError(f"{name} must be a number, got {value!r}")
+    return float(value)
+
+
+def _area(name: str, area: Any) -> Area:
+    try:
+        (x_low, x_high), (y_low, y_high) = area
+        ends = tuple(float(end) for end in (x_low, x_high, y_low, y_high))
+    except (TypeError, ValueError):
+        ends = (math.nan,) * 4
+    if not (-MAX_SIZE <= ends[0] < ends[1] <= MAX_SIZE and -MAX_SIZE <= ends[2] < ends[3] <= MAX_SIZE):
+        raise ValueError(f"{name} must be ((x_low, x_high), (y_low, y_high)) within {MAX_SIZE:g} m, got {area}")
+    return (ends[0], ends[1]), (ends[2], ends[3])

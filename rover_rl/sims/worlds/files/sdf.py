@@ -1,0 +1,273 @@
+"""SDF worlds and models of Gazebo Classic and Gazebo Sim."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from rover_rl.sims.worlds.actor import Actor
+from rover_rl.sims.worlds.files.contents import Contents, listed
+from rover_rl.sims.worlds.files.frames import MODEL, Scope, is_static, model_frames, movable_joints, pose_of, to_pose
+from rover_rl.sims.worlds.files.locate import Locator, OutsideError
+from rover_rl.sims.worlds.files.options import ImportOptions
+from rover_rl.sims.worlds.files.shapes import ShapeReader
+from rover_rl.sims.worlds.files.xml_tree import is_true, numbers, read_xml, text_of
+
+MAX_MODELS = 3_000
+"""Largest number of models of a world, includes counted each time."""
+MAX_NESTING = 20
+"""Largest number of includes and models within one another."""
+
+
+def read_sdf(path: Path, options: ImportOptions) -> Contents:
+    """Reads an SDF file with a world or a model.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ImportError: if a package of the extra is missing.
+        ValueError: if the file cannot be read, or names files that are not found (with ``missing="error"``).
+    """
+    root = _root(path)
+    world = root.find("world")
+    contents = Contents(path.name.partition(".")[0] if world is None else world.get("name") or path.stem)
+    reader = _Reader(contents, Locator(path, options.model_paths), options)
+    top = root if world is None else world
+    reader.read(top, path)
+    missing = list(dict.fromkeys(reader.missing + reader.shapes.missing))
+    if missing and options.missing == "error":
+        raise ValueError(
+            f"{path} needs what is not here: {listed(missing, 50)}; give model_paths, download the models, or "
+            'leave them out with missing="skip"'
+        )
+    contents.left_out += [f"left out, as missing='skip' says: {listed(missing, 50)}"] if missing else []
+    contents.left_out += reader.told()
+    return contents
+
+
+def _root(path: Path) -> Element:
+    """Returns the root of an SDF file of a version that is supported."""
+    root = read_xml(path)
+    if root.tag != "sdf":
+        raise ValueError(f"{path} is not SDF: its root is <{root.tag[:40]}>, not <sdf>")
+    version = re.fullmatch(r"1\.(\d+)(\.\d+)?", root.get("version", "").strip())
+    if not version or not 4 <= int(version[1]) <= 12:
+        raise ValueError(f"{path} has the SDF version {root.get('version')!r}; 1.4 to 1.12 are supported")
+    return root
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where a model is read.
+
+    Attributes:
+        file: file with the model.
+        transform: pose of the frame of the parent in the world, ``[4, 4]``.
+        scope: frames of the parent.
+        name: names of the parents, with slashes.
+        static: whether a parent is static.
+        files: files on the way, to find circles.
+        depth: number of models and includes on the way.
+    """
+
+    file: Path
+    transform: np.ndarray
+    scope: Scope
+    name: str = ""
+    static: bool = False
+    files: tuple[Path, ...] = ()
+    depth: int = 0
+
+
+class _Reader:
+    """Walks through a world and collects shapes and actors."""
+
+    def __init__(self, contents: Contents, locator: Locator, options: ImportOptions) -> None:
+        self._contents, self._locator, self._options = contents, locator, options
+        self.shapes = ShapeReader(contents, locator)
+        self.missing: list[str] = []
+        self._moving: list[str] = []
+        self._jointed: list[str] = []
+        self._shown: list[str] = []
+        self._models = 0
+        self._roots: dict[Path, Element] = {}
+
+    def read(self, top: Element, path: Path) -> None:
+        """Reads the models, includes and actors of a world, or of a file without a world."""
+        scope = Scope("the world")
+        for frame in top.findall("frame"):
+            scope.add(frame, frame.get("attached_to", ""))
+        place = _Place(path, np.eye(4), scope, files=(path.resolve(),))
+        self._read_children(top, place)
+        if top.find("population") is not None:
+            self._contents.left_out.append("a <population> is random in Gazebo, and left out")
+
+    def told(self) -> list[str]:
+        """Returns sentences on what is not as in Gazebo."""
+        told = []
+        if self._moving:
+            told.append(f"models that are not static do not move: {listed(self._moving)}")
+        if self._jointed:
+            told.append(f"models that are not static and have joints are left out: {listed(self._jointed)}")
+        if self._shown:
+            self._contents.notes.append(
+                f"links without collision geometry have their visual one: {listed(self._shown)}"
+            )
+        return told
+
+    def _read_children(self, parent: Element, place: _Place) -> None:
+        """Reads the models of a world or a model: first all frames, which may be relative to one another."""
+        state = _state_poses(parent)
+        found: list[tuple[Element, Path, Element | None]] = []
+        for element in parent:
+            if element.tag == "include":
+                included = self._included(element, place)
+                if included is not None:
+                    found.append(included)
+            elif element.tag in ("model", "actor"):
+                found.append((element, place.file, None))
+        entries = [self._enter(element, file, include, place, state) for element, file, include in found]
+        for (element, file, include), (name, scope) in zip(found, entries, strict=True):
+            if element.tag == "actor":
+                self._actor(element, place.transform @ place.scope.pose(name), name)
+                continue
+            static = place.static or (is_static(element) if include is None else _static_of(include, element))
+            inner = _Place(
+                file,
+                place.transform @ place.scope.pose(name),
+                scope,
+                f"{place.name}/{name}".lstrip("/"),
+                static,
+                (*place.files, file.resolve()),
+                place.depth + 1,
+            )
+            self._model(element, inner)
+
+    def _enter(
+        self, element: Element, file: Path, include: Element | None, place: _Place, state: dict[str, np.ndarray]
+    ) -> tuple[str, Scope]:
+        """Adds the frame of a model to its parent's, and returns its name there and its own frames."""
+        name = (text_of(include.find("name")) if include is not None else "") or element.get("name", "")
+        scope = model_frames(element, f"the model {name!r}") if element.tag == "model" else Scope(name)
+        source = include if include is not None and include.find("pose") is not None else element
+        transform, base = pose_of(source, f"{element.tag} {name!r} in {file.name}")
+        if name in state:
+            transform, base = state[name], ""
+        placement = element.get("placement_frame", "") if element.tag == "model" else ""
+        if include is not None:
+            placement = text_of(include.find("placement_frame")) or placement
+        if placement:
+            transform = transform @ np.linalg.inv(scope.pose(placement))
+        # Gazebo gives a second model of the same name another one.
+        while name in place.scope.frames:
+            name += "_"
+        place.scope.frames[name] = (transform, base)
+        place.scope.children[name] = scope
+        if include is not None and include.get("merge", "").lower() in ("1", "true"):
+            place.scope.merged.append((name, scope))
+        return name, scope
+
+    def _model(self, element: Element, place: _Place) -> None:
+        self._models += 1
+        if self._models > MAX_MODELS:
+            raise ValueError(f"the world has more than {MAX_MODELS:,} models")
+        if place.depth > MAX_NESTING:
+            raise ValueError(f"{place.file} has models within one another more than {MAX_NESTING} deep")
+        if not place.static and not is_static(element):
+            if movable_joints(element):
+                self._jointed.append(place.name)
+                return
+            if element.findall("link"):
+                self._moving.append(place.name)
+        self._read_children(element, place)
+        for link in element.findall("link"):
+            self._link(link, place)
+
+    def _link(self, link: Element, place: _Place) -> None:
+        name = f"{place.name}/{link.get('name', '')}"
+        transform = place.transform @ place.scope.pose(link.get("name", ""))
+        parts = link.findall("collision")
+        if not parts and self._options.visuals:
+            parts = link.findall("visual")
+            self._shown += [name] if parts else []
+        for part in parts:
+            pose, base = pose_of(part, f"{part.tag} {part.get('name', '')!r} of {name}")
+            # Without relative_to, a pose is relative to the link.
+            at = transform if not base else place.transform @ place.scope.pose(base if base != "world" else MODEL)
+            geometry = part.find("geometry")
+            if geometry is not None:
+                self.shapes.add(geometry, at @ pose, f"{name}/{part.get('name', '')}", place.file.parent)
+
+    def _actor(self, actor: Element, transform: np.ndarray, name: str) -> None:
+        """Adds an actor. Its waypoints are relative to its pose."""
+        script = actor.find("script")
+        times, poses = [], []
+        waypoints = [] if script is None else script.findall("trajectory/waypoint")
+        timed = [(float(numbers(w.find("time"), 1, None, f"a waypoint's time of {name!r}")[0]), w) for w in waypoints]
+        for time, waypoint in sorted(timed, key=lambda pair: pair[0]):
+            pose, _ = pose_of(waypoint, f"a waypoint of {name!r}")
+            times.append(time)
+            poses.append(to_pose(transform @ pose))
+        flags = [script.find(key) if script is not None else None for key in ("loop", "auto_start")]
+        loop, auto = (flag is None or is_true(flag) for flag in flags)
+        delay = numbers(script.find("delay_start") if script is not None else None, 1, (0,), f"delay_start of {name!r}")
+        if not times:
+            times, poses = [0.0], [to_pose(transform)]
+        self._contents.actors.append(Actor(name, tuple(times), tuple(poses), loop, float(delay[0]), auto))
+
+    def _included(self, include: Element, place: _Place) -> tuple[Element, Path, Element] | None:
+        """Returns an included model or actor, its file, and the ``<include>``; ``None`` if it is missing or a light."""
+        uri = text_of(include.find("uri"))
+        if not uri:
+            raise ValueError(f"an <include> in {place.file} has no uri")
+        try:
+            path = self._locator.find(uri, place.file.parent)
+        except OutsideError as error:
+            if "leaves" in str(error):
+                raise
+            self.missing.append(str(error))
+            return None
+        if path is not None and path.is_dir():
+            path = _model_file(path)
+        if path is None:
+            self.missing.append(f"{uri} is not found")
+            return None
+        if path.resolve() in place.files:
+            raise ValueError(f"{path} includes itself")
+        if path not in self._roots:
+            self._roots[path] = _root(path)
+        found = [child for child in self._roots[path] if child.tag in ("model", "actor")]
+        return (found[0], path, include) if found else None
+
+
+def _static_of(include: Element, model: Element) -> bool:
+    """Returns whether an included model is static: what the include says counts."""
+    return is_static(include if include.find("static") is not None else model)
+
+
+def _model_file(folder: Path) -> Path | None:
+    """Returns the SDF file of a model's folder: that of the newest version in ``model.config``, else ``model.sdf``."""
+    config = next((folder / name for name in ("model.config", "manifest.xml") if (folder / name).is_file()), None)
+    names = ["model.sdf"]
+    if config is not None:
+        listed_files = [(_version(sdf.get("version", "0")), text_of(sdf)) for sdf in read_xml(config).findall("sdf")]
+        names = [name for _, name in sorted(listed_files, reverse=True)] + names
+    for name in names:
+        path = folder / name
+        if Path(name).name == name and path.is_file():
+            return path
+    return None
+
+
+def _version(text: str) -> tuple[int, ...]:
+    return tuple(int(number) for number in re.findall(r"\d+", text))
+
+
+def _state_poses(world: Element) -> dict[str, np.ndarray]:
+    """Returns the poses of models in the saved state of a Gazebo Classic world, which count instead of their own."""
+    state = world.find("state") if world.tag == "world" else None
+    models = [] if state is None else [model for model in state.findall("model") if model.find("pose") is not None]
+    return {model.get("name", ""): pose_of(model, f"the state of {model.get('name', '')!r}")[0] for model in models}

@@ -1,0 +1,259 @@
+"""Shapes of SDF as points, triangles, planes and grids."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from rover_rl.sims.worlds.files.contents import Contents, Grid, Piece, Plane
+from rover_rl.sims.worlds.files.extra import optional
+from rover_rl.sims.worlds.files.images import read_elevations
+from rover_rl.sims.worlds.files.locate import Locator, OutsideError
+from rover_rl.sims.worlds.files.mesh_files import read_mesh
+from rover_rl.sims.worlds.files.options import MAX_SIZE
+from rover_rl.sims.worlds.files.plates import merge_triangles
+from rover_rl.sims.worlds.files.suffixes import MESH_SUFFIXES, TIFF_SUFFIXES
+from rover_rl.sims.worlds.files.xml_tree import is_true, numbers, text_of
+
+TOLERANCE = 0.005
+"""Largest distance between a round shape and the polygon in its place, m."""
+SIDES = (12, 96)
+"""Least and largest number of sides of a polygon in place of a circle."""
+UPRIGHT = math.cos(math.radians(60))
+"""Least z component of the normal of a plane that is ground."""
+
+
+class ShapeReader:
+    """Adds the shapes of an SDF file to its contents.
+
+    Args:
+        contents: where the shapes go.
+        locator: finds meshes and elevation maps.
+
+    Attributes:
+        missing: URIs of meshes and maps that were not found, with the reason.
+    """
+
+    def __init__(self, contents: Contents, locator: Locator) -> None:
+        self._contents, self._locator = contents, locator
+        self._meshes: dict[Path, list[Piece]] = {}
+        self.missing: list[str] = []
+
+    def add(self, geometry: Element, transform: np.ndarray, name: str, folder: Path) -> None:
+        """Adds the shape in a ``<geometry>``.
+
+        Args:
+            geometry: the element.
+            transform: pose of the shape in the world, ``[4, 4]``.
+            name: name of the shape, for messages.
+            folder: folder of the file that holds the element.
+
+        Raises:
+            ValueError: if the shape has a wrong size, or its file cannot be read.
+        """
+        for shape in geometry:
+            if shape.tag == "plane":
+                self._plane(shape, transform, name)
+            elif shape.tag == "heightmap":
+                self._heightmap(shape, transform, name, folder)
+            elif shape.tag == "mesh":
+                self._mesh(shape, transform, name, folder)
+            elif shape.tag == "polyline":
+                for points in _polyline(shape, name):
+                    self._convex(points, transform, name)
+            elif shape.tag in _CONVEX:
+                self._convex(_CONVEX[shape.tag](shape, f"the {shape.tag} of {name}"), transform, name)
+            elif shape.tag != "empty":
+                self._contents.left_out.append(f"{name}: shapes of the kind <{shape.tag}> are left out")
+
+    def _convex(self, points: np.ndarray, transform: np.ndarray, name: str) -> None:
+        self._contents.pieces.append(Piece(name, _moved(points, transform)))
+
+    def _plane(self, shape: Element, transform: np.ndarray, name: str) -> None:
+        normal = numbers(shape.find("normal"), 3, (0, 0, 1), f"the normal of {name}")
+        size = numbers(shape.find("size"), 2, (1, 1), f"the size of {name}")
+        if np.linalg.norm(normal) < 1e-9:
+            raise ValueError(f"the normal of {name} must not be 0")
+        normal = transform[:3, :3] @ normal / np.linalg.norm(normal)
+        if normal[2] < UPRIGHT:
+            self._contents.left_out.append(f"{name}: a plane that is steeper than 60 degrees is left out")
+            return
+        if normal[2] > 1 - 1e-9:
+            normal = np.array((0.0, 0.0, 1.0))
+        point = Piece(name, transform[None, :3, 3]).vertices[0]
+        self._contents.planes.append(Plane(point, normal, (float(abs(size[0])), float(abs(size[1])))))
+
+    def _mesh(self, shape: Element, transform: np.ndarray, name: str, folder: Path) -> None:
+        path = self._find(shape, folder, name)
+        if path is None:
+            return
+        if path.suffix.lower() not in MESH_SUFFIXES:
+            raise ValueError(f"{path} is no mesh; use one of {[*MESH_SUFFIXES]}")
+        scale = numbers(shape.find("scale"), 3, (1, 1, 1), f"the scale of {name}")
+        if (scale == 0).any():
+            raise ValueError(f"the scale of {name} must not be 0")
+        if path not in self._meshes:
+            self._meshes[path] = read_mesh(path)
+        pieces = self._meshes[path]
+        submesh = shape.find("submesh")
+        if submesh is not None:
+            wanted = text_of(submesh.find("name"))
+            pieces = [piece for piece in pieces if piece.name == wanted]
+            if not pieces:
+                names = sorted({piece.name for piece in self._meshes[path]})
+                raise ValueError(f"{path} has no submesh {wanted!r} for {name}; it has {names[:20]}")
+            if is_true(submesh.find("center")):
+                points = np.concatenate([piece.vertices for piece in pieces])
+                middle = (points.min(0) + points.max(0)) / 2
+                pieces = [Piece(piece.name, piece.vertices - middle, piece.faces) for piece in pieces]
+        for piece in pieces:
+            assert piece.faces is not None
+            faces = piece.faces[:, ::-1] if np.prod(scale) < 0 else piece.faces
+            self._contents.pieces.append(
+                Piece(f"{name}/{piece.name}", _moved(piece.vertices * scale, transform), faces)
+            )
+
+    def _heightmap(self, shape: Element, transform: np.ndarray, name: str, folder: Path) -> None:
+        """Adds an elevation map as Gazebo does: the outermost values at the ends of ``size``, the first row at +y.
+
+        Pictures are scaled so that the brightest pixel is as high as ``size`` says, and elevation models about their
+        lowest point so that their range is that high (gz-common: ``ImageHeightmap::FillHeightMap``,
+        ``Dem::FillHeightMap``; gz-physics: ``CustomHeightmapShape``).
+        """
+        path = self._find(shape, folder, name)
+        if path is None:
+            return
+        size = numbers(shape.find("size"), 3, (1, 1, 1), f"the size of {name}")
+        if min(size[:2]) <= 0 or np.abs(size).max() > 2 * MAX_SIZE:
+            raise ValueError(f"the size of {name} must be positive and at most {2 * MAX_SIZE:g} m, got {size.tolist()}")
+        if abs(transform[2, 2] - 1) > 1e-6:
+            raise ValueError(f"the elevation map of {name} is tilted, which is not supported")
+        found = read_elevations(path)
+        values = found.values[::-1]
+        low, high = float(np.nanmin(values)), float(np.nanmax(values))
+        if path.suffix.lower() in TIFF_SUFFIXES:
+            values = low + (values - low) * (abs(size[2]) / (high - low) if high > low else 1.0)
+        else:
+            values = values / (high if high > 0 else 1.0) * size[2]
+        rows, columns = values.shape
+        offset = numbers(shape.find("pos"), 3, (0, 0, 0), f"the pos of {name}")
+        corner = transform @ np.array([offset[0] - size[0] / 2, offset[1] - size[1] / 2, offset[2], 1.0])
+        Piece(name, corner[None, :3])
+        cell = float(size[0]) / (columns - 1), float(size[1]) / (rows - 1)
+        yaw = math.atan2(transform[1, 0], transform[0, 0])
+        self._contents.grids.append(Grid(values + corner[2], cell, (float(corner[0]), float(corner[1])), yaw))
+
+    def _find(self, shape: Element, folder: Path, name: str) -> Path | None:
+        uri = text_of(shape.find("uri"))
+        if not uri:
+            raise ValueError(f"the {shape.tag} of {name} has no uri")
+        try:
+            path = self._locator.find(uri, folder)
+        except OutsideError as error:
+            if "leaves" in str(error):
+                raise
+            self.missing.append(str(error))
+            return None
+        if path is None or not path.is_file():
+            self.missing.append(f"{uri} is not found")
+            return None
+        return path
+
+
+def _moved(points: np.ndarray, transform: np.ndarray) -> np.ndarray:
+    return points @ transform[:3, :3].T + transform[:3, 3]
+
+
+def _lengths(shape: Element, key: str, count: int, what: str) -> np.ndarray:
+    """Returns positive lengths, m."""
+    values = numbers(shape.find(key), count, None, f"the {key} of {what}")
+    if not ((values > 0) & (values <= 2 * MAX_SIZE)).all():
+        raise ValueError(f"the {key} of {what} must be positive and at most {2 * MAX_SIZE:g} m, got {values.tolist()}")
+    return values
+
+
+def _sides(radius: float) -> int:
+    """Returns the number of sides with which a polygon is within the tolerance of a circle."""
+    wanted = math.pi / math.acos(max(0.0, 1 - TOLERANCE / radius)) if radius > TOLERANCE else 0
+    return 4 * math.ceil(min(max(wanted, SIDES[0]), SIDES[1]) / 4)
+
+
+def _circle(radius: float, height: float) -> np.ndarray:
+    turn = 2 * math.pi * np.arange(_sides(radius)) / _sides(radius)
+    return np.stack((radius * np.cos(turn), radius * np.sin(turn), np.full(len(turn), height)), -1)
+
+
+def _box(shape: Element, what: str) -> np.ndarray:
+    size = _lengths(shape, "size", 3, what)
+    return np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size
+
+
+def _cylinder(shape: Element, what: str) -> np.ndarray:
+    (radius,), (length,) = _lengths(shape, "radius", 1, what), _lengths(shape, "length", 1, what)
+    return np.concatenate([_circle(radius, side * length / 2) for side in (-1, 1)])
+
+
+def _cone(shape: Element, what: str) -> np.ndarray:
+    (radius,), (length,) = _lengths(shape, "radius", 1, what), _lengths(shape, "length", 1, what)
+    return np.concatenate((_circle(radius, -length / 2), [[0.0, 0.0, length / 2]]))
+
+
+def _capsule(shape: Element, what: str) -> np.ndarray:
+    (radius,), (length,) = _lengths(shape, "radius", 1, what), _lengths(shape, "length", 1, what)
+    ball = _ball(radius)
+    return np.concatenate(
+        (ball[ball[:, 2] >= -1e-9] + (0, 0, length / 2), ball[ball[:, 2] <= 1e-9] - (0, 0, length / 2))
+    )
+
+
+def _sphere(shape: Element, what: str) -> np.ndarray:
+    return _ball(float(_lengths(shape, "radius", 1, what)[0]))
+
+
+def _ellipsoid(shape: Element, what: str) -> np.ndarray:
+    radii = _lengths(shape, "radii", 3, what)
+    return _ball(float(radii.max())) / radii.max() * radii
+
+
+def _ball(radius: float) -> np.ndarray:
+    """Returns points of a sphere on circles of latitude, with the equator."""
+    around = min(_sides(radius), 32)
+    latitudes = np.arange(-(around // 4), around // 4 + 1) * (2 * math.pi / around)
+    turn = 2 * math.pi * np.arange(around) / around
+    rings = [
+        np.stack((np.cos(a) * np.cos(turn), np.cos(a) * np.sin(turn), np.full(around, np.sin(a))), -1)
+        for a in latitudes[1:-1]
+    ]
+    return radius * np.concatenate((*rings, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]))
+
+
+_CONVEX = {
+    "box": _box,
+    "cylinder": _cylinder,
+    "cone": _cone,
+    "capsule": _capsule,
+    "sphere": _sphere,
+    "ellipsoid": _ellipsoid,
+}
+
+
+def _polyline(shape: Element, name: str) -> list[np.ndarray]:
+    """Returns convex prisms in place of an extruded polygon."""
+    earcut = optional("mapbox_earcut")
+    what = f"the polyline of {name}"
+    points = np.array([numbers(point, 2, None, f"a point of {what}") for point in shape.findall("point")])
+    (height,) = _lengths(shape, "height", 1, what)
+    if len(points) > 1 and np.allclose(points[0], points[-1]):
+        points = points[:-1]
+    if len(points) < 3:
+        raise ValueError(f"{what} must have at least 3 points, got {len(points)}")
+    triangles = np.asarray(earcut.triangulate_float64(points, np.array([len(points)], dtype=np.uint32))).reshape(-1, 3)
+    if not len(triangles):
+        raise ValueError(f"{what} has no area")
+    return [
+        np.concatenate([np.column_stack((points[[*polygon]], np.full(len(polygon), z))) for z in (0.0, height)])
+        for polygon in merge_triangles(points, triangles)
+    ]

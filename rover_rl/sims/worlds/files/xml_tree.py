@@ -1,0 +1,71 @@
+"""Safe reading of XML: no entities, no external references, bounded size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from rover_rl.sims.worlds.files.extra import optional
+
+MAX_BYTES = 64 * 2**20
+"""Largest XML file."""
+
+
+def read_xml(path: Path, data: bytes | None = None) -> Element:
+    """Parses an XML file.
+
+    Args:
+        path: the file, also for messages.
+        data: its content, if it has been read already.
+
+    Raises:
+        ValueError: if the file is too large, is not XML, or declares entities.
+    """
+    parser: Any = optional("defusedxml.ElementTree")
+    if path.stat().st_size > MAX_BYTES:
+        raise ValueError(f"{path} has more than {MAX_BYTES >> 20} MB, which is more than a world has")
+    try:
+        return parser.fromstring(path.read_bytes() if data is None else data)
+    except parser.ParseError as error:
+        raise ValueError(f"{path} is not valid XML: {error}") from error
+    except optional("defusedxml.common").DefusedXmlException as error:
+        raise ValueError(f"{path} declares XML entities or external references, which are not read") from error
+    except (LookupError, UnicodeError, RecursionError) as error:
+        raise ValueError(f"{path} is not valid XML: {error}") from error
+
+
+def text_of(element: Element | None, default: str = "") -> str:
+    """Returns the text of an element without surrounding space."""
+    return default if element is None or element.text is None else element.text.strip()
+
+
+def numbers(element: Element | None, count: int, default: tuple[float, ...] | None, what: str) -> np.ndarray:
+    """Returns the numbers in the text of an element: ``[count]``.
+
+    Args:
+        element: the element. ``None``: ``default``.
+        count: how many numbers there must be.
+        default: value for a missing or empty element. ``None``: there is none.
+        what: what the element describes, for messages.
+
+    Raises:
+        ValueError: if there are other numbers, or the element is missing and has no default.
+    """
+    text = text_of(element)
+    if not text and default is not None:
+        return np.array(default, dtype=float)
+    try:
+        values = np.array([float(word) for word in text.split()])
+    except ValueError:
+        values = np.array([])
+    if len(values) != count or not np.isfinite(values).all():
+        raise ValueError(f"{what} must be {count} finite {'numbers' if count > 1 else 'number'}, got {text[:80]!r}")
+    return values
+
+
+def is_true(element: Element | None) -> bool:
+    """Returns whether the text of an element means true."""
+    return text_of(element).lower() in ("1", "true")

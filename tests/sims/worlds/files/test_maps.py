@@ -1,0 +1,171 @@
+"""Elevation models and occupancy grids."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds.files.rectangles import cover
+from tests.extras import needs_worlds
+
+SLOPE = 0.1 * np.mgrid[0:9, 0:9][1] - 0.05 * np.mgrid[0:9, 0:9][0]
+"""Heights that rise by 0.1 m a column, and fall by 0.05 m a row."""
+
+
+def heights_at(world: World, *points: tuple[float, float]) -> list[float]:
+    return world.height_at(torch.tensor(points, dtype=torch.float64)).tolist()
+
+
+def write_tiff(path: Path, values: np.ndarray, corner: tuple[float, float] | None = None, **tags) -> None:
+    import tifffile
+
+    extra = [(33550, "d", 3, (0.5, 0.5, 0.0), True)]
+    if corner is not None:
+        extra.append((33922, "d", 6, (0.0, 0.0, 0.0, *corner, 0.0), True))
+        extra.append((34735, "H", 8, (1, 1, 0, 1, 1025, 0, 1, tags.get("raster", 1)), True))
+    if "no_data" in tags:
+        extra.append((42113, "s", 0, tags["no_data"], True))
+    tifffile.imwrite(path, values, extratags=extra)
+
+
+@needs_worlds
+@pytest.mark.parametrize(("raster", "shift"), [(1, 0.25), (2, 0.0)])
+def test_a_geotiff_has_its_own_scale_and_position(tmp_path, raster, shift):
+    write_tiff(tmp_path / "dem.tif", SLOPE.astype(np.float32), (-3.0, 5.0), raster=raster)
+    world = World.from_file(tmp_path / "dem.tif")
+    assert world.terrain.cell == 0.5
+    assert world.terrain.extent == ((-3.0 + shift, 1.0 + shift), (1.0 - shift, 5.0 - shift))
+    points = [(-3.0 + shift, 5.0 - shift), (1.0 + shift, 5.0 - shift), (-3.0 + shift, 1.0 - shift)]
+    assert heights_at(world, *points) == pytest.approx([0.0, 0.8, -0.4], abs=1e-6)
+
+
+@needs_worlds
+def test_a_geotiff_far_away_is_moved_to_the_origin_and_holes_are_filled(tmp_path):
+    values = SLOPE.astype(np.float32)
+    values[4, 4] = -9999
+    write_tiff(tmp_path / "utm.tif", values, (500_000.0, 5_500_000.0), no_data="-9999")
+    world = World.from_file(tmp_path / "utm.tif")
+    assert world.terrain.extent == ((-2.0, 2.0), (-2.0, 2.0))
+    assert heights_at(world, (0.0, 0.0))[0] == pytest.approx(0.2, abs=0.11)
+    assert any("500002.25" in note for note in world.notes)
+
+
+@pytest.mark.parametrize("kind", ["uint8", "uint16", "npy"])
+def test_pictures_and_arrays_have_their_scale_from_options(tmp_path, kind):
+    if kind == "npy":
+        path = tmp_path / "map.npy"
+        np.save(path, SLOPE)
+        options: dict[str, float] = {"pixel": 0.5}
+    else:
+        path = tmp_path / "map.png"
+        white = np.iinfo(kind).max
+        Image.fromarray(np.rint((SLOPE + 0.4) / 1.2 * white).astype(kind)).save(path)
+        options = {"pixel": 0.5, "height": 1.2}
+    world = World.from_file(path, **options)
+    assert world.terrain.extent == ((-2.0, 2.0), (-2.0, 2.0))
+    low = 0.0 if kind == "npy" else 0.4
+    found = heights_at(world, (-2.0, 2.0), (2.0, 2.0), (-2.0, -2.0))
+    assert found == pytest.approx([low, low + 0.8, low - 0.4], abs=0.003)
+
+
+def test_a_cell_resamples_an_elevation_model(tmp_path):
+    np.save(tmp_path / "map.npy", SLOPE)
+    world = World.from_file(tmp_path / "map.npy", pixel=0.5, cell=0.2)
+    assert world.terrain.cell == 0.2
+    assert heights_at(world, (-1.9, 1.9), (0.7, -0.3)) == pytest.approx([0.01, 0.31], abs=1e-3)
+
+
+ROOM = np.pad(np.ones((38, 58), dtype=bool), 1)
+"""Free cells of a room of 60 x 40 cells, without a pillar and with a corner that nobody has seen."""
+ROOM[10:14, 30:34] = False
+UNSEEN = np.zeros_like(ROOM)
+UNSEEN[1:9, 1:9] = True
+
+
+def write_map(folder: Path, states: np.ndarray | None = None, name: str = "map", **changes: object) -> Path:
+    """Writes a map whose first row is in the north."""
+    if states is None:
+        states = np.where(ROOM, 254, 0)
+        states[UNSEEN] = 205
+    Image.fromarray(states.astype(np.uint8)).save(folder / f"{name}.pgm")
+    settings = {
+        "image": f"{name}.pgm",
+        "resolution": 0.1,
+        "origin": [-1.0, -2.0, 0.0],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.19,
+    } | changes
+    text = "".join(f"{key}: {value}\n" for key, value in settings.items() if value is not None)
+    (folder / f"{name}.yaml").write_text(text)
+    return folder / f"{name}.yaml"
+
+
+def is_wall(world: World, *points: tuple[float, float]) -> list[bool]:
+    return world.inside(torch.tensor([(*point, 0.5) for point in points], dtype=torch.float64)).tolist()
+
+
+# In the west wall, beside it, in the pillar, south of it, and in the unseen corner.
+POINTS = [(-0.95, 0.0), (-0.85, 0.0), (2.2, 0.8), (2.2, 0.5), (-0.5, 1.5)]
+
+
+def test_a_map_has_its_walls_where_they_are(tmp_path):
+    world = World.from_file(write_map(tmp_path))
+    assert world.name == "map"
+    assert is_wall(world, *POINTS) == [True, False, True, False, False]
+    assert len(world.obstacles) == 5
+    assert world.spawn_range == (pytest.approx((-0.9, 4.9), abs=0.1), pytest.approx((-1.9, 1.9), abs=0.1))
+    walls = World.from_file(tmp_path / "map.yaml", unknown="wall", wall_height=0.7)
+    assert is_wall(walls, *POINTS) == [True, False, True, False, True]
+    low = torch.tensor([[-0.5, 1.5, 0.6], [-0.5, 1.5, 0.8]], dtype=torch.float64)
+    assert walls.inside(low).tolist() == [True, False]
+
+
+def test_the_yaw_of_the_origin_turns_the_map(tmp_path):
+    world = World.from_file(write_map(tmp_path, origin=[-1.0, -2.0, 0.5]))
+    cos, sin = math.cos(0.5), math.sin(0.5)
+    turned = [(-1 + cos * (x + 1) - sin * (y + 2), -2 + sin * (x + 1) + cos * (y + 2)) for x, y in POINTS]
+    assert is_wall(world, *turned) == [True, False, True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("occupied", "free", "unseen", "changes"),
+    [
+        (0, 254, 205, {"mode": "trinary"}),
+        (255, 1, 130, {"negate": 1}),
+        (80, 254, 128, {"occupied_thresh": 0.6, "free_thresh": 0.1}),
+        (0, 254, 128, {"mode": "scale"}),
+        (100, 0, 255, {"mode": "raw"}),
+        (100, 40, 101, {"mode": "raw"}),
+    ],
+)
+def test_modes_and_thresholds(tmp_path, occupied, free, unseen, changes):
+    states = np.where(ROOM, free, occupied)
+    states[UNSEEN] = unseen
+    path = write_map(tmp_path, states, **changes)
+    assert is_wall(World.from_file(path), *POINTS) == [True, False, True, False, False]
+    assert is_wall(World.from_file(path, unknown="wall"), *POINTS)[-1]
+
+
+def test_a_renamed_map_finds_its_picture(tmp_path):
+    world = World.from_file(write_map(tmp_path, image="old.pgm"))
+    assert any("old.pgm does not exist, and map.pgm is taken" in note for note in world.notes)
+
+
+def test_rectangles_cover_exactly_the_cells():
+    rng = np.random.default_rng(0)
+    for density in (0.1, 0.5, 0.9):
+        cells = rng.random((30, 40)) < density
+        drawn = np.zeros(cells.shape, dtype=int)
+        for row, column, rows, columns in cover(cells):
+            drawn[row : row + rows, column : column + columns] += 1
+        assert np.array_equal(drawn, cells.astype(int))
+    frame = np.pad(np.zeros((8, 8), dtype=bool), 1, constant_values=True)
+    assert len(cover(frame)) == 4
+    assert cover(np.zeros((3, 3), dtype=bool)) == []

@@ -1,0 +1,322 @@
+"""SDF worlds: shapes, poses and frames, includes, actors."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from PIL import Image
+
+from rover_rl.sims.worlds import Actor, World
+from tests.extras import needs_worlds
+
+pytestmark = needs_worlds
+
+PLANE = (
+    "<model name='ground'><static>true</static><link name='l'><collision name='c'><geometry>"
+    "<plane><normal>0 0 1</normal><size>{size}</size></plane></geometry></collision></link></model>"
+)
+POST = "<box><size>0.2 0.2 4</size></box>"
+
+
+def model(body: str, name: str = "m", extra: str = "<static>true</static>") -> str:
+    return f"<model name='{name}'>{extra}{body}</model>"
+
+
+def link(shape: str, pose: str = "", name: str = "l", attributes: str = "") -> str:
+    pose = f"<pose {attributes}>{pose}</pose>" if pose else ""
+    return f"<link name='{name}'>{pose}<collision name='c'><geometry>{shape}</geometry></collision></link>"
+
+
+def world_of(tmp_path: Path, body: str, version: str = "1.9", size: str = "20 20", **options) -> World:
+    path = tmp_path / "test.sdf"
+    plane = PLANE.format(size=size)
+    path.write_text(f"<sdf version='{version}'><world name='w'>{plane}{body}</world></sdf>")
+    return World.from_file(path, **options)
+
+
+def inside(world: World, *points: tuple[float, float, float]) -> list[bool]:
+    return world.inside(torch.tensor(points, dtype=torch.float64)).tolist()
+
+
+@pytest.mark.parametrize(
+    ("shape", "within", "outside"),
+    [
+        ("<box><size>2 1 1</size></box>", (0.99, 0.49, 0.9), (1.01, 0.0, 0.5)),
+        ("<cylinder><radius>1</radius><length>1</length></cylinder>", (0.7, 0.7, 0.9), (0.71, 0.71, 0.5)),
+        ("<sphere><radius>1</radius></sphere>", (0.56, 0.56, 1.05), (0.6, 0.6, 1.1)),
+        ("<capsule><radius>0.3</radius><length>1</length></capsule>", (0.0, 0.0, 1.28), (0.2, 0.2, 1.25)),
+        ("<ellipsoid><radii>2 1 0.5</radii></ellipsoid>", (1.95, 0.0, 0.5), (1.9, 0.0, 0.7)),
+        ("<cone><radius>1</radius><length>1</length></cone>", (0.9, 0.0, 0.05), (0.3, 0.0, 0.8)),
+        (
+            "<polyline><point>0 0</point><point>3 0</point><point>3 0.3</point><point>0.3 0.3</point>"
+            "<point>0.3 3</point><point>0 3</point><height>1</height></polyline>",
+            (0.15, 2.9, 0.6),
+            (0.4, 0.4, 0.6),
+        ),
+    ],
+)
+def test_shapes(tmp_path, shape, within, outside):
+    world = world_of(tmp_path, model(link(shape, "0 0 0.5 0 0 0")))
+    assert inside(world, within, outside) == [True, False]
+
+
+def test_round_shapes_are_within_half_a_centimeter(tmp_path):
+    for radius in (0.075, 1.0, 4.0):
+        shape = f"<cylinder><radius>{radius}</radius><length>1</length></cylinder>"
+        (post,) = world_of(tmp_path, model(link(shape, "0 0 0.5 0 0 0"))).obstacles
+        outline = post.footprint
+        middles = (outline + outline.roll(-1, 0)) / 2
+        assert outline.norm(dim=1).max().item() == pytest.approx(radius)
+        assert middles.norm(dim=1).min().item() > radius - 0.005
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        model(link(POST, "3 2 0 0 0 0")),
+        model(link(POST, "2 -3 0 0 0 0"), extra="<static>1</static><pose>0 0 0 0 0 1.5707963268</pose>"),
+        model(link(POST, "2 -3 0 0 0 0"), extra="<static>1</static><pose degrees='true'>0 0 0 0 0 90</pose>"),
+        model(
+            link(POST, "2 -3 0 0 0 0"),
+            extra="<static>1</static><pose rotation_format='quat_xyzw'>0 0 0 0 0 0.70710678 0.70710678</pose>",
+        ),
+        model(
+            link(POST, "1 0 0 0 0 0") + "<frame name='f'><pose>1 1 0 0 0 0</pose></frame>",
+            extra="<static>1</static><pose>2 2 0 0 0 0</pose>",
+        ),
+        model(
+            link(POST, "1 1 0 0 0 0", attributes="relative_to='f'") + "<frame name='f'><pose>2 1 0 0 0 0</pose></frame>"
+        ),
+        model(
+            link(POST, "0 1 0 0 0 0", attributes="relative_to='g'")
+            + "<frame name='g' attached_to='f'><pose>1 0 0 0 0 0</pose></frame>"
+            + "<frame name='f'><pose>2 1 0 0 0 0</pose></frame>"
+        ),
+        model(link(POST), extra="<static>1</static><pose relative_to='far'>1 0 0 0 0 0</pose>")
+        + "<frame name='far'><pose>2 2 0 0 0 0</pose></frame>",
+        model(model(link(POST, "1 1 0 0 0 0"), "inner", "<pose>2 1 0 0 0 0</pose>")),
+        model(
+            model(link(POST, "9 9 0 0 0 0", name="x"), "inner", "<pose>-6 -7 0 0 0 0</pose>").replace(POST, "<empty/>")
+            + link(POST, "0 0 0 0 0 0", attributes="relative_to='inner::x'")
+        ),
+        model(link(POST) + "<frame name='f'><pose>-3 -2 0 0 0 0</pose></frame>").replace(
+            "<model name='m'>", "<model name='m' placement_frame='f'>"
+        ),
+        "<state world_name='w'><model name='m'><pose>3 2 0 0 0 0</pose></model></state>" + model(link(POST)),
+    ],
+    ids=[
+        "link",
+        "model",
+        "degrees",
+        "quaternion",
+        "two",
+        "relative",
+        "chain",
+        "world",
+        "nested",
+        "nested-frame",
+        "placement",
+        "state",
+    ],
+)
+def test_poses_and_frames(tmp_path, body):
+    world = world_of(tmp_path, body)
+    assert len(world.obstacles) == 1
+    assert world.obstacles[0].vertices.mean(0)[:2].tolist() == pytest.approx([3.0, 2.0], abs=1e-6)
+
+
+def test_all_supported_versions_and_no_others(tmp_path):
+    for minor in range(4, 12):
+        assert len(world_of(tmp_path, model(link(POST)), version=f"1.{minor}").obstacles) == 1
+    for version in ("1.3", "2.0", "", "x"):
+        with pytest.raises(ValueError, match=r"has the SDF version .*; 1.4 to 1.12 are supported"):
+            world_of(tmp_path, "", version=version)
+
+
+def included(folder: Path, body: str, name: str = "post", file: str = "model.sdf") -> None:
+    (folder / name).mkdir(parents=True, exist_ok=True)
+    (folder / name / file).write_text(f"<sdf version='1.7'>{body}</sdf>")
+
+
+@pytest.mark.parametrize("place", ["beside", "models", "sibling", "option", "variable"])
+def test_includes_are_found(tmp_path, monkeypatch, place):
+    home = tmp_path / "worlds"
+    home.mkdir()
+    elsewhere = tmp_path / "elsewhere"
+    folders = {"beside": home, "models": home / "models", "sibling": tmp_path / "models"}
+    included(folders.get(place, elsewhere), model(link(POST)))
+    if place == "variable":
+        monkeypatch.setenv("GAZEBO_MODEL_PATH", f"/nowhere:{elsewhere}")
+    options = {"model_paths": [str(elsewhere)]} if place == "option" else {}
+    body = "<include><uri>model://post</uri><pose>3 2 0 0 0 0</pose></include>"
+    world = world_of(home, body, **options)
+    assert inside(world, (3.0, 2.0, 1.0), (0.0, 0.0, 1.0)) == [True, False]
+
+
+def test_includes_have_names_poses_and_frames_of_their_own(tmp_path):
+    included(
+        tmp_path,
+        model(link(POST) + "<frame name='f'><pose>0 1 0 0 0 0</pose></frame>", extra="<pose>9 9 0 0 0 0</pose>"),
+    )
+    body = (
+        "<include><uri>post</uri><name>a</name><static>1</static><pose>3 0 0 0 0 0</pose></include>"
+        "<include><uri>file://post/model.sdf</uri><name>b</name><static>1</static>"
+        "<pose relative_to='a'>0 3 0 0 0 0</pose></include>"
+        "<include><uri>model://post/model.sdf</uri><name>c</name><static>1</static></include>"
+        "<include><uri>post</uri><name>d</name><static>1</static>"
+        "<placement_frame>f</placement_frame><pose>-3 0 0 0 0 0</pose></include>"
+    )
+    centers = [obstacle.vertices.mean(0)[:2].tolist() for obstacle in world_of(tmp_path, body).obstacles]
+    for center, expected in zip(centers, [(3, 0), (3, 3), (9, 9), (-3, -1)], strict=True):
+        assert center == pytest.approx(expected, abs=1e-9)
+
+
+def test_the_newest_file_of_a_model_config_counts(tmp_path):
+    included(tmp_path, model(link(POST, "1 0 0 0 0 0")), file="old.sdf")
+    included(tmp_path, model(link(POST, "2 0 0 0 0 0")), file="new.sdf")
+    config = "<model><sdf version='1.5'>old.sdf</sdf><sdf version='1.10'>new.sdf</sdf></model>"
+    (tmp_path / "post" / "model.config").write_text(config)
+    world = world_of(tmp_path, "<include><uri>model://post</uri></include>")
+    assert inside(world, (2.0, 0.0, 1.0)) == [True]
+
+
+def test_everything_that_is_missing_is_in_one_error(tmp_path):
+    body = (
+        "<include><uri>https://fuel.gazebosim.org/1.0/OpenRobotics/models/Cave</uri></include>"
+        "<include><uri>model://nowhere</uri></include>"
+        + model(link("<mesh><uri>model://post/meshes/no.dae</uri></mesh>"))
+        + model(link(POST), "post")
+    )
+    with pytest.raises(ValueError, match="needs what is not here") as error:
+        world_of(tmp_path, body)
+    for name in ("fuel.gazebosim.org/1.0/OpenRobotics/models/Cave", "model://nowhere", "model://post/meshes/no.dae"):
+        assert name in str(error.value)
+    with pytest.warns(UserWarning, match=r"left out.*Cave.*model://nowhere.*no\.dae"):
+        world = world_of(tmp_path, body, missing="skip")
+    assert len(world.obstacles) == 1
+    assert any("Cave" in note for note in world.notes)
+
+
+def test_models_that_are_not_static_stand_still_and_robots_are_left_out(tmp_path):
+    robot = link(POST, "5 5 0 0 0 0", "a") + link(POST, "5 6 0 0 0 0", "b")
+    joint = "<joint name='j' type='revolute'><parent>a</parent><child>b</child></joint>"
+    body = model(link(POST), "crate", "") + model(robot + joint, "robot", "")
+    with pytest.warns(UserWarning, match="models that are not static") as warned:
+        world = world_of(tmp_path, body)
+    assert inside(world, (0.0, 0.0, 1.0), (5.0, 5.0, 1.0), (5.0, 6.0, 1.0)) == [True, False, False]
+    told = " ".join(str(warning.message) for warning in warned)
+    assert "do not move: crate" in told
+    assert "left out: robot" in told
+
+
+def test_visual_geometry_counts_where_a_link_has_no_other(tmp_path):
+    seen = link(POST, "2 0 0 0 0 0", "a").replace("collision", "visual")
+    both = link(POST, "-2 0 0 0 0 0", "b").replace(
+        "</link>", "<visual name='v'><geometry><box><size>3 3 3</size></box></geometry></visual></link>"
+    )
+    body = model(seen + both)
+    world = world_of(tmp_path, body)
+    assert inside(world, (2.0, 0.0, 1.0), (-2.0, 0.0, 1.0), (-3.0, 0.0, 1.0)) == [True, True, False]
+    assert inside(world_of(tmp_path, body, visuals=False), (2.0, 0.0, 1.0), (-2.0, 0.0, 1.0)) == [False, True]
+
+
+def test_actors_keep_their_waypoints(tmp_path):
+    actor = """<actor name='walker'><pose>1 0 0 0 0 1.5707963268</pose><skin><filename>https://x/walk.dae</filename></skin>
+    <script><loop>false</loop><delay_start>2</delay_start><trajectory id='0' type='walk'>
+    <waypoint><time>3</time><pose>1 0 1 0 0 0</pose></waypoint>
+    <waypoint><time>0</time><pose>0 0 1 0 0 0</pose></waypoint>
+    </trajectory></script></actor>"""
+    (found,) = world_of(tmp_path, actor).actors
+    assert isinstance(found, Actor)
+    assert (found.name, found.times, found.loop, found.delay_start, found.auto_start) == (
+        "walker",
+        (0.0, 3.0),
+        False,
+        2.0,
+        True,
+    )
+    assert found.poses[0] == pytest.approx((1, 0, 1, 0, 0, math.pi / 2), abs=1e-6)
+    assert found.poses[1] == pytest.approx((1, 1, 1, 0, 0, math.pi / 2), abs=1e-6)
+
+
+def test_meshes_have_scales_and_submeshes(tmp_path):
+    scene = trimesh.Scene()
+    for name, x in (("one", 0.0), ("two", 4.0)):
+        scene.add_geometry(
+            trimesh.creation.box((1, 1, 1), transform=trimesh.transformations.translation_matrix((x, 0, 0.5))),
+            node_name=name,
+        )
+    (tmp_path / "meshes").mkdir()
+    scene.apply_transform(trimesh.transformations.rotation_matrix(-math.pi / 2, (1, 0, 0)))
+    scene.export(tmp_path / "meshes" / "two.glb")
+    shape = "<mesh><uri>meshes/two.glb</uri><scale>1 -2 1</scale></mesh>"
+    world = world_of(tmp_path, model(link(shape)))
+    assert inside(world, (0.0, 0.9, 0.5), (4.0, 0.9, 0.5), (0.9, 0.0, 0.5)) == [True, True, False]
+    one = "<mesh><uri>meshes/two.glb</uri><submesh><name>two</name><center>{center}</center></submesh></mesh>"
+    assert inside(world_of(tmp_path, model(link(one.format(center="true"), "0 0 1 0 0 0"))), (0.0, 0.0, 1.4)) == [True]
+    apart = world_of(tmp_path, model(link(one.format(center="false"))))
+    assert inside(apart, (0.0, 0.0, 0.5), (4.0, 0.0, 0.5)) == [False, True]
+
+
+def test_a_heightmap_is_as_high_and_wide_as_gazebo_makes_it(tmp_path):
+    rows, columns = np.mgrid[0:9, 0:9]
+    Image.fromarray((20 * columns + 4 * rows).astype(np.uint8)).save(tmp_path / "map.png")
+    shape = "<heightmap><uri>map.png</uri><size>16 16 3</size><pos>0 0 0.5</pos></heightmap>"
+    world = world_of(tmp_path, model(link(shape), extra="<static>1</static><pose>1 0 0 0 0 0</pose>"))
+    assert world.terrain.extent == ((-7.0, 9.0), (-8.0, 8.0))
+    # The brightest pixel, 192, is in the southeast: the first row is in the north.
+    corners = torch.tensor([[9.0, -8.0], [-7.0, 8.0], [-7.0, -8.0], [9.0, 8.0]], dtype=torch.float64)
+    assert world.height_at(corners).tolist() == pytest.approx(
+        [3.5, 0.5, 0.5 + 3 * 32 / 192, 0.5 + 3 * 160 / 192], abs=1e-5
+    )
+
+
+def test_a_terrain_mesh_on_a_plane_is_ground_and_a_low_box_is_not(tmp_path):
+    slab = "<box><size>18 18 0.4</size></box>"
+    low = "<box><size>2 2 0.3</size></box>"
+    world = world_of(tmp_path, model(link(slab), "slab") + model(link(low, "3 3 0.3 0 0 0"), "low"))
+    assert world.height_at(torch.tensor([[0.0, 0.0], [3.0, 3.0]])).tolist() == pytest.approx([0.2, 0.2], abs=1e-6)
+    assert len(world.obstacles) == 1
+
+
+def test_an_inclined_plane_is_ground(tmp_path):
+    inclined = "<plane><normal>-0.2 0 1</normal><size>10 10</size></plane>"
+    world = world_of(tmp_path, model(link(inclined)), size="10 10")
+    heights = world.height_at(torch.tensor([[-3.0, 0.0], [3.0, 0.0]]))
+    assert heights.tolist() == pytest.approx([0.0, 0.6], abs=0.01)
+
+
+def test_the_interior_of_walls_is_the_spawn_area_and_open_ground_its_middle(tmp_path):
+    wall = "<box><size>{}</size></box>"
+    walls = [
+        ("10 0.2 2", "0 5 1 0 0 0"),
+        ("10 0.2 2", "0 -5 1 0 0 0"),
+        ("0.2 10 2", "5 0 1 0 0 0"),
+        ("0.2 10 2", "-5 0 1 0 0 0"),
+    ]
+    shut = model("".join(link(wall.format(size), pose, f"l{k}") for k, (size, pose) in enumerate(walls)))
+    world = world_of(tmp_path, shut)
+    assert world.spawn_range == (pytest.approx((-4.9, 4.9), abs=0.12),) * 2
+    assert any("interior" in note for note in world.notes)
+    gap = model("".join(link(wall.format(size), pose, f"l{k}") for k, (size, pose) in enumerate(walls[:3])))
+    world = world_of(tmp_path, gap)
+    assert any("open ground" in note for note in world.notes)
+    given = world_of(
+        tmp_path, shut, spawn_range=((-1, 1), (-2, 2)), goal_range=((0, 3), (0, 3)), bounds=((-4, 4), (-4, 4))
+    )
+    assert (given.spawn_range, given.goal_range) == (((-1.0, 1.0), (-2.0, 2.0)), ((0.0, 3.0), (0.0, 3.0)))
+    assert given.bounds == ((-4.0, 4.0), (-4.0, 4.0))
+
+
+def test_merged_includes_share_their_frames(tmp_path):
+    included(tmp_path, model(link("<empty/>", "1 0 0 0 0 0", "inner")))
+    body = model(
+        "<include merge='true'><uri>post</uri><pose>2 0 0 0 0 0</pose></include>"
+        + link(POST, "0 2 0 0 0 0", "own", "relative_to='inner'")
+    )
+    assert inside(world_of(tmp_path, body), (3.0, 2.0, 1.0)) == [True]
