@@ -8,10 +8,8 @@ from functools import lru_cache
 
 from rover_rl.registry import Registry
 from rover_rl.sims.worlds.free_space import FreeSpace, free_space
-from rover_rl.sims.worlds.inspect_site import inspect
-from rover_rl.sims.worlds.maze import maze
-from rover_rl.sims.worlds.moon import moon
-from rover_rl.sims.worlds.obstacles import Obstacle, boulder, box, cylinder
+from rover_rl.sims.worlds.generators import inspect, maze, moon
+from rover_rl.sims.worlds.obstacles import Obstacle, boulder, box, boxes, cylinder, cylinders
 from rover_rl.sims.worlds.placement import rest_on_ground
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
@@ -92,7 +90,9 @@ __all__ = [
     "World",
     "boulder",
     "box",
+    "boxes",
     "cylinder",
+    "cylinders",
     "free_space",
     "get_world",
     "register_world",

@@ -10,8 +10,8 @@ import math
 import numpy as np
 import torch
 
+from rover_rl.sims.worlds.generators.relief import relief
 from rover_rl.sims.worlds.obstacles import Obstacle, box
-from rover_rl.sims.worlds.relief import relief
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
 

@@ -1,0 +1,7 @@
+"""Generators of worlds: functions from a seed and a difficulty to a layout."""
+
+from rover_rl.sims.worlds.generators.inspect_site import inspect
+from rover_rl.sims.worlds.generators.maze import maze
+from rover_rl.sims.worlds.generators.moon import moon
+
+__all__ = ["inspect", "maze", "moon"]
