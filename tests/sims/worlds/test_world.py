@@ -63,5 +63,5 @@ def test_an_unknown_world_raises_with_the_known_names(name):
     with pytest.raises(ValueError) as error:
         get_world(name)
     assert str(error.value) == (
-        f"unknown world {name!r}; use one of ['inspect', 'maze', 'moon'], 'name:seed', or a World"
+        f"unknown world {name!r}; use one of {sorted(WORLDS)}, 'name:seed', 'name:seed@difficulty', or a World"
     )
