@@ -9,14 +9,20 @@ from functools import lru_cache, partial
 
 from rover_rl.registry import Registry
 from rover_rl.sims.worlds.free_space import FreeSpace, free_space
-from rover_rl.sims.worlds.generators import inspect, maze, moon
+from rover_rl.sims.worlds.generators import forest, inspect, maze, moon, rooms
 from rover_rl.sims.worlds.names import WorldName
 from rover_rl.sims.worlds.obstacles import Obstacle, boulder, box, boxes, cylinder, cylinders
 from rover_rl.sims.worlds.placement import rest_on_ground
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
 
-WORLDS: dict[str, Callable[..., World]] = {"inspect": inspect, "moon": moon, "maze": maze}
+WORLDS: dict[str, Callable[..., World]] = {
+    "inspect": inspect,
+    "moon": moon,
+    "maze": maze,
+    "rooms": rooms,
+    "forest": forest,
+}
 """Built-in worlds: functions from a seed and a difficulty to a world, by name."""
 
 

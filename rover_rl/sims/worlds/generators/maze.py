@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_rl.sims.worlds.generators.difficulty import DEFAULT, check_difficulty, scaled
+from rover_rl.sims.worlds.generators.enclosure import enclosing_walls
 from rover_rl.sims.worlds.obstacles import Obstacle, boxes
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
@@ -20,8 +21,7 @@ FEWEST_BLOCKS = 10
 """Number of blocks at difficulty 0."""
 LENGTHS = (1, 2, 3, 4, 5)
 LARGEST = (2, 9)
-WALL_THICKNESS = 0.2
-WALL_HEIGHT, BLOCK_HEIGHT = 2.0, 1.0
+BLOCK_HEIGHT = 1.0
 MIDDLE = range(SIDE // 2 - 4, SIDE // 2 + 4)
 """Rows and columns of the task area."""
 MIDDLE_SHARE = (0.25, 0.4)
@@ -70,7 +70,7 @@ def maze(seed: int = 0, difficulty: float = DEFAULT) -> World:
     return World(
         name="maze",
         terrain=Terrain.flat((SIDE, SIDE)),
-        obstacles=(*_walls(), *_solid(blocks, difficulty)),
+        obstacles=(*enclosing_walls(SIDE), *_solid(blocks, difficulty)),
         spawn_range=TASK_AREA,
         goal_range=TASK_AREA,
         bounds=((-30.0, 30.0), (-30.0, 30.0)),
@@ -221,11 +221,3 @@ def _free_sides(blocks: list[Block]) -> tuple[np.ndarray, np.ndarray]:
         free.append([not neighbors & squares for neighbors in _shifted(others)])
     west, east, south, north = np.array(free).T
     return np.stack((west, south)), np.stack((east, north))
-
-
-def _walls() -> tuple[Obstacle, ...]:
-    """Creates four walls just outside the floor, so that the outer corridors keep their full width."""
-    middle, length = (SIDE + WALL_THICKNESS) / 2, SIDE + 2 * WALL_THICKNESS
-    centers = np.array([(0, -middle), (0, middle), (-middle, 0), (middle, 0)])
-    along_x, along_y = (length, WALL_THICKNESS, WALL_HEIGHT), (WALL_THICKNESS, length, WALL_HEIGHT)
-    return boxes(np.column_stack((centers, np.full(4, WALL_HEIGHT / 2))), [along_x, along_x, along_y, along_y])
