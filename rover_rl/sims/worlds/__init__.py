@@ -9,7 +9,7 @@ from functools import lru_cache, partial
 
 from rover_rl.registry import Registry
 from rover_rl.sims.worlds.free_space import FreeSpace, free_space
-from rover_rl.sims.worlds.generators import forest, inspect, maze, moon, rooms
+from rover_rl.sims.worlds.generators import forest, hills, inspect, maze, moon, ramps, rooms
 from rover_rl.sims.worlds.names import WorldName
 from rover_rl.sims.worlds.obstacles import Obstacle, boulder, box, boxes, cylinder, cylinders
 from rover_rl.sims.worlds.placement import rest_on_ground
@@ -22,6 +22,8 @@ WORLDS: dict[str, Callable[..., World]] = {
     "maze": maze,
     "rooms": rooms,
     "forest": forest,
+    "hills": hills,
+    "ramps": ramps,
 }
 """Built-in worlds: functions from a seed and a difficulty to a world, by name."""
 

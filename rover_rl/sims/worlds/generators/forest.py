@@ -8,8 +8,9 @@ Navigation, SSRR 2020), whose 300 worlds have 15 to 30 % of random cells, 3 to 1
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, label
+from scipy.ndimage import distance_transform_edt
 
+from rover_rl.sims.worlds.generators.connectivity import largest_part
 from rover_rl.sims.worlds.generators.difficulty import DEFAULT, check_difficulty, scaled
 from rover_rl.sims.worlds.obstacles import cylinders
 from rover_rl.sims.worlds.terrain import Terrain
@@ -100,13 +101,10 @@ def _clearance(filled: np.ndarray, trunks: np.ndarray) -> np.ndarray:
 
 def _connected(clearance: np.ndarray, gap: float) -> bool:
     """Returns whether gaps connect most of the task area, and wide passages a good part of it."""
-    inside = np.ix_(*[np.abs(_AXIS) < TASK_AREA[0][1]] * 2)
-    for width, share, of_all in ((gap, CONNECTED, False), (WIDE, SPACIOUS, True)):
-        parts, _ = label(clearance >= width / 2)
-        counts = np.bincount(parts[inside].ravel())
-        if counts[1:].max(initial=0) < share * (counts.sum() if of_all else counts[1:].sum()):
-            return False
-    return True
+    return (
+        largest_part(clearance >= gap / 2, _TASK_CELLS)[0] >= CONNECTED
+        and largest_part(clearance >= WIDE / 2, _TASK_CELLS)[1] >= SPACIOUS
+    )
 
 
 def _at_height(xy: np.ndarray, height: float) -> np.ndarray:
@@ -115,3 +113,4 @@ def _at_height(xy: np.ndarray, height: float) -> np.ndarray:
 
 _AXIS = CELL * (np.arange(CELLS) - (CELLS - 1) / 2)
 """Coordinates of the centers of the cells along an axis, m."""
+_TASK_CELLS = np.logical_and.outer(*[np.abs(_AXIS) < TASK_AREA[0][1]] * 2)
