@@ -23,7 +23,7 @@ RAMPS = (-1.0, -0.6, -0.3)
 """Level above which a random field of standard deviation 1 turns faces into ramps."""
 LEVELS = (-1.0, 0.8)
 """Levels of another such field: hollows lie below the first, plateaus above the second."""
-FACE, RAMP = 0.7, 6.0
+FACE, RAMP = 1.2, 6.0
 """Difference of that field between the foot and the top of a face and of a ramp."""
 CONNECTED, SPACIOUS = 0.6, 0.3
 """Minimum fraction of the gentle ground of the task area, and of all of it, that is connected for the rover."""

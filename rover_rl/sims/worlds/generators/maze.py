@@ -30,8 +30,6 @@ MAX_ATTEMPTS = 3000
 """Maximum number of positions tried for the blocks of a layout."""
 WIDENING = 0.5
 """Width by which corridors exceed 1 m at difficulty 0, m."""
-NARROWING = 0.1
-"""Width that corridors lack from 1 m at difficulty 1, m. The rover turns in a circle of 0.7 m."""
 
 
 class Block(NamedTuple):
@@ -47,9 +45,9 @@ def maze(seed: int = 0, difficulty: float = DEFAULT) -> World:
     """Creates a maze of blocks between four walls, whose corridors are all connected.
 
     Layouts of the same seed are variants of one another. At difficulty 0.5 there are 36 blocks, and corridors are at
-    least 1 m wide. Toward 0, blocks are removed until 10 are left, and corridors widen to 1.5 m (1.25 m where blocks
-    touch). Toward 1, corridors narrow to 0.9 m, and passages between blocks are closed, which turns loops into dead
-    ends and detours; at 1, all passages are closed that connect two squares that remain connected.
+    least 1 m wide, the narrowest in which the rover drives and turns with a margin. Toward 0, blocks are removed until
+    10 are left, and corridors widen to 1.5 m (1.25 m where blocks touch). Toward 1, passages between blocks are closed,
+    which turns loops into dead ends and detours; at 1, as many as possible, so that hardly any loop is left.
 
     Args:
         seed: seed of the layout.
@@ -62,8 +60,7 @@ def maze(seed: int = 0, difficulty: float = DEFAULT) -> World:
     rng = np.random.default_rng(seed)
     blocks = _layout(rng)
     if difficulty < DEFAULT:
-        keep = round(scaled(difficulty, FEWEST_BLOCKS, BLOCKS, BLOCKS))
-        blocks = [blocks[k] for k in sorted(rng.permutation(BLOCKS)[:keep])]
+        blocks = _thinned(blocks, rng, round(scaled(difficulty, FEWEST_BLOCKS, BLOCKS, BLOCKS)))
     elif difficulty > DEFAULT:
         closed = _closable_squares(blocks, rng)
         blocks += closed[: round(scaled(difficulty, 0, 0, len(closed)))]
@@ -120,6 +117,15 @@ def _fits(taken: int, new: int) -> bool:
         return False
     # A block that touches nothing is surrounded by free squares, which connect what it separates.
     return sides == 0 or _connected(_FLOOR & ~(taken | new))
+
+
+def _thinned(blocks: list[Block], rng: np.random.Generator, count: int) -> list[Block]:
+    """Removes random blocks until ``count`` are left, so that no two blocks touch only at a corner."""
+    order = [blocks[k] for k in rng.permutation(len(blocks))]
+    while len(order) > count:
+        rest = ([other for other in order if other is not block] for block in order)
+        order = next((blocks for blocks in rest if not _corner_gaps(_union(blocks))), order[1:])
+    return order
 
 
 def _closable_squares(blocks: list[Block], rng: np.random.Generator) -> list[Block]:
@@ -198,16 +204,13 @@ _MIDDLE = _squares(Block(MIDDLE[0], MIDDLE[0], len(MIDDLE), len(MIDDLE)))
 
 
 def _solid(blocks: list[Block], difficulty: float) -> tuple[Obstacle, ...]:
-    """Creates the blocks, thinner or thicker than their squares if the difficulty differs from 0.5."""
+    """Creates the blocks, thinner than their squares if the difficulty is below 0.5."""
     row, column, rows, columns = np.array(blocks, dtype=float).T
     low, high = np.stack((column, row)) - SIDE / 2, np.stack((column + columns, row + rows)) - SIDE / 2
     if difficulty < DEFAULT:
         trim = scaled(difficulty, WIDENING / 2, 0.0, 0.0)
         south_west, north_east = _free_sides(blocks)
         low, high = low + trim * south_west, high - trim * north_east
-    elif difficulty > DEFAULT:
-        # Blocks grow on one side only: the middle of every corridor stays between two lines of a grid of 0.1 m.
-        high = high + scaled(difficulty, 0.0, 0.0, NARROWING)
     tall = np.full(len(blocks), BLOCK_HEIGHT)
     return boxes(np.vstack(((low + high) / 2, tall / 2)).T, np.vstack((high - low, tall)).T)
 

@@ -42,7 +42,7 @@ def ramps(seed: int = 0, difficulty: float = DEFAULT) -> World:
     """Creates a test ground of 17.6 x 17.6 m with nine structures between roads.
 
     Structures are platforms with ramps on some sides, mounds, ditches with a ford or a bridge, and steps. Each is
-    passable or not: slopes of passable ones are at most 20 degrees, those of the others at least 33. With the
+    passable or not: the flanks of passable ones are at most 20 degrees steep, those of the others at least 33. With the
     difficulty, more of them are not passable, and barriers close up to 8 of the 24 road sections between two crossings.
     At least 80 % of the passable ground of the task area is connected. The lidar does not see ditches, and edges only
     from below.
