@@ -4,8 +4,8 @@
 
 For each generator and difficulty, layouts of the seeds from 10,000 up are generated. In each, free space is computed
 and rovers stand still for a second where episodes start. The expert, who knows the map, then drives an episode with one
-goal in each of the first layouts, in Warp. A layout counts as unsolvable if it has no free start or goal; that all
-starts lead to all goals is part of the free space.
+goal in each of the first layouts, in Warp. It fails if it flips, gets stuck or takes too long. A layout counts as
+unsolvable if it has no free start or goal; that all starts lead to all goals is part of the free space.
 """
 
 from __future__ import annotations
@@ -24,16 +24,18 @@ from torch import Tensor
 
 from rover_rl import RoverEnv
 from rover_rl.algos.policy.expert import PrivilegedExpert
+from rover_rl.envs import TaskConfig
 from rover_rl.files import write_json
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import WORLDS, World, free_space
 
 EVENTS = ("flipped", "jammed", "collision", "out_of_bounds", "stuck")
+STEPS_PER_SECOND = 20
 
 
 @dataclass(frozen=True)
-class Generators:
-    """Check generators of worlds: solvable layouts, free starts, and the expert's success and time by difficulty."""
+class Options:
+    """Options of the check."""
 
     names: tuple[str, ...] = tuple(WORLDS)
     """Names of the generators."""
@@ -54,77 +56,86 @@ class Generators:
     out: Path = Path("runs/bench/generators.json")
     """Output file."""
 
-    def __call__(self) -> None:
-        """Checks all generators and prints a table."""
-        torch.set_num_threads(1)
-        rows = []
-        for name, difficulty in product(self.names, self.difficulties):
-            rows.append({"generator": name, "difficulty": difficulty, **self.check(name, difficulty)})
-            print(*rows[-1].items(), flush=True)
-            self.out.parent.mkdir(parents=True, exist_ok=True)
-            write_json(self.out, rows)
-        Console(width=140).print(table(rows))
 
-    def check(self, name: str, difficulty: float) -> dict[str, float]:
-        """Returns the results of one generator at one difficulty."""
-        begin = time.perf_counter()
-        worlds = [WORLDS[name](self.first_seed + k, difficulty=difficulty) for k in range(self.layouts)]
-        generation = (time.perf_counter() - begin) / self.layouts
-        solvable = list(filter(_is_solvable, worlds))
-        driven = solvable[: self.drives]
-        failed_starts = sum(self._failed_starts(batch) for batch in _batches(solvable, self.batch))
-        episodes = [self._drive(batch) for batch in _batches(driven, self.batch)]
-        reached, seconds, distance = (torch.cat(parts) for parts in zip(*episodes, strict=True))
-        return {
-            "layouts": self.layouts,
-            "generation_ms": 1e3 * generation,
-            "unsolvable": len(worlds) - len(solvable),
-            "starts": self.spawns * len(solvable),
-            "failed_starts": failed_starts,
-            "episodes": len(reached),
-            "success": float(reached.double().mean()),
-            "seconds": float(seconds[reached].mean()),
-            "seconds_per_meter": float(seconds[reached].sum() / distance[reached].sum()),
-        }
+def main(options: Options) -> None:
+    """Checks all generators. Writes all results so far after each difficulty, and prints a table at the end."""
+    torch.set_num_threads(1)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for name, difficulty in product(options.names, options.difficulties):
+        rows.append({"generator": name, "difficulty": difficulty, **check(options, name, difficulty)})
+        write_json(options.out, rows)
+        print(*rows[-1].items(), flush=True)
+    Console(width=140).print(table(rows))
 
-    def _failed_starts(self, worlds: list[World]) -> int:
-        """Number of rovers with an event in the second after their start, in which they stand still."""
-        rows = self.spawns * len(worlds)
-        env = RoverEnv(world_n=worlds, num_envs=rows, backend="warp", seed=self.first_seed)
-        td = env.reset()
-        failed = torch.zeros(rows, 1, dtype=torch.bool)
-        for _ in range(20):
-            td = env.step(td.set("action", torch.zeros(rows, 2)))["next"]
-            for event in EVENTS:
-                failed |= td["outcome", event]
-        env.close()
-        return int(failed.sum())
 
-    def _drive(self, worlds: list[World]) -> tuple[Tensor, Tensor, Tensor]:
-        """Drives the expert to the first goal in each world.
+def check(options: Options, name: str, difficulty: float) -> dict[str, float]:
+    """Returns the results of one generator at one difficulty."""
+    begin = time.perf_counter()
+    worlds = [WORLDS[name](options.first_seed + k, difficulty=difficulty) for k in range(options.layouts)]
+    generation = (time.perf_counter() - begin) / options.layouts
+    solvable = list(filter(_is_solvable, worlds))
+    failed_starts = sum(_failed_starts(options, batch) for batch in _batches(solvable, options.batch))
+    episodes = [_drive(options, batch) for batch in _batches(solvable[: options.drives], options.batch)]
+    reached, seconds, distance = (torch.cat(parts) for parts in zip(*episodes, strict=True))
+    return {
+        "layouts": options.layouts,
+        "generation_ms": 1e3 * generation,
+        "unsolvable": len(worlds) - len(solvable),
+        "starts": options.spawns * len(solvable),
+        "failed_starts": failed_starts,
+        "episodes": len(reached),
+        "success": float(reached.double().mean()),
+        "seconds": float(seconds[reached].mean()),
+        "seconds_per_meter": float(seconds[reached].sum() / distance[reached].sum()),
+    }
 
-        Returns:
-            Whether each goal is reached, the time until the end of each episode (s), and the straight distance from
-            start to goal (m), ``[len(worlds)]`` each.
-        """
-        count = len(worlds)
-        steps = round(self.seconds / 0.05)
-        env = RoverEnv(
-            world_n=worlds, num_envs=count, backend="warp", seed=self.first_seed, length=steps, end_on_goal=True
-        )
-        expert = PrivilegedExpert(worlds, get_robot("rover_zero"))
-        td = env.reset()
-        distance = (env.goal - td["pose"][:, :2]).norm(dim=-1)
-        reached, ended = torch.zeros(count, dtype=torch.bool), torch.full((count,), steps)
-        for step in range(steps):
-            td = env.step(td.set("action", expert.action(td)))["next"]
-            now = td["done"].squeeze(-1) & (ended == steps)
-            reached |= now & td["outcome", "goal_reached"].squeeze(-1)
-            ended[now] = step + 1
-            if (ended < steps).all():
-                break
-        env.close()
-        return reached, ended * 0.05, distance
+
+def _failed_starts(options: Options, worlds: list[World]) -> int:
+    """Number of rovers with an event in the second after their start, in which they stand still."""
+    rows = options.spawns * len(worlds)
+    env = RoverEnv(world_n=worlds, num_envs=rows, backend="warp", seed=options.first_seed)
+    td = env.reset()
+    failed = torch.zeros(rows, 1, dtype=torch.bool)
+    for _ in range(20):
+        td = env.step(td.set("action", torch.zeros(rows, 2)))["next"]
+        for event in EVENTS:
+            failed |= td["outcome", event]
+    env.close()
+    return int(failed.sum())
+
+
+def _drive(options: Options, worlds: list[World]) -> tuple[Tensor, Tensor, Tensor]:
+    """Drives the expert to the first goal in each world.
+
+    Returns:
+        Whether each goal is reached, the time until the end of each episode (s), and the straight distance from start
+        to goal (m), ``[len(worlds)]`` each.
+    """
+    count, steps = len(worlds), round(options.seconds * STEPS_PER_SECOND)
+    # In narrow places, a lidar reading below 0.3 m is no failure.
+    env = RoverEnv(
+        world_n=worlds,
+        num_envs=count,
+        backend="warp",
+        seed=options.first_seed,
+        length=steps,
+        end_on_goal=True,
+        task=TaskConfig(collision_window=steps),
+    )
+    expert = PrivilegedExpert(worlds, env.robot)
+    td = env.reset()
+    distance = (env.goal - td["pose"][:, :2]).norm(dim=-1)
+    reached, ended = torch.zeros(count, dtype=torch.bool), torch.zeros(count, dtype=torch.int64)
+    for step in range(1, steps + 1):
+        td = env.step(td.set("action", expert.action(td)))["next"]
+        now = td["done"].squeeze(-1) & (ended == 0)
+        reached |= now & td["outcome", "goal_reached"].squeeze(-1)
+        ended[now] = step
+        if (ended > 0).all():
+            break
+    env.close()
+    return reached, ended / STEPS_PER_SECOND, distance
 
 
 def _is_solvable(world: World) -> bool:
@@ -158,4 +169,4 @@ def table(rows: list[dict]) -> Table:
 
 
 if __name__ == "__main__":
-    tyro.cli(Generators, description=__doc__)()
+    main(tyro.cli(Options, description=__doc__))
