@@ -77,7 +77,7 @@ class TestMoon:
 
 
 class TestInspect:
-    @pytest.mark.parametrize(("difficulty", "count"), [(0.0, 0), (0.5, 0), (0.75, 6), (1.0, 12)])
+    @pytest.mark.parametrize(("difficulty", "count"), [(0.0, 0), (0.5, 0), (0.75, 5), (1.0, 10)])
     def test_crates_in_the_task_area(self, difficulty, count):
         world = WORLDS["inspect"](2, difficulty)
         crates = world.obstacles[47:]
@@ -91,7 +91,7 @@ class TestInspect:
             for other in crates[:k]:
                 low = torch.maximum(crate.footprint.amin(0), other.footprint.amin(0))
                 high = torch.minimum(crate.footprint.amax(0), other.footprint.amax(0))
-                assert (low - high).max() >= 1.0 - 1e-9
+                assert (low - high).max() >= 1.3 - 1e-9
 
 
 class TestRamps:

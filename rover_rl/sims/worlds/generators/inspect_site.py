@@ -41,17 +41,17 @@ HEIGHT_ABOVE, DEPTH_BELOW = 0.5, 0.3
 below the lowest ground, m."""
 
 
-HUMPS = (0.12, 0.25, 0.28)
+HUMPS = (0.12, 0.25, 0.27)
 """Maximum height of the humps at difficulty 0, 0.5 and 1, m."""
-CRATES, CRATE_SIDE, CRATE_GAP = (0, 0, 12), (0.4, 1.0), 1.0
+CRATES, CRATE_SIDE, CRATE_GAP = (0, 0, 10), (0.4, 1.0), 1.3
 """Number of crates in the task area, range of their side lengths, and minimum gap between two of them, m."""
 
 
 def inspect(seed: int = 0, difficulty: float = DEFAULT) -> World:
     """Creates the inspection site: a knoll in the southwest, rough ground, panels and low walls in the north.
 
-    The difficulty makes the ground rougher: half as rough at 0 as at 0.5, and 1.1 times as rough at 1. Above 0.5, up to
-    12 crates stand in the task area.
+    The difficulty makes the ground rougher: half as rough at 0 as at 0.5, and 8 % rougher at 1. Above 0.5, up to
+    10 crates stand in the task area.
 
     Args:
         seed: seed of the ground and of the crates. The positions of the other structures do not depend on it.
