@@ -44,7 +44,9 @@ below the lowest ground, m."""
 HUMPS = (0.12, 0.25, 0.27)
 """Maximum height of the humps at difficulty 0, 0.5 and 1, m."""
 CRATES, CRATE_SIDE, CRATE_GAP = (0, 0, 10), (0.4, 1.0), 1.3
-"""Number of crates in the task area, range of their side lengths, and minimum gap between two of them, m."""
+"""Maximum number of crates in the task area, range of their side lengths, and minimum gap between two of them, m."""
+MAX_ATTEMPTS = 1000
+"""Maximum number of positions tried for the crates."""
 
 
 def inspect(seed: int = 0, difficulty: float = DEFAULT) -> World:
@@ -98,7 +100,9 @@ def _ground(rng: np.random.Generator, height: float) -> Terrain:
 def _crates(rng: np.random.Generator, count: int) -> list[tuple[float, float, float, float]]:
     """Samples the center and side lengths along x and y of crates that keep the minimum gap, m."""
     crates: list[tuple[float, float, float, float]] = []
-    while len(crates) < count:
+    for _ in range(MAX_ATTEMPTS):
+        if len(crates) == count:
+            break
         (x, y), (length, depth) = (rng.uniform(*np.array(TASK_AREA).T), rng.uniform(*CRATE_SIDE, 2))
         apart = (
             max(abs(x - u) - (length + other) / 2, abs(y - v) - (depth + another) / 2) >= CRATE_GAP
