@@ -28,12 +28,11 @@ from torch import Tensor
 
 from rover_rl import Randomization, make_env
 from rover_rl.algos.config import training_config
-from rover_rl.algos.evaluation.episodes import stored_episodes
+from rover_rl.algos.evaluation.episodes import STORED_WORLDS, stored_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.pretrained import load_pretrained, pretrained_names
 from rover_rl.algos.train import train
-from rover_rl.sims.worlds import WORLDS
 
 ROVERS, STEPS = 16, 200
 BACKENDS = ("bullet", "warp")
@@ -49,7 +48,7 @@ class Digests:
     def __call__(self) -> None:
         """Prints one line per rollout, evaluation and training."""
         torch.set_num_threads(1)
-        for world, backend, noise in product(WORLDS, BACKENDS, (None, Randomization.typical())):
+        for world, backend, noise in product(STORED_WORLDS, BACKENDS, (None, Randomization.typical())):
             name = "randomized" if noise else "plain"
             print("rollout", world, backend, name, rollout_digest(world, backend, noise), flush=True)
         for name in pretrained_names():

@@ -1,7 +1,7 @@
 """Evaluation episodes: fixed starts and goals with the lengths of their shortest paths.
 
-Each of the three worlds of the package has a stored set: the first 256 draws whose shortest path is long enough,
-without further selection. ``python -m rover_rl.algos.evaluation.episodes`` regenerates the sets.
+Each of the three worlds of the original environment has a stored set: the first 256 draws whose shortest path is long
+enough, without further selection. ``python -m rover_rl.algos.evaluation.episodes`` regenerates the sets.
 
 Example:
     >>> stored_episodes("maze").shortest.min() >= 2
@@ -26,11 +26,13 @@ from rover_rl.envs.rng import episode_keys, row_keys
 from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.robots import Robot, get_robot
-from rover_rl.sims.worlds import WORLDS, World, get_world
+from rover_rl.sims.worlds import World, get_world
 from rover_rl.sims.worlds.shortest_paths import shortest_paths
 
 DEFAULT_SEED = 20_000
 """Seed of the stored episodes."""
+STORED_WORLDS = ("inspect", "moon", "maze")
+"""Worlds with a stored set."""
 STORED = 256
 """Number of episodes in a stored set."""
 MIN_PATH = 2.0
@@ -141,7 +143,7 @@ def stored_episodes(world: str) -> EpisodeSet:
     Raises:
         ValueError: for a world without a stored set.
     """
-    if world not in WORLDS:
+    if world not in STORED_WORLDS:
         raise ValueError(f"no episodes are stored for world {world!r}; draw them with draw_episodes()")
     data = json.loads((FOLDER / f"{world}.json").read_text())
     start, goal, shortest = (
@@ -164,7 +166,7 @@ def choose_episodes(
     Raises:
         ValueError: as for :func:`draw_episodes`.
     """
-    if world in WORLDS and seed is None and count <= STORED and robot == "rover_zero":
+    if world in STORED_WORLDS and seed is None and count <= STORED and robot == "rover_zero":
         return stored_episodes(world).first(count)
     with ProgressDisplay("drawing starts and goals"):
         return draw_episodes(world, count, DEFAULT_SEED if seed is None else seed, robot=robot)
@@ -188,7 +190,7 @@ def _shortest_text(numbers: np.ndarray) -> list[float]:
 
 def main() -> None:
     """Regenerates the stored episodes of the package."""
-    for world in WORLDS:
+    for world in STORED_WORLDS:
         write_episodes(draw_episodes(world, STORED), FOLDER / f"{world}.json")
         print(FOLDER / f"{world}.json")
 

@@ -4,26 +4,34 @@ from __future__ import annotations
 
 import inspect as signatures
 from collections.abc import Callable
-from functools import lru_cache
+from dataclasses import replace
+from functools import lru_cache, partial
 from pathlib import Path
 
 from rover_rl.registry import Registry
 from rover_rl.sims.worlds.actor import Actor
 from rover_rl.sims.worlds.files.suffixes import is_world_file
 from rover_rl.sims.worlds.free_space import FreeSpace, free_space
-from rover_rl.sims.worlds.inspect_site import inspect
-from rover_rl.sims.worlds.maze import maze
-from rover_rl.sims.worlds.moon import moon
-from rover_rl.sims.worlds.obstacles import Obstacle, boulder, box, cylinder
+from rover_rl.sims.worlds.generators import forest, hills, inspect, maze, moon, ramps, rooms
+from rover_rl.sims.worlds.names import WorldName
+from rover_rl.sims.worlds.obstacles import Obstacle, boulder, box, boxes, cylinder, cylinders
 from rover_rl.sims.worlds.placement import rest_on_ground
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
 
-WORLDS: dict[str, Callable[[int], World]] = {"inspect": inspect, "moon": moon, "maze": maze}
-"""Built-in worlds: functions from a seed to a world, by name."""
+WORLDS: dict[str, Callable[..., World]] = {
+    "inspect": inspect,
+    "moon": moon,
+    "maze": maze,
+    "rooms": rooms,
+    "forest": forest,
+    "hills": hills,
+    "ramps": ramps,
+}
+"""Built-in worlds: functions from a seed and a difficulty to a world, by name."""
 
 
-_REGISTRY = Registry("world", WORLDS, also=", 'name:seed', the path of a file, or a World")
+_REGISTRY = Registry("world", WORLDS, also=", 'name:seed', 'name:seed@difficulty', the path of a file, or a World")
 
 
 def register_world(name: str, world: World | Callable[..., World] | str) -> None:
@@ -31,8 +39,8 @@ def register_world(name: str, world: World | Callable[..., World] | str) -> None
 
     Args:
         name: new name of letters, digits, ``_``, ``-`` and ``.``.
-        world: world, function that returns a world and takes either a seed (int) or no argument, or
-            ``"module:attribute"`` of either.
+        world: world, function that returns a world and takes a seed (int), optionally also ``difficulty``, or no
+            argument, or ``"module:attribute"`` of either.
 
     Raises:
         ValueError: if the name is taken or has other characters.
@@ -55,25 +63,26 @@ def get_world(world: str | World) -> World:
 
     Args:
         world: name in :func:`world_names`, ``"module:attribute"`` of a world or of a function that returns one, or a
-            world. A suffix ``:seed`` selects another layout, for example ``"maze:7"`` or ``"my_package:canyon:7"``. The
-            path of a world file also is a name: see :meth:`World.from_file`.
+            world. A suffix ``:seed`` selects another layout, for example ``"maze:7"`` or ``"my_package:canyon:7"``, and
+            a suffix ``@difficulty``, from 0 to 1, an easier or harder one, for example ``"maze@0.2"``, ``"maze:7@1"``.
+            The path of a world file also is a name: see :meth:`World.from_file`.
 
     Returns:
         The world. The same name returns the same object (the last 256 names are cached).
 
     Raises:
         FileNotFoundError: if the name is a path, and there is no such file.
-        ValueError: if the name is unknown, refers to something else than a world, or has a seed that the world does
-            not take.
+        ValueError: if the name is unknown, refers to something else than a world, has a seed or a difficulty that the
+            world does not take, or a difficulty that is not a number from 0 to 1.
     """
     if isinstance(world, World):
         return world
     if is_world_file(str(world)):
         return _read_file(Path(world).resolve())
-    name, _, seed = str(world).rpartition(":")
-    if name and seed.isascii() and seed.isdigit():
-        return _make_world(name, int(seed))
-    return _make_world(str(world), 0 if world in WORLDS else None)
+    name = WorldName.parse(str(world))
+    if name.seed is None and name.part in WORLDS:
+        name = replace(name, seed=0)
+    return _make_world(name)
 
 
 def _read_file(path: Path) -> World:
@@ -88,17 +97,22 @@ def _read_version(path: Path, version: tuple[int, int] | None) -> World:
 
 
 @lru_cache(maxsize=256)
-def _make_world(name: str, seed: int | None) -> World:
-    part = _REGISTRY.find(name)
+def _make_world(name: WorldName) -> World:
+    part, takes = _REGISTRY.find(name.part), set[str]()
     if callable(part):
-        takes_seed = bool(signatures.signature(part).parameters)
-        if seed is not None and not takes_seed:
-            raise ValueError(f"world {name!r} takes no seed, got {seed}")
-        part = _REGISTRY.call(name, part, *([seed or 0] if takes_seed else []))
-    elif seed is not None:
-        raise ValueError(f"world {name!r} takes no seed, got {seed}")
+        takes = set(signatures.signature(part).parameters)
+    takes_seed, takes_difficulty = bool(takes - {"difficulty"}), "difficulty" in takes
+    if name.seed is not None and not takes_seed:
+        raise ValueError(f"world {name.part!r} takes no seed, got {name.seed}")
+    if name.difficulty is not None and not takes_difficulty:
+        raise ValueError(f"world {name.part!r} takes no difficulty, got {name.difficulty:g}")
+    if callable(part):
+        make = part if name.difficulty is None else partial(part, difficulty=name.difficulty)
+        part = _REGISTRY.call(name.part, make, *([name.seed or 0] if takes_seed else []))
     if not isinstance(part, World):
-        raise ValueError(f"world {name!r} must be a World or a function that returns one, got {type(part).__name__}")
+        raise ValueError(
+            f"world {name.part!r} must be a World or a function that returns one, got {type(part).__name__}"
+        )
     return part
 
 
@@ -109,9 +123,12 @@ __all__ = [
     "Obstacle",
     "Terrain",
     "World",
+    "WorldName",
     "boulder",
     "box",
+    "boxes",
     "cylinder",
+    "cylinders",
     "free_space",
     "get_world",
     "register_world",

@@ -9,9 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rover_rl import World
-from rover_rl.algos.evaluation.episodes import STORED, EpisodeSet, draw_episodes, stored_episodes, write_episodes
+from rover_rl.algos.evaluation.episodes import (
+    STORED,
+    STORED_WORLDS,
+    EpisodeSet,
+    draw_episodes,
+    stored_episodes,
+    write_episodes,
+)
 from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import WORLDS, Terrain, box, get_world
+from rover_rl.sims.worlds import Terrain, box, get_world
 from rover_rl.sims.worlds.free_space import free_space
 from rover_rl.sims.worlds.shortest_paths import shortest_paths
 
@@ -64,7 +71,7 @@ def test_stored_episodes_are_the_first_that_are_drawn(world: str, count: int) ->
     assert_same(draw_episodes(world, count), stored_episodes(world).first(count))
 
 
-@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("world", STORED_WORLDS)
 def test_stored_episodes(world: str) -> None:
     episodes = stored_episodes(world)
     assert len(episodes) == 256

@@ -50,7 +50,7 @@ def test_the_first_area_that_contains_a_point_sets_its_drop_height():
 
 
 def test_get_world_returns_the_same_object_for_the_same_name():
-    assert set(WORLDS) == {"inspect", "moon", "maze"}
+    assert set(WORLDS) == {"inspect", "moon", "maze", "rooms", "forest", "hills", "ramps"}
     assert get_world("maze") is get_world("maze") is get_world("maze:0")
     assert get_world("maze:7") is get_world("maze:7")
     assert get_world("maze:7") is not get_world("maze")
@@ -63,5 +63,6 @@ def test_an_unknown_world_raises_with_the_known_names(name):
     with pytest.raises(ValueError) as error:
         get_world(name)
     assert str(error.value) == (
-        f"unknown world {name!r}; use one of ['inspect', 'maze', 'moon'], 'name:seed', the path of a file, or a World"
+        f"unknown world {name!r}; use one of {sorted(WORLDS)}, 'name:seed', 'name:seed@difficulty', "
+        "the path of a file, or a World"
     )

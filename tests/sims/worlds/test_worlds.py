@@ -61,11 +61,6 @@ def test_a_world_is_determined_by_its_seed(name):
 
 
 @pytest.mark.parametrize("name", sorted(WORLDS))
-def test_generation_terminates_for_every_seed(name):
-    assert all(WORLDS[name](seed).obstacles for seed in range(100, 108))
-
-
-@pytest.mark.parametrize("name", sorted(WORLDS))
 @pytest.mark.parametrize("seed", [1, 2])
 def test_other_seeds_have_free_space(name, seed):
     free = free_space(get_world(f"{name}:{seed}"), get_robot("rover_zero"))

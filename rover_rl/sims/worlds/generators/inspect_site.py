@@ -10,8 +10,9 @@ import math
 import numpy as np
 import torch
 
+from rover_rl.sims.worlds.generators.difficulty import DEFAULT, check_difficulty, scaled
+from rover_rl.sims.worlds.generators.relief import relief, smoothstep
 from rover_rl.sims.worlds.obstacles import Obstacle, box
-from rover_rl.sims.worlds.relief import relief
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
 
@@ -40,18 +41,37 @@ HEIGHT_ABOVE, DEPTH_BELOW = 0.5, 0.3
 below the lowest ground, m."""
 
 
-def inspect(seed: int = 0) -> World:
+HUMPS = (0.12, 0.25, 0.27)
+"""Maximum height of the humps at difficulty 0, 0.5 and 1, m."""
+CRATES, CRATE_SIDE, CRATE_GAP = (0, 0, 10), (0.4, 1.0), 1.3
+"""Maximum number of crates in the task area, range of their side lengths, and minimum gap between two of them, m."""
+MAX_ATTEMPTS = 1000
+"""Maximum number of positions tried for the crates."""
+
+
+def inspect(seed: int = 0, difficulty: float = DEFAULT) -> World:
     """Creates the inspection site: a knoll in the southwest, rough ground, panels and low walls in the north.
 
+    The difficulty makes the ground rougher: half as rough at 0 as at 0.5, and 8 % rougher at 1. Above 0.5, up to
+    10 crates stand in the task area.
+
     Args:
-        seed: seed of the ground. The positions of the structures do not depend on it.
+        seed: seed of the ground and of the crates. The positions of the other structures do not depend on it.
+        difficulty: difficulty in [0, 1].
+
+    Raises:
+        ValueError: if the difficulty is not in [0, 1].
     """
-    terrain = _ground(np.random.default_rng(seed))
+    check_difficulty(difficulty)
+    rng = np.random.default_rng(seed)
+    terrain = _ground(rng, scaled(difficulty, *HUMPS))
     panels = [part for y in PANEL_ROWS for x in PANEL_COLUMNS for part in _panel_on_stand(terrain, x, y)]
+    walls = [_block(terrain, x, y, *WALL_SIZE) for x, y in WALLS]
+    crates = [_block(terrain, *crate) for crate in _crates(rng, round(scaled(difficulty, *CRATES)))]
     return World(
         name="inspect",
         terrain=terrain,
-        obstacles=(*panels, *(_wall(terrain, x, y) for x, y in WALLS)),
+        obstacles=(*panels, *walls, *crates),
         spawn_range=TASK_AREA,
         goal_range=TASK_AREA,
         bounds=BOUNDS,
@@ -60,23 +80,37 @@ def inspect(seed: int = 0) -> World:
     )
 
 
-def _ground(rng: np.random.Generator) -> Terrain:
-    """Creates ground 4.1 to 6.3 m high within the bounds with a median slope of 9 degrees, as on the original site."""
+def _ground(rng: np.random.Generator, height: float) -> Terrain:
+    """Creates ground with humps of up to ``height`` (m).
+
+    With 0.25 m, it is 4.1 to 6.3 m high within the bounds with a median slope of 9 degrees, as on the original site.
+    """
     columns, rows = (round(side / CELL) + 1 for side in SIZE)
     y, x = np.meshgrid(np.linspace(-50, 50, rows), np.linspace(-32, 32, columns), indexing="ij")
-    knoll = 1.63 * _smoothstep((-20.36 - x) / 7.03) * (1 - 0.63 * _smoothstep((y + 27) / 10))
+    knoll = 1.63 * smoothstep((-20.36 - x) / 7.03) * (1 - 0.63 * smoothstep((y + 27) / 10))
     humps = relief(rng, x.shape, CELL, (1.0, 8.0))
     roughness = np.exp(0.65 * relief(rng, x.shape, CELL, (6.0, 20.0)))
     # tanh keeps the heights in range for all seeds and leaves most slopes unchanged.
-    humps = 0.25 * np.tanh(0.5 * roughness * humps)
+    humps = height * np.tanh(0.5 * roughness * humps)
     away = np.hypot(np.maximum(np.abs(x + 21) - 9, 0), np.maximum(np.abs(y + 23) - 7, 0))
-    hills = 1.2 * relief(rng, x.shape, CELL, (12.0, 60.0)) * _smoothstep(away / 25)
+    hills = 1.2 * relief(rng, x.shape, CELL, (12.0, 60.0)) * smoothstep(away / 25)
     return Terrain(4.445 + knoll + humps + hills, CELL)
 
 
-def _smoothstep(t: np.ndarray) -> np.ndarray:
-    t = np.clip(t, 0, 1)
-    return t * t * (3 - 2 * t)
+def _crates(rng: np.random.Generator, count: int) -> list[tuple[float, float, float, float]]:
+    """Samples the center and side lengths along x and y of crates that keep the minimum gap, m."""
+    crates: list[tuple[float, float, float, float]] = []
+    for _ in range(MAX_ATTEMPTS):
+        if len(crates) == count:
+            break
+        (x, y), (length, depth) = (rng.uniform(*np.array(TASK_AREA).T), rng.uniform(*CRATE_SIDE, 2))
+        apart = (
+            max(abs(x - u) - (length + other) / 2, abs(y - v) - (depth + another) / 2) >= CRATE_GAP
+            for u, v, other, another in crates
+        )
+        if all(apart):
+            crates.append((float(x), float(y), float(length), float(depth)))
+    return crates
 
 
 def _panel_on_stand(terrain: Terrain, x: float, y: float) -> tuple[Obstacle, Obstacle]:
@@ -92,10 +126,11 @@ def _panel_on_stand(terrain: Terrain, x: float, y: float) -> tuple[Obstacle, Obs
     return Obstacle(torch.tensor(bottom + top, dtype=torch.float64)), box(center, PANEL, roll=TILT)
 
 
-def _wall(terrain: Terrain, x: float, y: float) -> Obstacle:
-    low, high = _ground_below(terrain, x, y, *WALL_SIZE)
+def _block(terrain: Terrain, x: float, y: float, length: float, depth: float) -> Obstacle:
+    """Creates a wall or crate that stands on the ground."""
+    low, high = _ground_below(terrain, x, y, length, depth)
     bottom, top = low - DEPTH_BELOW, high + HEIGHT_ABOVE
-    return box((x, y, (bottom + top) / 2), (*WALL_SIZE, top - bottom))
+    return box((x, y, (bottom + top) / 2), (length, depth, top - bottom))
 
 
 def _ground_below(terrain: Terrain, x: float, y: float, length: float, depth: float) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Smooth random height fields."""
+"""Smooth random height fields and transitions."""
 
 from __future__ import annotations
 
@@ -32,3 +32,9 @@ def relief(
     gain[waves < 1 / longest] = 0.0
     heights = np.fft.irfft2(spectrum * gain, s=shape)
     return (heights - heights.mean()) / heights.std()
+
+
+def smoothstep(t: np.ndarray) -> np.ndarray:
+    """Returns a smooth transition from 0 at ``t <= 0`` to 1 at ``t >= 1``."""
+    t = np.clip(t, 0, 1)
+    return t * t * (3 - 2 * t)

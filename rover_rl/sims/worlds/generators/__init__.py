@@ -1,0 +1,11 @@
+"""Generators of worlds: functions from a seed and a difficulty to a layout."""
+
+from rover_rl.sims.worlds.generators.forest import forest
+from rover_rl.sims.worlds.generators.hills import hills
+from rover_rl.sims.worlds.generators.inspect_site import inspect
+from rover_rl.sims.worlds.generators.maze import maze
+from rover_rl.sims.worlds.generators.moon import moon
+from rover_rl.sims.worlds.generators.ramps import ramps
+from rover_rl.sims.worlds.generators.rooms import rooms
+
+__all__ = ["forest", "hills", "inspect", "maze", "moon", "ramps", "rooms"]

@@ -1,0 +1,123 @@
+"""Generators of worlds with uneven ground: moon, inspect, hills and ramps. Their difficulty is measured."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from rover_rl.sims.worlds import WORLDS
+from rover_rl.sims.worlds.free_space import MAX_SLOPE
+from rover_rl.sims.worlds.generators import moon
+
+DIFFICULTIES = (0.0, 0.5, 1.0)
+
+
+def slopes(world, step: float = 0.1) -> np.ndarray:
+    """Slopes of the ground in the task area, degrees."""
+    x, y = (torch.arange(low + step / 2, high, step, dtype=torch.float64) for low, high in world.spawn_range)
+    return np.degrees(np.arccos(world.normal_at(torch.cartesian_prod(x, y))[:, 2].numpy()))
+
+
+def mean_slope(name: str, difficulty: float) -> float:
+    return float(np.mean([slopes(WORLDS[name](seed, difficulty)).mean() for seed in range(3)]))
+
+
+@pytest.mark.parametrize("name", ["hills", "inspect", "moon", "ramps"])
+def test_the_ground_gets_steeper(name):
+    easy, default, hard = (mean_slope(name, difficulty) for difficulty in DIFFICULTIES)
+    assert easy < default < hard
+
+
+@pytest.mark.parametrize("name", ["hills", "ramps"])
+def test_more_of_the_ground_is_impassable(name):
+    shares = [
+        np.mean([(slopes(WORLDS[name](seed, d)) > np.degrees(MAX_SLOPE)).mean() for seed in range(3)])
+        for d in DIFFICULTIES
+    ]
+    assert shares[0] < shares[1] < shares[2]
+    assert shares[1] > 0.05 if name == "hills" else shares[1] > 0.01
+
+
+class TestMoon:
+    def boulders(self, world):
+        """Centers ``[N, 2]`` and radii ``[N]`` of circles around the boulders, m."""
+        centers = torch.stack([o.footprint.mean(0) for o in world.obstacles])
+        radii = [(o.footprint - c).norm(dim=1).max() for o, c in zip(world.obstacles, centers, strict=True)]
+        return centers.numpy(), np.array(radii)
+
+    @pytest.mark.parametrize(("difficulty", "gap"), [(0.0, 1.6), (0.5, 1.2), (1.0, 0.95)])
+    def test_gaps_between_boulders(self, difficulty, gap):
+        for seed in range(3):
+            world = WORLDS["moon"](seed, difficulty)
+            for k, rock in enumerate(world.obstacles):
+                others = torch.cat([o.footprint for o in (*world.obstacles[:k], *world.obstacles[k + 1 :])])
+                assert torch.cdist(rock.footprint, others).min() >= gap
+
+    def test_boulders_in_the_task_area_get_more(self):
+        counts = [
+            np.mean([(np.abs(self.boulders(moon(s, d))[0]).max(1) < 4.5).sum() for s in range(4)]) for d in DIFFICULTIES
+        ]
+        assert counts[0] < counts[1] < counts[2]
+
+    @pytest.mark.parametrize("size", [4.0, 16.0, 30.0])
+    def test_the_size_of_the_task_area(self, size):
+        world = moon(1, size=size)
+        half = size / 2
+        assert world.spawn_range == world.goal_range == ((-half, half), (-half, half))
+        assert world.bounds == ((-half - 16, half + 6), (-half - 16, half + 16))
+        assert world.terrain.extent == ((-half - 26, half + 26), (-half - 26, half + 26))
+        density = (np.abs(self.boulders(world)[0]).max(1) < half).sum() / size**2
+        assert 0.04 < density < 0.3
+
+    @pytest.mark.parametrize("size", [3.9, 65.0, float("nan")])
+    def test_a_size_out_of_range_raises(self, size):
+        with pytest.raises(ValueError, match="^size must be from 4 to 64 m, got"):
+            moon(0, size=size)
+
+
+class TestInspect:
+    @pytest.mark.parametrize(("difficulty", "count"), [(0.0, 0), (0.5, 0), (0.75, 5), (1.0, 10)])
+    def test_crates_in_the_task_area(self, difficulty, count):
+        world = WORLDS["inspect"](2, difficulty)
+        crates = world.obstacles[47:]
+        assert len(crates) == count
+        (x_low, x_high), (y_low, y_high) = world.spawn_range
+        for k, crate in enumerate(crates):
+            x, y = crate.footprint.mean(0).tolist()
+            assert x_low <= x <= x_high
+            assert y_low <= y <= y_high
+            assert crate.vertices[:, 2].max() >= world.height_at(crate.footprint).max() + 0.45
+            for other in crates[:k]:
+                low = torch.maximum(crate.footprint.amin(0), other.footprint.amin(0))
+                high = torch.minimum(crate.footprint.amax(0), other.footprint.amax(0))
+                assert (low - high).max() >= 1.3 - 1e-9
+
+
+class TestRamps:
+    @pytest.mark.parametrize(("difficulty", "count"), [(0.0, 0), (0.5, 4), (1.0, 8)])
+    def test_barriers_close_roads(self, difficulty, count):
+        world = WORLDS["ramps"](3, difficulty)
+        assert len(world.obstacles) == count
+        for barrier in world.obstacles:
+            sides = sorted((barrier.footprint.amax(0) - barrier.footprint.amin(0)).tolist())
+            assert sides == pytest.approx([0.2, 1.4])
+            assert world.height_at(barrier.footprint).abs().max() < 1e-6
+
+    @pytest.mark.parametrize("seed", range(6))
+    def test_slopes_are_clearly_passable_or_not(self, seed):
+        steep = slopes(WORLDS["ramps"](seed, 0.5), step=0.05)
+        # In between are the corners of structures, and cells that the edges of round mounds cut.
+        assert ((steep > 20) & (steep < 33)).mean() < 0.02
+        assert (steep > 33).mean() > 0.02
+        assert ((steep > 5) & (steep <= 20)).mean() > 0.02
+
+    @pytest.mark.parametrize("seed", range(6))
+    def test_roads_are_level(self, seed):
+        world = WORLDS["ramps"](seed, 1.0)
+        low = world.terrain.extent[0][0]
+        along = torch.arange(low, -low, 0.1, dtype=torch.float64)
+        for road in range(4):
+            middle = torch.full_like(along, low + 0.7 + road * 5.4)
+            for xy in (torch.stack((along, middle), -1), torch.stack((middle, along), -1)):
+                assert world.height_at(xy).abs().max() == 0
