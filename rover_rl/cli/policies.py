@@ -41,7 +41,8 @@ def resolve_policy(word: str, worlds: tuple[str, ...], robot: str | None = None)
 
     Args:
         word: ``random``, ``scripted``, ``pretrained:NAME``, or the path of a run's folder, checkpoint or ONNX file.
-        worlds: worlds to drive in; if empty, the ones that the policy was trained in.
+        worlds: worlds to drive in; if empty, the ones that the policy was trained in. For a range of seeds, it is one
+            world that was not in the training.
         robot: robot of the scripted policy; ``None``: the default robot.
 
     Raises:
@@ -58,12 +59,12 @@ def resolve_policy(word: str, worlds: tuple[str, ...], robot: str | None = None)
         from rover_rl.algos.deploy.export import OnnxPolicy
 
         policy = OnnxPolicy(Path(word))
-        return ResolvedPolicy(Path(word).stem, policy, worlds or policy.config.env.world_names, config=policy.config)
+        return ResolvedPolicy(Path(word).stem, policy, worlds or _unseen(policy.config), config=policy.config)
     checkpoint, name = load_checkpoint(word)
     return ResolvedPolicy(
         name=name,
         module=checkpoint.make_actor(),
-        worlds=worlds or checkpoint.env.world_names,
+        worlds=worlds or _unseen(checkpoint.config),
         folder=None if word.startswith(PRETRAINED) else _folder(word),
         config=checkpoint.config,
     )
@@ -83,6 +84,13 @@ def load_checkpoint(word: str) -> tuple[Checkpoint, str]:
         name = word.removeprefix(PRETRAINED)
         return load_pretrained(name), name
     return Checkpoint.load(word), _folder(word).resolve().name
+
+
+def _unseen(config: TrainingConfig) -> tuple[str, ...]:
+    """Returns the worlds of the training, or for a range one that was not in it."""
+    from rover_rl.sims.worlds.names import unseen
+
+    return tuple(map(unseen, config.env.world_names))
 
 
 def _folder(word: str) -> Path:

@@ -252,8 +252,9 @@ class EnvConfig:
     """
 
     world: WorldLike = "inspect"
-    """World: inspect, moon, maze, or module:attribute. "maze:7" is the maze with seed 7.
-    Several worlds get equal shares of the rovers."""
+    """World: a name (rover-rl worlds lists them), module:attribute, or a file. "maze:7" is the maze with seed 7, and
+    "maze:7@0.8" a hard one. Several worlds get equal shares of the rovers. "maze:0-99" draws one of 100 mazes for each
+    episode, and "maze:*" one of 10,000."""
     robot: RobotLike = "rover_zero"
     """Robot: rover_zero, or module:attribute."""
     lidar: LidarConfig = field(default_factory=LidarConfig)
@@ -306,7 +307,9 @@ class EnvConfig:
 
     @property
     def worlds(self) -> tuple[str | World, ...]:
-        """Worlds, also if there is only one."""
+        """Worlds and ranges of worlds, also if there is only one."""
+        if hasattr(self.world, "entries"):
+            return tuple(self.world.entries)
         several = isinstance(self.world, Sequence) and not isinstance(self.world, str)
         return tuple(self.world) if several else (self.world,)  # type: ignore[arg-type, return-value]
 

@@ -6,6 +6,7 @@ The algorithms are in :mod:`rover_rl.algos.train.ppo` and :mod:`rover_rl.algos.t
 
 from __future__ import annotations
 
+import re
 import secrets
 import signal
 import threading
@@ -31,7 +32,8 @@ from rover_rl.algos.train.run_folder import STATE, load_state, new_run_folder, s
 from rover_rl.envs.devices import available_device
 from rover_rl.envs.rewards import reward_components
 from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import get_world
+from rover_rl.sims.worlds.names import check_training_seed
+from rover_rl.sims.worlds.pool import WorldPool
 
 
 class Learner(Protocol):
@@ -113,7 +115,8 @@ class TrainingRun:
         self._saved_steps: int | None = None
         self._stopping = False
         if folder is None:
-            default = "-".join((config.algo, *config.env.world_names)).replace(":", "-")
+            default = "-".join((config.algo, *config.env.world_names)).replace("*", "all")
+            default = re.sub(r"[:/\\]+", "-", default)
             self.folder = new_run_folder(config.run.runs, config.run.name, default)
         else:
             self.folder = folder
@@ -290,14 +293,17 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
         The settings, with the default number of workers and a random seed if none was given.
 
     Raises:
-        ValueError: for an unknown world, robot or reward, a device that does not exist, or a setting out of range.
+        ValueError: for an unknown world, robot or reward, a world whose seed is for evaluation, a device that does not
+            exist, or a setting out of range.
         ImportError: if the extra of the backend or the collector is missing.
         ConnectionError: if no Ray cluster answers.
     """
     config.check()
     env = config.env
     for world in env.worlds:
-        get_world(world)
+        if isinstance(world, str):
+            check_training_seed(world)
+        WorldPool.of(world)[0]
     get_robot(env.robot)
     reward_components(env.reward, env.contract_reward)
     available_device(config.device)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -13,6 +13,7 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.inertial_model import InertialModel
 from rover_rl.sims.warp.kernels.types import MAX_WHEELS, RobotModel, Scene
 from rover_rl.sims.worlds import Obstacle, World
+from rover_rl.sims.worlds.obstacles import groups_of
 
 BLOCK_SIDE = 1.5
 """Approximate side length of a block of ground, m."""
@@ -125,48 +126,41 @@ def _blocks(heights: np.ndarray, block: int, cell: float) -> np.ndarray:
     return planes.astype(np.float32)
 
 
-def _add_obstacles(scene: Scene, obstacles: Iterable[Obstacle], device: wp.Device) -> None:
+def _add_obstacles(scene: Scene, obstacles: Sequence[Obstacle], device: wp.Device) -> None:
     """Adds planes, vertices, face polygons and bounding spheres of the obstacles, as flat lists."""
-    planes: list[np.ndarray] = []
-    vertices: list[np.ndarray] = []
-    polygons: list[np.ndarray] = []
-    plane_starts, vertex_starts, polygon_starts = [0], [0], [0]
-    spheres, polygon_spheres = [], []
-    for obstacle in obstacles:
-        corners, faces = obstacle.vertices.numpy(), obstacle.planes.numpy()
-        spheres.append(_sphere(corners))
-        planes.extend(faces)
-        vertices.extend(corners)
-        plane_starts.append(len(planes))
-        vertex_starts.append(len(vertices))
-        for plane in faces:
-            polygon = _polygon(corners, plane)
-            polygon_spheres.append(_sphere(polygon))
-            polygons.extend(polygon)
-            polygon_starts.append(len(polygons))
+    planes, vertices, spheres = [_NONE], [_NONE], [_NONE]
+    polygons, polygon_spheres = [_NONE], [_NONE]
+    plane_counts, vertex_counts, polygon_counts = [0], [0], [0]
+    for solids in groups_of(obstacles):
+        count, corners = len(solids), solids.vertices.numpy()
+        faces = [corners[:, polygon] for polygon in solids.polygons]
+        planes.append(solids.planes.numpy())
+        vertices.append(corners)
+        spheres.append(_spheres(corners))
+        polygons.append(np.concatenate(faces, 1))
+        polygon_spheres.append(np.stack([_spheres(face) for face in faces], 1))
+        plane_counts += [len(faces)] * count
+        vertex_counts += [corners.shape[1]] * count
+        polygon_counts += [len(polygon) for polygon in solids.polygons] * count
     scene.planes = _vectors(planes, wp.vec4, device)
     scene.vertices = _vectors(vertices, wp.vec3, device)
     scene.polygons = _vectors(polygons, wp.vec3, device)
     scene.spheres = _vectors(spheres, wp.vec4, device)
     scene.polygon_spheres = _vectors(polygon_spheres, wp.vec4, device)
-    scene.plane_starts = wp.array(plane_starts, dtype=int, device=device)
-    scene.vertex_starts = wp.array(vertex_starts, dtype=int, device=device)
-    scene.polygon_starts = wp.array(polygon_starts, dtype=int, device=device)
+    scene.plane_starts = wp.array(np.cumsum(plane_counts), dtype=int, device=device)
+    scene.vertex_starts = wp.array(np.cumsum(vertex_counts), dtype=int, device=device)
+    scene.polygon_starts = wp.array(np.cumsum(polygon_counts), dtype=int, device=device)
 
 
-def _sphere(points: np.ndarray) -> tuple[float, ...]:
-    """Center and radius of a bounding sphere of points, with a margin for rounding."""
-    center = points.mean(0)
-    return (*center, np.linalg.norm(points - center, axis=1).max() + 1e-4)
+_NONE = np.zeros((0, 0))
+"""First entry of each list, so that a world without obstacles has empty arrays."""
 
 
-def _polygon(corners: np.ndarray, plane: np.ndarray) -> np.ndarray:
-    """The vertices that lie on a plane, counter-clockwise around its normal."""
-    on = corners[np.abs(corners @ plane[:3] + plane[3]) < 1e-6]
-    first = on[0] - on.mean(0)
-    second = np.cross(plane[:3], first)
-    offsets = on - on.mean(0)
-    return on[np.argsort(np.arctan2(offsets @ second, offsets @ first))]
+def _spheres(points: np.ndarray) -> np.ndarray:
+    """Centers and radii of bounding spheres of points ``[N, V, 3]``, with a margin for rounding: ``[N, 4]``."""
+    centers = points.mean(1)
+    radii = np.linalg.norm(points - centers[:, None], axis=-1).max(1) + ROUNDING
+    return np.column_stack((centers, radii))
 
 
 def _add_grid(scene: Scene, world: World, reach: float, device: wp.Device) -> None:
@@ -176,24 +170,27 @@ def _add_grid(scene: Scene, world: World, reach: float, device: wp.Device) -> No
         scene.grid_cell = GRID_CELL
         scene.grid_starts = scene.grid_obstacles = wp.zeros(1, dtype=int, device=device)
         return
-    lows = np.array([obstacle.vertices.min(0).values.numpy()[:2] for obstacle in world.obstacles]) - reach
-    highs = np.array([obstacle.vertices.max(0).values.numpy()[:2] for obstacle in world.obstacles]) + reach
+    outlines = [solids.vertices[..., :2].numpy() for solids in groups_of(world.obstacles)]
+    lows = np.concatenate([outline.min(1) for outline in outlines]) - reach
+    highs = np.concatenate([outline.max(1) for outline in outlines]) + reach
     # A margin of one cell on all sides: kernels clamp rovers outside the grid to its outermost cells.
     corner = lows.min(0) - GRID_CELL
     columns, rows = (int(n) for n in np.ceil((highs.max(0) - corner) / GRID_CELL) + 1)
-    cells: list[list[int]] = [[] for _ in range(rows * columns)]
-    firsts, lasts = ((ends - corner) // GRID_CELL for ends in (lows, highs))
-    for index, (first, last) in enumerate(zip(firsts.astype(int), lasts.astype(int), strict=True)):
-        for row in range(first[1], last[1] + 1):
-            for column in range(first[0], last[0] + 1):
-                cells[row * columns + column].append(index)
+    firsts, lasts = (((ends - corner) // GRID_CELL).astype(int) for ends in (lows, highs))
+    listed: list[np.ndarray] = []
+    for (left, low), (right, high) in zip(firsts, lasts, strict=True):
+        listed.append((np.arange(low, high + 1)[:, None] * columns + np.arange(left, right + 1)).reshape(-1))
+    obstacles = np.repeat(np.arange(len(listed)), [len(cells) for cells in listed])
+    cells = np.concatenate(listed)
     scene.grid_origin = wp.vec2(*corner)
     scene.grid_cell = GRID_CELL
     scene.grid_columns, scene.grid_rows = columns, rows
-    scene.grid_starts = wp.array(np.cumsum([0, *map(len, cells)]), dtype=int, device=device)
-    scene.grid_obstacles = wp.array([index for cell in cells for index in cell] or [0], dtype=int, device=device)
+    counts = np.bincount(cells, minlength=rows * columns)
+    scene.grid_starts = wp.array(np.cumsum([0, *counts]), dtype=int, device=device)
+    scene.grid_obstacles = wp.array(obstacles[np.argsort(cells, kind="stable")], dtype=int, device=device)
 
 
-def _vectors(rows: list, dtype: type, device: wp.Device) -> wp.array:
-    width = wp.types.type_size(dtype)
-    return wp.array(np.array(rows, dtype=np.float32).reshape(-1, width), dtype=dtype, device=device)
+def _vectors(parts: list[np.ndarray], dtype: type, device: wp.Device) -> wp.array:
+    """Joins arrays ``[..., width]`` to an array of vectors."""
+    flat = np.concatenate([part.reshape(-1) for part in parts]).astype(np.float32)
+    return wp.array(flat.reshape(-1, wp.types.type_size(dtype)), dtype=dtype, device=device)

@@ -13,7 +13,7 @@ from rover_rl.sims.worlds.actor import Actor
 from rover_rl.sims.worlds.files.suffixes import is_world_file
 from rover_rl.sims.worlds.free_space import FreeSpace, free_space
 from rover_rl.sims.worlds.generators import forest, hills, inspect, maze, moon, ramps, rooms
-from rover_rl.sims.worlds.names import WorldName
+from rover_rl.sims.worlds.names import WorldName, WorldRange
 from rover_rl.sims.worlds.obstacles import Obstacle, boulder, box, boxes, cylinder, cylinders
 from rover_rl.sims.worlds.placement import rest_on_ground
 from rover_rl.sims.worlds.terrain import Terrain
@@ -72,13 +72,16 @@ def get_world(world: str | World) -> World:
 
     Raises:
         FileNotFoundError: if the name is a path, and there is no such file.
-        ValueError: if the name is unknown, refers to something else than a world, has a seed or a difficulty that the
-            world does not take, or a difficulty that is not a number from 0 to 1.
+        ValueError: if the name is unknown, that of a range, or that of something else than a world; if it has a seed or
+            a difficulty that the world does not take, or a difficulty that is not a number from 0 to 1.
     """
     if isinstance(world, World):
         return world
     if is_world_file(str(world)):
         return _read_file(Path(world).resolve())
+    seeds = WorldRange.parse(str(world))
+    if seeds is not None:
+        raise ValueError(f"{world!r} names {len(seeds)} worlds; name one of them, such as {seeds.name(0)!r}")
     name = WorldName.parse(str(world))
     if name.seed is None and name.part in WORLDS:
         name = replace(name, seed=0)

@@ -12,8 +12,10 @@ import torch
 from scipy.ndimage import label
 from torch import Tensor
 
+from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.obstacles import Obstacle
+from rover_rl.sims.worlds.clearance import clearance_on_grid
+from rover_rl.sims.worlds.grid_kernels import find_headings
 from rover_rl.sims.worlds.placement import ground_frame
 from rover_rl.sims.worlds.world import Area, World
 
@@ -29,8 +31,6 @@ LIDAR_CLEARANCE = 0.4
 """Minimum distance of obstacles from the lidar at a spawn pose, m."""
 GROUND_CLEARANCE = 0.45
 """Minimum distance at which the tilted scan plane meets the ground at a spawn pose, m."""
-NEAR_GROUND = 0.5
-"""Maximum height above and depth below the ground at which obstacles count, m."""
 MIN_GOAL_DISTANCE = 1.0
 """Minimum distance of the farthest goal from every spawn cell and goal cell, m."""
 EXTRA_CLEARANCE = 1.0
@@ -100,7 +100,7 @@ _cache: WeakKeyDictionary[World, dict[Robot, FreeSpace]] = WeakKeyDictionary()
 
 def _compute(world: World, robot: Robot) -> FreeSpace:
     grid = _Grid(overlap(world.bounds, world.terrain.extent))
-    clearance = _clearance(world, grid, limit=robot.radius + LIDAR_CLEARANCE + EXTRA_CLEARANCE)
+    clearance = clearance_on_grid(world, grid.x, grid.y, robot.radius + LIDAR_CLEARANCE + EXTRA_CLEARANCE)
     passable = _passable(world, robot, grid, clearance)
     goal, spawn = (passable & grid.within(area) for area in (world.goal_range, world.spawn_range))
     # Keep the connected part with the most goals, which are unreachable from all other parts.
@@ -109,16 +109,18 @@ def _compute(world: World, robot: Robot) -> FreeSpace:
     goal_cells, spawn_cells = grid.centers[goal & part], grid.centers[spawn & part]
     _check_any(world, robot, "goal", goal_cells)
 
-    allowed = torch.cat([_headings(world, robot, grid, clearance, cells) for cells in spawn_cells.split(CHUNK)])
-    any_heading = allowed.any(1)
-    spawn_cells, allowed = spawn_cells[any_heading], allowed[any_heading]
+    if world.terrain.is_flat:
+        headings = _headings_on_flat(robot, grid, clearance, spawn_cells)
+    else:
+        headings = torch.cat([_headings(world, robot, grid, clearance, cells) for cells in spawn_cells.split(CHUNK)])
+    spawn_cells, headings = spawn_cells[headings != 0], headings[headings != 0]
     _check_any(world, robot, "spawn", spawn_cells)
     return FreeSpace(
         cell=grid.cell,
         origin=grid.origin,
         passable=torch.from_numpy(passable),
         spawn_cells=spawn_cells,
-        spawn_headings=(allowed.long() << torch.arange(HEADINGS)).sum(1),
+        spawn_headings=headings,
         goal_cells=goal_cells,
         goal_extremes=_extremes(world, goal_cells, spawn_cells, grid.cell),
     )
@@ -171,36 +173,6 @@ class _Grid:
         in_y = (self.y - half >= y_low) & (self.y + half <= y_high)
         return in_y[:, None] & in_x
 
-    def window(self, low: Tensor, high: Tensor) -> tuple[slice, slice]:
-        """Returns the rows and columns of the cells whose centers lie between two corners ``[2]`` (m)."""
-        rows = slice(*np.searchsorted(self.y, (low[1], high[1])))
-        columns = slice(*np.searchsorted(self.x, (low[0], high[0])))
-        return rows, columns
-
-
-def _clearance(world: World, grid: _Grid, limit: float) -> Tensor:
-    """Returns the horizontal distance from each cell's center to the nearest obstacle: ``[rows, columns]``, m.
-
-    The distance is 0 inside an obstacle and at most ``limit``.
-    """
-    clearance = torch.full(grid.centers.shape[:2], limit, dtype=torch.float64)
-    for obstacle in world.obstacles:
-        outline = obstacle.footprint
-        if _near_ground(world, obstacle, outline):
-            window = grid.window(outline.amin(0) - limit, outline.amax(0) + limit)
-            clearance[window] = clearance[window].minimum(distance_to_polygon(grid.centers[window], outline))
-    return clearance
-
-
-def _near_ground(world: World, obstacle: Obstacle, outline: Tensor) -> bool:
-    """Returns whether a part of the obstacle may be at a rover's height, conservatively by its bounding box."""
-    low, high = outline.amin(0), outline.amax(0)
-    steps = min(200, math.ceil(float((high - low).max()) / world.terrain.cell) * 2 + 1)
-    share = torch.linspace(0, 1, steps, dtype=torch.float64)
-    ground = world.height_at(low + (high - low) * torch.cartesian_prod(share, share))
-    bottom, top = obstacle.vertices[:, 2].aminmax()
-    return bool(bottom <= ground.max() + NEAR_GROUND and top >= ground.min() - NEAR_GROUND)
-
 
 def distance_to_polygon(points: Tensor, polygon: Tensor) -> Tensor:
     """Returns the distance from ``points [..., 2]`` to a convex polygon, 0 inside it: ``[...]``.
@@ -220,16 +192,18 @@ def distance_to_polygon(points: Tensor, polygon: Tensor) -> Tensor:
 def _passable(world: World, robot: Robot, grid: _Grid, clearance: Tensor) -> np.ndarray:
     """Returns the cells with enough clearance for the rover and gentle enough ground: bool ``[rows, columns]``."""
     free = clearance.numpy() >= robot.radius + grid.half_diagonal
+    x, y = ((low + robot.radius, high - robot.radius) for low, high in grid.area)
+    free &= grid.within((x, y))
+    if world.terrain.is_flat:
+        return free
     # Directions around each cell, between those of the edges of the terrain's triangles.
     around = _ring(8, start=math.pi / 8) * grid.half_diagonal
     steepest = torch.stack([world.normal_at(grid.centers + offset)[..., 2] for offset in around]).amin(0)
-    gentle = steepest.numpy() >= math.cos(MAX_SLOPE)
-    x, y = ((low + robot.radius, high - robot.radius) for low, high in grid.area)
-    return free & gentle & grid.within((x, y))
+    return free & (steepest.numpy() >= math.cos(MAX_SLOPE))
 
 
 def _headings(world: World, robot: Robot, grid: _Grid, clearance: Tensor, cells: Tensor) -> Tensor:
-    """Returns the allowed heading bins of spawn cells with centers ``cells [S, 2]``: bool ``[S, HEADINGS]``.
+    """Returns the allowed heading bins of spawn cells with centers ``cells [S, 2]``, as bits of int64: ``[S]``.
 
     A bin is allowed if its two end headings are. The margins cover all headings in between and the whole cell.
     """
@@ -253,7 +227,20 @@ def _headings(world: World, robot: Robot, grid: _Grid, clearance: Tensor, cells:
     above = (plane.reshape(len(cells), HEADINGS, len(around)) > ground[:, None] + 0.02).all(-1)
 
     good = (upright & clear).reshape(len(cells), HEADINGS) & above
-    return good & good.roll(-1, 1)
+    return ((good & good.roll(-1, 1)).long() << torch.arange(HEADINGS)).sum(1)
+
+
+def _headings_on_flat(robot: Robot, grid: _Grid, clearance: Tensor, cells: Tensor) -> Tensor:
+    """Returns the same as :func:`_headings` on flat ground, where only the obstacles near the lidar count."""
+    yaw = torch.arange(HEADINGS, dtype=torch.float64) * (2 * math.pi / HEADINGS) - math.pi
+    ahead, left = robot.lidar_position[:2]
+    offsets = torch.stack((ahead * yaw.cos() - left * yaw.sin(), ahead * yaw.sin() + left * yaw.cos()), -1)
+    margin = grid.half_diagonal + math.hypot(ahead, left) * math.pi / HEADINGS + TILT_MARGIN
+    headings = torch.zeros(len(cells), dtype=torch.int64)
+    arrays = [array.contiguous().numpy() for array in (cells, offsets, clearance)]
+    inputs = [*arrays, wp.vec2d(*grid.origin), grid.cell, LIDAR_CLEARANCE + margin, headings.numpy()]
+    wp.launch(find_headings, dim=len(cells), inputs=inputs, device="cpu")
+    return headings
 
 
 def _ring(count: int, start: float = 0.0) -> Tensor:

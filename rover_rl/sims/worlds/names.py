@@ -1,9 +1,16 @@
-"""Names of worlds: ``NAME[:SEED][@DIFFICULTY]``, for example ``maze:7@0.3``."""
+"""Names of worlds, ``NAME[:SEED][@DIFFICULTY]``, and of ranges of them, for example ``maze:7@0.3`` and ``maze:*``."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+
+TRAINING_SEEDS = 10_000
+"""Number of seeds for training, from 0. By convention, seeds from 10,000 up are for evaluation."""
+
+_RANGE = re.compile(r"(.+):(?:\*|([0-9]+)-([0-9]+))(?:@(.*))?", re.ASCII)
+_LEVELS = re.compile(r"([0-9.]+)-([0-9.]+)", re.ASCII)
+_GOLDEN_RATIO = (5**0.5 - 1) / 2
 
 
 @dataclass(frozen=True)
@@ -43,3 +50,89 @@ def _difficulty(text: str, level: str) -> float:
     if not re.fullmatch(r"[0-9]*\.?[0-9]+", level, re.ASCII) or not 0 <= float(level) <= 1:
         raise ValueError(f"the difficulty of world {text!r} must be a number from 0 to 1, got {level!r}")
     return float(level)
+
+
+@dataclass(frozen=True)
+class WorldRange:
+    """Seeds of a world, named as ``NAME:FIRST-LAST``, or ``NAME:*`` for the seeds from 0 to 9999.
+
+    A difficulty after ``@`` is a number or a range. In a range, each seed has its own difficulty, and those of
+    consecutive seeds are spread evenly over it.
+
+    Attributes:
+        part: registered name, or ``module:attribute``.
+        first: first seed.
+        last: last seed.
+        difficulty: lowest and highest difficulty; ``None`` without one.
+
+    Example:
+        >>> WorldRange.parse("maze:0-99@0.2-0.8").name(7)
+        'maze:7@0.396'
+    """
+
+    part: str
+    first: int
+    last: int
+    difficulty: tuple[float, float] | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> WorldRange | None:
+        """Splits the name of a range into its parts. Returns ``None`` for other names.
+
+        Raises:
+            ValueError: if the seeds or difficulties are not in order, or a difficulty is not a number from 0 to 1.
+        """
+        match = _RANGE.fullmatch(text)
+        if match is None:
+            return None
+        part, first, last, level = match.groups()
+        seeds = (0, TRAINING_SEEDS - 1) if first is None else (int(first), int(last))
+        levels = None
+        if level is not None:
+            ends = _LEVELS.fullmatch(level)
+            low, high = ends.groups() if ends else (level, level)
+            levels = (_difficulty(text, low), _difficulty(text, high))
+        if seeds[1] < seeds[0] or (levels and levels[1] < levels[0]):
+            raise ValueError(f"the ends of {text!r} must be in order, as in '{part}:0-99@0.2-0.8'")
+        return cls(part, *seeds, levels)
+
+    def __len__(self) -> int:
+        """Number of worlds."""
+        return self.last - self.first + 1
+
+    def name(self, number: int) -> str:
+        """Returns the name of a world of the range, counted from 0."""
+        seed = self.first + number
+        if self.difficulty is None:
+            return f"{self.part}:{seed}"
+        low, high = self.difficulty
+        # Multiples of the golden ratio, modulo 1, are spread evenly for any number of consecutive seeds.
+        return f"{self.part}:{seed}@{low + seed * _GOLDEN_RATIO % 1 * (high - low):.3g}"
+
+
+def unseen(name: str) -> str:
+    """Returns a world for evaluation of a policy that was trained in the worlds ``name``.
+
+    For a range, it is the one with the first seed that is neither in the range nor for training. Other names are
+    returned unchanged.
+    """
+    seeds = WorldRange.parse(name)
+    if seeds is None:
+        return name
+    first = max(TRAINING_SEEDS, seeds.last + 1)
+    return WorldRange(seeds.part, first, first, seeds.difficulty).name(0)
+
+
+def check_training_seed(name: str) -> None:
+    """Checks that a world, or all worlds of a range, are for training.
+
+    Raises:
+        ValueError: if a seed is 10,000 or higher.
+    """
+    seeds = WorldRange.parse(name)
+    last = WorldName.parse(name).seed if seeds is None else seeds.last
+    if last is not None and last >= TRAINING_SEEDS:
+        raise ValueError(
+            f"seeds from {TRAINING_SEEDS} up are for evaluation; train with lower ones, as in "
+            f"{(seeds.part if seeds else WorldName.parse(name).part) + ':*'!r}, got {name!r}"
+        )

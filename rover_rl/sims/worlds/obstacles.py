@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from functools import lru_cache
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from itertools import groupby
 
 import numpy as np
 import torch
@@ -59,25 +61,42 @@ class Obstacle:
     @property
     def footprint(self) -> Tensor:
         """Outline from above: vertices of a convex polygon in counter-clockwise order, ``[K, 2]``, m."""
-        flat = self.vertices[:, :2].numpy()
-        return torch.from_numpy(flat[ConvexHull(flat).vertices])
+        return torch.from_numpy(_outline(self.vertices.numpy()))
 
 
 @dataclass(frozen=True, eq=False)
-class _Solids:
+class Solids:
     """Tensors of solids with the same number of vertices and the same faces.
 
     Args:
         vertices: vertices of each solid, all of them on its hull, ``[N, V, 3]``, m.
         planes: half-spaces of each solid, ``[N, P, 4]``. See :class:`Obstacle`.
         faces: triangles as indices into the vertices of a solid, ``[F, 3]``.
-        outline: indices of the vertices of the footprint in counter-clockwise order, ``[K]``.
+        outline: indices of the vertices of the footprint in counter-clockwise order, ``[K]``. ``None`` for solids that
+            are not upright prisms; then there is only one solid.
     """
 
     vertices: Tensor
     planes: Tensor
     faces: Tensor
-    outline: Tensor
+    outline: Tensor | None = None
+
+    def __len__(self) -> int:
+        """Number of solids."""
+        return len(self.vertices)
+
+    @property
+    def outlines(self) -> np.ndarray:
+        """Outlines from above, counter-clockwise, float64 ``[N, K, 2]``, m."""
+        if self.outline is not None:
+            return self.vertices[:, self.outline, :2].numpy()
+        return np.stack([_outline(corners) for corners in self.vertices.numpy()])
+
+    @cached_property
+    def polygons(self) -> list[np.ndarray]:
+        """Face polygon of each plane, as indices into the vertices of a solid, counter-clockwise from outside."""
+        vertices = self.vertices[0].numpy()
+        return [_polygon(vertices, plane) for plane in self.planes[0].numpy()]
 
     def obstacles(self) -> tuple[Obstacle, ...]:
         """Returns the solids one by one."""
@@ -87,10 +106,10 @@ class _Solids:
 class _Member(Obstacle):
     """Obstacle that reads its tensors from a group of solids, without a convex hull and without a copy."""
 
-    _solids: _Solids
+    _solids: Solids
     _index: int
 
-    def __init__(self, solids: _Solids, index: int) -> None:
+    def __init__(self, solids: Solids, index: int) -> None:
         object.__setattr__(self, "_solids", solids)
         object.__setattr__(self, "_index", index)
 
@@ -109,6 +128,33 @@ class _Member(Obstacle):
     @property
     def footprint(self) -> Tensor:
         return self.vertices[self._solids.outline, :2]
+
+
+def _outline(vertices: np.ndarray) -> np.ndarray:
+    """Returns the outline from above of a solid with ``vertices [V, 3]``: counter-clockwise, ``[K, 2]``."""
+    flat = vertices[:, :2]
+    return flat[ConvexHull(flat).vertices]
+
+
+def groups_of(obstacles: Sequence[Obstacle]) -> list[Solids]:
+    """Returns the tensors of obstacles in groups, whose solids are the obstacles in the same order."""
+    groups = []
+    for key, members in groupby(obstacles, key=lambda obstacle: getattr(obstacle, "_solids", obstacle)):
+        if isinstance(key, Solids):
+            indices = [member._index for member in members]  # type: ignore[attr-defined]
+            whole = indices == list(range(len(key)))
+            groups.append(key if whole else replace(key, vertices=key.vertices[indices], planes=key.planes[indices]))
+        else:
+            groups += [Solids(member.vertices[None], member.planes[None], member.faces) for member in members]
+    return groups
+
+
+def _polygon(vertices: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    """Returns the indices of the vertices ``[V, 3]`` on a plane ``[4]``, counter-clockwise around its normal."""
+    on = np.flatnonzero(np.abs(vertices @ plane[:3] + plane[3]) < 1e-6)
+    offsets = vertices[on] - vertices[on].mean(0)
+    second = np.cross(plane[:3], offsets[0])
+    return on[np.argsort(np.arctan2(offsets @ second, offsets @ offsets[0]))]
 
 
 _BOX_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
@@ -146,7 +192,7 @@ def boxes(centers: ArrayLike, sizes: ArrayLike) -> tuple[Obstacle, ...]:
     offsets = -(on_plane[..., 0] + on_plane[..., 1] + on_plane[..., 2])
     normals = np.broadcast_to(_BOX_NORMALS, (len(center), 6, 3))
     planes = np.concatenate((normals, offsets[..., None]), -1).round(12)
-    return _Solids(torch.from_numpy(vertices), torch.from_numpy(planes), _BOX_FACES, _BOX_OUTLINE).obstacles()
+    return Solids(torch.from_numpy(vertices), torch.from_numpy(planes), _BOX_FACES, _BOX_OUTLINE).obstacles()
 
 
 def cylinders(centers: ArrayLike, radii: ArrayLike, heights: ArrayLike, sides: int = 16) -> tuple[Obstacle, ...]:
@@ -181,7 +227,7 @@ def cylinders(centers: ArrayLike, radii: ArrayLike, heights: ArrayLike, sides: i
     planes[:, sides, 2], planes[:, sides + 1, 2] = -1.0, 1.0
     planes[:, sides, 3], planes[:, sides + 1, 3] = vertices[:, 0, 0, 2], -vertices[:, 1, 0, 2]
     solids = torch.from_numpy(vertices.reshape(-1, 2 * sides, 3))
-    return _Solids(solids, torch.from_numpy(planes), _prism_faces(sides), torch.arange(sides)).obstacles()
+    return Solids(solids, torch.from_numpy(planes), _prism_faces(sides), torch.arange(sides)).obstacles()
 
 
 @lru_cache(maxsize=16)

@@ -13,14 +13,14 @@ from torch import Tensor
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.free_space import free_space
-from rover_rl.sims.worlds.path_kernels import BUCKETS, find_steps, spread_costs
+from rover_rl.sims.worlds.grid_kernels import BUCKETS, find_steps, spread_costs
 from rover_rl.sims.worlds.path_steps import STEPS
 from rover_rl.sims.worlds.world import World
 
 CAUTION_DISTANCE = 0.35
 """Distance from the edge of the passable ground within which caution increases the path cost, m."""
 MAX_CAUTION = 15.0
-"""Largest caution. The queue of :func:`~rover_rl.sims.worlds.path_kernels.spread_costs` holds no longer steps."""
+"""Largest caution. The queue of :func:`~rover_rl.sims.worlds.grid_kernels.spread_costs` holds no longer steps."""
 
 
 class PathGrid:

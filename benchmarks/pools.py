@@ -1,0 +1,124 @@
+"""Speed of Warp with many worlds in a batch, and with another world for each episode.
+
+    python -m benchmarks.pools --num-envs 1024
+
+Measures environments side by side, in turn: all rows in one maze, rows in many mazes for life, and rows that draw
+another maze for each episode. Prints the steps per second of each, and their ratio to those of the one maze in the same
+round. First prints the time that a world takes to prepare: its layout, its free space, and its copy on the device.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from statistics import median
+
+import torch
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from rover_rl import make_env
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.warp import WarpSettings
+from rover_rl.sims.warp.scene import SceneTable
+from rover_rl.sims.worlds import free_space, get_world
+
+
+@dataclass
+class Options:
+    """Options of the measurement."""
+
+    num_envs: int = 1024
+    """Number of rovers."""
+    worlds: int = 1024
+    """Number of mazes that rows are in for life."""
+    length: int = 400
+    """Number of steps after which an episode ends."""
+    steps: int = 50
+    """Number of steps measured in each round."""
+    rounds: int = 3
+    """Number of rounds."""
+    threads: int = 1
+    """Number of CPU threads."""
+    generators: tuple[str, ...] = ("maze", "forest", "rooms")
+    """Generators whose preparation is timed."""
+    prepared: int = 20
+    """Number of worlds prepared of each."""
+
+
+def preparation(options: Options) -> Table:
+    """Measures the processor time for preparing worlds."""
+    table = Table("generator", "layout", "free space", "copy", "all", title="Preparation of a world, median, ms")
+    robot = get_robot("rover_zero")
+    scenes = SceneTable(1, 0.5, "cpu")
+    for name in options.generators:
+        times = []
+        # The first one compiles the kernels.
+        for seed in range(options.prepared + 1):
+            clock = [time.process_time()]
+            world = get_world(f"{name}:{5000 + seed}")
+            clock.append(time.process_time())
+            free_space(world, robot)
+            clock.append(time.process_time())
+            scenes[0] = world
+            clock.append(time.process_time())
+            times.append([1e3 * (b - a) for a, b in zip([*clock[:-1], clock[0]], [*clock[1:], clock[-1]], strict=True)])
+        table.add_row(name, *(f"{median(part):.1f}" for part in zip(*times[1:], strict=True)))
+    return table
+
+
+def speeds(options: Options) -> Table:
+    """Measures environments side by side."""
+    mazes = [f"maze:{seed}" for seed in range(min(options.worlds, options.num_envs))]
+    kinds = {
+        "one maze": "maze:0",
+        f"{len(mazes)} mazes": mazes,
+        "another maze for each episode": "maze:*",
+    }
+    settings = {"num_envs": options.num_envs, "backend": WarpSettings(threads=options.threads), "seed": 0}
+    envs = {name: make_env(world_n=worlds, length=options.length, **settings) for name, worlds in kinds.items()}
+    results: dict[str, list[float]] = {name: [] for name in envs}
+    # Episodes end all the time, and not all of them at once, after one episode of random length.
+    states = {name: _spread(env, options) for name, env in envs.items()}
+    for _ in range(options.rounds):
+        for name, env in envs.items():
+            states[name], rate = _drive(env, states[name], options.steps)
+            results[name].append(rate)
+    table = Table("worlds", "steps/s", "ratio", title=f"{options.num_envs} rovers, {options.threads} threads")
+    first = results["one maze"]
+    for name, rates in results.items():
+        ratio = median(rate / other for rate, other in zip(rates, first, strict=True))
+        table.add_row(name, f"{min(rates):,.0f} to {max(rates):,.0f}", f"{ratio:.2f}")
+    return table
+
+
+def _spread(env, options: Options):
+    """Drives until the ends of the episodes are spread over time."""
+    td = env.reset()
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(4):
+        td, _ = _drive(env, td, options.length // 20)
+        mask = torch.rand(options.num_envs, 1, generator=generator) < 0.25
+        td = env.reset(td.set("_reset", mask)).exclude("_reset")
+    return td
+
+
+def _drive(env, td, steps: int):
+    """Drives with random actions and returns the last state and the number of steps of all rovers per second."""
+    started = time.perf_counter()
+    for _ in range(steps):
+        _, td = env.step_and_maybe_reset(env.rand_action(td))
+    return td, steps * env.batch_size[0] / (time.perf_counter() - started)
+
+
+def main(options: Options) -> None:
+    """Prints both tables."""
+    torch.set_num_threads(options.threads)
+    console = Console(width=110)
+    console.print(preparation(options))
+    console.print(speeds(options))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))

@@ -1,0 +1,63 @@
+"""Horizontal distances to the obstacles of a world."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rover_rl.sims.native.warp import wp
+from rover_rl.sims.worlds.grid_kernels import measure_clearance
+from rover_rl.sims.worlds.obstacles import Solids, groups_of
+from rover_rl.sims.worlds.world import World
+
+NEAR_GROUND = 0.5
+"""Maximum height above and depth below the ground at which obstacles count, m."""
+
+
+def clearance_on_grid(world: World, xs: np.ndarray, ys: np.ndarray, limit: float) -> Tensor:
+    """Returns the horizontal distance from the points of a grid to the nearest obstacle near the ground.
+
+    Args:
+        world: world with the obstacles.
+        xs: x of the columns, at equal distances, float64 ``[columns]``, m.
+        ys: y of the rows, float64 ``[rows]``, m.
+        limit: largest distance of interest, m.
+
+    Returns:
+        Distances, 0 inside an obstacle and at most ``limit``, float64 ``[rows, columns]``, m.
+    """
+    clearance = torch.full((len(ys), len(xs)), limit, dtype=torch.float64)
+    outlines = [solids.outlines[_is_near_ground(world, solids)] for solids in groups_of(world.obstacles)]
+    outlines = [group for group in outlines if len(group)]
+    if outlines:
+        middles = [group.mean(1) for group in outlines]
+        radii = [np.linalg.norm(g - m[:, None], axis=-1).max(1) for g, m in zip(outlines, middles, strict=True)]
+        starts = np.cumsum([0, *(group.shape[1] for group in outlines for _ in group)]).astype(np.int32)
+        vertices = np.concatenate([group.reshape(-1, 2) for group in outlines])
+        circles = np.column_stack((np.concatenate(middles), np.concatenate(radii)))
+        inputs = [xs, ys, vertices, starts, circles, limit, clearance.numpy()]
+        wp.launch(measure_clearance, dim=len(ys), inputs=inputs, device="cpu")
+    return clearance
+
+
+def _is_near_ground(world: World, solids: Solids) -> np.ndarray:
+    """Returns whether a part of each solid may be at a rover's height, conservatively by its bounding box: ``[N]``."""
+    low, high = solids.vertices.numpy().min(1), solids.vertices.numpy().max(1)
+    if world.terrain.is_flat:
+        lowest = highest = np.full(len(solids), world.terrain.heights[0, 0].item())
+    else:
+        extremes = [_ground_below(world, *box) for box in zip(low[:, :2], high[:, :2], strict=True)]
+        lowest, highest = np.array(extremes).T
+    return (low[:, 2] <= highest + NEAR_GROUND) & (high[:, 2] >= lowest - NEAR_GROUND)
+
+
+def _ground_below(world: World, low: np.ndarray, high: np.ndarray) -> tuple[float, float]:
+    """Returns the least and the greatest height of the ground in a rectangle between two corners ``[2]``, m."""
+    steps = min(200, math.ceil((high - low).max() / world.terrain.cell) * 2 + 1)
+    share = torch.linspace(0, 1, steps, dtype=torch.float64)
+    start, side = torch.from_numpy(low), torch.from_numpy(high - low)
+    least, greatest = world.height_at(start + side * torch.cartesian_prod(share, share)).aminmax()
+    return least.item(), greatest.item()

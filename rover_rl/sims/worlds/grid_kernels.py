@@ -1,0 +1,233 @@
+"""Warp kernels over the cells of a grid: distances to obstacles, and shortest paths.
+
+In paths, cells are numbered row by row. Costs are in cells: a step costs its length times the mean weight of its two
+ends, and weights are at least 1. A path may leave a cell in 32 directions: the steps of
+:mod:`rover_rl.sims.worlds.path_steps`.
+"""
+
+from __future__ import annotations
+
+from rover_rl.sims.native.warp import wp
+
+BUCKETS = wp.constant(64)
+"""Number of buckets of the queue. The cost of a step must be below ``BUCKETS - 1``."""
+
+
+@wp.kernel
+def find_steps(
+    weights: wp.array2d[float],
+    crossed: wp.array[wp.vec2i],
+    crossed_starts: wp.array[int],
+    steps: wp.array2d[wp.uint32],
+):
+    """Finds the steps that are free from each cell; thread ``(j, i)`` does so for the cell in row j and column i.
+
+    Bit k of ``steps`` is set if step k runs through passable cells only. Cells with a weight of 0 are not passable.
+    """
+    j, i = wp.tid()
+    bits = wp.uint32(0)
+    if weights[j, i] > 0.0:
+        for k in range(crossed_starts.shape[0] - 1):
+            free = bool(True)
+            for n in range(crossed_starts[k], crossed_starts[k + 1]):
+                column = i + crossed[n][0]
+                row = j + crossed[n][1]
+                if row < 0 or column < 0 or row >= weights.shape[0] or column >= weights.shape[1]:
+                    free = False
+                # Kernels evaluate both sides of "or", so that a single condition would read outside of the grid.
+                elif weights[row, column] == 0.0:
+                    free = False
+            if free:
+                bits = bits | (wp.uint32(1) << wp.uint32(k))
+    steps[j, i] = bits
+
+
+@wp.func
+def unlink(cell: int, bucket: int, heads: wp.array[int], following: wp.array[int], preceding: wp.array[int]):
+    """Removes a cell from the doubly linked list of its bucket. -1 ends a list."""
+    after = following[cell]
+    before = preceding[cell]
+    if before >= 0:
+        following[before] = after
+    else:
+        heads[bucket] = after
+    if after >= 0:
+        preceding[after] = before
+
+
+@wp.func
+def link(cell: int, bucket: int, heads: wp.array[int], following: wp.array[int], preceding: wp.array[int]):
+    """Adds a cell at the head of the list of a bucket."""
+    head = heads[bucket]
+    following[cell] = head
+    preceding[cell] = -1
+    if head >= 0:
+        preceding[head] = cell
+    heads[bucket] = cell
+
+
+@wp.kernel
+def spread_costs(
+    weights: wp.array[float],
+    steps: wp.array[wp.uint32],
+    offsets: wp.array[int],
+    lengths: wp.array[float],
+    sources: wp.array[int],
+    costs: wp.array2d[float],
+    heads: wp.array2d[int],
+    following: wp.array2d[int],
+    preceding: wp.array2d[int],
+):
+    """Costs of the shortest paths from all cells to one cell; thread ``t`` does so for the cell ``sources[t]``.
+
+    Dijkstra's algorithm with a circular queue of buckets. A bucket holds the cells whose costs have the same whole part
+    (E. V. Denardo and B. L. Fox, "Shortest-route methods: 1. Reaching, pruning, and buckets", Operations Research 27,
+    1979). As no step costs less than 1, no cell of the first bucket can improve another one in it.
+
+    Args:
+        weights: weights of the cells; 0 for a cell that is not passable.
+        steps: free steps of each cell, from :func:`find_steps`.
+        offsets: difference of the cell numbers at the two ends of each step.
+        lengths: lengths of the steps, in cells.
+        sources: numbers of the cells at which the paths end.
+        costs: results, ``[sources, cells]``, filled with infinity.
+        heads: first cell of each bucket, ``[sources, BUCKETS]``, filled with -1.
+        following: working memory, ``[sources, cells]``.
+        preceding: working memory, ``[sources, cells]``.
+    """
+    t = wp.tid()
+    first = heads[t]
+    after = following[t]
+    before = preceding[t]
+    cost = costs[t]
+    cost[sources[t]] = 0.0
+    link(sources[t], 0, first, after, before)
+    whole = int(0)
+    empty = int(0)
+    while empty < BUCKETS:
+        bucket = whole % BUCKETS
+        if first[bucket] < 0:
+            whole += 1
+            empty += 1
+        else:
+            empty = int(0)
+            cell = first[bucket]
+            unlink(cell, bucket, first, after, before)
+            # Settled: no other path to the cell is shorter.
+            free = steps[cell]
+            for k in range(offsets.shape[0]):
+                if (free >> wp.uint32(k)) & wp.uint32(1) == wp.uint32(1):
+                    other = cell + offsets[k]
+                    candidate = cost[cell] + 0.5 * lengths[k] * (weights[cell] + weights[other])
+                    if candidate < cost[other]:
+                        if cost[other] < wp.inf:
+                            unlink(other, int(cost[other]) % BUCKETS, first, after, before)
+                        cost[other] = candidate
+                        link(other, int(candidate) % BUCKETS, first, after, before)
+
+
+@wp.func
+def distance_to_outline(x: wp.float64, y: wp.float64, outlines: wp.array[wp.vec2d], start: int, end: int) -> wp.float64:
+    """Distance of a point to a convex polygon with counter-clockwise vertices, 0 inside of it."""
+    nearest = wp.float64(wp.inf)
+    inside = bool(True)
+    for k in range(start, end):
+        a = outlines[k]
+        b = outlines[wp.where(k + 1 == end, start, k + 1)]
+        edge_x = b[0] - a[0]
+        edge_y = b[1] - a[1]
+        off_x = x - a[0]
+        off_y = y - a[1]
+        along = wp.clamp(
+            (off_x * edge_x + off_y * edge_y) / (edge_x * edge_x + edge_y * edge_y), wp.float64(0.0), wp.float64(1.0)
+        )
+        rest_x = off_x - along * edge_x
+        rest_y = off_y - along * edge_y
+        nearest = wp.min(nearest, rest_x * rest_x + rest_y * rest_y)
+        if edge_x * off_y - edge_y * off_x < wp.float64(0.0):
+            inside = False
+    return wp.where(inside, wp.float64(0.0), wp.sqrt(nearest))
+
+
+@wp.kernel
+def measure_clearance(
+    xs: wp.array[wp.float64],
+    ys: wp.array[wp.float64],
+    outlines: wp.array[wp.vec2d],
+    starts: wp.array[int],
+    circles: wp.array[wp.vec3d],
+    limit: wp.float64,
+    clearance: wp.array2d[wp.float64],
+):
+    """Distances from the centers of cells to the nearest of several convex polygons; thread ``j`` does row j.
+
+    Args:
+        xs: x of each column, at equal distances, m.
+        ys: y of each row, m.
+        outlines: vertices of all polygons, counter-clockwise, m.
+        starts: index of each polygon's first vertex, and the number of all vertices.
+        circles: center (m) and radius (m) of a circle around each polygon.
+        limit: largest distance of interest, m.
+        clearance: results, m, ``[rows, columns]``; on input the limit.
+    """
+    j = wp.tid()
+    y = ys[j]
+    cell = xs[1] - xs[0]
+    for n in range(circles.shape[0]):
+        circle = circles[n]
+        reach = limit + circle[2]
+        if wp.abs(circle[1] - y) < reach:
+            first = wp.max(int(wp.ceil((circle[0] - reach - xs[0]) / cell)), 0)
+            last = wp.min(int(wp.floor((circle[0] + reach - xs[0]) / cell)), xs.shape[0] - 1)
+            for i in range(first, last + 1):
+                off_x = xs[i] - circle[0]
+                off_y = y - circle[1]
+                # The circle is a lower bound of the distance: most polygons are not the nearest one.
+                bound = clearance[j, i] + circle[2]
+                if off_x * off_x + off_y * off_y < bound * bound:
+                    distance = distance_to_outline(xs[i], y, outlines, starts[n], starts[n + 1])
+                    clearance[j, i] = wp.min(clearance[j, i], distance)
+
+
+@wp.kernel
+def find_headings(
+    cells: wp.array[wp.vec2d],
+    offsets: wp.array[wp.vec2d],
+    clearance: wp.array2d[wp.float64],
+    origin: wp.vec2d,
+    cell: wp.float64,
+    least: wp.float64,
+    headings: wp.array[wp.int64],
+):
+    """Finds the heading bins in which the lidar is far enough from all obstacles; thread ``t`` does cell ``t``.
+
+    Bit k of ``headings`` is set if that holds at both ends of bin k, the headings k and k + 1 of 64.
+
+    Args:
+        cells: centers of the cells, m.
+        offsets: position of the lidar relative to the rover at each of the 64 headings, m.
+        clearance: distances to the nearest obstacle at the points of a grid, m, ``[rows, columns]``. Between them, the
+            distance is interpolated bilinearly.
+        origin: x, y of ``clearance[0, 0]``, m.
+        cell: spacing of the grid, m.
+        least: least distance of the lidar, m.
+        headings: results.
+    """
+    t = wp.tid()
+    rows = clearance.shape[0]
+    columns = clearance.shape[1]
+    good = wp.uint64(0)
+    for k in range(64):
+        point = cells[t] + offsets[k]
+        u = wp.clamp((point[0] - origin[0]) / cell, wp.float64(0.0), wp.float64(columns - 1))
+        v = wp.clamp((point[1] - origin[1]) / cell, wp.float64(0.0), wp.float64(rows - 1))
+        i = wp.min(int(u), columns - 2)
+        j = wp.min(int(v), rows - 2)
+        u = u - wp.float64(i)
+        v = v - wp.float64(j)
+        one = wp.float64(1.0)
+        lower = (one - u) * clearance[j, i] + u * clearance[j, i + 1]
+        upper = (one - u) * clearance[j + 1, i] + u * clearance[j + 1, i + 1]
+        if (one - v) * lower + v * upper >= least:
+            good = good | (wp.uint64(1) << wp.uint64(k))
+    headings[t] = wp.int64(good & ((good >> wp.uint64(1)) | (good << wp.uint64(63))))

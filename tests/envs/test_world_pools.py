@@ -1,0 +1,139 @@
+"""Episodes that draw their worlds from a pool."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs.utils import check_env_specs
+
+from rover_rl import EnvConfig, GymWrapper, RoverEnv, Terrain, World, box, make_env
+from rover_rl.sims.worlds.pool import WorldPool
+
+ROOMS = [
+    World(f"room {k}", Terrain.flat((12, 12)), [box((0.9 * k - 2, 1.5, 0.5), (0.6, 2.0 + 0.2 * k, 1))])
+    for k in range(5)
+]
+OBSERVED = ("lidar", "pose", "imu", "target", "velocities", "reward", "done", ("outcome", "world"))
+
+
+def make(num_envs: int, seed: int = 0, world_n=None, **settings) -> RoverEnv:
+    pool = WorldPool(*ROOMS) if world_n is None else world_n
+    defaults = {"backend": "warp", "length": 12, "lidar_beams": 32}
+    return make_env(world_n=pool, num_envs=num_envs, seed=seed, **{**defaults, **settings})
+
+
+def rollout(env: RoverEnv, steps: int, actions: torch.Tensor) -> TensorDictBase:
+    """Results of ``steps`` steps with ``actions [steps, N, 2]``, and of the resets in between: ``[steps, N]``."""
+    td, records = env.reset(), []
+    for action in actions[:steps]:
+        step, td = env.step_and_maybe_reset(td.set("action", action))
+        records.append(step["next"].select(*OBSERVED))
+    return torch.stack(records)
+
+
+def drawn_actions(rows: int, steps: int = 60) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(1)
+    return torch.rand(steps, rows, 2, generator=generator) * torch.tensor([0.8, 1.0]) + torch.tensor([0.2, -0.5])
+
+
+def test_the_environment_matches_its_specs() -> None:
+    check_env_specs(make(3))
+    check_env_specs(make(3, world_n="maze:0-2"))
+
+
+def test_each_episode_draws_a_world() -> None:
+    env = make(8)
+    drawn = []
+    for _ in range(20):
+        td = env.reset()
+        drawn.append(td["outcome", "world"])
+        assert [env.worlds[row] for row in range(8)] == [ROOMS[k] for k in drawn[-1].flatten().tolist()]
+    counts = torch.cat(drawn).flatten().bincount(minlength=5)
+    # 160 draws, 32 expected of each.
+    assert counts.min() >= 15
+    assert counts.max() <= 50
+
+
+def test_the_lidar_sees_the_world_that_was_drawn() -> None:
+    env, start = make(6, seed=3), torch.tensor([[0.0, 0.0, 1.57]] * 6)
+    for _ in range(3):
+        td = env.reset(start=start)
+        alone = make(6, world_n=list(env.worlds)).reset(start=start)
+        assert torch.equal(td["lidar"], alone["lidar"])
+    assert len({id(world) for world in env.worlds}) > 1
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_row_is_the_same_alone_and_among_others_in_other_worlds(threads: int) -> None:
+    from rover_rl.sims.warp import WarpSettings
+
+    actions = drawn_actions(40)
+    batch = rollout(make(40, seed=7, backend=WarpSettings(threads=threads)), 60, actions)
+    for row in (0, 21, 39):
+        alone = rollout(make(1, seed=7 + row), 60, actions[:, row : row + 1])
+        for key in OBSERVED:
+            assert torch.equal(alone[key][:, 0], batch[key][:, row]), key
+    assert len(batch["outcome", "world"][:, 21].unique()) > 2
+
+
+def test_a_row_is_the_same_after_its_pool_has_changed() -> None:
+    """Worlds that were drawn before leave nothing behind in the slots that others use again."""
+    env, actions = make(4, seed=2, world_n="maze:0-199"), drawn_actions(4, 30)
+    expected = rollout(env, 30, actions)
+    for _ in range(40):
+        env.reset()
+    env.set_seed(2)
+    found = rollout(env, 30, actions)
+    for key in OBSERVED:
+        assert torch.equal(found[key], expected[key]), key
+
+
+def test_partial_resets_leave_the_worlds_of_other_rows() -> None:
+    env = make(6, seed=1)
+    td = env.rollout(3)[:, -1]["next"].exclude("reward", "reward_components")
+    before, worlds = td.clone(), list(env.worlds)
+    reset = torch.tensor([[True], [False]] * 3)
+    after = env.reset(td.set("_reset", reset))
+    kept = ~reset.squeeze(-1)
+    for key in ("lidar", "pose", ("outcome", "world")):
+        assert torch.equal(after[key][kept], before[key][kept])
+    assert [env.worlds[row] for row in (1, 3, 5)] == [worlds[row] for row in (1, 3, 5)]
+
+
+def test_a_mixed_pool_has_as_many_episodes_in_each_entry() -> None:
+    env = make(64, world_n=[ROOMS[0], "maze:0-3"])
+    entries = torch.cat([env.reset()["outcome", "world"] for _ in range(4)])
+    assert env.pool.sizes == (1, 4)
+    assert 96 <= (entries == 0).sum() <= 160
+
+
+def test_a_list_of_worlds_is_assigned_to_blocks_of_rows_for_life() -> None:
+    env = make(4, world_n=ROOMS[:2])
+    for _ in range(3):
+        assert env.reset()["outcome", "world"].flatten().tolist() == [0, 0, 1, 1]
+
+
+def test_one_world_adds_nothing_to_the_outcome() -> None:
+    assert "world" not in make(2, world_n=ROOMS[0]).reset()["outcome"].keys()  # noqa: SIM118
+
+
+def test_in_bullet_a_row_keeps_the_world_of_its_first_episode() -> None:
+    in_warp, in_bullet = make(6, seed=5), make(6, seed=5, backend="bullet")
+    first = in_warp.reset()["outcome", "world"]
+    for _ in range(3):
+        assert torch.equal(in_bullet.reset()["outcome", "world"], first)
+    assert len(first.unique()) > 1
+
+
+def test_the_same_worlds_are_drawn_on_every_simulator() -> None:
+    assert torch.equal(make(3, seed=9).reset()["target"], make(3, seed=9, backend="bullet").reset()["target"])
+
+
+def test_gymnasium_and_configuration_take_ranges() -> None:
+    env = GymWrapper(RoverEnv(world_n="maze:0-4", backend="warp", seed=0))
+    env.reset(seed=0)
+    assert 0 <= env.step(env.action_space.sample())[4]["world"] < 5
+    config = EnvConfig(world=("maze:0-4", "moon"), num_envs=2, backend="warp")
+    assert config.world_names == ("maze:0-4", "moon")
+    assert len(make_env(config).pool) == 6
