@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     from rover_rl.sims.robots import Robot
     from rover_rl.sims.worlds import World
+    from rover_rl.sims.worlds.pool import WorldSource as WorldLike
 
-    WorldLike: TypeAlias = str | World | Sequence[str | World]
     RobotLike: TypeAlias = str | Robot
     RewardLike: TypeAlias = "str | RewardConfig | Sequence[str | Transform]"
     BackendLike: TypeAlias = AnyBackend
@@ -308,10 +308,10 @@ class EnvConfig:
     @property
     def worlds(self) -> tuple[str | World, ...]:
         """Worlds and ranges of worlds, also if there is only one."""
-        if hasattr(self.world, "entries"):
-            return tuple(self.world.entries)
-        several = isinstance(self.world, Sequence) and not isinstance(self.world, str)
-        return tuple(self.world) if several else (self.world,)  # type: ignore[arg-type, return-value]
+        # The entries of a WorldPool, which is not imported here, as it imports PyTorch.
+        world: Any = getattr(self.world, "entries", self.world)
+        several = isinstance(world, Sequence) and not isinstance(world, str)
+        return tuple(world) if several else (world,)
 
     @property
     def world_names(self) -> tuple[str, ...]:

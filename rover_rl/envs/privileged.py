@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 from tensordict import TensorDict
 from torch import Tensor
@@ -12,8 +10,8 @@ from rover_rl.envs.perception import Perception
 from rover_rl.envs.task import target_info
 from rover_rl.sims.base import Dynamics
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.path_distance import PathDistances
+from rover_rl.sims.worlds.world import Worlds
 from rover_rl.tensordicts import unchecked_tensordict
 
 FEATURES = {
@@ -49,7 +47,7 @@ class PrivilegedObservation:
         device: device of the observation.
     """
 
-    def __init__(self, worlds: Sequence[World], robot: Robot, device: torch.device) -> None:
+    def __init__(self, worlds: Worlds, robot: Robot, device: torch.device) -> None:
         self._distances = PathDistances(worlds, robot, device)
 
     def __call__(

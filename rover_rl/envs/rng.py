@@ -29,12 +29,12 @@ def row_keys(seed: int, num_envs: int, device: torch.device) -> Tensor:
     return _mix(first + torch.arange(num_envs, dtype=torch.int64, device=device))[:, None]
 
 
-def episode_keys(rows: Tensor, episode: Tensor) -> Tensor:
+def episode_keys(rows: Tensor, episode: Tensor | int) -> Tensor:
     """Returns the keys of the current episodes, int64 ``[N, 1]``.
 
     Args:
         rows: keys of the rows from :func:`row_keys`, ``[N, 1]``.
-        episode: number of the current episode of each row, int64 ``[N, 1]``.
+        episode: number of the current episode of each row, int64 ``[N, 1]``, or one for all.
     """
     return _mix(rows + episode * _EPISODE)
 

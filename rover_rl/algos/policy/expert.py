@@ -10,7 +10,6 @@ Example:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import torch
 from tensordict import TensorDictBase
@@ -20,8 +19,8 @@ from rover_rl.algos.policy.baselines import drive_towards
 from rover_rl.envs.transforms.path_reward import CAUTION, goal_of, world_of
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import wrap_angle
-from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.path_distance import PathDistances
+from rover_rl.sims.worlds.world import Worlds
 
 DIRECTIONS = 32
 """Number of candidate headings."""
@@ -46,7 +45,7 @@ class PrivilegedExpert:
         device: device of the observations; ``None``: the CPU.
     """
 
-    def __init__(self, worlds: Sequence[World], robot: Robot, device: torch.device | str | None = None) -> None:
+    def __init__(self, worlds: Worlds, robot: Robot, device: torch.device | str | None = None) -> None:
         self._distances = PathDistances(worlds, robot, device, CAUTION)
         angles = torch.arange(DIRECTIONS, device=device) * (2 * math.pi / DIRECTIONS)
         self._angles, self._directions = angles, torch.stack((angles.cos(), angles.sin()), -1)

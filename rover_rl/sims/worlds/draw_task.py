@@ -10,7 +10,8 @@ import torch
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.draw import GOAL, SPAWN, draw_world
 from rover_rl.sims.worlds.free_space import FreeSpace, free_space
-from rover_rl.sims.worlds.shortest_paths import distance_fields, shortest_paths
+from rover_rl.sims.worlds.path_grid import PathGrid
+from rover_rl.sims.worlds.shortest_paths import shortest_paths
 from rover_rl.sims.worlds.world import World
 
 CANDIDATES = 16
@@ -42,7 +43,7 @@ def draw_task(world: World, robot: Robot, seed: int, path: str | Path) -> float:
     goal = goals[int((goals - start).norm(dim=-1).argmax())]
     figure = draw_world(world, robot)
     ax = figure.axes[0]
-    field = distance_fields(world, robot, goal[None], caution=CAUTION)[0].numpy()
+    field = PathGrid(world, robot, CAUTION).costs(goal[None])[0].numpy()
     way = _descend(space, field, start.numpy())
     ax.plot(*way.T, color="white", linewidth=4.5, zorder=5)
     ax.plot(*way.T, color=SPAWN, linewidth=2.2, zorder=6)

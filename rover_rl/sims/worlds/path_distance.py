@@ -9,7 +9,6 @@ Example:
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Sequence
 from functools import lru_cache
 from itertools import groupby
 
@@ -19,7 +18,7 @@ from torch import Tensor
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.path_grid import PathGrid
 from rover_rl.sims.worlds.slot_table import SlotTable
-from rover_rl.sims.worlds.world import World
+from rover_rl.sims.worlds.world import Worlds
 
 SQUARE = 0.5
 """Side length of the squares whose goals share a field, m."""
@@ -47,7 +46,7 @@ class PathDistances:
 
     def __init__(
         self,
-        worlds: Sequence[World],
+        worlds: Worlds,
         robot: Robot,
         device: torch.device | str | None = None,
         caution: float = 0.0,

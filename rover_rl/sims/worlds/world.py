@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import torch
 from torch import Tensor
@@ -16,6 +16,14 @@ from rover_rl.sims.worlds.terrain import Terrain
 
 Range: TypeAlias = tuple[float, float]
 Area: TypeAlias = tuple[Range, Range]
+
+
+class Worlds(Protocol):
+    """Worlds by index: a list of them, or a :class:`~rover_rl.sims.worlds.pool.WorldPool`."""
+
+    def __getitem__(self, index: int, /) -> World:
+        """Returns the world with an index."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
