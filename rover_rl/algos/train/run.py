@@ -32,6 +32,7 @@ from rover_rl.algos.train.run_folder import STATE, load_state, new_run_folder, s
 from rover_rl.envs.devices import available_device
 from rover_rl.envs.rewards import reward_components
 from rover_rl.sims.robots import get_robot
+from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.names import check_training_seed
 from rover_rl.sims.worlds.pool import WorldPool
 
@@ -301,9 +302,7 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
     config.check()
     env = config.env
     for world in env.worlds:
-        if isinstance(world, str):
-            check_training_seed(world)
-        WorldPool.of(world)[0]
+        check_world(world)
     get_robot(env.robot)
     reward_components(env.reward, env.contract_reward)
     available_device(config.device)
@@ -318,6 +317,17 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
         workers = given or default_workers(config.num_envs, cores)
     torch.manual_seed(config.seed)
     return with_settings(config, workers=workers)
+
+
+def check_world(world: str | World) -> None:
+    """Checks a world or a range of worlds for training.
+
+    Raises:
+        ValueError: if it is unknown, or has a seed for evaluation.
+    """
+    if isinstance(world, str):
+        check_training_seed(world)
+    WorldPool.of(world)[0]
 
 
 def set_learning_rate(optimizer: torch.optim.Optimizer, config: TrainingConfig, share: float) -> float:

@@ -40,7 +40,8 @@ class Step:
         observation: observation after the step, ``[N, k]`` per entry.
         reward: rewards, float64 ``[N]``.
         terminated, truncated: whether the episode ended, bool ``[N]``.
-        info: ``steps``, ``total_steps``, ``reward``, ``goals``, ``is_success`` and a bool for each event, ``[N]`` each.
+        info: ``steps``, ``total_steps``, ``reward``, ``goals``, ``is_success``, a bool for each event, and ``world`` if
+            there are several worlds, ``[N]`` each.
     """
 
     observation: Observation
@@ -194,6 +195,7 @@ class NumpyBatch:
             terminated, truncated = terminated | truncated, np.zeros_like(truncated)
         info: dict[str, NDArray[Any]] = {
             "steps": _flat(outcome.get("steps")),
+            **({"world": _flat(world)} if (world := outcome.get("world", None)) is not None else {}),
             "total_steps": self.total_steps,
             "reward": reward.copy(),
             "goals": self._goals.copy(),

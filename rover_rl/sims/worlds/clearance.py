@@ -8,8 +8,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.native.warp import wp
-from rover_rl.sims.worlds.grid_kernels import measure_clearance
 from rover_rl.sims.worlds.obstacles import Solids, groups_of
 from rover_rl.sims.worlds.world import World
 
@@ -29,6 +27,10 @@ def clearance_on_grid(world: World, xs: np.ndarray, ys: np.ndarray, limit: float
     Returns:
         Distances, 0 inside an obstacle and at most ``limit``, float64 ``[rows, columns]``, m.
     """
+    # Importing NVIDIA Warp takes half a second.
+    from rover_rl.sims.native.warp import wp
+    from rover_rl.sims.worlds.grid_kernels import measure_clearance
+
     clearance = torch.full((len(ys), len(xs)), limit, dtype=torch.float64)
     outlines = [solids.outlines[_is_near_ground(world, solids)] for solids in groups_of(world.obstacles)]
     outlines = [group for group in outlines if len(group)]

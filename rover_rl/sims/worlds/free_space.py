@@ -12,10 +12,8 @@ import torch
 from scipy.ndimage import label
 from torch import Tensor
 
-from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.clearance import clearance_on_grid
-from rover_rl.sims.worlds.grid_kernels import find_headings
 from rover_rl.sims.worlds.placement import ground_frame
 from rover_rl.sims.worlds.world import Area, World
 
@@ -232,6 +230,9 @@ def _headings(world: World, robot: Robot, grid: _Grid, clearance: Tensor, cells:
 
 def _headings_on_flat(robot: Robot, grid: _Grid, clearance: Tensor, cells: Tensor) -> Tensor:
     """Returns the same as :func:`_headings` on flat ground, where only the obstacles near the lidar count."""
+    from rover_rl.sims.native.warp import wp
+    from rover_rl.sims.worlds.grid_kernels import find_headings
+
     yaw = torch.arange(HEADINGS, dtype=torch.float64) * (2 * math.pi / HEADINGS) - math.pi
     ahead, left = robot.lidar_position[:2]
     offsets = torch.stack((ahead * yaw.cos() - left * yaw.sin(), ahead * yaw.sin() + left * yaw.cos()), -1)

@@ -16,7 +16,6 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.path_grid import PathGrid
 from rover_rl.sims.worlds.slot_table import SlotTable
 from rover_rl.sims.worlds.world import Worlds
 
@@ -51,6 +50,9 @@ class PathDistances:
         device: torch.device | str | None = None,
         caution: float = 0.0,
     ) -> None:
+        # Importing NVIDIA Warp takes half a second.
+        from rover_rl.sims.worlds.path_grid import PathGrid
+
         self._grid = lru_cache(KEPT_GRIDS)(lambda index: PathGrid(worlds[index], robot, caution))
         device = device or "cpu"
         # Distances of all cells, row by row; negative where the cell is not passable.

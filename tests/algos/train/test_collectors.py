@@ -78,6 +78,6 @@ def test_an_error_of_a_worker_is_reported(
     config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The world is not checked before the workers start.
-    monkeypatch.setattr("rover_rl.algos.train.run.get_world", lambda name: None)
+    monkeypatch.setattr("rover_rl.algos.train.run.check_world", lambda world: None)
     with pytest.raises((WorkerError, ValueError), match="unknown world 'mars'"):
         train(with_settings(config, world="mars", workers=2, runs=str(tmp_path)))

@@ -98,18 +98,16 @@ def test_passable_cells_are_within_the_bounds_and_not_on_steep_ground(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_spawn_headings_are_ascending_and_padded_with_the_first(name):
+def test_every_spawn_cell_has_a_heading(name):
     free = free_space(get_world(name), ROVER)
-    counts = free.spawn_heading_counts
-    assert free.spawn_headings.shape == (len(free.spawn_cells), HEADINGS)
-    assert counts.min() >= 1
-    assert counts.max() <= HEADINGS
-    assert free.spawn_headings.dtype == counts.dtype == torch.int64
-    slot = torch.arange(HEADINGS)
-    listed = slot < counts[:, None]
-    ascending = free.spawn_headings.diff(dim=1) > 0
-    assert ascending[listed[:, 1:]].all()
-    assert (free.spawn_headings == free.spawn_headings[:, :1])[~listed].all()
+    assert free.spawn_headings.shape == (len(free.spawn_cells),)
+    assert free.spawn_headings.dtype == torch.int64
+    assert allowed(free.spawn_headings).any(1).all()
+
+
+def allowed(headings: torch.Tensor) -> torch.Tensor:
+    """Whether each heading bin is allowed in each cell, bool ``[S, HEADINGS]``, from bit masks ``[S]``."""
+    return ((headings[:, None] >> torch.arange(HEADINGS)) & 1).bool()
 
 
 def lidar_poses(world: World, count: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -117,9 +115,8 @@ def lidar_poses(world: World, count: int) -> tuple[torch.Tensor, torch.Tensor]:
     free = free_space(world, ROVER)
     rng = np.random.default_rng(2)
     xy, index = sample(free.spawn_cells, free.cell, count, rng)
-    slot = (rng.random(count) * free.spawn_heading_counts.numpy()[index]).astype(int)
-    bins = free.spawn_headings.numpy()[index, slot]
-    yaw = -math.pi + 2 * math.pi * (bins + rng.random(count)) / HEADINGS
+    bins = [rng.choice(np.flatnonzero(row)) for row in allowed(free.spawn_headings[index]).numpy()]
+    yaw = -math.pi + 2 * math.pi * (np.array(bins) + rng.random(count)) / HEADINGS
     position, rotation = rest_on_ground(world, ROVER, torch.from_numpy(np.column_stack((xy, yaw))))
     return position + rotation @ torch.tensor(ROVER.lidar_position, dtype=torch.float64), rotation
 
@@ -190,7 +187,7 @@ def test_an_enclosed_pocket_has_no_goal_and_no_spawn_cell():
 def test_spawn_headings_next_to_a_wall_do_not_face_it():
     free = free_space(World("wall", Terrain.flat((10, 10)), [box((0, 0, 0.5), (0.4, 6, 1))]), ROVER)
     cell = (free.spawn_cells - torch.tensor([0.65, 0.05])).norm(dim=1).argmin()
-    bins = free.spawn_headings[cell, : free.spawn_heading_counts[cell]]
+    bins = allowed(free.spawn_headings[cell : cell + 1])[0].nonzero()[:, 0]
     yaw = -math.pi + 2 * math.pi * (bins + 0.5) / HEADINGS
     assert (yaw.cos() > -0.2).all()
     assert (yaw.cos() > 0.9).any()

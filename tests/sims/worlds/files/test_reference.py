@@ -169,15 +169,14 @@ def test_the_walls_of_the_depot_are_those_of_the_picture():
 
 @SKIP
 @pytest.mark.slow
-@pytest.mark.parametrize("backend", ["bullet", "warp"])
 @pytest.mark.parametrize(
-    ("name", "least"),
+    ("name", "least", "backend"),
     [
-        ("roboterrain/maze.sdf", 0.75),
-        ("roboterrain/maze_pillars.sdf", 0.75),
-        ("roboterrain/maze_and_person.sdf", 0.75),
-        ("roboterrain/marsyard2021.sdf", 0.5),
-        ("maps/nav2_depot.yaml", 0.5),
+        ("roboterrain/maze.sdf", 0.75, "bullet"),
+        ("roboterrain/maze_pillars.sdf", 0.75, "warp"),
+        ("roboterrain/maze_and_person.sdf", 0.75, "warp"),
+        ("roboterrain/marsyard2021.sdf", 0.5, "warp"),
+        ("maps/nav2_depot.yaml", 0.5, "warp"),
     ],
 )
 def test_the_scripted_policy_reaches_goals(name, least, backend):
