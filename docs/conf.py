@@ -79,10 +79,15 @@ nitpick_ignore_regex = [
 
 # Names in annotations that autodoc cannot look up: imported for type checkers alone, or choices of strings.
 nitpick_ignore = [
-    ("py:class", name) for name in ("AutoresetMode", "EnvBase", "Path", "Reward", "TimeLimit", "Transform", "View")
+    ("py:class", name)
+    for name in (
+        *("Area", "AutoresetMode", "EnvBase", "Missing", "Path", "Reward", "TimeLimit", "Transform", "Unknown", "Up"),
+        *("View", "WorldSource"),
+    )
 ]
 autodoc_type_aliases = {
     "RoverEnv": "rover_rl.RoverEnv",
+    "Worlds": "rover_rl.sims.worlds.world.Worlds",
     **{name: name for name in ("BackendLike", "RewardLike", "RobotLike", "WorldLike")},
 }
 

@@ -254,7 +254,7 @@ class EnvConfig:
     world: WorldLike = "inspect"
     """World: a name (rover-rl worlds lists them), module:attribute, or a file. "maze:7" is the maze with seed 7, and
     "maze:7@0.8" a hard one. Several worlds get equal shares of the rovers. "maze:0-99" draws one of 100 mazes for each
-    episode, and "maze:*" one of 10,000."""
+    episode."""
     robot: RobotLike = "rover_zero"
     """Robot: rover_zero, or module:attribute."""
     lidar: LidarConfig = field(default_factory=LidarConfig)
