@@ -28,7 +28,7 @@ class Play:
     """Folder of a run, checkpoint file, pretrained:NAME, scripted or random."""
     world: str | None = None
     """World to drive in. Default: the one that the policy was trained in, or moon."""
-    seconds: float = 6.0
+    seconds: float = 5.0
     """Duration of the drive, s."""
     seed: int = 0
     """Seed of starts and goals."""

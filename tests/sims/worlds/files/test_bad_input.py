@@ -246,7 +246,7 @@ CASES: dict[str, Case] = {
     # Elevation models
     "nan heights": (array(np.full((8, 8), np.nan)), "must be finite numbers"),
     "infinite heights": (array(np.where(np.eye(8) > 0, np.inf, 0.0)), "must be finite numbers"),
-    "pickle": (array(np.array([[print, print], [print, print]], dtype=object)), "no array of numbers"),
+    "pickle": (array(np.array([[len, len], [len, len]], dtype=object)), "no array of numbers"),
     "one row": (array(np.zeros((1, 8))), "a grid of at least 2 x 2"),
     "complex": (array(np.zeros((8, 8), dtype=complex)), "must hold one array of numbers"),
     "cut off npy": (cut(array(np.zeros((64, 64))), 0.5), "no array of numbers"),
