@@ -26,7 +26,7 @@ from rover_rl.progress import ProgressDisplay
 
 EPISODE_STEPS = EnvConfig.length
 """Number of steps of a full episode in the contract."""
-_LINE_INTERVAL = 8.0
+_LINE_INTERVAL = 6.0
 """Longest time between two lines if the output is not a terminal, s."""
 _RECENT_STEPS = 80_000
 """Number of latest steps over which the progress bar averages."""
