@@ -88,11 +88,12 @@ from rover_rl import RoverEnv
 def megabytes():
     with open("/proc/self/statm") as f:
         return int(f.read().split()[1]) * 4096 / 1e6
+imported = megabytes()
 env = RoverEnv(world_n="inspect", num_envs=256, seed=0)
 zero = torch.zeros(256, 2)
 td = env.reset()
 env.step(td.set("action", zero))
-peak = megabytes()
+peak = megabytes() - imported
 for k in range(5):
     env.reset()
 warm = megabytes()
@@ -104,7 +105,8 @@ print(peak, megabytes() - warm)
         pytest.skip("reads the process's memory from /proc")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     peak, growth = map(float, done.stdout.split())
-    assert peak < 1000
+    # PyTorch alone takes 420 MB, and the build for CUDA 700.
+    assert peak < 550
     # 10,240 resets: a leak of one kilobyte per reset would add 10 MB.
     assert growth < 5
 
