@@ -17,6 +17,8 @@ import torch
 import tyro
 from rich.console import Console
 from rich.table import Table
+from tensordict import TensorDictBase
+from torchrl.envs import EnvBase
 
 from rover_rl import make_env
 from rover_rl.sims.robots import get_robot
@@ -93,7 +95,7 @@ def speeds(options: Options) -> Table:
     return table
 
 
-def _spread(env, options: Options):
+def _spread(env: EnvBase, options: Options) -> TensorDictBase:
     """Drives until the ends of the episodes are spread over time."""
     td = env.reset()
     generator = torch.Generator().manual_seed(0)
@@ -104,7 +106,7 @@ def _spread(env, options: Options):
     return td
 
 
-def _drive(env, td, steps: int):
+def _drive(env: EnvBase, td: TensorDictBase, steps: int) -> tuple[TensorDictBase, float]:
     """Drives with random actions and returns the last state and the number of steps of all rovers per second."""
     started = time.perf_counter()
     for _ in range(steps):

@@ -67,6 +67,7 @@ class RowWorlds:
         changed = (mask & (drawn != self.index)).squeeze(-1)
         self.index = torch.where(mask, drawn, self.index)
         rows = changed.nonzero().squeeze(-1)
+        # Worlds are Python objects that a simulator copies one by one, so that this loop is over changed rows alone.
         for row, index in zip(rows.tolist(), self.index[rows, 0].tolist(), strict=True):
             self.worlds[row] = self.pool[index]
         return rows.tolist()

@@ -101,7 +101,7 @@ class BulletSimulator:
         return self._drive.state(torch.from_numpy(self._body.copy()), torch.from_numpy(self._ranges.copy()))
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
-        """Renders one rover with Bullet's software renderer. See :meth:`Simulator.render`."""
+        """Renders one rover. See :meth:`Simulator.render`."""
         world = next(group.world for group in self._groups if row in group.rows)
         return self._renderers.render(world, torch.from_numpy(self._body[row, :7]), view, width, height, goal)
 
