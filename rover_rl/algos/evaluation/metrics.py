@@ -72,6 +72,7 @@ class Metric:
 
 METRICS = {
     "success_rate": Metric("SR", "episodes that reach their goal", "%"),
+    "contact_free_success_rate": Metric("clean", "episodes that reach their goal without a contact of the body", "%"),
     "spl": Metric("SPL", "success weighted by path length"),
     "mean_time_to_traverse": Metric("MTT", "mean time to a reached goal", "s"),
     "traverse_rate": Metric("TR", "shortest-path length to reached goals per second of driving", "m/s"),
@@ -237,6 +238,18 @@ def success_rate(trajectories: Sequence[Trajectory]) -> Estimate:
     return ending_share(trajectories, "goal")
 
 
+def contact_free_success_rate(trajectories: Sequence[Trajectory], contacts: Sequence[Tensor]) -> Estimate:
+    """Proportion of episodes that reach their goal within the time limit without any contact of the body.
+
+    Args:
+        trajectories: recorded episodes.
+        contacts: contact flags of :func:`find_body_contacts`.
+    """
+    pairs = zip(trajectories, contacts, strict=True)
+    clean = sum(t.ending == "goal" and not touched.any() for t, touched in pairs)
+    return proportion(clean, len(trajectories))
+
+
 def ending_share(trajectories: Sequence[Trajectory], *endings: str) -> Estimate:
     """Proportion of episodes with one of the given endings."""
     return proportion(sum(t.ending in endings for t in trajectories), len(trajectories))
@@ -350,7 +363,9 @@ def count_runs(flags: Tensor) -> int:
     return int(flags[:1].sum() + (flags.diff() > 0).sum())
 
 
-def find_body_contacts(trajectories: Sequence[Trajectory], world: World, robot: Robot) -> list[Tensor]:
+def find_body_contacts(
+    trajectories: Sequence[Trajectory], world: World | Sequence[World], robot: Robot
+) -> list[Tensor]:
     """Finds the poses at which the rover's body touches an obstacle.
 
     The body touches an obstacle if its outline, the rectangle around the wheels at the height of the wheel hubs, is
@@ -359,14 +374,27 @@ def find_body_contacts(trajectories: Sequence[Trajectory], world: World, robot: 
 
     Args:
         trajectories: recorded episodes.
-        world: world of the episodes.
+        world: world of the episodes, or the world of each episode.
         robot: robot whose wheels give the outline.
 
     Returns:
         Contact flags of the poses of each episode, bool ``[T + 1]`` each.
     """
-    position, angles = (torch.cat([getattr(t, key) for t in trajectories]) for key in ("position", "angles"))
     outline = _outline(robot)
+    worlds = [world] * len(trajectories) if isinstance(world, World) else world
+    together: dict[World, list[int]] = {}
+    for episode, place in enumerate(worlds):
+        together.setdefault(place, []).append(episode)
+    contacts: dict[int, Tensor] = {}
+    for place, episodes in together.items():
+        found = _contacts_in(place, [trajectories[episode] for episode in episodes], outline)
+        contacts |= zip(episodes, found, strict=True)
+    return [contacts[episode] for episode in range(len(trajectories))]
+
+
+def _contacts_in(world: World, trajectories: Sequence[Trajectory], outline: Tensor) -> list[Tensor]:
+    """Contact flags of the poses of each of several episodes in one world: see :func:`find_body_contacts`."""
+    position, angles = (torch.cat([getattr(t, key) for t in trajectories]) for key in ("position", "angles"))
     reach = outline[:, :2].norm(dim=1).max().item() + TOUCH
     touched = torch.zeros(len(position), dtype=torch.bool)
     for obstacle in world.obstacles:
@@ -412,22 +440,30 @@ def _rotation(angles: Tensor) -> Tensor:
 
 
 def goal_metrics(
-    trajectories: Sequence[Trajectory], shortest: Tensor, world: World, *, robot: Robot
+    trajectories: Sequence[Trajectory],
+    shortest: Tensor,
+    world: World | Sequence[World],
+    *,
+    robot: Robot,
+    contacts: Sequence[Tensor] | None = None,
 ) -> dict[str, Estimate]:
     """Computes the metrics of episodes with one goal each, by name.
 
     Args:
         trajectories: recorded episodes.
         shortest: lengths of the shortest paths, ``[count]``, m.
-        world: world of the episodes.
+        world: world of the episodes, or the world of each episode.
         robot: robot of the episodes, whose outline gives the body contacts.
+        contacts: flags of :func:`find_body_contacts`, if they have been computed.
     """
+    contacts = find_body_contacts(trajectories, world, robot) if contacts is None else contacts
     return {
         "success_rate": success_rate(trajectories),
+        "contact_free_success_rate": contact_free_success_rate(trajectories, contacts),
         "spl": spl(trajectories, shortest),
         "mean_time_to_traverse": mean_time_to_traverse(trajectories),
         "traverse_rate": traverse_rate(trajectories, shortest),
-        **_common_metrics(trajectories, world, robot),
+        **_common_metrics(trajectories, contacts),
     }
 
 
@@ -444,12 +480,12 @@ def endless_metrics(trajectories: Sequence[Trajectory], world: World, *, robot: 
         "seconds_per_goal": seconds_per_goal(trajectories),
         "episode_seconds": episode_seconds(trajectories),
         "ended_early": ending_share(trajectories, *EARLY_ENDINGS),
-        **_common_metrics(trajectories, world, robot),
+        **_common_metrics(trajectories, find_body_contacts(trajectories, world, robot)),
     }
 
 
-def _common_metrics(trajectories: Sequence[Trajectory], world: World, robot: Robot) -> dict[str, Estimate]:
-    contacts = [count_runs(touched) for touched in find_body_contacts(trajectories, world, robot)]
+def _common_metrics(trajectories: Sequence[Trajectory], touched: Sequence[Tensor]) -> dict[str, Estimate]:
+    contacts = [count_runs(flags) for flags in touched]
     kinds = (TIME_LIMIT, *EARLY_ENDINGS)
     return {
         "velocity_over_rough_terrain": velocity_over_rough_terrain(trajectories),
