@@ -29,7 +29,7 @@ from torch import Tensor
 from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.config_files import experiments, run_config
 from rover_rl.algos.evaluation.evaluate import ENDINGS, Evaluation
-from rover_rl.algos.evaluation.metrics import TIME_LIMIT, Trajectory
+from rover_rl.algos.evaluation.metrics import CONTACT, TIME_LIMIT, Trajectory
 from rover_rl.algos.evaluation.results import worst_worlds
 from rover_rl.algos.train.progress import EPISODE_STEPS, read_progress
 from rover_rl.envs import StepEvent
@@ -365,6 +365,7 @@ _EARLY: dict[str, Any] = {"s": 60, "color": "black", "edgecolor": "white", "line
 _ENDS: dict[str, dict[str, Any]] = {
     ENDINGS[StepEvent.GOAL]: {"s": 30, "color": GREEN, "edgecolor": "white", "linewidth": 0.8},
     TIME_LIMIT: {"s": 30, "marker": "s", "color": "white", "edgecolor": "black", "linewidth": 1.3},
+    CONTACT: {"marker": "X", **_EARLY, "color": RED},
     ENDINGS[StepEvent.JAM]: {"marker": "X", **_EARLY},
     ENDINGS[StepEvent.FLIP]: {"marker": "^", **_EARLY},
     ENDINGS[StepEvent.OUT_OF_BOUNDS]: {"marker": "D", **_EARLY},

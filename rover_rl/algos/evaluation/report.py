@@ -94,10 +94,8 @@ def _table(title: str, evaluations: Sequence[Evaluation | EndlessEvaluation], gr
     if backends:
         shown = [key for key in shown if key in COMPARED]
     table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    table.add_column("policy", overflow="fold")
     ranges = any(isinstance(one, Evaluation) and one.episodes.several_worlds for one in evaluations)
-    if ranges:
-        table.add_column("worlds", overflow="fold")
+    table.add_column("policy\n[dim]worlds[/dim]" if ranges else "policy", overflow="fold")
     columns: Sequence[str | None] = backends or [None]
     for backend in columns:
         for key in shown:
@@ -107,7 +105,7 @@ def _table(title: str, evaluations: Sequence[Evaluation | EndlessEvaluation], gr
         cells = (
             _cell(key, line[column].metrics[key]) if column in line else "-" for column in columns for key in shown
         )
-        table.add_row(escape(name), *([escape(world)] if ranges else []), *cells)
+        table.add_row(escape(name) + (f"\n[dim]{escape(world)}[/dim]" if ranges else ""), *cells)
     places = dict.fromkeys((groups[one.name], one.world_name) for one in evaluations if one.name in groups)
     for group, world in places:
         members = [one for one in evaluations if (groups.get(one.name), one.world_name) == (group, world)]
@@ -115,8 +113,8 @@ def _table(title: str, evaluations: Sequence[Evaluation | EndlessEvaluation], gr
         count = max(map(len, parts))
         if count > 1:
             cells = (_mean_cell(key, [one.metrics[key].value for one in part]) for part in parts for key in shown)
-            heads = [f"{escape(group)}\n[dim]{count} policies[/dim]", *([escape(world)] if ranges else [])]
-            table.add_row(*heads, *cells)
+            note = f"{count} policies" + (f", {world}" if ranges else "")
+            table.add_row(f"{escape(group)}\n[dim]{escape(note)}[/dim]", *cells)
     return table
 
 

@@ -292,13 +292,13 @@ def _results(evaluation: Evaluation | EndlessEvaluation) -> dict[str, Any]:
     endings = Counter(trajectory.ending for trajectory in evaluation.trajectories)
     return {
         **evaluation.summary(),
-        "env": _plain_env_or_none(evaluation.env),
+        "env": plain_env_or_none(evaluation.env),
         "metrics": metrics,
         "endings": dict(endings),
     }
 
 
-def _plain_env_or_none(env: EnvConfig) -> dict[str, Any] | None:
+def plain_env_or_none(env: EnvConfig) -> dict[str, Any] | None:
     """Returns the settings as plain data, ``None`` if they contain objects that have no plain form."""
     try:
         return plain_env(env)
