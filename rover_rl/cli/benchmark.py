@@ -59,7 +59,7 @@ class BarnBenchmark:
             first, last = (int(ends[1]), int(ends[2] or ends[1])) if ends else (1, 0)
             if not first <= last < WORLDS:
                 raise ValueError(
-                    f"--worlds takes test, train, all, or numbers from 0 to {WORLDS - 1} such as 1,7,20-29, got {part!r}"
+                    f"--worlds takes test, train, all, or numbers below {WORLDS}, such as 1,7,20-29, got {part!r}"
                 )
             numbers |= dict.fromkeys(range(first, last + 1))
         return [*numbers]
