@@ -301,10 +301,13 @@ def draw_panels(panels: Mapping[str, Evaluation], path: Path, title: str, column
     rows = math.ceil(len(panels) / columns)
     figure = Figure(figsize=(4 * columns + 0.8, 4.3 * rows + 1.2), layout="compressed")
     figure.suptitle(title)
+    # Panels with the same world show the same area.
+    points: dict[World, list[Tensor]] = {}
+    for evaluation in panels.values():
+        points.setdefault(evaluation.episodes.world, []).extend((*evaluation.paths, evaluation.episodes.goal))
     for number, (name, evaluation) in enumerate(panels.items(), 1):
         ax = figure.add_subplot(rows, columns, number)
-        points = (*(trajectory.path for trajectory in evaluation.trajectories), evaluation.episodes.goal)
-        _draw_evaluation(ax, evaluation, _square_around(torch.cat(points)))
+        _draw_evaluation(ax, evaluation, _square_around(torch.cat(points[evaluation.episodes.world])))
         ax.set(xlabel="", ylabel="")
         ax.set_title(name, fontsize="medium")
     endings = {ending for evaluation in panels.values() for ending in evaluation.endings}
