@@ -119,6 +119,8 @@ def _read_world(folder: Path, number: int) -> Course:
         if shapes:
             centers.append(numbers(model.find("pose"), 6, None, f"the pose of a model in {path}")[:2])
     cells = read_npy(folder / "path_files" / f"path_{number}.npy", (None, 2))
+    if not np.isfinite(cells).all():
+        raise ValueError(f"the reference path of {path} must have finite cells")
     points = np.vstack((START[:2], cells * CELL + CELL_ORIGIN, GOAL))
     length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
     return _course(str(path), number, np.array(centers, dtype=np.float32).reshape(-1, 2), length)

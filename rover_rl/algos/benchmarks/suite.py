@@ -266,11 +266,13 @@ class Result:
 def mean_rate(flags: Tensor) -> Estimate:
     """Returns the mean of flags ``[courses, runs]``.
 
-    The interval is Wilson's for one run of each course, and a bootstrap over the courses for several.
+    The interval is Wilson's for one run of each course, and a bootstrap over the courses for several. If all runs are
+    equal, a bootstrap has no width, and the interval is Wilson's for as many runs as courses.
     """
-    if flags.shape[1] == 1:
-        return proportion(int(flags.sum()), len(flags))
-    return ratio(flags.mean(1).tolist())
+    rates = flags.mean(1)
+    if flags.shape[1] == 1 or flags.min() == flags.max():
+        return proportion(round(rates.sum().item()), len(rates))
+    return ratio(rates.tolist())
 
 
 def run_suite(
