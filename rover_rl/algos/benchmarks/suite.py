@@ -120,7 +120,7 @@ class Suite(ABC):
 
     @abstractmethod
     def metrics(self, result: Result) -> dict[str, Estimate]:
-        """Returns the metrics of :attr:`columns`."""
+        """Returns the metrics that a table shows, by the keys of its columns."""
 
     @abstractmethod
     def differences(self, env: EnvConfig) -> list[str]:

@@ -280,7 +280,7 @@ def _draw_worst_worlds(evaluations: Sequence[Evaluation], path: Path, max_episod
     indices = evaluations[0].episodes.world_index
     panels = {}
     for evaluation in evaluations:
-        rates = {world["world"]: world["success_rate"] for world in evaluation.worlds}
+        rates = {world["world"]: world["success_rate"] for world in evaluation.by_world}
         for world in worst_worlds(evaluations):
             shown = evaluation.select((indices == world).nonzero().squeeze(-1).tolist()[:max_episodes])
             panels[f"{evaluation.name}, {shown.episodes.world_name(0)}: {rates[world]:.0%}"] = shown

@@ -80,7 +80,7 @@ def print_table(
 
 def _worst_worlds(evaluation: Evaluation) -> str:
     """Returns a line with the worlds that have the lowest success rates."""
-    worlds = {world["world"]: world for world in evaluation.worlds}
+    worlds = {world["world"]: world for world in evaluation.by_world}
     worst = (worlds[index] for index in worst_worlds([evaluation]))
     named = ", ".join(f"{world['name']} {world['success_rate']:.0%}" for world in worst if world["success_rate"] < 1)
     policy = escape(f"{evaluation.name} in {evaluation.world_name}, {evaluation.backend}")
@@ -222,7 +222,7 @@ def write_evaluation(path: Path, evaluations: Sequence[Evaluation | EndlessEvalu
         {"policy": one.name, "backend": one.backend, "worlds": one.world_name, **world}
         for one in evaluations
         if isinstance(one, Evaluation) and one.episodes.several_worlds
-        for world in one.worlds
+        for world in one.by_world
     ]
     if by_world:
         write_rows(path.with_name(f"{path.stem}-worlds.csv"), by_world)

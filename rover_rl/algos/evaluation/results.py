@@ -96,7 +96,7 @@ class Evaluation:
         return self.episodes.name
 
     @cached_property
-    def worlds(self) -> list[dict[str, Any]]:
+    def by_world(self) -> list[dict[str, Any]]:
         """Results in each world, in the order of the pool.
 
         The keys are ``world`` (index in the pool), ``name``, ``count``, ``success_rate``, ``contact_free_success_rate``
@@ -152,9 +152,9 @@ class Evaluation:
         episodes, limit = self.episodes, f"one goal within {self.seconds:g} s"
         if not episodes.several_worlds:
             return f"{len(episodes)} episodes in {episodes.name}: {limit}"
-        counts = {world["count"] for world in self.worlds}
+        counts = {world["count"] for world in self.by_world}
         each = f"{counts.pop()} episodes in each" if len(counts) == 1 else f"{len(episodes)} episodes"
-        return f"{each} of {len(self.worlds)} worlds: {limit}"
+        return f"{each} of {len(self.by_world)} worlds: {limit}"
 
     def summary(self) -> dict[str, Any]:
         """Returns policy, backend, world and counts as plain data."""
@@ -183,7 +183,7 @@ class Evaluation:
             return {**_results(self), "episodes": results}
         indices = episodes.world_index.tolist()
         results = [{"world": index, **result} for index, result in zip(indices, results, strict=True)]
-        return {**_results(self), "worlds": self.worlds, "episodes": results}
+        return {**_results(self), "worlds": self.by_world, "episodes": results}
 
 
 @dataclass(frozen=True)
@@ -260,14 +260,14 @@ def worst_worlds(evaluations: Sequence[Evaluation], count: int = WORST) -> list[
     """
 
     def merit(index: int) -> tuple[float, float, float]:
-        results = [evaluation.worlds[index] for evaluation in evaluations]
+        results = [evaluation.by_world[index] for evaluation in evaluations]
         times = [-(result["mean_time_to_traverse"] or math.inf) for result in results]
         keys = ("success_rate", "contact_free_success_rate")
         success, clean = (sum(result[key] for result in results) for key in keys)
         return success, clean, sum(times)
 
-    order = sorted(range(len(evaluations[0].worlds)), key=merit)
-    return [evaluations[0].worlds[index]["world"] for index in order[:count]]
+    order = sorted(range(len(evaluations[0].by_world)), key=merit)
+    return [evaluations[0].by_world[index]["world"] for index in order[:count]]
 
 
 def _backend_name(env: EnvConfig) -> str:

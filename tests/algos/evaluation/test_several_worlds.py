@@ -172,9 +172,9 @@ def test_contacts_are_those_with_the_world_of_each_episode() -> None:
 
 def test_results_by_world() -> None:
     driven = evaluation("mine", ENDINGS)
-    assert [world["success_rate"] for world in driven.worlds] == pytest.approx([1 / 3, 2 / 3, 1])
-    assert [world["name"] for world in driven.worlds] == ["field", "wall", "crates"]
-    assert driven.worlds[0]["mean_time_to_traverse"] == 1.0
+    assert [world["success_rate"] for world in driven.by_world] == pytest.approx([1 / 3, 2 / 3, 1])
+    assert [world["name"] for world in driven.by_world] == ["field", "wall", "crates"]
+    assert driven.by_world[0]["mean_time_to_traverse"] == 1.0
     assert driven.metrics["success_rate"].value == pytest.approx(6 / 9)
     assert worst_worlds([driven], 2) == [0, 1]
     other = evaluation("other", ENDINGS[::-1])
