@@ -54,7 +54,7 @@ class Navigation:
         zeros = torch.zeros_like(keys)
         reference = state.reference
         if goal is None:
-            goal = self._placement.draw_goal(keys, zeros, reference.position)
+            goal = self._placement.draw_goal(keys, zeros, reference.position, mask)
         initial = TaskState(
             goal=goal,
             target=target_info(reference.position, reference.yaw, goal),
@@ -143,7 +143,7 @@ class Navigation:
         if reached.device.type == "cpu" and not reached.any():
             return task
         reference = state.reference
-        drawn = self._placement.draw_goal(keys, task.goals, reference.position)
+        drawn = self._placement.draw_goal(keys, task.goals, reference.position, reached)
         goal = torch.where(reached, drawn, task.goal)
         target = target_info(reference.position, reference.yaw, goal)
         return replace(task, goal=goal, target=target, goals=task.goals + reached)

@@ -348,7 +348,7 @@ class RoverEnv(EnvBase):
         self._keys = torch.where(mask, episode_keys(self._row_keys, self._episode), self._keys)
 
         self._change_worlds(mask)
-        poses = self.placement.draw_start(self._keys) if start is None else start
+        poses = self.placement.draw_start(self._keys, mask) if start is None else start
         device = self.simulator.device
         rows = mask.squeeze(-1).to(device)
         if self.randomization.varies_dynamics:
