@@ -45,7 +45,7 @@ from rover_rl.sims import BackendLike, Connection, RoverState, Simulator, make_s
 from rover_rl.sims.base import View, WorldChanger
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.timing import CONTROL_DT
-from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds import World, free_space
 from rover_rl.sims.worlds.pool import WorldPool, WorldSource
 from rover_rl.tensordicts import unchecked_tensordict
 
@@ -295,6 +295,7 @@ class RoverEnv(EnvBase):
     def close(self, *, raise_if_closed: bool = False) -> None:
         """Releases the simulator. The next ``reset()`` builds a new one. Idempotent."""
         self.simulator.close()
+        self._row_worlds.close()
         super().close(raise_if_closed=raise_if_closed)
 
     def to(self, device: torch.device | str) -> RoverEnv:
@@ -313,6 +314,8 @@ class RoverEnv(EnvBase):
         self.simulator: Simulator = self._make_simulator()
         self._started = False
         self.is_closed = False
+        if self._row_worlds.is_drawn and isinstance(self.simulator, WorldChanger):
+            self._row_worlds.prepare_ahead(partial(_prepare, self.robot, self.simulator))
 
     def _make_specs(self) -> None:
         batch_size, device, privileged = self.batch_size, self.device, self.config.privileged
@@ -373,8 +376,8 @@ class RoverEnv(EnvBase):
 
     def _change_worlds(self, mask: Tensor) -> None:
         """Draws the worlds of new episodes, in a simulator that can change the worlds of rows."""
-        if self._row_worlds.is_drawn and isinstance(self.simulator, WorldChanger):
-            rows = self._row_worlds.draw(mask, self._keys)
+        if isinstance(self.simulator, WorldChanger) and self._row_worlds.is_drawn:
+            rows = self._row_worlds.draw(mask, self._keys, episode_keys(self._row_keys, self._episode + 1))
             if rows:
                 worlds = [self.worlds[row] for row in rows]
                 self.placement.set_worlds(rows, worlds)
@@ -395,6 +398,7 @@ class RoverEnv(EnvBase):
         device = self.simulator.device
         rows = None if active is None else active.squeeze(-1).to(device)
         steps = self._state.task.steps + (1 if active is None else active)
+        self._row_worlds.request_next()
         self._perceive(self.simulator.step(command.to(device), rows), steps)
 
         self._navigation.advance(self._state, invalid, active, self._keys)
@@ -454,6 +458,12 @@ class RoverEnv(EnvBase):
 
 # The metaclass of EnvBase hides the arguments from help() and editors. This restores them.
 RoverEnv.__signature__ = inspect.Signature([*inspect.signature(RoverEnv.__init__).parameters.values()][1:])
+
+
+def _prepare(robot: Robot, simulator: WorldChanger, world: World) -> None:
+    """Prepares a world for episodes in it."""
+    free_space(world, robot)
+    simulator.prepare_world(world)
 
 
 def _require_count(name: str, value: int, most: int) -> None:

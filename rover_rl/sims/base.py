@@ -156,3 +156,10 @@ class WorldChanger(Protocol):
             worlds: new world of each of these rovers.
         """
         ...
+
+    def prepare_world(self, world: World) -> None:
+        """Prepares a world that rovers may move to soon, which makes :meth:`set_worlds` faster.
+
+        It may run in another thread, at the same time as the other methods.
+        """
+        ...

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -48,10 +51,16 @@ class SceneTable:
         self._bytes = wp.array(ptr=self.scenes.ptr, dtype=wp.uint8, shape=capacity * self._size, device=device)
         # A struct in an array refers to other arrays without owning them.
         self._owners: list[wp.array | None] = [None] * capacity
+        self._packed: WeakKeyDictionary[World, PackedScene] = WeakKeyDictionary()
+
+    def prepare(self, world: World) -> None:
+        """Packs a world that will be set soon. It is safe to call from another thread."""
+        self._packed[world] = PackedScene.of(world, self._reach)
 
     def __setitem__(self, slot: int, world: World) -> None:
         """Copies a world to a slot."""
-        scene, memory = make_scene(world, self._reach, self._device)
+        packed = self._packed.pop(world, None) or PackedScene.of(world, self._reach)
+        scene, memory = packed.copy_to(self._device)
         # As bytes: an array of structs is slow to make.
         data = np.frombuffer(scene.__ctype__(), dtype=np.uint8)  # type: ignore[attr-defined]
         record = wp.array(data, dtype=wp.uint8, device=self._device)
@@ -59,41 +68,66 @@ class SceneTable:
         self._owners[slot] = memory
 
 
-def make_scene(world: World, reach: float, device: wp.Device) -> tuple[Scene, wp.array]:
-    """Copies a world to a device.
+@dataclass(frozen=True)
+class PackedScene:
+    """A world as the kernels read it, in one block of memory, so that a thread reads one region.
 
-    Args:
-        world: world to copy.
-        reach: radius of a sphere around the center of mass that contains the rover, m.
-        device: device of the arrays.
-
-    Returns:
-        The scene, and the memory that its arrays are in. The caller keeps the memory as long as the scene.
+    Attributes:
+        numbers: fields of the scene that are not arrays, by name.
+        shapes: shape of each array, by name, in the order of the block.
+        block: the arrays one after the other, uint8, each aligned to a cache line.
     """
-    terrain = world.terrain
-    heights = terrain.heights.numpy()
-    scene = Scene()
-    scene.origin = wp.vec2(*terrain.origin)
-    scene.cell = terrain.cell
-    scene.block = min(max(1, round(BLOCK_SIDE / terrain.cell)), MAX_BLOCK_CELLS)
-    groups = groups_of(world.obstacles)
-    arrays = {"heights": heights, "blocks": _blocks(heights, scene.block, terrain.cell)}
-    arrays |= _solids(groups) | _faces(groups) | _grid(scene, groups, reach)
-    return scene, _share_memory(scene, arrays, device)
+
+    numbers: dict[str, Any]
+    shapes: dict[str, tuple[int, ...]]
+    block: np.ndarray
+
+    @classmethod
+    def of(cls, world: World, reach: float) -> PackedScene:
+        """Packs a world.
+
+        Args:
+            world: world to pack.
+            reach: radius of a sphere around the center of mass that contains the rover, m.
+        """
+        terrain = world.terrain
+        heights = terrain.heights.numpy()
+        block = min(max(1, round(BLOCK_SIDE / terrain.cell)), MAX_BLOCK_CELLS)
+        groups = groups_of(world.obstacles)
+        grid_numbers, grid = _grid(groups, reach)
+        arrays = {"heights": heights, "blocks": _blocks(heights, block, terrain.cell)}
+        arrays |= _solids(groups) | _faces(groups) | grid
+        memory = np.zeros(sum(_aligned(array.nbytes) for array in arrays.values()) + ALIGNMENT, dtype=np.uint8)
+        start = 0
+        for array in arrays.values():
+            memory[start : start + array.nbytes] = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
+            start += _aligned(array.nbytes)
+        numbers = {"origin": wp.vec2(*terrain.origin), "cell": terrain.cell, "block": block, **grid_numbers}
+        return cls(numbers, {name: array.shape for name, array in arrays.items()}, memory)
+
+    def copy_to(self, device: wp.Device) -> tuple[Scene, wp.array]:
+        """Copies the world to a device.
+
+        Returns:
+            The scene, and the memory that its arrays are in. The caller keeps the memory as long as the scene.
+        """
+        memory = wp.array(self.block, dtype=wp.uint8, device=device)
+        scene = Scene()
+        for name, value in self.numbers.items():
+            setattr(scene, name, value)
+        start = memory.ptr
+        for name, shape in self.shapes.items():
+            dtype = ARRAY_TYPES[name]
+            # The last dimension of an array of vectors is in its type.
+            outer = shape[:-1] if wp.types.type_is_vector(dtype) else shape
+            setattr(scene, name, wp.array(ptr=start, dtype=dtype, shape=outer, device=device))
+            start += _aligned(4 * math.prod(shape))
+        return scene, memory
 
 
-def _share_memory(scene: Scene, arrays: dict[str, np.ndarray], device: wp.Device) -> wp.array:
-    """Sets the arrays of a scene. They lie in one block of memory, so that a thread reads one region of it."""
-    starts = np.cumsum([0, *(-(-array.nbytes // ALIGNMENT) * ALIGNMENT for array in arrays.values())])
-    memory = np.zeros(starts[-1] + ALIGNMENT, dtype=np.uint8)
-    for array, start in zip(arrays.values(), starts.tolist(), strict=False):
-        memory[start : start + array.nbytes] = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
-    shared = wp.array(memory, dtype=wp.uint8, device=device)
-    for (name, array), start in zip(arrays.items(), starts.tolist(), strict=False):
-        dtype = ARRAY_TYPES[name]
-        shape = array.shape[:-1] if wp.types.type_is_vector(dtype) else array.shape
-        setattr(scene, name, wp.array(ptr=shared.ptr + start, dtype=dtype, shape=shape, device=device))
-    return shared
+def _aligned(size: int) -> int:
+    """Returns the size (bytes) up to the next array in a block."""
+    return -(-size // ALIGNMENT) * ALIGNMENT
 
 
 def make_robot_model(robot: Robot, inertial_model: InertialModel, device: wp.Device) -> RobotModel:
@@ -189,15 +223,14 @@ def _spheres(points: np.ndarray) -> np.ndarray:
     return np.column_stack((centers, radii))
 
 
-def _grid(scene: Scene, groups: Sequence[Solids], reach: float) -> dict[str, np.ndarray]:
-    """Returns the lists of the broad-phase grid, and sets its size.
+def _grid(groups: Sequence[Solids], reach: float) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Returns the size and the lists of the broad-phase grid.
 
     The grid lists for each cell the obstacles within reach of a rover centered in it.
     """
-    scene.grid_cell = GRID_CELL
     if not groups:
-        scene.grid_columns = scene.grid_rows = 0
-        return {"grid_starts": np.zeros(1, dtype=np.int32), "grid_obstacles": np.zeros(0, dtype=np.int32)}
+        lists = {"grid_starts": np.zeros(1, dtype=np.int32), "grid_obstacles": np.zeros(0, dtype=np.int32)}
+        return {"grid_cell": GRID_CELL, "grid_columns": 0, "grid_rows": 0}, lists
     outlines = [solids.vertices[..., :2].numpy() for solids in groups]
     lows = np.concatenate([outline.min(1) for outline in outlines]) - reach
     highs = np.concatenate([outline.max(1) for outline in outlines]) + reach
@@ -211,10 +244,9 @@ def _grid(scene: Scene, groups: Sequence[Solids], reach: float) -> dict[str, np.
     number = np.arange(len(obstacles)) - np.repeat(sizes.prod(1).cumsum() - sizes.prod(1), sizes.prod(1))
     along = np.stack((number % sizes[obstacles, 0], number // sizes[obstacles, 0]), -1) + firsts[obstacles]
     cells = along[:, 1] * columns + along[:, 0]
-    scene.grid_origin = wp.vec2(*corner)
-    scene.grid_columns, scene.grid_rows = columns, rows
     counts = np.bincount(cells, minlength=rows * columns)
-    return {
+    size = {"grid_origin": wp.vec2(*corner), "grid_cell": GRID_CELL, "grid_columns": columns, "grid_rows": rows}
+    return size, {
         "grid_starts": np.cumsum([0, *counts], dtype=np.int32),
         "grid_obstacles": obstacles[np.argsort(cells, kind="stable")].astype(np.int32),
     }

@@ -119,6 +119,10 @@ class WarpSimulator:
         """Moves rovers to other worlds: see :meth:`WorldChanger.set_worlds`."""
         self._fill(self._slots.assign(rows, worlds))
 
+    def prepare_world(self, world: World) -> None:
+        """Prepares a world that rovers may move to soon: see :meth:`WorldChanger.prepare_world`."""
+        self._scenes.prepare(world)
+
     def _fill(self, slots: Iterable[int]) -> None:
         """Copies the worlds of slots to the device, and the slot of every rover."""
         for slot in slots:
