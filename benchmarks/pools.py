@@ -5,7 +5,8 @@
 Measures environments side by side, in turn: all rows in one maze, rows in many mazes for life, and rows that draw
 another maze for each episode. Prints the steps per second of each, and their ratio to all rows in one maze in the same
 round. As mazes differ, the latter is the mean over several of them. First prints the time that a world takes to
-prepare: its layout, its free space, and its copy on the device. The cache of free space is empty at first.
+prepare, its layout, its free space, and its copy on the device, and the memory of the process with many worlds. The
+cache of free space is empty at first.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from unittest.mock import patch
 
 import torch
 import tyro
+from psutil import Process
 from rich.console import Console
 from rich.table import Table
 from tensordict import TensorDictBase
@@ -76,6 +78,17 @@ def preparation(options: Options) -> Table:
     return table
 
 
+def memory(options: Options) -> str:
+    """Measures the memory of this process before and after building an environment with a world for each row."""
+    process = Process()
+    before = process.memory_info().rss
+    mazes = [f"maze:{20_000 + seed}" for seed in range(options.worlds)]
+    env = make_env(world_n=mazes, num_envs=len(mazes), backend="warp", seed=0)
+    env.rollout(2)
+    after = process.memory_info().rss
+    return f"Memory with {len(mazes)} mazes: {after / 2**20:,.0f} MB in all, {before / 2**20:,.0f} MB before"
+
+
 def speeds(options: Options) -> Table:
     """Measures environments side by side."""
     mazes = [f"maze:{seed}" for seed in range(min(options.worlds, options.num_envs))]
@@ -127,6 +140,7 @@ def main(options: Options) -> None:
     console = Console(width=110)
     with TemporaryDirectory() as folder, patch.dict(os.environ, XDG_CACHE_HOME=folder):
         console.print(preparation(options))
+        console.print(memory(options))
         console.print(speeds(options))
 
 
