@@ -103,7 +103,8 @@ class RoverPhysics:
             skip_checks=True,
         )
         self._states[rows] = trajectories[:, -1]
-        return (contacts[..., 0] > contacts[..., 1]).any(1)
+        all_contacts, with_ground = contacts[..., 0], contacts[..., 1]
+        return np.any(all_contacts > with_ground, axis=1)
 
     def read(self, rows: np.ndarray) -> Reading:
         """Returns the poses and wheel speeds of the given rovers."""
