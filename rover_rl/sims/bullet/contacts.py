@@ -11,8 +11,8 @@ from rover_rl.sims.worlds import Obstacle
 
 MAX_SPEED = 2.0
 """Speed above which a point of a rover may reach an obstacle unnoticed within a control step, m/s."""
-_DISTANCE = 8
-"""Index of the distance (m, negative for a penetration) in a contact point of PyBullet."""
+_DISTANCE, _NORMAL_FORCE = 8, 9
+"""Indices of the distance (m, negative for a penetration) and the normal force (N) in a contact point of PyBullet."""
 
 
 class NearObstacles:
@@ -50,9 +50,10 @@ class NearObstacles:
 
 
 def is_touching(client: int, rover: int, obstacle: int) -> bool:
-    """Returns whether a rover touches an obstacle: whether their surfaces meet or overlap.
+    """Returns whether a rover touches an obstacle: whether their surfaces overlap or a force acts between them.
 
-    Bullet also keeps contact points of surfaces up to 2 cm apart.
+    Bullet also keeps contact points of surfaces up to 2 cm apart. With a ``contact_threshold`` above 0, a force may act
+    just before the surfaces meet.
 
     Args:
         client: id of the Bullet client.
@@ -60,4 +61,4 @@ def is_touching(client: int, rover: int, obstacle: int) -> bool:
         obstacle: id of the obstacle's body.
     """
     points = pybullet.getContactPoints(rover, obstacle, physicsClientId=client)
-    return any(point[_DISTANCE] <= 0.0 for point in points)
+    return any(point[_DISTANCE] <= 0.0 or point[_NORMAL_FORCE] > 0.0 for point in points)
