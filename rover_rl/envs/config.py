@@ -147,8 +147,8 @@ class RewardConfig:
         general_penalty: Reward for an episode that ends in a flip or a jam.
         flip_grace_steps: Number of steps at the start of an episode in which a flip has no penalty.
         out_of_bounds_penalty: Reward for leaving the world's bounds (``too_far_away_penilty`` in the contract).
-        clearance_penalty: Reward for each step with a lidar reading of 0, which grows linearly to 0 at
-            ``clearance_distance``. 0 leaves the component out.
+        clearance_penalty: Reward for each step with a lidar reading of 0. It falls linearly to nothing at the clearance
+            distance. 0 leaves the component out.
         clearance_distance: Lidar reading below which the clearance penalty applies, m.
         action_rate_penalty: Reward for each squared change of the action between steps, (m/s)^2 + rad^2. 0 leaves the
             component out.
