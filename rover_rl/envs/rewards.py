@@ -24,6 +24,8 @@ from rover_rl.registry import Registry
 from rover_rl.sims.rotations import wrap_angle
 from rover_rl.tensordicts import unchecked_tensordict
 
+_LAST_ACTION = "last_action"
+
 
 class RewardComponent(Transform):
     """Base class of reward components. The value is written to ``("reward_components", name)``.
@@ -262,7 +264,7 @@ class ActionRatePenalty(RewardComponent):
     """Penalty for changes of the action between steps. Not a part of the contract.
 
     The value is ``action_rate_penalty * |a_t - a_(t-1)|^2`` in every step but the first of an episode, with actions in
-    m/s and rad, and the change of the heading offset wrapped to [-pi, pi). This is the action rate penalty of
+    m/s and rad, and the change of the heading offset wrapped to (-pi, pi]. This is the action rate penalty of
     N. Rudin, D. Hoeller, P. Reist, M. Hutter, "Learning to walk in minutes using massively parallel deep reinforcement
     learning", CoRL 2021 (arXiv:2109.11978).
 
@@ -303,9 +305,6 @@ class ActionRatePenalty(RewardComponent):
         batch_size, device = self.parent.batch_size, self.parent.device
         observation_spec[_LAST_ACTION] = Unbounded(shape=(*batch_size, 2), device=device)
         return observation_spec
-
-
-_LAST_ACTION = "last_action"
 
 
 class TotalReward(Transform):
