@@ -108,7 +108,7 @@ class RoverEnv(EnvBase):
 
     Raises:
         ValueError: if the world, backend or robot is unknown, the device is not available, there are fewer beams than
-            points, or a number is out of range.
+            points, a number is out of range, or the task needs contacts that the backend does not report.
 
     Example:
         >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0)
@@ -199,6 +199,7 @@ class RoverEnv(EnvBase):
             device=self._tensor_device,
         )
         self._open()
+        self._require_contact()
         self._init_task()
         self._make_specs()
         self.set_seed(seed)
@@ -215,6 +216,15 @@ class RoverEnv(EnvBase):
         self._delay = CommandDelay(config.randomization.latency, self.num_envs, device)
         self._privileged = PrivilegedObservation(self.pool, self.robot, device) if config.privileged else None
         self._state = StepState(task=TaskState.zeros(self.num_envs, device), world=self._row_worlds.index_if_several)
+
+    def _require_contact(self) -> None:
+        """Raises an error if the task needs contacts and the simulator does not report them."""
+        if self.task.collision_from == "contact" and self.simulator.state().contact is None:
+            self.simulator.close()
+            raise ValueError(
+                f"a task with collision_from='contact' needs a backend that reports contacts, and "
+                f"{type(self.simulator).__name__} does not; use collision_from='lidar' or another backend"
+            )
 
     @property
     def worlds(self) -> list[World]:

@@ -166,7 +166,8 @@ class WarpSimulator:
 
     def state(self) -> RoverState:
         """Returns a copy of the current state."""
-        return self._drive.state(self._buffers.base_state.clone(), self._buffers.ranges.clone())
+        buffers = self._buffers
+        return self._drive.state(buffers.base_state.clone(), buffers.ranges.clone(), buffers.contact.clone())
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders an image: see :meth:`Simulator.render`."""

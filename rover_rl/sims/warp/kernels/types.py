@@ -119,6 +119,8 @@ class RoverArrays:
     target_speeds: wp.array[wp.vec2]
     active: wp.array[wp.bool]
     # Outputs: base state [N, 9] (position of the base frame, its orientation, mean speed of the left and of the right
-    # wheels relative to the chassis) and scan [N, beams], m.
+    # wheels relative to the chassis), scan [N, beams], m, and whether the rover touched an obstacle in the last control
+    # step.
     base_state: wp.array2d[float]
     ranges: wp.array2d[float]
+    contact: wp.array[wp.bool]
