@@ -14,6 +14,7 @@ from torch import Tensor
 
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.clearance import clearance_on_grid
+from rover_rl.sims.worlds.free_space_cache import load_free_space, store_free_space
 from rover_rl.sims.worlds.placement import ground_frame
 from rover_rl.sims.worlds.world import Area, World
 
@@ -82,14 +83,20 @@ class FreeSpace:
 
 
 def free_space(world: World, robot: Robot) -> FreeSpace:
-    """Returns the free space of a world for a robot. Computed once for each world object and robot.
+    """Returns the free space of a world for a robot.
+
+    It is computed once, and stored on disk by the content of the world and the robot
+    (:mod:`rover_rl.sims.worlds.free_space_cache`).
 
     Raises:
         ValueError: if there is no spawn cell or no goal cell, or the goals lie too close together.
     """
     by_robot = _cache.setdefault(world, {})
     if robot not in by_robot:
-        by_robot[robot] = _compute(world, robot)
+        stored = load_free_space(FreeSpace, world, robot)
+        by_robot[robot] = stored or _compute(world, robot)
+        if stored is None:
+            store_free_space(world, robot, by_robot[robot])
     return by_robot[robot]
 
 
