@@ -312,7 +312,9 @@ def test_the_readme_names_make_demo_and_make_test() -> None:
 def test_the_command_line_reference_has_every_option() -> None:
     pytest.importorskip("sphinx")
     help_ = load(ROOT / "docs" / "_extensions" / "command_help.py")
-    for command in ("train", "train --algo sac", *COMMANDS):
+    commands = help_.all_commands()
+    assert {command.split()[0] for command in commands} == {"train", *COMMANDS}
+    for command in ("train --algo sac", *commands):
         usage, description, groups = help_.read_help(command)
         assert usage.startswith(f"rover-rl {command.split()[0]}")
         assert description

@@ -79,13 +79,25 @@ def list_commands(app: Sphinx, document: str, source: list[str]) -> None:
     if MARKER not in source[0]:
         return
     rows, sections = [], []
-    for command in ("train", *COMMANDS):
+    for command in all_commands():
         summary = read_help(command)[1][0].split(". ")[0].rstrip(".")
-        rows.append(f"| [`rover-rl {command}`](#rover-rl-{command}) | {summary} |")
+        rows.append(f"| [`rover-rl {command}`](#rover-rl-{command.replace(' ', '-')}) | {summary} |")
         sections.append(f"## rover-rl {command}\n\n```{{eval-rst}}\n.. command-help:: {command}\n```\n")
         if command == "train":
             sections.append(SAC)
     source[0] = source[0].replace(MARKER, "\n".join(["| command | what it does |", "|---|---|", *rows, "", *sections]))
+
+
+def all_commands() -> list[str]:
+    """Returns all commands, with the subcommands of those that have no options of their own."""
+    commands = []
+    for command in ("train", *COMMANDS):
+        usage, _, boxes = read_help(command)
+        subcommands = re.search(r"{([a-z,-]+)}$", usage)
+        commands += (
+            [f"{command} {name}" for name in subcommands[1].split(",")] if subcommands and not boxes else [command]
+        )
+    return commands
 
 
 def read_help(command: str) -> tuple[str, list[str], dict[str, list[tuple[str, list[str]]]]]:
