@@ -84,7 +84,8 @@ class Evaluate:
         finally:
             # Prints the results even if a file could not be written.
             print_table(results, groups=dict(zip(trained, experiments([*trained.values()]), strict=True)))
-        print(f"Results: {out / 'evaluation.json'}, evaluation.csv")
+        by_world = ", evaluation-worlds.csv" if any(episodes.several_worlds for episodes in sets.values()) else ""
+        print(f"Results: {out / 'evaluation.json'}, evaluation.csv{by_world}")
         print("Paths driven: " + ", ".join(str(picture) for picture in pictures))
         return 0
 
