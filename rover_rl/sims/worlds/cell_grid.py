@@ -49,6 +49,11 @@ class CellGrid:
         row, column = np.nonzero(chosen)
         return torch.from_numpy(np.stack((self.x[column], self.y[row]), -1))
 
+    def indices(self, centers: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns the rows and columns of the cells with the given centers, ``[count, 2]`` (m): int64 ``[count]``."""
+        column, row = ((centers - torch.tensor(self.origin)) / self.cell).round().long().unbind(-1)
+        return row, column
+
     def within(self, area: Area) -> np.ndarray:
         """Returns which cells lie entirely in ``area``: bool ``[rows, columns]``."""
         half = self.cell / 2 - 1e-6

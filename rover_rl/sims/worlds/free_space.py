@@ -17,7 +17,9 @@ from rover_rl.sims.worlds.clearance import clearance_on_grid
 from rover_rl.sims.worlds.ground_limits import (
     CLIFF_SLOPE,
     MAX_SLOPE,
+    MAX_TILT,
     distance_to_cells,
+    level_cells,
     rest_headings,
     slopes_on_grid,
 )
@@ -41,7 +43,7 @@ A reading below 0.3 m is a collision in the original environment.
 """
 MIN_GOAL_DISTANCE = 1.0
 """Minimum distance of the farthest goal from every spawn cell and goal cell, m."""
-EXTRA_CLEARANCE = 1.0
+EXTRA_CLEARANCE = 0.2
 """Margin up to which obstacle distances are exact, beyond the robot's radius plus the lidar clearance, m."""
 TILT_MARGIN = 0.02
 """Maximum horizontal displacement of the lidar by different tilts of the rover within a cell, m."""
@@ -165,6 +167,9 @@ def _check_any(world: World, robot: Robot, kind: str, cells: Tensor) -> None:
 def _extremes(world: World, goal_cells: Tensor, spawn_cells: Tensor, cell: float) -> Tensor:
     """Returns the outermost goal cells in 16 directions: ``[16, 2]``, m."""
     extremes = goal_cells[(goal_cells @ ring(16).T).argmax(0)]
+    # Every place is at least half as far from one of two points as these are from each other.
+    if torch.cdist(extremes, extremes).max() >= 2 * (MIN_GOAL_DISTANCE + cell):
+        return extremes
     farthest = torch.cdist(torch.cat((spawn_cells, goal_cells)), extremes).amax(1)
     if farthest.min() < MIN_GOAL_DISTANCE + cell:
         raise ValueError(
@@ -226,16 +231,22 @@ def _headings(world: World, robot: Robot, grid: CellGrid, clearance: Tensor, cel
     A bin is allowed if its two end headings are. The margins cover all headings in between and the whole cell.
     """
     yaws = torch.from_numpy(headings_of_bins())
-    ahead, left = robot.lidar_position[:2]
+    ahead, left, above = robot.lidar_position
     margin = grid.half_diagonal + math.hypot(ahead, left) * math.pi / HEADINGS + TILT_MARGIN
+    headings = torch.full((len(cells),), -1)
+    hard = torch.ones(len(cells), dtype=torch.bool)
     if world.terrain.is_flat:
-        rests = torch.tensor([-1])
-        offsets = torch.stack((ahead * yaws[:, 0] - left * yaws[:, 1], ahead * yaws[:, 1] + left * yaws[:, 0]), -1)[None]
-        chunks = [(cells, rests, offsets)]
+        offsets = torch.stack((ahead * yaws[:, 0] - left * yaws[:, 1], ahead * yaws[:, 1] + left * yaws[:, 0]), -1)
+        chunks = [(cells, headings[:1], offsets[None])]
     else:
-        chunks = [(part, *rest_headings(world.terrain, robot, grid, part, yaws)) for part in cells.split(CHUNK)]
+        # At the center of an easy cell, the lidar is far enough from obstacles in every direction.
+        reach = LIDAR_CLEARANCES[0] + margin + math.hypot(ahead, left) + above * math.sin(MAX_TILT) + grid.cell
+        row, column = grid.indices(cells)
+        hard = (clearance[row, column] < reach) | ~level_cells(world.terrain, robot, grid, cells)
+        parts = cells[hard].split(CHUNK)
+        chunks = [(part, *rest_headings(world.terrain, robot, grid, part, yaws)) for part in parts]
     for least in LIDAR_CLEARANCES:
-        headings = torch.cat([_clear_headings(grid, clearance, least + margin, *chunk) for chunk in chunks])
+        headings[hard] = torch.cat([_clear_headings(grid, clearance, least + margin, *chunk) for chunk in chunks])
         if headings.any():
             break
     return headings

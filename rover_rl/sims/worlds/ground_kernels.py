@@ -79,6 +79,36 @@ def measure_slopes(
         slopes[j, i] = steepest
 
 
+@wp.kernel
+def measure_extremes(
+    ground: Ground,
+    lows: wp.array[wp.vec2d],
+    highs: wp.array[wp.vec2d],
+    steps: wp.array[int],
+    extremes: wp.array[wp.vec2d],
+):
+    """Least and greatest height of the ground in rectangles; thread ``t`` does rectangle ``t``.
+
+    Args:
+        ground: terrain.
+        lows: lower corners, m.
+        highs: upper corners, m.
+        steps: number of samples along each side, at least 2.
+        extremes: results, m.
+    """
+    t = wp.tid()
+    start = lows[t]
+    spacing = (highs[t] - start) / wp.float64(steps[t] - 1)
+    least = wp.float64(wp.inf)
+    greatest = wp.float64(-wp.inf)
+    for j in range(steps[t]):
+        for i in range(steps[t]):
+            height = plane_at(ground, start[0] + wp.float64(i) * spacing[0], start[1] + wp.float64(j) * spacing[1])[0]
+            least = wp.min(least, height)
+            greatest = wp.max(greatest, height)
+    extremes[t] = wp.vec2d(least, greatest)
+
+
 @wp.func
 def column_gap(marked: wp.array2d[wp.bool], j: int, i: int, reach: int) -> int:
     """Distance along column i from row j to the nearest marked cell, at most ``reach``, in cells."""
@@ -138,6 +168,69 @@ class Stance:
     upright: wp.float64
     reach: wp.float64
     gap: wp.float64
+
+
+@wp.func
+def deviation(ground: Ground, at: wp.vec2d, slope: wp.vec2d, radius: wp.float64) -> wp.vec2d:
+    """Lowest and highest ground in a square around a point, relative to a plane through height 0 at the point.
+
+    The ground consists of triangles, so that its extremes relative to a plane are at the vertices. Returns infinite
+    values if the square exceeds the terrain.
+    """
+    low = wp.float64(wp.inf)
+    high = wp.float64(-wp.inf)
+    first_i = int(wp.floor((at[0] - radius - ground.origin[0]) / ground.cell))
+    first_j = int(wp.floor((at[1] - radius - ground.origin[1]) / ground.cell))
+    last_i = int(wp.ceil((at[0] + radius - ground.origin[0]) / ground.cell))
+    last_j = int(wp.ceil((at[1] + radius - ground.origin[1]) / ground.cell))
+    if first_i < 0 or first_j < 0 or last_i >= ground.heights.shape[1] or last_j >= ground.heights.shape[0]:
+        return wp.vec2d(-low, -high)
+    for j in range(first_j, last_j + 1):
+        y = ground.origin[1] + wp.float64(j) * ground.cell - at[1]
+        for i in range(first_i, last_i + 1):
+            x = ground.origin[0] + wp.float64(i) * ground.cell - at[0]
+            height = wp.float64(ground.heights[j, i]) - slope[0] * x - slope[1] * y
+            low = wp.min(low, height)
+            high = wp.max(high, height)
+    return wp.vec2d(low, high)
+
+
+@wp.kernel
+def find_level_cells(ground: Ground, stance: Stance, cells: wp.array[wp.vec2d], level: wp.array[wp.bool]):
+    """Finds cells on ground so level that :func:`find_rest_headings` allows all headings; thread ``t`` does cell ``t``.
+
+    The ground around the center lies between two planes of slope s: by ``[a, b]`` within the wheels' distance, and
+    below B within reach. The plane fitted below the wheels then has a slope g with ``|g - s| <= e``, where e follows
+    from ``(b - a) / 2`` and the wheels' leverage, ``sum |x| / sum x^2`` along both axes. So the scan plane is at least
+    ``a - e |middle| + lidar_z - e reach - B`` above the ground.
+
+    Args:
+        ground: terrain.
+        stance: rover and limits.
+        cells: centers of the cells, m.
+        level: results.
+    """
+    t = wp.tid()
+    at = cells[t]
+    wheel = wp.float64(0.0)
+    leverage = wp.vec2d()
+    for n in range(stance.wheels.shape[0]):
+        arm = stance.wheels[n]
+        wheel = wp.max(wheel, wp.length(arm + stance.middle))
+        leverage += wp.vec2d(wp.abs(arm[0]) / stance.spread[0], wp.abs(arm[1]) / stance.spread[1])
+    east = plane_at(ground, at[0] + wheel, at[1])[0]
+    west = plane_at(ground, at[0] - wheel, at[1])[0]
+    north = plane_at(ground, at[0], at[1] + wheel)[0]
+    south = plane_at(ground, at[0], at[1] - wheel)[0]
+    slope = wp.vec2d(east - west, north - south) / (wp.float64(2.0) * wheel)
+    near = deviation(ground, at, slope, wheel)
+    far = deviation(ground, at, slope, stance.reach)
+    error = wp.length(leverage) * (near[1] - near[0]) / wp.float64(2.0)
+    # The cosine of the steepest possible tilt.
+    steepest = wp.length(slope) + error
+    upright = wp.float64(1.0) / wp.sqrt(wp.float64(1.0) + steepest * steepest)
+    height = near[0] + stance.lidar[2] - error * (wp.length(stance.middle) + stance.reach) - far[1]
+    level[t] = upright > stance.upright and height > stance.gap
 
 
 @wp.func

@@ -41,6 +41,27 @@ def slopes_on_grid(terrain: Terrain, grid: CellGrid) -> np.ndarray:
     return np.sqrt(squares)
 
 
+def ground_extremes(terrain: Terrain, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Returns the least and the greatest height of the ground in rectangles, from samples.
+
+    Args:
+        terrain: ground.
+        low: lower corners of the rectangles, ``[N, 2]``, m.
+        high: upper corners of the rectangles, ``[N, 2]``, m.
+
+    Returns:
+        Heights, ``[N, 2]``, m.
+    """
+    from rover_rl.sims.native.warp import wp
+    from rover_rl.sims.worlds.ground_kernels import measure_extremes
+
+    steps = np.minimum(200, np.ceil((high - low).max(1) / terrain.cell) * 2 + 1).astype(np.int32)
+    extremes = np.empty((len(low), 2))
+    corners = (np.ascontiguousarray(corner) for corner in (low, high))
+    wp.launch(measure_extremes, len(low), [_ground(terrain), *corners, steps, extremes], device="cpu")
+    return extremes
+
+
 def distance_to_cells(marked: np.ndarray, limit: float) -> np.ndarray:
     """Returns the distance between the centers of cells and the nearest marked cell.
 
@@ -89,6 +110,26 @@ def rest_headings(terrain: Terrain, robot: Robot, grid: CellGrid, cells: Tensor,
     outputs = [offsets.numpy(), headings.numpy().view(np.uint64)]
     wp.launch(find_rest_headings, len(cells), inputs + outputs, device="cpu")
     return headings, offsets
+
+
+def level_cells(terrain: Terrain, robot: Robot, grid: CellGrid, cells: Tensor) -> Tensor:
+    """Returns which cells are on ground so level that :func:`rest_headings` allows all headings: bool ``[S]``.
+
+    The test is quick. It may miss cells.
+
+    Args:
+        terrain: ground.
+        robot: robot.
+        grid: grid of the cells.
+        cells: centers of the cells, ``[S, 2]``, m.
+    """
+    from rover_rl.sims.native.warp import wp
+    from rover_rl.sims.worlds.ground_kernels import find_level_cells
+
+    level = torch.zeros(len(cells), dtype=torch.bool)
+    inputs = [_ground(terrain), _stance(robot, grid), cells.numpy(), level.numpy()]
+    wp.launch(find_level_cells, len(cells), inputs, device="cpu")
+    return level
 
 
 def _ground(terrain: Terrain):  # type: ignore[no-untyped-def]

@@ -113,7 +113,7 @@ def find_reach(
         while rest.max() > 0 and rest.sum() > (goals @ best if narrow.any() else 0):
             joined, reached = _join(fits, parts, int(rest.argmax()), count)
             rest[joined] = 0
-            if joined[wanted].sum() > 1 and goals @ joined > goals @ best:
+            if joined[wanted].sum() > 1 and goals @ joined >= goals @ best:
                 best, narrow = joined, reached
     return Reach(roomy & best[parts], narrow)
 
