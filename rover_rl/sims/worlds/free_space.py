@@ -12,13 +12,13 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.robots import Robot
+from rover_rl.sims.worlds.cell_distance import distance_to_cells
 from rover_rl.sims.worlds.cell_grid import CellGrid, overlap, ring
 from rover_rl.sims.worlds.clearance import clearance_on_grid
 from rover_rl.sims.worlds.ground_limits import (
     CLIFF_SLOPE,
     MAX_SLOPE,
     MAX_TILT,
-    distance_to_cells,
     level_cells,
     rest_headings,
     slopes_on_grid,
@@ -212,7 +212,7 @@ def _drivable(world: World, robot: Robot, grid: CellGrid, clearance: np.ndarray)
         return np.ones(grid.shape, dtype=bool), clearance
     slopes = slopes_on_grid(world.terrain, grid)
     cliffs = slopes > math.tan(CLIFF_SLOPE)
-    away = distance_to_cells(cliffs, (robot.radius + grid.half_diagonal) / grid.cell + 1)
+    away, _ = distance_to_cells(cliffs, (robot.radius + grid.half_diagonal) / grid.cell + 1)
     return slopes <= math.tan(MAX_SLOPE), np.minimum(clearance, grid.cell * away)
 
 

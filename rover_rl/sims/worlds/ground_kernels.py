@@ -1,4 +1,4 @@
-"""Warp kernels that test the ground of a world: slopes, distances to steep places, and headings of rovers at rest."""
+"""Warp kernels that test the ground of a world: slopes, extremes, and headings of rovers at rest."""
 
 from __future__ import annotations
 
@@ -107,44 +107,6 @@ def measure_extremes(
             least = wp.min(least, height)
             greatest = wp.max(greatest, height)
     extremes[t] = wp.vec2d(least, greatest)
-
-
-@wp.func
-def column_gap(marked: wp.array2d[wp.bool], j: int, i: int, reach: int) -> int:
-    """Distance along column i from row j to the nearest marked cell, at most ``reach``, in cells."""
-    for gap in range(reach):
-        if j - gap >= 0:
-            if marked[j - gap, i]:
-                return gap
-        if j + gap < marked.shape[0]:
-            if marked[j + gap, i]:
-                return gap
-    return reach
-
-
-@wp.kernel
-def measure_gaps(marked: wp.array2d[wp.bool], reach: int, gaps: wp.array2d[int]):
-    """Distances along columns to the nearest marked cell, at most ``reach``, in cells; thread ``j`` does row j."""
-    j = wp.tid()
-    for i in range(marked.shape[1]):
-        gaps[j, i] = column_gap(marked, j, i, reach)
-
-
-@wp.kernel
-def combine_gaps(gaps: wp.array2d[int], reach: int, squares: wp.array2d[int]):
-    """Squared distances between the centers of cells and the nearest marked cell; thread ``j`` does row j.
-
-    The square of the distance is the least ``d^2 + gap^2`` over all columns, where d is the distance to the column
-    (P. F. Felzenszwalb and D. P. Huttenlocher, "Distance transforms of sampled functions", Theory of Computing 8,
-    2012). Results are at most ``reach^2``, in cells.
-    """
-    j = wp.tid()
-    columns = gaps.shape[1]
-    for i in range(columns):
-        best = reach * reach
-        for k in range(wp.max(i - reach, 0), wp.min(i + reach + 1, columns)):
-            best = wp.min(best, (k - i) * (k - i) + gaps[j, k] * gaps[j, k])
-        squares[j, i] = best
 
 
 @wp.struct

@@ -62,27 +62,6 @@ def ground_extremes(terrain: Terrain, low: np.ndarray, high: np.ndarray) -> np.n
     return extremes
 
 
-def distance_to_cells(marked: np.ndarray, limit: float) -> np.ndarray:
-    """Returns the distance between the centers of cells and the nearest marked cell.
-
-    Args:
-        marked: marked cells, bool ``[rows, columns]``.
-        limit: largest distance of interest, in cells.
-
-    Returns:
-        Distances in cells, 0 in marked cells; at least ``limit`` where they are not smaller: float64
-        ``[rows, columns]``.
-    """
-    from rover_rl.sims.native.warp import wp
-    from rover_rl.sims.worlds.ground_kernels import combine_gaps, measure_gaps
-
-    reach = math.ceil(limit)
-    gaps, squares = (np.empty(marked.shape, dtype=np.int32) for _ in range(2))
-    wp.launch(measure_gaps, len(marked), [np.ascontiguousarray(marked), reach, gaps], device="cpu")
-    wp.launch(combine_gaps, len(marked), [gaps, reach, squares], device="cpu")
-    return np.sqrt(squares)
-
-
 def rest_headings(terrain: Terrain, robot: Robot, grid: CellGrid, cells: Tensor, yaws: Tensor) -> tuple[Tensor, Tensor]:
     """Returns in which headings a rover may rest at the centers of cells.
 
