@@ -13,6 +13,8 @@ BUCKETS = wp.constant(64)
 """Number of buckets of the queue. The cost of a step must be below ``BUCKETS - 1``."""
 
 
+ALL = wp.constant(wp.uint32(0xFFFFFFFF))
+"""Mask with all 32 steps."""
 OPEN = wp.constant(2)
 """Value of cells in whose surroundings all steps are free and all weights are 1."""
 FREE = wp.constant(1)
@@ -44,7 +46,7 @@ def find_steps(
     for i in range(fits.shape[1]):
         bits = wp.uint32(0)
         if openness[j, i] > 0:
-            bits = wp.uint32(0xFFFFFFFF)
+            bits = ALL
         elif fits[j, i] != wp.uint32(0):
             for k in range(orientations.shape[0]):
                 bit = wp.uint32(1) << wp.uint32(orientations[k])

@@ -65,13 +65,10 @@ class PathGrid:
         space = free_space(world, robot)
         self.passable, self.origin, self.cell = space.passable, space.origin, space.cell
         self._shape = space.passable.shape
-        # The part with the goals. Diagonal steps between two obstacles that touch at a corner connect cells, too.
-        parts, _ = label(space.passable.numpy(), structure=np.ones((3, 3)))
-        row, column = self._cells(space.goal_cells[:1])[0]
-        self._nearest = distance_to_cells(parts == parts[row, column])[1].ravel()
         # A margin around the grid counts as an edge.
         edge = distance_to_cells(np.pad(~space.roomy.numpy(), 1, constant_values=True), CAUTION_CELLS + 2 * SPAN)[0]
         self._prepare(space, edge[1:-1, 1:-1], caution)
+        self._nearest = distance_to_cells(self._reachable(space))[1].ravel()
 
     def _prepare(self, space: FreeSpace, edge: np.ndarray, caution: float) -> None:
         """Copies the weights, the free steps and the openness of all cells to the kernels' arrays.
@@ -94,17 +91,31 @@ class PathGrid:
         wp.launch(find_steps, dim=self._shape[0], inputs=inputs, device="cpu")
         self._offsets = wp.array([y * self._shape[1] + x for x, y in TURNED_STEPS], dtype=int, device="cpu")
 
+    def _reachable(self, space: FreeSpace) -> np.ndarray:
+        """Returns the cells with a path to the goals: bool ``[rows, columns]``."""
+        goal = self._cells(space.goal_cells[:1])
+        if len(space.narrow_orientations):
+            return np.isfinite(self._spread(np.ravel_multi_index(tuple(goal.T), self._shape))).reshape(self._shape)
+        # Diagonal steps between two obstacles that touch at a corner connect cells, too.
+        parts, _ = label(space.roomy.numpy(), structure=np.ones((3, 3)))
+        return parts == parts[tuple(goal[0])]
+
     def costs(self, goals: Tensor) -> Tensor:
         """Returns the costs from every cell to goals ``[G, 2]`` (m): float32 ``[G, rows, columns]``, m, on the CPU."""
-        count, cells = len(goals), self._weights.size
         sources = self._nearest[np.ravel_multi_index(tuple(self._cells(goals).T), self._shape)]
+        costs = self._spread(sources).take(self._nearest, axis=1) * np.float32(self.cell)
+        return torch.from_numpy(costs).reshape(len(goals), *self._shape)
+
+    def _spread(self, sources: np.ndarray) -> np.ndarray:
+        """Returns the costs from every cell to the cells with numbers ``sources [G]``, in cells: ``[G, cells]``."""
+        count, cells = len(sources), self._weights.size
         costs = wp.full((count, cells), math.inf, dtype=float, device="cpu")
         heads = wp.full((count, BUCKETS), -1, dtype=int, device="cpu")
         memory = [wp.empty((count, cells), dtype=int, device="cpu") for _ in range(3)]
         grid = [self._weights, self._steps.flatten(), self._openness.flatten(), self._offsets, self._lengths]
-        wp.launch(spread_costs, dim=count, inputs=[*grid, sources, costs, heads, *memory], device="cpu")
-        found = costs.numpy().take(self._nearest, axis=1)
-        return torch.from_numpy(found * np.float32(self.cell)).reshape(count, *self._shape)
+        inputs = [*grid, sources.astype(np.int32), costs, heads, *memory]
+        wp.launch(spread_costs, dim=count, inputs=inputs, device="cpu")
+        return costs.numpy()
 
     def _cells(self, points: Tensor) -> np.ndarray:
         """Returns the row and column of the cells nearest to points ``[..., 2]``: int64 ``[..., 2]``."""
