@@ -111,7 +111,7 @@ def level_cells(terrain: Terrain, robot: Robot, grid: CellGrid, cells: Tensor) -
     return level
 
 
-def _ground(terrain: Terrain):  # type: ignore[no-untyped-def]
+def _ground(terrain: Terrain):
     """Returns the terrain as a struct of the kernels."""
     from rover_rl.sims.native.warp import wp
     from rover_rl.sims.worlds.ground_kernels import Ground
@@ -122,7 +122,7 @@ def _ground(terrain: Terrain):  # type: ignore[no-untyped-def]
     return ground
 
 
-def _stance(robot: Robot, grid: CellGrid):  # type: ignore[no-untyped-def]
+def _stance(robot: Robot, grid: CellGrid):
     """Returns the dimensions of a rover and the limits for its rest as a struct of the kernels."""
     from rover_rl.sims.native.warp import wp
     from rover_rl.sims.worlds.ground_kernels import Stance

@@ -36,8 +36,8 @@ class PathGrid:
     Paths are those of :func:`~rover_rl.sims.worlds.shortest_paths.shortest_paths` before string pulling, and end at the
     passable cell nearest to the goal. A cell without a path has the cost of the nearest cell with one.
 
-    Narrow cells are crossed only in orientations in which the rover fits. Whether it can turn between two steps there is
-    not tested, so that a path with a sharp bend within a narrow passage may not be drivable.
+    Narrow cells are crossed only in orientations in which the rover fits. Whether it can turn between two steps there
+    is not tested, so that a path with a sharp bend within a narrow passage may not be drivable.
 
     Args:
         world: world of the paths.
@@ -47,6 +47,7 @@ class PathGrid:
 
     Attributes:
         passable: cells through which paths may run, bool ``[rows, columns]``.
+        roomy: those in which the rover can turn, bool ``[rows, columns]``.
         origin: x, y of the center of cell ``[0, 0]``, m.
         cell: side length of a cell, m.
 
@@ -63,7 +64,8 @@ class PathGrid:
         if not 0 <= caution <= MAX_CAUTION:
             raise ValueError(f"caution must be at least 0 and at most {MAX_CAUTION:g}, got {caution}")
         space = free_space(world, robot)
-        self.passable, self.origin, self.cell = space.passable, space.origin, space.cell
+        self.passable, self.roomy = space.passable, space.roomy
+        self.origin, self.cell = space.origin, space.cell
         self._shape = space.passable.shape
         # A margin around the grid counts as an edge.
         edge = distance_to_cells(np.pad(~space.roomy.numpy(), 1, constant_values=True), CAUTION_CELLS + 2 * SPAN)[0]

@@ -31,10 +31,11 @@ def shortest_paths(world: World, robot: Robot, start: Tensor, goal: Tensor, goal
     """Returns the length of the shortest path of the rover's center from each start to the disc around its goal.
 
     Paths run through the passable cells of :func:`rover_rl.sims.worlds.free_space`, through narrow ones only in
-    orientations in which the rover fits, and end where the goal is reached, at ``goal_radius`` from it. If the straight line is free, the length is exact. Otherwise, Dijkstra's algorithm finds
-    a path of steps in 32 directions, and string pulling shortens it: the result is the shortest free polyline through
-    points of that path. It exceeds the optimum by 0.6 % in the mean and 1.7 % at most (40 detours in the maze, compared
-    with a grid in which each cell is split into 25).
+    orientations in which the rover fits, and end where the goal is reached, at ``goal_radius`` from it. If the straight
+    line is free, the length is exact. Otherwise, Dijkstra's algorithm finds a path of steps in 32 directions, and
+    string pulling shortens it: the result is the shortest free polyline through points of that path. It exceeds the
+    optimum by 0.6 % in the mean and 1.7 % at most (40 detours in the maze, compared with a grid in which each cell is
+    split into 25).
 
     A path from a cell that is not passable starts with a straight line to the nearest passable cell.
 
