@@ -26,6 +26,8 @@ DIRECTIONS = 32
 """Number of candidate headings."""
 LOOK_AHEAD = (0.3, 0.6)
 """Distances at which each candidate heading is evaluated, m."""
+LOOK_AHEAD_NARROW = (0.15, 0.3)
+"""The same in narrow passages, m."""
 BLOCKED = 50.0
 """Penalty on the path length for a point that is not free, m."""
 CREEP = 0.4
@@ -59,16 +61,18 @@ class PrivilegedExpert:
         shape = observation.batch_size
         rows = observation.select("pose", "imu", "target", "lidar", "outcome").flatten()
         position, fields = rows["pose"][:, :2], self._distances.fields(world_of(rows)[:, 0], goal_of(rows))
-        direction = self._best_heading(fields, position)
+        direction = self._best_heading(fields, position, LOOK_AHEAD)
         distance, bearing = rows["target"].split(1, -1)
         ahead = torch.cat((direction.cos(), direction.sin()), -1)
         points = torch.stack([position, *(position + distance * ahead for distance in LOOK_AHEAD)], 1)
         narrow = self._distances.narrow(fields, points).any(-1, keepdim=True)
-        turn = wrap_angle(direction - rows["imu"][:, 2:])
+        yaw = rows["imu"][:, 2:]
+        turn = wrap_angle(direction - yaw)
         careful = drive_towards(torch.where(distance < NEAR, bearing, turn), rows["lidar"])
-        return torch.where(narrow, _pass_through(turn), careful).reshape(*shape, 2)
+        through = _pass_through(wrap_angle(self._best_heading(fields, position, LOOK_AHEAD_NARROW) - yaw))
+        return torch.where(narrow, through, careful).reshape(*shape, 2)
 
-    def _best_heading(self, fields: Tensor, position: Tensor) -> Tensor:
+    def _best_heading(self, fields: Tensor, position: Tensor, look_ahead: tuple[float, ...]) -> Tensor:
         """Returns the heading with the shortest path to the goal, in the world frame, ``[M, 1]``, rad.
 
         Args:
@@ -76,7 +80,7 @@ class PrivilegedExpert:
             position: positions, ``[M, 2]``, m.
         """
         length = position.new_zeros(len(position), DIRECTIONS)
-        for distance in LOOK_AHEAD:
+        for distance in look_ahead:
             path, is_free = self._distances.along(fields, position[:, None] + distance * self._directions)
             length += path + BLOCKED * ~is_free
         return self._angles[length.argmin(-1, keepdim=True)]
