@@ -130,7 +130,7 @@ _cache: WeakKeyDictionary[World, dict[Robot, FreeSpace]] = WeakKeyDictionary()
 def _compute(world: World, robot: Robot) -> FreeSpace:
     grid = CellGrid(overlap(world.bounds, world.terrain.extent))
     clearance = clearance_on_grid(world, grid.x, grid.y, robot.radius + LIDAR_CLEARANCES[0] + EXTRA_CLEARANCE)
-    gentle, room = _drivable(world, robot, grid, clearance.numpy())
+    room, gentle = clearance.numpy(), _gentle(world, robot, grid)
     areas = [grid.within(area) for area in (world.spawn_range, world.goal_range)]
     roomy, reach = _find_roomy(robot, grid, room, gentle, robot.radius + grid.half_diagonal, areas)
     poses = np.full(grid.shape, ALL_ORIENTATIONS, dtype=np.uint32)
@@ -194,26 +194,18 @@ def distance_to_polygon(points: Tensor, polygon: Tensor) -> Tensor:
     return distance.masked_fill(inside, 0.0)
 
 
-def _drivable(world: World, robot: Robot, grid: CellGrid, clearance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns which cells are gentle, and the distance of all cells from obstacles and cliffs.
+def _gentle(world: World, robot: Robot, grid: CellGrid) -> np.ndarray:
+    """Returns the cells on gentle ground, with no cliff within the turning circle: bool ``[rows, columns]``.
 
-    Cliffs are cells with ground steeper than ``CLIFF_SLOPE``. Their distance counts between centers.
-
-    Args:
-        world: world.
-        robot: robot.
-        grid: grid of the cells.
-        clearance: distances from obstacles, float64 ``[rows, columns]``, m.
-
-    Returns:
-        Bool ``[rows, columns]`` and float64 ``[rows, columns]``, m.
+    Cliffs are cells with ground steeper than ``CLIFF_SLOPE``. Their distance counts between centers. No rover passes
+    between cliffs through narrow cells, as wheels slip on slopes.
     """
     if world.terrain.is_flat:
-        return np.ones(grid.shape, dtype=bool), clearance
+        return np.ones(grid.shape, dtype=bool)
     slopes = slopes_on_grid(world.terrain, grid)
-    cliffs = slopes > math.tan(CLIFF_SLOPE)
-    away, _ = distance_to_cells(cliffs, (robot.radius + grid.half_diagonal) / grid.cell + 1)
-    return slopes <= math.tan(MAX_SLOPE), np.minimum(clearance, grid.cell * away)
+    least = (robot.radius + grid.half_diagonal) / grid.cell
+    away, _ = distance_to_cells(slopes > math.tan(CLIFF_SLOPE), least + 1)
+    return (slopes <= math.tan(MAX_SLOPE)) & (away >= least)
 
 
 def _find_roomy(
