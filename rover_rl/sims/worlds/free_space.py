@@ -229,7 +229,7 @@ def _headings(world: World, robot: Robot, grid: CellGrid, clearance: Tensor, cel
     hard = torch.ones(len(cells), dtype=torch.bool)
     if world.terrain.is_flat:
         offsets = torch.stack((ahead * yaws[:, 0] - left * yaws[:, 1], ahead * yaws[:, 1] + left * yaws[:, 0]), -1)
-        chunks = [(cells, headings[:1], offsets[None])]
+        chunks = [(cells, torch.tensor([-1]), offsets[None])]
     else:
         # At the center of an easy cell, the lidar is far enough from obstacles in every direction.
         reach = LIDAR_CLEARANCES[0] + margin + math.hypot(ahead, left) + above * math.sin(MAX_TILT) + grid.cell
