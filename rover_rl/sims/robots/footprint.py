@@ -82,7 +82,7 @@ def _half_sizes(frame: Frame, shape: Shape) -> np.ndarray | None:
     return None
 
 
-def covering_discs(robot: Robot, excess: float = 0.02) -> tuple[np.ndarray, float]:
+def covering_discs(robot: Robot, excess: float = 0.01) -> tuple[np.ndarray, float]:
     """Covers the footprint with equal discs along the x axis of the robot.
 
     The footprint is extended to a rectangle of half length a and half width b that is symmetric about the origin. n

@@ -9,6 +9,10 @@ each disc, where r is the radius of the discs, and the last term covers the half
 A rectangle that moves along its length, by less than its length, sweeps what it covers at both ends. So the rover
 drives straight from the center of a cell to that of another without touching if its footprint is free at both ends,
 forward or backward. It turns on the spot while all orientations between are free. Chains of such motions join cells.
+Drives have the 32 directions of :mod:`rover_rl.sims.worlds.path_steps`, and all cells that they cross must be free.
+
+Gaps of 0.7 m are passable for Rover Zero however they lie on the grid, 99 % of those of 0.65 m, 12 % of those of 0.6 m
+(120 gaps in a wall of 0.2 m at random offsets and angles).
 """
 
 from __future__ import annotations
@@ -33,8 +37,6 @@ ALL_ORIENTATIONS = 2**ORIENTATIONS - 1
 MARGIN = 0.02
 """Minimum distance of the footprint from obstacles at the center of a cell, m. It exceeds the error of interpolated
 distances, 5 mm at obstacles like thin cylinders."""
-LONGEST = 2
-"""Greatest extent of a straight drive along an axis, in cells. Drives have 16 directions."""
 
 
 class Reach(NamedTuple):
@@ -139,8 +141,8 @@ def _join(fits: np.ndarray, parts: np.ndarray, first: int, count: int) -> tuple[
 @lru_cache(maxsize=1)
 def _drives() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Straight drives: their other ends, their orientations, and flat lists of crossed cells with their starts."""
-    steps = [step for step in STEPS if max(map(abs, step)) <= LONGEST]
-    crossed = [STEPS[step][1:] for step in steps]
+    steps = list(STEPS)
+    crossed = [cells[1:] for cells in STEPS.values()]
     return (
         np.array(steps, dtype=np.int32),
         np.array([orientation_of(*step) for step in steps], dtype=np.int32),
