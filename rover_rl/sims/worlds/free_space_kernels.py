@@ -153,6 +153,7 @@ def join_parts(
     starts: wp.array[int],
     reached: wp.array2d[wp.uint32],
     joined: wp.array[int],
+    done: wp.array[int],
 ):
     """Finds what a rover reaches from a part of the roomy cells through narrow cells. Runs as a single thread.
 
@@ -170,6 +171,7 @@ def join_parts(
         starts: index of the first crossed cell of each step, and the number of all.
         reached: results: orientations in which the rover reaches each narrow cell; on input 0.
         joined: whether the rover reaches each part, 0 or 1; on input 1 for the part from which it starts.
+        done: working memory for each narrow cell, on input 0.
     """
     changed = bool(True)
     count = narrow.shape[0]
@@ -182,6 +184,11 @@ def join_parts(
             j = narrow[n][1]
             free = fits[j, i]
             bits = wp.uint32(reached[j, i])
+            if done[n] > 0:
+                continue
+            if bits == free:
+                # This sweep joins the parts beside the cell, and nothing is left to do.
+                done[n] = 1
             for k in range(steps.shape[0]):
                 bit = wp.uint32(1) << wp.uint32(orientations[k])
                 if (free & bit) != wp.uint32(0) and step_fits(fits, j, i, bit, crossed, starts[k], starts[k + 1]):

@@ -132,8 +132,8 @@ def _join(fits: np.ndarray, parts: np.ndarray, first: int, count: int) -> tuple[
     narrow = np.argwhere((fits != 0) & (parts == 0))[:, ::-1].astype(np.int32)
     joined = np.zeros(count + 1, dtype=np.int32)
     joined[first] = 1
-    reached = np.zeros(fits.shape, dtype=np.uint32)
-    inputs = [np.ascontiguousarray(narrow), fits, parts.astype(np.int32), *_drives(), reached, joined]
+    reached, done = np.zeros(fits.shape, dtype=np.uint32), np.zeros(len(narrow), dtype=np.int32)
+    inputs = [np.ascontiguousarray(narrow), fits, parts.astype(np.int32), *_drives(), reached, joined, done]
     wp.launch(join_parts, 1, inputs, device="cpu")
     return joined > 0, reached
 
