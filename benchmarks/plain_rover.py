@@ -66,7 +66,7 @@ class PlainRover(gymnasium.Env):
     def _load(self) -> None:
         settings = self._settings
         self._client = client = connect(settings)
-        self._ground = load_world(client, self._world, settings)
+        self._ground, _ = load_world(client, self._world, settings)
         for body in range(pybullet.getNumBodies(physicsClientId=client)):
             # Static bodies collide with rays and the rover, not with one another.
             pybullet.setCollisionFilterGroupMask(body, -1, _STATIC, _RAYS | _ROVER, physicsClientId=client)

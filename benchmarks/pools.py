@@ -3,18 +3,24 @@
     python -m benchmarks.pools --num-envs 1024
 
 Measures environments side by side, in turn: all rows in one maze, rows in many mazes for life, and rows that draw
-another maze for each episode. Prints the steps per second of each, and their ratio to those of the one maze in the same
-round. First prints the time that a world takes to prepare: its layout, its free space, and its copy on the device.
+another maze for each episode. Prints the steps per second of each, and their ratio to all rows in one maze in the same
+round. As mazes differ, the latter is the mean over several of them. First prints the time that a world takes to
+prepare, its layout, its free space, and its copy on the device, and the memory of the process with many worlds. The
+cache of free space is empty at first.
 """
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import dataclass
-from statistics import median
+from statistics import harmonic_mean, median
+from tempfile import TemporaryDirectory
+from unittest.mock import patch
 
 import torch
 import tyro
+from psutil import Process
 from rich.console import Console
 from rich.table import Table
 from tensordict import TensorDictBase
@@ -35,6 +41,8 @@ class Options:
     """Number of rovers."""
     worlds: int = 1024
     """Number of mazes that rows are in for life."""
+    singles: int = 4
+    """Number of mazes that all rows are in, one after the other."""
     length: int = 400
     """Number of steps after which an episode ends."""
     steps: int = 50
@@ -70,11 +78,22 @@ def preparation(options: Options) -> Table:
     return table
 
 
+def memory(options: Options) -> str:
+    """Measures the memory of this process before and after building an environment with a world for each row."""
+    process = Process()
+    before = process.memory_info().rss
+    mazes = [f"maze:{20_000 + seed}" for seed in range(options.worlds)]
+    env = make_env(world_n=mazes, num_envs=len(mazes), backend="warp", seed=0)
+    env.rollout(2)
+    after = process.memory_info().rss
+    return f"Memory with {len(mazes)} mazes: {after / 2**20:,.0f} MB in all, {before / 2**20:,.0f} MB before"
+
+
 def speeds(options: Options) -> Table:
     """Measures environments side by side."""
     mazes = [f"maze:{seed}" for seed in range(min(options.worlds, options.num_envs))]
     kinds = {
-        "one maze": "maze:0",
+        **{f"one maze, {seed}": f"maze:{seed}" for seed in range(0, len(mazes), -(-len(mazes) // options.singles))},
         f"{len(mazes)} mazes": mazes,
         "another maze for each episode": "maze:*",
     }
@@ -88,9 +107,10 @@ def speeds(options: Options) -> Table:
             states[name], rate = _drive(env, states[name], options.steps)
             results[name].append(rate)
     table = Table("worlds", "steps/s", "ratio", title=f"{options.num_envs} rovers, {options.threads} threads")
-    first = results["one maze"]
-    for name, rates in results.items():
-        ratio = median(rate / other for rate, other in zip(rates, first, strict=True))
+    # The time of a step, averaged over the mazes.
+    single = [harmonic_mean(rates) for rates in zip(*(results[k] for k in results if k.startswith("one")), strict=True)]
+    for name, rates in {"one maze, mean": single, **results}.items():
+        ratio = median(rate / other for rate, other in zip(rates, single, strict=True))
         table.add_row(name, f"{min(rates):,.0f} to {max(rates):,.0f}", f"{ratio:.2f}")
     return table
 
@@ -118,8 +138,10 @@ def main(options: Options) -> None:
     """Prints both tables."""
     torch.set_num_threads(options.threads)
     console = Console(width=110)
-    console.print(preparation(options))
-    console.print(speeds(options))
+    with TemporaryDirectory() as folder, patch.dict(os.environ, XDG_CACHE_HOME=folder):
+        console.print(preparation(options))
+        console.print(memory(options))
+        console.print(speeds(options))
 
 
 if __name__ == "__main__":

@@ -37,6 +37,8 @@ else:
 
 OutcomeSource: TypeAlias = Literal["truth", "sensors"]
 """State that events, rewards and metrics are computed from."""
+CollisionSource: TypeAlias = Literal["lidar", "contact"]
+"""What counts as a collision: a lidar reading below a threshold, or contact of the rover's body with an obstacle."""
 DEFAULT_PHYSICS = "default"
 """Name of the physics preset that every backend has."""
 
@@ -95,13 +97,16 @@ class TaskConfig:
         success_distance: Distance below which a goal is reached, m.
         min_goal_distance: Minimum distance from the rover to a new goal, m.
         collision_threshold: Lidar reading below which the rover is in collision, m.
-        collision_window: Number of consecutive steps in collision above which the rover is jammed.
+        collision_window: Number of consecutive steps in collision above which the rover is jammed, which ends the
+            episode. 0 ends it at the first.
         flip_threshold: Absolute roll or pitch above which the rover is flipped, rad.
         stuck_window: Number of recent positions that are compared to detect a stuck rover.
         stuck_threshold: Displacement from the oldest to the newest of them below which the rover is stuck, m.
+        collision_from: What counts as a collision: lidar (a reading below the threshold) or contact (the chassis or a
+            wheel touches an obstacle). A live rover senses no contact and is never in collision then.
 
     Raises:
-        ValueError: if a threshold is out of range.
+        ValueError: if a threshold is out of range, or ``collision_from`` is unknown.
     """
 
     success_distance: float = 0.5
@@ -111,8 +116,11 @@ class TaskConfig:
     flip_threshold: float = 1.48
     stuck_window: int = 600
     stuck_threshold: float = 0.001
+    collision_from: CollisionSource = "lidar"
 
     def __post_init__(self) -> None:
+        if self.collision_from not in get_args(CollisionSource):
+            raise ValueError(f"collision_from must be one of {get_args(CollisionSource)}, got {self.collision_from!r}")
         for name in ("success_distance", "min_goal_distance", "stuck_window"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
@@ -123,7 +131,7 @@ class TaskConfig:
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Parameters of the contract's reward. The defaults are the contract's.
+    """Parameters of the contract's reward, and of components that may be added to it. The defaults are the contract's.
 
     Args:
         goal_reward: Reward for reaching a goal.
@@ -139,6 +147,14 @@ class RewardConfig:
         general_penalty: Reward for an episode that ends in a flip or a jam.
         flip_grace_steps: Number of steps at the start of an episode in which a flip has no penalty.
         out_of_bounds_penalty: Reward for leaving the world's bounds (``too_far_away_penilty`` in the contract).
+        clearance_penalty: Reward for each step with a lidar reading of 0. It falls linearly to nothing at the clearance
+            distance. 0 leaves the component out.
+        clearance_distance: Lidar reading below which the clearance penalty applies, m.
+        action_rate_penalty: Reward for each squared change of the action between steps, (m/s)^2 + rad^2. 0 leaves the
+            component out.
+
+    Raises:
+        ValueError: if ``clearance_distance`` is not positive.
     """
 
     goal_reward: float = 100.0
@@ -154,6 +170,13 @@ class RewardConfig:
     general_penalty: float = -20.0
     flip_grace_steps: int = 500
     out_of_bounds_penalty: float = -10.0
+    clearance_penalty: float = 0.0
+    clearance_distance: float = 0.5
+    action_rate_penalty: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.clearance_distance > 0:
+            raise ValueError(f"clearance_distance must be positive, got {self.clearance_distance}")
 
 
 @dataclass(frozen=True)

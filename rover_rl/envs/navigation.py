@@ -9,7 +9,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from rover_rl.envs.config import EnvConfig
-from rover_rl.envs.perception import StepState
+from rover_rl.envs.perception import Perception, StepState
 from rover_rl.envs.placement import Placement
 from rover_rl.envs.task import (
     EVENTS,
@@ -54,7 +54,7 @@ class Navigation:
         zeros = torch.zeros_like(keys)
         reference = state.reference
         if goal is None:
-            goal = self._placement.draw_goal(keys, zeros, reference.position)
+            goal = self._placement.draw_goal(keys, zeros, reference.position, mask)
         initial = TaskState(
             goal=goal,
             target=target_info(reference.position, reference.yaw, goal),
@@ -88,9 +88,8 @@ class Navigation:
             keys: random keys of the episodes, ``[N, 1]``.
         """
         previous, reference = state.task, state.reference
-        nearest = reference.readings.amin(-1, keepdim=True)
         steps = previous.steps + 1
-        collision_steps = (previous.collision_steps + 1) * (nearest < self._task.collision_threshold)
+        collision_steps = (previous.collision_steps + 1) * self._in_collision(reference)
         target = target_info(reference.position, reference.yaw, previous.goal)
         events, phase = compute_terminations(
             position=reference.position,
@@ -126,6 +125,14 @@ class Navigation:
         state.outcome = outcome
         self._end(state, active)
 
+    def _in_collision(self, reference: Perception) -> Tensor:
+        """Returns which rovers are in collision, bool ``[N, 1]``."""
+        if self._task.collision_from == "contact":
+            # RoverEnv refuses simulators without contacts for this task.
+            assert reference.rover.contact is not None
+            return reference.rover.contact
+        return reference.readings.amin(-1, keepdim=True) < self._task.collision_threshold
+
     def _end(self, state: StepState, active: Tensor | None) -> None:
         """Sets ``terminated`` and ``truncated`` from the outcome and the number of steps."""
         terminated = state.outcome.get("phase") < StepEvent.GOAL
@@ -143,7 +150,7 @@ class Navigation:
         if reached.device.type == "cpu" and not reached.any():
             return task
         reference = state.reference
-        drawn = self._placement.draw_goal(keys, task.goals, reference.position)
+        drawn = self._placement.draw_goal(keys, task.goals, reference.position, reached)
         goal = torch.where(reached, drawn, task.goal)
         target = target_info(reference.position, reference.yaw, goal)
         return replace(task, goal=goal, target=target, goals=task.goals + reached)

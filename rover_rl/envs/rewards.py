@@ -21,7 +21,10 @@ from rover_rl.envs.config import RewardConfig
 from rover_rl.envs.rows import in_rows
 from rover_rl.envs.task import StepEvent
 from rover_rl.registry import Registry
+from rover_rl.sims.rotations import wrap_angle
 from rover_rl.tensordicts import unchecked_tensordict
+
+_LAST_ACTION = "last_action"
 
 
 class RewardComponent(Transform):
@@ -223,6 +226,87 @@ class OutOfBoundsPenalty(RewardComponent):
         return self.out_of_bounds_penalty
 
 
+class ClearancePenalty(RewardComponent):
+    """Penalty that grows as the nearest lidar reading falls below a distance. Not a part of the contract.
+
+    With the nearest reading ``d`` of the observation and the distance ``D``, the value is
+
+        ``clearance_penalty * max(0, 1 - d / D)``
+
+    in every step. This is the form of C. Chen, Y. Liu, S. Kreiss, A. Alahi, "Crowd-robot interaction", ICRA 2019
+    (arXiv:1809.08835): ``-0.1 + d / 2`` for ``d < 0.2``, that is a penalty of -0.1 and a distance of 0.2 m. There,
+    ``d`` is the gap between two bodies; here it is measured from the lidar, so that ``D`` must exceed the distance from
+    the lidar to the outline of the rover.
+
+    Args:
+        clearance_penalty: reward for each step with a reading of 0.
+        clearance_distance: reading below which the penalty applies, m.
+    """
+
+    name = "clearance"
+
+    def __init__(
+        self,
+        clearance_penalty: float,
+        clearance_distance: float = RewardConfig.clearance_distance,
+    ) -> None:
+        super().__init__()
+        self.clearance_penalty = clearance_penalty
+        self.clearance_distance = clearance_distance
+
+    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
+        """Returns ``clearance_penalty * max(0, 1 - d / clearance_distance)``."""
+        nearest = observation.get("lidar").amin(-1, keepdim=True)
+        return self.clearance_penalty * (1 - nearest / self.clearance_distance).clamp_min(0)
+
+
+class ActionRatePenalty(RewardComponent):
+    """Penalty for changes of the action between steps. Not a part of the contract.
+
+    The value is ``action_rate_penalty * |a_t - a_(t-1)|^2`` in every step but the first of an episode, with actions in
+    m/s and rad, and the change of the heading offset wrapped to (-pi, pi]. This is the action rate penalty of
+    N. Rudin, D. Hoeller, P. Reist, M. Hutter, "Learning to walk in minutes using massively parallel deep reinforcement
+    learning", CoRL 2021 (arXiv:2109.11978).
+
+    The transform adds ``last_action``, the action of the last step, ``[N, 2]``, 0 after a reset. An action that
+    :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat` repeats changes once.
+
+    Args:
+        action_rate_penalty: reward for each squared change.
+    """
+
+    name = "action_rate"
+
+    def __init__(self, action_rate_penalty: float) -> None:
+        super().__init__()
+        self.action_rate_penalty = action_rate_penalty
+        self._change: Tensor
+
+    def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
+        """Returns ``action_rate_penalty * |a_t - a_(t-1)|^2``, or 0 in the first step of an episode."""
+        squared = self._change.square().sum(-1, keepdim=True)
+        return (self.action_rate_penalty * squared).masked_fill(outcome.get("steps") <= 1, 0.0)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        # On a GPU, an action that is not finite ends the episode without an error.
+        action = torch.nan_to_num(tensordict.get("action"))
+        last = tensordict.get(_LAST_ACTION, action)
+        speed, heading = (action - last).split(1, -1)
+        self._change = torch.cat((speed, wrap_angle(heading)), -1)
+        moved = next_tensordict.get(("outcome", "phase")) != StepEvent.NONE
+        next_tensordict.set(_LAST_ACTION, torch.where(moved, action, last))
+        return super()._step(tensordict, next_tensordict)
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return tensordict_reset.set(_LAST_ACTION, torch.zeros_like(tensordict_reset.get("velocities")))
+
+    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
+        """Adds ``last_action``."""
+        batch_size, device = self.parent.batch_size, self.parent.device
+        observation_spec[_LAST_ACTION] = Unbounded(shape=(*batch_size, 2), device=device)
+        return observation_spec
+
+
 class TotalReward(Transform):
     """Writes the sum of all reward components to ``reward``. Append it after the components."""
 
@@ -238,13 +322,19 @@ def contract_reward(config: RewardConfig | None = None) -> list[Transform]:
     """Returns the components of the contract's reward, without :class:`TotalReward`.
 
     Args:
-        config: parameters of the reward. ``None`` uses the contract's.
+        config: parameters of the reward. ``None`` uses the contract's. The components that are not a part of the
+            contract are left out if their penalty is 0.
 
     Example:
         >>> [component.name for component in contract_reward()]
         ['goal', 'progress', 'velocity', 'turn', 'collision', 'stuck', 'general', 'out_of_bounds']
     """
     config = config or RewardConfig()
+    added: list[Transform] = []
+    if config.clearance_penalty:
+        added.append(ClearancePenalty(config.clearance_penalty, config.clearance_distance))
+    if config.action_rate_penalty:
+        added.append(ActionRatePenalty(config.action_rate_penalty))
     return [
         GoalReward(config.goal_reward),
         ProgressReward(
@@ -260,6 +350,7 @@ def contract_reward(config: RewardConfig | None = None) -> list[Transform]:
         StuckPenalty(config.stuck_penalty),
         GeneralPenalty(config.general_penalty, config.flip_grace_steps),
         OutOfBoundsPenalty(config.out_of_bounds_penalty),
+        *added,
     ]
 
 

@@ -45,7 +45,7 @@ from rover_rl.sims import BackendLike, Connection, RoverState, Simulator, make_s
 from rover_rl.sims.base import View, WorldChanger
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.timing import CONTROL_DT
-from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds import World, free_space
 from rover_rl.sims.worlds.pool import WorldPool, WorldSource
 from rover_rl.tensordicts import unchecked_tensordict
 
@@ -108,7 +108,7 @@ class RoverEnv(EnvBase):
 
     Raises:
         ValueError: if the world, backend or robot is unknown, the device is not available, there are fewer beams than
-            points, or a number is out of range.
+            points, a number is out of range, or the task needs contacts that the backend does not report.
 
     Example:
         >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0)
@@ -199,6 +199,7 @@ class RoverEnv(EnvBase):
             device=self._tensor_device,
         )
         self._open()
+        self._require_contact()
         self._init_task()
         self._make_specs()
         self.set_seed(seed)
@@ -215,6 +216,15 @@ class RoverEnv(EnvBase):
         self._delay = CommandDelay(config.randomization.latency, self.num_envs, device)
         self._privileged = PrivilegedObservation(self.pool, self.robot, device) if config.privileged else None
         self._state = StepState(task=TaskState.zeros(self.num_envs, device), world=self._row_worlds.index_if_several)
+
+    def _require_contact(self) -> None:
+        """Raises an error if the task needs contacts and the simulator does not report them."""
+        if self.task.collision_from == "contact" and self.simulator.state().contact is None:
+            self.simulator.close()
+            raise ValueError(
+                f"a task with collision_from='contact' needs a backend that reports contacts, and "
+                f"{type(self.simulator).__name__} does not; use collision_from='lidar' or another backend"
+            )
 
     @property
     def worlds(self) -> list[World]:
@@ -295,6 +305,7 @@ class RoverEnv(EnvBase):
     def close(self, *, raise_if_closed: bool = False) -> None:
         """Releases the simulator. The next ``reset()`` builds a new one. Idempotent."""
         self.simulator.close()
+        self._row_worlds.close()
         super().close(raise_if_closed=raise_if_closed)
 
     def to(self, device: torch.device | str) -> RoverEnv:
@@ -313,6 +324,8 @@ class RoverEnv(EnvBase):
         self.simulator: Simulator = self._make_simulator()
         self._started = False
         self.is_closed = False
+        if self._row_worlds.is_drawn and isinstance(self.simulator, WorldChanger):
+            self._row_worlds.prepare_ahead(partial(_prepare, self.robot, self.simulator))
 
     def _make_specs(self) -> None:
         batch_size, device, privileged = self.batch_size, self.device, self.config.privileged
@@ -348,7 +361,7 @@ class RoverEnv(EnvBase):
         self._keys = torch.where(mask, episode_keys(self._row_keys, self._episode), self._keys)
 
         self._change_worlds(mask)
-        poses = self.placement.draw_start(self._keys) if start is None else start
+        poses = self.placement.draw_start(self._keys, mask) if start is None else start
         device = self.simulator.device
         rows = mask.squeeze(-1).to(device)
         if self.randomization.varies_dynamics:
@@ -373,8 +386,8 @@ class RoverEnv(EnvBase):
 
     def _change_worlds(self, mask: Tensor) -> None:
         """Draws the worlds of new episodes, in a simulator that can change the worlds of rows."""
-        if self._row_worlds.is_drawn and isinstance(self.simulator, WorldChanger):
-            rows = self._row_worlds.draw(mask, self._keys)
+        if isinstance(self.simulator, WorldChanger) and self._row_worlds.is_drawn:
+            rows = self._row_worlds.draw(mask, self._keys, episode_keys(self._row_keys, self._episode + 1))
             if rows:
                 worlds = [self.worlds[row] for row in rows]
                 self.placement.set_worlds(rows, worlds)
@@ -395,6 +408,7 @@ class RoverEnv(EnvBase):
         device = self.simulator.device
         rows = None if active is None else active.squeeze(-1).to(device)
         steps = self._state.task.steps + (1 if active is None else active)
+        self._row_worlds.request_next()
         self._perceive(self.simulator.step(command.to(device), rows), steps)
 
         self._navigation.advance(self._state, invalid, active, self._keys)
@@ -454,6 +468,12 @@ class RoverEnv(EnvBase):
 
 # The metaclass of EnvBase hides the arguments from help() and editors. This restores them.
 RoverEnv.__signature__ = inspect.Signature([*inspect.signature(RoverEnv.__init__).parameters.values()][1:])
+
+
+def _prepare(robot: Robot, simulator: WorldChanger, world: World) -> None:
+    """Prepares a world for episodes in it."""
+    free_space(world, robot)
+    simulator.prepare_world(world)
 
 
 def _require_count(name: str, value: int, most: int) -> None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
 from rover_rl.envs.rng import random_bits, to_index
+from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds.ahead import WorldsAhead
 from rover_rl.sims.worlds.pool import WorldPool, WorldSource
 
 _WORLD = 16
@@ -45,13 +49,16 @@ class RowWorlds:
         rows = torch.arange(num_envs, device=keys.device)[:, None]
         self.index = self._drawn(keys) if self.is_drawn else rows * count // num_envs
         self.worlds = [self.pool[index] for index in self.index.flatten().tolist()]
+        self._ahead: WorldsAhead | None = None
+        # Worlds of the next episodes that the thread does not know yet.
+        self._next: list[int] = []
 
     @property
     def index_if_several(self) -> Tensor | None:
         """:attr:`index`, or ``None`` if the pool has only one world."""
         return self.index if len(self.pool) > 1 else None
 
-    def draw(self, mask: Tensor, keys: Tensor) -> list[int]:
+    def draw(self, mask: Tensor, keys: Tensor, next_keys: Tensor) -> list[int]:
         """Draws the worlds of new episodes.
 
         Use it only if :attr:`is_drawn`.
@@ -59,6 +66,7 @@ class RowWorlds:
         Args:
             mask: rows that begin an episode, bool ``[N, 1]``.
             keys: random keys of the episodes, ``[N, 1]``.
+            next_keys: random keys of the episodes after these, ``[N, 1]``.
 
         Returns:
             Rows whose world is another one than before.
@@ -69,8 +77,33 @@ class RowWorlds:
         rows = changed.nonzero().squeeze(-1)
         # Worlds are Python objects that a simulator copies one by one, so that this loop is over changed rows alone.
         for row, index in zip(rows.tolist(), self.index[rows, 0].tolist(), strict=True):
-            self.worlds[row] = self.pool[index]
+            self.worlds[row] = self._ahead[index] if self._ahead else self.pool[index]
+        if self._ahead:
+            self._next += self._drawn(next_keys)[mask].tolist()
         return rows.tolist()
+
+    def prepare_ahead(self, prepare: Callable[[World], object]) -> None:
+        """From now on, prepares the worlds of the next episodes while the rows drive, until :meth:`close`.
+
+        Args:
+            prepare: what to do with a world before it is needed, safe to call from another thread.
+        """
+        self._ahead = WorldsAhead(self.pool, prepare, limit=len(self.index))
+
+    def request_next(self) -> None:
+        """Lets the thread prepare the worlds of the next episodes.
+
+        The best time is before the kernels of a step: while they run, the thread has the interpreter for itself.
+        """
+        if self._next and self._ahead:
+            self._ahead.request(self._next)
+            self._next = []
+
+    def close(self) -> None:
+        """Ends the preparation of worlds. Idempotent."""
+        if self._ahead:
+            self._ahead.close()
+            self._ahead = None
 
     def _drawn(self, keys: Tensor) -> Tensor:
         """Returns the index of the world that each episode draws, int64 ``[N, 1]``."""

@@ -30,6 +30,9 @@ class RoverState(TensorClass):
             ``inf`` means no return, 0 a beam that starts inside a solid.
         dt: time since the previous scan, ``[N, 1]``, s.
         stamp: time of the scan, ``[N, 1]``, s, float64.
+        contact: whether any part of the rover, chassis or wheel, touched an obstacle in the last control step, in any
+            of its physics steps, bool ``[N, 1]``. The ground is no obstacle, whether it carries the wheels or scrapes
+            the chassis. False after a reset. ``None`` if the backend does not report contacts.
     """
 
     position: Tensor
@@ -39,6 +42,7 @@ class RoverState(TensorClass):
     ranges: Tensor
     dt: Tensor
     stamp: Tensor
+    contact: Tensor | None = None
 
     @classmethod
     def pack(cls, **fields: Tensor) -> RoverState:
@@ -154,5 +158,12 @@ class WorldChanger(Protocol):
         Args:
             rows: indices of the rovers.
             worlds: new world of each of these rovers.
+        """
+        ...
+
+    def prepare_world(self, world: World) -> None:
+        """Prepares a world that rovers may move to soon, which makes :meth:`set_worlds` faster.
+
+        It may run in another thread, at the same time as the other methods.
         """
         ...

@@ -97,13 +97,14 @@ class SimulatedDrive:
         self._twist, self._stamp = twist, stamp
         return speeds
 
-    def state(self, body: Tensor, ranges: Tensor) -> RoverState:
+    def state(self, body: Tensor, ranges: Tensor, contact: Tensor | None = None) -> RoverState:
         """Returns the state of the rovers.
 
         Args:
             body: position (m), orientation (x, y, z, w), and mean speeds of the left and right wheels (rad/s),
                 ``[N, 9]``.
             ranges: lidar scans, ``[N, beams]``, m.
+            contact: whether the rovers touched an obstacle, bool ``[N, 1]``. ``None`` if the simulator does not know.
         """
         twist = self._drive.odometry(body[:, 7:])
         return RoverState.pack(
@@ -114,4 +115,5 @@ class SimulatedDrive:
             ranges=ranges,
             dt=self._dt,
             stamp=self._stamp,
+            **({} if contact is None else {"contact": contact}),
         )

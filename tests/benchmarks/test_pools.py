@@ -10,5 +10,13 @@ from benchmarks.pools import Options, main
 def test_it_measures_preparation_and_speed(capsys: pytest.CaptureFixture[str]) -> None:
     main(Options(num_envs=4, worlds=2, length=40, steps=2, rounds=1, generators=("maze",), prepared=1))
     text = capsys.readouterr().out
-    for expected in ("free space", "one maze", "2 mazes", "another maze for each episode", "1.00"):
+    for expected in (
+        "free space",
+        "Memory with 2 mazes",
+        "one maze, mean",
+        "one maze, 0",
+        "2 mazes",
+        "another maze for each episode",
+        "1.00",
+    ):
         assert expected in text

@@ -22,7 +22,8 @@ DT = 0.05
 class Moment:
     """Sensor values of one rover at one step: meters, radians, m/s, rad/s.
 
-    ``ranges`` is one lidar reading for all beams, or a reading for each.
+    ``ranges`` is one lidar reading for all beams, or a reading for each. ``contact`` tells whether the rover touches an
+    obstacle, if the backend reports contacts.
     """
 
     x: float = 0.0
@@ -34,10 +35,14 @@ class Moment:
     v: float = 0.0
     w: float = 0.0
     ranges: float | Sequence[float] = 5.0
+    contact: bool = False
 
 
+@dataclass(frozen=True)
 class ScriptedBackend:
-    """Backend of :class:`ScriptedSimulator`. It has no settings."""
+    """Backend of :class:`ScriptedSimulator`, which reports contacts only if asked to."""
+
+    contacts: bool = False
 
     def make(
         self,
@@ -48,7 +53,7 @@ class ScriptedBackend:
         connection: Connection | None = None,
         device: torch.device | None = None,
     ) -> ScriptedSimulator:
-        return ScriptedSimulator(worlds, robot, lidar_beams)
+        return ScriptedSimulator(worlds, robot, lidar_beams, self.contacts)
 
 
 class ScriptedSimulator:
@@ -64,7 +69,8 @@ class ScriptedSimulator:
 
     robot_connected = True
 
-    def __init__(self, worlds: Sequence[World], robot: Robot, lidar_beams: int) -> None:
+    def __init__(self, worlds: Sequence[World], robot: Robot, lidar_beams: int, contacts: bool = False) -> None:
+        self._contacts = contacts
         self.num_envs = len(worlds)
         self.control_dt = DT
         self.device = torch.device("cpu")
@@ -91,6 +97,7 @@ class ScriptedSimulator:
     def state(self) -> RoverState:
         moments = [script[min(step, len(script) - 1)] for script, step in zip(self.scripts, self._step, strict=True)]
         beams = len(self.ray_angles)
+        contact = {"contact": torch.tensor([[m.contact] for m in moments])} if self._contacts else {}
         return RoverState.pack(
             position=torch.tensor([(m.x, m.y, m.z) for m in moments], dtype=torch.float32),
             orientation=torch.tensor([_quaternion(m.roll, m.pitch, m.yaw) for m in moments], dtype=torch.float32),
@@ -99,6 +106,7 @@ class ScriptedSimulator:
             ranges=torch.stack([torch.as_tensor(m.ranges, dtype=torch.float32).expand(beams) for m in moments]),
             dt=torch.full((self.num_envs, 1), DT),
             stamp=self._stamp,
+            **contact,
         )
 
     def render(self, row: int, view: str, width: int, height: int, goal: Tensor | None = None) -> Tensor:

@@ -77,6 +77,19 @@ def test_a_row_is_the_same_alone_and_among_others_in_other_worlds(threads: int) 
     assert len(batch["outcome", "world"][:, 21].unique()) > 2
 
 
+@pytest.mark.slow
+def test_a_row_of_256_is_the_same_alone_for_500_steps() -> None:
+    from rover_rl.sims.warp import WarpSettings
+
+    actions = drawn_actions(256, 500)
+    settings = {"world_n": "maze:*", "length": 260}
+    batch = rollout(make(256, seed=3, backend=WarpSettings(threads=2), **settings), 500, actions)
+    alone = rollout(make(1, seed=3 + 200, backend=WarpSettings(threads=1), **settings), 500, actions[:, 200:201])
+    for key in OBSERVED:
+        assert torch.equal(alone[key][:, 0], batch[key][:, 200]), key
+    assert len(batch["outcome", "world"].unique()) > 256
+
+
 def test_a_row_is_the_same_after_its_pool_has_changed() -> None:
     """Worlds that were drawn before leave nothing behind in the slots that others use again."""
     env, actions = make(4, seed=2, world_n="maze:0-199"), drawn_actions(4, 30)

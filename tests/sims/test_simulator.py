@@ -42,6 +42,7 @@ def test_state_has_the_shapes_and_dtypes_of_the_interface(backend):
         assert getattr(state, name).shape == (3, width)
         assert getattr(state, name).dtype == (torch.float64 if name == "stamp" else torch.float32)
     torch.testing.assert_close(state.dt, torch.full((3, 1), 0.05))
+    assert (state.contact.shape, state.contact.dtype) == ((3, 1), torch.bool)
 
 
 def test_returned_states_do_not_change(backend):

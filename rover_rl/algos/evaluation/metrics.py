@@ -62,7 +62,8 @@ class Metric:
     Attributes:
         heading: heading of the metric's column.
         meaning: short description for the legend; empty for endings, whose heading describes them.
-        unit: ``"%"`` for proportions, which are stored as numbers up to 1, ``"s"``, ``"m/s"``, ``"1/s"``, or empty.
+        unit: ``"%"`` for proportions, which are stored as numbers up to 1, ``"s"``, ``"m/s"``, ``"1/s"``,
+            ``"m/s^3"``, or empty.
     """
 
     heading: str
@@ -86,6 +87,7 @@ METRICS = {
     "turns_per_goal": Metric("turns", "full turns per goal reached"),
     "standstill": Metric("still", "time spent slower than 0.05 m/s", "%"),
     "command_reversals": Metric("reversals", "changes of the commanded turning direction per second", "1/s"),
+    "jerk": Metric("jerk", "root mean square jerk of the driven speed", "m/s^3"),
     **{f"ending_{kind.replace(' ', '_')}": Metric(kind, unit="%") for kind in (TIME_LIMIT, *EARLY_ENDINGS)},
 }
 """All metrics by name, in the order in which tables show them."""
@@ -150,6 +152,13 @@ class Trajectory:
     def speed(self) -> Tensor:
         """Mean speed of the body (not of the wheels) over ground in each step, ``[T]``, m/s."""
         return self.position.diff(dim=0).norm(dim=1) / self.dt
+
+    @property
+    def signed_speed(self) -> Tensor:
+        """:attr:`speed`, negative in steps in which the rover moves backward, ``[T]``, m/s."""
+        yaw = self.angles[:-1, 2]
+        forward = (self.path.diff(dim=0) * torch.stack((yaw.cos(), yaw.sin()), -1)).sum(-1)
+        return torch.copysign(self.speed, forward)
 
     @property
     def tilt(self) -> Tensor:
@@ -321,6 +330,17 @@ def count_reversals(yaw_rates: Sequence[float]) -> int:
     return sum(a * b < 0 for a, b in pairwise(turning))
 
 
+def jerk(trajectories: Sequence[Trajectory]) -> Estimate:
+    """Root mean square jerk of the driven speed, m/s^3: ``sqrt(mean(((v[k+1] - 2 v[k] + v[k-1]) / dt^2)^2))``.
+
+    ``v[k]`` is the mean speed over ground in step k, negative if the rover moves backward. The mean is over all steps
+    of all episodes that have a step before and a step after them. The speed of a wheel does not count.
+    """
+    squares = [(t.signed_speed.double().diff(n=2) / t.dt**2).square() for t in trajectories]
+    mean = ratio([s.sum().item() for s in squares], [len(s) for s in squares])
+    return Estimate(*(math.sqrt(end) for end in (mean.value, mean.low, mean.high)))
+
+
 def turns_per_goal(trajectories: Sequence[Trajectory]) -> Estimate:
     """Full turns to the left and to the right per goal reached, including the turns of failed episodes.
 
@@ -459,5 +479,6 @@ def _common_metrics(trajectories: Sequence[Trajectory], world: World, robot: Rob
         "turns_per_goal": turns_per_goal(trajectories),
         "standstill": standstill(trajectories),
         "command_reversals": command_reversals(trajectories),
+        "jerk": jerk(trajectories),
         **{f"ending_{kind.replace(' ', '_')}": ending_share(trajectories, kind) for kind in kinds},
     }

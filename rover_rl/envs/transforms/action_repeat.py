@@ -55,7 +55,9 @@ class ActionRepeat(Transform):
             if active.device.type == "cpu" and not active.any():
                 break
             rows = active.reshape(tensordict.batch_size)
-            next_tensordict = self.parent._step(tensordict.copy().set("_step", rows))
+            # A component may compare its entries of two steps.
+            current = tensordict.copy().update(next_tensordict)
+            next_tensordict = self.parent._step(current.set("_step", rows))
             step = self._step_entries(next_tensordict, active)
             total = {key: _REDUCTIONS.get(key, torch.add)(value, step[key]) for key, value in total.items()}
         # A copy, because the environment keeps a reference to the outcome that it returns.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rover_rl.sims.bullet.contacts import NearObstacles, is_touching
 from rover_rl.sims.bullet.geometry import add_ground, add_obstacles, friction_scales
 from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.native.bullet import pybullet
@@ -64,13 +65,17 @@ class RoverPhysics:
         self._friction_scales = friction_scales(settings.substeps)
         self.clients: list[int] = []
         self._grounds: list[list[int]] = []
+        self._obstacles: list[list[int]] = []
         self._rovers: list[tuple[int, int]] = []
         for first in range(0, count, ROVERS_PER_CLIENT):
             client = connect(settings)
             self.clients.append(client)
-            self._grounds.append(load_world(client, world, settings))
+            ground, obstacles = load_world(client, world, settings)
+            self._grounds.append(ground)
+            self._obstacles.append(obstacles)
             rovers = range(first, min(first + ROVERS_PER_CLIENT, count))
             self._rovers += [(client, load_rover(client, robot, settings)) for _ in rovers]
+        self._near = NearObstacles(world.obstacles, *_bounding_box(*self._rovers[0]), settings.control_dt)
         self._wheels = self._find_wheels(robot)
         self._torque = robot.wheel_torque
         self._forces = [[self._torque] * len(self._wheels) for _ in range(count)]
@@ -117,24 +122,35 @@ class RoverPhysics:
         )
         self._forces[row] = [self._torque * motor_torque] * len(self._wheels)
 
-    def step(self, speeds: list[list[float]], held: Sequence[int] = ()) -> None:
+    def step(self, speeds: list[list[float]], poses: np.ndarray, held: Sequence[int] = ()) -> np.ndarray:
         """Advances the world by one control step.
 
         Args:
             speeds: left and right wheel speed (rad/s) of every rover.
+            poses: positions (m) and orientations (x, y, z, w) of the base frames before the step, ``[count, 7]``.
             held: rows for which no time passes. Their states are restored after the step.
+
+        Returns:
+            Whether each rover touched an obstacle in any of the physics steps, bool ``[count]``.
         """
         left, right = self._sides
         before = [self._snapshot(row) for row in held]
         for row, (left_speed, right_speed) in enumerate(speeds):
             self._set_motors(row, [left_speed] * left + [right_speed] * right)
-        for client, grounds in zip(self.clients, self._grounds, strict=True):
+        near = self._near.find(poses[:, :3].astype(float), _rotation_matrices(poses[:, 3:].astype(float)))
+        touched = np.zeros(len(speeds), dtype=bool)
+        for number, client in enumerate(self.clients):
+            pairs = [(row, obstacle) for row, obstacle in near if row // ROVERS_PER_CLIENT == number]
             for scales in self._friction_scales:
-                for ground in grounds:
+                for ground in self._grounds[number]:
                     pybullet.changeDynamics(ground, -1, anisotropicFriction=scales, physicsClientId=client)
                 pybullet.stepSimulation(physicsClientId=client)
+                for row, obstacle in pairs:
+                    if not touched[row]:
+                        touched[row] = is_touching(*self._rovers[row], self._obstacles[number][obstacle])
         for row, snapshot in zip(held, before, strict=True):
             self._restore(row, *snapshot)
+        return touched
 
     def read(self, rows: Sequence[int]) -> Reading:
         """Returns the poses and wheel speeds of the given rovers."""
@@ -207,11 +223,12 @@ def connect(settings: BulletSettings) -> int:
     return client
 
 
-def load_world(client: int, world: World, settings: BulletSettings) -> list[int]:
-    """Adds the collision bodies of a world. Returns the ids of the ground's bodies."""
+def load_world(client: int, world: World, settings: BulletSettings) -> tuple[list[int], list[int]]:
+    """Adds the collision bodies of a world. Returns the ids of the ground's bodies and of the obstacles."""
     ground = add_ground(client, world)
+    obstacles = add_obstacles(client, world.obstacles)
     frictions = dict.fromkeys(ground, settings.ground_friction)
-    frictions |= dict.fromkeys(add_obstacles(client, world.obstacles), settings.obstacle_friction)
+    frictions |= dict.fromkeys(obstacles, settings.obstacle_friction)
     for body, friction in frictions.items():
         _set_contact(client, body, -1, friction, settings)
         pybullet.setCollisionFilterGroupMask(body, -1, _STATIC, _ROVERS, physicsClientId=client)
@@ -223,7 +240,7 @@ def load_world(client: int, world: World, settings: BulletSettings) -> list[int]
             contactDamping=settings.ground_damping,
             physicsClientId=client,
         )
-    return ground
+    return ground, obstacles
 
 
 def load_rover(client: int, robot: Robot, settings: BulletSettings) -> int:
@@ -251,6 +268,13 @@ def load_rover(client: int, robot: Robot, settings: BulletSettings) -> int:
         _set_contact(client, body, link, 1.0, settings)
     _clear_contacts(client, body)
     return body
+
+
+def _bounding_box(client: int, body: int) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the lower and upper corner ``[3]`` (m) of a new rover in its base frame, which is that of the world."""
+    links = range(-1, pybullet.getNumJoints(body, physicsClientId=client))
+    low, high = np.array([pybullet.getAABB(body, link, physicsClientId=client) for link in links]).transpose(1, 0, 2)
+    return low.min(0), high.max(0)
 
 
 def _set_contact(client: int, body: int, link: int, friction: float, settings: BulletSettings) -> None:

@@ -64,6 +64,7 @@ class BulletSimulator:
         # Position (3), orientation (4) and wheel speeds (2) in one array, which is copied at once.
         self._body = np.zeros((count, 9), dtype=np.float32)
         self._ranges = np.full((count, lidar_beams), np.inf, dtype=np.float32)
+        self._contact = np.zeros((count, 1), dtype=bool)
         self.reset(torch.ones(count, dtype=torch.bool), torch.zeros(count, 3))
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
@@ -76,6 +77,7 @@ class BulletSimulator:
             position, rotation = rest_on_ground(group.world, self._robot, poses[torch.from_numpy(rows)])
             group.physics.place(local.tolist(), position.numpy(), matrix_to_quaternion(rotation).numpy())
             self._read(group, local)
+            self._contact[rows] = False
         self._drive.reset(mask)
         return self.state()
 
@@ -92,13 +94,15 @@ class BulletSimulator:
         speeds = self._drive.advance(commands, active).tolist()
         for group in self._groups:
             held = [] if active is None else np.flatnonzero(~active.numpy()[group.rows]).tolist()
-            group.physics.step(speeds[group.block], held)
-            self._read(group, group.local if not held else np.setdiff1d(group.local, held))
+            touched = group.physics.step(speeds[group.block], self._body[group.block, :7], held)
+            local = group.local if not held else np.setdiff1d(group.local, held)
+            self._read(group, local)
+            self._contact[group.rows[local], 0] = touched[local]
         return self.state()
 
     def state(self) -> RoverState:
         """Returns the current state in new tensors."""
-        return self._drive.state(torch.from_numpy(self._body.copy()), torch.from_numpy(self._ranges.copy()))
+        return self._drive.state(*(torch.from_numpy(a.copy()) for a in (self._body, self._ranges, self._contact)))
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders one rover. See :meth:`Simulator.render`."""

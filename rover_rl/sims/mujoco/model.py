@@ -54,6 +54,7 @@ def make_model(world: World, robot: Robot, inertial_model: InertialModel, settin
     add_ground(spec, world, contype=_GROUND, friction=(settings.ground_friction, 0, 0), **static)
     add_obstacles(spec, world, contype=_OBSTACLES, friction=(settings.obstacle_friction, 0, 0), **static)
     _add_rover(spec, robot, inertial_model, settings)
+    _add_contact_sensors(spec)
     model = spec.compile()
     _set_contacts(model, settings)
     _set_scale(model)
@@ -143,6 +144,19 @@ def _add_motor(spec: mujoco.MjSpec, index: int, side: str, robot: Robot) -> None
     motor.wrap_joint(f"{side} shaft", -1.0)
     motor.solref_friction = _rate(MOTOR_RATE, MOTOR_IMPEDANCE)
     motor.solimp_friction = _impedance(MOTOR_IMPEDANCE)
+
+
+def _add_contact_sensors(spec: mujoco.MjSpec) -> None:
+    """Adds two sensors: the number of contacts of the rover, and the number of those with the ground.
+
+    They do not act on the rover. With sensors, the states of a rollout come with the contacts of every physics step.
+    """
+    base = {"objtype": mujoco.mjtObj.mjOBJ_XBODY, "objname": "base"}
+    ground = {"reftype": mujoco.mjtObj.mjOBJ_GEOM, "refname": "ground"}
+    # Data, a bit field; no reduction; number of contacts with data, which does not limit the number found.
+    parameters = (1 << mujoco.mjtConDataField.mjCONDATA_FOUND.value, 0, 1)
+    for name, with_what in (("contacts", {}), ("ground contacts", ground)):
+        spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT, intprm=parameters, **base, **with_what)
 
 
 def _impedance(value: float) -> tuple[float, ...]:

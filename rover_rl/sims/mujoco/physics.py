@@ -53,6 +53,8 @@ class RoverPhysics:
         self._rollout = Rollout(nthread=0)
         self._states = np.zeros((count, 1 + model.nq + model.nv))
         self._trajectories = np.empty((count, settings.substeps, self._states.shape[1]))
+        # The number of all contacts and of those with the ground, in each physics step.
+        self._contacts = np.empty((count, settings.substeps, model.nsensordata))
         self._states[:, _ORIENTATION.start] = 1.0
         left, wheels = len(robot.left_wheels), len(robot.left_wheels) + len(robot.right_wheels)
         # The velocities are those of the base (6), the wheels and the two shafts.
@@ -78,15 +80,18 @@ class RoverPhysics:
         if any(scale != 1.0 for scale in scales):
             self._models[row] = scaled_model(self._model, self._settings, *scales)
 
-    def step(self, rows: np.ndarray, speeds: np.ndarray) -> None:
+    def step(self, rows: np.ndarray, speeds: np.ndarray) -> np.ndarray:
         """Advances rovers by one control step.
 
         Args:
             rows: indices of the rovers, ``[k]``.
             speeds: left and right wheel speed of these rovers, ``[k, 2]``, rad/s.
+
+        Returns:
+            Whether each of these rovers touched an obstacle in any of the physics steps, bool ``[k]``.
         """
         self._states[rows, self._shafts] = speeds
-        trajectories = self._trajectories[: len(rows)]
+        trajectories, contacts = self._trajectories[: len(rows)], self._contacts[: len(rows)]
         # Checks take longer than the rest of the call.
         self._rollout.rollout(
             [self._models[row] for row in rows],
@@ -94,9 +99,12 @@ class RoverPhysics:
             self._states[rows],
             nstep=self._settings.substeps,
             state=trajectories,
+            sensordata=contacts,
             skip_checks=True,
         )
         self._states[rows] = trajectories[:, -1]
+        all_contacts, with_ground = contacts[..., 0], contacts[..., 1]
+        return np.any(all_contacts > with_ground, axis=1)
 
     def read(self, rows: np.ndarray) -> Reading:
         """Returns the poses and wheel speeds of the given rovers."""

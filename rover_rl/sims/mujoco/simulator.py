@@ -65,6 +65,7 @@ class MujocoSimulator:
         # Position (3), orientation (4) and wheel speeds (2) in one array, which is copied at once.
         self._body = np.zeros((count, 9), dtype=np.float32)
         self._ranges = np.full((count, lidar_beams), np.inf, dtype=np.float32)
+        self._contact = np.zeros((count, 1), dtype=bool)
         self.reset(torch.ones(count, dtype=torch.bool), torch.zeros(count, 3))
 
     def _divide(self, threads: int, beams: int) -> list[list[_Share]]:
@@ -89,6 +90,7 @@ class MujocoSimulator:
             rows = torch.from_numpy(share.rows.start + local)
             position, rotation = rest_on_ground(share.world, self._robot, poses[rows])
             share.physics.place(local, position.numpy(), matrix_to_quaternion(rotation).numpy())
+            self._contact[rows.numpy()] = False
 
         self._update(place, mask.numpy())
         self._drive.reset(mask)
@@ -106,14 +108,15 @@ class MujocoSimulator:
         speeds = self._drive.advance(commands, active).numpy()
 
         def advance(share: _Share, local: np.ndarray) -> None:
-            share.physics.step(local, speeds[share.rows.start + local])
+            rows = share.rows.start + local
+            self._contact[rows, 0] = share.physics.step(local, speeds[rows])
 
         self._update(advance, None if active is None else active.numpy())
         return self.state()
 
     def state(self) -> RoverState:
         """Returns the current state in new tensors."""
-        return self._drive.state(torch.from_numpy(self._body.copy()), torch.from_numpy(self._ranges.copy()))
+        return self._drive.state(*(torch.from_numpy(a.copy()) for a in (self._body, self._ranges, self._contact)))
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders one rover. See :meth:`Simulator.render`."""

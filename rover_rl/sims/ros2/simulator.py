@@ -272,6 +272,8 @@ class Ros2Simulator:
             ranges=aligned.ranges.masked_fill(~aligned.seen & (scan is not None), self.settings.unseen_range)[None],
             dt=torch.full((1, 1), self._dt),
             stamp=torch.full((1, 1), scan.stamp if scan else 0.0, dtype=torch.float64),
+            # A live rover does not sense contacts. A policy of a task whose collision is the contact drives anyway.
+            contact=torch.zeros(1, 1, dtype=torch.bool),
         )
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:

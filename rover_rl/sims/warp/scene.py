@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -12,8 +15,8 @@ from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.inertial_model import InertialModel
 from rover_rl.sims.warp.kernels.types import MAX_WHEELS, RobotModel, Scene
-from rover_rl.sims.worlds import Obstacle, World
-from rover_rl.sims.worlds.obstacles import groups_of
+from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds.obstacles import Solids, groups_of
 
 BLOCK_SIDE = 1.5
 """Approximate side length of a block of ground, m."""
@@ -23,6 +26,10 @@ ROUNDING = 1e-4
 """Safety margin of bounds for the rounding errors of single precision, m."""
 GRID_CELL = 1.0
 """Side length of a cell of the broad-phase grid, m."""
+ALIGNMENT = 64
+"""Alignment of the arrays of a scene in memory, bytes: the length of a cache line."""
+ARRAY_TYPES = {name: var.type.dtype for name, var in vars(Scene)["vars"].items() if hasattr(var.type, "dtype")}
+"""Type of the elements of each array in a scene."""
 
 
 class SceneTable:
@@ -40,35 +47,87 @@ class SceneTable:
     def __init__(self, capacity: int, reach: float, device: wp.Device) -> None:
         self._reach, self._device = reach, device
         self.scenes = wp.zeros(capacity, dtype=Scene, device=device)
+        self._size = wp.types.type_size_in_bytes(Scene)
+        self._bytes = wp.array(ptr=self.scenes.ptr, dtype=wp.uint8, shape=capacity * self._size, device=device)
         # A struct in an array refers to other arrays without owning them.
-        self._owners: list[Scene | None] = [None] * capacity
+        self._owners: list[wp.array | None] = [None] * capacity
+        self._packed: WeakKeyDictionary[World, PackedScene] = WeakKeyDictionary()
+
+    def prepare(self, world: World) -> None:
+        """Packs a world that will be set soon. It is safe to call from another thread."""
+        self._packed[world] = PackedScene.of(world, self._reach)
 
     def __setitem__(self, slot: int, world: World) -> None:
         """Copies a world to a slot."""
-        scene = make_scene(world, self._reach, self._device)
-        wp.copy(self.scenes, wp.array([scene], dtype=Scene, device=self._device), dest_offset=slot, count=1)
-        self._owners[slot] = scene
+        packed = self._packed.pop(world, None) or PackedScene.of(world, self._reach)
+        scene, memory = packed.copy_to(self._device)
+        # As bytes: an array of structs is slow to make.
+        data = np.frombuffer(scene.__ctype__(), dtype=np.uint8)  # type: ignore[attr-defined]
+        record = wp.array(data, dtype=wp.uint8, device=self._device)
+        wp.copy(self._bytes, record, dest_offset=slot * self._size, count=self._size)
+        self._owners[slot] = memory
 
 
-def make_scene(world: World, reach: float, device: wp.Device) -> Scene:
-    """Copies a world to a device.
+@dataclass(frozen=True)
+class PackedScene:
+    """A world as the kernels read it, in one block of memory, so that a thread reads one region.
 
-    Args:
-        world: world to copy.
-        reach: radius of a sphere around the center of mass that contains the rover, m.
-        device: device of the arrays.
+    Attributes:
+        numbers: fields of the scene that are not arrays, by name.
+        shapes: shape of each array, by name, in the order of the block.
+        block: the arrays one after the other, uint8, each aligned to a cache line.
     """
-    scene = Scene()
-    terrain = world.terrain
-    heights = terrain.heights.numpy()
-    scene.heights = wp.array(heights, dtype=float, device=device)
-    scene.origin = wp.vec2(*terrain.origin)
-    scene.cell = terrain.cell
-    scene.block = min(max(1, round(BLOCK_SIDE / terrain.cell)), MAX_BLOCK_CELLS)
-    scene.blocks = wp.array(_blocks(heights, scene.block, terrain.cell), dtype=wp.vec4, device=device)
-    _add_obstacles(scene, world.obstacles, device)
-    _add_grid(scene, world, reach, device)
-    return scene
+
+    numbers: dict[str, Any]
+    shapes: dict[str, tuple[int, ...]]
+    block: np.ndarray
+
+    @classmethod
+    def of(cls, world: World, reach: float) -> PackedScene:
+        """Packs a world.
+
+        Args:
+            world: world to pack.
+            reach: radius of a sphere around the center of mass that contains the rover, m.
+        """
+        terrain = world.terrain
+        heights = terrain.heights.numpy()
+        block = min(max(1, round(BLOCK_SIDE / terrain.cell)), MAX_BLOCK_CELLS)
+        groups = groups_of(world.obstacles)
+        grid_numbers, grid = _grid(groups, reach)
+        arrays = {"heights": heights, "blocks": _blocks(heights, block, terrain.cell)}
+        arrays |= _solids(groups) | _faces(groups) | grid
+        memory = np.zeros(sum(_aligned(array.nbytes) for array in arrays.values()) + ALIGNMENT, dtype=np.uint8)
+        start = 0
+        for array in arrays.values():
+            memory[start : start + array.nbytes] = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
+            start += _aligned(array.nbytes)
+        numbers = {"origin": wp.vec2(*terrain.origin), "cell": terrain.cell, "block": block, **grid_numbers}
+        return cls(numbers, {name: array.shape for name, array in arrays.items()}, memory)
+
+    def copy_to(self, device: wp.Device) -> tuple[Scene, wp.array]:
+        """Copies the world to a device.
+
+        Returns:
+            The scene, and the memory that its arrays are in. The caller keeps the memory as long as the scene.
+        """
+        memory = wp.array(self.block, dtype=wp.uint8, device=device)
+        scene = Scene()
+        for name, value in self.numbers.items():
+            setattr(scene, name, value)
+        start = memory.ptr
+        for name, shape in self.shapes.items():
+            dtype = ARRAY_TYPES[name]
+            # The last dimension of an array of vectors is in its type.
+            outer = shape[:-1] if wp.types.type_is_vector(dtype) else shape
+            setattr(scene, name, wp.array(ptr=start, dtype=dtype, shape=outer, device=device))
+            start += _aligned(4 * math.prod(shape))
+        return scene, memory
+
+
+def _aligned(size: int) -> int:
+    """Returns the size (bytes) up to the next array in a block."""
+    return -(-size // ALIGNMENT) * ALIGNMENT
 
 
 def make_robot_model(robot: Robot, inertial_model: InertialModel, device: wp.Device) -> RobotModel:
@@ -112,48 +171,49 @@ def _blocks(heights: np.ndarray, block: int, cell: float) -> np.ndarray:
     Each entry holds the slopes dz/dx and dz/dy of a plane fitted to the ground of the block, borders included, and the
     heights at the middle of the block of two such planes that bound the ground from below and from above (m).
     """
-    rows, columns = (range(0, count - 1, block) for count in heights.shape)
-    planes = np.empty((len(rows), len(columns), 4))
-    for j, i in np.ndindex(len(rows), len(columns)):
-        ground = heights[rows[j] : rows[j] + block + 1, columns[i] : columns[i] + block + 1].astype(float)
-        y, x = ((np.arange(count) - block / 2) * cell for count in ground.shape)
-        # Least-squares fit; on a regular grid the two slopes are independent linear regressions.
-        arm_x, arm_y = x - x.mean(), y - y.mean()
-        slope_x = (ground * arm_x).mean() / (arm_x**2).mean()
-        slope_y = (ground * arm_y[:, None]).mean() / (arm_y**2).mean()
-        level = ground - slope_x * x - slope_y * y[:, None]
-        planes[j, i] = slope_x, slope_y, level.min() - ROUNDING, level.max() + ROUNDING
-    return planes.astype(np.float32)
+    starts = [np.arange(0, count - 1, block) for count in heights.shape]
+    # Grid points of each block along an axis. The last block may have fewer: then its last one counts several times.
+    points = [
+        np.minimum(first[:, None] + np.arange(block + 1), count - 1)
+        for first, count in zip(starts, heights.shape, strict=True)
+    ]
+    ground = heights[points[0][:, None, :, None], points[1][:, None]].astype(float)
+    y, x = ((p - first[:, None] - block / 2) * cell for p, first in zip(points, starts, strict=True))
+    arm_x, arm_y = x - x.mean(1, keepdims=True), y - y.mean(1, keepdims=True)
+    # Least-squares fit; on a regular grid the two slopes are independent linear regressions.
+    slope_x = np.einsum("jirc,ic->ji", ground, arm_x) / (block + 1) / (arm_x**2).sum(1)
+    slope_y = np.einsum("jirc,jr->ji", ground, arm_y) / (block + 1) / (arm_y**2).sum(1)[:, None]
+    level = ground - slope_x[..., None, None] * x[:, None] - slope_y[..., None, None] * y[:, None, :, None]
+    planes = (slope_x, slope_y, level.min((2, 3)) - ROUNDING, level.max((2, 3)) + ROUNDING)
+    return np.stack(planes, -1).astype(np.float32)
 
 
-def _add_obstacles(scene: Scene, obstacles: Sequence[Obstacle], device: wp.Device) -> None:
-    """Adds planes, vertices, face polygons and bounding spheres of the obstacles, as flat lists."""
-    planes, vertices, spheres = [_NONE], [_NONE], [_NONE]
-    polygons, polygon_spheres = [_NONE], [_NONE]
-    plane_counts, vertex_counts, polygon_counts = [0], [0], [0]
-    for solids in groups_of(obstacles):
-        count, corners = len(solids), solids.vertices.numpy()
-        faces = [corners[:, polygon] for polygon in solids.polygons]
-        planes.append(solids.planes.numpy())
-        vertices.append(corners)
-        spheres.append(_spheres(corners))
-        polygons.append(np.concatenate(faces, 1))
-        polygon_spheres.append(np.stack([_spheres(face) for face in faces], 1))
-        plane_counts += [len(faces)] * count
-        vertex_counts += [corners.shape[1]] * count
-        polygon_counts += [len(polygon) for polygon in solids.polygons] * count
-    scene.planes = _vectors(planes, wp.vec4, device)
-    scene.vertices = _vectors(vertices, wp.vec3, device)
-    scene.polygons = _vectors(polygons, wp.vec3, device)
-    scene.spheres = _vectors(spheres, wp.vec4, device)
-    scene.polygon_spheres = _vectors(polygon_spheres, wp.vec4, device)
-    scene.plane_starts = wp.array(np.cumsum(plane_counts), dtype=int, device=device)
-    scene.vertex_starts = wp.array(np.cumsum(vertex_counts), dtype=int, device=device)
-    scene.polygon_starts = wp.array(np.cumsum(polygon_counts), dtype=int, device=device)
+def _solids(groups: Sequence[Solids]) -> dict[str, np.ndarray]:
+    """Returns planes, vertices and bounding spheres of the obstacles, as flat lists."""
+    planes = [solids.planes.numpy().reshape(-1, 4) for solids in groups]
+    vertices = [solids.vertices.numpy().reshape(-1, 3) for solids in groups]
+    spheres = [_spheres(solids.vertices.numpy()) for solids in groups]
+    plane_counts = [solids.planes.shape[1] for solids in groups for _ in range(len(solids))]
+    vertex_counts = [solids.vertices.shape[1] for solids in groups for _ in range(len(solids))]
+    return {
+        "spheres": np.concatenate([np.zeros((0, 4)), *spheres]).astype(np.float32),
+        "planes": np.concatenate([np.zeros((0, 4)), *planes]).astype(np.float32),
+        "plane_starts": np.cumsum([0, *plane_counts], dtype=np.int32),
+        "vertices": np.concatenate([np.zeros((0, 3)), *vertices]).astype(np.float32),
+        "vertex_starts": np.cumsum([0, *vertex_counts], dtype=np.int32),
+    }
 
 
-_NONE = np.zeros((0, 0))
-"""First entry of each list, so that a world without obstacles has empty arrays."""
+def _faces(groups: Sequence[Solids]) -> dict[str, np.ndarray]:
+    """Returns the faces of the obstacles, as flat lists. Obstacles of a group share them."""
+    polygons = [polygon for solids in groups for polygon in solids.polygons]
+    firsts = np.cumsum([0, *(len(solids.polygons) for solids in groups)])
+    first_faces = [first for first, solids in zip(firsts.tolist(), groups, strict=False) for _ in range(len(solids))]
+    return {
+        "first_faces": np.array(first_faces, dtype=np.int32),
+        "face_starts": np.cumsum([0, *map(len, polygons)], dtype=np.int32),
+        "corners": np.concatenate([np.zeros(0), *polygons]).astype(np.int32),
+    }
 
 
 def _spheres(points: np.ndarray) -> np.ndarray:
@@ -163,34 +223,30 @@ def _spheres(points: np.ndarray) -> np.ndarray:
     return np.column_stack((centers, radii))
 
 
-def _add_grid(scene: Scene, world: World, reach: float, device: wp.Device) -> None:
-    """Adds the broad-phase grid: for each cell, the obstacles within reach of a rover centered in it."""
-    if not world.obstacles:
-        scene.grid_columns = scene.grid_rows = 0
-        scene.grid_cell = GRID_CELL
-        scene.grid_starts = scene.grid_obstacles = wp.zeros(1, dtype=int, device=device)
-        return
-    outlines = [solids.vertices[..., :2].numpy() for solids in groups_of(world.obstacles)]
+def _grid(groups: Sequence[Solids], reach: float) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Returns the size and the lists of the broad-phase grid.
+
+    The grid lists for each cell the obstacles within reach of a rover centered in it.
+    """
+    if not groups:
+        lists = {"grid_starts": np.zeros(1, dtype=np.int32), "grid_obstacles": np.zeros(0, dtype=np.int32)}
+        return {"grid_cell": GRID_CELL, "grid_columns": 0, "grid_rows": 0}, lists
+    outlines = [solids.vertices[..., :2].numpy() for solids in groups]
     lows = np.concatenate([outline.min(1) for outline in outlines]) - reach
     highs = np.concatenate([outline.max(1) for outline in outlines]) + reach
     # A margin of one cell on all sides: kernels clamp rovers outside the grid to its outermost cells.
     corner = lows.min(0) - GRID_CELL
     columns, rows = (int(n) for n in np.ceil((highs.max(0) - corner) / GRID_CELL) + 1)
     firsts, lasts = (((ends - corner) // GRID_CELL).astype(int) for ends in (lows, highs))
-    listed: list[np.ndarray] = []
-    for (left, low), (right, high) in zip(firsts, lasts, strict=True):
-        listed.append((np.arange(low, high + 1)[:, None] * columns + np.arange(left, right + 1)).reshape(-1))
-    obstacles = np.repeat(np.arange(len(listed)), [len(cells) for cells in listed])
-    cells = np.concatenate(listed)
-    scene.grid_origin = wp.vec2(*corner)
-    scene.grid_cell = GRID_CELL
-    scene.grid_columns, scene.grid_rows = columns, rows
+    # Every obstacle is listed in the cells of a rectangle, row by row.
+    sizes = lasts - firsts + 1
+    obstacles = np.repeat(np.arange(len(sizes)), sizes.prod(1))
+    number = np.arange(len(obstacles)) - np.repeat(sizes.prod(1).cumsum() - sizes.prod(1), sizes.prod(1))
+    along = np.stack((number % sizes[obstacles, 0], number // sizes[obstacles, 0]), -1) + firsts[obstacles]
+    cells = along[:, 1] * columns + along[:, 0]
     counts = np.bincount(cells, minlength=rows * columns)
-    scene.grid_starts = wp.array(np.cumsum([0, *counts]), dtype=int, device=device)
-    scene.grid_obstacles = wp.array(obstacles[np.argsort(cells, kind="stable")], dtype=int, device=device)
-
-
-def _vectors(parts: list[np.ndarray], dtype: type, device: wp.Device) -> wp.array:
-    """Joins arrays ``[..., width]`` to an array of vectors."""
-    flat = np.concatenate([part.reshape(-1) for part in parts]).astype(np.float32)
-    return wp.array(flat.reshape(-1, wp.types.type_size(dtype)), dtype=dtype, device=device)
+    size = {"grid_origin": wp.vec2(*corner), "grid_cell": GRID_CELL, "grid_columns": columns, "grid_rows": rows}
+    return size, {
+        "grid_starts": np.cumsum([0, *counts], dtype=np.int32),
+        "grid_obstacles": obstacles[np.argsort(cells, kind="stable")].astype(np.int32),
+    }

@@ -119,6 +119,10 @@ class WarpSimulator:
         """Moves rovers to other worlds: see :meth:`WorldChanger.set_worlds`."""
         self._fill(self._slots.assign(rows, worlds))
 
+    def prepare_world(self, world: World) -> None:
+        """Prepares a world that rovers may move to soon: see :meth:`WorldChanger.prepare_world`."""
+        self._scenes.prepare(world)
+
     def _fill(self, slots: Iterable[int]) -> None:
         """Copies the worlds of slots to the device, and the slot of every rover."""
         for slot in slots:
@@ -162,7 +166,8 @@ class WarpSimulator:
 
     def state(self) -> RoverState:
         """Returns a copy of the current state."""
-        return self._drive.state(self._buffers.base_state.clone(), self._buffers.ranges.clone())
+        buffers = self._buffers
+        return self._drive.state(buffers.base_state.clone(), buffers.ranges.clone(), buffers.contact.clone())
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders an image: see :meth:`Simulator.render`."""

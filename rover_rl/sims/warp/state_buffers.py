@@ -31,6 +31,7 @@ class StateBuffers:
         base_state: position (m) and orientation (x, y, z, w) of the base frame, and mean speed of the left and of the
             right wheels (rad/s), ``[N, 9]``.
         ranges: scans, ``[N, beams]``, m.
+        contact: whether the rovers touched an obstacle in the last control step, bool ``[N, 1]``.
     """
 
     def __init__(self, model: InertialModel, robot: Robot, count: int, beams: int, device: torch.device) -> None:
@@ -43,6 +44,7 @@ class StateBuffers:
         self.active = torch.ones(count, dtype=torch.bool, device=device)
         self.base_state = self._zeros(count, 9)
         self.ranges = self._zeros(count, beams)
+        self.contact = torch.zeros(count, 1, dtype=torch.bool, device=device)
         self._wheel_torque = robot.wheel_torque
         self._mass = self._zeros(count)
         self._center = self._zeros(count, 3)
@@ -69,6 +71,7 @@ class StateBuffers:
         rovers.active = self._shared(self.active, wp.bool)
         rovers.base_state = self._shared(self.base_state, wp.float32)
         rovers.ranges = self._shared(self.ranges, wp.float32)
+        rovers.contact = self._shared(self.contact.view(count), wp.bool)
         self.rovers = rovers
         ones = torch.ones(count, device=device)
         self.set_dynamics(torch.ones(count, dtype=torch.bool, device=device), Dynamics(ones, ones, ones))

@@ -15,6 +15,7 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.cell_distance import distance_to_cells
 from rover_rl.sims.worlds.cell_grid import CellGrid, overlap, ring
 from rover_rl.sims.worlds.clearance import clearance_on_grid
+from rover_rl.sims.worlds.free_space_cache import load_free_space, store_free_space
 from rover_rl.sims.worlds.ground_limits import (
     CLIFF_SLOPE,
     MAX_SLOPE,
@@ -113,14 +114,20 @@ class FreeSpace:
 
 
 def free_space(world: World, robot: Robot) -> FreeSpace:
-    """Returns the free space of a world for a robot. Computed once for each world object and robot.
+    """Returns the free space of a world for a robot.
+
+    It is computed once, and stored on disk by the content of the world and the robot
+    (:mod:`rover_rl.sims.worlds.free_space_cache`).
 
     Raises:
         ValueError: if there is no spawn cell or no goal cell, or the goals lie too close together.
     """
     by_robot = _cache.setdefault(world, {})
     if robot not in by_robot:
-        by_robot[robot] = _compute(world, robot)
+        stored = load_free_space(FreeSpace, world, robot)
+        by_robot[robot] = stored or _compute(world, robot)
+        if stored is None:
+            store_free_space(world, robot, by_robot[robot])
     return by_robot[robot]
 
 

@@ -95,8 +95,7 @@ class Solids:
     @cached_property
     def polygons(self) -> list[np.ndarray]:
         """Face polygon of each plane, as indices into the vertices of a solid, counter-clockwise from outside."""
-        vertices = self.vertices[0].numpy()
-        return [_polygon(vertices, plane) for plane in self.planes[0].numpy()]
+        return _polygons(self.vertices[0].numpy(), self.planes[0].numpy())
 
     def obstacles(self) -> tuple[Obstacle, ...]:
         """Returns the solids one by one."""
@@ -149,12 +148,19 @@ def groups_of(obstacles: Sequence[Obstacle]) -> list[Solids]:
     return groups
 
 
-def _polygon(vertices: np.ndarray, plane: np.ndarray) -> np.ndarray:
-    """Returns the indices of the vertices ``[V, 3]`` on a plane ``[4]``, counter-clockwise around its normal."""
-    on = np.flatnonzero(np.abs(vertices @ plane[:3] + plane[3]) < 1e-6)
-    offsets = vertices[on] - vertices[on].mean(0)
-    second = np.cross(plane[:3], offsets[0])
-    return on[np.argsort(np.arctan2(offsets @ second, offsets @ offsets[0]))]
+def _polygons(vertices: np.ndarray, planes: np.ndarray) -> list[np.ndarray]:
+    """Returns the indices of the vertices ``[V, 3]`` on each plane ``[P, 4]``, counter-clockwise around its normal."""
+    normals = planes[:, :3]
+    on = np.abs(normals @ vertices.T + planes[:, 3:]) < 1e-6
+    counts = on.sum(1)
+    middles = (on[..., None] * vertices).sum(1) / counts[:, None]
+    # Angles around the middle of the polygon, from the direction to its first vertex.
+    first = vertices[on.argmax(1)] - middles
+    second = np.cross(normals, first)
+    offsets = vertices - middles[:, None]
+    angles = np.arctan2((offsets @ second[..., None])[..., 0], (offsets @ first[..., None])[..., 0])
+    order = np.argsort(np.where(on, angles, np.inf), axis=1)
+    return [row[:count] for row, count in zip(order, counts.tolist(), strict=True)]
 
 
 _BOX_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])

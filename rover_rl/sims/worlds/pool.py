@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from itertools import accumulate
+from threading import Lock
 from typing import TypeAlias, Union
 
 from rover_rl.sims.worlds import get_world
 from rover_rl.sims.worlds.names import WorldRange
 from rover_rl.sims.worlds.world import World
 
-KEPT_WORLDS = 2048
+KEPT_WORLDS = 1024
 """Number of worlds that a pool keeps, the last used ones, so that they are not generated again."""
 
 WorldSource: TypeAlias = Union[str, World, "WorldPool", Sequence[str | World]]
@@ -52,6 +53,8 @@ class WorldPool:
         self.sizes = tuple(1 if seeds is None else len(seeds) for seeds in self._ranges)
         self._starts = (0, *accumulate(self.sizes))
         self._kept: OrderedDict[int, World] = OrderedDict()
+        # A thread may generate worlds: see rover_rl.sims.worlds.ahead.
+        self._lock = Lock()
 
     @classmethod
     def of(cls, worlds: WorldSource) -> WorldPool:
@@ -64,6 +67,11 @@ class WorldPool:
     def has_ranges(self) -> bool:
         """Whether an entry is a range of seeds."""
         return any(self._ranges)
+
+    @property
+    def kept(self) -> Container[int]:
+        """Indices of the worlds that are in memory."""
+        return self._kept.keys()
 
     def __len__(self) -> int:
         """Number of worlds."""
@@ -80,13 +88,16 @@ class WorldPool:
         Raises:
             IndexError: if there is no such world.
         """
-        world = self._kept.pop(index, None)
+        with self._lock:
+            world = self._kept.get(index)
         if world is None:
             entry, number = self._locate(index)
             world = get_world(entry.name(number) if isinstance(entry, WorldRange) else entry)
-        self._kept[index] = world
-        if len(self._kept) > KEPT_WORLDS:
-            self._kept.popitem(last=False)
+        with self._lock:
+            self._kept[index] = world
+            self._kept.move_to_end(index)
+            if len(self._kept) > KEPT_WORLDS:
+                self._kept.popitem(last=False)
         return world
 
     def __iter__(self) -> Iterator[World]:

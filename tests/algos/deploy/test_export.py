@@ -12,7 +12,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from rover_rl.algos.config import training_config
+from rover_rl import RewardConfig, TaskConfig
+from rover_rl.algos.config import training_config, with_settings
 from rover_rl.algos.deploy import export as exporting
 from rover_rl.algos.deploy.export import OnnxPolicy, export, onnx_function, program_function, random_observations
 from rover_rl.algos.evaluation.episodes import stored_episodes
@@ -154,6 +155,16 @@ def test_settings_travel_with_the_file(onnx_file):
 
     (written,) = [entry.value for entry in onnx.load(str(onnx_file)).metadata_props if entry.key == "rover_rl"]
     assert json.loads(written)["env"]["world"] == "moon"
+
+
+@needs_onnx
+def test_the_task_travels_with_the_file(checkpoint, tmp_path):
+    task = TaskConfig(collision_from="contact", collision_window=0)
+    config = with_settings(checkpoint.config, task=task, contract_reward=RewardConfig(clearance_penalty=-0.1))
+    export(replace(checkpoint, config=config), tmp_path / "policy.onnx")
+    policy = OnnxPolicy(tmp_path / "policy.onnx")
+    assert policy.made_for.task == task
+    assert policy.made_for == config.env
 
 
 @needs_onnx

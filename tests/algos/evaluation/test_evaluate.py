@@ -18,6 +18,7 @@ from rover_rl import World
 from rover_rl.algos.config import training_config, with_settings
 from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes
 from rover_rl.algos.evaluation.evaluate import Evaluation, Policy, evaluate, evaluate_endless
+from rover_rl.algos.evaluation.metrics import find_body_contacts
 from rover_rl.algos.evaluation.plots import draw_paths
 from rover_rl.algos.evaluation.report import print_table, write_evaluation
 from rover_rl.algos.policy.baselines import ScriptedPolicy
@@ -25,7 +26,7 @@ from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
 from rover_rl.cli import main
 from rover_rl.envs import EnvConfig, RoverEnv
-from rover_rl.envs.config import ActionConfig, HeadingGains, LidarConfig, Randomization
+from rover_rl.envs.config import ActionConfig, HeadingGains, LidarConfig, Randomization, TaskConfig
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, box
@@ -153,6 +154,33 @@ def test_driving_into_a_wall_jams_and_touches_it() -> None:
     assert jammed.metrics["body_contacts"].value >= 1
     assert jammed.metrics["ending_jammed"].value == 1
     assert jammed.trajectories[0].collision[-16:].all()
+
+
+def test_a_policy_is_evaluated_by_the_collision_of_the_task_that_it_was_made_for(
+    checkpoint: Checkpoint, tmp_path: Path
+) -> None:
+    room = World("room", Terrain.flat((12.0, 12.0)), [box((3.0, 0.0, 0.5), (1.0, 8.0, 1.0))])
+    episodes = EpisodeSet("room", room, 0, torch.tensor([[1.0, 0.0, 0.0]]), torch.tensor([[5.0, 0.0]]), torch.ones(1))
+    task = TaskConfig(collision_from="contact", collision_window=0)
+    replace(checkpoint, config=with_settings(checkpoint.config, task=task)).save(tmp_path / "checkpoint.pt")
+    made_for = Checkpoint.load(tmp_path).make_actor().made_for
+    assert made_for.task == task
+
+    class Ahead(torch.nn.Module):
+        def __init__(self, made_for: EnvConfig | None) -> None:
+            super().__init__()
+            self.made_for = made_for
+
+        def forward(self, td: TensorDictBase) -> TensorDictBase:
+            return ahead(td)
+
+    by_contact, by_lidar = (evaluate(Ahead(made), episodes, seconds=10) for made in (made_for, None))
+    assert by_contact.env.task == task
+    assert by_contact.endings == by_lidar.endings == ["jammed"]
+    # It ends at the first contact, after the steps with near readings.
+    assert by_contact.trajectories[0].collision.tolist() == [False] * (len(by_contact.trajectories[0]) - 1) + [True]
+    assert find_body_contacts(by_contact.trajectories, room, get_robot("rover_zero"))[0][-1]
+    assert by_lidar.trajectories[0].collision.sum() == 16
 
 
 def test_settings_out_of_range_raise() -> None:

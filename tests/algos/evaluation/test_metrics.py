@@ -195,6 +195,38 @@ def test_standstill_is_a_proportion_of_the_time() -> None:
     assert metrics.standstill([drive(2.0, 100), drive(0.01, 300, "stuck")]).value == pytest.approx(0.75)
 
 
+def moving(speeds: list[float], dt: float = 0.05, yaw: float = 0.7) -> Trajectory:
+    """A drive along a line with the given speeds, m/s."""
+    along = torch.tensor([0.0, *speeds]).cumsum(0) * dt
+    direction = torch.tensor([math.cos(yaw), math.sin(yaw), 0.0])
+    flags = torch.zeros(len(speeds), dtype=torch.bool)
+    angles = torch.tensor([[0.0, 0.0, yaw]]).expand(len(along), 3)
+    return Trajectory(along[:, None] * direction, angles, flags, flags, "time limit", dt=dt)
+
+
+def test_jerk_is_the_root_mean_square_of_the_second_difference_of_the_speed() -> None:
+    # Second differences of 0.2, -0.4 and 0.2 m/s.
+    pulse = [0.0, 0.0, 0.2, 0.0, 0.0]
+    expected = math.sqrt((0.2**2 + 0.4**2 + 0.2**2) / 3) / 0.05**2
+    assert metrics.jerk([moving(pulse)]).value == pytest.approx(expected, rel=1e-3)
+    assert metrics.jerk([moving([0.1, 0.2, 0.3, 0.4])]).value == pytest.approx(0, abs=0.02)
+    # All steps of all episodes count equally.
+    both = metrics.jerk([moving(pulse), moving([1.0] * 5)])
+    assert both.value == pytest.approx(expected / math.sqrt(2), rel=1e-3)
+    assert both.low <= both.value <= both.high
+
+
+def test_a_reversal_at_the_same_pace_is_a_jerk() -> None:
+    # Second differences of -0.4 and 0.4 m/s.
+    assert metrics.jerk([moving([0.2, 0.2, -0.2, -0.2])]).value == pytest.approx(0.4 / 0.05**2, rel=1e-3)
+
+
+@pytest.mark.parametrize("steps", [1, 2])
+def test_too_short_an_episode_has_no_jerk(steps: int) -> None:
+    assert math.isnan(metrics.jerk([moving([1.0] * steps)]).value)
+    assert metrics.jerk([moving([1.0] * steps), moving([0.5] * 4)]).value == pytest.approx(0, abs=0.02)
+
+
 # --- endless mode
 
 

@@ -32,8 +32,8 @@ def flat_world() -> World:
 
 def scripted(*scripts: list[Moment], reward: str = "contract", **settings) -> EnvBase:
     """An environment whose sensors follow ``scripts``, one script per row."""
-    settings = {"world_n": flat_world(), "lidar_beams": 32, "seed": 0, **settings}
-    env = make_env(num_envs=len(scripts), backend=ScriptedBackend(), reward=reward, **settings)
+    settings = {"world_n": flat_world(), "lidar_beams": 32, "seed": 0, "backend": ScriptedBackend(), **settings}
+    env = make_env(num_envs=len(scripts), reward=reward, **settings)
     bare(env).simulator.scripts = scripts
     return env
 

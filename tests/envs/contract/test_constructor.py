@@ -53,6 +53,7 @@ def test_the_task_has_the_contracts_thresholds():
         "flip_threshold": 1.48,
         "stuck_window": 600,
         "stuck_threshold": 0.001,
+        "collision_from": "lidar",
     }
 
 
@@ -71,6 +72,10 @@ def test_the_reward_has_the_contracts_numbers():
         "general_penalty": -20.0,
         "flip_grace_steps": 500,
         "out_of_bounds_penalty": -10.0,
+        # Components that the contract does not have are off.
+        "clearance_penalty": 0.0,
+        "clearance_distance": 0.5,
+        "action_rate_penalty": 0.0,
     }
 
 

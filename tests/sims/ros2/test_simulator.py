@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from rover_rl import RoverEnv
+from rover_rl import RoverEnv, TaskConfig
 from rover_rl.envs.gym import RoverEnv as GymRoverEnv
 from rover_rl.sims import make_simulator
 from rover_rl.sims.connection import Connection
@@ -460,6 +460,20 @@ def test_every_lidar_reading_becomes_a_valid_observation(rover, ranges, seen):
     lidar = env.reset()["lidar"][0]
     assert lidar[0] == seen
     assert ((lidar >= 0) & (lidar <= 12.0)).all()
+    env.close()
+
+
+def test_a_live_rover_drives_a_policy_of_a_task_with_contact_and_senses_none(rover):
+    rover.ranges[0] = 0.1
+    rover.start()
+    task = TaskConfig(collision_from="contact", collision_window=0)
+    backend = Ros2Settings(reset="none", settle=0.05)
+    env = RoverEnv(world_n="maze", backend=backend, lidar_beams=BEAMS, lidar_points=BEAMS, task=task)
+    td = env.step(env.reset().set("action", torch.tensor([[0.5, 0.0]])))["next"]
+    assert td["lidar"].min() < 0.3
+    assert not td["outcome", "collision"].item()
+    assert not td["terminated"].item()
+    assert env.rover_state.contact.tolist() == [[False]]
     env.close()
 
 

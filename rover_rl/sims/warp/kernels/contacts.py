@@ -376,8 +376,12 @@ def collide_with_obstacles(
     model: RobotModel,
     solver: Solver,
     friction: float,
+    touched: wp.array[wp.bool],
+    rover: int,
 ) -> int:
     """Adds a contact for each overlapping pair of a part (box or wheel) and an obstacle; returns the contact count.
+
+    Sets ``touched[rover]`` if there is such a pair, also if the array of contacts is full.
 
     Broad phase: a uniform grid over (x, y) lists the obstacles near the rover; bounding spheres and face planes reject
     most pairs. Narrow phase: :func:`rover_rl.sims.warp.kernels.convex.find_overlap`.
@@ -396,6 +400,7 @@ def collide_with_obstacles(
                 if is_near(scene, obstacle, middle, part_radius(model, part)):
                     hit = find_overlap(scene, model, body.center, body.position, body.rotation, part, obstacle)
                     if hit.depth > 0.0:
+                        touched[rover] = True
                         # Keys: from 1024, above those of the chassis points.
                         key = 1024 + obstacle * (boxes + model.wheels) + part
                         wheel = wp.where(part < boxes, NO_WHEEL, part - boxes)

@@ -225,6 +225,7 @@ def step_dynamics(scenes: wp.array[Scene], model: RobotModel, solver: Solver, ro
     friction_scale = rovers.friction_scale[row]
     max_impulse = rovers.motor_torque[row] * solver.dt
     dt = solver.dt
+    rovers.contact[row] = False
 
     for _ in range(solver.substeps):
         # 1. Unconstrained velocity, in the body frame: gravity and the gyroscopic term.
@@ -248,7 +249,15 @@ def step_dynamics(scenes: wp.array[Scene], model: RobotModel, solver: Solver, ro
             contacts, count, scene, body, model, solver, friction_scale * solver.ground_friction
         )
         count = collide_with_obstacles(
-            contacts, count, scene, body, model, solver, friction_scale * solver.obstacle_friction
+            contacts,
+            count,
+            scene,
+            body,
+            model,
+            solver,
+            friction_scale * solver.obstacle_friction,
+            rovers.contact,
+            row,
         )
         restore_impulses(contacts, wheel_contacts, count, keys, impulses)
 
@@ -342,4 +351,5 @@ def place(model: RobotModel, rovers: RoverArrays, poses: wp.array2d[float]):
         rovers.wheel_spins[row, n] = 0.0
     for n in range(rovers.impulses.shape[1]):
         rovers.impulses[row, n] = 0.0
+    rovers.contact[row] = False
     write_base_state(model, rovers, row)

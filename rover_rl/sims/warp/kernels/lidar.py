@@ -378,21 +378,36 @@ def slice_ground(scene: Scene, beams: wp.array[wp.vec2], ranges: wp.array2d[floa
 
 @wp.func
 def slice_face(
-    scene: Scene, beams: wp.array[wp.vec2], ranges: wp.array2d[float], row: int, plane: ScanPlane, face: int
+    scene: Scene,
+    beams: wp.array[wp.vec2],
+    ranges: wp.array2d[float],
+    row: int,
+    plane: ScanPlane,
+    face: int,
+    first_vertex: int,
 ):
     """Shortens the beams that meet one face of an obstacle.
 
     The scan plane cuts a convex polygon in two of its edges or none: those whose ends lie on different sides of it.
+
+    Args:
+        scene: world of the obstacle.
+        beams: directions of the beams.
+        ranges: ranges of the beams of all rovers, m.
+        row: index of the rover.
+        plane: scan plane.
+        face: index of the face in the scene's list of faces.
+        first_vertex: index of the obstacle's first vertex.
     """
-    start = scene.polygon_starts[face]
-    end = scene.polygon_starts[face + 1]
-    last = scene.polygons[end - 1] - plane.origin
+    start = scene.face_starts[face]
+    end = scene.face_starts[face + 1]
+    last = scene.vertices[first_vertex + scene.corners[end - 1]] - plane.origin
     last_height = wp.dot(last, plane.normal)
     found = int(0)
     one = wp.vec2(0.0, 0.0)
     two = wp.vec2(0.0, 0.0)
     for k in range(start, end):
-        corner = scene.polygons[k] - plane.origin
+        corner = scene.vertices[first_vertex + scene.corners[k]] - plane.origin
         height = wp.dot(corner, plane.normal)
         if (height > 0.0) != (last_height > 0.0):
             point = last + (last_height / (last_height - height)) * (corner - last)
@@ -410,14 +425,14 @@ def slice_obstacle(
     scene: Scene, beams: wp.array[wp.vec2], ranges: wp.array2d[float], row: int, plane: ScanPlane, obstacle: int
 ):
     """Shortens the beams that meet an obstacle: intersects the faces that look toward the lidar."""
-    for face in range(scene.plane_starts[obstacle], scene.plane_starts[obstacle + 1]):
-        outward = scene.planes[face]
-        sphere = scene.polygon_spheres[face]
+    start = scene.plane_starts[obstacle]
+    first_face = scene.first_faces[obstacle]
+    first_vertex = scene.vertex_starts[obstacle]
+    for k in range(start, scene.plane_starts[obstacle + 1]):
+        outward = scene.planes[k]
         normal = wp.vec3(outward[0], outward[1], outward[2])
         if wp.dot(normal, plane.origin) + outward[3] > 0.0:
-            middle = wp.vec3(sphere[0], sphere[1], sphere[2]) - plane.origin
-            if wp.abs(wp.dot(middle, plane.normal)) < sphere[3]:
-                slice_face(scene, beams, ranges, row, plane, face)
+            slice_face(scene, beams, ranges, row, plane, first_face + k - start, first_vertex)
 
 
 @wp.kernel

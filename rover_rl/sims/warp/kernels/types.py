@@ -32,10 +32,12 @@ class Scene:
     vertices: wp.array[wp.vec3]
     vertex_starts: wp.array[int]
     spheres: wp.array[wp.vec4]
-    # Face polygon of each plane: vertices counter-clockwise seen from outside, and bounding spheres (center, radius).
-    polygons: wp.array[wp.vec3]
-    polygon_starts: wp.array[int]
-    polygon_spheres: wp.array[wp.vec4]
+    # Faces of the obstacles, in the order of their planes: the index of each obstacle's first face, and the corners of
+    # each face as numbers of the obstacle's vertices, counter-clockwise seen from outside. Obstacles of the same form
+    # share their faces, which keeps a scene small.
+    first_faces: wp.array[int]
+    face_starts: wp.array[int]
+    corners: wp.array[int]
     # Broad phase: uniform grid over (x, y) that lists the obstacles within reach of a rover centered in each cell.
     grid_origin: wp.vec2
     grid_cell: float
@@ -117,6 +119,8 @@ class RoverArrays:
     target_speeds: wp.array[wp.vec2]
     active: wp.array[wp.bool]
     # Outputs: base state [N, 9] (position of the base frame, its orientation, mean speed of the left and of the right
-    # wheels relative to the chassis) and scan [N, beams], m.
+    # wheels relative to the chassis), scan [N, beams], m, and whether the rover touched an obstacle in the last control
+    # step.
     base_state: wp.array2d[float]
     ranges: wp.array2d[float]
+    contact: wp.array[wp.bool]

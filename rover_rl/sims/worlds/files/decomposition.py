@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from rover_rl.sims.worlds.files.cache import content_key, load_arrays, store_arrays
+from rover_rl.sims.worlds.cache import content_key, load_arrays, store_arrays
 from rover_rl.sims.worlds.files.components import signed_volume
 from rover_rl.sims.worlds.files.extra import optional
 

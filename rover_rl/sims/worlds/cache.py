@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +45,11 @@ def load_arrays(kind: str, key: str) -> dict[str, np.ndarray] | None:
 def store_arrays(kind: str, key: str, arrays: dict[str, np.ndarray]) -> None:
     """Stores arrays under a key. Several processes may do so at once. A full or read-only disk is no error."""
     content = io.BytesIO()
-    np.savez_compressed(content, allow_pickle=False, **arrays)
+    # The fastest compression takes a third of the time of NumPy's, which is the greater part of storing small arrays.
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w") as file:
+                np.lib.format.write_array(file, array, allow_pickle=False)
     try:
         with written_whole(_path(kind, key)) as temporary:
             temporary.write_bytes(content.getvalue())

@@ -1,0 +1,92 @@
+"""Preparation of the worlds of a pool before they are needed, in a thread."""
+
+from __future__ import annotations
+
+import threading
+import weakref
+from collections import OrderedDict
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future
+from queue import SimpleQueue
+from typing import TypeAlias
+
+from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.sims.worlds.world import World
+
+_Queue: TypeAlias = "SimpleQueue[tuple[int, Future[World]] | None]"
+
+
+class WorldsAhead:
+    """Prepares worlds of a pool in a thread, while the simulator's kernels run.
+
+    A world is generated and prepared once: here if it is needed before the thread has begun with it, else in the
+    thread. :meth:`close`, or the end of the program, ends the thread after the world that it is preparing.
+
+    Args:
+        pool: worlds.
+        prepare: what to do with each world, besides generating it. It must be safe to call from another thread.
+        limit: largest number of worlds that are requested and not taken. Of more, the first requested ones are dropped.
+
+    Example:
+        >>> ahead = WorldsAhead(WorldPool("maze:*"), lambda world: free_space(world, robot), limit=100)
+        >>> ahead.request([3, 5])
+        >>> ahead[3].name
+        'maze:3'
+    """
+
+    def __init__(self, pool: WorldPool, prepare: Callable[[World], object], limit: int) -> None:
+        self._pool, self._limit = pool, limit
+        self._requested: OrderedDict[int, Future[World]] = OrderedDict()
+        self._queue: _Queue = SimpleQueue()
+        stop = threading.Event()
+        # The thread holds no reference to this object, which therefore ends it when it is garbage.
+        thread = threading.Thread(target=_work, args=(self._queue, stop, pool, prepare), daemon=True)
+        thread.start()
+        self._finalizer = weakref.finalize(self, _end, self._queue, stop, thread)
+
+    def request(self, indices: Iterable[int]) -> None:
+        """Adds worlds to those that the thread prepares. Returns immediately."""
+        for index in indices:
+            if index in self._requested:
+                self._requested.move_to_end(index)
+            elif index not in self._pool.kept:
+                future: Future[World] = Future()
+                self._requested[index] = future
+                self._queue.put((index, future))
+        while len(self._requested) > self._limit:
+            self._requested.popitem(last=False)[1].cancel()
+
+    def __getitem__(self, index: int) -> World:
+        """Returns world ``index``. Waits for it if the thread is preparing it.
+
+        Raises:
+            IndexError: if there is no such world.
+            ValueError: if the world cannot be prepared.
+        """
+        future = self._requested.pop(index, None)
+        return self._pool[index] if future is None or future.cancel() else future.result()
+
+    def close(self) -> None:
+        """Ends the thread. Idempotent."""
+        self._finalizer()
+        self._requested.clear()
+
+
+def _work(queue: _Queue, stop: threading.Event, pool: WorldPool, prepare: Callable[[World], object]) -> None:
+    """Prepares the worlds of a queue until ``stop`` is set."""
+    while (item := queue.get()) and not stop.is_set():
+        index, future = item
+        if future.set_running_or_notify_cancel():
+            try:
+                world = pool[index]
+                prepare(world)
+            except BaseException as error:
+                future.set_exception(error)
+            else:
+                future.set_result(world)
+
+
+def _end(queue: _Queue, stop: threading.Event, thread: threading.Thread) -> None:
+    stop.set()
+    queue.put(None)
+    thread.join()

@@ -1,0 +1,24 @@
+"""All tests of a run share a cache on disk, which is empty at first."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+
+import pytest
+
+_FOLDER = pytest.StashKey[str]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Moves the cache to an empty folder. Processes of pytest-xdist inherit that of the first one."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        config.stash[_FOLDER] = os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="rover_rl-tests-")
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Removes the folder."""
+    folder = config.stash.get(_FOLDER, None)
+    if folder:
+        shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,95 @@
+"""A task whose collision is the contact of the rover's body, instead of a near lidar reading."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from rover_rl import RoverEnv, TaskConfig, make_env
+from rover_rl.envs.task import StepEvent
+from tests.envs.contract.scripted_env import play, rewards, scripted, step_events
+from tests.envs.scripted import Moment, ScriptedBackend
+
+CONTACT = TaskConfig(collision_from="contact")
+FREE, NEAR, TOUCHING = Moment(), Moment(ranges=0.1), Moment(contact=True)
+
+
+def reporting(*scripts, **settings):
+    return scripted(*scripts, backend=ScriptedBackend(contacts=True), **settings)
+
+
+def test_a_contact_is_a_collision_and_a_near_reading_is_none():
+    results = play(reporting([FREE, NEAR, TOUCHING, FREE], task=CONTACT), 3)
+    assert [td["outcome", "collision"].item() for td in results] == [False, True, False]
+    assert step_events(results) == [StepEvent.DENSE, StepEvent.COLLISION, StepEvent.DENSE]
+    assert rewards(results)[1] == -0.5
+
+
+def test_by_default_a_contact_is_no_collision():
+    results = play(reporting([FREE, NEAR, TOUCHING, FREE]), 3)
+    assert [td["outcome", "collision"].item() for td in results] == [True, False, False]
+
+
+def test_more_than_15_steps_of_contact_are_a_jam():
+    results = play(reporting([FREE, TOUCHING], task=CONTACT), 16)
+    assert step_events(results) == [StepEvent.COLLISION] * 15 + [StepEvent.JAM]
+
+
+@pytest.mark.parametrize(
+    ("task", "moment"),
+    [(TaskConfig(collision_window=0), NEAR), (TaskConfig(0.5, 1.0, 0.3, 0, collision_from="contact"), TOUCHING)],
+)
+def test_with_a_window_of_0_the_first_collision_ends_the_episode(task, moment):
+    results = play(reporting([FREE, FREE, moment], task=task), 2)
+    assert [td["terminated"].item() for td in results] == [False, True]
+    assert step_events(results) == [StepEvent.DENSE, StepEvent.JAM]
+    assert rewards(results)[1] == -20.0
+    assert results[1]["outcome", "jammed"].item()
+    assert results[1]["outcome", "collision"].item()
+
+
+def test_a_goal_does_not_count_in_the_step_in_which_a_contact_ends_the_episode():
+    task = TaskConfig(collision_window=0, collision_from="contact")
+    (result,) = play(reporting([Moment(x=3.0), TOUCHING], task=task), 1, goal=(0.0, 0.0))
+    assert not result["outcome", "goal_reached"].item()
+    assert result["reward"].item() == -20.0
+
+
+def test_a_backend_without_contacts_is_refused_only_if_the_task_needs_them():
+    message = (
+        "a task with collision_from='contact' needs a backend that reports contacts, and ScriptedSimulator does not; "
+        "use collision_from='lidar' or another backend"
+    )
+    with pytest.raises(ValueError) as error:
+        scripted([FREE], task=CONTACT)
+    assert str(error.value) == message
+    assert not play(scripted([FREE]), 1)[0]["outcome", "collision"].any()
+
+
+def test_an_unknown_source_of_collisions_is_refused():
+    with pytest.raises(ValueError, match=r"collision_from must be one of \('lidar', 'contact'\), got 'bumper'"):
+        TaskConfig(collision_from="bumper")
+
+
+@pytest.mark.parametrize("backend", ["bullet", "warp"])
+def test_any_contact_ends_the_episode_in_a_maze(backend):
+    task = TaskConfig(collision_window=0, collision_from="contact")
+    rows = 16 if backend == "bullet" else 64
+    env = make_env(world_n="maze", num_envs=rows, seed=4, backend=backend, task=task, lidar_beams=32)
+    td, touched, near = env.reset(), 0, 0
+    forward = torch.tensor([[1.0, 0.0]]).expand(rows, 2)
+    for _ in range(60):
+        step, td = env.step_and_maybe_reset(td.set("action", forward))
+        outcome = step["next", "outcome"]
+        assert torch.equal(outcome["collision"], outcome["jammed"])
+        touched += int(outcome["collision"].sum())
+        near += int(((step["next", "lidar"].amin(-1, keepdim=True) < 0.3) & ~outcome["collision"]).sum())
+    assert touched > 0
+    # The original's collision would have held in other steps.
+    assert near > 0
+
+
+def test_the_contact_is_a_part_of_the_state():
+    env = RoverEnv(world_n="maze", num_envs=2, task=CONTACT, backend="warp")
+    env.reset()
+    assert env.rover_state.contact.tolist() == [[False], [False]]

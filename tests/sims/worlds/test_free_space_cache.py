@@ -1,0 +1,97 @@
+"""Free space that is kept on disk."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from rover_rl import Robot, Terrain, World, box
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.worlds import FreeSpace, free_space
+from rover_rl.sims.worlds.free_space_cache import load_free_space, store_free_space
+
+ROBOT = get_robot("rover_zero")
+
+
+def yard(side: float = 1.0, **settings) -> World:
+    """A new world object with the same content for the same arguments."""
+    return World(
+        "yard", Terrain.flat((8, 8)), [box((0, 1, 0.5), (side, 1, 1)), box((2, -1, 0.5), (1, 1, 1))], **settings
+    )
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "rover_rl" / "free_space"
+
+
+def assert_equal(one: FreeSpace, other: FreeSpace | None) -> None:
+    assert other is not None
+    for field in fields(FreeSpace):
+        a, b = getattr(one, field.name), getattr(other, field.name)
+        assert type(a) is type(b)
+        if isinstance(a, torch.Tensor):
+            assert a.dtype == b.dtype
+            assert torch.equal(a, b)
+        else:
+            assert a == b
+
+
+def test_an_equal_world_has_the_stored_free_space(folder: Path) -> None:
+    space = free_space(yard(), ROBOT)
+    assert len(list(folder.iterdir())) == 1
+    assert_equal(space, load_free_space(FreeSpace, yard(), ROBOT))
+    # What is stored is what is used.
+    store_free_space(yard(), ROBOT, replace(space, cell=0.25))
+    assert free_space(yard(), ROBOT).cell == 0.25
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        yard(1.1),
+        yard(spawn_range=((-2, 2), (-2, 2))),
+        World("yard", Terrain.flat((8, 8), height=0.1), yard().obstacles),
+        World("yard", Terrain.flat((8, 8))),
+    ],
+    ids=["obstacle", "area", "terrain", "no obstacles"],
+)
+def test_another_world_has_its_own(other: World) -> None:
+    free_space(yard(), ROBOT)
+    assert load_free_space(FreeSpace, other, ROBOT) is None
+
+
+def test_another_robot_has_its_own() -> None:
+    free_space(yard(), ROBOT)
+    assert load_free_space(FreeSpace, yard(), replace(ROBOT, radius=0.4)) is None
+    assert load_free_space(FreeSpace, yard(), replace(ROBOT, name="twin")) is not None
+
+
+@pytest.mark.parametrize("content", [b"", b"damaged", None], ids=["empty", "no archive", "cut"])
+def test_a_damaged_file_is_replaced(folder: Path, content: bytes | None) -> None:
+    space = free_space(yard(), ROBOT)
+    (file,) = folder.iterdir()
+    file.write_bytes(file.read_bytes()[:-100] if content is None else content)
+    assert_equal(space, free_space(yard(), ROBOT))
+    assert_equal(space, load_free_space(FreeSpace, yard(), ROBOT))
+
+
+def test_a_cache_that_cannot_be_written_is_no_error(tmp_path: Path) -> None:
+    (tmp_path / "rover_rl").write_text("a file where the folder would be")
+    space = free_space(yard(), ROBOT)
+    assert load_free_space(FreeSpace, yard(), ROBOT) is None
+    assert isinstance(space, FreeSpace)
+
+
+def test_the_robot_is_known_by_its_description(tmp_path: Path) -> None:
+    free_space(yard(), ROBOT)
+    copy = tmp_path / "copy.urdf"
+    copy.write_bytes(ROBOT.urdf.read_bytes())
+    moved: Robot = replace(ROBOT, urdf=copy)
+    assert load_free_space(FreeSpace, yard(), moved) is not None
+    copy.write_bytes(ROBOT.urdf.read_bytes() + b"<!-- changed -->")
+    assert load_free_space(FreeSpace, yard(), replace(ROBOT, urdf=copy, lidar_range=9.0)) is None
