@@ -20,8 +20,8 @@ from PIL import Image
 
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import WORLDS, World, free_space, get_world
+from rover_rl.sims.worlds.cell_grid import overlap
 from rover_rl.sims.worlds.draw import FREE, GOAL, draw_map
-from rover_rl.sims.worlds.free_space import overlap
 from rover_rl.sims.worlds.world import Area
 
 FOLDER = Path(__file__).parent / "images"

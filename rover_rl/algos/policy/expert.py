@@ -26,8 +26,14 @@ DIRECTIONS = 32
 """Number of candidate headings."""
 LOOK_AHEAD = (0.3, 0.6)
 """Distances at which each candidate heading is evaluated, m."""
+LOOK_AHEAD_NARROW = (0.15, 0.3)
+"""The same in narrow passages, m."""
 BLOCKED = 50.0
 """Penalty on the path length for a point that is not free, m."""
+CREEP = 0.4
+"""Speed in narrow passages, m/s."""
+ALIGNED = 0.3
+"""Angle to the direction of a narrow passage at which the expert stands still to turn, rad."""
 NEAR = 0.8
 """Distance to the goal below which the expert drives straight to it, m."""
 
@@ -54,22 +60,40 @@ class PrivilegedExpert:
         """Returns actions ``[N, ..., 2]`` for observations ``[N, ...]``: forward speed (m/s), heading offset (rad)."""
         shape = observation.batch_size
         rows = observation.select("pose", "imu", "target", "lidar", "outcome").flatten()
-        direction = self._best_heading(world_of(rows)[:, 0], rows["pose"][:, :2], goal_of(rows))
+        position, fields = rows["pose"][:, :2], self._distances.fields(world_of(rows)[:, 0], goal_of(rows))
+        direction = self._best_heading(fields, position, LOOK_AHEAD)
         distance, bearing = rows["target"].split(1, -1)
-        heading = torch.where(distance < NEAR, bearing, wrap_angle(direction - rows["imu"][:, 2:]))
-        return drive_towards(heading, rows["lidar"]).reshape(*shape, 2)
+        ahead = torch.cat((direction.cos(), direction.sin()), -1)
+        points = torch.stack([position, *(position + distance * ahead for distance in LOOK_AHEAD)], 1)
+        narrow = self._distances.narrow(fields, points).any(-1, keepdim=True)
+        yaw = rows["imu"][:, 2:]
+        turn = wrap_angle(direction - yaw)
+        careful = drive_towards(torch.where(distance < NEAR, bearing, turn), rows["lidar"])
+        through = _pass_through(wrap_angle(self._best_heading(fields, position, LOOK_AHEAD_NARROW) - yaw))
+        return torch.where(narrow, through, careful).reshape(*shape, 2)
 
-    def _best_heading(self, world: Tensor, position: Tensor, goal: Tensor) -> Tensor:
+    def _best_heading(self, fields: Tensor, position: Tensor, look_ahead: tuple[float, ...]) -> Tensor:
         """Returns the heading with the shortest path to the goal, in the world frame, ``[M, 1]``, rad.
 
         Args:
-            world: index of each row's world, int64 ``[M]``.
+            fields: number of the distance field of each row's goal, int64 ``[M]``.
             position: positions, ``[M, 2]``, m.
-            goal: goals, ``[M, 2]``, m.
         """
-        fields = self._distances.fields(world, goal)
         length = position.new_zeros(len(position), DIRECTIONS)
-        for distance in LOOK_AHEAD:
+        for distance in look_ahead:
             path, is_free = self._distances.along(fields, position[:, None] + distance * self._directions)
             length += path + BLOCKED * ~is_free
         return self._angles[length.argmin(-1, keepdim=True)]
+
+
+def _pass_through(turn: Tensor) -> Tensor:
+    """Returns the actions of a rover in a narrow passage, where obstacles are too near for a careful driver.
+
+    Args:
+        turn: angle to the direction of the passage, ``[M, 1]``, rad.
+
+    Returns:
+        Forward speed (m/s) and heading offset (rad), ``[M, 2]``.
+    """
+    speed = CREEP * (1 - turn.abs() / ALIGNED).clamp(min=0)
+    return torch.cat((speed, (2 * turn).clamp(-math.pi, math.pi)), -1)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import torch
 from torch import Tensor
 
+from rover_rl.sims.worlds.ground_limits import ground_extremes
 from rover_rl.sims.worlds.obstacles import Solids, groups_of
 from rover_rl.sims.worlds.world import World
 
@@ -51,15 +50,5 @@ def _is_near_ground(world: World, solids: Solids) -> np.ndarray:
     if world.terrain.is_flat:
         lowest = highest = np.full(len(solids), world.terrain.heights[0, 0].item())
     else:
-        extremes = [_ground_below(world, *box) for box in zip(low[:, :2], high[:, :2], strict=True)]
-        lowest, highest = np.array(extremes).T
+        lowest, highest = ground_extremes(world.terrain, low[:, :2], high[:, :2]).T
     return (low[:, 2] <= highest + NEAR_GROUND) & (high[:, 2] >= lowest - NEAR_GROUND)
-
-
-def _ground_below(world: World, low: np.ndarray, high: np.ndarray) -> tuple[float, float]:
-    """Returns the least and the greatest height of the ground in a rectangle between two corners ``[2]``, m."""
-    steps = min(200, math.ceil((high - low).max() / world.terrain.cell) * 2 + 1)
-    share = torch.linspace(0, 1, steps, dtype=torch.float64)
-    start, side = torch.from_numpy(low), torch.from_numpy(high - low)
-    least, greatest = world.height_at(start + side * torch.cartesian_prod(share, share)).aminmax()
-    return least.item(), greatest.item()

@@ -16,7 +16,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.free_space import FreeSpace, free_space, overlap
+from rover_rl.sims.worlds.cell_grid import overlap
+from rover_rl.sims.worlds.free_space import FreeSpace, free_space
 from rover_rl.sims.worlds.world import Area, World
 
 MARGIN = 3.0

@@ -9,40 +9,57 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
-from scipy.ndimage import label
 from torch import Tensor
 
 from rover_rl.sims.robots import Robot
+from rover_rl.sims.worlds.cell_distance import distance_to_cells
+from rover_rl.sims.worlds.cell_grid import CellGrid, overlap, ring
 from rover_rl.sims.worlds.clearance import clearance_on_grid
 from rover_rl.sims.worlds.free_space_cache import load_free_space, store_free_space
-from rover_rl.sims.worlds.placement import ground_frame
-from rover_rl.sims.worlds.world import Area, World
+from rover_rl.sims.worlds.ground_limits import (
+    CLIFF_SLOPE,
+    MAX_SLOPE,
+    MAX_TILT,
+    level_cells,
+    rest_headings,
+    slopes_on_grid,
+)
+from rover_rl.sims.worlds.passages import (
+    ALL_ORIENTATIONS,
+    MARGIN,
+    Reach,
+    find_reach,
+    fit_orientations,
+    headings_of_bins,
+    orientations_of_bins,
+)
+from rover_rl.sims.worlds.world import World
 
 HEADINGS = 64
 """Number of heading bins. Bin k covers yaw from ``-pi + 2 pi k / 64`` to ``-pi + 2 pi (k + 1) / 64``."""
-CELL = 0.1
-"""Side length of a cell, m."""
-MAX_SLOPE = math.radians(25)
-"""Maximum slope of passable ground, rad."""
-MAX_TILT = math.radians(20)
-"""Maximum tilt of a rover at a spawn pose, rad."""
-LIDAR_CLEARANCE = 0.4
-"""Minimum distance of obstacles from the lidar at a spawn pose, m."""
-GROUND_CLEARANCE = 0.45
-"""Minimum distance at which the tilted scan plane meets the ground at a spawn pose, m."""
+LIDAR_CLEARANCES = (0.4, 0.3, 0.0)
+"""Minimum distance of obstacles from the lidar at a spawn pose, m: the first for which there is any spawn pose.
+
+A reading below 0.3 m is a collision in the original environment.
+"""
 MIN_GOAL_DISTANCE = 1.0
 """Minimum distance of the farthest goal from every spawn cell and goal cell, m."""
-EXTRA_CLEARANCE = 1.0
+EXTRA_CLEARANCE = 0.2
 """Margin up to which obstacle distances are exact, beyond the robot's radius plus the lidar clearance, m."""
 TILT_MARGIN = 0.02
 """Maximum horizontal displacement of the lidar by different tilts of the rover within a cell, m."""
-CHUNK = 64
-"""Number of cells whose headings are checked at once, which limits the memory to about 15 MB."""
+CHUNK = 4096
+"""Number of cells on rough ground whose headings are checked at once, which limits the memory to about 10 MB."""
 
 
 @dataclass(frozen=True, eq=False)
 class FreeSpace:
     """Free cells of a world for one robot, created by :func:`free_space`.
+
+    Cells are roomy or narrow. In a roomy cell, the turning circle is free wherever in the cell the rover is. Episodes
+    start and end in roomy cells. Narrow cells count only where they join roomy cells of the spawn and goal areas that
+    are otherwise separate: the footprint is free at their centers in some orientations, in which the rover drives
+    through, forward or backward. See :mod:`rover_rl.sims.worlds.passages`.
 
     All spawn and goal cells are connected: every goal is reachable from every spawn cell. A sampled position is the
     center of a cell plus an offset of up to half a ``cell`` in x and y. A sampled heading is anywhere in its bin.
@@ -50,7 +67,10 @@ class FreeSpace:
     Attributes:
         cell: side length of a cell, m.
         origin: x, y of the center of ``passable[0, 0]``, m.
-        passable: whether the rover's center may be anywhere in a cell, bool ``[rows, columns]``. Rows are along y.
+        passable: cells that are roomy or narrow, bool ``[rows, columns]``. Rows are along y.
+        roomy: cells with a free turning circle, bool ``[rows, columns]``.
+        narrow_orientations: orientations in which the rover reaches the center of each narrow cell, in the order of
+            ``passable & ~roomy``: bit k of an int64, of 32, is the yaw ``2 pi k / 64`` and its opposite, ``[M]``.
         spawn_cells: centers of the cells in which episodes start, ``[S, 2]``, m, float64.
         spawn_headings: allowed heading bins of each spawn cell, at least one: bit k of an int64 is bin k, ``[S]``.
         goal_cells: centers of the cells that may contain goals, ``[G, 2]``, m, float64.
@@ -61,6 +81,8 @@ class FreeSpace:
     cell: float
     origin: tuple[float, float]
     passable: Tensor
+    roomy: Tensor
+    narrow_orientations: Tensor
     spawn_cells: Tensor
     spawn_headings: Tensor
     goal_cells: Tensor
@@ -68,18 +90,27 @@ class FreeSpace:
 
     def to(self, device: torch.device | str | None) -> FreeSpace:
         """Returns a copy with its tensors on ``device``. ``None`` is the CPU."""
-        tensors = ("passable", "spawn_cells", "spawn_headings", "goal_cells", "goal_extremes")
-        moved: dict[str, Any] = {name: getattr(self, name).to(device or "cpu") for name in tensors}
+        tensors = {name: value for name, value in vars(self).items() if isinstance(value, Tensor)}
+        moved: dict[str, Any] = {name: value.to(device or "cpu") for name, value in tensors.items()}
         return replace(self, **moved)
 
     def contains(self, xy: Tensor) -> Tensor:
-        """Returns whether the rover's center may be at points ``xy [..., 2]`` (m): bool ``[...]``."""
+        """Returns whether points ``xy [..., 2]`` (m) lie in passable cells: bool ``[...]``."""
         passable = self.passable.to(xy.device)
         limits = torch.tensor(passable.shape[::-1], device=xy.device)
         index = ((xy - torch.tensor(self.origin, dtype=xy.dtype, device=xy.device)) / self.cell + 0.5).floor()
         inside = ((index >= 0) & (index < limits)).all(-1)
         column, row = torch.where(inside[..., None], index, 0.0).long().unbind(-1)
         return inside & passable[row, column]
+
+    def orientations(self) -> Tensor:
+        """Returns the orientations in which the rover may be in each cell: bits of int64, ``[rows, columns]``.
+
+        All 32 bits are set in a roomy cell, none where the cell is not passable.
+        """
+        masks = torch.where(self.roomy, ALL_ORIENTATIONS, 0)
+        masks[self.passable & ~self.roomy] = self.narrow_orientations
+        return masks
 
 
 def free_space(world: World, robot: Robot) -> FreeSpace:
@@ -104,26 +135,29 @@ _cache: WeakKeyDictionary[World, dict[Robot, FreeSpace]] = WeakKeyDictionary()
 
 
 def _compute(world: World, robot: Robot) -> FreeSpace:
-    grid = _Grid(overlap(world.bounds, world.terrain.extent))
-    clearance = clearance_on_grid(world, grid.x, grid.y, robot.radius + LIDAR_CLEARANCE + EXTRA_CLEARANCE)
-    passable = _passable(world, robot, grid, clearance)
-    goal, spawn = (passable & grid.within(area) for area in (world.goal_range, world.spawn_range))
-    # Keep the connected part with the most goals, which are unreachable from all other parts.
-    parts, count = label(passable)
-    part = parts == np.bincount(parts[goal], minlength=count + 1).argmax()
-    goal_cells, spawn_cells = grid.centers[goal & part], grid.centers[spawn & part]
+    grid = CellGrid(overlap(world.bounds, world.terrain.extent))
+    clearance = clearance_on_grid(world, grid.x, grid.y, robot.radius + LIDAR_CLEARANCES[0] + EXTRA_CLEARANCE)
+    room, gentle = clearance.numpy(), _gentle(world, robot, grid)
+    areas = [grid.within(area) for area in (world.spawn_range, world.goal_range)]
+    roomy, reach = _find_roomy(robot, grid, room, gentle, robot.radius + grid.half_diagonal, areas)
+    poses = np.full(grid.shape, ALL_ORIENTATIONS, dtype=np.uint32)
+    if not all((reach.roomy & area).any() for area in areas):
+        # The rover turns at the centers of cells, but does not fit in all orientations wherever in a cell it is.
+        roomy, reach = _find_roomy(robot, grid, room, gentle, robot.radius + MARGIN, areas)
+        poses = fit_orientations(robot, grid, room, margin=grid.half_diagonal)
+    spawn, goal = (reach.roomy & area & (poses != 0) for area in areas)
+    goal_cells, spawn_cells = grid.centers(goal), grid.centers(spawn)
     _check_any(world, robot, "goal", goal_cells)
-
-    if world.terrain.is_flat:
-        headings = _headings_on_flat(robot, grid, clearance, spawn_cells)
-    else:
-        headings = torch.cat([_headings(world, robot, grid, clearance, cells) for cells in spawn_cells.split(CHUNK)])
+    headings = _headings(world, robot, grid, clearance, spawn_cells) & orientations_of_bins(poses[spawn])
     spawn_cells, headings = spawn_cells[headings != 0], headings[headings != 0]
     _check_any(world, robot, "spawn", spawn_cells)
+    narrow = np.where(roomy, 0, reach.narrow)
     return FreeSpace(
         cell=grid.cell,
         origin=grid.origin,
-        passable=torch.from_numpy(passable),
+        passable=torch.from_numpy(roomy | (narrow != 0)),
+        roomy=torch.from_numpy(roomy),
+        narrow_orientations=torch.from_numpy(narrow[narrow != 0].astype(np.int64)),
         spawn_cells=spawn_cells,
         spawn_headings=headings,
         goal_cells=goal_cells,
@@ -139,7 +173,10 @@ def _check_any(world: World, robot: Robot, kind: str, cells: Tensor) -> None:
 
 def _extremes(world: World, goal_cells: Tensor, spawn_cells: Tensor, cell: float) -> Tensor:
     """Returns the outermost goal cells in 16 directions: ``[16, 2]``, m."""
-    extremes = goal_cells[(goal_cells @ _ring(16).T).argmax(0)]
+    extremes = goal_cells[(goal_cells @ ring(16).T).argmax(0)]
+    # Every place is at least half as far from one of two points as these are from each other.
+    if torch.cdist(extremes, extremes).max() >= 2 * (MIN_GOAL_DISTANCE + cell):
+        return extremes
     farthest = torch.cdist(torch.cat((spawn_cells, goal_cells)), extremes).amax(1)
     if farthest.min() < MIN_GOAL_DISTANCE + cell:
         raise ValueError(
@@ -147,36 +184,6 @@ def _extremes(world: World, goal_cells: Tensor, spawn_cells: Tensor, cell: float
             f"{MIN_GOAL_DISTANCE} m away; goal_range is {world.goal_range}"
         )
     return extremes
-
-
-def overlap(a: Area, b: Area) -> Area:
-    """Returns the intersection of two areas, which is empty (low >= high) if they are disjoint."""
-    x, y = ((max(p[0], q[0]), min(p[1], q[1])) for p, q in zip(a, b, strict=True))
-    return x, y
-
-
-class _Grid:
-    """Square cells that tile an area, with rows along y and at least two cells per axis for interpolation."""
-
-    def __init__(self, area: Area) -> None:
-        self.cell = CELL
-        self.area = area
-        self.x, self.y = (self._axis(*ends) for ends in area)
-        self.origin = (float(self.x[0]), float(self.y[0]))
-        self.centers = torch.from_numpy(np.stack(np.meshgrid(self.x, self.y), -1))
-        self.half_diagonal = self.cell / math.sqrt(2)
-
-    def _axis(self, low: float, high: float) -> np.ndarray:
-        count = max(2, math.floor((high - low) / self.cell + 1e-6))
-        return low + self.cell * (np.arange(count) + 0.5)
-
-    def within(self, area: Area) -> np.ndarray:
-        """Returns which cells lie entirely in ``area``: bool ``[rows, columns]``."""
-        half = self.cell / 2 - 1e-6
-        (x_low, x_high), (y_low, y_high) = area
-        in_x = (self.x - half >= x_low) & (self.x + half <= x_high)
-        in_y = (self.y - half >= y_low) & (self.y + half <= y_high)
-        return in_y[:, None] & in_x
 
 
 def distance_to_polygon(points: Tensor, polygon: Tensor) -> Tensor:
@@ -194,76 +201,74 @@ def distance_to_polygon(points: Tensor, polygon: Tensor) -> Tensor:
     return distance.masked_fill(inside, 0.0)
 
 
-def _passable(world: World, robot: Robot, grid: _Grid, clearance: Tensor) -> np.ndarray:
-    """Returns the cells with enough clearance for the rover and gentle enough ground: bool ``[rows, columns]``."""
-    free = clearance.numpy() >= robot.radius + grid.half_diagonal
-    x, y = ((low + robot.radius, high - robot.radius) for low, high in grid.area)
-    free &= grid.within((x, y))
+def _gentle(world: World, robot: Robot, grid: CellGrid) -> np.ndarray:
+    """Returns the cells on gentle ground, with no cliff within the turning circle: bool ``[rows, columns]``.
+
+    Cliffs are cells with ground steeper than ``CLIFF_SLOPE``. Their distance counts between centers. No rover passes
+    between cliffs through narrow cells, as wheels slip on slopes.
+    """
     if world.terrain.is_flat:
-        return free
-    # Directions around each cell, between those of the edges of the terrain's triangles.
-    around = _ring(8, start=math.pi / 8) * grid.half_diagonal
-    steepest = torch.stack([world.normal_at(grid.centers + offset)[..., 2] for offset in around]).amin(0)
-    return free & (steepest.numpy() >= math.cos(MAX_SLOPE))
+        return np.ones(grid.shape, dtype=bool)
+    slopes = slopes_on_grid(world.terrain, grid)
+    least = (robot.radius + grid.half_diagonal) / grid.cell
+    away, _ = distance_to_cells(slopes > math.tan(CLIFF_SLOPE), least + 1)
+    return (slopes <= math.tan(MAX_SLOPE)) & (away >= least)
 
 
-def _headings(world: World, robot: Robot, grid: _Grid, clearance: Tensor, cells: Tensor) -> Tensor:
+def _find_roomy(
+    robot: Robot, grid: CellGrid, room: np.ndarray, gentle: np.ndarray, least: float, areas: list[np.ndarray]
+) -> tuple[np.ndarray, Reach]:
+    """Returns the gentle cells with at least ``least`` (m) of room, and what a rover reaches over them."""
+    x, y = ((low + robot.radius, high - robot.radius) for low, high in grid.area)
+    roomy = gentle & (room >= least) & grid.within((x, y))
+    return roomy, find_reach(robot, grid, room, gentle, roomy, areas)
+
+
+def _headings(world: World, robot: Robot, grid: CellGrid, clearance: Tensor, cells: Tensor) -> Tensor:
     """Returns the allowed heading bins of spawn cells with centers ``cells [S, 2]``, as bits of int64: ``[S]``.
 
     A bin is allowed if its two end headings are. The margins cover all headings in between and the whole cell.
     """
-    yaws = torch.arange(HEADINGS, dtype=torch.float64) * (2 * math.pi / HEADINGS) - math.pi
-    poses = torch.cat((cells.repeat_interleave(HEADINGS, 0), yaws.repeat(len(cells))[:, None]), -1)
-    height, rotation = ground_frame(world, robot, poses)
-    lidar = torch.tensor(robot.lidar_position, dtype=torch.float64)
-    upright = rotation[:, 2, 2] >= math.cos(MAX_TILT)
-
-    half_bin = float(lidar[:2].norm()) * math.pi / HEADINGS
-    margin = grid.half_diagonal + half_bin + TILT_MARGIN
-    lidar_xy = poses[:, :2] + (rotation @ lidar)[:, :2]
-    clear = _interpolate(grid, clearance, lidar_xy) >= LIDAR_CLEARANCE + margin
-
-    # The scan plane must be above the ground within GROUND_CLEARANCE of the lidar, for all positions of the lidar.
-    reach = GROUND_CLEARANCE + float(lidar[:2].norm() + lidar[2] * math.sin(MAX_TILT)) + grid.half_diagonal
-    around = (reach / 4 * torch.arange(1, 5)[:, None, None] * _ring(32)).reshape(-1, 2)
-    ground = world.height_at(cells[:, None] + around)
-    up = rotation[:, :, 2]
-    plane = (height + lidar[2] / up[:, 2])[:, None] - (up[:, :2] / up[:, 2:]) @ around.T
-    above = (plane.reshape(len(cells), HEADINGS, len(around)) > ground[:, None] + 0.02).all(-1)
-
-    good = (upright & clear).reshape(len(cells), HEADINGS) & above
-    return ((good & good.roll(-1, 1)).long() << torch.arange(HEADINGS)).sum(1)
-
-
-def _headings_on_flat(robot: Robot, grid: _Grid, clearance: Tensor, cells: Tensor) -> Tensor:
-    """Returns the same as :func:`_headings` on flat ground, where only the obstacles near the lidar count."""
-    from rover_rl.sims.native.warp import wp
-    from rover_rl.sims.worlds.grid_kernels import find_headings
-
-    yaw = torch.arange(HEADINGS, dtype=torch.float64) * (2 * math.pi / HEADINGS) - math.pi
-    ahead, left = robot.lidar_position[:2]
-    offsets = torch.stack((ahead * yaw.cos() - left * yaw.sin(), ahead * yaw.sin() + left * yaw.cos()), -1)
+    yaws = torch.from_numpy(headings_of_bins())
+    ahead, left, above = robot.lidar_position
     margin = grid.half_diagonal + math.hypot(ahead, left) * math.pi / HEADINGS + TILT_MARGIN
-    headings = torch.zeros(len(cells), dtype=torch.int64)
-    arrays = [array.contiguous().numpy() for array in (cells, offsets, clearance)]
-    inputs = [*arrays, wp.vec2d(*grid.origin), grid.cell, LIDAR_CLEARANCE + margin, headings.numpy()]
-    wp.launch(find_headings, dim=len(cells), inputs=inputs, device="cpu")
+    headings = torch.full((len(cells),), -1)
+    hard = torch.ones(len(cells), dtype=torch.bool)
+    if world.terrain.is_flat:
+        offsets = torch.stack((ahead * yaws[:, 0] - left * yaws[:, 1], ahead * yaws[:, 1] + left * yaws[:, 0]), -1)
+        chunks = [(cells, torch.tensor([-1]), offsets[None])]
+    else:
+        # At the center of an easy cell, the lidar is far enough from obstacles in every direction.
+        reach = LIDAR_CLEARANCES[0] + margin + math.hypot(ahead, left) + above * math.sin(MAX_TILT) + grid.cell
+        row, column = grid.indices(cells)
+        hard = (clearance[row, column] < reach) | ~level_cells(world.terrain, robot, grid, cells)
+        parts = cells[hard].split(CHUNK)
+        chunks = [(part, *rest_headings(world.terrain, robot, grid, part, yaws)) for part in parts]
+    for least in LIDAR_CLEARANCES:
+        headings[hard] = torch.cat([_clear_headings(grid, clearance, least + margin, *chunk) for chunk in chunks])
+        if headings.any():
+            break
     return headings
 
 
-def _ring(count: int, start: float = 0.0) -> Tensor:
-    """Returns evenly spaced unit vectors, the first at the angle ``start`` (rad): ``[count, 2]``."""
-    angle = start + 2 * math.pi * torch.arange(count, dtype=torch.float64) / count
-    return torch.stack((angle.cos(), angle.sin()), -1)
+def _clear_headings(
+    grid: CellGrid, clearance: Tensor, least: float, cells: Tensor, rests: Tensor, offsets: Tensor
+) -> Tensor:
+    """Returns the heading bins of cells in which the lidar is at least ``least`` (m) from obstacles: ``[S]``.
 
+    Args:
+        grid: grid of the clearance.
+        clearance: distances from obstacles, ``[rows, columns]``, m.
+        least: minimum distance, m.
+        cells: centers of the cells, ``[S, 2]``, m.
+        rests: headings in which the rover may rest, as bits, ``[S]`` or ``[1]``.
+        offsets: position of the lidar relative to the center at each heading, ``[S, 64, 2]`` or ``[1, 64, 2]``, m.
+    """
+    from rover_rl.sims.native.warp import wp
+    from rover_rl.sims.worlds.free_space_kernels import find_headings
 
-def _interpolate(grid: _Grid, values: Tensor, xy: Tensor) -> Tensor:
-    """Interpolates a field ``[rows, columns]`` at the cells' centers bilinearly to points ``[N, 2]``: ``[N]``."""
-    rows, columns = values.shape
-    u = ((xy[:, 0] - grid.origin[0]) / grid.cell).clamp(0, columns - 1)
-    v = ((xy[:, 1] - grid.origin[1]) / grid.cell).clamp(0, rows - 1)
-    i, j = u.long().clamp(max=columns - 2), v.long().clamp(max=rows - 2)
-    u, v = u - i, v - j
-    lower = (1 - u) * values[j, i] + u * values[j, i + 1]
-    upper = (1 - u) * values[j + 1, i] + u * values[j + 1, i + 1]
-    return (1 - v) * lower + v * upper
+    headings = torch.zeros(len(cells), dtype=torch.int64)
+    field = [clearance.numpy(), wp.vec2d(*grid.origin), grid.cell, least]
+    inputs = [cells.numpy(), offsets.numpy(), rests.numpy().view(np.uint64), *field, headings.numpy()]
+    wp.launch(find_headings, dim=len(cells), inputs=inputs, device="cpu")
+    return headings

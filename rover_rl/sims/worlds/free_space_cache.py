@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rover_rl.sims import robots
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.cache import content_key, load_arrays, store_arrays
 from rover_rl.sims.worlds.obstacles import groups_of
@@ -66,8 +67,9 @@ def _content(world: World) -> Iterator[bytes | str]:
 def _code() -> bytes:
     """Hash of the modules that compute free space: what another version of them stored is not used."""
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(path.read_bytes())
+    for folder in (Path(__file__).parent, Path(robots.__file__).parent):
+        for path in sorted(folder.glob("*.py")):
+            digest.update(path.read_bytes())
     return digest.digest()
 
 

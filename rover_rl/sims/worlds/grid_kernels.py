@@ -13,33 +13,55 @@ BUCKETS = wp.constant(64)
 """Number of buckets of the queue. The cost of a step must be below ``BUCKETS - 1``."""
 
 
+ALL = wp.constant(wp.uint32(0xFFFFFFFF))
+"""Mask with all 32 steps."""
+OPEN = wp.constant(2)
+"""Value of cells in whose surroundings all steps are free and all weights are 1."""
+FREE = wp.constant(1)
+"""Value of cells from which all steps are free."""
+
+
 @wp.kernel
 def find_steps(
-    weights: wp.array2d[float],
+    fits: wp.array2d[wp.uint32],
+    openness: wp.array2d[int],
+    orientations: wp.array[int],
     crossed: wp.array[wp.vec2i],
     crossed_starts: wp.array[int],
     steps: wp.array2d[wp.uint32],
 ):
-    """Finds the steps that are free from each cell; thread ``(j, i)`` does so for the cell in row j and column i.
+    """Finds the steps that are free from each cell; thread ``j`` does row j.
 
-    Bit k of ``steps`` is set if step k runs through passable cells only. Cells with a weight of 0 are not passable.
+    Bit k of ``steps`` is set if the orientation of step k is free in all cells that the step runs through.
+
+    Args:
+        fits: free orientations of each cell, as bits; 0 if the cell is not passable.
+        openness: ``FREE`` or ``OPEN`` if all steps are free from a cell, else 0.
+        orientations: orientation of each step.
+        crossed: cells that each step runs through, relative to its first cell.
+        crossed_starts: index of the first crossed cell of each step, and the number of all.
+        steps: results.
     """
-    j, i = wp.tid()
-    bits = wp.uint32(0)
-    if weights[j, i] > 0.0:
-        for k in range(crossed_starts.shape[0] - 1):
-            free = bool(True)
-            for n in range(crossed_starts[k], crossed_starts[k + 1]):
-                column = i + crossed[n][0]
-                row = j + crossed[n][1]
-                if row < 0 or column < 0 or row >= weights.shape[0] or column >= weights.shape[1]:
-                    free = False
-                # Kernels evaluate both sides of "or", so that a single condition would read outside of the grid.
-                elif weights[row, column] == 0.0:
-                    free = False
-            if free:
-                bits = bits | (wp.uint32(1) << wp.uint32(k))
-    steps[j, i] = bits
+    j = wp.tid()
+    for i in range(fits.shape[1]):
+        bits = wp.uint32(0)
+        if openness[j, i] > 0:
+            bits = ALL
+        elif fits[j, i] != wp.uint32(0):
+            for k in range(orientations.shape[0]):
+                bit = wp.uint32(1) << wp.uint32(orientations[k])
+                free = bool(True)
+                for n in range(crossed_starts[k], crossed_starts[k + 1]):
+                    column = i + crossed[n][0]
+                    row = j + crossed[n][1]
+                    if row < 0 or column < 0 or row >= fits.shape[0] or column >= fits.shape[1]:
+                        free = False
+                    # Kernels evaluate both sides of "or", so that one condition would read outside of the grid.
+                    elif (fits[row, column] & bit) == wp.uint32(0):
+                        free = False
+                if free:
+                    bits = bits | (wp.uint32(1) << wp.uint32(k))
+        steps[j, i] = bits
 
 
 @wp.func
@@ -70,6 +92,7 @@ def link(cell: int, bucket: int, heads: wp.array[int], following: wp.array[int],
 def spread_costs(
     weights: wp.array[float],
     steps: wp.array[wp.uint32],
+    openness: wp.array[int],
     offsets: wp.array[int],
     lengths: wp.array[float],
     sources: wp.array[int],
@@ -77,6 +100,7 @@ def spread_costs(
     heads: wp.array2d[int],
     following: wp.array2d[int],
     preceding: wp.array2d[int],
+    arrivals: wp.array2d[int],
 ):
     """Costs of the shortest paths from all cells to one cell; thread ``t`` does so for the cell ``sources[t]``.
 
@@ -84,9 +108,13 @@ def spread_costs(
     (E. V. Denardo and B. L. Fox, "Shortest-route methods: 1. Reaching, pruning, and buckets", Operations Research 27,
     1979). As no step costs less than 1, no cell of the first bucket can improve another one in it.
 
+    In open surroundings, a shortest path consists of steps in two neighboring directions, so that a path that arrives
+    in an open cell by step k goes on by step k - 1, k or k + 1.
+
     Args:
         weights: weights of the cells; 0 for a cell that is not passable.
-        steps: free steps of each cell, from :func:`find_steps`.
+        steps: free steps of each cell, from :func:`find_steps`, in the order of their directions.
+        openness: ``OPEN`` in cells in whose surroundings all steps are free and all weights are 1.
         offsets: difference of the cell numbers at the two ends of each step.
         lengths: lengths of the steps, in cells.
         sources: numbers of the cells at which the paths end.
@@ -94,11 +122,13 @@ def spread_costs(
         heads: first cell of each bucket, ``[sources, BUCKETS]``, filled with -1.
         following: working memory, ``[sources, cells]``.
         preceding: working memory, ``[sources, cells]``.
+        arrivals: working memory: last step of the path to each cell, ``[sources, cells]``.
     """
     t = wp.tid()
     first = heads[t]
     after = following[t]
     before = preceding[t]
+    arrive = arrivals[t]
     cost = costs[t]
     cost[sources[t]] = 0.0
     link(sources[t], 0, first, after, before)
@@ -114,16 +144,30 @@ def spread_costs(
             cell = first[bucket]
             unlink(cell, bucket, first, after, before)
             # Settled: no other path to the cell is shorter.
+            here = cost[cell]
+            weight = weights[cell]
             free = steps[cell]
-            for k in range(offsets.shape[0]):
-                if (free >> wp.uint32(k)) & wp.uint32(1) == wp.uint32(1):
-                    other = cell + offsets[k]
-                    candidate = cost[cell] + 0.5 * lengths[k] * (weights[cell] + weights[other])
-                    if candidate < cost[other]:
-                        if cost[other] < wp.inf:
-                            unlink(other, int(cost[other]) % BUCKETS, first, after, before)
-                        cost[other] = candidate
-                        link(other, int(candidate) % BUCKETS, first, after, before)
+            k = int(0)
+            end = offsets.shape[0]
+            if openness[cell] == OPEN and cell != sources[t]:
+                # As step numbers wrap around, the step before is count - 1 ahead.
+                k = arrive[cell] + end - 1
+                end = k + 3
+            while k < end:
+                step = k % offsets.shape[0]
+                if ((free >> wp.uint32(step)) & wp.uint32(1)) == wp.uint32(1):
+                    other = cell + offsets[step]
+                    known = cost[other]
+                    # No weight is below 1.
+                    if here + 0.5 * lengths[step] * (weight + 1.0) < known:
+                        candidate = here + 0.5 * lengths[step] * (weight + weights[other])
+                        if candidate < known:
+                            if known < wp.inf:
+                                unlink(other, int(known) % BUCKETS, first, after, before)
+                            cost[other] = candidate
+                            arrive[other] = step
+                            link(other, int(candidate) % BUCKETS, first, after, before)
+                k += 1
 
 
 @wp.func
@@ -187,47 +231,3 @@ def measure_clearance(
                 if off_x * off_x + off_y * off_y < bound * bound:
                     distance = distance_to_outline(xs[i], y, outlines, starts[n], starts[n + 1])
                     clearance[j, i] = wp.min(clearance[j, i], distance)
-
-
-@wp.kernel
-def find_headings(
-    cells: wp.array[wp.vec2d],
-    offsets: wp.array[wp.vec2d],
-    clearance: wp.array2d[wp.float64],
-    origin: wp.vec2d,
-    cell: wp.float64,
-    least: wp.float64,
-    headings: wp.array[wp.int64],
-):
-    """Finds the heading bins in which the lidar is far enough from all obstacles; thread ``t`` does cell ``t``.
-
-    Bit k of ``headings`` is set if that holds at both ends of bin k, the headings k and k + 1 of 64.
-
-    Args:
-        cells: centers of the cells, m.
-        offsets: position of the lidar relative to the rover at each of the 64 headings, m.
-        clearance: distances to the nearest obstacle at the points of a grid, m, ``[rows, columns]``. Between them, the
-            distance is interpolated bilinearly.
-        origin: x, y of ``clearance[0, 0]``, m.
-        cell: spacing of the grid, m.
-        least: least distance of the lidar, m.
-        headings: results.
-    """
-    t = wp.tid()
-    rows = clearance.shape[0]
-    columns = clearance.shape[1]
-    good = wp.uint64(0)
-    for k in range(64):
-        point = cells[t] + offsets[k]
-        u = wp.clamp((point[0] - origin[0]) / cell, wp.float64(0.0), wp.float64(columns - 1))
-        v = wp.clamp((point[1] - origin[1]) / cell, wp.float64(0.0), wp.float64(rows - 1))
-        i = wp.min(int(u), columns - 2)
-        j = wp.min(int(v), rows - 2)
-        u = u - wp.float64(i)
-        v = v - wp.float64(j)
-        one = wp.float64(1.0)
-        lower = (one - u) * clearance[j, i] + u * clearance[j, i + 1]
-        upper = (one - u) * clearance[j + 1, i] + u * clearance[j + 1, i + 1]
-        if (one - v) * lower + v * upper >= least:
-            good = good | (wp.uint64(1) << wp.uint64(k))
-    headings[t] = wp.int64(good & ((good >> wp.uint64(1)) | (good << wp.uint64(63))))

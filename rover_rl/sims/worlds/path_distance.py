@@ -23,6 +23,8 @@ SQUARE = 0.5
 """Side length of the squares whose goals share a field, m."""
 KEPT_BYTES = 2**29
 """Memory of the fields that are kept, the last used ones."""
+BYTES = 5
+"""Memory of a cell of a field: a distance, and whether the cell is narrow."""
 KEPT_GRIDS = 256
 """Number of worlds whose grids are kept, the last used ones."""
 _OFFSET = 1 << 15
@@ -57,6 +59,8 @@ class PathDistances:
         device = device or "cpu"
         # Distances of all cells, row by row; negative where the cell is not passable.
         self._fields = SlotTable((), torch.float32, device)
+        # Whether cells are narrow.
+        self._narrow = SlotTable((), torch.bool, device)
         # x and y of the first cell, side length of a cell, numbers of rows and columns.
         self._frames = SlotTable((), torch.float32, device)
         self._slots: OrderedDict[int, int] = OrderedDict()
@@ -103,13 +107,28 @@ class PathDistances:
         Returns:
             Distances, float32 ``[N, ...]``, m, and bool ``[N, ...]``.
         """
+        slot, cell, inside = self._cells(fields, position)
+        values = self._fields.values[slot, cell]
+        return values.abs(), inside & ~values.signbit()
+
+    def narrow(self, fields: Tensor, position: Tensor) -> Tensor:
+        """Returns whether positions are in cells that the rover passes in some orientations only: bool ``[N, ...]``.
+
+        Args:
+            fields: number of each row's field, from :meth:`fields`, int64 ``[N]``.
+            position: positions, ``[N, ..., 2]``, m.
+        """
+        slot, cell, inside = self._cells(fields, position)
+        return inside & self._narrow.values[slot, cell]
+
+    def _cells(self, fields: Tensor, position: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Returns the number of the field and of the nearest cell, and whether positions are on the grid."""
         rows = [-1, *[1] * (position.ndim - 2)]
         x, y, cell, count_y, count_x = (part.reshape(rows) for part in self._frames.values[fields].unbind(-1))
         column, row = ((position[..., 0] - x) / cell).round(), ((position[..., 1] - y) / cell).round()
         inside = (column >= 0) & (row >= 0) & (column < count_x) & (row < count_y)
         column, row = (torch.minimum(n.clamp(min=0), most - 1) for n, most in ((column, count_x), (row, count_y)))
-        values = self._fields.values[fields.reshape(rows), (row * count_x + column).long()]
-        return values.abs(), inside & ~values.signbit()
+        return fields.reshape(rows), (row * count_x + column).long(), inside
 
     def _compute(self, index: int, keys: list[int], needed: int) -> None:
         """Computes the fields of squares in one world.
@@ -127,8 +146,9 @@ class PathDistances:
             slot = self._free_slot(field.numel(), needed)
             self._slots[key] = slot
             self._fields[slot], self._frames[slot] = field.flatten(), frame
+            self._narrow[slot] = (grid.passable & ~grid.roomy).flatten()
 
     def _free_slot(self, size: int, needed: int) -> int:
         """Returns a new slot, or that of the field which has not been used for longest if the memory is used up."""
-        most = max(needed, KEPT_BYTES // (4 * max(size, self._fields.values.shape[1])))
+        most = max(needed, KEPT_BYTES // (BYTES * max(size, self._fields.values.shape[1])))
         return len(self._slots) if len(self._slots) < most else self._slots.popitem(last=False)[1]

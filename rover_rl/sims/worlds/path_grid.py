@@ -7,18 +7,25 @@ from functools import lru_cache
 
 import numpy as np
 import torch
-from scipy.ndimage import distance_transform_edt, label
+from scipy.ndimage import label
 from torch import Tensor
 
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.free_space import free_space
+from rover_rl.sims.worlds.cell_distance import distance_to_cells
+from rover_rl.sims.worlds.cell_grid import CELL
+from rover_rl.sims.worlds.free_space import FreeSpace, free_space
 from rover_rl.sims.worlds.grid_kernels import BUCKETS, find_steps, spread_costs
-from rover_rl.sims.worlds.path_steps import STEPS
+from rover_rl.sims.worlds.passages import orientation_of
+from rover_rl.sims.worlds.path_steps import LONGEST, STEPS, TURNED_STEPS
 from rover_rl.sims.worlds.world import World
 
 CAUTION_DISTANCE = 0.35
-"""Distance from the edge of the passable ground within which caution increases the path cost, m."""
+"""Distance from the edge of the roomy cells within which caution increases the path cost, m."""
+CAUTION_CELLS = CAUTION_DISTANCE / CELL
+"""The same in cells."""
+SPAN = LONGEST * math.sqrt(2)
+"""Distance within which all cells of a step lie, in cells."""
 MAX_CAUTION = 15.0
 """Largest caution. The queue of :func:`~rover_rl.sims.worlds.grid_kernels.spread_costs` holds no longer steps."""
 
@@ -29,14 +36,18 @@ class PathGrid:
     Paths are those of :func:`~rover_rl.sims.worlds.shortest_paths.shortest_paths` before string pulling, and end at the
     passable cell nearest to the goal. A cell without a path has the cost of the nearest cell with one.
 
+    Narrow cells are crossed only in orientations in which the rover fits. Whether it can turn between two steps there
+    is not tested, so that a path with a sharp bend within a narrow passage may not be drivable.
+
     Args:
         world: world of the paths.
         robot: robot that determines the free space.
-        caution: relative extra cost of a path at the edge of the passable ground, at most 15. It decreases linearly to
-            0 at a distance of 0.35 m from the edge. With 0, the cost is the length.
+        caution: relative extra cost of a path in narrow cells and at the edge of the roomy cells, at most 15. It
+            decreases linearly to 0 at a distance of 0.35 m from the edge. With 0, the cost is the length.
 
     Attributes:
-        passable: whether the rover's center may be anywhere in a cell, bool ``[rows, columns]``.
+        passable: cells through which paths may run, bool ``[rows, columns]``.
+        roomy: those in which the rover can turn, bool ``[rows, columns]``.
         origin: x, y of the center of cell ``[0, 0]``, m.
         cell: side length of a cell, m.
 
@@ -53,36 +64,60 @@ class PathGrid:
         if not 0 <= caution <= MAX_CAUTION:
             raise ValueError(f"caution must be at least 0 and at most {MAX_CAUTION:g}, got {caution}")
         space = free_space(world, robot)
-        self.passable, self.origin, self.cell = space.passable, space.origin, space.cell
-        passable = space.passable.numpy()
-        self._shape = passable.shape
-        # The part with the goals. Diagonal steps between two obstacles that touch at a corner connect cells, too.
-        parts, _ = label(passable, structure=np.ones((3, 3)))
-        row, column = self._cells(space.goal_cells[:1])[0]
-        self._nearest = distance_transform_edt(
-            parts != parts[row, column], return_distances=False, return_indices=True
-        ).reshape(2, -1)
-        # A margin around the grid counts as not passable.
-        clearance = distance_transform_edt(np.pad(passable, 1))[1:-1, 1:-1] * self.cell
-        weights = np.where(passable, 1 + caution * (1 - clearance / CAUTION_DISTANCE).clip(0), 0).astype(np.float32)
-        self._weights = wp.array(weights, dtype=float, device="cpu")
+        self.passable, self.roomy = space.passable, space.roomy
+        self.origin, self.cell = space.origin, space.cell
+        self._shape = space.passable.shape
+        # A margin around the grid counts as an edge.
+        edge = distance_to_cells(np.pad(~space.roomy.numpy(), 1, constant_values=True), CAUTION_CELLS + 2 * SPAN)[0]
+        self._prepare(space, edge[1:-1, 1:-1], caution)
+        self._nearest = distance_to_cells(self._reachable(space))[1].ravel()
+
+    def _prepare(self, space: FreeSpace, edge: np.ndarray, caution: float) -> None:
+        """Copies the weights, the free steps and the openness of all cells to the kernels' arrays.
+
+        Args:
+            space: free space.
+            edge: distance of each cell from the nearest cell that is not roomy, ``[rows, columns]``, in cells.
+            caution: relative extra cost at the edge.
+        """
+        near = (1 - edge * space.cell / CAUTION_DISTANCE).clip(0)
+        weights = np.where(space.passable.numpy(), 1 + caution * near, 0).astype(np.float32)
+        # A step leads to cells within SPAN.
+        openness = (edge > SPAN).astype(np.int32) + (edge > (CAUTION_CELLS if caution else 0) + SPAN)
+        self._weights = wp.array(weights.ravel(), dtype=float, device="cpu")
+        self._openness = wp.array(openness, dtype=int, device="cpu")
+        orientations, crossed, starts, self._lengths = _step_table()
+        fits = space.orientations().numpy().astype(np.uint32)
         self._steps = wp.zeros(self._shape, dtype=wp.uint32, device="cpu")
-        crossed, starts, self._lengths = _step_table()
-        wp.launch(find_steps, dim=self._shape, inputs=[self._weights, crossed, starts, self._steps], device="cpu")
-        self._offsets = wp.array([y * self._shape[1] + x for x, y in STEPS], dtype=int, device="cpu")
+        inputs = [fits, self._openness, orientations, crossed, starts, self._steps]
+        wp.launch(find_steps, dim=self._shape[0], inputs=inputs, device="cpu")
+        self._offsets = wp.array([y * self._shape[1] + x for x, y in TURNED_STEPS], dtype=int, device="cpu")
+
+    def _reachable(self, space: FreeSpace) -> np.ndarray:
+        """Returns the cells with a path to the goals: bool ``[rows, columns]``."""
+        goal = self._cells(space.goal_cells[:1])
+        if len(space.narrow_orientations):
+            return np.isfinite(self._spread(np.ravel_multi_index(tuple(goal.T), self._shape))).reshape(self._shape)
+        # Diagonal steps between two obstacles that touch at a corner connect cells, too.
+        parts, _ = label(space.roomy.numpy(), structure=np.ones((3, 3)))
+        return parts == parts[tuple(goal[0])]
 
     def costs(self, goals: Tensor) -> Tensor:
         """Returns the costs from every cell to goals ``[G, 2]`` (m): float32 ``[G, rows, columns]``, m, on the CPU."""
-        count, cells = len(goals), self._weights.size
-        rows, columns = self._nearest[:, np.ravel_multi_index(tuple(self._cells(goals).T), self._shape)]
+        sources = self._nearest[np.ravel_multi_index(tuple(self._cells(goals).T), self._shape)]
+        costs = self._spread(sources).take(self._nearest, axis=1) * np.float32(self.cell)
+        return torch.from_numpy(costs).reshape(len(goals), *self._shape)
+
+    def _spread(self, sources: np.ndarray) -> np.ndarray:
+        """Returns the costs from every cell to the cells with numbers ``sources [G]``, in cells: ``[G, cells]``."""
+        count, cells = len(sources), self._weights.size
         costs = wp.full((count, cells), math.inf, dtype=float, device="cpu")
         heads = wp.full((count, BUCKETS), -1, dtype=int, device="cpu")
-        following, preceding = (wp.empty((count, cells), dtype=int, device="cpu") for _ in range(2))
-        sources = wp.array(rows * self._shape[1] + columns, dtype=int, device="cpu")
-        grid = [self._weights.flatten(), self._steps.flatten(), self._offsets, self._lengths]
-        wp.launch(spread_costs, dim=count, inputs=[*grid, sources, costs, heads, following, preceding], device="cpu")
-        found = costs.numpy().reshape(count, *self._shape)[:, self._nearest[0], self._nearest[1]]
-        return torch.from_numpy(found * np.float32(self.cell)).reshape(count, *self._shape)
+        memory = [wp.empty((count, cells), dtype=int, device="cpu") for _ in range(3)]
+        grid = [self._weights, self._steps.flatten(), self._openness.flatten(), self._offsets, self._lengths]
+        inputs = [*grid, sources.astype(np.int32), costs, heads, *memory]
+        wp.launch(spread_costs, dim=count, inputs=inputs, device="cpu")
+        return costs.numpy()
 
     def _cells(self, points: Tensor) -> np.ndarray:
         """Returns the row and column of the cells nearest to points ``[..., 2]``: int64 ``[..., 2]``."""
@@ -92,13 +127,12 @@ class PathGrid:
 
 
 @lru_cache(maxsize=1)
-def _step_table() -> tuple[wp.array, wp.array, wp.array]:
-    """Cells that each step runs through, as flat lists with their starts, and lengths of the steps (cells)."""
-    crossed = [cell for cells in STEPS.values() for cell in cells]
-    starts = np.cumsum([0, *map(len, STEPS.values())])
-    lengths = [math.hypot(*step) for step in STEPS]
+def _step_table() -> tuple[wp.array, wp.array, wp.array, wp.array]:
+    """Orientations of the steps, flat lists of the cells that they run through with their starts, and lengths."""
+    crossed = [STEPS[step] for step in TURNED_STEPS]
     return (
-        wp.array(crossed, dtype=wp.vec2i, device="cpu"),
-        wp.array(starts, dtype=int, device="cpu"),
-        wp.array(lengths, dtype=float, device="cpu"),
+        wp.array([orientation_of(*step) for step in TURNED_STEPS], dtype=int, device="cpu"),
+        wp.array([cell for cells in crossed for cell in cells], dtype=wp.vec2i, device="cpu"),
+        wp.array(np.cumsum([0, *map(len, crossed)]), dtype=int, device="cpu"),
+        wp.array([math.hypot(*step) for step in TURNED_STEPS], dtype=float, device="cpu"),
     )

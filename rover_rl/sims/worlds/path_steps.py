@@ -29,3 +29,5 @@ STEPS = {
     if math.gcd(x, y) == 1
 }
 """Steps ``(x, y)`` to other cells in 32 directions, in cells, and the cells that each runs through."""
+TURNED_STEPS = sorted(STEPS, key=lambda step: math.atan2(step[1], step[0]))
+"""Steps in the order of their directions, counter-clockwise."""

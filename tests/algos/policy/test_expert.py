@@ -55,3 +55,23 @@ def test_its_actions_lie_within_the_contracts_bounds() -> None:
     action = PrivilegedExpert(env.base_env.pool, ROVER).action(env.reset())
     assert action.shape == (64, 2)
     assert (action.abs() <= torch.tensor([1.0, math.pi])).all()
+
+
+def test_it_passes_a_gap_in_which_it_cannot_turn() -> None:
+    gap = World(
+        "gap",
+        Terrain.flat((8, 8)),
+        [box((0, side * 2.37, 0.5), (0.2, 4, 1)) for side in (-1, 1)],
+        spawn_range=((-3, -2), (-1, 1)),
+        goal_range=((2, 3), (-1, 1)),
+    )
+    env = make_env(world_n=gap, num_envs=4, seed=0, backend="warp", end_on_goal=True)
+    expert = PrivilegedExpert([gap], ROVER)
+    td = env.reset()
+    reached = torch.zeros(4, 1, dtype=torch.bool)
+    for _ in range(500):
+        td = env.step(td.set("action", expert.action(td)))["next"]
+        reached |= td["outcome", "goal_reached"]
+        if reached.all():
+            break
+    assert reached.all()

@@ -15,7 +15,10 @@ from scipy.ndimage import label
 
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, World, box, cylinder, free_space, get_world, rest_on_ground
+from rover_rl.sims.worlds.cell_grid import CellGrid
 from rover_rl.sims.worlds.free_space import HEADINGS, distance_to_polygon
+from rover_rl.sims.worlds.ground_limits import level_cells, rest_headings
+from rover_rl.sims.worlds.passages import headings_of_bins
 
 ROVER = get_robot("rover_zero")
 NAMES = ["inspect", "moon", "maze", "maze:1"]
@@ -191,6 +194,30 @@ def test_spawn_headings_next_to_a_wall_do_not_face_it():
     yaw = -math.pi + 2 * math.pi * (bins + 0.5) / HEADINGS
     assert (yaw.cos() > -0.2).all()
     assert (yaw.cos() > 0.9).any()
+
+
+def test_no_part_of_a_rover_is_above_a_cliff():
+    heights = np.zeros((101, 101))
+    heights[:, 60:] = -2.0
+    # The cliff falls from x = 0.9 to 1.0.
+    world = World("cliff", Terrain(heights, 0.1), spawn_range=((-4, 0.9), (-4, 4)), goal_range=((-4, 0.9), (-4, 4)))
+    free = free_space(world, ROVER)
+    _, column = free.passable.nonzero().unbind(1)
+    x = column * free.cell + free.origin[0]
+    left = x[x < 0.9]
+    assert len(left) > 1000
+    assert left.max() + free.cell / 2 <= 0.9 - ROVER.radius + 0.08
+
+
+@pytest.mark.parametrize("name", ["hills:3", "ramps:2", "moon:4"])
+def test_level_ground_allows_all_headings(name):
+    world = get_world(name)
+    grid = CellGrid(world.spawn_range)
+    cells = grid.centers(np.random.default_rng(0).random(grid.shape) < 0.1)
+    level = level_cells(world.terrain, ROVER, grid, cells)
+    headings, _ = rest_headings(world.terrain, ROVER, grid, cells, torch.from_numpy(headings_of_bins()))
+    assert 0.2 < level.double().mean() < 1
+    assert (headings[level] == -1).all()
 
 
 def test_spawn_poses_keep_the_lidar_away_from_a_cliff():

@@ -1,0 +1,102 @@
+"""Footprint: outline of a robot seen from above."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from rover_rl.sims.robots.description import Description, Frame, Shape
+from rover_rl.sims.robots.robot import Robot
+
+
+class Footprint(NamedTuple):
+    """Rectangle around the wheels and the body of a robot, seen from above, in the base frame.
+
+    Attributes:
+        back: lowest x, m. Negative.
+        front: highest x, m.
+        right: lowest y, m. Negative.
+        left: highest y, m.
+    """
+
+    back: float
+    front: float
+    right: float
+    left: float
+
+    @property
+    def half_length(self) -> float:
+        """Largest distance from the origin along x, m."""
+        return max(-self.back, self.front)
+
+    @property
+    def half_width(self) -> float:
+        """Largest distance from the origin along y, m."""
+        return max(-self.right, self.left)
+
+
+@lru_cache(maxsize=64)
+def footprint(robot: Robot) -> Footprint:
+    """Returns the smallest rectangle around the wheels and the collision shapes fixed to the base of a robot.
+
+    Wheels are the boxes around their cylinders. Shapes without known sizes, such as meshes, do not count.
+
+    Args:
+        robot: robot.
+
+    Example:
+        >>> from rover_rl.sims.robots import get_robot
+        >>> outline = footprint(get_robot("rover_zero"))
+        >>> round(outline.half_length, 3), round(outline.half_width, 3)
+        (0.267, 0.225)
+    """
+    reach = np.array((robot.wheel_radius, robot.wheel_width / 2))
+    hubs = np.array(robot.wheel_positions)[:, :2]
+    boxes = [(hubs - reach, hubs + reach)]
+    description = Description(robot.urdf)
+    for name, frame in description.fixed.items():
+        for shape in description.links[name].shapes:
+            placed = frame @ shape.frame
+            half = _half_sizes(placed, shape)
+            if half is not None:
+                boxes.append(((placed.position - half)[None, :2], (placed.position + half)[None, :2]))
+    low, high = np.concatenate([box[0] for box in boxes]), np.concatenate([box[1] for box in boxes])
+    (back, right), (front, left) = low.min(0).tolist(), high.max(0).tolist()
+    return Footprint(back, front, right, left)
+
+
+def _half_sizes(frame: Frame, shape: Shape) -> np.ndarray | None:
+    """Returns half the side lengths of the box around a shape whose pose is ``frame``: ``[3]``, m."""
+    if shape.kind == "box":
+        return np.abs(frame.rotation) @ np.array(shape.sizes) / 2
+    if shape.kind == "sphere":
+        return np.full(3, shape.sizes[0])
+    if shape.kind == "cylinder":
+        radius, length = shape.sizes
+        axis = np.abs(frame.rotation[:, 2])
+        # A disc of the radius extends by sqrt(1 - axis^2) along each coordinate axis.
+        return axis * length / 2 + radius * np.sqrt(np.maximum(1 - axis**2, 0.0))
+    return None
+
+
+def covering_discs(robot: Robot, excess: float = 0.01) -> tuple[np.ndarray, float]:
+    """Covers the footprint with equal discs along the x axis of the robot.
+
+    The footprint is extended to a rectangle of half length a and half width b that is symmetric about the origin. n
+    discs with centers at ``a (2 i + 1 - n) / n`` and the radius ``sqrt(b^2 + (a / n)^2)`` cover it. n is the smallest
+    number for which they exceed the sides of the rectangle by at most ``excess``.
+
+    Args:
+        robot: robot.
+        excess: largest distance by which the discs may exceed the sides, m.
+
+    Returns:
+        x of the centers, in the base frame, ``[n]``, m, and the radius, m.
+    """
+    outline = footprint(robot)
+    a, b = outline.half_length, outline.half_width
+    count = max(1, math.ceil(a / math.sqrt((b + excess) ** 2 - b**2)))
+    return a * (2 * np.arange(count) + 1 - count) / count, math.hypot(b, a / count)

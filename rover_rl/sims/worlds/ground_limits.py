@@ -1,0 +1,139 @@
+"""Limits that the ground sets to a rover: slopes on which it drives, and headings in which it may rest."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.worlds.cell_grid import CellGrid, ring
+from rover_rl.sims.worlds.terrain import Terrain
+
+MAX_SLOPE = math.radians(25)
+"""Maximum slope of the ground below the center of a rover, rad."""
+CLIFF_SLOPE = math.radians(30)
+"""Slope above which ground counts as an obstacle, which no part of the rover may be above, rad."""
+MAX_TILT = math.radians(20)
+"""Maximum tilt of a rover at a spawn pose, rad."""
+GROUND_CLEARANCE = 0.45
+"""Minimum distance at which the tilted scan plane meets the ground at a spawn pose, m."""
+RING_POINTS = 32
+"""Number of points of a ring around a cell at which the ground is tested."""
+SCAN_GAP = 0.02
+"""Minimum height of the scan plane above the ground within that distance, m."""
+
+
+def slopes_on_grid(terrain: Terrain, grid: CellGrid) -> np.ndarray:
+    """Returns the slope of the steepest ground around the center of each cell: ``[rows, columns]``, as a tangent.
+
+    The slope is taken at eight points at the distance of the corners, between the directions of the edges of the
+    terrain's triangles.
+    """
+    from rover_rl.sims.native.warp import wp
+    from rover_rl.sims.worlds.ground_kernels import measure_slopes
+
+    around = (ring(8, start=math.pi / 8) * grid.half_diagonal).numpy()
+    squares = np.empty(grid.shape)
+    wp.launch(measure_slopes, len(grid.y), [_ground(terrain), grid.x, grid.y, around, squares], device="cpu")
+    return np.sqrt(squares)
+
+
+def ground_extremes(terrain: Terrain, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Returns the least and the greatest height of the ground in rectangles, from samples.
+
+    Args:
+        terrain: ground.
+        low: lower corners of the rectangles, ``[N, 2]``, m.
+        high: upper corners of the rectangles, ``[N, 2]``, m.
+
+    Returns:
+        Heights, ``[N, 2]``, m.
+    """
+    from rover_rl.sims.native.warp import wp
+    from rover_rl.sims.worlds.ground_kernels import measure_extremes
+
+    steps = np.minimum(200, np.ceil((high - low).max(1) / terrain.cell) * 2 + 1).astype(np.int32)
+    extremes = np.empty((len(low), 2))
+    corners = (np.ascontiguousarray(corner) for corner in (low, high))
+    wp.launch(measure_extremes, len(low), [_ground(terrain), *corners, steps, extremes], device="cpu")
+    return extremes
+
+
+def rest_headings(terrain: Terrain, robot: Robot, grid: CellGrid, cells: Tensor, yaws: Tensor) -> tuple[Tensor, Tensor]:
+    """Returns in which headings a rover may rest at the centers of cells.
+
+    The rover must be upright, and the scan plane above the ground within ``GROUND_CLEARANCE`` of all positions of the
+    lidar in the cell.
+
+    Args:
+        terrain: ground.
+        robot: robot.
+        grid: grid of the cells.
+        cells: centers of the cells, ``[S, 2]``, m.
+        yaws: cosine and sine of the headings, ``[64, 2]``.
+
+    Returns:
+        Allowed headings as bits of int64, ``[S]``, and the position of the lidar relative to the center of the cell at
+        each heading, ``[S, 64, 2]``, m.
+    """
+    from rover_rl.sims.native.warp import wp
+    from rover_rl.sims.worlds.ground_kernels import RINGS, find_rest_headings
+
+    headings = torch.zeros(len(cells), dtype=torch.int64)
+    offsets = torch.empty(len(cells), len(yaws), 2, dtype=torch.float64)
+    surface = np.empty((len(cells), RINGS * RING_POINTS))
+    inputs = [_ground(terrain), _stance(robot, grid), cells.numpy(), ring(RING_POINTS).numpy(), yaws.numpy(), surface]
+    outputs = [offsets.numpy(), headings.numpy().view(np.uint64)]
+    wp.launch(find_rest_headings, len(cells), inputs + outputs, device="cpu")
+    return headings, offsets
+
+
+def level_cells(terrain: Terrain, robot: Robot, grid: CellGrid, cells: Tensor) -> Tensor:
+    """Returns which cells are on ground so level that :func:`rest_headings` allows all headings: bool ``[S]``.
+
+    The test is quick. It may miss cells.
+
+    Args:
+        terrain: ground.
+        robot: robot.
+        grid: grid of the cells.
+        cells: centers of the cells, ``[S, 2]``, m.
+    """
+    from rover_rl.sims.native.warp import wp
+    from rover_rl.sims.worlds.ground_kernels import find_level_cells
+
+    level = torch.zeros(len(cells), dtype=torch.bool)
+    inputs = [_ground(terrain), _stance(robot, grid), cells.numpy(), level.numpy()]
+    wp.launch(find_level_cells, len(cells), inputs, device="cpu")
+    return level
+
+
+def _ground(terrain: Terrain):
+    """Returns the terrain as a struct of the kernels."""
+    from rover_rl.sims.native.warp import wp
+    from rover_rl.sims.worlds.ground_kernels import Ground
+
+    ground = Ground()
+    ground.heights = wp.from_numpy(terrain.heights.numpy(), dtype=float, device="cpu")
+    ground.origin, ground.cell = wp.vec2d(*terrain.origin), terrain.cell
+    return ground
+
+
+def _stance(robot: Robot, grid: CellGrid):
+    """Returns the dimensions of a rover and the limits for its rest as a struct of the kernels."""
+    from rover_rl.sims.native.warp import wp
+    from rover_rl.sims.worlds.ground_kernels import Stance
+
+    wheels = np.array(robot.wheel_positions)[:, :2]
+    middle = wheels.mean(0)
+    x, y, z = robot.lidar_position
+    stance = Stance()
+    stance.wheels = wp.array(wheels - middle, dtype=wp.vec2d, device="cpu")
+    stance.middle, stance.spread = wp.vec2d(*middle), wp.vec2d(*((wheels - middle) ** 2).sum(0))
+    stance.lidar, stance.upright = wp.vec3d(x, y, z), math.cos(MAX_TILT)
+    stance.reach = GROUND_CLEARANCE + math.hypot(x, y) + z * math.sin(MAX_TILT) + grid.half_diagonal
+    stance.gap = SCAN_GAP
+    return stance

@@ -1,0 +1,158 @@
+"""Narrow passages: cells that a rover passes in some orientations only, where its footprint fits.
+
+An orientation is a heading without front and back: orientation k of 32 is the yaw ``2 pi k / 64``, or its opposite,
+plus or minus half a bin of ``2 pi / 64``. The footprint, a rectangle of half length a and half width b, is covered by n
+discs along the rover's x axis (:func:`rover_rl.sims.robots.footprint.covering_discs`). It is free at the center of a
+cell, with the margin m, if the distance to the nearest obstacle is at least ``r + m + |x_i| pi / 64`` at the center of
+each disc, where r is the radius of the discs, and the last term covers the half bin.
+
+A rectangle that moves along its length, by less than its length, sweeps what it covers at both ends. So the rover
+drives straight from the center of a cell to that of another without touching if its footprint is free at both ends,
+forward or backward. It turns on the spot while all orientations between are free. Chains of such motions join cells.
+Drives have the 32 directions of :mod:`rover_rl.sims.worlds.path_steps`, and all cells that they cross must be free.
+
+Gaps of 0.7 m are passable for Rover Zero however they lie on the grid, 99 % of those of 0.65 m, 12 % of those of 0.6 m
+(120 gaps in a wall of 0.2 m at random offsets and angles).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from scipy.ndimage import label
+
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.footprint import covering_discs
+from rover_rl.sims.worlds.cell_grid import CellGrid, ring
+from rover_rl.sims.worlds.path_steps import STEPS
+
+ORIENTATIONS = 32
+"""Number of orientations."""
+ALL_ORIENTATIONS = 2**ORIENTATIONS - 1
+"""Mask with all orientations."""
+MARGIN = 0.02
+"""Minimum distance of the footprint from obstacles at the center of a cell, m. It exceeds the error of interpolated
+distances, 5 mm at obstacles like thin cylinders."""
+
+
+class Reach(NamedTuple):
+    """Cells that a rover reaches.
+
+    Attributes:
+        roomy: reached roomy cells, bool ``[rows, columns]``.
+        narrow: orientations in which it reaches narrow cells, as bits, uint32 ``[rows, columns]``; 0 in other cells,
+            and everywhere if narrow cells are not needed.
+    """
+
+    roomy: np.ndarray
+    narrow: np.ndarray
+
+
+def orientation_of(x: float, y: float) -> int:
+    """Returns the number of the orientation nearest to a direction."""
+    return round(math.atan2(y, x) / math.pi * ORIENTATIONS) % ORIENTATIONS
+
+
+def headings_of_bins() -> np.ndarray:
+    """Returns cosine and sine of the 64 headings at the lower ends of the heading bins: ``[64, 2]``."""
+    return ring(2 * ORIENTATIONS, start=-math.pi).numpy()
+
+
+def fit_orientations(robot: Robot, grid: CellGrid, room: np.ndarray, margin: float = MARGIN) -> np.ndarray:
+    """Returns the orientations in which the footprint at the center of each cell is free.
+
+    Args:
+        robot: robot.
+        grid: grid of the cells.
+        room: distance of the centers from the nearest obstacle, float64 ``[rows, columns]``, m.
+        margin: minimum distance of the footprint from obstacles, m.
+
+    Returns:
+        Bits of uint32, ``[rows, columns]``.
+    """
+    from rover_rl.sims.native.warp import wp
+    from rover_rl.sims.worlds.free_space_kernels import fit_footprint
+
+    centers, radius = covering_discs(robot)
+    discs = centers[centers > -1e-9]
+    radii = radius + margin + discs * math.pi / (2 * ORIENTATIONS)
+    room = np.minimum(room, grid.distance_to_border())
+    fits = np.empty(grid.shape, dtype=np.uint32)
+    inputs = [room, grid.cell, robot.radius + margin, discs, radii, headings_of_bins(), fits]
+    wp.launch(fit_footprint, len(room), inputs, device="cpu")
+    return fits
+
+
+def find_reach(
+    robot: Robot, grid: CellGrid, room: np.ndarray, gentle: np.ndarray, roomy: np.ndarray, areas: list[np.ndarray]
+) -> Reach:
+    """Returns the cells that are connected to most goals.
+
+    Roomy cells are connected by their sides. Narrow cells count only if they join roomy cells of the spawn and goal
+    areas that are separate otherwise.
+
+    Args:
+        robot: robot.
+        grid: grid of the cells.
+        room: distance of the centers from the nearest obstacle, float64 ``[rows, columns]``, m.
+        gentle: cells on gentle ground, bool ``[rows, columns]``.
+        roomy: roomy cells, bool ``[rows, columns]``.
+        areas: cells of the spawn area and of the goal area, bool ``[rows, columns]`` each.
+    """
+    parts, count = label(roomy)
+    spawns, goals = (np.bincount(parts[roomy & area], minlength=count + 1) for area in areas)
+    wanted = np.flatnonzero(spawns + goals)
+    best = np.arange(count + 1) == goals.argmax()
+    narrow = np.zeros(grid.shape, dtype=np.uint32)
+    if len(wanted) > 1:
+        fits = np.where(gentle, fit_orientations(robot, grid, room), np.uint32(0))
+        fits[roomy] = ALL_ORIENTATIONS
+        rest = goals.copy()
+        while rest.max() > 0 and rest.sum() > (goals @ best if narrow.any() else 0):
+            joined, reached = _join(fits, parts, int(rest.argmax()), count)
+            rest[joined] = 0
+            if joined[wanted].sum() > 1 and goals @ joined >= goals @ best:
+                best, narrow = joined, reached
+    return Reach(roomy & best[parts], narrow)
+
+
+def _join(fits: np.ndarray, parts: np.ndarray, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Returns which of ``count`` parts the rover reaches from the part ``first``, and the reached orientations.
+
+    Returns:
+        Bool ``[count + 1]``, by number of the part, and bits of uint32 ``[rows, columns]``.
+    """
+    from rover_rl.sims.native.warp import wp
+    from rover_rl.sims.worlds.free_space_kernels import join_parts
+
+    narrow = np.argwhere((fits != 0) & (parts == 0))[:, ::-1].astype(np.int32)
+    joined = np.zeros(count + 1, dtype=np.int32)
+    joined[first] = 1
+    reached, done = np.zeros(fits.shape, dtype=np.uint32), np.zeros(len(narrow), dtype=np.int32)
+    inputs = [np.ascontiguousarray(narrow), fits, parts.astype(np.int32), *_drives(), reached, joined, done]
+    wp.launch(join_parts, 1, inputs, device="cpu")
+    return joined > 0, reached
+
+
+@lru_cache(maxsize=1)
+def _drives() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Straight drives: their other ends, their orientations, and flat lists of crossed cells with their starts."""
+    steps = list(STEPS)
+    crossed = [cells[1:] for cells in STEPS.values()]
+    return (
+        np.array(steps, dtype=np.int32),
+        np.array([orientation_of(*step) for step in steps], dtype=np.int32),
+        np.array([cell for cells in crossed for cell in cells], dtype=np.int32),
+        np.cumsum([0, *map(len, crossed)], dtype=np.int32),
+    )
+
+
+def orientations_of_bins(masks: np.ndarray) -> torch.Tensor:
+    """Returns the heading bins, as bits of int64, whose two ends are in orientations of ``masks [S]`` (uint32)."""
+    both = masks.astype(np.uint64) | (masks.astype(np.uint64) << np.uint64(ORIENTATIONS))
+    after = (both >> np.uint64(1)) | (both << np.uint64(2 * ORIENTATIONS - 1))
+    return torch.from_numpy((both & after).view(np.int64))
