@@ -163,7 +163,7 @@ class Suite(ABC):
         """Returns the differences that all suites share."""
         told = [
             f"Simulator: {env.backend}, 20 Hz, without noise.",
-            "Contact: the outline of the wheels comes within 1 cm of an obstacle, checked at 20 Hz.",
+            "Contact: the footprint, a rectangle, comes within 1 cm of an obstacle, checked at 20 Hz.",
         ]
         if self.runs > 1:
             away = f"{100 * JITTER[0]:g} cm in x and y and {JITTER[2]:g} rad"

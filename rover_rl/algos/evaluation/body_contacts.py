@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.free_space import distance_to_polygon
 from rover_rl.sims.worlds.obstacles import Obstacle, groups_of
@@ -23,14 +24,14 @@ _CHUNK = 4096
 def is_touching(position: Tensor, angles: Tensor, world: World, robot: Robot) -> Tensor:
     """Returns whether the rover's body touches an obstacle in each of several poses.
 
-    The body touches an obstacle if its outline, the rectangle around the wheels at the height of the wheel hubs, is
-    within 1 cm of it. Obstacles below the wheel hubs count as ground.
+    The body touches an obstacle if its footprint (:func:`rover_rl.sims.robots.footprint.footprint`), at the height of
+    the wheel hubs, is within 1 cm of it. Obstacles below the wheel hubs count as ground.
 
     Args:
         position: positions of the rover, ``[P, 3]``, m.
         angles: roll, pitch and yaw of the rover, ``[P, 3]``, rad.
         world: world with the obstacles.
-        robot: robot whose wheels give the outline.
+        robot: robot that determines the footprint.
 
     Returns:
         Contact flags, bool ``[P]``.
@@ -48,10 +49,9 @@ def is_touching(position: Tensor, angles: Tensor, world: World, robot: Robot) ->
 
 
 def outline_size(robot: Robot) -> tuple[float, float]:
-    """Returns the length and the width of a robot's outline, m."""
-    outline = _outline(robot)[:, :2]
-    length, width = (outline.amax(0) - outline.amin(0)).tolist()
-    return length, width
+    """Returns the length and the width of a robot's footprint, m."""
+    back, front, right, left = footprint(robot)
+    return front - back, left - right
 
 
 def _obstacles_within(reach: float, path: Tensor, world: World) -> list[Obstacle]:
@@ -70,24 +70,20 @@ def _obstacles_within(reach: float, path: Tensor, world: World) -> list[Obstacle
 
 def _near(path: Tensor, obstacle: Obstacle, reach: float) -> Tensor:
     """Whether each point of ``path [P, 2]`` is within ``reach`` (m) of the obstacle seen from above, bool ``[P]``."""
-    footprint = obstacle.footprint.to(path)
-    near = ((path >= footprint.amin(0) - reach) & (path <= footprint.amax(0) + reach)).all(-1)
-    near[near.clone()] = distance_to_polygon(path[near], footprint) <= reach
+    outline = obstacle.footprint.to(path)
+    near = ((path >= outline.amin(0) - reach) & (path <= outline.amax(0) + reach)).all(-1)
+    near[near.clone()] = distance_to_polygon(path[near], outline) <= reach
     return near
 
 
 def _outline(robot: Robot) -> Tensor:
-    """Points on the rectangle around the wheels at the height of the wheel hubs, in the base frame, ``[P, 3]``, m."""
-    hubs = torch.tensor(robot.wheel_positions)
-    margin = torch.tensor((robot.wheel_radius, robot.wheel_width / 2))
-    low, high = hubs[:, :2].amin(0) - margin, hubs[:, :2].amax(0) + margin
-    x, y = (
-        torch.linspace(a, b, math.ceil((b - a) / _OUTLINE_SPACING) + 1)
-        for a, b in zip(low.tolist(), high.tolist(), strict=True)
-    )
-    sides = (torch.cartesian_prod(x, torch.stack((low[1], high[1]))), torch.cartesian_prod(low[:1], y))
-    around = torch.cat((*sides, torch.cartesian_prod(high[:1], y)))
-    return torch.cat((around, hubs[:, 2].mean().expand(len(around), 1)), -1)
+    """Points on the footprint at the height of the wheel hubs, in the base frame, ``[P, 3]``, m."""
+    back, front, right, left = footprint(robot)
+    height = sum(hub[2] for hub in robot.wheel_positions) / len(robot.wheel_positions)
+    x, y = (torch.linspace(a, b, math.ceil((b - a) / _OUTLINE_SPACING) + 1) for a, b in ((back, front), (right, left)))
+    sides = torch.cartesian_prod(x, torch.tensor((right, left)))
+    ends = torch.cartesian_prod(torch.tensor((back, front)), y)
+    return torch.nn.functional.pad(torch.cat((sides, ends)), (0, 1), value=height)
 
 
 def _rotation(angles: Tensor) -> Tensor:

@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from types import SimpleNamespace
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -273,12 +274,11 @@ def test_a_rover_with_a_forward_tilt_touches_lower_obstacles() -> None:
     assert find_body_contacts([at(0.25, pitch=0.2)], curb, ROVER)[0].all()
 
 
-def test_the_outline_is_that_of_the_robot() -> None:
+def test_the_outline_is_that_of_the_robot(tmp_path: Path) -> None:
     wall = World("wall", Terrain.flat((12.0, 12.0)), [box((1.5, 0.0, 0.5), (1.0, 4.0, 1.0))])
-    # Only these fields give the outline; a Robot must agree with its URDF.
-    longer = SimpleNamespace(
-        wheel_positions=ROVER.wheel_positions, wheel_radius=ROVER.wheel_radius + 0.1, wheel_width=ROVER.wheel_width
-    )
+    urdf = tmp_path / "longer.urdf"
+    urdf.write_text(ROVER.urdf.read_text().replace('"0.40 0.26 0.14"', '"0.74 0.26 0.14"'))
+    longer = replace(ROVER, urdf=urdf)
     assert not find_body_contacts([at(0.7)], wall, ROVER)[0].any()
     assert find_body_contacts([at(0.7)], wall, longer)[0].all()
     trajectories = [at(0.7), at(0.7)]
