@@ -31,6 +31,7 @@ from rover_rl.sims.robots import get_robot
 from rover_rl.sims.warp import WarpSettings
 from rover_rl.sims.warp.scene import SceneTable
 from rover_rl.sims.worlds import free_space, get_world
+from rover_rl.sims.worlds.pool import WorldPool
 
 
 @dataclass
@@ -43,8 +44,14 @@ class Options:
     """Number of mazes that rows are in for life."""
     singles: int = 4
     """Number of mazes that all rows are in, one after the other."""
+    pool: str = "maze:*"
+    """Mazes that episodes draw from."""
+    warm: bool = False
+    """Whether the free space of all mazes of the pool is on disk at first, as after a long run. Takes minutes."""
     length: int = 400
     """Number of steps after which an episode ends."""
+    settle: int = 200
+    """Number of steps before the first round. In them, a thread prepares a world for the next episode of each row."""
     steps: int = 50
     """Number of steps measured in each round."""
     rounds: int = 3
@@ -89,13 +96,20 @@ def memory(options: Options) -> str:
     return f"Memory with {len(mazes)} mazes: {after / 2**20:,.0f} MB in all, {before / 2**20:,.0f} MB before"
 
 
+def warm_up(options: Options) -> None:
+    """Computes the free space of all mazes of the pool, which stays on disk."""
+    pool = WorldPool(options.pool)
+    for index in range(len(pool)):
+        free_space(get_world(pool.name(index)), get_robot("rover_zero"))
+
+
 def speeds(options: Options) -> Table:
     """Measures environments side by side."""
     mazes = [f"maze:{seed}" for seed in range(min(options.worlds, options.num_envs))]
     kinds = {
         **{f"one maze, {seed}": f"maze:{seed}" for seed in range(0, len(mazes), -(-len(mazes) // options.singles))},
         f"{len(mazes)} mazes": mazes,
-        "another maze for each episode": "maze:*",
+        "another maze for each episode": options.pool,
     }
     settings = {"num_envs": options.num_envs, "backend": WarpSettings(threads=options.threads), "seed": 0}
     envs = {name: make_env(world_n=worlds, length=options.length, **settings) for name, worlds in kinds.items()}
@@ -123,7 +137,7 @@ def _spread(env: EnvBase, options: Options) -> TensorDictBase:
         td, _ = _drive(env, td, options.length // 20)
         mask = torch.rand(options.num_envs, 1, generator=generator) < 0.25
         td = env.reset(td.set("_reset", mask)).exclude("_reset")
-    return td
+    return _drive(env, td, options.settle)[0]
 
 
 def _drive(env: EnvBase, td: TensorDictBase, steps: int) -> tuple[TensorDictBase, float]:
@@ -141,6 +155,8 @@ def main(options: Options) -> None:
     with TemporaryDirectory() as folder, patch.dict(os.environ, XDG_CACHE_HOME=folder):
         console.print(preparation(options))
         console.print(memory(options))
+        if options.warm:
+            warm_up(options)
         console.print(speeds(options))
 
 

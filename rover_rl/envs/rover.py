@@ -408,8 +408,9 @@ class RoverEnv(EnvBase):
         device = self.simulator.device
         rows = None if active is None else active.squeeze(-1).to(device)
         steps = self._state.task.steps + (1 if active is None else active)
-        self._row_worlds.request_next()
-        self._perceive(self.simulator.step(command.to(device), rows), steps)
+        with self._row_worlds.preparing():
+            rover = self.simulator.step(command.to(device), rows)
+        self._perceive(rover, steps)
 
         self._navigation.advance(self._state, invalid, active, self._keys)
         state = self._state

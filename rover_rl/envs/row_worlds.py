@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import torch
 from torch import Tensor
@@ -50,8 +51,6 @@ class RowWorlds:
         self.index = self._drawn(keys) if self.is_drawn else rows * count // num_envs
         self.worlds = [self.pool[index] for index in self.index.flatten().tolist()]
         self._ahead: WorldsAhead | None = None
-        # Worlds of the next episodes that the thread does not know yet.
-        self._next: list[int] = []
 
     @property
     def index_if_several(self) -> Tensor | None:
@@ -79,25 +78,26 @@ class RowWorlds:
         for row, index in zip(rows.tolist(), self.index[rows, 0].tolist(), strict=True):
             self.worlds[row] = self._ahead[index] if self._ahead else self.pool[index]
         if self._ahead:
-            self._next += self._drawn(next_keys)[mask].tolist()
+            self._ahead.request(self._drawn(next_keys)[mask].tolist())
         return rows.tolist()
 
     def prepare_ahead(self, prepare: Callable[[World], object]) -> None:
-        """From now on, prepares the worlds of the next episodes while the rows drive, until :meth:`close`.
+        """From now on, prepares the worlds of the next episodes in a thread during :meth:`preparing`.
 
         Args:
             prepare: what to do with a world before it is needed, safe to call from another thread.
         """
         self._ahead = WorldsAhead(self.pool, prepare, limit=len(self.index))
+        self._ahead.pause()
 
-    def request_next(self) -> None:
-        """Lets the thread prepare the worlds of the next episodes.
-
-        The best time is before the kernels of a step: while they run, the thread has the interpreter for itself.
-        """
-        if self._next and self._ahead:
-            self._ahead.request(self._next)
-            self._next = []
+    @contextmanager
+    def preparing(self) -> Iterator[None]:
+        """Lets the thread of :meth:`prepare_ahead` prepare worlds: use it around the simulator's kernels."""
+        if self._ahead:
+            self._ahead.resume()
+        yield
+        if self._ahead:
+            self._ahead.pause()
 
     def close(self) -> None:
         """Ends the preparation of worlds. Idempotent."""

@@ -8,7 +8,7 @@ from benchmarks.pools import Options, main
 
 
 def test_it_measures_preparation_and_speed(capsys: pytest.CaptureFixture[str]) -> None:
-    main(Options(num_envs=4, worlds=2, length=40, steps=2, rounds=1, generators=("maze",), prepared=1))
+    main(Options(num_envs=4, worlds=2, length=40, settle=2, steps=2, rounds=1, generators=("maze",), prepared=1))
     text = capsys.readouterr().out
     for expected in (
         "free space",

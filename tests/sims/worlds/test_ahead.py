@@ -92,6 +92,21 @@ def test_a_world_that_cannot_be_prepared_raises_where_it_is_needed(prepared: Pre
     ahead.close()
 
 
+def test_a_paused_thread_begins_with_no_world(prepared: Prepared) -> None:
+    prepared.go.set()
+    pool = WorldPool("ramps:0-9")
+    ahead = WorldsAhead(pool, prepared, limit=5)
+    ahead.pause()
+    ahead.request([1, 2])
+    assert ahead[1] is pool[1]
+    assert not prepared.started.wait(0.05)
+    ahead.resume()
+    prepared.wait(1)
+    assert prepared.worlds == [pool[2]]
+    ahead.pause()
+    ahead.close()
+
+
 @pytest.mark.parametrize("way", ["close", "garbage"])
 def test_the_thread_ends(prepared: Prepared, way: str) -> None:
     prepared.go.set()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -29,6 +30,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "rover_rl" / "free_space"
 
 
+def files(folder: Path) -> list[Path]:
+    return [path for path in folder.rglob("*") if path.is_file()]
+
+
 def assert_equal(one: FreeSpace, other: FreeSpace | None) -> None:
     assert other is not None
     for field in fields(FreeSpace):
@@ -43,7 +48,7 @@ def assert_equal(one: FreeSpace, other: FreeSpace | None) -> None:
 
 def test_an_equal_world_has_the_stored_free_space(folder: Path) -> None:
     space = free_space(yard(), ROBOT)
-    assert len(list(folder.iterdir())) == 1
+    assert len(files(folder)) == 1
     assert_equal(space, load_free_space(FreeSpace, yard(), ROBOT))
     # What is stored is what is used.
     store_free_space(yard(), ROBOT, replace(space, cell=0.25))
@@ -71,11 +76,25 @@ def test_another_robot_has_its_own() -> None:
     assert load_free_space(FreeSpace, yard(), replace(ROBOT, name="twin")) is not None
 
 
-@pytest.mark.parametrize("content", [b"", b"damaged", None], ids=["empty", "no archive", "cut"])
-def test_a_damaged_file_is_replaced(folder: Path, content: bytes | None) -> None:
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda data: b"",
+        lambda data: b"damaged",
+        lambda data: data[:-100],
+        lambda data: b"\xff" * 4 + data[4:],
+        lambda data: data.replace(b"<f8", b"<f4"),
+        lambda data: data.replace(b"<f8", b"|O8"),
+        lambda data: data.replace(b"[", b"{"),
+    ],
+    ids=["empty", "other", "cut", "size", "type", "objects", "description"],
+)
+def test_a_damaged_file_is_replaced(folder: Path, damage: Callable[[bytes], bytes]) -> None:
     space = free_space(yard(), ROBOT)
-    (file,) = folder.iterdir()
-    file.write_bytes(file.read_bytes()[:-100] if content is None else content)
+    (file,) = files(folder)
+    content = damage(file.read_bytes())
+    assert content != file.read_bytes()
+    file.write_bytes(content)
     assert_equal(space, free_space(yard(), ROBOT))
     assert_equal(space, load_free_space(FreeSpace, yard(), ROBOT))
 

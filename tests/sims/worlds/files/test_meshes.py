@@ -180,7 +180,7 @@ def test_a_decomposition_is_cached_by_content(tmp_path, cache, monkeypatch):
     path = tmp_path / "corner.stl"
     trimesh.Scene([FLOOR, corner_wall()]).to_mesh().export(path)
     first = World.from_file(path)
-    assert len([*(cache / "convex_parts").iterdir()]) == 1
+    assert len([*(cache / "convex_parts").rglob("*.bin")]) == 1
     monkeypatch.setattr("rover_rl.sims.worlds.files.decomposition._attempt", lambda *_: pytest.fail("decomposed again"))
     second = World.from_file(path)
     assert len(second.obstacles) == len(first.obstacles) > 1
@@ -192,7 +192,7 @@ def test_a_damaged_cache_is_computed_again(tmp_path, cache):
     path = tmp_path / "corner.stl"
     trimesh.Scene([FLOOR, corner_wall()]).to_mesh().export(path)
     expected = len(World.from_file(path).obstacles)
-    (file,) = (cache / "convex_parts").iterdir()
+    (file,) = (cache / "convex_parts").rglob("*.bin")
     for content in (b"", file.read_bytes()[:40], b"PK\x03\x04" + bytes(100)):
         file.write_bytes(content)
         assert len(World.from_file(path).obstacles) == expected
