@@ -51,16 +51,19 @@ class SceneTable:
         self._bytes = wp.array(ptr=self.scenes.ptr, dtype=wp.uint8, shape=capacity * self._size, device=device)
         # A struct in an array refers to other arrays without owning them.
         self._owners: list[wp.array | None] = [None] * capacity
+        # Rovers may come back to a world that another one has replaced.
         self._packed: WeakKeyDictionary[World, PackedScene] = WeakKeyDictionary()
 
-    def prepare(self, world: World) -> None:
-        """Packs a world that will be set soon. It is safe to call from another thread."""
-        self._packed[world] = PackedScene.of(world, self._reach)
+    def prepare(self, world: World) -> PackedScene:
+        """Packs a world that may be set soon. It is safe to call from another thread."""
+        packed = self._packed.get(world)
+        if packed is None:
+            packed = self._packed[world] = PackedScene.of(world, self._reach)
+        return packed
 
     def __setitem__(self, slot: int, world: World) -> None:
         """Copies a world to a slot."""
-        packed = self._packed.pop(world, None) or PackedScene.of(world, self._reach)
-        scene, memory = packed.copy_to(self._device)
+        scene, memory = self.prepare(world).copy_to(self._device)
         # As bytes: an array of structs is slow to make.
         data = np.frombuffer(scene.__ctype__(), dtype=np.uint8)  # type: ignore[attr-defined]
         record = wp.array(data, dtype=wp.uint8, device=self._device)
