@@ -33,9 +33,11 @@ class Evaluate:
     policies: tyro.conf.Positional[tuple[str, ...]]
     """Policies: run folders, checkpoints, ONNX files, pretrained:NAME, scripted, random, or drive logs (.jsonl)."""
     world: tuple[str, ...] = ()
-    """Worlds to drive in. Default: for each policy, the worlds that it was trained in."""
-    count: int | None = None
-    """Number of episodes in each world; up to 256 are stored, more are newly drawn. Default: 256."""
+    """Worlds to drive in, or ranges of worlds such as maze:10000-10063. Seeds from 10000 up are for evaluation.
+    Default: for each policy, the worlds that it was trained in; after training in a range, one that was not in it."""
+    count: Annotated[int | None, tyro.conf.arg(aliases=["--episodes"])] = None
+    """Number of episodes in each world. Of inspect, moon and maze, up to 256 are stored; others are newly drawn.
+    Default: 256 in one world, 4 in each world of a range."""
     seed: int | None = None
     """Seed of newly drawn starts and goals. Default: use the stored ones."""
     seconds: float = 60.0
@@ -116,18 +118,20 @@ class Evaluate:
 
     def _episode_sets(self, policies: list[ResolvedPolicy]) -> dict[str, EpisodeSet]:
         """Returns the episodes of each world: the stored ones if possible, else newly drawn ones."""
-        from rover_rl.algos.evaluation.episodes import STORED, choose_episodes
+        from rover_rl.algos.evaluation.episodes import choose_episodes
         from rover_rl.sims.worlds import get_world
+        from rover_rl.sims.worlds.pool import WorldPool
 
         worlds = dict.fromkeys(world for policy in policies for world in policy.worlds)
         if not worlds and policies:
             raise ValueError("say which --world to drive in; these policies were trained in none")
         for world in worlds:
-            get_world(world)
-        count = STORED if self.count is None else self.count
+            get_world(WorldPool(world).source(0))
         trained = next((policy.module for policy in policies if policy.config), None)
         robot = self.environment.description(trained, next(iter(self.backend), None)).robot
-        return {world: choose_episodes(world, count, self.seed, robot=robot) for world in worlds}
+        return {
+            world: choose_episodes(world, self.count, self.seed, robot=robot, workers=self.workers) for world in worlds
+        }
 
     def _evaluate(
         self, policies: list[ResolvedPolicy], sets: dict[str, EpisodeSet], backends: list[str | None]

@@ -6,6 +6,7 @@ import os
 import re
 import sys
 
+from rover_rl.cli.benchmark import Benchmark
 from rover_rl.cli.demo import Demo
 from rover_rl.cli.drive import Drive
 from rover_rl.cli.evaluate import Evaluate
@@ -25,6 +26,7 @@ BROKEN_PIPE = 141
 
 COMMANDS = {
     "evaluate": Evaluate,
+    "benchmark": Benchmark,
     "play": Play,
     "film": Film,
     "worlds": Worlds,

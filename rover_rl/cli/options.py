@@ -35,10 +35,11 @@ def read_command(commands: dict[str, Any], args: Sequence[str]) -> Any:
     except SystemExit as stop:
         if not stop.code:
             raise
-        help_text = _help(commands, name)
+        name, help_text = _subcommand(commands, args)
         raise ValueError(_error_sentence(_plain(errors.getvalue()), help_text, args[1:]) + _hint(name)) from None
     if unknown:
-        raise ValueError(_unknown_option(unknown, _help(commands, name)) + _hint(name))
+        name, help_text = _subcommand(commands, args)
+        raise ValueError(_unknown_option(unknown, help_text) + _hint(name))
     return command
 
 
@@ -54,11 +55,21 @@ def _parse(commands: dict[str, Any], args: Sequence[str]) -> tuple[Any, list[str
     return tyro.cli(command, args=args, prog=_PROGRAM, description=_DESCRIPTION, return_unknown_args=True)
 
 
+def _subcommand(commands: dict[str, Any], args: Sequence[str]) -> tuple[str, str]:
+    """Returns the name and the help of the command on the command line, or of its subcommand, as ``benchmark barn``."""
+    help_text = _help(commands, args[0])
+    choices = re.match(r"usage: .*\{([a-z,-]+)\}", help_text)
+    if choices and len(args) > 1 and args[1] in choices[1].split(","):
+        name = f"{args[0]} {args[1]}"
+        return name, _help(commands, name)
+    return args[0], help_text
+
+
 def _help(commands: dict[str, Any], name: str) -> str:
     text = io.StringIO()
     try:
         with redirect_stdout(text):
-            _parse(commands, [name, "--help"])
+            _parse(commands, [*name.split(), "--help"])
     except SystemExit:
         pass
     return _plain(text.getvalue())
@@ -100,13 +111,16 @@ def _error_sentence(tyro_error: str, help_text: str, args: Sequence[str]) -> str
     paragraph = " ".join((paragraphs[0] if paragraphs else tyro_error).split())
     given = _values(args)
     for option in re.findall(r"--[\w.-]*\w", paragraph):
-        takes = rf"^ {{0,4}}{re.escape(option)} ([\[{{A-Z].*?)(?:\s{{2,}}|$)"
+        # An option with another name: "--episodes INT, --count INT".
+        takes = rf"^ {{0,4}}(?:--\S+ \S+, )?{re.escape(option)} ([\[{{A-Z].*?)(?:, --|\s{{2,}}|$)"
         expected = re.search(takes, help_text, re.MULTILINE)
         if option in given and expected:
             return f"{option} takes {expected[1]}, got {' '.join(given[option]) or 'nothing'}"
     # An error of a dataclass: "Error parsing __tyro-dummy-inner__.env.task: ..." becomes "task: ...".
     paragraph = re.sub(r"^Error parsing \S*?([\w-]+): ", r"\1: ", paragraph).removeprefix("__tyro-dummy-inner__: ")
-    return re.sub(r"^Missing from \S+ (\S+): \S+ (.*?)( \(required\))?$", r"\1 needs: \2", paragraph).rstrip(".")
+    missing = r"^Missing from \S+ ([\w -]+): (?:(--[\w-]+) )?\S+ (.*?)( \(required\))?$"
+    paragraph = re.sub(missing, lambda part: f"{part[1]} needs{f' {part[2]}' if part[2] else ''}: {part[3]}", paragraph)
+    return paragraph.rstrip(".")
 
 
 def _values(args: Sequence[str]) -> dict[str, list[str]]:

@@ -23,6 +23,7 @@ from rover_rl.sims.robots import get_robot
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import get_world
+from rover_rl.sims.worlds.pool import WorldPool
 from rover_rl.sims.worlds.shortest_paths import shortest_paths
 
 FORMAT = "rover_rl drive, version 1"
@@ -221,4 +222,5 @@ def _episodes(world_name: str, robot: str, drives: list[_Drive]) -> EpisodeSet:
     goal = torch.tensor([drive.goal for drive in drives])
     straight = ((goal - start[:, :2]).norm(dim=-1) - TaskConfig().success_distance).clamp(min=0.0)
     shortest = shortest_paths(world, get_robot(robot), start, goal)
-    return EpisodeSet(world_name, world, 0, start, goal, torch.where(shortest.isfinite(), shortest, straight))
+    lengths = torch.where(shortest.isfinite(), shortest, straight)
+    return EpisodeSet(world_name, WorldPool(world), 0, start, goal, lengths)

@@ -84,7 +84,7 @@ def _disagreements(group: Sequence[Evaluation]) -> list[Disagreement]:
     return [
         Disagreement(
             policy=group[0].name,
-            world=episodes.name,
+            world=episodes.world_name(episode),
             episode=episode,
             start=tuple(episodes.start[episode].tolist()),
             goal=tuple(episodes.goal[episode].tolist()),
@@ -114,7 +114,7 @@ def _comparable(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> list[l
 
 def _same_episodes(one: Evaluation, other: Evaluation) -> bool:
     """Whether two evaluations are of a policy of the same name on the same episodes."""
-    if (one.name, one.title, one.action_repeat) != (other.name, other.title, other.action_repeat):
+    if any(getattr(one, key) != getattr(other, key) for key in ("name", "world_name", "title", "action_repeat")):
         return False
     a, b = one.episodes, other.episodes
-    return torch.equal(a.start, b.start) and torch.equal(a.goal, b.goal)
+    return all(torch.equal(getattr(a, key), getattr(b, key)) for key in ("start", "goal", "world_index"))

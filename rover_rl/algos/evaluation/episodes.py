@@ -6,27 +6,34 @@ enough, without further selection. ``python -m rover_rl.algos.evaluation.episode
 Example:
     >>> stored_episodes("maze").shortest.min() >= 2
     tensor(True)
+    >>> len(draw_episodes("maze:10000-10063", 4))
+    256
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from rover_rl.algos.evaluation.cores import over_cores
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.checks import MAX_COUNT, check_at_least, check_seed
-from rover_rl.envs import TaskConfig
+from rover_rl.envs import EnvConfig, TaskConfig
 from rover_rl.envs.placement import Placement
 from rover_rl.envs.rng import episode_keys, row_keys
 from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.robots import Robot, get_robot
-from rover_rl.sims.worlds import World, get_world
+from rover_rl.sims.worlds import WORLDS, World, WorldName, get_world
+from rover_rl.sims.worlds.pool import WorldPool, WorldSource
 from rover_rl.sims.worlds.shortest_paths import shortest_paths
 
 DEFAULT_SEED = 20_000
@@ -35,39 +42,76 @@ STORED_WORLDS = ("inspect", "moon", "maze")
 """Worlds with a stored set."""
 STORED = 256
 """Number of episodes in a stored set."""
+PER_WORLD = 4
+"""Default number of episodes in each world of a range."""
 MIN_PATH = 2.0
 """Smallest length of the shortest path of an episode, m."""
 FOLDER = Path(__file__).with_name("episode_sets")
 """Folder of the stored sets."""
+_FEW_WORLDS = 16
+"""Number of worlds below which episodes are drawn in this process."""
 _MAX_DRAWS = 100
 """Largest number of draws per requested episode."""
 
 
 @dataclass(frozen=True)
 class EpisodeSet:
-    """A set of starts and goals for evaluation.
+    """A set of starts and goals for evaluation, in one world or in several.
 
     Attributes:
-        name: name of the world as requested, such as ``"maze:7"``.
-        world: world of the episodes.
+        name: name of the world or of the range of worlds as requested, such as ``"maze:7"``.
+        pool: worlds of the episodes. A :class:`~rover_rl.sims.worlds.World` is converted to a pool.
         seed: seed of the first draw.
         start: start poses, float32 ``[count, 3]`` (x, y in m, yaw in rad).
         goal: goals, float32 ``[count, 2]``, m.
         shortest: lengths of the shortest paths from the starts to the edges of the goal discs, float32 ``[count]``, m;
             see :func:`~rover_rl.sims.worlds.shortest_paths.shortest_paths`.
         offset: index of the first episode in the set that this is a part of.
+        world_index: index of each episode's world in the pool, int64 ``[count]``. By default, it is 0.
     """
 
     name: str
-    world: World
+    pool: WorldPool
     seed: int
     start: Tensor
     goal: Tensor
     shortest: Tensor
     offset: int = 0
+    world_index: Tensor = None  # type: ignore[assignment]  # Never None after __post_init__.
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pool", WorldPool.of(self.pool))
+        if self.world_index is None:
+            object.__setattr__(self, "world_index", torch.zeros(len(self.start), dtype=torch.int64))
 
     def __len__(self) -> int:
         return len(self.start)
+
+    @property
+    def several_worlds(self) -> bool:
+        """Whether the pool has several worlds."""
+        return len(self.pool) > 1
+
+    @property
+    def world(self) -> World:
+        """World of the episodes.
+
+        Raises:
+            ValueError: if the episodes are in several worlds.
+        """
+        indices = self.world_index.unique().tolist()
+        if len(indices) > 1:
+            raise ValueError(f"the episodes are in {len(indices)} worlds; use the worlds of each episode")
+        return self.pool[indices[0]]
+
+    @property
+    def worlds(self) -> list[World]:
+        """World of each episode."""
+        return [self.pool[index] for index in self.world_index.tolist()]
+
+    def world_name(self, episode: int) -> str:
+        """Returns the name of the world of an episode."""
+        return self.pool.name(int(self.world_index[episode])) if self.several_worlds else self.name
 
     def first(self, count: int) -> EpisodeSet:
         """Returns the first ``count`` episodes.
@@ -81,38 +125,81 @@ class EpisodeSet:
 
     def part(self, begin: int, end: int) -> EpisodeSet:
         """Returns the episodes from index ``begin`` up to, but not including, ``end``."""
-        start, goal, shortest = self.start[begin:end], self.goal[begin:end], self.shortest[begin:end]
-        return replace(self, start=start, goal=goal, shortest=shortest, offset=self.offset + begin)
+        return replace(self.select(range(begin, min(end, len(self)))), offset=self.offset + begin)
+
+    def select(self, indices: Sequence[int]) -> EpisodeSet:
+        """Returns the episodes with the given indices. Their offset is that of the set."""
+        chosen = torch.tensor(indices, dtype=torch.int64)
+        keys = ("start", "goal", "shortest", "world_index")
+        return replace(self, **{key: getattr(self, key)[chosen] for key in keys})
+
+    def with_used_worlds(self) -> EpisodeSet:
+        """Returns the same episodes with a pool of only the worlds that they are in."""
+        used, index = self.world_index.unique(return_inverse=True)
+        return replace(self, pool=WorldPool(*map(self.pool.source, used.tolist())), world_index=index)
 
 
-@single_threaded()
 def draw_episodes(
-    world: str | World,
+    world: WorldSource,
     count: int = 64,
     seed: int = DEFAULT_SEED,
     min_path: float = MIN_PATH,
     *,
+    episodes: int | None = None,
     robot: str | Robot = "rover_zero",
+    workers: int | None = 1,
 ) -> EpisodeSet:
     """Draws starts and goals as the environment does, and keeps those whose shortest path is long enough.
 
-    Draw ``i`` is the start and goal of the first episode of an environment with the seed ``seed + i``. The same seed
-    always gives the same episodes, and a larger ``count`` appends to them.
+    In each world, draw ``i`` is the start and goal of the first episode of an environment with the seed ``seed + i``.
+    The same seed always gives the same episodes, and in one world, a larger ``count`` appends to them. The episodes of
+    several worlds are in the order of the worlds.
 
     Args:
-        world: name of a world, or a world.
-        count: number of episodes.
+        world: world, range of worlds such as ``"maze:10000-10063"``, list of both, or pool.
+        count: number of episodes in each world.
         seed: seed of the first draw.
         min_path: smallest length of the shortest path, m; draws with a shorter one are skipped.
+        episodes: another name for ``count``, as on the command line.
         robot: name of a robot, or a robot, for which the starts, goals and paths must be free.
+        workers: largest number of processes; ``None``: the number of cores. The episodes do not depend on it.
 
     Raises:
         ValueError: for an unknown world or robot, a count or seed out of range, or a world in which hardly any path
             is long enough.
     """
+    count = count if episodes is None else episodes
     check_at_least(1, MAX_COUNT, count=count)
-    seed = check_seed(seed, count)
-    place, robot, goal_radius = get_world(world), get_robot(robot), TaskConfig().success_distance
+    seed, pool = check_seed(seed, count), WorldPool.of(world)
+    draw = partial(_draw_in, robot=get_robot(robot), count=count, seed=seed, min_path=min_path)
+    if len(pool) == 1:
+        drawn = [draw(pool[0])]
+    else:
+        sources = [portable(pool.source(index)) for index in range(len(pool))]
+        # Processes take longer to start than the episodes of a few worlds take to draw.
+        drawn = over_cores(draw, sources, "drawing starts and goals", 1 if len(pool) < _FEW_WORLDS else workers)
+    start, goal, shortest = (torch.cat(part) for part in zip(*drawn, strict=True))
+    index = torch.arange(len(pool)).repeat_interleave(count)
+    return EpisodeSet(_name_of(world), pool, seed, start, goal, shortest, world_index=index)
+
+
+def _name_of(world: WorldSource) -> str:
+    """Returns the name of a world, a range, or several of them."""
+    return world if isinstance(world, str) else ", ".join(EnvConfig(world=world).world_names)
+
+
+def portable(world: str | World) -> str | World:
+    """Returns what gives the same world in another process: the name of a built-in one, else the world."""
+    is_built_in = isinstance(world, str) and WorldName.parse(world).part in WORLDS
+    return world if is_built_in else get_world(world)
+
+
+@single_threaded()
+def _draw_in(
+    world: str | World, *, robot: Robot, count: int, seed: int, min_path: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Draws the starts, goals and shortest paths of ``count`` episodes in a world: see :func:`draw_episodes`."""
+    place, goal_radius = get_world(world), TaskConfig().success_distance
     found: list[tuple[Tensor, Tensor, Tensor]] = []
     taken = drawn = 0
     while taken < count:
@@ -125,7 +212,7 @@ def draw_episodes(
         drawn += count
         taken += int(long_enough.sum())
     start, goal, shortest = (torch.cat(part)[:count] for part in zip(*found, strict=True))
-    return EpisodeSet(world if isinstance(world, str) else place.name, place, seed, start, goal, shortest)
+    return start, goal, shortest
 
 
 def _draw(world: World, robot: Robot, count: int, seed: int) -> tuple[Tensor, Tensor]:
@@ -149,27 +236,38 @@ def stored_episodes(world: str) -> EpisodeSet:
     start, goal, shortest = (
         torch.tensor([row[key] for row in data["episodes"]]) for key in ("start", "goal", "shortest")
     )
-    return EpisodeSet(world, get_world(world), data["seed"], start, goal, shortest)
+    return EpisodeSet(world, WorldPool(world), data["seed"], start, goal, shortest)
 
 
 def choose_episodes(
-    world: str, count: int = STORED, seed: int | None = None, *, robot: str | Robot = "rover_zero"
+    world: str,
+    count: int | None = None,
+    seed: int | None = None,
+    *,
+    robot: str | Robot = "rover_zero",
+    workers: int | None = 1,
 ) -> EpisodeSet:
     """Returns the first stored episodes of a world, or draws episodes if there are not enough stored ones.
 
     Args:
-        world: name of a world.
-        count: number of episodes.
+        world: name of a world or of a range of worlds.
+        count: number of episodes in each world; ``None``: 256 in one world, 4 in each world of a range.
         seed: seed of the first draw; ``None``: use the stored episodes if possible.
         robot: name of a robot, or a robot. The stored episodes are those of ``rover_zero``.
+        workers: largest number of processes, as for :func:`draw_episodes`.
 
     Raises:
         ValueError: as for :func:`draw_episodes`.
     """
+    several = len(WorldPool(world)) > 1
+    if count is None:
+        count = PER_WORLD if several else STORED
     if world in STORED_WORLDS and seed is None and count <= STORED and robot == "rover_zero":
         return stored_episodes(world).first(count)
-    with ProgressDisplay("drawing starts and goals"):
-        return draw_episodes(world, count, DEFAULT_SEED if seed is None else seed, robot=robot)
+    seed = DEFAULT_SEED if seed is None else seed
+    # Several worlds have a display of their own.
+    with nullcontext() if several else ProgressDisplay("drawing starts and goals"):
+        return draw_episodes(world, count, seed, robot=robot, workers=workers)
 
 
 def write_episodes(episodes: EpisodeSet, path: Path) -> None:

@@ -8,9 +8,11 @@ Example:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
+from itertools import pairwise
 from typing import TypeAlias
 
 import torch
@@ -18,6 +20,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from rover_rl.algos.evaluation.cores import over_cores
 from rover_rl.algos.evaluation.episodes import DEFAULT_SEED, EpisodeSet, draw_episodes
 from rover_rl.algos.evaluation.metrics import TIME_LIMIT, Trajectory
 from rover_rl.algos.evaluation.results import EndlessEvaluation, Evaluation
@@ -73,6 +76,8 @@ def evaluate(
     If the policy treats rows independently, the result of an episode is bit-identical for any number of ``rows`` and
     any other episodes. Matrix products of few rows round differently, so the policy is called with at least 32 rows.
 
+    Each rover stays in a world, so that episodes may be in several worlds in any simulator.
+
     Args:
         policy: module that maps observations to actions, used without exploration; ``None`` acts at random. It is
             called with at least 32 rows; copies of the last row fill them up.
@@ -80,7 +85,7 @@ def evaluate(
         name: name of the policy, for tables and plots.
         action_repeat: number of steps that each action is held for; 1 decides at 20 Hz.
         seconds: time limit of each episode, s.
-        rows: number of rovers that drive at once; each takes the next episode when its own has ended.
+        rows: number of rovers that drive at once; each takes the next episode in its world when its own has ended.
         env: environment to drive in, of which robot, lidar, action, task, heading PID, randomization and simulator
             are used; ``None``: the environment that the policy was made for, in Bullet and without randomization, else
             the defaults.
@@ -90,20 +95,44 @@ def evaluate(
     """
     check_options(rows=rows, seconds=seconds, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
-    env_config = replace(
-        environment_for(policy, env),
-        world=episodes.world,
-        num_envs=min(rows, len(episodes)),
-        end_on_goal=True,
+    env_config = replace(environment_for(policy, env), num_envs=min(rows, len(episodes)), end_on_goal=True)
+    policy = policy or RandomPolicy(episodes.seed)
+
+    def drive(part: EpisodeSet) -> list[Trajectory]:
+        return _drive_episodes(policy, part, env_config, action_repeat, seconds, name)
+
+    driven = over_cores(drive, _with_few_worlds(episodes, rows), name, workers=1)
+    env_config = replace(env_config, world=episodes.name, seed=episodes.seed)
+    return Evaluation(name, episodes, action_repeat, seconds, [t for part in driven for t in part], env_config)
+
+
+def _with_few_worlds(episodes: EpisodeSet, rows: int) -> list[EpisodeSet]:
+    """Divides episodes into parts of consecutive ones that are in ``rows`` worlds at most."""
+    begins, worlds = [0], set[int]()
+    for episode, world in enumerate(episodes.world_index.tolist()):
+        if len(worlds | {world}) > rows:
+            begins.append(episode)
+            worlds = set()
+        worlds.add(world)
+    return [episodes.part(begin, end) for begin, end in pairwise([*begins, len(episodes)])]
+
+
+def _drive_episodes(
+    policy: Policy, episodes: EpisodeSet, env: EnvConfig, action_repeat: int, seconds: float, name: str
+) -> list[Trajectory]:
+    """Drives episodes with as many rovers as ``env`` has. Their number is at least that of the worlds."""
+    schedule = _Schedule(episodes.world_index.tolist(), min(env.num_envs or 1, len(episodes)))
+    worlds = [episodes.pool[index] for index in schedule.worlds]
+    env = replace(
+        env,
+        world=tuple(worlds) if len(set(worlds)) > 1 else worlds[0],
+        num_envs=len(worlds),
         seed=episodes.seed + episodes.offset,
     )
-    rovers = RoverEnv(**env_config.arguments())
+    rovers = RoverEnv(**env.arguments())
     rovers.length = max(1, round(seconds / rovers.control_dt))
-    policy = policy or RandomPolicy(episodes.seed)
     places = {"start": episodes.start, "goal": episodes.goal}
-    trajectories = _drive(rovers, policy, action_repeat, name, places, episodes.offset)
-    env_config = replace(env_config, world=episodes.name, seed=episodes.seed)
-    return Evaluation(name, episodes, action_repeat, seconds, trajectories, env_config)
+    return _drive(rovers, policy, action_repeat, name, schedule, places, episodes.offset)
 
 
 def evaluate_endless(
@@ -145,7 +174,8 @@ def evaluate_endless(
         env_config, world=place, num_envs=rows, length=steps, end_on_goal=False, seed=seed + offset, task=task
     )
     rovers = RoverEnv(**env_config.arguments())
-    trajectories = _drive(rovers, policy or RandomPolicy(seed), action_repeat, name, offset=offset)
+    schedule = _Schedule([0] * rows, rows)
+    trajectories = _drive(rovers, policy or RandomPolicy(seed), action_repeat, name, schedule, offset=offset)
     world_name = world if isinstance(world, str) else place.name
     env_config = replace(env_config, world=world_name, seed=seed)
     return EndlessEvaluation(name, world_name, place, seed, action_repeat, jam, steps, trajectories, env_config)
@@ -190,6 +220,7 @@ def _drive(
     policy: Policy,
     action_repeat: int,
     name: str,
+    schedule: _Schedule,
     places: Mapping[str, Tensor] | None = None,
     offset: int = 0,
 ) -> list[Trajectory]:
@@ -200,16 +231,14 @@ def _drive(
         policy: policy to drive with.
         action_repeat: number of steps that each action is held for.
         name: name of the policy, for the display of the progress.
-        places: ``start [count, 3]`` and ``goal [count, 2]`` of every episode; ``None``: each rover drives one episode,
-            with the start and goal that the environment draws.
+        schedule: episodes of each rover.
+        places: ``start [count, 3]`` and ``goal [count, 2]`` of every episode; ``None``: the environment draws them.
         offset: index of the first episode, for policies that read ``episode``.
     """
     check_at_least(1, MAX_COUNT, action_repeat=action_repeat)
     places = places or {}
-    count = len(places["start"]) if places else env.num_envs
-    recorder = _Recorder(count, env.length, env.control_dt)
-    waiting = iter(range(env.num_envs, count))
-    episode = torch.arange(env.num_envs)
+    recorder = _Recorder(schedule.count, env.length, env.control_dt)
+    episode = torch.tensor(schedule.first)
     driving = torch.ones(env.num_envs, dtype=torch.bool)
     action = torch.zeros(env.num_envs, 2)
 
@@ -227,7 +256,7 @@ def _drive(
             restarting = driving & tensordict["done"].squeeze(-1)
             for row in restarting.nonzero().squeeze(-1).tolist():
                 recorder.end(tensordict[row], int(episode[row]))
-                next_episode = next(waiting, None)
+                next_episode = schedule.next(row)
                 driving[row] = restarting[row] = next_episode is not None
                 episode[row] = episode[row] if next_episode is None else next_episode
             if restarting.any():
@@ -242,6 +271,42 @@ def _decide(policy: Policy, observation: TensorDictBase) -> Tensor:
     rows = len(observation)
     filled = observation[torch.arange(max(rows, _MIN_ROWS)).clamp(max=rows - 1)]
     return policy(filled)["action"][:rows]
+
+
+class _Schedule:
+    """Distribution of episodes over rovers, each of which stays in one world.
+
+    The first episodes of the worlds are assigned to rovers first, then the second ones, and so on. A rover that has
+    ended an episode takes the next one in its world.
+
+    Args:
+        worlds: world of each episode, as an index.
+        rows: number of rovers: at least that of the worlds, and at most that of the episodes.
+
+    Attributes:
+        count: number of episodes.
+        first: first episode of each rover.
+        worlds: world of each rover, as an index.
+    """
+
+    def __init__(self, worlds: Sequence[int], rows: int) -> None:
+        self.count = len(worlds)
+        taken: Counter[int] = Counter()
+        turns = []
+        for episode, world in enumerate(worlds):
+            turns.append((taken[world], episode))
+            taken[world] += 1
+        order = [episode for _, episode in sorted(turns)]
+        self.first = order[:rows]
+        self.worlds = [worlds[episode] for episode in self.first]
+        self._waiting: dict[int, deque[int]] = {world: deque() for world in self.worlds}
+        for episode in order[rows:]:
+            self._waiting[worlds[episode]].append(episode)
+
+    def next(self, row: int) -> int | None:
+        """Returns the next episode of a rover; ``None`` if there is no further one in its world."""
+        waiting = self._waiting[self.worlds[row]]
+        return waiting.popleft() if waiting else None
 
 
 class _Recorder:

@@ -20,12 +20,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rover_rl.algos.evaluation.body_contacts import is_touching
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import wrap_angle
 from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.free_space import distance_to_polygon
-from rover_rl.sims.worlds.obstacles import Obstacle
 
 ROUGH_TILT = math.radians(10)
 """Smallest tilt of the rover, in any direction, on rough ground, rad. Rough ground makes up most of inspect, a tenth of
@@ -34,19 +33,15 @@ wheeled rover does not reach at 1 m/s: the maximum in the 20 Hz positions of 192
 10 m/s^2."""
 STANDSTILL = 0.05
 """Speed below which the rover stands still, m/s."""
-TOUCH = 0.01
-"""Largest distance between the body and an obstacle that counts as a contact, m."""
 RESAMPLES = 2000
 """Number of bootstrap resamples."""
-_OUTLINE_SPACING = 0.02
-"""Largest distance between neighboring points of the rover's outline, m."""
-_CHUNK = 4096
-"""Number of poses that are tested against an obstacle at once. Limits the memory to about 100 MB."""
 
 TIME_LIMIT = "time limit"
 """Ending of an episode at its time limit."""
 TOO_NEAR = "obstacle too near"
 """Ending of a live drive: an obstacle is closer than the required clearance."""
+CONTACT = "contact"
+"""Ending of a run of a benchmark: the body touches an obstacle."""
 STOPPED = "stopped"
 """Ending of a live drive: a person interrupted it, or the connection to the rover was lost."""
 RESTARTED = "robot restarted"
@@ -72,6 +67,7 @@ class Metric:
 
 METRICS = {
     "success_rate": Metric("SR", "episodes that reach their goal", "%"),
+    "contact_free_success_rate": Metric("clean", "episodes that reach their goal without a contact of the body", "%"),
     "spl": Metric("SPL", "success weighted by path length"),
     "mean_time_to_traverse": Metric("MTT", "mean time to a reached goal", "s"),
     "traverse_rate": Metric("TR", "shortest-path length to reached goals per second of driving", "m/s"),
@@ -237,6 +233,18 @@ def success_rate(trajectories: Sequence[Trajectory]) -> Estimate:
     return ending_share(trajectories, "goal")
 
 
+def contact_free_success_rate(trajectories: Sequence[Trajectory], contacts: Sequence[Tensor]) -> Estimate:
+    """Proportion of episodes that reach their goal within the time limit without any contact of the body.
+
+    Args:
+        trajectories: recorded episodes.
+        contacts: contact flags of :func:`find_body_contacts`.
+    """
+    pairs = zip(trajectories, contacts, strict=True)
+    clean = sum(t.ending == "goal" and not touched.any() for t, touched in pairs)
+    return proportion(clean, len(trajectories))
+
+
 def ending_share(trajectories: Sequence[Trajectory], *endings: str) -> Estimate:
     """Proportion of episodes with one of the given endings."""
     return proportion(sum(t.ending in endings for t in trajectories), len(trajectories))
@@ -350,84 +358,60 @@ def count_runs(flags: Tensor) -> int:
     return int(flags[:1].sum() + (flags.diff() > 0).sum())
 
 
-def find_body_contacts(trajectories: Sequence[Trajectory], world: World, robot: Robot) -> list[Tensor]:
+def find_body_contacts(
+    trajectories: Sequence[Trajectory], world: World | Sequence[World], robot: Robot
+) -> list[Tensor]:
     """Finds the poses at which the rover's body touches an obstacle.
 
-    The body touches an obstacle if its outline, the rectangle around the wheels at the height of the wheel hubs, is
-    within 1 cm of it. A contact need not be a lidar collision: at the sides and at the rear, the outline may be farther
-    from the lidar than the collision distance. Obstacles below the wheel hubs count as ground.
+    See :func:`~rover_rl.algos.evaluation.body_contacts.is_touching`. A contact need not be a lidar collision: at the
+    sides and at the rear, the outline may be farther from the lidar than the collision distance.
 
     Args:
         trajectories: recorded episodes.
-        world: world of the episodes.
+        world: world of the episodes, or the world of each episode.
         robot: robot whose wheels give the outline.
 
     Returns:
         Contact flags of the poses of each episode, bool ``[T + 1]`` each.
     """
-    position, angles = (torch.cat([getattr(t, key) for t in trajectories]) for key in ("position", "angles"))
-    outline = _outline(robot)
-    reach = outline[:, :2].norm(dim=1).max().item() + TOUCH
-    touched = torch.zeros(len(position), dtype=torch.bool)
-    for obstacle in world.obstacles:
-        normals, offsets = obstacle.planes.to(position).split((3, 1), -1)
-        near = _near(position[:, :2], obstacle, reach) & ~touched
-        for poses in near.nonzero().squeeze(-1).split(_CHUNK):
-            points = position[poses, None] + outline @ _rotation(angles[poses]).mT
-            touched[poses] = ((points @ normals.T + offsets.T).amax(-1) <= TOUCH).any(-1)
-    return list(touched.split([len(t.position) for t in trajectories]))
-
-
-def _near(path: Tensor, obstacle: Obstacle, reach: float) -> Tensor:
-    """Whether each point of ``path [P, 2]`` is within ``reach`` (m) of the obstacle seen from above, bool ``[P]``."""
-    footprint = obstacle.footprint.to(path)
-    near = ((path >= footprint.amin(0) - reach) & (path <= footprint.amax(0) + reach)).all(-1)
-    near[near.clone()] = distance_to_polygon(path[near], footprint) <= reach
-    return near
-
-
-def _outline(robot: Robot) -> Tensor:
-    """Points on the rectangle around the wheels at the height of the wheel hubs, in the base frame, ``[P, 3]``, m."""
-    hubs = torch.tensor(robot.wheel_positions)
-    margin = torch.tensor((robot.wheel_radius, robot.wheel_width / 2))
-    low, high = hubs[:, :2].amin(0) - margin, hubs[:, :2].amax(0) + margin
-    x, y = (
-        torch.linspace(a, b, math.ceil((b - a) / _OUTLINE_SPACING) + 1)
-        for a, b in zip(low.tolist(), high.tolist(), strict=True)
-    )
-    sides = (torch.cartesian_prod(x, torch.stack((low[1], high[1]))), torch.cartesian_prod(low[:1], y))
-    around = torch.cat((*sides, torch.cartesian_prod(high[:1], y)))
-    return torch.cat((around, hubs[:, 2].mean().expand(len(around), 1)), -1)
-
-
-def _rotation(angles: Tensor) -> Tensor:
-    """Rotation matrices ``[P, 3, 3]`` (columns: forward, left, up) from roll, pitch and yaw ``[P, 3]`` ('sxyz')."""
-    (cr, cp, cy), (sr, sp, sy) = angles.cos().unbind(-1), angles.sin().unbind(-1)
-    rows = (
-        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
-        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
-        (-sp, cp * sr, cp * cr),
-    )
-    return torch.stack([torch.stack(row, -1) for row in rows], -2)
+    worlds = [world] * len(trajectories) if isinstance(world, World) else world
+    together: dict[World, list[int]] = {}
+    for episode, place in enumerate(worlds):
+        together.setdefault(place, []).append(episode)
+    contacts: dict[int, Tensor] = {}
+    for place, episodes in together.items():
+        members = [trajectories[episode] for episode in episodes]
+        position, angles = (torch.cat([getattr(t, key) for t in members]) for key in ("position", "angles"))
+        touched = is_touching(position, angles, place, robot)
+        contacts |= zip(episodes, touched.split([len(t.position) for t in members]), strict=True)
+    return [contacts[episode] for episode in range(len(trajectories))]
 
 
 def goal_metrics(
-    trajectories: Sequence[Trajectory], shortest: Tensor, world: World, *, robot: Robot
+    trajectories: Sequence[Trajectory],
+    shortest: Tensor,
+    world: World | Sequence[World],
+    *,
+    robot: Robot,
+    contacts: Sequence[Tensor] | None = None,
 ) -> dict[str, Estimate]:
     """Computes the metrics of episodes with one goal each, by name.
 
     Args:
         trajectories: recorded episodes.
         shortest: lengths of the shortest paths, ``[count]``, m.
-        world: world of the episodes.
+        world: world of the episodes, or the world of each episode.
         robot: robot of the episodes, whose outline gives the body contacts.
+        contacts: flags of :func:`find_body_contacts`, if they have been computed.
     """
+    contacts = find_body_contacts(trajectories, world, robot) if contacts is None else contacts
     return {
         "success_rate": success_rate(trajectories),
+        "contact_free_success_rate": contact_free_success_rate(trajectories, contacts),
         "spl": spl(trajectories, shortest),
         "mean_time_to_traverse": mean_time_to_traverse(trajectories),
         "traverse_rate": traverse_rate(trajectories, shortest),
-        **_common_metrics(trajectories, world, robot),
+        **_common_metrics(trajectories, contacts),
     }
 
 
@@ -444,12 +428,12 @@ def endless_metrics(trajectories: Sequence[Trajectory], world: World, *, robot: 
         "seconds_per_goal": seconds_per_goal(trajectories),
         "episode_seconds": episode_seconds(trajectories),
         "ended_early": ending_share(trajectories, *EARLY_ENDINGS),
-        **_common_metrics(trajectories, world, robot),
+        **_common_metrics(trajectories, find_body_contacts(trajectories, world, robot)),
     }
 
 
-def _common_metrics(trajectories: Sequence[Trajectory], world: World, robot: Robot) -> dict[str, Estimate]:
-    contacts = [count_runs(touched) for touched in find_body_contacts(trajectories, world, robot)]
+def _common_metrics(trajectories: Sequence[Trajectory], touched: Sequence[Tensor]) -> dict[str, Estimate]:
+    contacts = [count_runs(flags) for flags in touched]
     kinds = (TIME_LIMIT, *EARLY_ENDINGS)
     return {
         "velocity_over_rough_terrain": velocity_over_rough_terrain(trajectories),

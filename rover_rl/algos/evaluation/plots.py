@@ -6,7 +6,7 @@ Colors are those of Okabe and Ito and of the plasma colormap, which color-blind 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
@@ -29,7 +29,8 @@ from torch import Tensor
 from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.config_files import experiments, run_config
 from rover_rl.algos.evaluation.evaluate import ENDINGS, Evaluation
-from rover_rl.algos.evaluation.metrics import TIME_LIMIT, Trajectory
+from rover_rl.algos.evaluation.metrics import CONTACT, TIME_LIMIT, Trajectory
+from rover_rl.algos.evaluation.results import worst_worlds
 from rover_rl.algos.train.progress import EPISODE_STEPS, read_progress
 from rover_rl.envs import StepEvent
 from rover_rl.files import written_whole
@@ -243,12 +244,18 @@ ground."""
 def draw_paths(evaluations: Sequence[Evaluation], path: Path, max_episodes: int = 32) -> None:
     """Draws the driven paths of policies from above, colored by speed, with one panel per policy.
 
+    Of episodes in several worlds, the six worlds with the lowest success rates are drawn, with a panel per policy and
+    world.
+
     Args:
         evaluations: evaluations of policies on the same episodes.
         path: path of the figure; its suffix selects the format.
-        max_episodes: largest number of episodes to draw; the first ones are drawn.
+        max_episodes: largest number of episodes to draw in a panel; the first ones are drawn.
     """
     episodes = evaluations[0].episodes
+    if episodes.several_worlds:
+        _draw_worst_worlds(evaluations, path, max_episodes)
+        return
     points = [trajectory.path for evaluation in evaluations for trajectory in evaluation.trajectories[:max_episodes]]
     area = _square_around(torch.cat((*points, episodes.goal[:max_episodes])))
     rows = math.ceil(len(evaluations) / _MAX_COLUMNS)
@@ -258,14 +265,59 @@ def draw_paths(evaluations: Sequence[Evaluation], path: Path, max_episodes: int 
     figure.suptitle(f"{evaluations[0].title}{first}")
     for number, evaluation in enumerate(evaluations, 1):
         ax = figure.add_subplot(rows, columns, number)
-        _draw_evaluation(ax, evaluation, area, max_episodes)
+        _draw_evaluation(ax, evaluation.select(range(len(episodes))[:max_episodes]), area)
+        ax.set_title(f"{evaluation.name}: success rate {evaluation.success_rate:.0%}")
         if number % columns != 1 and columns > 1:
             ax.set(ylabel="", yticklabels=[])
         if number + columns <= len(evaluations):
             ax.set(xlabel="", xticklabels=[])
+    endings = {ending for evaluation in evaluations for ending in evaluation.endings[:max_episodes]}
+    _finish_paths(figure, endings, columns, path)
+
+
+def _draw_worst_worlds(evaluations: Sequence[Evaluation], path: Path, max_episodes: int) -> None:
+    """Draws the paths of policies in the worlds in which they succeed least, with a row of panels for each policy."""
+    indices = evaluations[0].episodes.world_index
+    panels = {}
+    for evaluation in evaluations:
+        rates = {world["world"]: world["success_rate"] for world in evaluation.worlds}
+        for world in worst_worlds(evaluations):
+            shown = evaluation.select((indices == world).nonzero().squeeze(-1).tolist()[:max_episodes])
+            panels[f"{evaluation.name}, {shown.episodes.world_name(0)}: {rates[world]:.0%}"] = shown
+    title = f"{evaluations[0].world_name}: the worlds with the lowest success rates"
+    draw_panels(panels, path, title, columns=_MAX_COLUMNS if len(evaluations) == 1 else len(panels) // len(evaluations))
+
+
+def draw_panels(panels: Mapping[str, Evaluation], path: Path, title: str, columns: int = _MAX_COLUMNS) -> None:
+    """Draws driven paths from above, colored by speed, in panels with their own world.
+
+    Args:
+        panels: evaluation in one world for each panel, by the panel's title.
+        path: path of the figure; its suffix selects the format.
+        title: title of the figure.
+        columns: largest number of panels in a row.
+    """
+    columns = min(columns, len(panels))
+    rows = math.ceil(len(panels) / columns)
+    figure = Figure(figsize=(4 * columns + 0.8, 4.3 * rows + 1.2), layout="compressed")
+    figure.suptitle(title)
+    # Panels with the same world show the same area.
+    points: dict[World, list[Tensor]] = {}
+    for evaluation in panels.values():
+        points.setdefault(evaluation.episodes.world, []).extend((*evaluation.paths, evaluation.episodes.goal))
+    for number, (name, evaluation) in enumerate(panels.items(), 1):
+        ax = figure.add_subplot(rows, columns, number)
+        _draw_evaluation(ax, evaluation, _square_around(torch.cat(points[evaluation.episodes.world])))
+        ax.set(xlabel="", ylabel="")
+        ax.set_title(name, fontsize="medium")
+    endings = {ending for evaluation in panels.values() for ending in evaluation.endings}
+    _finish_paths(figure, endings, columns, path)
+
+
+def _finish_paths(figure: Figure, endings: Set[str], columns: int, path: Path) -> None:
+    """Adds the scale of speeds and the legend to a figure of paths, and writes it."""
     panels = list(figure.axes)
     figure.colorbar(_SPEED, ax=panels, label="speed over ground (m/s)", shrink=0.7, pad=0.01, extend="max")
-    endings = {ending for evaluation in evaluations for ending in evaluation.endings[:max_episodes]}
     marks = {"start": _START, "goal": _GOAL, **{f"end: {kind}": _ENDS[kind] for kind in _ENDS if kind in endings}}
     handles = [panels[0].scatter([], [], label=label, **style) for label, style in marks.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=3 * columns, frameon=False)
@@ -281,20 +333,20 @@ def _square_around(points: Tensor, margin: float = 0.7) -> Area:
     return (left, right), (bottom, top)
 
 
-def _draw_evaluation(ax: Axes, evaluation: Evaluation, area: Area, max_episodes: int) -> None:
-    episodes, driven = evaluation.episodes, evaluation.trajectories[:max_episodes]
+def _draw_evaluation(ax: Axes, evaluation: Evaluation, area: Area) -> None:
+    """Draws the episodes of an evaluation in one world."""
+    episodes, driven = evaluation.episodes, evaluation.trajectories
     draw_pale_map(ax, episodes.world, area)
     segments, speeds = zip(*(_segments(trajectory) for trajectory in driven), strict=True)
     colors = _SPEED.to_rgba(np.concatenate(speeds))
     ax.add_collection(
         LineCollection(list(np.concatenate(segments)), colors=colors, linewidths=1.8, capstyle="round", zorder=4)
     )
-    ax.scatter(*episodes.goal[:max_episodes].T, zorder=5, **_GOAL)
-    ax.scatter(*episodes.start[:max_episodes, :2].T, zorder=6, **_START)
+    ax.scatter(*episodes.goal.T, zorder=5, **_GOAL)
+    ax.scatter(*episodes.start[:, :2].T, zorder=6, **_START)
     for ending, style in _ENDS.items():
         ends = [trajectory.path[-1].tolist() for trajectory in driven if trajectory.ending == ending]
         ax.scatter(*np.array(ends).reshape(-1, 2).T, zorder=7, **style)
-    ax.set_title(f"{evaluation.name}: success rate {evaluation.success_rate:.0%}")
 
 
 def draw_pale_map(ax: Axes, world: World, area: Area) -> None:
@@ -316,6 +368,7 @@ _EARLY: dict[str, Any] = {"s": 60, "color": "black", "edgecolor": "white", "line
 _ENDS: dict[str, dict[str, Any]] = {
     ENDINGS[StepEvent.GOAL]: {"s": 30, "color": GREEN, "edgecolor": "white", "linewidth": 0.8},
     TIME_LIMIT: {"s": 30, "marker": "s", "color": "white", "edgecolor": "black", "linewidth": 1.3},
+    CONTACT: {"marker": "X", **_EARLY, "color": RED},
     ENDINGS[StepEvent.JAM]: {"marker": "X", **_EARLY},
     ENDINGS[StepEvent.FLIP]: {"marker": "^", **_EARLY},
     ENDINGS[StepEvent.OUT_OF_BOUNDS]: {"marker": "D", **_EARLY},

@@ -22,10 +22,12 @@ from rich.table import Table
 from rover_rl.algos.evaluation.comparison import Disagreement, backends_of, disagreements_of, find_disagreements
 from rover_rl.algos.evaluation.evaluate import EndlessEvaluation, Evaluation
 from rover_rl.algos.evaluation.metrics import METRICS, Estimate
+from rover_rl.algos.evaluation.results import worst_worlds
 from rover_rl.files import write_json, written_whole
 
 COMPARED = (
     "success_rate",
+    "contact_free_success_rate",
     "spl",
     "mean_time_to_traverse",
     "goals_per_episode",
@@ -46,6 +48,8 @@ def print_table(
 ) -> None:
     """Prints a table of policies for each world and mode, with 95 % confidence intervals below the values.
 
+    Ranges of worlds share a table, in which each has a row. Below, the worlds with the lowest success rates.
+
     Policies in several backends have a row with a group of columns for each backend, with fewer metrics. Below, the
     first 20 episodes that reach their goal in one backend and not in another.
 
@@ -63,12 +67,24 @@ def print_table(
         together = [evaluation for evaluation in evaluations if evaluation.title == title]
         console.print(_table(title, together, groups or {}))
         measured.update(key for key in together[0].metrics if key in COMPARED or not backends_of(together))
+    for evaluation in evaluations:
+        if isinstance(evaluation, Evaluation) and evaluation.episodes.several_worlds:
+            console.print(_worst_worlds(evaluation), highlight=False, soft_wrap=True)
     if (disagreements := find_disagreements(evaluations)) is not None:
         _print_disagreements(disagreements, console)
     legend = dict.fromkeys(
         f"{metric.heading}: {metric.meaning}" for key, metric in METRICS.items() if key in measured and metric.meaning
     )
     console.print("; ".join(legend) + ". Below each value: 95 % confidence interval.", style="dim")
+
+
+def _worst_worlds(evaluation: Evaluation) -> str:
+    """Returns a line with the worlds that have the lowest success rates."""
+    worlds = {world["world"]: world for world in evaluation.worlds}
+    worst = (worlds[index] for index in worst_worlds([evaluation]))
+    named = ", ".join(f"{world['name']} {world['success_rate']:.0%}" for world in worst if world["success_rate"] < 1)
+    policy = escape(f"{evaluation.name} in {evaluation.world_name}, {evaluation.backend}")
+    return f"Lowest success rates of {policy}: {escape(named)}" if named else f"{policy}: all episodes reach their goal"
 
 
 def _table(title: str, evaluations: Sequence[Evaluation | EndlessEvaluation], groups: Mapping[str, str]) -> Table:
@@ -78,40 +94,44 @@ def _table(title: str, evaluations: Sequence[Evaluation | EndlessEvaluation], gr
     if backends:
         shown = [key for key in shown if key in COMPARED]
     table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    table.add_column("policy", overflow="fold")
+    ranges = any(isinstance(one, Evaluation) and one.episodes.several_worlds for one in evaluations)
+    table.add_column("policy\n[dim]worlds[/dim]" if ranges else "policy", overflow="fold")
     columns: Sequence[str | None] = backends or [None]
     for backend in columns:
         for key in shown:
             above = "" if backend is None else f"{escape(backend) if key == shown[0] else ''}\n"
             table.add_column(f"{above}{METRICS[key].heading}\n{METRICS[key].unit}", justify="right", overflow="fold")
-    for name, line in _lines(evaluations, bool(backends)):
+    for (name, world), line in _lines(evaluations, bool(backends)):
         cells = (
             _cell(key, line[column].metrics[key]) if column in line else "-" for column in columns for key in shown
         )
-        table.add_row(escape(name), *cells)
-    for group in dict.fromkeys(groups.values()):
-        members = [evaluation for evaluation in evaluations if groups.get(evaluation.name) == group]
+        table.add_row(escape(name) + (f"\n[dim]{escape(world)}[/dim]" if ranges else ""), *cells)
+    places = dict.fromkeys((groups[one.name], one.world_name) for one in evaluations if one.name in groups)
+    for group, world in places:
+        members = [one for one in evaluations if (groups.get(one.name), one.world_name) == (group, world)]
         parts = [[one for one in members if backend in (None, one.backend)] for backend in columns]
         count = max(map(len, parts))
         if count > 1:
             cells = (_mean_cell(key, [one.metrics[key].value for one in part]) for part in parts for key in shown)
-            table.add_row(f"{escape(group)}\n[dim]{count} policies[/dim]", *cells)
+            note = f"{count} policies" + (f", {world}" if ranges else "")
+            table.add_row(f"{escape(group)}\n[dim]{escape(note)}[/dim]", *cells)
     return table
 
 
 def _lines(
     evaluations: Sequence[Evaluation | EndlessEvaluation], together: bool
-) -> list[tuple[str, dict[str | None, Evaluation | EndlessEvaluation]]]:
-    """Lines of a table: name of the policy, and its evaluation in each backend if ``together``, else one with no key.
+) -> list[tuple[tuple[str, str], dict[str | None, Evaluation | EndlessEvaluation]]]:
+    """Lines of a table: names of policy and world, and its evaluation in each backend.
 
-    Further evaluations of the same policy in the same backend get further lines.
+    Unless ``together``, there is one evaluation without a key. Further evaluations of the same policy in the same world
+    and backend get further lines.
     """
-    lines: list[tuple[str, dict[str | None, Evaluation | EndlessEvaluation]]] = []
+    lines: list[tuple[tuple[str, str], dict[str | None, Evaluation | EndlessEvaluation]]] = []
     for evaluation in evaluations:
-        column = evaluation.backend if together else None
-        free = (line for name, line in lines if name == evaluation.name and column not in line)
+        column, names = evaluation.backend if together else None, (evaluation.name, evaluation.world_name)
+        free = (line for key, line in lines if key == names and column not in line)
         if (line := next(free, None)) is None:
-            lines.append((evaluation.name, {column: evaluation}))
+            lines.append((names, {column: evaluation}))
         else:
             line[column] = evaluation
     return lines
@@ -174,6 +194,8 @@ def _formatted(key: str, value: float) -> str:
 def write_evaluation(path: Path, evaluations: Sequence[Evaluation | EndlessEvaluation]) -> None:
     """Writes evaluations as a JSON file with every episode, and as a CSV file with one row per evaluation.
 
+    Evaluations in several worlds also have a CSV file with one row per world, whose name ends in ``-worlds.csv``.
+
     Evaluations of a policy in several backends also list ``disagreements``: the episodes that reach their goal in one
     backend and not in another. The CSV file has their indices.
 
@@ -195,8 +217,21 @@ def write_evaluation(path: Path, evaluations: Sequence[Evaluation | EndlessEvalu
         for key, estimate in evaluation.metrics.items():
             row |= {key: estimate.value, f"{key}_low": estimate.low, f"{key}_high": estimate.high}
         rows.append(row)
+    write_rows(path.with_suffix(".csv"), rows)
+    by_world = [
+        {"policy": one.name, "backend": one.backend, "worlds": one.world_name, **world}
+        for one in evaluations
+        if isinstance(one, Evaluation) and one.episodes.several_worlds
+        for world in one.worlds
+    ]
+    if by_world:
+        write_rows(path.with_name(f"{path.stem}-worlds.csv"), by_world)
+
+
+def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Writes rows as CSV, with a column for each key that occurs in them."""
     columns = dict.fromkeys(key for row in rows for key in row)
-    with written_whole(path.with_suffix(".csv")) as temporary, temporary.open("w", newline="") as file:
+    with written_whole(path) as temporary, temporary.open("w", newline="") as file:
         writer = csv.DictWriter(file, list(columns))
         writer.writeheader()
         writer.writerows(rows)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,11 +13,21 @@ import torch
 from torch import Tensor
 
 from rover_rl.algos.evaluation.episodes import EpisodeSet
-from rover_rl.algos.evaluation.metrics import Estimate, Trajectory, count_runs, endless_metrics, goal_metrics
+from rover_rl.algos.evaluation.metrics import (
+    Estimate,
+    Trajectory,
+    count_runs,
+    endless_metrics,
+    find_body_contacts,
+    goal_metrics,
+)
 from rover_rl.envs.config import EnvConfig, plain_env
 from rover_rl.sims.backends import name_of
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import World
+
+WORST = 6
+"""Number of worlds with the lowest success rates that are named and drawn."""
 
 
 @dataclass(frozen=True)
@@ -66,11 +76,54 @@ class Evaluation:
         return torch.tensor([ending == "goal" for ending in self.endings])
 
     @cached_property
+    def contacts(self) -> list[Tensor]:
+        """Whether the body touches an obstacle at the start and after each step: bool ``[T + 1]`` each."""
+        return find_body_contacts(self.trajectories, self._world_or_worlds, get_robot(self.env.robot))
+
+    @property
+    def _world_or_worlds(self) -> World | list[World]:
+        return self.episodes.worlds if self.episodes.several_worlds else self.episodes.world
+
+    @cached_property
     def metrics(self) -> dict[str, Estimate]:
         """Metrics, by name: see :mod:`rover_rl.algos.evaluation.metrics`."""
-        return goal_metrics(
-            self.trajectories, self.episodes.shortest, self.episodes.world, robot=get_robot(self.env.robot)
-        )
+        shortest, robot = self.episodes.shortest, get_robot(self.env.robot)
+        return goal_metrics(self.trajectories, shortest, self._world_or_worlds, robot=robot, contacts=self.contacts)
+
+    @property
+    def world_name(self) -> str:
+        """Name of the world or of the range of worlds, as the user gave it."""
+        return self.episodes.name
+
+    @cached_property
+    def worlds(self) -> list[dict[str, Any]]:
+        """Results in each world, in the order of the pool.
+
+        The keys are ``world`` (index in the pool), ``name``, ``count``, ``success_rate``, ``contact_free_success_rate``
+        and ``mean_time_to_traverse`` (s, ``None`` if no goal was reached).
+        """
+        members: dict[int, list[int]] = {}
+        for episode, index in enumerate(self.episodes.world_index.tolist()):
+            members.setdefault(index, []).append(episode)
+        return [self._in_world(index, members[index]) for index in sorted(members)]
+
+    def _in_world(self, index: int, episodes: Sequence[int]) -> dict[str, Any]:
+        reached = [episode for episode in episodes if self.trajectories[episode].ending == "goal"]
+        clean = [episode for episode in reached if not self.contacts[episode].any()]
+        seconds = [self.trajectories[episode].seconds for episode in reached]
+        return {
+            "world": index,
+            "name": self.episodes.world_name(episodes[0]),
+            "count": len(episodes),
+            "success_rate": len(reached) / len(episodes),
+            "contact_free_success_rate": len(clean) / len(episodes),
+            "mean_time_to_traverse": round(sum(seconds) / len(seconds), 3) if seconds else None,
+        }
+
+    def select(self, indices: Sequence[int]) -> Evaluation:
+        """Returns the results of the episodes with the given indices."""
+        trajectories = [self.trajectories[index] for index in indices]
+        return replace(self, episodes=self.episodes.select(indices), trajectories=trajectories)
 
     @property
     def success_rate(self) -> float:
@@ -96,7 +149,12 @@ class Evaluation:
     @property
     def title(self) -> str:
         """Title of a table with these results."""
-        return f"{len(self.episodes)} episodes in {self.episodes.name}: one goal within {self.seconds:g} s"
+        episodes, limit = self.episodes, f"one goal within {self.seconds:g} s"
+        if not episodes.several_worlds:
+            return f"{len(episodes)} episodes in {episodes.name}: {limit}"
+        counts = {world["count"] for world in self.worlds}
+        each = f"{counts.pop()} episodes in each" if len(counts) == 1 else f"{len(episodes)} episodes"
+        return f"{each} of {len(self.worlds)} worlds: {limit}"
 
     def summary(self) -> dict[str, Any]:
         """Returns policy, backend, world and counts as plain data."""
@@ -117,13 +175,15 @@ class Evaluation:
         episodes = self.episodes
         columns = (episodes.start.tolist(), episodes.goal.tolist(), episodes.shortest.tolist())
         rows = zip(*columns, self.trajectories, strict=True)
-        return {
-            **_results(self),
-            "episodes": [
-                {"start": start, "goal": goal, "shortest": shortest, "length": t.length, **_episode(t)}
-                for start, goal, shortest, t in rows
-            ],
-        }
+        results = [
+            {"start": start, "goal": goal, "shortest": shortest, "length": t.length, **_episode(t)}
+            for start, goal, shortest, t in rows
+        ]
+        if not episodes.several_worlds:
+            return {**_results(self), "episodes": results}
+        indices = episodes.world_index.tolist()
+        results = [{"world": index, **result} for index, result in zip(indices, results, strict=True)]
+        return {**_results(self), "worlds": self.worlds, "episodes": results}
 
 
 @dataclass(frozen=True)
@@ -189,6 +249,27 @@ class EndlessEvaluation:
         return {**_results(self), "episodes": episodes}
 
 
+def worst_worlds(evaluations: Sequence[Evaluation], count: int = WORST) -> list[int]:
+    """Returns the indices of the worlds with the lowest mean success rates, the lowest first.
+
+    Among worlds with equal success rates, those with more contacts and longer times come first.
+
+    Args:
+        evaluations: evaluations on the same episodes.
+        count: largest number of worlds.
+    """
+
+    def merit(index: int) -> tuple[float, float, float]:
+        results = [evaluation.worlds[index] for evaluation in evaluations]
+        times = [-(result["mean_time_to_traverse"] or math.inf) for result in results]
+        keys = ("success_rate", "contact_free_success_rate")
+        success, clean = (sum(result[key] for result in results) for key in keys)
+        return success, clean, sum(times)
+
+    order = sorted(range(len(evaluations[0].worlds)), key=merit)
+    return [evaluations[0].worlds[index]["world"] for index in order[:count]]
+
+
 def _backend_name(env: EnvConfig) -> str:
     return env.backend if isinstance(env.backend, str) else name_of(env.backend)
 
@@ -211,13 +292,13 @@ def _results(evaluation: Evaluation | EndlessEvaluation) -> dict[str, Any]:
     endings = Counter(trajectory.ending for trajectory in evaluation.trajectories)
     return {
         **evaluation.summary(),
-        "env": _plain_env_or_none(evaluation.env),
+        "env": plain_env_or_none(evaluation.env),
         "metrics": metrics,
         "endings": dict(endings),
     }
 
 
-def _plain_env_or_none(env: EnvConfig) -> dict[str, Any] | None:
+def plain_env_or_none(env: EnvConfig) -> dict[str, Any] | None:
     """Returns the settings as plain data, ``None`` if they contain objects that have no plain form."""
     try:
         return plain_env(env)

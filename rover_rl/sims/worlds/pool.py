@@ -77,10 +77,19 @@ class WorldPool:
         """Number of worlds."""
         return self._starts[-1]
 
+    def __reduce__(self) -> tuple[type[WorldPool], tuple[str | World, ...]]:
+        """Pickles the entries without the worlds that are kept."""
+        return type(self), self.entries
+
     def name(self, index: int) -> str:
         """Returns the name of world ``index``, for :func:`~rover_rl.sims.worlds.get_world`."""
+        source = self.source(index)
+        return source.name if isinstance(source, World) else source
+
+    def source(self, index: int) -> str | World:
+        """Returns world ``index`` as it was given: its name, which takes no work, or the world."""
         entry, number = self._locate(index)
-        return entry.name if isinstance(entry, World) else entry if isinstance(entry, str) else entry.name(number)
+        return entry.name(number) if isinstance(entry, WorldRange) else entry
 
     def __getitem__(self, index: int) -> World:
         """Returns world ``index``.
@@ -91,8 +100,7 @@ class WorldPool:
         with self._lock:
             world = self._kept.get(index)
         if world is None:
-            entry, number = self._locate(index)
-            world = get_world(entry.name(number) if isinstance(entry, WorldRange) else entry)
+            world = get_world(self.source(index))
         with self._lock:
             self._kept[index] = world
             self._kept.move_to_end(index)

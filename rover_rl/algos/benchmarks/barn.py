@@ -1,0 +1,190 @@
+"""BARN, the Benchmark for Autonomous Robot Navigation: 300 fields of cylinders.
+
+Perille et al., "Benchmarking Metric Ground Navigation", SSRR 2020; scores as in the BARN Challenge since 2024. The
+worlds are in the folder ``jackal_helper/worlds/BARN`` of https://github.com/Daffan/the-barn-challenge (MIT).
+
+Example:
+    >>> suite = Barn(read_barn(Path("the-barn-challenge"), TEST_WORLDS))
+    >>> (result,) = run_suite(suite, {"scripted": (ScriptedPolicy(), EnvConfig(backend="warp"))})
+    >>> result.metrics["score"].value
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from rover_rl.algos.benchmarks.arrays import read_npy, read_npz
+from rover_rl.algos.benchmarks.suite import Course, Result, Suite, describe_robot, open_world
+from rover_rl.algos.evaluation.metrics import Estimate, Trajectory, ratio
+from rover_rl.envs import EnvConfig
+from rover_rl.sims.worlds import cylinders
+from rover_rl.sims.worlds.files.xml_tree import numbers, read_xml
+
+WORLDS = 300
+"""Number of worlds."""
+TEST_WORLDS = tuple(range(0, WORLDS, 6))
+"""Worlds of the benchmark's score. A policy may be trained in the others."""
+FOLDER = Path("jackal_helper/worlds/BARN")
+"""Folder of the worlds in the public repository."""
+START = (-2.25, 3.0, math.pi / 2)
+"""x, y (m) and yaw (rad) of all starts."""
+GOAL = (-2.25, 13.0)
+"""x, y of all goals, m."""
+GOAL_RADIUS = 1.0
+"""Distance from the goal at which it is reached, m."""
+SECONDS = 100.0
+"""Time limit, s."""
+SPEED = 2.0
+"""Speed that the optimal time is computed with, m/s."""
+FASTEST, SLOWEST = 2.0, 8.0
+"""Range that the time is clipped to, in optimal times."""
+RADIUS, HEIGHT = 0.075, 1.0
+"""Radius and height of all cylinders, m."""
+CELL = 2 * RADIUS
+"""Side length of a cell of the reference paths, m."""
+CELL_ORIGIN = (-RADIUS - 30 * CELL, 5.0 + RADIUS)
+"""Center of cell (0, 0) of the reference paths, m (``path_coord_to_gazebo_coord`` in the benchmark's ``run.py``)."""
+
+
+def read_barn(data: Path, worlds: Sequence[int] | None = None) -> list[Course]:
+    """Reads worlds of BARN.
+
+    Args:
+        data: folder of the public repository, or its folder with the worlds, or an ``.npz`` file with the arrays
+            ``world [W]`` (numbers), ``cylinder_xy [C, 2]`` (m), ``offsets [W + 1]`` (first cylinder of each world) and
+            ``path_length [W]`` (m).
+        worlds: numbers of the worlds; ``None``: all that there are.
+
+    Raises:
+        FileNotFoundError: if the data, or the path of a world, do not exist.
+        ImportError: if a package of the extra ``worlds`` is missing, which a folder needs.
+        ValueError: if a world is missing or damaged. The message is one sentence.
+    """
+    return _read_file(data, worlds) if data.is_file() else _read_folder(data, worlds)
+
+
+def _read_file(path: Path, worlds: Sequence[int] | None) -> list[Course]:
+    shapes = {"world": (None,), "cylinder_xy": (None, 2), "offsets": (None,), "path_length": (None,)}
+    arrays = read_npz(path, shapes)
+    numbers_, ends = arrays["world"].tolist(), arrays["offsets"]
+    ordered = ends.dtype.kind in "iu" and (np.diff(ends.astype(np.int64)) >= 0).all()
+    matching = len(ends) == len(numbers_) + 1 == len(arrays["path_length"]) + 1
+    if not (ordered and matching and ends[0] == 0 and ends[-1] == len(arrays["cylinder_xy"])):
+        raise ValueError(f"the arrays of {path} do not match: offsets must be the first cylinder of each world")
+    rows = {number: row for row, number in enumerate(numbers_)}
+    chosen = _chosen(path, list(rows), worlds)
+    return [
+        _course(
+            f"world {number} in {path}",
+            number,
+            arrays["cylinder_xy"][ends[rows[number]] : ends[rows[number] + 1]],
+            float(arrays["path_length"][rows[number]]),
+        )
+        for number in chosen
+    ]
+
+
+def _read_folder(folder: Path, worlds: Sequence[int] | None) -> list[Course]:
+    if not folder.is_dir():
+        raise FileNotFoundError(f"no folder or file at {folder}")
+    folder = folder / FOLDER if (folder / FOLDER).is_dir() else folder
+    found = [number for number in range(WORLDS) if (folder / f"world_{number}.world").is_file()]
+    if not found:
+        raise ValueError(f"{folder} has no BARN worlds: there is no world_0.world to world_{WORLDS - 1}.world")
+    return [_read_world(folder, number) for number in _chosen(folder, found, worlds)]
+
+
+def _chosen(data: Path, found: Sequence[int], worlds: Sequence[int] | None) -> Sequence[int]:
+    missing = [number for number in worlds or () if number not in found]
+    if missing:
+        known = f"it has {len(found)} worlds" + (f": {[*found]}" if len(found) <= 10 else "")
+        raise ValueError(f"{data} lacks {len(missing)} of the BARN worlds, such as {missing[0]}; {known}")
+    return found if worlds is None else worlds
+
+
+def _read_world(folder: Path, number: int) -> Course:
+    path = folder / f"world_{number}.world"
+    centers = []
+    for model in read_xml(path).iterfind("world/model"):
+        shapes = list(model.iterfind("link/collision/geometry/cylinder"))
+        for shape in shapes:
+            (radius,) = numbers(shape.find("radius"), 1, None, f"the radius of a cylinder in {path}")
+            if not math.isclose(radius, RADIUS, abs_tol=1e-6):
+                raise ValueError(f"{path} is no BARN world: a cylinder has the radius {radius:g} m, not {RADIUS:g} m")
+        if shapes:
+            centers.append(numbers(model.find("pose"), 6, None, f"the pose of a model in {path}")[:2])
+    cells = read_npy(folder / "path_files" / f"path_{number}.npy", (None, 2))
+    if not np.isfinite(cells).all():
+        raise ValueError(f"the reference path of {path} must have finite cells")
+    points = np.vstack((START[:2], cells * CELL + CELL_ORIGIN, GOAL))
+    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    return _course(str(path), number, np.array(centers, dtype=np.float32).reshape(-1, 2), length)
+
+
+def _course(what: str, number: int, centers: np.ndarray, length: float) -> Course:
+    if not len(centers) or not np.isfinite(centers).all() or np.abs(centers).max() > 100:
+        raise ValueError(f"{what} must have cylinders, all of them within 100 m of the origin")
+    if not 0 < length < math.inf:
+        raise ValueError(f"the reference path of {what} must have a positive length, got {length:g} m")
+    # As float32, so that worlds from files of both kinds are the same.
+    centers = np.asarray(centers, dtype=np.float32).astype(np.float64)
+    obstacles = cylinders(np.column_stack((centers, np.full(len(centers), HEIGHT / 2))), RADIUS, HEIGHT)
+    world = open_world(f"barn-{number}", obstacles, np.vstack((centers, START[:2], GOAL)))
+    return Course(number, world, START, GOAL, length)
+
+
+class Barn(Suite):
+    """BARN: success, and a score of up to 0.5 for the time to the goal.
+
+    The score of a run is 0 for a failure, else ``OT / clip(AT, 2 OT, 8 OT)``, with the time ``AT`` and the optimal time
+    ``OT``: the length of the reference path divided by 2 m/s.
+
+    Args:
+        courses: worlds, from :func:`read_barn`.
+        runs: number of runs in each world. The benchmark has 10, which differ by noise. Here, all but the first start
+            near the given start.
+        seed: seed of these starts.
+    """
+
+    name = "BARN"
+    score_name = "score"
+    places = "worlds"
+    columns: ClassVar = {
+        "success_rate": ("success", "%"),
+        "contact_rate": ("contacts", "%"),
+        "time_limit_rate": ("time-outs", "%"),
+        "score": ("score", ""),
+        "mean_time": ("mean time", "s"),
+    }
+
+    def __init__(self, courses: Sequence[Course], *, runs: int = 1, seed: int = 0) -> None:
+        super().__init__(courses, runs=runs, seed=seed, goal_radius=GOAL_RADIUS, seconds=SECONDS)
+
+    def score(self, course: Course, run: Trajectory) -> float:
+        """Returns the score of a run, 0 to 0.5."""
+        optimal = course.length / SPEED
+        clipped = min(max(run.seconds, FASTEST * optimal), SLOWEST * optimal)
+        return (run.ending == "goal") * optimal / clipped
+
+    def metrics(self, result: Result) -> dict[str, Estimate]:
+        """Returns the metrics of the table."""
+        return {**result.common_metrics(), "score": ratio(result.scores.mean(1).tolist())}
+
+    def differences(self, env: EnvConfig) -> list[str]:
+        """Returns how runs in an environment differ from the original benchmark."""
+        body, lidar = describe_robot(env)
+        told = [
+            "BARN worlds in this simulator, no score of the public leaderboard.",
+            f"Robot: {body} (BARN: Jackal, chassis 0.42 x 0.31 m, 2 m/s).",
+            f"Lidar: {lidar} (BARN: 720 beams in 270 degrees, up to 30 m).",
+            *self.common_differences(env),
+            "Time: from the start of the run (BARN: from the first 0.1 m).",
+        ]
+        if {course.number for course in self.courses} != {*TEST_WORLDS}:
+            told.append(f"Worlds: {len(self.courses)} others than exactly the 50 test worlds.")
+        return told

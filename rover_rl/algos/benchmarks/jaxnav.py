@@ -1,0 +1,177 @@
+"""JaxNav: single-agent levels in grids of 11 x 11 cells of 1 m.
+
+Rutherford et al., "No Regrets: Investigating and Improving Regret Approximations for Curriculum Discovery", NeurIPS
+2024 (https://github.com/amacrutherford/sampling-for-learnability, Apache-2.0). Goal radius and time limit are those of
+``jaxnav_env.py`` in JaxMARL (0.3 m; 500 steps of 0.1 s).
+
+Example:
+    >>> suite = JaxNav(*read_jaxnav(Path("levels.npz")), runs=4)
+    >>> (result,) = run_suite(suite, {"scripted": (ScriptedPolicy(), EnvConfig(backend="warp"))})
+    >>> result.metrics["spl"].value
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from rover_rl.algos.benchmarks.arrays import read_npz
+from rover_rl.algos.benchmarks.suite import Course, Result, Suite, describe_robot, open_world
+from rover_rl.algos.evaluation.metrics import Estimate, Trajectory, ratio
+from rover_rl.envs import EnvConfig
+from rover_rl.sims.worlds import boxes
+from rover_rl.sims.worlds.files.rectangles import cover
+
+GOAL_RADIUS = 0.3
+"""Distance from the goal at which it is reached, m."""
+SECONDS = 50.0
+"""Time limit, s."""
+WALL_HEIGHT = 1.0
+"""Height of the walls, m."""
+WORST = 0.1
+"""Share of the levels with the lowest success rates, whose success rate is reported apart."""
+MAX_CELLS = 100
+"""Largest number of cells along a side of a level."""
+
+
+def read_jaxnav(path: Path) -> tuple[list[Course], int]:
+    """Reads levels of JaxNav.
+
+    Args:
+        path: ``.npz`` file with the arrays ``map_data [L, rows, columns]`` (1 is a wall), ``start_xy [L, 2]`` and
+            ``goal_xy [L, 2]`` (cells of 1 m from the corner, so meters), ``start_theta [L]`` (rad) and
+            ``geodesic8 [L]`` (length of the shortest path over the cells and their eight neighbors, ``inf`` if there
+            is none).
+
+    Returns:
+        The levels with a path from the start to the goal, and the number of the others.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if the file is damaged, or a level is wrong. The message is one sentence.
+    """
+    pairs, single = (None, 2), (None,)
+    shapes = {"map_data": (None, None, None), "start_xy": pairs, "start_theta": single, "goal_xy": pairs}
+    arrays = read_npz(path, {**shapes, "geodesic8": single})
+    counts = {name: len(array) for name, array in arrays.items()}
+    if len(set(counts.values())) > 1:
+        raise ValueError(f"the arrays of {path} must have an entry for each level, got {counts}")
+    solvable = np.flatnonzero(np.isfinite(arrays["geodesic8"])).tolist()
+    if not solvable:
+        raise ValueError(f"{path} has no level with a path from its start to its goal")
+    return [_course(path, level, arrays) for level in solvable], counts["map_data"] - len(solvable)
+
+
+def _course(path: Path, level: int, arrays: dict[str, np.ndarray]) -> Course:
+    what = f"level {level} of {path}"
+    walls = _walls(what, arrays["map_data"][level])
+    start, goal = (arrays[key][level].astype(float) for key in ("start_xy", "goal_xy"))
+    yaw, length = (float(arrays[key][level]) for key in ("start_theta", "geodesic8"))
+    size = np.array(walls.shape[::-1])
+    for name, (x, y) in (("start", start), ("goal", goal)):
+        inside = 0 <= x < size[0] and 0 <= y < size[1]
+        if not inside or walls[int(y), int(x)]:
+            raise ValueError(f"the {name} ({x:g}, {y:g}) of {what} is not in a free cell")
+    if not math.isfinite(yaw) or length < 0:
+        raise ValueError(f"{what} must have a finite start_theta and a geodesic8 of at least 0, got {yaw} and {length}")
+    rectangles = np.array(cover(walls), dtype=float)
+    corners, sides = rectangles[:, 1::-1], rectangles[:, :1:-1]
+    heights = np.full((len(rectangles), 1), WALL_HEIGHT)
+    obstacles = boxes(np.hstack((corners + sides / 2, heights / 2)), np.hstack((sides, heights)))
+    world = open_world(f"jaxnav-{level}", obstacles, np.vstack((np.zeros(2), size)))
+    # The distance between cells may be less than the straight line from the start to the goal.
+    return Course(level, world, (*start.tolist(), yaw), (*goal.tolist(),), max(length, math.dist(start, goal)))
+
+
+def _walls(what: str, cells: np.ndarray) -> np.ndarray:
+    """Returns which cells of a level are walls: bool ``[rows, columns]``."""
+    if not (np.isin(cells, (0, 1)).all() and min(cells.shape) >= 3 and max(cells.shape) <= MAX_CELLS):
+        raise ValueError(f"the map of {what} must be 0 or 1 in 3 x 3 to {MAX_CELLS} x {MAX_CELLS} cells")
+    walls = cells == 1
+    if not (walls[[0, -1]].all() and walls[:, [0, -1]].all()):
+        raise ValueError(f"the map of {what} must have walls all around")
+    return walls
+
+
+class JaxNav(Suite):
+    """JaxNav: success, SPL, and the success in the worst 10 % of the levels.
+
+    The worst levels are chosen by the even runs (from 0), by success and then by SPL, and their success is that of the
+    odd runs: a choice by the same runs would be biased by chance. So it takes two runs or more.
+
+    Args:
+        courses: levels, from :func:`read_jaxnav`.
+        unsolvable: number of levels that are left out because they have no path.
+        runs: number of runs of each level. All but the first start near the given start.
+        seed: seed of these starts.
+        goal_radius: distance from the goal at which it is reached, m.
+        seconds: time limit of a run, s.
+    """
+
+    name = "JaxNav"
+    score_name = "spl"
+    places = "levels"
+    columns: ClassVar = {
+        "success_rate": ("success", "%"),
+        "contact_rate": ("contacts", "%"),
+        "time_limit_rate": ("time-outs", "%"),
+        "spl": ("SPL", ""),
+        "worst_levels": ("worst 10 %", "%"),
+        "mean_time": ("mean time", "s"),
+    }
+
+    def __init__(
+        self,
+        courses: Sequence[Course],
+        unsolvable: int = 0,
+        *,
+        runs: int = 1,
+        seed: int = 0,
+        goal_radius: float = GOAL_RADIUS,
+        seconds: float = SECONDS,
+    ) -> None:
+        super().__init__(courses, runs=runs, seed=seed, goal_radius=goal_radius, seconds=seconds)
+        self.unsolvable = unsolvable
+
+    def score(self, course: Course, run: Trajectory) -> float:
+        """Returns the success of a run weighted by its path's length, 0 to 1."""
+        shortest = max(course.length - self.goal_radius, 0.0)
+        return (run.ending == "goal") * shortest / max(run.length, shortest, 1e-9)
+
+    def metrics(self, result: Result) -> dict[str, Estimate]:
+        """Returns the metrics of the table."""
+        spl = ratio(result.scores.mean(1).tolist())
+        return {**result.common_metrics(), "spl": spl, "worst_levels": self._worst_levels(result)}
+
+    def _worst_levels(self, result: Result) -> Estimate:
+        if self.runs < 2:
+            return Estimate(math.nan, math.nan, math.nan)
+        success, scores = result.succeeded, result.scores
+        choice = list(zip(success[:, ::2].mean(1).tolist(), scores[:, ::2].mean(1).tolist(), strict=True))
+        worst = sorted(range(len(choice)), key=lambda level: choice[level])[: math.ceil(WORST * len(choice))]
+        return ratio(success[worst][:, 1::2].mean(1).tolist())
+
+    def differences(self, env: EnvConfig) -> list[str]:
+        """Returns how runs in an environment differ from the original benchmark."""
+        body, lidar = describe_robot(env)
+        told = [
+            "JaxNav levels in this simulator.",
+            f"Robot: {body}, with skidding wheels (JaxNav: a square of 0.5 m, 1 m/s, without skidding).",
+            f"Lidar: {lidar} (JaxNav: 200 beams in 360 degrees, up to 6 m).",
+            *self.common_differences(env),
+            "SPL: relative to the shortest path over the cells and their eight neighbors, less the goal radius.",
+        ]
+        if (self.goal_radius, self.seconds) != (GOAL_RADIUS, SECONDS):
+            told.append(
+                f"Limits: goal radius {self.goal_radius:g} m and {self.seconds:g} s (JaxNav: {GOAL_RADIUS:g} m and "
+                f"{SECONDS:g} s)."
+            )
+        if self.runs < 2:
+            told.append("The worst 10 % of the levels need two runs or more: one half to choose them, one to score.")
+        if self.unsolvable:
+            told.append(f"Left out: {self.unsolvable} levels without a path from the start to the goal.")
+        return told

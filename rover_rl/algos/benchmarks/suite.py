@@ -1,0 +1,307 @@
+"""Suites: fixed courses in the worlds of others, in which any contact of the body is a failure.
+
+A run of a course ends at its goal, at the first contact of the body's outline, or at the time limit, and in no other
+way. The observation of a policy is that of the environment it was made for.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rover_rl.algos.evaluation.body_contacts import is_touching, outline_size
+from rover_rl.algos.evaluation.episodes import EpisodeSet
+from rover_rl.algos.evaluation.evaluate import Policy
+from rover_rl.algos.evaluation.metrics import CONTACT, TIME_LIMIT, Estimate, Trajectory, proportion, ratio
+from rover_rl.algos.evaluation.parallel import GoalRequest, evaluate_all
+from rover_rl.algos.evaluation.results import Evaluation
+from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least, check_seed
+from rover_rl.envs import EnvConfig
+from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.worlds import Obstacle, Terrain, World
+from rover_rl.sims.worlds.pool import WorldPool
+
+JITTER = (0.05, 0.05, 0.1)
+"""Largest change of x (m), y (m) and yaw (rad) of a start, in all runs of a course but the first."""
+MAX_RUNS = 1000
+"""Largest number of runs of a course."""
+_TRIES = 32
+"""Number of changed starts of which the first without a contact is taken."""
+_MARGIN = 5
+"""Width of the open ground around a course, m."""
+_BOUND = 1e4
+"""Distance of the bounds of a course, which no run reaches, m."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """A world with a start and a goal.
+
+    Attributes:
+        number: number of the world in its benchmark.
+        world: the world.
+        start: x, y (m) and yaw (rad) of the start.
+        goal: x, y of the goal, m.
+        length: length of the reference path, m.
+    """
+
+    number: int
+    world: World
+    start: tuple[float, float, float]
+    goal: tuple[float, float]
+    length: float
+
+
+def open_world(name: str, obstacles: Sequence[Obstacle], points: np.ndarray) -> World:
+    """Creates a world on flat, open ground, whose bounds no run reaches.
+
+    The starts and goals of a course are given. The environment still needs areas from which it could draw them: these
+    are the free ground left of the course. Nothing in a run depends on them.
+
+    Args:
+        name: name of the world.
+        obstacles: obstacles.
+        points: points that the ground extends beyond, ``[P, 2]``, m.
+    """
+    low = np.floor(points.min(0)) - _MARGIN
+    columns, rows = (np.ceil(points.max(0)) + _MARGIN - low).astype(int) + 1
+    terrain = Terrain(torch.zeros(int(rows), int(columns)), cell=1.0, origin=(float(low[0]), float(low[1])))
+    (left, _), across = terrain.extent
+    beside = (left, left + _MARGIN - 1.0), across
+    bounds = (-_BOUND, _BOUND), (-_BOUND, _BOUND)
+    return World(name, terrain, obstacles, spawn_range=beside, goal_range=beside, bounds=bounds)
+
+
+class Suite(ABC):
+    """Courses of a benchmark, and how runs of them are scored.
+
+    Args:
+        courses: courses.
+        runs: number of runs of each course. All but the first start near the given start.
+        seed: seed of these starts.
+        goal_radius: distance from the goal at which it is reached, m.
+        seconds: time limit of a run, s.
+
+    Attributes:
+        name: name of the benchmark.
+        score_name: key of a run's score.
+        columns: headings and units of the metrics in a table, by key.
+        places: what a table calls the worlds.
+
+    Raises:
+        ValueError: if there are no courses, or a number is out of range.
+    """
+
+    name: ClassVar[str]
+    score_name: ClassVar[str]
+    columns: ClassVar[Mapping[str, tuple[str, str]]]
+    places: ClassVar[str]
+
+    def __init__(self, courses: Sequence[Course], *, runs: int, seed: int, goal_radius: float, seconds: float) -> None:
+        check_at_least(1, MAX_RUNS, runs=runs)
+        check_at_least(0.05, 100.0, goal_radius=goal_radius)
+        check_at_least(0.05, MAX_SECONDS, seconds=seconds)
+        if not courses:
+            raise ValueError(f"{self.name} needs at least one world")
+        self.courses, self.runs, self.seed = tuple(courses), runs, check_seed(seed)
+        self.goal_radius, self.seconds = goal_radius, seconds
+
+    @abstractmethod
+    def score(self, course: Course, run: Trajectory) -> float:
+        """Returns the score of a run."""
+
+    @abstractmethod
+    def metrics(self, result: Result) -> dict[str, Estimate]:
+        """Returns the metrics of :attr:`columns`."""
+
+    @abstractmethod
+    def differences(self, env: EnvConfig) -> list[str]:
+        """Returns how runs in an environment differ from the original benchmark: a sentence each."""
+
+    @property
+    def title(self) -> str:
+        """Title of a table."""
+        runs = "one run each" if self.runs == 1 else f"{self.runs} runs each"
+        limits = f"goal within {self.goal_radius:g} m and {self.seconds:g} s, any contact fails"
+        return f"{self.name}: {len(self.courses)} {self.places}, {runs}; {limits}"
+
+    def episodes(self, robot: Robot) -> EpisodeSet:
+        """Returns an episode for each run, course by course."""
+        start = torch.cat([self._starts(course, robot) for course in self.courses])
+        goal = torch.tensor([course.goal for course in self.courses]).repeat_interleave(self.runs, 0)
+        length = torch.tensor([course.length for course in self.courses]).repeat_interleave(self.runs)
+        index = torch.arange(len(self.courses)).repeat_interleave(self.runs)
+        pool = WorldPool(*(course.world for course in self.courses))
+        return EpisodeSet(self.name, pool, self.seed, start, goal, length, world_index=index)
+
+    def _starts(self, course: Course, robot: Robot) -> Tensor:
+        """Starts of the runs of a course, ``[runs, 3]``: the given one, then ones near it without a contact."""
+        starts = [torch.tensor(course.start)]
+        for run in range(1, self.runs):
+            rng = np.random.default_rng((self.seed, course.number, run))
+            near = starts[0] + torch.from_numpy(rng.uniform(-1, 1, (_TRIES, 3)) * JITTER).float()
+            position = torch.nn.functional.pad(near[:, :2], (0, 1))
+            angles = torch.nn.functional.pad(near[:, 2:], (2, 0))
+            free = ~is_touching(position, angles, course.world, robot)
+            starts.append(near[int(free.to(torch.uint8).argmax())] if free.any() else starts[0])
+        return torch.stack(starts)
+
+    def environment(self, env: EnvConfig) -> EnvConfig:
+        """Returns an environment in which only the goal and the time limit end a run; observations stay the same."""
+        never = {"collision_window": MAX_COUNT, "stuck_threshold": 0.0, "flip_threshold": 2 * math.pi}
+        return replace(env, task=replace(env.task, success_distance=self.goal_radius, **never))  # type: ignore[arg-type]
+
+    def common_differences(self, env: EnvConfig) -> list[str]:
+        """Returns the differences that all suites share."""
+        told = [
+            f"Simulator: {env.backend}, 20 Hz, without noise.",
+            "Contact: the outline of the wheels comes within 1 cm of an obstacle, checked at 20 Hz.",
+        ]
+        if self.runs > 1:
+            away = f"{100 * JITTER[0]:g} cm in x and y and {JITTER[2]:g} rad"
+            told.append(f"Starts: all runs but the first of each start up to {away} away, drawn with seed {self.seed}.")
+        return told
+
+
+def describe_robot(env: EnvConfig) -> tuple[str, str]:
+    """Returns what a robot is, and what its lidar is."""
+    robot, lidar = get_robot(env.robot), env.lidar
+    length, width = outline_size(robot)
+    body = f"{robot.name}, {length:.2f} x {width:.2f} m, up to {env.action.max_speed:g} m/s"
+    return body, f"{lidar.beams} beams in 360 degrees, up to {lidar.max_range:g} m, as {lidar.points} readings"
+
+
+@dataclass(frozen=True)
+class Result:
+    """Results of a policy in a suite.
+
+    Attributes:
+        suite: the suite.
+        evaluation: runs of the policy, course by course. They end at their first contact.
+    """
+
+    suite: Suite
+    evaluation: Evaluation
+
+    @property
+    def name(self) -> str:
+        """Name of the policy."""
+        return self.evaluation.name
+
+    @cached_property
+    def scores(self) -> Tensor:
+        """Score of each run, float64 ``[courses, runs]``."""
+        pairs = zip(self._course_of_run, self.evaluation.trajectories, strict=True)
+        return self._by_course([self.suite.score(course, run) for course, run in pairs])
+
+    @property
+    def succeeded(self) -> Tensor:
+        """1 for each run that reached its goal, else 0, float64 ``[courses, runs]``."""
+        return self._ended("goal")
+
+    @cached_property
+    def metrics(self) -> dict[str, Estimate]:
+        """Metrics by name."""
+        return self.suite.metrics(self)
+
+    def common_metrics(self) -> dict[str, Estimate]:
+        """Returns the metrics that all suites share. Intervals cover the variation between courses."""
+        seconds = self._by_course([run.seconds for run in self.evaluation.trajectories])
+        succeeded = self.succeeded
+        return {
+            "success_rate": mean_rate(succeeded),
+            "contact_rate": mean_rate(self._ended(CONTACT)),
+            "time_limit_rate": mean_rate(self._ended(TIME_LIMIT)),
+            "mean_time": ratio((succeeded * seconds).sum(1).tolist(), succeeded.sum(1).tolist()),
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Returns each run as plain data."""
+        runs = range(len(self.evaluation.trajectories))
+        return [
+            {
+                "world": course.number,
+                "run": run % self.suite.runs,
+                "ending": trajectory.ending,
+                "seconds": round(trajectory.seconds, 3),
+                "length": trajectory.length,
+                "reference_length": course.length,
+                self.suite.score_name: score,
+            }
+            for course, run, trajectory, score in zip(
+                self._course_of_run, runs, self.evaluation.trajectories, self.scores.flatten().tolist(), strict=True
+            )
+        ]
+
+    def worst(self, count: int) -> list[int]:
+        """Returns the indices of the runs with the lowest scores; among equals, those that end farthest from the goal.
+
+        Args:
+            count: largest number of runs.
+        """
+        runs, goals = self.evaluation.trajectories, self.evaluation.episodes.goal
+        left = [torch.dist(run.path[-1], goal).item() for run, goal in zip(runs, goals, strict=True)]
+        scores = self.scores.flatten().tolist()
+        return sorted(range(len(runs)), key=lambda run: (scores[run], -left[run]))[:count]
+
+    @property
+    def _course_of_run(self) -> list[Course]:
+        return [course for course in self.suite.courses for _ in range(self.suite.runs)]
+
+    def _ended(self, ending: str) -> Tensor:
+        return self._by_course([float(run.ending == ending) for run in self.evaluation.trajectories])
+
+    def _by_course(self, values: Sequence[float]) -> Tensor:
+        return torch.tensor(values, dtype=torch.float64).reshape(len(self.suite.courses), self.suite.runs)
+
+
+def mean_rate(flags: Tensor) -> Estimate:
+    """Returns the mean of flags ``[courses, runs]``.
+
+    The interval is Wilson's for one run of each course, and a bootstrap over the courses for several. If all runs are
+    equal, a bootstrap has no width, and the interval is Wilson's for as many runs as courses.
+    """
+    rates = flags.mean(1)
+    if flags.shape[1] == 1 or flags.min() == flags.max():
+        return proportion(round(rates.sum().item()), len(rates))
+    return ratio(rates.tolist())
+
+
+def run_suite(
+    suite: Suite, policies: Mapping[str, tuple[Policy | None, EnvConfig]], workers: int | None = None
+) -> list[Result]:
+    """Runs policies in a suite. The results are bit-identical for any number of processes.
+
+    Args:
+        suite: the suite.
+        policies: policy (``None`` acts at random) and environment, by name.
+        workers: largest number of processes; ``None``: the number of cores.
+
+    Raises:
+        ValueError: if a policy was made for another environment.
+    """
+    requests = []
+    for name, (policy, env) in policies.items():
+        options = {"name": name, "seconds": suite.seconds, "env": suite.environment(env)}
+        requests.append(GoalRequest(policy, suite.episodes(get_robot(env.robot)), options))
+    return [Result(suite, _until_contact(driven)) for driven in evaluate_all(requests, workers)]  # type: ignore[arg-type]
+
+
+def _until_contact(evaluation: Evaluation) -> Evaluation:
+    """Cuts each run at its first contact."""
+    pairs = zip(evaluation.trajectories, evaluation.contacts, strict=True)
+    runs = [_cut(run, int(touched.to(torch.uint8).argmax())) if touched.any() else run for run, touched in pairs]
+    return replace(evaluation, trajectories=runs)
+
+
+def _cut(run: Trajectory, steps: int) -> Trajectory:
+    poses = {key: getattr(run, key)[: steps + 1] for key in ("position", "angles")}
+    return replace(run, **poses, collision=run.collision[:steps], goal=run.goal[:steps], ending=CONTACT)

@@ -1,0 +1,101 @@
+"""Contacts of the rover's outline with the obstacles of a world, computed from poses."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds.free_space import distance_to_polygon
+from rover_rl.sims.worlds.obstacles import Obstacle, groups_of
+
+TOUCH = 0.01
+"""Largest distance between the body and an obstacle that counts as a contact, m."""
+_OUTLINE_SPACING = 0.02
+"""Largest distance between neighboring points of the rover's outline, m."""
+_CHUNK = 4096
+"""Number of poses that are tested against an obstacle at once. Limits the memory to about 100 MB."""
+
+
+def is_touching(position: Tensor, angles: Tensor, world: World, robot: Robot) -> Tensor:
+    """Returns whether the rover's body touches an obstacle in each of several poses.
+
+    The body touches an obstacle if its outline, the rectangle around the wheels at the height of the wheel hubs, is
+    within 1 cm of it. Obstacles below the wheel hubs count as ground.
+
+    Args:
+        position: positions of the rover, ``[P, 3]``, m.
+        angles: roll, pitch and yaw of the rover, ``[P, 3]``, rad.
+        world: world with the obstacles.
+        robot: robot whose wheels give the outline.
+
+    Returns:
+        Contact flags, bool ``[P]``.
+    """
+    outline = _outline(robot)
+    reach = outline[:, :2].norm(dim=1).max().item() + TOUCH
+    touched = torch.zeros(len(position), dtype=torch.bool)
+    for obstacle in _obstacles_within(reach, position[:, :2], world):
+        normals, offsets = obstacle.planes.to(position).split((3, 1), -1)
+        near = _near(position[:, :2], obstacle, reach) & ~touched
+        for poses in near.nonzero().squeeze(-1).split(_CHUNK):
+            points = position[poses, None] + outline @ _rotation(angles[poses]).mT
+            touched[poses] = ((points @ normals.T + offsets.T).amax(-1) <= TOUCH).any(-1)
+    return touched
+
+
+def outline_size(robot: Robot) -> tuple[float, float]:
+    """Returns the length and the width of a robot's outline, m."""
+    outline = _outline(robot)[:, :2]
+    length, width = (outline.amax(0) - outline.amin(0)).tolist()
+    return length, width
+
+
+def _obstacles_within(reach: float, path: Tensor, world: World) -> list[Obstacle]:
+    """Returns the obstacles whose bounding circle, seen from above, is within ``reach`` (m) of ``path [P, 2]``."""
+    near: list[Tensor] = []
+    for solids in groups_of(world.obstacles):
+        outlines = torch.from_numpy(solids.outlines)
+        center = outlines.mean(1)
+        radius = (outlines - center[:, None]).norm(dim=-1).amax(1)
+        nearest = torch.stack([torch.cdist(part, center).amin(0) for part in path.double().split(_CHUNK)]).amin(0)
+        # The margin covers rounding. Obstacles that are not near are sorted out later.
+        near.append(nearest <= radius + reach + 1e-3)
+    flags = torch.cat(near).tolist() if near else []
+    return [obstacle for obstacle, is_near in zip(world.obstacles, flags, strict=True) if is_near]
+
+
+def _near(path: Tensor, obstacle: Obstacle, reach: float) -> Tensor:
+    """Whether each point of ``path [P, 2]`` is within ``reach`` (m) of the obstacle seen from above, bool ``[P]``."""
+    footprint = obstacle.footprint.to(path)
+    near = ((path >= footprint.amin(0) - reach) & (path <= footprint.amax(0) + reach)).all(-1)
+    near[near.clone()] = distance_to_polygon(path[near], footprint) <= reach
+    return near
+
+
+def _outline(robot: Robot) -> Tensor:
+    """Points on the rectangle around the wheels at the height of the wheel hubs, in the base frame, ``[P, 3]``, m."""
+    hubs = torch.tensor(robot.wheel_positions)
+    margin = torch.tensor((robot.wheel_radius, robot.wheel_width / 2))
+    low, high = hubs[:, :2].amin(0) - margin, hubs[:, :2].amax(0) + margin
+    x, y = (
+        torch.linspace(a, b, math.ceil((b - a) / _OUTLINE_SPACING) + 1)
+        for a, b in zip(low.tolist(), high.tolist(), strict=True)
+    )
+    sides = (torch.cartesian_prod(x, torch.stack((low[1], high[1]))), torch.cartesian_prod(low[:1], y))
+    around = torch.cat((*sides, torch.cartesian_prod(high[:1], y)))
+    return torch.cat((around, hubs[:, 2].mean().expand(len(around), 1)), -1)
+
+
+def _rotation(angles: Tensor) -> Tensor:
+    """Rotation matrices ``[P, 3, 3]`` (columns: forward, left, up) from roll, pitch and yaw ``[P, 3]`` ('sxyz')."""
+    (cr, cp, cy), (sr, sp, sy) = angles.cos().unbind(-1), angles.sin().unbind(-1)
+    rows = (
+        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+        (-sp, cp * sr, cp * cr),
+    )
+    return torch.stack([torch.stack(row, -1) for row in rows], -2)

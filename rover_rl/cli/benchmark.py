@@ -1,0 +1,161 @@
+"""The command ``rover-rl benchmark``."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Union
+
+import tyro
+
+from rover_rl.cli.environment import EnvOptions
+from rover_rl.cli.policies import resolve_policy
+
+if TYPE_CHECKING:
+    from rover_rl.algos.benchmarks.suite import Suite
+
+_Environment = Annotated[EnvOptions, tyro.conf.arg(name="")]
+
+
+@dataclass(frozen=True)
+class BarnBenchmark:
+    """Run policies in the worlds of BARN: 300 fields of cylinders, 10 m to the goal, 100 s, any contact fails."""
+
+    policies: tyro.conf.Positional[tuple[str, ...]]
+    """Policies: run folders, checkpoints, ONNX files, pretrained:NAME, scripted or random."""
+    data: Path
+    """Folder of the public repository Daffan/the-barn-challenge, or of its worlds; or an .npz file of worlds."""
+    worlds: str = "test"
+    """Worlds: test (the 50 of the benchmark's score), train (the other 250), all, or numbers such as 1,7,20-29."""
+    runs: int = 1
+    """Number of runs in each world. All but the first start a few centimeters away from the benchmark's start."""
+    seed: int = 0
+    """Seed of these starts."""
+    environment: _Environment = field(default_factory=EnvOptions)
+    workers: int | None = None
+    """Number of processes. The results do not depend on it. Default: the number of CPU cores."""
+    out: Path = Path("runs/benchmark-barn")
+    """Folder to write to."""
+
+    def __call__(self) -> int:
+        """Runs the policies, and prints a table and the paths of the results."""
+        from rover_rl.algos.benchmarks.barn import Barn, read_barn
+
+        courses = read_barn(self.data, self._numbers())
+        return _run(Barn(courses, runs=self.runs, seed=self.seed), self)
+
+    def _numbers(self) -> list[int] | None:
+        """Returns the numbers of the worlds; ``None`` for all that the data have."""
+        from rover_rl.algos.benchmarks.barn import TEST_WORLDS, WORLDS
+
+        sets = {"test": [*TEST_WORLDS], "train": [n for n in range(WORLDS) if n not in TEST_WORLDS], "all": None}
+        if self.worlds in sets:
+            return sets[self.worlds]
+        numbers: dict[int, None] = {}
+        for part in self.worlds.split(","):
+            ends = re.fullmatch(r"([0-9]{1,3})(?:-([0-9]{1,3}))?", part, re.ASCII)
+            first, last = (int(ends[1]), int(ends[2] or ends[1])) if ends else (1, 0)
+            if not first <= last < WORLDS:
+                raise ValueError(
+                    f"--worlds takes test, train, all, or numbers below {WORLDS}, such as 1,7,20-29, got {part!r}"
+                )
+            numbers |= dict.fromkeys(range(first, last + 1))
+        return [*numbers]
+
+
+@dataclass(frozen=True)
+class JaxNavBenchmark:
+    """Run policies in levels of JaxNav: small mazes of cells of 1 m, any contact fails."""
+
+    policies: tyro.conf.Positional[tuple[str, ...]]
+    """Policies: run folders, checkpoints, ONNX files, pretrained:NAME, scripted or random."""
+    data: Path
+    """File of levels: .npz with map_data, start_xy, start_theta, goal_xy and geodesic8."""
+    runs: int = 4
+    """Number of runs in each level. All but the first start a few centimeters away from the level's start. One half
+    chooses the worst 10 % of the levels, and the other half scores them."""
+    seed: int = 0
+    """Seed of these starts."""
+    goal_radius: float = 0.3
+    """Distance from the goal at which it is reached, m. JaxNav has 0.3; the policies of this package are trained with
+    0.5."""
+    seconds: float = 50.0
+    """Time limit, s."""
+    environment: _Environment = field(default_factory=EnvOptions)
+    workers: int | None = None
+    """Number of processes. The results do not depend on it. Default: the number of CPU cores."""
+    out: Path = Path("runs/benchmark-jaxnav")
+    """Folder to write to."""
+
+    def __call__(self) -> int:
+        """Runs the policies, and prints a table and the paths of the results."""
+        from rover_rl.algos.benchmarks.jaxnav import JaxNav, read_jaxnav
+
+        courses, unsolvable = read_jaxnav(self.data)
+        suite = JaxNav(
+            courses,
+            unsolvable,
+            runs=self.runs,
+            seed=self.seed,
+            goal_radius=self.goal_radius,
+            seconds=self.seconds,
+        )
+        return _run(suite, self)
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """Run policies in the worlds of others, as their benchmarks do: BARN and JaxNav."""
+
+    benchmark: tyro.conf.OmitArgPrefixes[
+        Annotated[
+            Union[  # noqa: UP007
+                Annotated[BarnBenchmark, tyro.conf.subcommand("barn", prefix_name=False)],
+                Annotated[JaxNavBenchmark, tyro.conf.subcommand("jaxnav", prefix_name=False)],
+            ],
+            tyro.conf.arg(name=""),
+        ]
+    ]
+    """Benchmark to run."""
+
+    def __call__(self) -> int:
+        """Runs the benchmark."""
+        return self.benchmark()
+
+
+def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark) -> int:
+    """Runs the policies in a suite, writes the results, and prints a table."""
+    from rover_rl.algos.benchmarks.report import draw_worst_runs, print_results, write_results
+    from rover_rl.algos.benchmarks.suite import run_suite
+
+    if not options.policies:
+        raise ValueError("name a policy: the folder of a run, a checkpoint, pretrained:NAME, scripted or random")
+    environment, out = options.environment, options.out
+    words = dict.fromkeys(options.policies)
+    resolved = {word: resolve_policy(word, (suite.name,), environment.robot) for word in words}
+    names = Counter(policy.name for policy in resolved.values())
+    policies = {
+        policy.name if names[policy.name] == 1 else word: (policy.module, environment.description(policy.module))
+        for word, policy in resolved.items()
+    }
+    # Fails before the runs, which can take minutes.
+    out.mkdir(parents=True, exist_ok=True)
+    results = run_suite(suite, policies, options.workers)
+    pictures = {out / f"worst-{_file_name(result.name)}.png": result for result in results}
+    try:
+        write_results(out / "benchmark.json", results)
+        for picture, result in pictures.items():
+            draw_worst_runs(result, picture)
+    finally:
+        # Prints the results even if a file could not be written.
+        print_results(results)
+    print(f"Results: {out / 'benchmark.json'}, benchmark.csv")
+    print("Worst runs: " + ", ".join(map(str, pictures)))
+    return 0
+
+
+def _file_name(policy: str) -> str:
+    """Returns the name of a policy as a part of a file's name."""
+    return policy.replace(":", "-").replace("/", "-")

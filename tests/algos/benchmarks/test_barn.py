@@ -1,0 +1,202 @@
+"""BARN: worlds from the public files and from arrays, the rules of a run, and its score."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDictBase
+
+from rover_rl.algos.benchmarks.barn import TEST_WORLDS, Barn, read_barn
+from rover_rl.algos.benchmarks.suite import Course, run_suite
+from rover_rl.algos.evaluation.metrics import Trajectory
+from rover_rl.envs import EnvConfig
+from rover_rl.sims.robots import get_robot
+from tests.algos.benchmarks.mini import CENTERS, write_barn_file, write_barn_folder
+
+WARP = EnvConfig(backend="warp")
+
+
+def straight(td: TensorDictBase) -> TensorDictBase:
+    """Drives at the goal, whatever is in the way."""
+    angle = td["target"][..., 1:]
+    return td.set("action", torch.cat((angle.cos().clamp(min=0), angle), -1))
+
+
+@pytest.fixture(scope="module")
+def repository(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_barn_folder(tmp_path_factory.mktemp("barn"))
+
+
+@pytest.fixture
+def courses(repository: Path) -> list[Course]:
+    return read_barn(repository)
+
+
+def test_the_worlds_of_the_repository(repository: Path, courses: list[Course]) -> None:
+    assert [course.number for course in courses] == [1, 7]
+    for course in courses:
+        assert (course.start, course.goal) == ((-2.25, 3.0, math.pi / 2), (-2.25, 13.0))
+        outlines = [obstacle.footprint for obstacle in course.world.obstacles]
+        assert [outline.mean(0).tolist() for outline in outlines] == [pytest.approx(c) for c in CENTERS[course.number]]
+        # The polygons are within 2 mm of the circles of 0.075 m.
+        edges = [(outline + outline.roll(1, 0)) / 2 - outline.mean(0) for outline in outlines]
+        assert min(edge.norm(dim=1).min().item() for edge in edges) > 0.073
+        assert {obstacle.vertices[:, 2].max().item() for obstacle in course.world.obstacles} == {1.0}
+    # Start, cells at x = -4.575 + 0.15 column and y = 5.075 + 0.15 row, goal.
+    points = [(-2.25, 3.0), (-3.075, 5.825), (-3.075, 9.425), (-2.25, 13.0)]
+    expected = sum(math.dist(a, b) for a, b in pairwise(points))
+    assert courses[1].length == pytest.approx(expected)
+    assert [course.number for course in read_barn(repository / "jackal_helper/worlds/BARN", [7])] == [7]
+
+
+def test_arrays_give_the_same_worlds(courses: list[Course], tmp_path: Path) -> None:
+    path = write_barn_file(tmp_path / "barn.npz", [course.length for course in courses])
+    for ours, theirs in zip(read_barn(path, [7, 1]), courses[::-1], strict=True):
+        assert (ours.number, ours.length) == (theirs.number, theirs.length)
+        for one, other in zip(ours.world.obstacles, theirs.world.obstacles, strict=True):
+            assert torch.equal(one.vertices, other.vertices)
+
+
+def test_the_test_worlds() -> None:
+    assert len(TEST_WORLDS) == 50
+    assert (TEST_WORLDS[:3], TEST_WORLDS[-1]) == ((0, 6, 12), 294)
+
+
+@pytest.mark.parametrize(
+    ("ending", "seconds", "expected"),
+    [
+        ("goal", 5.0, 0.5),  # faster than 2 OT
+        ("goal", 12.0, 0.5),
+        ("goal", 24.0, 0.25),
+        ("goal", 48.0, 0.125),
+        ("goal", 90.0, 0.125),  # slower than 8 OT
+        ("contact", 24.0, 0.0),
+        ("time limit", 100.0, 0.0),
+    ],
+)
+def test_the_score_of_a_run(courses: list[Course], ending: str, seconds: float, expected: float) -> None:
+    course = Course(1, courses[0].world, courses[0].start, courses[0].goal, length=12.0)  # OT = 6 s
+    steps = round(seconds / 0.05)
+    none, pose = torch.zeros(steps, dtype=torch.bool), torch.zeros(steps + 1, 3)
+    assert Barn([course]).score(course, Trajectory(pose, pose, none, none, ending)) == pytest.approx(expected)
+
+
+def test_a_contact_ends_a_run_as_a_failure(courses: list[Course]) -> None:
+    suite = Barn(courses)
+    suite.seconds = 12.0  # A rover that has touched drives on until then.
+    (result,) = run_suite(suite, {"straight": (straight, WARP)})
+    reached, touched = result.evaluation.trajectories
+    assert (reached.ending, touched.ending) == ("goal", "contact")
+    # 9 m at 1 m/s, and the front is 0.2635 m ahead of the center.
+    assert reached.seconds == pytest.approx(9.3, abs=0.4)
+    assert touched.path[-1, 1] == pytest.approx(6 - 0.075 - 0.2635, abs=0.08)
+    flags = result.evaluation.contacts
+    assert flags[1].tolist() == [False] * len(touched) + [True]
+    assert result.scores.tolist() == [[pytest.approx(0.5, abs=0.03)], [0.0]]
+    assert result.metrics["contact_rate"].value == 0.5
+    assert result.metrics["score"].value == pytest.approx(result.scores.mean().item())
+    assert result.worst(1) == [1]
+    row = result.rows()[1]
+    assert (row["world"], row["run"], row["ending"], row["score"]) == (7, 0, "contact", 0.0)
+
+
+def test_starts_are_jittered_after_the_first_run(courses: list[Course]) -> None:
+    robot = get_robot("rover_zero")
+    starts = Barn(courses, runs=4, seed=3).episodes(robot).start.reshape(2, 4, 3)
+    given = torch.tensor(courses[0].start)
+    assert torch.equal(starts[:, 0], given.expand(2, 3))
+    offsets = (starts[:, 1:] - given).abs()
+    assert (offsets > 0).all()
+    assert (offsets <= torch.tensor((0.0501, 0.0501, 0.1001))).all()
+    assert len(starts.reshape(-1, 3).unique(dim=0)) == 7
+    # A run depends neither on the other worlds nor on the number of runs.
+    assert torch.equal(Barn(courses[1:], runs=2, seed=3).episodes(robot).start, starts[1, :2])
+    assert not torch.equal(Barn(courses, runs=4, seed=4).episodes(robot).start.reshape(2, 4, 3), starts)
+
+
+def broken(folder: Path, kind: str) -> Path:
+    worlds = folder / "jackal_helper/worlds/BARN"
+    world, path = worlds / "world_7.world", worlds / "path_files/path_7.npy"
+    if kind == "no path":
+        path.unlink()
+    elif kind == "pickled path":
+        np.save(path, np.array([{}]), allow_pickle=True)
+    elif kind == "path of three":
+        np.save(path, np.zeros((4, 3)))
+    elif kind == "path of words":
+        np.save(path, np.array([["a", "b"]]))
+    elif kind == "cut path":
+        path.write_bytes(path.read_bytes()[:100])
+    elif kind == "infinite path":
+        np.save(path, np.full((3, 2), math.inf))
+    elif kind == "other radius":
+        world.write_text(world.read_text().replace("<radius>0.075", "<radius>0.2"))
+    elif kind == "far cylinder":
+        world.write_text(world.read_text().replace("-2.25", "-2000.25"))
+    elif kind == "no pose":
+        world.write_text(world.read_text().replace("<pose frame=''>", "<pose frame=''>up "))
+    elif kind == "no cylinders":
+        world.write_text("<sdf version='1.6'><world name='default'/></sdf>")
+    elif kind == "no xml":
+        world.write_text("<sdf")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("no path", r"no file at .*path_7\.npy$"),
+        ("pickled path", r"path_7\.npy is damaged, no NumPy file, or has pickled objects, which are not read$"),
+        ("path of three", r"path_7\.npy must be numbers of the shape any x 2, got float64 \[4, 3\]$"),
+        ("path of words", r"path_7\.npy must be numbers of the shape any x 2, got <U1 \[1, 2\]$"),
+        ("cut path", r"path_7\.npy is damaged"),
+        ("infinite path", "the reference path of .*world_7.world must have finite cells$"),
+        ("other radius", r"world_7.world is no BARN world: a cylinder has the radius 0.2 m, not 0.075 m$"),
+        ("far cylinder", "world_7.world must have cylinders, all of them within 100 m of the origin$"),
+        ("no pose", r"the pose of a model in .*world_7.world must be 6 finite numbers, got 'up -2.25"),
+        ("no cylinders", "world_7.world must have cylinders, "),
+        ("no xml", "world_7.world is not valid XML: "),
+    ],
+)
+def test_damaged_worlds_are_refused_in_a_sentence(tmp_path: Path, kind: str, message: str) -> None:
+    folder = write_barn_folder(tmp_path)
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
+        read_barn(broken(folder, kind))
+
+
+def test_missing_worlds_are_named(repository: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"lacks 2 of the BARN worlds, such as 0; it has 2 worlds: \[1, 7\]$"):
+        read_barn(repository, [0, 1, 6])
+    with pytest.raises(ValueError, match="has no BARN worlds: there is no world_0.world to world_299.world$"):
+        read_barn(tmp_path)
+    with pytest.raises(FileNotFoundError, match="no folder or file at"):
+        read_barn(tmp_path / "nothing")
+
+
+def test_arrays_that_do_not_match_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "barn.npz"
+    arrays = dict(np.load(write_barn_file(path, [11.0, 12.0])))
+    for name, wrong, message in (
+        ("offsets", np.array([0, 2]), "the arrays of .* do not match"),
+        ("offsets", np.array([0, 4, 2]), "the arrays of .* do not match"),
+        ("offsets", np.array([0.0, 2.0, 5.0]), "the arrays of .* do not match"),
+        ("path_length", np.array([11.0]), "the arrays of .* do not match"),
+        ("path_length", np.array([11.0, math.nan]), "the reference path of world 7 in .* must have a positive length"),
+        ("cylinder_xy", np.zeros((5, 3)), "cylinder_xy in .* must be numbers of the shape any x 2"),
+        ("cylinder_xy", np.full((5, 2), math.nan), "world 1 in .* must have cylinders"),
+        ("world", np.array([{}, {}]), "is damaged, no NumPy file, or has pickled objects"),
+    ):
+        np.savez(path, **(arrays | {name: wrong}))
+        with pytest.raises(ValueError, match=message):
+            read_barn(path)
+    np.savez(path, world=arrays["world"])
+    with pytest.raises(ValueError, match="has no array 'cylinder_xy'; it needs world, cylinder_xy"):
+        read_barn(path)
+    path.write_bytes(b"PK nothing")
+    with pytest.raises(ValueError, match="is damaged"):
+        read_barn(path)

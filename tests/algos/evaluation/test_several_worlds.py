@@ -1,0 +1,233 @@
+"""Episodes in several worlds: drawing, driving, metrics by world, tables, files and pictures."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import pickle
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from matplotlib.image import imread
+from rich.console import Console
+from tensordict import TensorDictBase
+
+from rover_rl import World
+from rover_rl.algos.evaluation.episodes import EpisodeSet, choose_episodes, draw_episodes
+from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate
+from rover_rl.algos.evaluation.metrics import Trajectory, contact_free_success_rate, find_body_contacts
+from rover_rl.algos.evaluation.parallel import GoalRequest, evaluate_all
+from rover_rl.algos.evaluation.plots import draw_paths
+from rover_rl.algos.evaluation.report import print_table, write_evaluation
+from rover_rl.algos.evaluation.results import worst_worlds
+from rover_rl.algos.policy.baselines import ScriptedPolicy
+from rover_rl.cli import main
+from rover_rl.envs import EnvConfig
+from rover_rl.envs.config import Randomization
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.worlds import Terrain, box, get_world
+from rover_rl.sims.worlds.pool import WorldPool
+from tests.fork_server import fork_server
+
+ROBOT = get_robot("rover_zero")
+FIELD = World("field", Terrain.flat((9.0, 9.0)))
+WALL = World("wall", Terrain.flat((9.0, 9.0)), [box((0.0, 0.0, 0.5), (0.4, 4.0, 1.0))])
+CRATES = World("crates", Terrain.flat((9.0, 9.0)), [box((2.0, y, 0.5), (0.5, 0.5, 1.0)) for y in (-2.0, 0.0, 2.0)])
+POOL = WorldPool(FIELD, WALL, CRATES)
+EPISODES = draw_episodes(POOL, 3, seed=1)
+
+
+def forward(td: TensorDictBase) -> TensorDictBase:
+    return td.set("action", torch.tensor([[1.0, 0.0]]).expand(len(td), 2))
+
+
+def assert_same(ours: Evaluation, theirs: Evaluation) -> None:
+    """The same trajectories to the last bit."""
+    assert ours.endings == theirs.endings
+    for one, other in zip(ours.trajectories, theirs.trajectories, strict=True):
+        for key in ("position", "angles", "collision", "goal"):
+            assert torch.equal(getattr(one, key), getattr(other, key))
+
+
+# --- episodes
+
+
+def test_each_world_has_the_episodes_that_it_has_alone() -> None:
+    assert EPISODES.name == "field, wall, crates"
+    assert EPISODES.world_index.tolist() == [0, 0, 0, 1, 1, 1, 2, 2, 2]
+    assert EPISODES.worlds[3:6] == [WALL] * 3
+    assert [EPISODES.world_name(episode) for episode in (0, 3, 8)] == ["field", "wall", "crates"]
+    for index, world in enumerate(POOL):
+        alone, here = draw_episodes(world, 3, seed=1), EPISODES.part(3 * index, 3 * index + 3)
+        for key in ("start", "goal", "shortest"):
+            assert torch.equal(getattr(here, key), getattr(alone, key))
+        assert here.world is world
+    with pytest.raises(ValueError, match="the episodes are in 3 worlds"):
+        _ = EPISODES.world
+
+
+def test_a_range_is_named_and_its_worlds_are_built_when_they_are_needed() -> None:
+    episodes = draw_episodes("maze:10000-10001@0.3", episodes=2, seed=4)
+    assert (len(episodes), episodes.name) == (4, "maze:10000-10001@0.3")
+    assert episodes.world_name(2) == "maze:10001@0.3"
+    assert episodes.worlds[3] is get_world("maze:10001@0.3")
+    sent = pickle.loads(pickle.dumps(episodes))
+    assert sent.pool.entries == ("maze:10000-10001@0.3",)
+    assert len(pickle.dumps(episodes.pool)) < 200
+
+
+def test_a_range_has_four_episodes_in_each_world_by_default() -> None:
+    assert choose_episodes("maze:10000-10001").world_index.tolist() == [0, 0, 0, 0, 1, 1, 1, 1]
+    assert len(choose_episodes("maze")) == 256
+    assert len(choose_episodes("maze:10000-10001", 1)) == 2
+
+
+def test_selected_episodes_keep_their_worlds() -> None:
+    chosen = EPISODES.select([7, 4])
+    assert [world.name for world in chosen.worlds] == ["crates", "wall"]
+    assert torch.equal(chosen.goal, EPISODES.goal[[7, 4]])
+    used = chosen.with_used_worlds()
+    assert [world.name for world in used.pool] == ["wall", "crates"]
+    assert used.worlds == chosen.worlds
+
+
+# --- driving
+
+
+@pytest.mark.parametrize("backend", ["bullet", "warp"])
+def test_results_are_those_of_each_world_alone_for_any_number_of_rows(backend: str) -> None:
+    env, policy = EnvConfig(backend=backend), ScriptedPolicy()
+    alone = [evaluate(policy, EPISODES.part(first, first + 3), seconds=0.4, env=env) for first in (0, 3, 6)]
+    expected = [trajectory for part in alone for trajectory in part.trajectories]
+    for rows in (2, 5):
+        together = evaluate(policy, EPISODES, seconds=0.4, env=env, rows=rows)
+        assert len(together.trajectories) == 9
+        for ours, theirs in zip(together.trajectories, expected, strict=True):
+            assert torch.equal(ours.position, theirs.position)
+
+
+def test_the_order_of_the_episodes_does_not_matter() -> None:
+    order = [8, 0, 4, 1, 7, 3, 2, 6, 5]
+    env = EnvConfig(backend="warp")
+    mixed = evaluate(forward, EPISODES.select(order), seconds=0.4, rows=4, env=env)
+    assert_same(mixed, evaluate(forward, EPISODES, seconds=0.4, env=env).select(order))
+
+
+def test_rovers_meet_the_obstacles_of_their_own_world() -> None:
+    start, goal = torch.tensor([[-1.5, 0.0, 0.0]] * 2), torch.tensor([[1.5, 0.0]] * 2)
+    index = torch.tensor([0, 1])
+    episodes = EpisodeSet("two", WorldPool(FIELD, WALL), 0, start, goal, torch.tensor([2.5, 5.0]), world_index=index)
+    driven = evaluate(forward, episodes, seconds=6, env=EnvConfig(backend="warp"))
+    assert driven.endings == ["goal", "jammed"]
+    assert [bool(flags.any()) for flags in driven.contacts] == [False, True]
+    assert driven.metrics["contact_free_success_rate"].value == 0.5
+
+
+def test_results_do_not_depend_on_the_number_of_processes() -> None:
+    fork_server()
+    env = EnvConfig(backend="warp", randomization=Randomization.typical())
+    worlds = WorldPool("maze:10000-10001", FIELD, WALL)
+    episodes = draw_episodes(worlds, 9, seed=2, min_path=1.0)
+    options: dict[str, Any] = {"seconds": 0.5, "env": env}
+    requests = [GoalRequest(ScriptedPolicy(), episodes, options), GoalRequest(None, episodes, options)]
+    for ours, theirs in zip(evaluate_all(requests, 1), evaluate_all(requests, 2), strict=True):
+        assert isinstance(ours, Evaluation)
+        assert isinstance(theirs, Evaluation)
+        assert len(ours.trajectories) == 36
+        assert_same(ours, theirs)
+        assert ours.to_json() == theirs.to_json()
+
+
+# --- metrics, tables, files and pictures
+
+
+def drives(endings: list[str], x: float = -3.0) -> list[Trajectory]:
+    """Straight drives of 1 m along y, at ``x``, with the given endings."""
+    steps = 20
+    path = torch.tensor([x, -0.5, 0.0]) + torch.linspace(0, 1, steps + 1)[:, None] * torch.tensor([0.0, 1.0, 0.0])
+    none = torch.zeros(steps, dtype=torch.bool)
+    return [Trajectory(path, torch.zeros(steps + 1, 3), none, none, ending) for ending in endings]
+
+
+def evaluation(name: str, endings: list[str], episodes: EpisodeSet = EPISODES) -> Evaluation:
+    return Evaluation(name, episodes, 1, 60.0, drives(endings))
+
+
+# A third of the episodes in the field, two thirds at the wall, all among the crates.
+ENDINGS = ["goal", "stuck", "stuck", "goal", "goal", "stuck", "goal", "goal", "goal"]
+
+
+def test_contacts_are_those_with_the_world_of_each_episode() -> None:
+    through = drives(["goal"] * 3, x=0.0)
+    flags = find_body_contacts(through, [FIELD, WALL, FIELD], ROBOT)
+    assert [bool(touched.any()) for touched in flags] == [False, True, False]
+    (alone,) = find_body_contacts(through[:1], WALL, ROBOT)
+    assert torch.equal(flags[1], alone)
+    assert contact_free_success_rate(through, flags).value == pytest.approx(2 / 3)
+    assert contact_free_success_rate(drives(["stuck"]), [torch.tensor([False])]).value == 0
+
+
+def test_results_by_world() -> None:
+    driven = evaluation("mine", ENDINGS)
+    assert [world["success_rate"] for world in driven.worlds] == pytest.approx([1 / 3, 2 / 3, 1])
+    assert [world["name"] for world in driven.worlds] == ["field", "wall", "crates"]
+    assert driven.worlds[0]["mean_time_to_traverse"] == 1.0
+    assert driven.metrics["success_rate"].value == pytest.approx(6 / 9)
+    assert worst_worlds([driven], 2) == [0, 1]
+    other = evaluation("other", ENDINGS[::-1])
+    assert worst_worlds([driven, other]) == [0, 1, 2]
+    assert driven.title == "3 episodes in each of 3 worlds: one goal within 60 s"
+
+
+def test_ranges_share_a_table_and_the_worst_worlds_are_named() -> None:
+    two = draw_episodes(WorldPool(WALL, CRATES, FIELD), 3, seed=1)
+    results = [
+        evaluation("mine", ENDINGS),
+        evaluation("mine", ["goal"] * 9, two),
+    ]
+    console = Console(file=io.StringIO(), width=200)
+    print_table(results, console)
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    assert text.count("3 episodes in each of 3 worlds") == 1
+    assert "field, wall, crates" in text
+    assert "wall, crates, field" in text
+    assert "Lowest success rates of mine in field, wall, crates, bullet: field 33%, wall 67%\n" in text
+    assert "mine in wall, crates, field, bullet: all episodes reach their goal" in text
+    assert "clean" in text
+
+
+def test_files_have_the_results_by_world(tmp_path: Path) -> None:
+    write_evaluation(tmp_path / "evaluation.json", [evaluation("mine", ENDINGS)])
+    (result,) = json.loads((tmp_path / "evaluation.json").read_text())
+    assert [world["count"] for world in result["worlds"]] == [3, 3, 3]
+    assert [episode["world"] for episode in result["episodes"]] == [0, 0, 0, 1, 1, 1, 2, 2, 2]
+    with (tmp_path / "evaluation-worlds.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["world"], row["name"]) for row in rows] == [("0", "field"), ("1", "wall"), ("2", "crates")]
+    assert float(rows[1]["success_rate"]) == pytest.approx(2 / 3)
+    write_evaluation(tmp_path / "one.json", [evaluation("mine", ENDINGS[:3], EPISODES.first(3).with_used_worlds())])
+    assert not (tmp_path / "one-worlds.csv").exists()
+
+
+def test_the_worst_worlds_are_drawn(tmp_path: Path) -> None:
+    draw_paths([evaluation("mine", ENDINGS), evaluation("other", ENDINGS)], tmp_path / "paths.svg")
+    text = (tmp_path / "paths.svg").read_text()
+    for name in ("mine", "other"):
+        assert f"<!-- {name}, field: 33% -->" in text
+        assert f"<!-- {name}, crates: 100% -->" in text
+
+
+def test_the_command_takes_ranges(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    given = ["evaluate", "scripted", "--world", "maze:10000-10001", "maze:10002-10003@0.2", "--seconds", "0.5"]
+    assert main([*given, "--episodes", "2", "--workers", "1", "--backend", "warp", "--out", str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    assert text.count("2 episodes in each of 2 worlds") == 1
+    assert "Lowest success rates of scripted in maze:10002-10003@0.2, warp: maze:10002@0.2 0%" in text
+    results = json.loads((tmp_path / "evaluation.json").read_text())
+    assert [(result["world"], result["count"]) for result in results] == [(given[3], 4), (given[4], 4)]
+    assert results[1]["worlds"][1]["name"] == "maze:10003@0.2"
+    for picture in ("paths-maze-10000-10001.png", "paths-maze-10002-10003@0.2.png"):
+        assert imread(tmp_path / picture).std() > 0.05
