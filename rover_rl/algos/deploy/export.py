@@ -160,7 +160,8 @@ def _difference(checkpoint: Checkpoint, exported: ExportedFunction, state_size: 
             if state_size:
                 action, state = action
             differences.append((action - runner(row)).abs().max().item())
-    return max(differences)
+    # Unlike Python's, PyTorch's maximum is NaN if a difference is.
+    return torch.tensor(differences).max().item()
 
 
 def _example(policy: PlainPolicy, checkpoint: Checkpoint) -> tuple[Tensor, ...]:

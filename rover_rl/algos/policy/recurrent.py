@@ -6,7 +6,7 @@ environment needs :func:`memory_transforms`. Everything else drives with a
 :class:`~rover_rl.algos.policy.runner.PolicyRunner`.
 
 Example:
-    >>> actor = make_recurrent_actor(ObservationEncoder(), (128,), NormalParameters(2.0), "gru", 64)
+    >>> actor = make_actor(memory="gru", memory_size=64)
     >>> [*actor.in_keys][-2:]
     ['memory_hidden', 'is_init']
 """

@@ -168,6 +168,19 @@ def test_the_command_exports_and_evaluates(tmp_path, monkeypatch, capsys):
     assert [entry["policy"] for entry in json.loads((tmp_path / "evaluation.json").read_text())] == ["maze-ppo"]
 
 
+@needs_onnx
+def test_commands_take_policies_with_memory(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine").mkdir()
+    recurrent_checkpoint("gru").save(tmp_path / "mine" / "checkpoint.pt")
+    assert main(["export", "mine"]) == 0
+    options = ["--world", "maze", "--count", "2", "--seconds", "0.5", "--out", str(tmp_path)]
+    assert main(["evaluate", "mine", "mine.onnx", *options]) == 0
+    assert [entry["action_repeat"] for entry in json.loads((tmp_path / "evaluation.json").read_text())] == [4, 4]
+    assert main(["evaluate", "mine", *options, "--action-repeat", "2"]) == 0
+    assert [entry["action_repeat"] for entry in json.loads((tmp_path / "evaluation.json").read_text())] == [2]
+
+
 def test_missing_packages_are_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxscript", None)
     with pytest.raises(ImportError, match=r"rover_rl\[onnx\]"):
