@@ -37,6 +37,7 @@ from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.algos.evaluation.evaluate import Policy, environment_for, evaluate
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import single_threaded
+from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.algos.pretrained import load_pretrained, pretrained_names
 from rover_rl.files import write_json
 from rover_rl.sims import make_simulator
@@ -101,13 +102,14 @@ def latency(policy: Policy, world: str, seconds: float) -> dict[str, Any]:
     with robot(world, 1.0):
         env = RoverEnv(world_n=world, backend=LIVE, seed=0)
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            td = env.reset()
+            td, runner = env.reset(), PolicyRunner(policy)
             wall, cpu = time.perf_counter(), time.process_time()
             while time.perf_counter() - wall < seconds:
-                td = env.step(policy(td))["next"]
+                td = env.step(td.set("action", runner(td)))["next"]
                 latencies.append(1000 * env.simulator.latency)
                 if td["done"].any():
                     td, latencies = env.reset(), latencies[:-1]
+                    runner.reset()
             share = (time.process_time() - cpu) / (time.perf_counter() - wall)
         env.close()
     median, p99 = np.percentile(latencies, [50, 99])

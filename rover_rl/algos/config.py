@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import re
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar, Literal, TypeAlias
+from typing import Any, ClassVar, Literal, TypeAlias, get_args
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_ROVERS, check_at_least, check_positive, check_seed
 from rover_rl.envs.config import DEFAULT_PHYSICS, OBSERVATION_KEYS, EnvConfig
@@ -19,6 +19,8 @@ from rover_rl.sims.backends import resolve_backend
 
 CollectorName: TypeAlias = Literal["auto", "process", "processes", "ray"]
 """Kinds of collectors."""
+MemoryKind: TypeAlias = Literal["none", "gru", "lstm"]
+"""Kinds of memory of a policy."""
 UNLIMITED_STEPS = 10**9
 """Effectively unlimited step budget: the time limit ends the training."""
 _SEEDS_OF_A_RUN = 2**32
@@ -42,6 +44,14 @@ class NetworkConfig:
     """Largest standard deviation of an action before it is squashed to its bounds.
     Large values explore fast.
     Small ones (0.6) keep the policy from relying on chance to leave a corner."""
+    memory: MemoryKind = "none"
+    """Memory of the actor, in PPO: a GRU or an LSTM after the hidden layers.
+    The policy then decides every action_repeat steps wherever it drives, as in training."""
+    memory_size: int = 128
+    """Number of units of the memory."""
+    privileged_critic: bool = False
+    """Let the critic, in PPO, also read what is known only in simulation: true state, local map and path length.
+    The actor never reads it."""
 
     def check(self) -> None:
         """Checks the settings.
@@ -50,6 +60,9 @@ class NetworkConfig:
             ValueError: for a setting out of range, by its name.
         """
         check_positive(MAX_NUMBER, max_std=self.max_std)
+        check_at_least(1, MAX_COUNT, memory_size=self.memory_size)
+        if self.memory not in (kinds := get_args(MemoryKind)):
+            raise ValueError(f"memory must be one of {kinds}, got {self.memory!r}")
         if not self.hidden or not all(1 <= units <= MAX_COUNT for units in self.hidden):
             raise ValueError(f"hidden must name at least one layer of at least 1 unit, got {self.hidden}")
         unknown = [key for key in self.observation if key not in OBSERVATION_KEYS]
@@ -282,6 +295,8 @@ class TrainingConfig:
                 "mirror_augmentation does not go with north_up, nor with pose in observation: a map is not its mirror "
                 "image"
             )
+        if self.algo != PPOConfig.name and (self.network.memory != "none" or self.network.privileged_critic):
+            raise ValueError(f"memory and privileged_critic are for PPO, and the algorithm is {self.algo.upper()}")
         decisions = self.num_envs * self.algorithm.rollout_length
         if isinstance(self.algorithm, SACConfig) and self.algorithm.buffer_size < decisions:
             raise ValueError(

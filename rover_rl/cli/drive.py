@@ -38,6 +38,8 @@ SENSOR_TIMEOUT = 0.5
 class Drive:
     """Drive a live rover to one or several goals with a policy, at the rate of its lidar scans.
 
+    A policy with memory decides as often as in training, and keeps its memory from goal to goal.
+
     The rover stops at each goal, and on Ctrl-C, SIGTERM, any error, a silent sensor, an unusable scan, a flip, a robot
     that restarts, or an obstacle that is too close. A separate process stops it if this process dies. The rover never
     drives in a direction that no lidar beam covers.
@@ -111,10 +113,12 @@ class Drive:
             from rover_rl.algos.deploy.drive_log import DriveLog
             from rover_rl.algos.deploy.driving import drive_to
             from rover_rl.algos.evaluation.metrics import RESTARTED
+            from rover_rl.algos.policy.runner import PolicyRunner
             from rover_rl.sims.ros2.watchdog import Watchdog
 
             policy = self._policy()
             assert policy.module is not None
+            runner = PolicyRunner(policy.module)
             goals, settings = self._goals(policy.worlds[0]), self._settings()
             watchdog = (
                 None if self.dry_run else stack.enter_context(Watchdog(self.cmd_vel_topic, settings, SENSOR_TIMEOUT))
@@ -136,7 +140,7 @@ class Drive:
                     watchdog.alive()  # arms the watchdog: it stops the rover if the next call is late
                 ending = drive_to(
                     env,
-                    policy.module,
+                    runner,
                     goal,
                     seconds=self.seconds,
                     clearance=self.clearance,

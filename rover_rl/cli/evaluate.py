@@ -42,8 +42,8 @@ class Evaluate:
     """Seed of newly drawn starts and goals. Default: use the stored ones."""
     seconds: float = 60.0
     """Time limit of each episode, s."""
-    action_repeat: int = 1
-    """Number of steps (50 ms) that each action is held for."""
+    action_repeat: int | None = None
+    """Number of steps (50 ms) that each action is held for. Default: 1, for policies with memory that of training."""
     environment: Annotated[AnyBackendEnvOptions, tyro.conf.arg(name="")] = field(default_factory=AnyBackendEnvOptions)
     backend: tuple[str, ...] = ()
     """Simulators: bullet, warp, mujoco (an extra), or module:attribute. Several are compared on the same episodes.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from tensordict import TensorDict
 from torch import Tensor
@@ -14,12 +16,17 @@ from rover_rl.sims.worlds.path_distance import PathDistances
 from rover_rl.sims.worlds.world import Worlds
 from rover_rl.tensordicts import unchecked_tensordict
 
+MAP_DISTANCES = (0.5, 1.5)
+"""Distances of the points of the local map from the rover's center, m."""
+MAP_BEARINGS = 16
+"""Number of directions of the local map, counterclockwise from straight ahead."""
 FEATURES = {
     "position": 3,
     "attitude": 3,
     "velocities": 2,
     "target": 2,
     "path_distance": 1,
+    "local_map": len(MAP_DISTANCES) * MAP_BEARINGS,
     "friction": 1,
     "chassis_mass": 1,
     "motor_torque": 1,
@@ -38,6 +45,8 @@ class PrivilegedObservation:
     - ``velocities``: wheel odometry without noise, m/s and rad/s;
     - ``target``: distance (m) and relative angle (rad) of the goal;
     - ``path_distance``: distance to the goal along the shortest free path, m;
+    - ``local_map``: how much shorter the shortest free path to the goal is from points around the rover, m: 16
+      directions at each of two distances d, clipped to [-d, d], and -d where the rover cannot be;
     - ``friction``, ``chassis_mass``, ``motor_torque``: scale factors of the randomized dynamics;
     - ``latency``: delay of commands, control steps.
 
@@ -49,6 +58,8 @@ class PrivilegedObservation:
 
     def __init__(self, worlds: Worlds, robot: Robot, device: torch.device) -> None:
         self._distances = PathDistances(worlds, robot, device)
+        self._bearings = torch.arange(MAP_BEARINGS, device=device) * (2 * math.pi / MAP_BEARINGS)
+        self._reach = torch.tensor(MAP_DISTANCES, device=device)
 
     def __call__(
         self, truth: Perception, world: Tensor, goal: Tensor, dynamics: Dynamics, latency: Tensor
@@ -63,15 +74,34 @@ class PrivilegedObservation:
             latency: delays of commands, ``[N, 1]``, control steps.
         """
         rover = truth.rover
+        fields = self._distances.fields(world.flatten(), goal)
+        path_distance = self._distances.along(fields, truth.position)[0][:, None]
         entries = {
             "position": rover.position,
             "attitude": truth.euler,
             "velocities": torch.cat((rover.linear_velocity, rover.angular_velocity), -1),
             "target": target_info(truth.position, truth.yaw, goal),
-            "path_distance": self._distances(world, truth.position, goal),
+            "path_distance": path_distance,
+            "local_map": self._local_map(fields, path_distance, truth),
             "friction": dynamics.friction[:, None],
             "chassis_mass": dynamics.chassis_mass[:, None],
             "motor_torque": dynamics.motor_torque[:, None],
             "latency": latency.to(torch.float32),
         }
         return unchecked_tensordict(entries, goal.shape[:1], goal.device)
+
+    def _local_map(self, fields: Tensor, path_distance: Tensor, truth: Perception) -> Tensor:
+        """Returns the local map, ``[N, distances * bearings]``, m.
+
+        Args:
+            fields: number of each row's field of path distances, int64 ``[N]``.
+            path_distance: path distances of the rovers, ``[N, 1]``, m.
+            truth: true state of the rovers.
+        """
+        bearing = truth.yaw + self._bearings
+        offset = self._reach[:, None, None] * torch.stack((bearing.cos(), bearing.sin()), -1)[:, None]
+        points = truth.position[:, None] + offset.flatten(1, 2)
+        distance, is_free = self._distances.along(fields, points)
+        reach = self._reach.repeat_interleave(MAP_BEARINGS)
+        gain = torch.minimum((path_distance - distance).maximum(-reach), reach)
+        return torch.where(is_free, gain, -reach)

@@ -2,9 +2,10 @@
 
 Example:
     >>> env = RoverEnv(backend=Ros2Settings(reset="none"), world_n="maze", end_on_goal=True)
+    >>> runner = PolicyRunner(policy)
     >>> with DriveLog(Path("drive.jsonl"), world="maze", policy="mine", seconds=60.0) as log:
     ...     for goal in [(1.0, 2.0), (-3.0, 0.5)]:
-    ...         print(drive_to(env, policy, goal, log=log))
+    ...         print(drive_to(env, runner, goal, log=log))
 """
 
 from __future__ import annotations
@@ -22,10 +23,12 @@ from rover_rl.algos.deploy.drive_log import DriveLog
 from rover_rl.algos.evaluation.evaluate import ENDINGS, Policy
 from rover_rl.algos.evaluation.metrics import RESTARTED, STOPPED, TIME_LIMIT, TOO_NEAR
 from rover_rl.algos.policy.networks import single_threaded
+from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs import RoverEnv, StepEvent
 from rover_rl.envs.config import require_match
 from rover_rl.sims import RoverState
 from rover_rl.sims.ros2.simulator import Ros2Simulator
+from rover_rl.sims.timing import CONTROL_DT
 
 _log = logging.getLogger(__name__)
 
@@ -65,7 +68,7 @@ class Moment:
 @single_threaded()
 def drive_to(
     env: RoverEnv,
-    policy: Policy,
+    policy: Policy | PolicyRunner,
     goal: tuple[float, float],
     *,
     seconds: float = 60.0,
@@ -76,9 +79,12 @@ def drive_to(
 ) -> str:
     """Drives to one goal and stops the rover at the end of the drive, also after an error.
 
+    A policy with memory decides at the times at which it did in training, whatever the rate of the scans.
+
     Args:
         env: environment of a live rover, with ``end_on_goal``.
-        policy: module that maps observations to actions, used without exploration.
+        policy: module that maps observations to actions, used without exploration; or its runner, which keeps the
+            memory of a policy from goal to goal.
         goal: x, y, m.
         seconds: time limit of the drive, s.
         clearance: lidar reading below which the drive ends, m.
@@ -96,22 +102,26 @@ def drive_to(
             covers less than in training.
     """
     rover = live_rover(env)
-    if made_for := getattr(policy, "made_for", None):
+    runner = policy if isinstance(policy, PolicyRunner) else PolicyRunner(policy)
+    if made_for := getattr(runner.policy, "made_for", None):
         require_match(made_for, env.config)
     rover.require_robot()
     if not allow_unseen:
         require_view(rover.field_of_view)
-    ending, elapsed = "", 0.0
+    ending, elapsed, held = "", 0.0, math.inf
     try:
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            policy(env.fake_tensordict())  # warm-up: the first call is slow
+            PolicyRunner(runner.policy)(env.fake_tensordict())  # warm-up: the first call is slow
             tensordict = env.reset(goal=torch.tensor([goal]))
             if log is not None:
                 log.begin(env.rover_state, goal)
             while not ending:
                 before = env.rover_state
-                tensordict = env.step(policy(tensordict))["next"]
-                elapsed += env.rover_state.dt.item()
+                due = runner.action_repeat == 1 or held > (runner.action_repeat - 0.5) * CONTROL_DT
+                action = runner(tensordict, due=torch.tensor([due]))
+                tensordict = env.step(tensordict.set("action", action))["next"]
+                dt = env.rover_state.dt.item()
+                elapsed, held = elapsed + dt, dt if due else held + dt
                 moment = _moment(rover, tensordict, elapsed)
                 watch(moment)
                 if log is not None:

@@ -3,6 +3,9 @@
 The exported policy maps raw observations, each float32 ``[1, n]`` by name, to the action ``[1, 2]`` without
 exploration: forward speed (m/s) and heading offset (rad). It includes the scaling of the observations.
 
+A policy with memory also takes ``state_in`` and returns ``state_out``, each float32 ``[1, s]``. The state is zero at
+the start of an episode, and ``state_out`` of a decision is ``state_in`` of the next one.
+
 Both kinds of files contain checksums, which are verified when the files are loaded here. An ONNX file has the SHA-256
 of its bytes as the property ``rover_rl_sha256``, computed with 64 zeros in its place. A program has a checksum for each
 record.
@@ -28,7 +31,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from tensordict import TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
@@ -37,6 +40,8 @@ from rover_rl.algos.config import with_settings
 from rover_rl.algos.config_files import config_from, plain
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import action_spec, middle_and_half
+from rover_rl.algos.policy.recurrent import RecurrentStep
+from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs.observation import observation_bounds
 from rover_rl.files import written_whole
 
@@ -53,6 +58,13 @@ _PROPERTY = "rover_rl"
 """Property of an ONNX file that holds the settings, as JSON."""
 _CHECKSUM = "rover_rl_sha256"
 """Property of an ONNX file that holds its checksum."""
+STATE_IN, STATE_OUT = "state_in", "state_out"
+"""Names of the state of the memory, before and after a decision."""
+ExportedFunction: TypeAlias = Callable[[dict[str, Any]], Any]
+"""Exported policy: function from observations by name to an action ``[1, 2]``. With memory, the observations include
+``state_in``, and the function returns the action and ``state_out``."""
+_STATE = "memory"
+"""Entry of a tensordict that holds the state of the memory of a policy from a file, float32 ``[N, s]``."""
 _ZEROS = "0" * 64
 _CHECKSUM_BYTES = re.compile(_CHECKSUM.encode() + rb"\x12\x40([0-9a-f]{64})")
 """Checksum in the bytes of an ONNX file: name of the property, tag and length of the value, value."""
@@ -67,7 +79,9 @@ class PlainPolicy(nn.Module):
         checkpoint: checkpoint of the policy.
 
     Attributes:
-        keys: names of the observations, in the order of the arguments.
+        inputs: names of the arguments, in their order.
+        outputs: names of the results, in their order.
+        state_size: number of entries of the state of the memory; 0 without memory.
     """
 
     _middle: Tensor
@@ -75,21 +89,26 @@ class PlainPolicy(nn.Module):
 
     def __init__(self, checkpoint: Checkpoint) -> None:
         super().__init__()
-        actor = checkpoint.make_actor()
-        self.keys = checkpoint.config.network.observation
-        self._network = actor[0].module
+        actor, memory = checkpoint.make_actor(), checkpoint.config.network.memory != "none"
+        self._network = RecurrentStep(actor[0]) if memory else actor[0].module
+        self.state_size: int = self._network.state_size if memory else 0
+        self.inputs = [*([STATE_IN] if memory else []), *checkpoint.config.network.observation]
+        self.outputs = ["action", *([STATE_OUT] if memory else [])]
         middle, half = middle_and_half(action_spec(checkpoint.env.action))
         self.register_buffer("_middle", middle)
         self.register_buffer("_half", half)
 
-    def forward(self, *observation: Tensor) -> Tensor:
-        """Returns the action ``[N, 2]`` for observations ``[N, n]``, in the order of ``keys``."""
-        loc, _ = self._network(*observation)
-        return self._middle + self._half * torch.tanh(loc)
+    def forward(self, *inputs: Tensor) -> Tensor | tuple[Tensor, Tensor]:
+        """Returns the action ``[N, 2]``, with memory also the next state ``[N, s]``, for the inputs ``[N, n]``."""
+        loc, second = self._network(*inputs)
+        action = self._middle + self._half * torch.tanh(loc)
+        return (action, second) if self.state_size else action
 
 
 def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
     """Exports a policy and compares its actions with those of the original on 1,000 observations.
+
+    To a policy with memory, they are the observations of one episode.
 
     Args:
         checkpoint: checkpoint of the policy.
@@ -104,7 +123,6 @@ def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
         RuntimeError: if the actions differ by more than ``TOLERANCE``. No file is written then.
     """
     policy = PlainPolicy(checkpoint).eval()
-    observations = random_observations(checkpoint, CHECKED)
     with written_whole(path) as temporary:
         if form == "onnx":
             _write_onnx(policy, checkpoint, temporary)
@@ -112,7 +130,7 @@ def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
         else:
             _write_program(policy, checkpoint, temporary)
             exported = program_function(temporary)
-        difference = _difference(checkpoint, exported, observations)
+        difference = _difference(checkpoint, exported, policy.state_size)
         if not difference <= TOLERANCE:
             raise RuntimeError(f"the exported policy acts otherwise: its actions differ by up to {difference:.2g}")
     return difference
@@ -130,19 +148,25 @@ def random_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]
     return drawn
 
 
-def _difference(
-    checkpoint: Checkpoint, exported: Callable[[dict[str, Any]], Tensor], observations: dict[str, Tensor]
-) -> float:
+def _difference(checkpoint: Checkpoint, exported: ExportedFunction, state_size: int) -> float:
     """Returns the largest difference between the actions of the checkpoint's policy and the exported one."""
+    observations = random_observations(checkpoint, CHECKED)
+    rows = TensorDict(observations, batch_size=[CHECKED]).split(1)
+    runner, state = PolicyRunner(checkpoint.make_actor(), action_repeat=1), torch.zeros(1, state_size)
+    differences = []
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        expected = checkpoint.make_actor()(TensorDict(observations, batch_size=[CHECKED]))["action"]
-    actions = torch.cat([exported({k: v[row : row + 1] for k, v in observations.items()}) for row in range(CHECKED)])
-    return (actions - expected).abs().max().item()
+        for row in rows:
+            action = exported({**row, STATE_IN: state})
+            if state_size:
+                action, state = action
+            differences.append((action - runner(row)).abs().max().item())
+    # Unlike Python's, PyTorch's maximum is NaN if a difference is.
+    return torch.tensor(differences).max().item()
 
 
 def _example(policy: PlainPolicy, checkpoint: Checkpoint) -> tuple[Tensor, ...]:
-    observation = random_observations(checkpoint, 1)
-    return tuple(observation[key] for key in policy.keys)
+    example = {STATE_IN: torch.zeros(1, policy.state_size), **random_observations(checkpoint, 1)}
+    return tuple(example[key] for key in policy.inputs)
 
 
 def _write_onnx(policy: PlainPolicy, checkpoint: Checkpoint, path: Path) -> None:
@@ -158,8 +182,8 @@ def _write_onnx(policy: PlainPolicy, checkpoint: Checkpoint, path: Path) -> None
         program = torch.onnx.export(
             policy,
             _example(policy, checkpoint),
-            input_names=list(policy.keys),
-            output_names=["action"],
+            input_names=policy.inputs,
+            output_names=policy.outputs,
             dynamo=True,
             verbose=False,
         )
@@ -184,8 +208,8 @@ def _write_program(policy: PlainPolicy, checkpoint: Checkpoint, path: Path) -> N
     path.write_bytes(written.getvalue())
 
 
-def onnx_function(path: Path) -> Callable[[dict[str, Any]], Tensor]:
-    """Loads an ONNX file as a function from observations by name to an action ``[1, 2]``, on one thread.
+def onnx_function(path: Path) -> ExportedFunction:
+    """Loads an ONNX file as a function, on one thread.
 
     Raises:
         ImportError: if ``onnxruntime`` is not installed.
@@ -213,12 +237,14 @@ def _session(path: Path) -> InferenceSession:
         raise ValueError(f"{path} is no ONNX policy: {' '.join(str(error).split())}") from error
 
 
-def _function(session: InferenceSession) -> Callable[[dict[str, Any]], Tensor]:
+def _function(session: InferenceSession) -> ExportedFunction:
     keys = [entry.name for entry in session.get_inputs()]
+    outputs = ["action", STATE_OUT] if STATE_IN in keys else ["action"]
 
-    def act(observation: dict[str, Any]) -> Tensor:
-        (action,) = session.run(["action"], dict(zip(keys, _finite(observation, keys), strict=True)))
-        return torch.from_numpy(action)
+    def act(observation: dict[str, Any]) -> Tensor | tuple[Tensor, ...]:
+        results = session.run(outputs, dict(zip(keys, _finite(observation, keys), strict=True)))
+        action, *state = map(torch.from_numpy, results)
+        return (action, *state) if state else action
 
     return act
 
@@ -236,8 +262,8 @@ def _finite(observation: Mapping[str, Any], keys: Sequence[str]) -> list[NDArray
     return entries
 
 
-def program_function(path: Path) -> Callable[[dict[str, Any]], Tensor]:
-    """Loads a ``torch.export`` program as a function from observations by name to an action ``[1, 2]``.
+def program_function(path: Path) -> ExportedFunction:
+    """Loads a ``torch.export`` program as a function.
 
     Raises:
         ValueError: if the file is no such program, or damaged. The function raises it for NaN or infinity in an
@@ -246,11 +272,13 @@ def program_function(path: Path) -> Callable[[dict[str, Any]], Tensor]:
     content, extra = path.read_bytes(), {"rover_rl.json": ""}
     try:
         program = torch.export.load(checked_copy(content), extra_files=extra)
-        keys, module = config_from(json.loads(extra["rover_rl.json"]), str(path)).network.observation, program.module()
+        network, module = config_from(json.loads(extra["rover_rl.json"]), str(path)).network, program.module()
     except Exception as error:  # a damaged file can fail in any way
         raise ValueError(f"{path} is damaged, or was not written by rover-rl export") from error
 
-    def act(observation: dict[str, Any]) -> Tensor:
+    keys = [*([] if network.memory == "none" else [STATE_IN]), *network.observation]
+
+    def act(observation: dict[str, Any]) -> Tensor | tuple[Tensor, ...]:
         with torch.no_grad():
             return module(*map(torch.from_numpy, _finite(observation, keys)))
 
@@ -266,6 +294,8 @@ class OnnxPolicy:
     Attributes:
         config: settings that the policy was trained with.
         made_for: environment that the policy was made for.
+        trained_action_repeat: number of steps that each action was held for in training.
+        in_keys, out_keys: entries that the policy reads and writes. One with memory reads and writes its state.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -290,7 +320,14 @@ class OnnxPolicy:
         if lidar is not None and lidar != self.config.env.lidar.points:
             # The settings in files of version 0.1 lack the number of lidar points.
             self.config = with_settings(self.config, lidar=replace(self.config.env.lidar, points=lidar))
-        self.made_for = self.config.env
+        self.made_for, self.trained_action_repeat = self.config.env, self.config.collection.action_repeat
+        sizes = {entry.name: entry.shape[-1] for entry in session.get_inputs()}
+        self._state_size: int | None = sizes.get(STATE_IN)
+        self.in_keys: list[NestedKey] = [*self.config.network.observation]
+        self.out_keys: list[NestedKey] = ["action"]
+        if self._state_size is not None:
+            self.in_keys += [_STATE, "is_init"]
+            self.out_keys += [("next", _STATE)]
         self._act = _function(session)
 
     def __reduce__(self) -> tuple[type[OnnxPolicy], tuple[Path]]:
@@ -298,6 +335,15 @@ class OnnxPolicy:
         return type(self), (self._path,)
 
     def __call__(self, now: TensorDictBase) -> TensorDictBase:
-        """Sets ``"action"``, float32 ``[N, 2]``. Computes it row by row, because the file has a batch size of 1."""
-        rows = [{key: now[key][row : row + 1] for key in self.config.network.observation} for row in range(len(now))]
-        return now.set("action", torch.cat([self._act(row) for row in rows]))
+        """Sets ``"action"``, float32 ``[N, 2]``, and the next state of the memory.
+
+        Computes them row by row, because the file has a batch size of 1.
+        """
+        rows = now.select(*self.config.network.observation).split(1)
+        if self._state_size is None:
+            return now.set("action", torch.cat([self._act(dict(row)) for row in rows]))
+        state = now.get(_STATE, torch.zeros(len(now), self._state_size))
+        state = torch.where(now["is_init"], 0.0, state)
+        results = [self._act({**row, STATE_IN: part}) for row, part in zip(rows, state.split(1), strict=True)]
+        actions, states = (torch.cat(parts) for parts in zip(*results, strict=True))
+        return now.set("action", actions).set(("next", _STATE), states)

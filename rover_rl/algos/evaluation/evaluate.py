@@ -9,11 +9,10 @@ Example:
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from itertools import pairwise
-from typing import TypeAlias
 
 import torch
 from tensordict import TensorDictBase
@@ -26,6 +25,7 @@ from rover_rl.algos.evaluation.metrics import TIME_LIMIT, Trajectory
 from rover_rl.algos.evaluation.results import EndlessEvaluation, Evaluation
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.networks import single_threaded
+from rover_rl.algos.policy.runner import Policy, PolicyRunner, default_action_repeat
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least
 from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
 from rover_rl.envs.config import require_match
@@ -45,9 +45,6 @@ __all__ = [
     "evaluate_endless",
 ]
 
-Policy: TypeAlias = Callable[[TensorDictBase], TensorDictBase]
-"""Function or module that adds ``"action"``, ``[N, 2]``, to observations ``[N]``."""
-
 ENDINGS = {
     StepEvent.INVALID_ACTION: "invalid action",
     StepEvent.FLIP: "flipped",
@@ -66,7 +63,7 @@ def evaluate(
     episodes: EpisodeSet,
     *,
     name: str | None = None,
-    action_repeat: int = 1,
+    action_repeat: int | None = None,
     seconds: float = 60.0,
     rows: int = 32,
     env: EnvConfig | None = None,
@@ -83,7 +80,8 @@ def evaluate(
             called with at least 32 rows; copies of the last row fill them up.
         episodes: episodes to drive.
         name: name of the policy, for tables and plots.
-        action_repeat: number of steps that each action is held for; 1 decides at 20 Hz.
+        action_repeat: number of steps that each action is held for; 1 decides at 20 Hz. ``None``: 1, and for a policy
+            with memory the number in training.
         seconds: time limit of each episode, s.
         rows: number of rovers that drive at once; each takes the next episode in its world when its own has ended.
         env: environment to drive in, of which robot, lidar, action, task, heading PID, randomization and simulator
@@ -93,6 +91,7 @@ def evaluate(
     Raises:
         ValueError: for a number out of range, or a policy that was made for another environment.
     """
+    action_repeat = default_action_repeat(policy, action_repeat)
     check_options(rows=rows, seconds=seconds, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
     env_config = replace(environment_for(policy, env), num_envs=min(rows, len(episodes)), end_on_goal=True)
@@ -145,7 +144,7 @@ def evaluate_endless(
     offset: int = 0,
     jam: bool = True,
     steps: int = EnvConfig.length,
-    action_repeat: int = 1,
+    action_repeat: int | None = None,
     env: EnvConfig | None = None,
 ) -> EndlessEvaluation:
     """Evaluates a policy in endless mode: episodes of up to 2,000 steps, with a new goal whenever one is reached.
@@ -160,12 +159,13 @@ def evaluate_endless(
         jam: whether a collision of more than 15 steps ends an episode, as in the contract. In the original it never
             does: its counter is never incremented.
         steps: number of steps after which an episode ends.
-        action_repeat: number of steps that each action is held for.
+        action_repeat: number of steps that each action is held for, as for :func:`evaluate`.
         env: environment to drive in, as for :func:`evaluate`.
 
     Raises:
         ValueError: for a number out of range, an unknown world, or a policy that was made for another environment.
     """
+    action_repeat = default_action_repeat(policy, action_repeat)
     check_options(rows=rows, steps=steps, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
     env_config, place = environment_for(policy, env), get_world(world)
@@ -235,12 +235,11 @@ def _drive(
         places: ``start [count, 3]`` and ``goal [count, 2]`` of every episode; ``None``: the environment draws them.
         offset: index of the first episode, for policies that read ``episode``.
     """
-    check_at_least(1, MAX_COUNT, action_repeat=action_repeat)
     places = places or {}
+    runner = PolicyRunner(policy, action_repeat, _MIN_ROWS)
     recorder = _Recorder(schedule.count, env.length, env.control_dt)
     episode = torch.tensor(schedule.first)
     driving = torch.ones(env.num_envs, dtype=torch.bool)
-    action = torch.zeros(env.num_envs, 2)
 
     def placed() -> dict[str, Tensor]:
         return {key: values[episode] for key, values in places.items()}
@@ -249,8 +248,7 @@ def _drive(
         tensordict = env.reset(**placed())
         recorder.add(env, tensordict, episode, driving)
         while driving.any():
-            due = tensordict["outcome", "steps"] % action_repeat == 0
-            action = torch.where(due, _decide(policy, tensordict.set("episode", offset + episode[:, None])), action)
+            action = runner(tensordict.set("episode", offset + episode[:, None]))
             tensordict = env.step(tensordict.set("action", action).set("_step", driving))["next"]
             recorder.add(env, tensordict, episode, driving)
             restarting = driving & tensordict["done"].squeeze(-1)
@@ -261,16 +259,10 @@ def _drive(
                 episode[row] = episode[row] if next_episode is None else next_episode
             if restarting.any():
                 tensordict = env.reset(tensordict.set("_reset", restarting[:, None]), **placed())
+                runner.reset(restarting)
                 recorder.add(env, tensordict, episode, restarting)
             display.update(recorder.progress)
     return recorder.trajectories
-
-
-def _decide(policy: Policy, observation: TensorDictBase) -> Tensor:
-    """Returns the policy's action ``[N, 2]``, computed on at least 32 rows, so that rounding does not depend on N."""
-    rows = len(observation)
-    filled = observation[torch.arange(max(rows, _MIN_ROWS)).clamp(max=rows - 1)]
-    return policy(filled)["action"][:rows]
 
 
 class _Schedule:

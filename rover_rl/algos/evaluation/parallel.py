@@ -156,8 +156,8 @@ def evaluate_all(requests: Sequence[Request], workers: int | None = None) -> lis
 
 def _check(request: Request) -> None:
     """Checks a request here, because processes take seconds to start."""
-    numbers = {name: request.options[name] for name in ("seconds", "steps", "action_repeat") if name in request.options}
-    check_options(**numbers)
+    numbers = {name: request.options.get(name) for name in ("seconds", "steps", "action_repeat")}
+    check_options(**{name: number for name, number in numbers.items() if number is not None})
     environment_for(request.policy, request.options.get("env"))
     if isinstance(request, EndlessRequest):
         check_options(rows=request.rows)

@@ -88,20 +88,32 @@ class Checkpoint:
         return checkpoint
 
     def make_actor(self) -> ProbabilisticActor:
-        """Makes the policy, a TorchRL module. Its attribute ``made_for`` is the environment that it was made for.
+        """Makes the policy, a TorchRL module.
+
+        Its attribute ``made_for`` is the environment that it was made for, and ``trained_action_repeat`` the number of
+        steps that each action was held for in training.
 
         Raises:
             ValueError: if the weights do not fit the settings.
         """
         network, env = self.config.network, self.env
         encoder = ObservationEncoder(network.observation, env.lidar.points, network.north_up)
-        actor = make_actor(encoder, network.hidden, env.action, network.max_std)
+        actor = make_actor(
+            encoder,
+            network.hidden,
+            env.action,
+            network.max_std,
+            memory=network.memory,
+            memory_size=network.memory_size,
+        )
         try:
             actor.load_state_dict(self.actor)
         except RuntimeError as error:
-            raise ValueError(f"the checkpoint's weights do not fit hidden={network.hidden}") from error
+            memory = "" if network.memory == "none" else f", memory={network.memory!r} of {network.memory_size} units"
+            raise ValueError(f"the checkpoint's weights do not fit hidden={network.hidden}{memory}") from error
         # Evaluation and deployment compare it with the environment to drive in.
         actor.made_for = env
+        actor.trained_action_repeat = self.config.collection.action_repeat
         return actor
 
 

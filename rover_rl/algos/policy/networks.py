@@ -8,12 +8,15 @@ from contextlib import contextmanager
 from functools import cache
 
 import torch
-from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule
+from tensordict import NestedKey, TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.data import Bounded
 from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 
+from rover_rl.algos.config import MemoryKind
+from rover_rl.algos.policy.privileged import MIRROR_SIGNS, PrivilegedEncoder, mirrored_map
+from rover_rl.algos.policy.recurrent import recurrent_network
 from rover_rl.envs.config import ActionConfig, LidarConfig
 from rover_rl.envs.observation import observation_bounds
 from rover_rl.envs.specs import action_bounds, bounded_spec
@@ -140,19 +143,23 @@ class EncodedNetwork(nn.Module):
 
     Args:
         encoder: encoder of the observation.
-        body: network that takes the features, concatenated with all inputs after the observation.
+        body: network that takes the features.
+        privileged: encoder of the privileged observation, whose features follow; ``None``: the observation only.
     """
 
-    def __init__(self, encoder: ObservationEncoder, body: nn.Module) -> None:
+    def __init__(self, encoder: ObservationEncoder, body: nn.Module, privileged: nn.Module | None = None) -> None:
         super().__init__()
         self.encoder = encoder
         self.body = body
+        self.privileged = privileged
 
     def forward(self, *entries: Tensor) -> Tensor | tuple[Tensor, ...]:
-        """Returns the output of ``body`` for the entries of the observation and any further inputs."""
+        """Returns the output of ``body`` for the entries of the observation and of the privileged observation."""
         count = len(self.encoder.keys)
-        encoded = self.encoder(*entries[:count])
-        return self.body(torch.cat((encoded, *entries[count:]), -1))
+        features = self.encoder(*entries[:count])
+        if self.privileged is not None:
+            features = torch.cat((features, self.privileged(*entries[count:])), -1)
+        return self.body(features)
 
 
 def make_actor(
@@ -161,8 +168,10 @@ def make_actor(
     action: ActionConfig | None = None,
     max_std: float = 2.0,
     device: torch.device | str | None = None,
+    memory: MemoryKind = "none",
+    memory_size: int = 128,
 ) -> ProbabilisticActor:
-    """Creates a stochastic policy for PPO and SAC: a tanh-squashed normal distribution within the action's bounds.
+    """Creates a stochastic policy: a tanh-squashed normal distribution within the action's bounds.
 
     Args:
         encoder: encoder of the observation; ``None``: an encoder of the default entries.
@@ -170,6 +179,9 @@ def make_actor(
         action: bounds of the action; ``None``: the contract's.
         max_std: largest standard deviation of the normal distribution, before squashing.
         device: device of the policy; ``None``: the CPU.
+        memory: kind of memory between the hidden layers and the last layer. With a memory, the policy reads and writes
+            a state: see :mod:`rover_rl.algos.policy.recurrent`.
+        memory_size: number of units of the memory.
 
     Returns:
         A module from observation to ``action [..., 2]`` and ``action_log_prob [...]``. The action is the center of the
@@ -183,19 +195,29 @@ def make_actor(
     """
     encoder, spec = encoder or ObservationEncoder(), action_spec(action, device)
     # With small weights in the last layer, the first actions are near the center of their bounds for any observation.
-    body = _mlp(encoder.features, hidden, 2 * spec.shape[-1], gain=0.01)
-    network = EncodedNetwork(encoder, nn.Sequential(body, NormalParameters(max_std)))
-    return _actor(network.to(device), encoder.keys, spec)
+    if memory == "none":
+        body = _mlp(encoder.features, hidden, 2 * spec.shape[-1], gain=0.01)
+        network = EncodedNetwork(encoder, nn.Sequential(body, NormalParameters(max_std)))
+        return _actor(_module(network, encoder.keys, ("loc", "scale")).to(device), spec)
+    *layers, units = hidden
+    body = nn.Sequential(_mlp(encoder.features, layers, units, gain=math.sqrt(2)), nn.ReLU())
+    embedding = _module(EncodedNetwork(encoder, body), encoder.keys, ("embedding",))
+    head = nn.Sequential(_mlp(units + memory_size, (), 2 * spec.shape[-1], gain=0.01), NormalParameters(max_std))
+    return _actor(recurrent_network(embedding, units, head, memory, memory_size).to(device), spec)
 
 
 def on_features(actor: ProbabilisticActor) -> ProbabilisticActor:
     """Returns an actor with the same weights that reads encoded observations, ``features [..., n]``."""
-    return _actor(actor[0].module.body, ("features",), actor.spec["action"])
+    return _actor(_module(actor[0].module.body, ("features",), ("loc", "scale")), actor.spec["action"])
 
 
-def _actor(network: nn.Module, keys: Sequence[str], spec: Bounded) -> ProbabilisticActor:
+def _module(network: nn.Module, inputs: Sequence[str], outputs: Sequence[str]) -> TensorDictModule:
+    return TensorDictModule(network, in_keys=list(inputs), out_keys=list(outputs))
+
+
+def _actor(network: TensorDictModuleBase, spec: Bounded) -> ProbabilisticActor:
     return ProbabilisticActor(
-        TensorDictModule(network, in_keys=list(keys), out_keys=["loc", "scale"]),
+        network,
         in_keys=["loc", "scale"],
         spec=spec,
         distribution_class=TanhNormal,
@@ -232,6 +254,7 @@ def make_critic(
     encoder: ObservationEncoder | None = None,
     hidden: Sequence[int] = (128, 128),
     device: torch.device | str | None = None,
+    privileged: bool = False,
 ) -> ValueOperator:
     """Creates a state-value function from observation to ``state_value [..., 1]``.
 
@@ -239,10 +262,13 @@ def make_critic(
         encoder: encoder of the observation; ``None``: an encoder of the default entries.
         hidden: number of units of each hidden layer.
         device: device of the network; ``None``: the CPU.
+        privileged: whether it also reads the nested observation ``privileged``.
     """
     encoder = encoder or ObservationEncoder()
-    network = EncodedNetwork(encoder, _mlp(encoder.features, hidden, 1, gain=1.0))
-    return ValueOperator(network.to(device), in_keys=[*encoder.keys])
+    beside = PrivilegedEncoder() if privileged else None
+    features = encoder.features + (beside.features if beside else 0)
+    network = EncodedNetwork(encoder, _mlp(features, hidden, 1, gain=1.0), beside)
+    return ValueOperator(network.to(device), in_keys=[*encoder.keys, *(beside.keys if beside else ())])
 
 
 def make_action_critic(
@@ -290,23 +316,30 @@ def _mlp(features: int, hidden: Sequence[int], outputs: int, gain: float) -> MLP
     return mlp
 
 
-_MIRROR = {"imu": (1.0, -1.0, -1.0), "target": (1.0, -1.0), "velocities": (1.0, -1.0), "action": (1.0, -1.0)}
+_MIRROR: dict[NestedKey, tuple[float, ...]] = {
+    "imu": (1.0, -1.0, -1.0),
+    "target": (1.0, -1.0),
+    "velocities": (1.0, -1.0),
+    "action": (1.0, -1.0),
+    **MIRROR_SIGNS,
+}
 """Signs of the mirror image. Swapping left and right changes the signs of roll, yaw and angles."""
 
 
 @cache
-def _mirror_signs(device: torch.device) -> dict[str, Tensor]:
+def _mirror_signs(device: torch.device) -> dict[NestedKey, Tensor]:
     return {key: torch.tensor(signs, device=device) for key, signs in _MIRROR.items()}
 
 
 def mirrored(transitions: TensorDictBase, rows: Tensor) -> TensorDictBase:
-    """Returns ``transitions [N]`` with the selected ``rows`` (bool ``[N]``) mirrored left to right.
+    """Returns ``transitions [...]`` with the selected ``rows`` (bool ``[...]``) mirrored left to right.
 
     Mirroring reverses the order of lidar readings. They are minima over segments of the scan, the first of which begins
-    straight ahead, so that the mirror image is exact to one beam of the raw scan.
+    straight ahead, so that the mirror image is exact to one beam of the raw scan. The state of a memory is not
+    mirrored: see :class:`~rover_rl.algos.train.sequences.MirrorMemory`.
     """
     image = transitions.copy()
-    rows = rows[:, None]
+    rows = rows[..., None]
     for part in (image, image.get("next", None)):
         if part is None:
             continue
@@ -315,6 +348,8 @@ def mirrored(transitions: TensorDictBase, rows: Tensor) -> TensorDictBase:
                 part.set(key, torch.where(rows, value * signs, value))
         if (ranges := part.get("lidar", None)) is not None:
             part.set("lidar", torch.where(rows, ranges.flip(-1), ranges))
+        if (around := part.get(("privileged", "local_map"), None)) is not None:
+            part.set(("privileged", "local_map"), torch.where(rows, mirrored_map(around), around))
     return image
 
 

@@ -10,6 +10,7 @@ from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs import EnvBase, RandomTruncationTransform, RewardSum, StepCounter, Transform
 
 from rover_rl.algos.config import TrainingConfig, usable_cores
+from rover_rl.algos.policy.recurrent import memory_transforms
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import reward_components
@@ -46,6 +47,8 @@ def make_training_env(config: TrainingConfig, worker: int = 0, session: int = 0)
     env = env.append_transform(StepCounter())
     longest = -(-env_config.length // action_repeat)
     env = env.append_transform(RandomTruncationTransform(min_horizon=1, max_horizon=longest))
+    for transform in memory_transforms(config.network.memory, config.network.memory_size):
+        env = env.append_transform(transform)
     return env.append_transform(StepClock(rovers.simulator, worker))
 
 
@@ -61,6 +64,7 @@ def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> Env
         num_envs=rovers,
         seed=config.seed + worker * rovers + session * SESSION_SEEDS,
         backend=backend,
+        privileged=env.privileged or config.network.privileged_critic,
         # On the CPU, tensordicts without a device are faster.
         device=config.device if config.on_gpu else None,
     )

@@ -19,12 +19,14 @@ Example:
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
+from torchrl.modules import set_recurrent_mode
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
@@ -41,6 +43,7 @@ from rover_rl.algos.policy.networks import (
 )
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import TrainingRun, TrainingSummary, prepare, set_learning_rate
+from rover_rl.algos.train.sequences import MirrorMemory, mirrored_sequences
 from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds.pool import WorldPool
@@ -84,8 +87,16 @@ class PPOLearner:
         self.config, self._settings = config, config.algorithm
         settings, network, device = config.algorithm, config.network, config.device
         encoder = ObservationEncoder(network.observation, config.env.lidar.points, network.north_up)
-        self.actor = make_actor(encoder, network.hidden, config.env.action, network.max_std, device)
-        self.critic = make_critic(encoder, network.hidden, device)
+        self.actor = make_actor(
+            encoder,
+            network.hidden,
+            config.env.action,
+            network.max_std,
+            device,
+            memory=network.memory,
+            memory_size=network.memory_size,
+        )
+        self.critic = make_critic(encoder, network.hidden, device, network.privileged_critic)
         self._advantage = GAE(gamma=settings.gamma, lmbda=settings.lmbda, value_network=self.critic, average_gae=True)
         self._loss = ClipPPOLoss(
             self.actor,
@@ -101,7 +112,9 @@ class PPOLearner:
             if settings.imitation
             else None
         )
-        self._training_keys = (*network.observation, "action", "action_log_prob", "advantage", "value_target")
+        self._recurrent, self._mirror_memory = network.memory != "none", MirrorMemory(self.actor)
+        inputs = dict.fromkeys((*self.actor.in_keys, *self.critic.in_keys))
+        self._training_keys = (*inputs, "action", "action_log_prob", "advantage", "value_target")
 
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
         """Updates the networks with a batch and returns the means of the logged values over the gradient steps.
@@ -115,26 +128,48 @@ class PPOLearner:
         batch["next", "reward"] *= self._settings.reward_scale
         with torch.no_grad():
             self._advantage(batch)
-        decisions = batch.select(*self._training_keys).reshape(-1)
+        decisions = batch.select(*self._training_keys)
         gradient_step = self._gradient_step
         if self._expert and share < self._settings.imitation:
             # DAgger (Ross et al., 2011): the policy drives, and the expert labels the visited states with its actions.
-            decisions["action"] = self._inside_bounds(self._expert.action(batch).flatten(0, 1))
+            decisions["action"] = self._inside_bounds(self._expert.action(batch))
             gradient_step = self._imitation_step
         steps = []
-        for _ in range(self._settings.epochs):
-            shuffled = decisions[torch.randperm(len(decisions), device=self.config.device)]
-            if self._settings.mirror_augmentation:
-                shuffled = mirrored(shuffled, torch.rand(len(shuffled), device=self.config.device) < 0.5)
+        for part in self._minibatches(decisions):
             with stopwatch("gradient steps"):
-                steps += [gradient_step(part) for part in shuffled.split(self._settings.minibatch)]
+                steps.append(gradient_step(part))
         with stopwatch("gradient steps"):
             # Includes the time until the GPU has finished.
             means = torch.stack(steps).mean(0).tolist()
         return {"gradient_steps": len(steps), "learning_rate": learning_rate, **dict(zip(LOGGED, means, strict=True))}
 
+    def _minibatches(self, decisions: TensorDictBase) -> Iterator[TensorDictBase]:
+        """Yields the minibatches of all epochs, some of their decisions mirrored.
+
+        A minibatch has decisions ``[M]``, or with a memory whole sequences of some rovers ``[M, T]``.
+
+        Args:
+            decisions: decisions ``[N, T]``.
+        """
+        settings, device, size = self._settings, self.config.device, self._settings.minibatch
+        starts = self._mirror_memory.starts(decisions) if settings.mirror_augmentation else {}
+        if self._recurrent:
+            size = max(1, size // settings.rollout_length)
+        else:
+            decisions = decisions.reshape(-1)
+        for _ in range(settings.epochs):
+            order = torch.randperm(len(decisions), device=device)
+            shuffled = decisions[order]
+            if settings.mirror_augmentation:
+                rows = torch.rand(len(shuffled), device=device) < 0.5
+                if self._recurrent:
+                    shuffled = mirrored_sequences(shuffled, rows, {key: state[order] for key, state in starts.items()})
+                else:
+                    shuffled = mirrored(shuffled, rows)
+            yield from shuffled.split(size)
+
     def _gradient_step(self, decisions: TensorDictBase) -> Tensor:
-        """Takes a PPO gradient step and returns the logged values."""
+        """Takes a PPO gradient step and returns the logged values. Losses of TorchRL run memories on sequences."""
         losses = self._loss(decisions)
         self._optimizer_step(losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"])
         return torch.stack([losses[key].detach() for key in LOGGED])
@@ -142,7 +177,8 @@ class PPOLearner:
     def _imitation_step(self, decisions: TensorDictBase) -> Tensor:
         """Takes an imitation gradient step: ``loss_objective`` is the negative log-likelihood of ``action``."""
         losses = self._loss(decisions)
-        losses["loss_objective"] = -self.actor.get_dist(decisions).log_prob(decisions["action"]).mean()
+        with set_recurrent_mode(True):
+            losses["loss_objective"] = -self.actor.get_dist(decisions).log_prob(decisions["action"]).mean()
         self._optimizer_step(losses["loss_objective"] + losses["loss_critic"])
         return torch.stack([losses[key].detach() for key in LOGGED])
 

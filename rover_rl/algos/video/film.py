@@ -20,6 +20,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from rover_rl.algos.evaluation.evaluate import ENDINGS, Policy, environment_for
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.networks import single_threaded
+from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.algos.video.views import ChaseView, Moment, TopView
 from rover_rl.checks import MAX_ROVERS, MAX_SECONDS, check_at_least, check_positive
 from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
@@ -52,7 +53,8 @@ def film(
     """Films rovers in endless mode: a reached goal is followed by a new goal, an ended episode by a new start.
 
     Args:
-        policy: module that maps observations to actions, used without exploration at 20 Hz; ``None`` acts at random.
+        policy: module that maps observations to actions, used without exploration at 20 Hz, with memory as often as in
+            training; ``None`` acts at random.
         path: path of the video, ``.mp4`` or ``.gif``. GIFs have fewer colors.
         world: world to drive in.
         view: ``"chase"`` follows the first rover, ``"top"`` shows all rovers from above.
@@ -114,7 +116,7 @@ class _Rollout:
 
     def __init__(self, env: EnvBase, rovers: RoverEnv, policy: Policy) -> None:
         self.steps: list[TensorDict] = []
-        self._env, self._rovers, self._policy = env, rovers, policy
+        self._env, self._rovers, self._runner = env, rovers, PolicyRunner(policy)
         self._tensordict = env.reset()
         self._goals = self._episodes = torch.zeros(env.batch_size, dtype=torch.int64)
         self._endings: list[str] = []
@@ -130,9 +132,11 @@ class _Rollout:
 
     def _step(self) -> None:
         """Takes a step and updates the counts and the latest event."""
-        step, self._tensordict = self._env.step_and_maybe_reset(self._policy(self._tensordict))
+        action = self._runner(self._tensordict)
+        step, self._tensordict = self._env.step_and_maybe_reset(self._tensordict.set("action", action))
         self.steps.append(step[0])
         outcome, done = step["next", "outcome"], step["next", "done"].squeeze(-1)
+        self._runner.reset(done)
         reached = outcome["goal_reached"].squeeze(-1)
         self._goals, self._episodes = self._goals + reached, self._episodes + done
         endings = [ENDINGS[StepEvent(phase)] for phase in outcome["phase"].squeeze(-1)[done].tolist()]

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import random
 import sys
 from dataclasses import replace
@@ -18,8 +19,10 @@ from rover_rl.algos.deploy import export as exporting
 from rover_rl.algos.deploy.export import OnnxPolicy, export, onnx_function, program_function, random_observations
 from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
+from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.cli import main
+from tests.algos.policy.memories import recurrent_checkpoint
 
 needs_onnx = pytest.mark.skipif(
     any(find_spec(name) is None for name in ("onnxscript", "onnxruntime")), reason="needs rover_rl[onnx]"
@@ -176,6 +179,19 @@ def test_the_command_exports_and_evaluates(tmp_path, monkeypatch, capsys):
     assert [entry["policy"] for entry in json.loads((tmp_path / "evaluation.json").read_text())] == ["maze-ppo"]
 
 
+@needs_onnx
+def test_commands_take_policies_with_memory(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine").mkdir()
+    recurrent_checkpoint("gru").save(tmp_path / "mine" / "checkpoint.pt")
+    assert main(["export", "mine"]) == 0
+    options = ["--world", "maze", "--count", "2", "--seconds", "0.5", "--out", str(tmp_path)]
+    assert main(["evaluate", "mine", "mine.onnx", *options]) == 0
+    assert [entry["action_repeat"] for entry in json.loads((tmp_path / "evaluation.json").read_text())] == [4, 4]
+    assert main(["evaluate", "mine", *options, "--action-repeat", "2"]) == 0
+    assert [entry["action_repeat"] for entry in json.loads((tmp_path / "evaluation.json").read_text())] == [2]
+
+
 def test_missing_packages_are_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxscript", None)
     with pytest.raises(ImportError, match=r"rover_rl\[onnx\]"):
@@ -183,3 +199,45 @@ def test_missing_packages_are_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(ImportError, match=r"rover_rl\[onnx\]"):
         onnx_function(tmp_path / "moon.onnx")
+
+
+@pytest.mark.parametrize("memory", ["gru", "lstm"])
+def test_a_program_with_memory_acts_as_the_original_over_an_episode(memory, tmp_path):
+    checkpoint, path = recurrent_checkpoint(memory), tmp_path / "recurrent.pt2"
+    # The difference is the largest one in an episode of 1,000 decisions.
+    assert export(checkpoint, path, "torch") <= exporting.TOLERANCE
+    act, rows = program_function(path), TensorDict(random_observations(checkpoint, 3), batch_size=[3]).split(1)
+    runner, state = PolicyRunner(checkpoint.make_actor(), action_repeat=1), torch.zeros(1, SIZES[memory])
+    for row in rows:
+        action, state = act({**row, "state_in": state})
+        torch.testing.assert_close(action, runner(row))
+    forgetful, _ = act({**rows[-1], "state_in": torch.zeros(1, SIZES[memory])})
+    assert not torch.allclose(forgetful, action, atol=1e-3)
+    state[0, 3] = torch.nan
+    with pytest.raises(ValueError, match="observation 'state_in' holds NaN or infinity"):
+        act({**rows[0], "state_in": state})
+
+
+SIZES = {"gru": 12, "lstm": 24}
+
+
+@needs_onnx
+@pytest.mark.parametrize("memory", ["gru", "lstm"])
+def test_an_onnx_policy_with_memory_drives_as_the_original(memory, tmp_path):
+    import onnxruntime
+
+    checkpoint, path = recurrent_checkpoint(memory), tmp_path / "recurrent.onnx"
+    assert export(checkpoint, path) <= exporting.TOLERANCE
+    session = onnxruntime.InferenceSession(str(path))
+    inputs = {entry.name: entry.shape for entry in session.get_inputs()}
+    outputs = {entry.name: entry.shape for entry in session.get_outputs()}
+    assert inputs == {"state_in": [1, SIZES[memory]], "lidar": [1, 32], "imu": [1, 3], "target": [1, 2]} | {
+        "velocities": [1, 2]
+    }
+    assert outputs == {"action": [1, 2], "state_out": [1, SIZES[memory]]}
+    policy, episodes = pickle.loads(pickle.dumps(OnnxPolicy(path))), stored_episodes("moon").first(3)
+    # Fewer rows than episodes, whose memory is cleared when the next one begins.
+    ours, theirs = (evaluate(each, episodes, seconds=2.0, rows=2) for each in (checkpoint.make_actor(), policy))
+    assert ours.action_repeat == theirs.action_repeat == 4
+    for one, other in zip(ours.trajectories, theirs.trajectories, strict=True):
+        torch.testing.assert_close(one.position, other.position, atol=1e-3, rtol=0)

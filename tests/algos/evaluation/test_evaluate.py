@@ -30,6 +30,7 @@ from rover_rl.envs.config import ActionConfig, HeadingGains, LidarConfig, Random
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, box
+from tests.algos.policy.memories import CountingPolicy, recurrent_checkpoint
 
 FIELD = World("field", Terrain.flat((12.0, 12.0)))
 EPISODES = draw_episodes(FIELD, count=3, seed=1)
@@ -106,6 +107,30 @@ def test_an_episode_depends_neither_on_the_rows_nor_on_its_place(kind: str, rows
         backwards = evaluate(policy, turned, seconds=1.5, rows=rows)
         backwards.trajectories.reverse()
         assert_same(backwards, together)
+
+
+@pytest.mark.parametrize("memory", ["gru", "lstm"])
+def test_an_episode_with_memory_depends_neither_on_the_rows_nor_on_its_place(memory: str) -> None:
+    actor = recurrent_checkpoint(memory).make_actor()
+    together = evaluate(actor, MANY, seconds=1.5, rows=9)
+    for rows in (1, 4):
+        assert_same(evaluate(actor, MANY, seconds=1.5, rows=rows), together)
+    turned = EpisodeSet("field", FIELD, 1, MANY.start.flip(0), MANY.goal.flip(0), MANY.shortest.flip(0))
+    backwards = evaluate(actor, turned, seconds=1.5, rows=4)
+    backwards.trajectories.reverse()
+    assert_same(backwards, together)
+
+
+def test_a_policy_with_memory_decides_as_often_as_in_training() -> None:
+    policy = CountingPolicy()
+    evaluation = evaluate(policy, EPISODES, seconds=2.0, rows=1)
+    assert (evaluation.action_repeat, policy.calls) == (4, 3 * 10)
+    every_step = evaluate_endless(policy, FIELD, rows=2, steps=10, action_repeat=1)
+    assert (every_step.action_repeat, policy.calls) == (1, 3 * 10 + 10)
+    # It drives faster the more decisions it has taken in an episode, and starts anew in each.
+    assert_same(evaluate(policy, EPISODES, seconds=2.0, rows=3), evaluation)
+    speeds = [trajectory.speed for trajectory in evaluation.trajectories]
+    assert all(0.05 < speed.max() < 0.15 for speed in speeds)
 
 
 def test_ended_episodes_make_room_for_the_next(driven: Evaluation) -> None:

@@ -20,6 +20,7 @@ from rover_rl.algos.train.collectors import WorkerError
 from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.run_folder import load_state
 from tests.algos.train import runs
+from tests.algos.train.memories import GRU, check_states, joined, kept_batches
 from tests.algos.train.runs import progress_of
 
 PPO = with_settings(runs.PPO, collector="ray", workers=None)
@@ -60,6 +61,14 @@ def _words(process: psutil.Process) -> list[str]:
 def test_sac_learns_from_one_worker_while_the_other_collects(cluster: None, tmp_path: Path) -> None:
     progress = progress_of(train(with_settings(SAC, total_steps=128, runs=str(tmp_path))).folder)
     assert progress["steps"] == list(range(16, 129, 16))
+
+
+@pytest.mark.slow
+def test_remote_workers_carry_the_memory(cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    collected = kept_batches(monkeypatch)
+    train(with_settings(GRU, collector="ray", workers=None, total_steps=384, runs=str(tmp_path)))
+    assert len(collected) == 3
+    check_states(joined(collected), "gru")
 
 
 def kill_a_worker_at_the_third_update(monkeypatch: pytest.MonkeyPatch, wait: float) -> None:

@@ -17,6 +17,7 @@ from rover_rl.algos.video.views import lidar_hits
 from rover_rl.cli.film import Film
 from rover_rl.sims.rendering.camera import Camera
 from rover_rl.sims.worlds import Terrain, box
+from tests.algos.policy.memories import CountingPolicy
 
 FIELD = World("field", Terrain.flat((12.0, 12.0)))
 WALL = World("wall", Terrain.flat((12.0, 12.0)), [box((2.0, 0.0, 0.5), (0.4, 4.0, 1.0))])
@@ -105,6 +106,14 @@ def test_a_gif_has_the_size_and_the_time_asked_for(view: str, rows: int, tmp_pat
     before = path.read_bytes()
     film(straight, path, seconds=1.0, **settings)
     assert path.read_bytes() == before
+
+
+def test_a_policy_with_memory_is_filmed_as_it_was_trained(tmp_path: Path) -> None:
+    policy = CountingPolicy()
+    rollout = film(policy, tmp_path / "film.gif", world=FIELD, seconds=0.6, width=64, height=48)
+    # Its speed counts the decisions, one in four steps.
+    assert (rollout["action"][:, 0] * 100).round().int().tolist() == [0] * 4 + [1] * 4 + [2] * 4
+    assert policy.calls == 3
 
 
 def test_a_fast_film_is_short(tmp_path: Path) -> None:

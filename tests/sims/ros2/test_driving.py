@@ -14,6 +14,7 @@ from rover_rl.algos.deploy.driving import Moment, drive_to
 from rover_rl.algos.deploy.export import OnnxPolicy, export
 from rover_rl.algos.evaluation.metrics import STOPPED, TIME_LIMIT, TOO_NEAR
 from rover_rl.algos.policy.baselines import ScriptedPolicy
+from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.cli import main
 from rover_rl.sims import make_simulator
@@ -22,6 +23,7 @@ from rover_rl.sims.ros2 import Ros2Settings
 from rover_rl.sims.ros2.messages import Twist
 from rover_rl.sims.ros2.robot import RobotNode
 from rover_rl.sims.worlds import get_world
+from tests.algos.policy.memories import CountingPolicy
 from tests.sims.ros2.wire import Wire
 
 START = (-22.4, -24.7, 0.3)
@@ -87,6 +89,22 @@ def test_the_time_limit_ends_the_drive(env, wire):
     assert drive_to(env, ScriptedPolicy(), GOAL, seconds=0.2, watch=moments.append) == TIME_LIMIT
     assert stopped(wire)
     assert [moment.seconds for moment in moments] == pytest.approx([0.05, 0.1, 0.15, 0.2])
+
+
+def test_a_policy_decides_as_often_as_in_training_and_keeps_its_memory_from_goal_to_goal(env, wire):
+    policy = CountingPolicy()
+    runner = PolicyRunner(policy)
+
+    def drive(driver: CountingPolicy | PolicyRunner) -> list[float]:
+        moments: list[Moment] = []
+        assert drive_to(env, driver, GOAL, seconds=0.5, watch=moments.append) == TIME_LIMIT
+        return [round(100 * moment.command[0]) for moment in moments]
+
+    # Two decisions of four steps of 50 ms, and one at the start of each drive.
+    assert drive(runner) == [0] * 4 + [1] * 4 + [2] * 2
+    assert drive(runner) == [3] * 4 + [4] * 4 + [5] * 2
+    assert drive(policy) == [0] * 4 + [1] * 4 + [2] * 2
+    assert stopped(wire)
 
 
 def test_an_error_stops_the_rover(env, wire):

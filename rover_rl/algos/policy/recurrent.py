@@ -1,0 +1,131 @@
+"""Actors with memory: TorchRL's recurrent modules between the layers of the observation and the head.
+
+The memory travels in the tensordict, in the way of TorchRL: an actor reads its state at :data:`MEMORY_KEYS` and writes
+the next state at the same keys under ``"next"``. Where ``is_init`` is set, the state counts as zeros. A training
+environment needs :func:`memory_transforms`. Everything else drives with a
+:class:`~rover_rl.algos.policy.runner.PolicyRunner`.
+
+Example:
+    >>> actor = make_actor(memory="gru", memory_size=64)
+    >>> [*actor.in_keys][-2:]
+    ['memory_hidden', 'is_init']
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torch import Tensor, nn
+from torchrl.data import Unbounded
+from torchrl.envs.transforms import InitTracker, TensorDictPrimer, Transform
+from torchrl.modules import GRUModule, LSTMModule
+
+MEMORY_KEYS: dict[str, tuple[str, ...]] = {
+    "none": (),
+    "gru": ("memory_hidden",),
+    "lstm": ("memory_hidden", "memory_cell"),
+}
+"""Entries of a tensordict that hold the state of each kind of memory, float32 ``[N, 1, units]`` each."""
+
+
+def recurrent_network(embedding: TensorDictModule, units: int, head: nn.Module, kind: str, size: int) -> nn.Module:
+    """Combines layers, a memory and a head into one module.
+
+    The head also reads the embedding, so that reactions to what the rover sees need not pass through the memory.
+
+    Args:
+        embedding: module that writes ``embedding [..., units]``.
+        units: number of features of the embedding.
+        head: module from embedding and memory, ``[..., units + size]``, to mean and standard deviation.
+        kind: kind of memory, ``"gru"`` or ``"lstm"``.
+        size: number of units of the memory.
+
+    Returns:
+        A module that writes ``loc``, ``scale`` and the next state of the memory.
+    """
+    state = MEMORY_KEYS[kind]
+    recurrent = {"gru": GRUModule, "lstm": LSTMModule}[kind](
+        units,
+        size,
+        in_keys=["embedding", *state, "is_init"],
+        out_keys=["recalled", *(("next", key) for key in state)],
+    )
+    for name, parameter in recurrent.named_parameters():
+        if "weight" in name:
+            nn.init.orthogonal_(parameter)
+        else:
+            nn.init.zeros_(parameter)
+    outputs = TensorDictModule(_Joined(head), in_keys=["embedding", "recalled"], out_keys=["loc", "scale"])
+    # Collectors store all outputs: the embedding and what is recalled would take more memory than the observation.
+    kept = ["loc", "scale", *(("next", key) for key in state)]
+    return TensorDictSequential(embedding, recurrent, outputs, selected_out_keys=kept)
+
+
+class _Joined(nn.Module):
+    """Applies a module to the concatenation of its inputs."""
+
+    def __init__(self, module: nn.Module) -> None:
+        super().__init__()
+        self.module = module
+
+    def forward(self, *inputs: Tensor) -> Tensor | tuple[Tensor, ...]:
+        return self.module(torch.cat(inputs, -1))
+
+
+class RecurrentStep(nn.Module):
+    """One step of an actor's network as a function of plain tensors, for export.
+
+    Args:
+        network: network from :func:`recurrent_network`.
+
+    Attributes:
+        state_size: number of entries of the state.
+    """
+
+    def __init__(self, network: TensorDictSequential) -> None:
+        super().__init__()
+        embedding, recurrent, outputs = network
+        self._embedding, self._head = embedding.module, outputs.module
+        self._is_gru = isinstance(recurrent, GRUModule)
+        self._cell = recurrent.gru if self._is_gru else recurrent.lstm
+        self.state_size = self._cell.hidden_size * (1 if self._is_gru else 2)
+
+    def forward(self, state: Tensor, *observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns the mean of the action and the next state.
+
+        Args:
+            state: state, ``[N, state_size]``: hidden state, for an LSTM followed by the state of the cell.
+            *observation: entries of the observation, ``[N, n]``.
+        """
+        embedded = self._embedding(*observation)
+        weights = self._cell.all_weights[0]
+        if self._is_gru:
+            hidden = following = torch.gru_cell(embedded, state, *weights)
+        else:
+            hidden, cell = torch.lstm_cell(embedded, state.chunk(2, -1), *weights)
+            following = torch.cat((hidden, cell), -1)
+        return self._head(embedded, hidden)[0], following
+
+
+def memory_transforms(kind: str, size: int) -> list[Transform]:
+    """Returns the transforms that an environment needs in which an actor with memory collects data.
+
+    They add ``is_init`` and the state of the memory, which is zero at the start of each episode. Without them, TorchRL
+    raises no error, and the state stays zero.
+
+    Args:
+        kind: kind of memory; none for ``"none"``.
+        size: number of units of the memory.
+    """
+    if kind == "none":
+        return []
+    state = {key: Unbounded(shape=(1, size)) for key in MEMORY_KEYS[kind]}
+    return [InitTracker(), TensorDictPrimer(state, expand_specs=True)]
+
+
+def state_keys(policy: object) -> list[str]:
+    """Returns the keys of a policy's state: those that it reads, and writes under ``"next"``; none without memory."""
+    written: Sequence[object] = getattr(policy, "out_keys", ())
+    return [key for key in getattr(policy, "in_keys", ()) if ("next", key) in written]

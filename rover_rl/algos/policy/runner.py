@@ -1,0 +1,121 @@
+"""Runner of a policy: carries its memory from decision to decision, and holds its actions in between.
+
+Example:
+    >>> runner = PolicyRunner(Checkpoint.load("runs/ppo-maze").make_actor())
+    >>> observation = env.reset()
+    >>> while True:
+    ...     action = runner(observation)
+    ...     observation = env.step(observation.set("action", action))["next"]
+    ...     runner.reset(observation["done"].squeeze(-1))  # and reset the environment's rows
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from rover_rl.algos.policy.recurrent import state_keys
+
+Policy: TypeAlias = Callable[[TensorDictBase], TensorDictBase]
+"""Function or module that adds ``"action"``, ``[N, 2]``, to observations ``[N]``.
+
+A policy with memory is a module with ``in_keys`` and ``out_keys``, as TorchRL's: it reads its state at some keys, and
+``is_init``, and writes the next state at the same keys under ``"next"``. Without a state, it starts a new one."""
+
+
+def default_action_repeat(policy: Policy | None, given: int | None = None) -> int:
+    """Returns the number of steps that each action of a policy is held for.
+
+    The memory of a policy changes with each decision, so that it must decide as often as in training. Policies without
+    memory decide at each step.
+
+    Args:
+        policy: policy.
+        given: number of steps that the user asks for; ``None``: the default.
+    """
+    if given is not None:
+        return given
+    return getattr(policy, "trained_action_repeat", 1) if state_keys(policy) else 1
+
+
+class PolicyRunner:
+    """Runs a policy on a batch of rows.
+
+    The runner calls the policy when a row is due for a decision, and holds its actions in between. It carries the
+    memory of a policy from decision to decision, row by row. Policies without memory pass through.
+
+    Args:
+        policy: policy to run.
+        action_repeat: number of steps that each action is held for; ``None``: see :func:`default_action_repeat`.
+        min_rows: smallest number of rows that the policy is called with. Copies of the last row fill them up. Matrix
+            products of few rows round differently.
+
+    Attributes:
+        policy: the policy.
+        action_repeat: number of steps that each action is held for.
+    """
+
+    def __init__(self, policy: Policy, action_repeat: int | None = None, min_rows: int = 1) -> None:
+        self.action_repeat = default_action_repeat(policy, action_repeat)
+        self.policy, self._min_rows, self._keys = policy, min_rows, state_keys(policy)
+        # Rows whose episode begins, and number of steps that each row's action has been held for.
+        self._is_init, self._held = torch.ones(0, dtype=torch.bool), torch.zeros(0, dtype=torch.int64)
+        self.reset()
+
+    def reset(self, rows: Tensor | None = None) -> None:
+        """Starts new episodes: clears the memory. The next call decides.
+
+        Args:
+            rows: rows of new episodes, bool ``[N]``; ``None``: all, whose number may change.
+        """
+        if rows is None:
+            self._state: dict[str, Tensor] = {}
+            self._action: Tensor | None = None
+        elif self._action is not None:
+            self._is_init |= rows.to(self._is_init.device)
+
+    def __call__(self, observation: TensorDictBase, due: Tensor | None = None) -> Tensor:
+        """Returns the action of each row, ``[N, 2]``.
+
+        Args:
+            observation: observation ``[N]``. It is not changed.
+            due: rows that decide, bool ``[N]``; ``None``: those whose last action has been held for ``action_repeat``
+                steps. Rows whose episode begins always decide.
+        """
+        if self._action is None:
+            return self._start(observation)
+        due = self._is_init | (self._held >= self.action_repeat if due is None else due.to(self._held.device))
+        # On the CPU, the check is cheap and saves the call. On an accelerator it would synchronize.
+        if self.action_repeat == 1 or due.device.type != "cpu" or due.any():
+            action, state = self._decide(observation)
+            self._action = torch.where(due[:, None], action, self._action)
+            self._state = {key: _where(due, value, self._state[key]) for key, value in state.items()}
+        self._held = torch.where(due, 0, self._held) + 1
+        self._is_init = self._is_init & ~due
+        return self._action
+
+    def _start(self, observation: TensorDictBase) -> Tensor:
+        """Takes the first decision of all rows."""
+        self._is_init = torch.ones(len(observation), dtype=torch.bool, device=observation.device)
+        self._action, self._state = self._decide(observation)
+        self._held = torch.ones(len(observation), dtype=torch.int64, device=self._action.device)
+        self._is_init = torch.zeros_like(self._held, dtype=torch.bool)
+        return self._action
+
+    def _decide(self, observation: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """Calls the policy and returns the actions and the next state of all rows."""
+        rows, inputs = len(observation), observation.copy()
+        if self._keys:
+            inputs.update(self._state).set("is_init", self._is_init[:, None])
+        if rows < self._min_rows:
+            inputs = inputs[torch.arange(self._min_rows, device=observation.device).clamp(max=rows - 1)]
+        outputs = self.policy(inputs)
+        return outputs["action"][:rows], {key: outputs["next", key][:rows] for key in self._keys}
+
+
+def _where(rows: Tensor, value: Tensor, other: Tensor) -> Tensor:
+    return torch.where(rows.reshape(-1, *[1] * (value.ndim - 1)), value, other)

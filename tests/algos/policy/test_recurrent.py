@@ -1,0 +1,95 @@
+"""Actors with memory."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.modules import set_recurrent_mode
+
+from rover_rl.algos.config import training_config, with_settings
+from rover_rl.algos.config_files import config_from, plain
+from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.policy.recurrent import MEMORY_KEYS, RecurrentStep, state_keys
+from rover_rl.algos.policy.runner import PolicyRunner
+from tests.algos.policy.memories import BOTH, observations, recurrent_checkpoint
+
+
+@BOTH
+@torch.no_grad()
+def test_a_sequence_gives_the_same_as_its_steps(memory: str) -> None:
+    actor = recurrent_checkpoint(memory).make_actor()
+    steps = observations(3)
+    is_init = torch.zeros(3, len(steps), 1, dtype=torch.bool)
+    is_init[:, 0] = is_init[1, 5] = is_init[2, 7] = True
+    runner, actions = PolicyRunner(actor, action_repeat=1), []
+    for seen, reset in zip(steps, is_init.unbind(1), strict=True):
+        runner.reset(reset[:, 0])
+        actions.append(runner(seen))
+    sequence = torch.stack([*steps], 1).set("is_init", is_init)
+    with set_recurrent_mode(True):
+        together = actor(sequence)
+    torch.testing.assert_close(together["action"], torch.stack(actions, 1))
+    assert [*together["next"].keys()] == [*MEMORY_KEYS[memory]] == state_keys(actor)
+
+
+@BOTH
+@torch.no_grad()
+def test_a_step_of_plain_tensors_acts_as_the_actor(memory: str) -> None:
+    checkpoint = recurrent_checkpoint(memory)
+    actor = checkpoint.make_actor()
+    step, runner = RecurrentStep(actor[0]), PolicyRunner(actor, action_repeat=1)
+    assert step.state_size == {"gru": 12, "lstm": 24}[memory]
+    state, scale = torch.zeros(2, step.state_size), actor.spec["action"].space.high
+    for seen in observations(2):
+        loc, state = step(state, *(seen[key] for key in checkpoint.config.network.observation))
+        torch.testing.assert_close(runner(seen), scale * loc.tanh())
+
+
+@BOTH
+def test_a_checkpoint_restores_the_memory(memory: str, tmp_path) -> None:
+    checkpoint = recurrent_checkpoint(memory)
+    checkpoint.save(tmp_path / "checkpoint.pt")
+    loaded = Checkpoint.load(tmp_path)
+    assert loaded.config == checkpoint.config
+    actors = [each.make_actor() for each in (checkpoint, loaded)]
+    (seen, *_) = observations(2)
+    first, second = (PolicyRunner(actor)(seen) for actor in actors)
+    assert torch.equal(first, second)
+    other = Checkpoint(with_settings(loaded.config, memory_size=4), 0, loaded.actor)
+    with pytest.raises(ValueError, match=rf"do not fit hidden=\(16, 8\), memory='{memory}' of 4 units"):
+        other.make_actor()
+
+
+def test_settings_from_before_there_were_memories_have_none() -> None:
+    data = plain(training_config("ppo"))
+    for name in ("memory", "memory_size", "privileged_critic"):
+        del data["network"][name]
+    assert config_from(data, "old.yaml") == training_config("ppo")
+
+
+@pytest.mark.parametrize("settings", [{"memory": "gru"}, {"privileged_critic": True}])
+def test_sac_has_no_memory_and_no_privileged_critic(settings: dict) -> None:
+    training_config("ppo", **settings).check()
+    with pytest.raises(ValueError, match="memory and privileged_critic are for PPO, and the algorithm is SAC"):
+        training_config("sac", **settings).check()
+
+
+def test_settings_of_a_memory_are_checked() -> None:
+    with pytest.raises(ValueError, match=r"memory must be one of \('none', 'gru', 'lstm'\), got 'rnn'"):
+        training_config("ppo", memory="rnn").check()
+    with pytest.raises(ValueError, match="memory_size must be at least 1"):
+        training_config("ppo", memory="gru", memory_size=0).check()
+
+
+@BOTH
+def test_exploration_changes_the_action_and_not_the_memory(memory: str) -> None:
+    actor = recurrent_checkpoint(memory).make_actor()
+    seen = observations(2)[0].set("is_init", torch.ones(2, 1, dtype=torch.bool))
+    with set_exploration_type(ExplorationType.RANDOM):
+        first, second = actor(seen.clone()), actor(seen.clone())
+    assert not torch.equal(first["action"], second["action"])
+    for key in MEMORY_KEYS[memory]:
+        assert torch.equal(first["next", key], second["next", key])
+    assert isinstance(first, TensorDict)

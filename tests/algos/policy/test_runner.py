@@ -1,0 +1,97 @@
+"""A runner carries the memory of a policy from decision to decision."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+
+from rover_rl.algos.policy.networks import make_actor
+from rover_rl.algos.policy.runner import PolicyRunner, default_action_repeat
+from tests.algos.policy.memories import BOTH, CountingPolicy, observations, recurrent_checkpoint
+
+
+def counts(runner: PolicyRunner, seen: TensorDict, **options: torch.Tensor) -> list[int]:
+    return (runner(seen, **options)[:, 0] * 100).round().int().tolist()
+
+
+def test_the_memory_moves_with_each_decision_and_is_cleared_row_by_row() -> None:
+    runner, (seen, *_) = PolicyRunner(CountingPolicy(), action_repeat=1), observations(3)
+    assert [counts(runner, seen) for _ in range(3)] == [[0, 0, 0], [1, 1, 1], [2, 2, 2]]
+    runner.reset(torch.tensor([False, True, False]))
+    assert [counts(runner, seen) for _ in range(2)] == [[3, 0, 3], [4, 1, 4]]
+    runner.reset()
+    assert counts(runner, observations(2)[0]) == [0, 0]
+
+
+def test_actions_and_memory_are_held_between_decisions() -> None:
+    policy = CountingPolicy()
+    runner, (seen, *_) = PolicyRunner(policy), observations(2)
+    assert runner.action_repeat == 4
+    assert [counts(runner, seen) for _ in range(6)] == [[0, 0]] * 4 + [[1, 1]] * 2
+    assert policy.calls == 2
+    runner.reset(torch.tensor([True, False]))
+    # The new episode of the first row begins with a decision; the second row decides when its turn comes.
+    assert [counts(runner, seen) for _ in range(5)] == [[0, 1], [0, 1], [0, 2], [0, 2], [1, 2]]
+
+
+def test_the_caller_may_say_which_rows_decide() -> None:
+    runner, (seen, *_) = PolicyRunner(CountingPolicy()), observations(2)
+    nobody, second = torch.tensor([False, False]), torch.tensor([False, True])
+    assert counts(runner, seen, due=nobody) == [0, 0]
+    assert counts(runner, seen, due=nobody) == [0, 0]
+    assert counts(runner, seen, due=second) == [0, 1]
+    runner.reset(torch.tensor([True, False]))
+    assert counts(runner, seen, due=second) == [0, 2]
+
+
+def test_only_policies_with_memory_decide_as_often_as_in_training_by_default() -> None:
+    actor = recurrent_checkpoint("gru").make_actor()
+    memoryless = make_actor(hidden=(8,))
+    memoryless.trained_action_repeat = 4
+    assert [default_action_repeat(policy) for policy in (actor, memoryless, None)] == [4, 1, 1]
+    assert [default_action_repeat(policy, 2) for policy in (actor, memoryless, None)] == [2, 2, 2]
+
+
+def test_policies_without_memory_pass_through() -> None:
+    actor = make_actor(hidden=(8,))
+    runner = PolicyRunner(actor)
+    for seen in observations(3):
+        keys = set(seen.keys())
+        assert torch.equal(runner(seen), actor(seen.clone())["action"])
+        assert set(seen.keys()) == keys
+
+    def hidden_state(td: TensorDictBase) -> TensorDictBase:
+        assert "is_init" not in td
+        return td.set("action", td["target"])
+
+    assert torch.equal(PolicyRunner(hidden_state)(seen), seen["target"])
+
+
+@BOTH
+@torch.no_grad()
+def test_rows_are_independent_to_the_last_bit(memory: str) -> None:
+    actor = recurrent_checkpoint(memory).make_actor()
+    few, many = (PolicyRunner(actor, action_repeat=2, min_rows=32) for _ in range(2))
+    first = []
+    for step, (some, more) in enumerate(zip(observations(3), observations(40), strict=True)):
+        few_reset = torch.tensor([step == 4, False, step == 7])
+        few.reset(few_reset)
+        many.reset(torch.cat((few_reset, torch.arange(37) % 5 == step % 5)))
+        first.append(few(some))
+        assert torch.equal(first[-1], many(more)[:3])
+    assert (first[-1] - first[0]).abs().max() > 0.01
+
+
+@BOTH
+@torch.no_grad()
+def test_the_action_depends_on_what_was_seen_in_the_episode_only(memory: str) -> None:
+    runner = PolicyRunner(recurrent_checkpoint(memory).make_actor(), action_repeat=1)
+    sequence = observations(2)
+    once = [runner(seen) for seen in sequence]
+    later = [runner(seen) for seen in sequence]
+    assert not torch.allclose(later[0], once[0], atol=1e-4)
+    runner.reset(torch.tensor([True, False]))
+    again = [runner(seen) for seen in sequence]
+    for before, after in zip(once, again, strict=True):
+        assert torch.equal(before[0], after[0])
+        assert not torch.equal(before[1], after[1])

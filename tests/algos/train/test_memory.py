@@ -1,0 +1,159 @@
+"""Policies with memory are trained on sequences."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDictBase
+from torchrl.modules import set_recurrent_mode
+
+from rover_rl.algos.config import TrainingConfig, with_settings
+from rover_rl.algos.evaluation.evaluate import draw_episodes, evaluate
+from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.policy.networks import mirrored
+from rover_rl.algos.policy.recurrent import MEMORY_KEYS
+from rover_rl.algos.policy.runner import PolicyRunner
+from rover_rl.algos.train import train
+from rover_rl.algos.train.collectors import collect
+from rover_rl.algos.train.ppo import PPOLearner
+from rover_rl.algos.train.progress import Stopwatch
+from rover_rl.algos.train.run import prepare
+from rover_rl.algos.train.run_folder import load_state
+from rover_rl.algos.train.sequences import MirrorMemory, mirrored_sequences
+from tests.algos.train.memories import GRU, LSTM, check_states, joined, kept_batches
+from tests.algos.train.runs import FIELD, PPO, WALL, equal, field, progress_of
+
+BOTH = pytest.mark.parametrize("config", [GRU, LSTM], ids=["gru", "lstm"])
+OBSERVATION = PPO.network.observation
+
+
+def batches(config: TrainingConfig, count: int) -> tuple[PPOLearner, list[TensorDictBase]]:
+    """Returns a learner and the first batches ``[4, 8]`` that it collects, without an update."""
+    config = prepare(config)
+    learner = PPOLearner(config)
+    with collect(config, learner.actor) as collected:
+        return learner, [next(collected).clone() for _ in range(count)]
+
+
+@BOTH
+@torch.no_grad()
+def test_the_memory_moves_in_collected_data_and_is_cleared_at_resets(config: TrainingConfig) -> None:
+    learner, collected = batches(config, 3)
+    batch = joined(collected)
+    check_states(batch, config.network.memory)
+    # What was collected step by step follows from the whole sequence of observations, and nothing else.
+    seen = batch.select(*OBSERVATION, "is_init")
+    with set_recurrent_mode(True):
+        again = learner.actor[0](seen)
+    for key in ("loc", "scale"):
+        torch.testing.assert_close(again[key], batch[key])
+
+
+@BOTH
+@torch.no_grad()
+def test_a_policy_that_drives_has_the_memory_of_training(config: TrainingConfig) -> None:
+    learner, (batch,) = batches(config, 1)
+    runner = PolicyRunner(learner.actor)
+    for step in batch.unbind(1):
+        runner.reset(step["is_init"].squeeze(-1))
+        high = learner.actor.spec["action"].space.high
+        torch.testing.assert_close(runner(step.select(*OBSERVATION)), high * step["loc"].tanh())
+
+
+@BOTH
+def test_the_first_gradient_step_finds_the_probabilities_of_the_collected_actions(config: TrainingConfig) -> None:
+    settings = with_settings(config, mirror_augmentation=False, epochs=1, minibatch=32)
+    learner, collected = batches(settings, 2)
+    logged = learner.update(collected[1], 0.0, Stopwatch())
+    assert logged["gradient_steps"] == 1
+    assert logged["kl_approx"] == pytest.approx(0.0, abs=1e-6)
+    assert logged["clip_fraction"] == 0.0
+
+
+@BOTH
+@torch.no_grad()
+def test_mirror_images_have_the_memory_of_one_that_saw_them_from_the_start(config: TrainingConfig) -> None:
+    learner, collected = batches(config, 2)
+    memory, keys = MirrorMemory(learner.actor), (*OBSERVATION, "is_init", *MEMORY_KEYS[config.network.memory])
+    decisions = [batch.select(*keys) for batch in collected]
+    starts = [memory.starts(part) for part in decisions]
+    runner = PolicyRunner(learner.actor, action_repeat=1)
+    image = mirrored(joined(decisions).select(*OBSERVATION, "is_init"), torch.ones(4, 16, dtype=torch.bool))
+    actions = []
+    for step in image.unbind(1):
+        runner.reset(step["is_init"].squeeze(-1))
+        actions.append(runner(step.select(*OBSERVATION)))
+    rows = torch.tensor([True, False, True, True])
+    with set_recurrent_mode(True):
+        second = learner.actor(mirrored_sequences(decisions[1], rows, starts[1]))["action"]
+        original = learner.actor(decisions[1].clone())["action"]
+    torch.testing.assert_close(second[rows], torch.stack(actions[8:], 1)[rows])
+    assert torch.equal(second[~rows], original[~rows])
+    assert not torch.allclose(second[rows], original[rows], atol=1e-3)
+
+
+@BOTH
+def test_a_training_on_sequences(config: TrainingConfig, tmp_path: Path) -> None:
+    summaries = [train(with_settings(config, runs=str(tmp_path / str(number)))) for number in range(2)]
+    folder = summaries[0].folder
+    states = [load_state(summary.folder / "training_state.pt")["learner"] for summary in summaries]
+    assert equal(*states)
+    # Four rovers in minibatches of two whole sequences, two epochs.
+    assert progress_of(folder)["gradient_steps"] == [4.0] * 2
+    first, last = (torch.load(path, weights_only=True) for path in _policies(folder))
+    moved = {name: not torch.equal(first["actor"][name], last["actor"][name]) for name in first["actor"]}
+    assert all(moved.values()), moved
+    actor = Checkpoint.load(folder).make_actor()
+    evaluation = evaluate(actor, draw_episodes(field(), 2, 0), seconds=1)
+    assert (len(evaluation.endings), evaluation.action_repeat) == (2, config.collection.action_repeat)
+    learner = PPOLearner(config)
+    learner.load_state_dict(states[0])
+    assert equal(learner.state_dict(), states[0])
+    assert train(with_settings(config, total_steps=384, runs=str(tmp_path)), folder).steps == 384
+
+
+def _policies(folder: Path) -> list[Path]:
+    return sorted((folder / "snapshots").iterdir())
+
+
+@BOTH
+def test_sequences_are_mirrored_and_imitated_as_a_whole(config: TrainingConfig) -> None:
+    imitating = with_settings(config, imitation=1.0, epochs=15, learning_rate=3e-3, anneal=False, world=(FIELD, WALL))
+    learner, (_, batch) = batches(imitating, 2)
+    surprise = [learner.update(batch.clone(), 0.0, Stopwatch())["loss_objective"] for _ in range(3)]
+    assert surprise[2] < surprise[1] - 0.3 < surprise[0] - 0.6
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick_workers")
+@BOTH
+def test_workers_carry_the_memory(config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    collected = kept_batches(monkeypatch)
+    train(with_settings(config, workers=2, total_steps=384, runs=str(tmp_path)))
+    assert len(collected) == 3
+    check_states(joined(collected), config.network.memory)
+
+
+@pytest.mark.parametrize("memory", ["none", "gru"])
+def test_a_privileged_critic_learns(memory: str, tmp_path: Path) -> None:
+    config = with_settings(GRU, memory=memory, privileged_critic=True, world=(FIELD, WALL))
+    learner, (batch, *_) = batches(config, 1)
+    assert not any(key[0] == "privileged" for key in learner.actor.in_keys if isinstance(key, tuple))
+    assert "privileged" not in learner.actor.in_keys
+    value = learner.critic(batch.clone())["state_value"]
+    changed = batch.clone()
+    for part in changed["privileged"].values():
+        part += 1.0
+    assert not torch.isclose(learner.critic(changed.clone())["state_value"], value).any()
+    with set_recurrent_mode(True):
+        first, second = (learner.actor(each)["loc"] for each in (batch.clone(), changed.clone()))
+    assert torch.equal(first, second)
+    before = {name: weight.clone() for name, weight in learner.weights().items()}
+    learner.update(batch, 0.0, Stopwatch())
+    assert all(not torch.equal(weight, before[name]) for name, weight in learner.weights().items())
+    summary = train(with_settings(config, total_steps=128, runs=str(tmp_path)))
+    # Whoever drives the policy needs no privileged observation.
+    actor = Checkpoint.load(summary.folder).make_actor()
+    assert len(evaluate(actor, draw_episodes(field(), 1, 0), seconds=1).endings) == 1
