@@ -103,7 +103,7 @@ class RoverEnv(EnvBase):
 
     Attributes:
         config: description of the environment.
-        num_envs: number of rovers, and of rows of :attr:`goal`, :attr:`rover_state` and :attr:`worlds`. 1 if unbatched.
+        num_envs: number of rovers, and of rows of :attr:`goal`, :attr:`rover_state` and ``worlds``. 1 if unbatched.
         simulator: simulator. A reset after ``close()`` replaces it.
 
     Raises:

@@ -295,7 +295,8 @@ class OnnxPolicy:
         config: settings that the policy was trained with.
         made_for: environment that the policy was made for.
         trained_action_repeat: number of steps that each action was held for in training.
-        in_keys, out_keys: entries that the policy reads and writes. One with memory reads and writes its state.
+        in_keys: entries that the policy reads. With a memory, its state is one of them.
+        out_keys: entries that the policy writes.
 
     Raises:
         FileNotFoundError: if there is no such file.

@@ -22,9 +22,10 @@ from rover_rl.sims.rotations import wrap_angle
 from rover_rl.sims.worlds.path_distance import PathDistances
 from rover_rl.sims.worlds.world import Worlds
 
-DIRECTIONS = 32
-"""Number of candidate headings."""
-LOOK_AHEAD = (0.3, 0.6)
+DIRECTIONS = 64
+"""Number of candidate headings. At the larger look-ahead distance, neighbors are 4 cm apart, so that one of them points
+into a lane that is one cell wide."""
+LOOK_AHEAD = (0.2, 0.4)
 """Distances at which each candidate heading is evaluated, m."""
 LOOK_AHEAD_NARROW = (0.15, 0.3)
 """The same in narrow passages, m."""

@@ -180,7 +180,7 @@ def make_actor(
         max_std: largest standard deviation of the normal distribution, before squashing.
         device: device of the policy; ``None``: the CPU.
         memory: kind of memory between the hidden layers and the last layer. With a memory, the policy reads and writes
-            a state: see :mod:`rover_rl.algos.policy.recurrent`.
+            a state: see ``rover_rl.algos.policy.recurrent``.
         memory_size: number of units of the memory.
 
     Returns:

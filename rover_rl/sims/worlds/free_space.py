@@ -59,7 +59,7 @@ class FreeSpace:
     Cells are roomy or narrow. In a roomy cell, the turning circle is free wherever in the cell the rover is. Episodes
     start and end in roomy cells. Narrow cells count only where they join roomy cells of the spawn and goal areas that
     are otherwise separate: the footprint is free at their centers in some orientations, in which the rover drives
-    through, forward or backward. See :mod:`rover_rl.sims.worlds.passages`.
+    through, forward or backward. See ``rover_rl.sims.worlds.passages``.
 
     All spawn and goal cells are connected: every goal is reachable from every spawn cell. A sampled position is the
     center of a cell plus an offset of up to half a ``cell`` in x and y. A sampled heading is anywhere in its bin.
@@ -117,7 +117,7 @@ def free_space(world: World, robot: Robot) -> FreeSpace:
     """Returns the free space of a world for a robot.
 
     It is computed once, and stored on disk by the content of the world and the robot
-    (:mod:`rover_rl.sims.worlds.free_space_cache`).
+    in the folder of the cache, ``~/.cache/rover_rl``.
 
     Raises:
         ValueError: if there is no spawn cell or no goal cell, or the goals lie too close together.
