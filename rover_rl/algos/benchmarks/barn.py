@@ -186,5 +186,5 @@ class Barn(Suite):
             "Time: from the start of the run (BARN: from the first 0.1 m).",
         ]
         if {course.number for course in self.courses} != {*TEST_WORLDS}:
-            told.append(f"Worlds: {len(self.courses)} others than exactly the 50 test worlds.")
+            told.append(f"Worlds: {len(self.courses)}, not the 50 test worlds of the benchmark's score.")
         return told
