@@ -93,10 +93,13 @@ class RowWorlds:
     @contextmanager
     def preparing(self) -> Iterator[None]:
         """Lets the thread of :meth:`prepare_ahead` prepare worlds: use it around the simulator's kernels."""
-        if self._ahead:
-            self._ahead.resume()
-        yield
-        if self._ahead:
+        if self._ahead is None:
+            yield
+            return
+        self._ahead.resume()
+        try:
+            yield
+        finally:
             self._ahead.pause()
 
     def close(self) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.algos.evaluation.body_contacts import is_touching, outline_size
+from rover_rl.algos.evaluation.body_contacts import is_touching
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import Policy
 from rover_rl.algos.evaluation.metrics import CONTACT, TIME_LIMIT, Estimate, Trajectory, proportion, ratio
@@ -26,6 +26,7 @@ from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least, check_seed
 from rover_rl.envs import EnvConfig
 from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.worlds import Obstacle, Terrain, World
 from rover_rl.sims.worlds.pool import WorldPool
 
@@ -174,8 +175,8 @@ class Suite(ABC):
 def describe_robot(env: EnvConfig) -> tuple[str, str]:
     """Returns what a robot is, and what its lidar is."""
     robot, lidar = get_robot(env.robot), env.lidar
-    length, width = outline_size(robot)
-    body = f"{robot.name}, {length:.2f} x {width:.2f} m, up to {env.action.max_speed:g} m/s"
+    back, front, right, left = footprint(robot)
+    body = f"{robot.name}, {front - back:.2f} x {left - right:.2f} m, up to {env.action.max_speed:g} m/s"
     return body, f"{lidar.beams} beams in 360 degrees, up to {lidar.max_range:g} m, as {lidar.points} readings"
 
 

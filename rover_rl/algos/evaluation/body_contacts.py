@@ -48,12 +48,6 @@ def is_touching(position: Tensor, angles: Tensor, world: World, robot: Robot) ->
     return touched
 
 
-def outline_size(robot: Robot) -> tuple[float, float]:
-    """Returns the length and the width of a robot's footprint, m."""
-    back, front, right, left = footprint(robot)
-    return front - back, left - right
-
-
 def _obstacles_within(reach: float, path: Tensor, world: World) -> list[Obstacle]:
     """Returns the obstacles whose bounding circle, seen from above, is within ``reach`` (m) of ``path [P, 2]``."""
     near: list[Tensor] = []
