@@ -35,16 +35,16 @@ CREEP = 0.4
 """Speed in narrow passages, m/s."""
 ALIGNED = 0.3
 """Angle to the direction of a narrow passage at which the expert stands still to turn, rad."""
-STEEP = math.radians(15)
+SLOPE = math.radians(5)
 """Tilt of the rover above which it drives as on a slope, where wheels slide, rad."""
 OVERSHOOT = 0.05
-"""Angle that the rover turns on a slope until the wheels stop, over the square of the yaw rate of the wheels, s^2/rad.
-Measured, with the wheels' acceleration of 4 rad/s^2."""
+"""Angle that the rover still turns while its wheels stop turning it, over the square of their yaw rate, s^2/rad. Their
+yaw rate decreases by 4 rad/s^2, and the body turns at 0.4 times that rate: 0.4 / (2 * 4)."""
 SHARP = math.radians(45)
-"""Angle to the direction above which the rover creeps on a slope, rad. With one side of the wheels at rest, which is
-what half the speed and the largest yaw rate add up to, it would stand still there."""
+"""Angle to the direction above which the rover creeps on a slope, rad. At 0.5 m/s, the wheels of one side would rest
+while the others turn the rover as fast as they can, and it would stand still, as measured on slopes of 20 degrees."""
 BACKWARD = math.radians(120)
-"""Angle to the direction above which it drives backward on a slope, rad. While it turns around, it slides down."""
+"""Angle to the direction above which the rover drives backward on a slope, rad. While it turns around, it slides."""
 SLOPE_SPEED = (0.2, 0.5)
 """Largest speed on a slope in sharp turns, and backward, m/s."""
 MAX_OFFSET = 3.0
@@ -85,7 +85,7 @@ class PrivilegedExpert:
         turn = torch.where(distance < NEAR, bearing, wrap_angle(direction - yaw))
         careful = drive_towards(turn, rows["lidar"])
         sloped = _drive_on_slope(turn, rows["velocities"][:, 1:], rows["lidar"])
-        careful = torch.where(tilt.norm(dim=-1, keepdim=True) > STEEP, sloped, careful)
+        careful = torch.where(tilt.norm(dim=-1, keepdim=True) > SLOPE, sloped, careful)
         through = _pass_through(wrap_angle(self._best_heading(fields, position, LOOK_AHEAD_NARROW) - yaw))
         return torch.where(narrow, through, careful).reshape(*shape, 2)
 
