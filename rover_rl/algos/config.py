@@ -21,6 +21,8 @@ CollectorName: TypeAlias = Literal["auto", "process", "processes", "ray"]
 """Kinds of collectors."""
 MemoryKind: TypeAlias = Literal["none", "gru", "lstm"]
 """Kinds of memory of a policy."""
+ExpertKind: TypeAlias = Literal["map", "route"]
+"""Kinds of experts to imitate."""
 UNLIMITED_STEPS = 10**9
 """Effectively unlimited step budget: the time limit ends the training."""
 _SEEDS_OF_A_RUN = 2**32
@@ -33,7 +35,8 @@ class NetworkConfig:
 
     observation: tuple[str, ...] = ("lidar", "imu", "target", "velocities")
     """Entries of the observation that the policy reads.
-    With "pose" it may learn one map by heart, which does not help in another."""
+    With "pose" it may learn one map by heart, which does not help in another.
+    "route" is the shortest way to the goal on a map of what the lidar has seen in the episode, for mazes."""
     north_up: bool = False
     """Also give the policy lidar and target rotated into the world's frame by the IMU's yaw.
     The policy can recognize places of one map by them without the pose.
@@ -88,6 +91,9 @@ class CollectionConfig:
     path_reward: float = 0.0
     """Additional reward in training, per meter gained on the shortest free path to the goal.
     It leads around the walls of a maze."""
+    route_reward: float = 0.0
+    """Additional reward in training, per meter by which the route on what has been seen gets shorter.
+    Needs "route" in observation. Unlike path_reward, it takes no time in many worlds."""
 
 
 @dataclass(frozen=True)
@@ -145,8 +151,11 @@ class PPOConfig(AlgorithmConfig):
     entropy_coef: float = 0.003
     """Coefficient of the entropy bonus."""
     imitation: float = 0.0
-    """Fraction of training that imitates a privileged expert (DAgger), from the start.
+    """Fraction of training that imitates an expert (DAgger), from the start.
     0 learns from the reward alone."""
+    expert: ExpertKind = "map"
+    """Expert to imitate: map (knows the world) or route (follows the route on what has been seen).
+    route needs "route" in observation."""
 
     def check(self) -> None:
         """Checks the settings: see :meth:`AlgorithmConfig.check`."""
@@ -154,6 +163,8 @@ class PPOConfig(AlgorithmConfig):
         _check_counts(self, "epochs")
         _check_positive(self, "clip")
         _check_fractions(self, "lmbda", "imitation")
+        if self.expert not in (kinds := get_args(ExpertKind)):
+            raise ValueError(f"expert must be one of {kinds}, got {self.expert!r}")
         check_at_least(0, MAX_NUMBER, entropy_coef=self.entropy_coef)
 
 
@@ -286,7 +297,13 @@ class TrainingConfig:
         self.algorithm.check()
         self.run.check()
         _check_counts(self.collection, "action_repeat")
-        check_at_least(0, MAX_NUMBER, path_reward=self.collection.path_reward)
+        rewards = {"path_reward": self.collection.path_reward, "route_reward": self.collection.route_reward}
+        check_at_least(0, MAX_NUMBER, **rewards)
+        needs_route = self.collection.route_reward or getattr(self.algorithm, "expert", "map") == "route"
+        if needs_route and "route" not in self.network.observation:
+            raise ValueError(
+                f'route_reward and expert="route" need "route" in observation, got {self.network.observation}'
+            )
         self._check_env()
         self._check_workers()
         mirror = self.algorithm.mirror_augmentation
