@@ -38,9 +38,9 @@ TURN = 1.2
 class GridPlanner(TensorDictModule):
     """Follows the shortest route on a map of what the lidar has seen in the episode: see :func:`follow`.
 
-    The map is a grid of occupied cells around the rover, with higher costs near obstacles, and the route is found by A*:
-    the stack of costmap, planner and path follower of mobile robots, such as that of Nav2. What has not been seen counts
-    as free. See :class:`~rover_rl.envs.seen_map.seen_map.SeenMap`.
+    The map is a grid of occupied cells around the rover, with higher costs near obstacles, and the route is found by
+    A*: the stack of costmap, planner and path follower of mobile robots, such as that of Nav2. What has not been seen
+    counts as free. See :class:`~rover_rl.envs.seen_map.seen_map.SeenMap`.
 
     The policy reads ``lidar`` and ``route``. A :class:`~rover_rl.algos.policy.runner.PolicyRunner` adds ``route``.
 

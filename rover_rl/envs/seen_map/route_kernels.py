@@ -17,33 +17,22 @@ DIAGONAL = wp.constant(7)
 """Length of a diagonal step."""
 OPEN_WEIGHT = wp.constant(2)
 """Weight of a cell that is farther than 3 cells from obstacles, and the smallest one."""
+BESIDE = wp.constant(4)
+"""Number of cells from start and goal within which the route may run right beside obstacles."""
+BESIDE_WEIGHT = wp.constant(40)
+"""Weight of a cell there. The route may begin and end beside an obstacle, but prefers a detour to running along it."""
 UNKNOWN_COST = wp.constant(1 << 30)
 """Cost of a cell that no path has reached yet."""
 BUCKETS = wp.constant(64)
 """Number of buckets of the queue."""
 WIDTH = wp.constant(8)
-"""Range of the costs in a bucket. A step changes the cost with the estimate by at most 7 * 20 + 14 < 63 * WIDTH."""
+"""Range of the costs in a bucket. A step changes the cost with the estimate by at most 7 * 40 + 14 < 63 * WIDTH."""
 REMOVED = wp.constant(-2)
 """Follower of a cell that has left the queue."""
 NEAREST = wp.constant(4)
 """Number of cells along the route to its first corner, at least, so that the corner's direction is steady: 0.6 m."""
 LONGEST = wp.constant(96)
 """Number of cells along the route within which its corners are sought."""
-
-
-@wp.func
-def weight_of(ring: int):
-    """Returns the weight of a cell by its distance from the nearest obstacle; 0 for an occupied cell."""
-    weight = int(OPEN_WEIGHT)
-    if ring == 0:
-        weight = 0
-    elif ring == 1:
-        weight = 20
-    elif ring == 2:
-        weight = 5
-    elif ring == 3:
-        weight = 3
-    return weight
 
 
 @wp.func
@@ -77,17 +66,27 @@ def least_cost(x: int, y: int):
 
 
 @wp.func
-def weight_in_window(x: int, y: int, first: int, center: wp.vec2i, ring: wp.array[wp.uint8]):
-    """Returns the weight of a cell of the window. That of the goal, ``first``, is never 0."""
-    weight = weight_of(int(ring[address(x + center[0] - HALF, y + center[1] - HALF)]))
-    if y * SIZE + x == first:
-        weight = wp.max(weight, OPEN_WEIGHT)
+def weight_of(x: int, y: int, goal: int, center: wp.vec2i, ring: wp.array[wp.uint8]):
+    """Returns the weight of cell (x, y) of the window; 0 if the rover cannot be there."""
+    nearest = int(ring[address(x + center[0] - HALF, y + center[1] - HALF)])
+    weight = int(OPEN_WEIGHT)
+    if nearest == 3:
+        weight = 3
+    elif nearest == 2:
+        weight = 5
+    elif nearest == 1:
+        # No gap is that narrow. But beside a wall, start and goal may seem to be.
+        from_home = wp.max(wp.abs(x - HALF), wp.abs(y - HALF))
+        from_goal = wp.max(wp.abs(x - (goal & LAST)), wp.abs(y - goal / SIZE))
+        weight = wp.where(wp.min(from_home, from_goal) > BESIDE, 0, BESIDE_WEIGHT)
+    elif nearest == 0 and y * SIZE + x != goal:
+        weight = 0
     return weight
 
 
 @wp.func
 def spread(
-    goal: wp.vec2i,
+    goal: int,
     center: wp.vec2i,
     ring: wp.array[wp.uint8],
     costs: wp.array[int],
@@ -107,11 +106,10 @@ def spread(
         costs[cell] = UNKNOWN_COST
     for bucket in range(BUCKETS):
         heads[bucket] = -1
-    first = goal[1] * SIZE + goal[0]
     home = int(HALF * SIZE + HALF)
-    costs[first] = 0
-    level = least_cost(goal[0] - HALF, goal[1] - HALF) / WIDTH
-    link(first, level % BUCKETS, heads, following, preceding)
+    costs[goal] = 0
+    level = least_cost((goal & LAST) - HALF, goal / SIZE - HALF) / WIDTH
+    link(goal, level % BUCKETS, heads, following, preceding)
     empty = int(0)
     # With an empty queue, or once the home's cost is below those in the queue, all is known.
     while empty < BUCKETS and level * WIDTH <= costs[home]:
@@ -126,7 +124,7 @@ def spread(
             here = costs[cell]
             x = cell & LAST
             y = cell / SIZE
-            weight = weight_in_window(x, y, first, center, ring)
+            weight = weight_of(x, y, goal, center, ring)
             for step in range(8):
                 offset = neighbor(step)
                 to_x = x + offset[0]
@@ -136,7 +134,7 @@ def spread(
                     other = to_y * SIZE + to_x
                     candidate = here + step_length(step) * weight
                     known = costs[other]
-                    if candidate < known and (other == home or weight_in_window(to_x, to_y, first, center, ring) > 0):
+                    if candidate < known and (other == home or weight_of(to_x, to_y, goal, center, ring) > 0):
                         estimate = least_cost(to_x - HALF, to_y - HALF)
                         if known < UNKNOWN_COST and following[other] != REMOVED:
                             unlink(other, (known + estimate) / WIDTH % BUCKETS, heads, following, preceding)
@@ -149,7 +147,7 @@ def next_step(
     x: int,
     y: int,
     before: int,
-    first: int,
+    goal: int,
     center: wp.vec2i,
     ring: wp.array[wp.uint8],
     costs: wp.array[int],
@@ -162,7 +160,7 @@ def next_step(
         to_x = x + offset[0]
         to_y = y + offset[1]
         if to_x >= 0 and to_y >= 0 and to_x < SIZE and to_y < SIZE:
-            weight = weight_in_window(to_x, to_y, first, center, ring)
+            weight = weight_of(to_x, to_y, goal, center, ring)
             known = costs[to_y * SIZE + to_x]
             if weight > 0 and known < UNKNOWN_COST:
                 cost = known + step_length(step) * weight
@@ -188,7 +186,7 @@ def is_open(from_x: int, from_y: int, to_x: int, to_y: int, least: int, center: 
 
 @wp.func
 def find_corners(
-    goal: wp.vec2i,
+    goal: int,
     center: wp.vec2i,
     ring: wp.array[wp.uint8],
     costs: wp.array[int],
@@ -199,7 +197,6 @@ def find_corners(
     A corner is the last cell of the path up to which the straight line from the corner before, first from the rover, is
     as far from obstacles as the path itself.
     """
-    first = goal[1] * SIZE + goal[0]
     x = int(HALF)
     y = int(HALF)
     start_x = int(HALF)
@@ -210,8 +207,8 @@ def find_corners(
     found = int(0)
     step = int(-1)
     n = int(0)
-    while n < LONGEST and found < 2 and (x != goal[0] or y != goal[1]):
-        step = next_step(x, y, step, first, center, ring, costs)
+    while n < LONGEST and found < 2 and y * SIZE + x != goal:
+        step = next_step(x, y, step, goal, center, ring, costs)
         offset = neighbor(step)
         nearest = int(ring[address(x + offset[0] + center[0] - HALF, y + offset[1] + center[1] - HALF)])
         least = wp.min(least, nearest)
@@ -263,10 +260,9 @@ def plan_routes(
         if planned[i]:
             center = centers[i]
             # A goal outside of the window counts as at its edge.
-            goal = wp.vec2i(
-                wp.clamp(cell_of(goals[i, 0]) - center[0] + HALF, 0, SIZE - 1),
-                wp.clamp(cell_of(goals[i, 1]) - center[1] + HALF, 0, SIZE - 1),
-            )
+            column = wp.clamp(cell_of(goals[i, 0]) - center[0] + HALF, 0, SIZE - 1)
+            row = wp.clamp(cell_of(goals[i, 1]) - center[1] + HALF, 0, SIZE - 1)
+            goal = row * SIZE + column
             spread(goal, center, rings[i], costs[t], heads[t], following[t], preceding[t])
             total = costs[t, HALF * SIZE + HALF]
             lengths[i] = -1.0

@@ -2,7 +2,8 @@
 
 A map is a window of ``SIZE x SIZE`` cells around the rover, which moves with it cell by cell. Cell (X, Y) of the world
 covers ``CELL * [X, X + 1)`` by ``CELL * [Y, Y + 1)``, m. It is stored at ``(Y mod SIZE) * SIZE + X mod SIZE``, so that
-nothing moves in memory when the window does: only the cells that enter are cleared.
+nothing moves in memory when the window does: only the cells that enter are cleared. The surroundings of a cell at one
+edge of the window therefore reach over to the opposite edge.
 """
 
 from __future__ import annotations
@@ -17,16 +18,21 @@ LAST = wp.constant(127)
 """Bits of a cell number that its address depends on."""
 CELL = wp.constant(0.15)
 """Side length of a cell, m. A gap of 0.7 m, in which the rover fits, has at least three free cells side by side."""
+OCCUPIED = wp.constant(2)
+"""Evidence from which on a cell counts as occupied."""
 HIT = wp.constant(4)
-"""Evidence that a reading adds to the cell at its end, and from which on a cell counts as occupied."""
+"""Evidence that a reading adds to the cell at its end."""
 MOST = wp.constant(12)
 """Largest evidence of a cell. Each beam that passes through it takes 1 away."""
 RINGS = wp.constant(4)
 """Number of rings that are told apart around an occupied cell: 0 is the cell itself, ``RINGS`` is farther than 3."""
 NO_GAP = wp.constant(4.0)
 """Distance between the ends of neighboring beams up to which nothing fits between them, cells: 0.6 m."""
-LOWEST = wp.constant(-0.2)
-"""Height of the end of a beam, relative to the lidar, below which it is on the ground, m."""
+LOWEST = wp.constant(-4.0 / 3.0)
+"""Height of the end of a beam, relative to the lidar, below which it is on the ground, cells: -0.2 m."""
+REACH = wp.constant(60)
+"""Number of cells along an axis up to which beams count: 9 m. All of them are in the window, if the lidar is at most
+3 cells, 0.45 m, from the rover's center along each axis."""
 
 
 @wp.func
@@ -42,65 +48,79 @@ def cell_of(position: float):
 
 
 @wp.func
-def in_window(x: int, y: int, center: wp.vec2i):
-    """Returns whether cell (x, y) of the world is in the window around a cell."""
-    across = x - center[0] + HALF
-    up = y - center[1] + HALF
-    return across >= 0 and up >= 0 and across < SIZE and up < SIZE
-
-
-@wp.func
-def mark(x: int, y: int, center: wp.vec2i, evidence: wp.array[wp.uint8], rings: wp.array[wp.uint8]):
-    """Adds a hit to a cell. If that makes it occupied, the rings of its surroundings shrink."""
-    here = address(x, y)
-    before = int(evidence[here])
-    evidence[here] = wp.uint8(wp.min(before + HIT, MOST))
-    if before < HIT:
-        for dy in range(1 - RINGS, RINGS):
-            for dx in range(1 - RINGS, RINGS):
-                ring = wp.max(wp.abs(dx), wp.abs(dy))
-                there = address(x + dx, y + dy)
-                if in_window(x + dx, y + dy, center) and ring < int(rings[there]):
-                    rings[there] = wp.uint8(ring)
-
-
-@wp.func
-def ring_at(x: int, y: int, center: wp.vec2i, evidence: wp.array[wp.uint8]):
+def find_ring(x: int, y: int, evidence: wp.array[wp.uint8]):
     """Returns the distance of a cell from the nearest occupied one, at most ``RINGS``, in cells (Chebyshev)."""
     nearest = int(RINGS)
     for dy in range(1 - RINGS, RINGS):
         for dx in range(1 - RINGS, RINGS):
-            if in_window(x + dx, y + dy, center) and int(evidence[address(x + dx, y + dy)]) >= HIT:
+            if int(evidence[address(x + dx, y + dy)]) >= OCCUPIED:
                 nearest = wp.min(nearest, wp.max(wp.abs(dx), wp.abs(dy)))
     return nearest
 
 
 @wp.func
-def clear(x: int, y: int, center: wp.vec2i, evidence: wp.array[wp.uint8], rings: wp.array[wp.uint8]):
-    """Takes evidence from a cell that a beam has passed. If that frees it, the rings around it are computed again."""
+def set_evidence(x: int, y: int, value: int, evidence: wp.array[wp.uint8], rings: wp.array[wp.uint8]):
+    """Sets the evidence of a cell. If that makes it occupied or free, the rings around it change."""
     here = address(x, y)
     before = int(evidence[here])
-    if before > 0:
-        evidence[here] = wp.uint8(before - 1)
-        if before == HIT:
-            for dy in range(1 - RINGS, RINGS):
-                for dx in range(1 - RINGS, RINGS):
-                    if in_window(x + dx, y + dy, center):
-                        rings[address(x + dx, y + dy)] = wp.uint8(ring_at(x + dx, y + dy, center, evidence))
+    evidence[here] = wp.uint8(value)
+    if (before < OCCUPIED) != (value < OCCUPIED):
+        for dy in range(1 - RINGS, RINGS):
+            for dx in range(1 - RINGS, RINGS):
+                there = address(x + dx, y + dy)
+                if before < OCCUPIED:
+                    rings[there] = wp.uint8(wp.min(int(rings[there]), wp.max(wp.abs(dx), wp.abs(dy))))
+                else:
+                    rings[there] = wp.uint8(find_ring(x + dx, y + dy, evidence))
 
 
 @wp.func
 def move_window(before: wp.vec2i, after: wp.vec2i, evidence: wp.array[wp.uint8], rings: wp.array[wp.uint8]):
-    """Clears the columns and rows that enter the window. What moves by more than its size is cleared as a whole."""
+    """Clears the columns and rows that enter the window in the place of those that leave it."""
     for axis in range(2):
         shift = after[axis] - before[axis]
-        count = wp.min(wp.abs(shift), SIZE)
-        for k in range(count):
-            entered = wp.where(shift > 0, after[axis] + HALF - 1 - k, after[axis] - HALF + k) & LAST
+        for k in range(wp.min(wp.abs(shift), SIZE)):
+            entered = wp.where(shift > 0, after[axis] + HALF - 1 - k, after[axis] - HALF + k)
             for other in range(SIZE):
-                cell = wp.where(axis == 0, other * SIZE + entered, entered * SIZE + other)
-                evidence[cell] = wp.uint8(0)
-                rings[cell] = wp.uint8(RINGS)
+                x = wp.where(axis == 0, entered, other)
+                y = wp.where(axis == 0, other, entered)
+                if evidence[address(x, y)] > wp.uint8(0):
+                    set_evidence(x, y, 0, evidence, rings)
+
+
+@wp.func
+def clear_window(evidence: wp.array[wp.uint8], rings: wp.array[wp.uint8]):
+    """Clears all cells."""
+    for cell in range(SIZE * SIZE):
+        evidence[cell] = wp.uint8(0)
+        rings[cell] = wp.uint8(RINGS)
+
+
+@wp.func
+def beam_of(direction: wp.vec2, reading: float, pose: wp.array[float]):
+    """Returns a beam in the world's frame, in the unit of its reading.
+
+    A beam at the angle a in the frame of the lidar has the direction ``Rz(yaw) Ry(pitch) Rx(roll) (cos a, sin a, 0)``.
+
+    Args:
+        direction: cosine and sine of the angle in the frame of the lidar.
+        reading: length of the beam.
+        pose: x, y, pitch, roll and yaw of the rover.
+    """
+    aside = direction[1] * wp.sin(pose[3])
+    forward = direction[0] * wp.cos(pose[2]) + aside * wp.sin(pose[2])
+    left = direction[1] * wp.cos(pose[3])
+    up = aside * wp.cos(pose[2]) - direction[0] * wp.sin(pose[2])
+    cos = wp.cos(pose[4])
+    sin = wp.sin(pose[4])
+    return reading * wp.vec3(forward * cos - left * sin, forward * sin + left * cos, up)
+
+
+@wp.func
+def is_hit(beam: wp.vec3, reading: float, max_range: float):
+    """Returns whether a beam, in cells, ends at an obstacle in the window."""
+    crossed = wp.max(wp.abs(beam[0]), wp.abs(beam[1]))
+    return reading < max_range and crossed < float(REACH) and beam[2] > LOWEST
 
 
 @wp.kernel
@@ -108,7 +128,7 @@ def add_scans(
     poses: wp.array2d[float],
     readings: wp.array2d[float],
     directions: wp.array[wp.vec2],
-    mount: float,
+    mount: wp.vec2,
     max_range: float,
     added: wp.array[wp.bool],
     renewed: wp.array[wp.bool],
@@ -118,14 +138,15 @@ def add_scans(
 ):
     """Adds a scan to each row's map; thread ``i`` does row i.
 
-    A beam at the angle a in the frame of the lidar has the direction ``Rz(yaw) Ry(pitch) Rx(roll) (cos a, sin a, 0)``
-    in the world's frame.
+    Each beam takes 1 from the evidence of the cells that it passes, up to 1.5 cells before its end. Then each one adds
+    ``HIT`` to the cell at its end. Last, the cells between the ends of two neighboring beams count as occupied, too, if
+    nothing fits between them.
 
     Args:
         poses: x, y (m), pitch, roll and yaw (rad) of the rovers, ``[N, 5]``.
         readings: lidar readings, ``[N, P]``, m.
         directions: cosine and sine of the angle of each reading in the frame of the lidar, ``[P]``.
-        mount: x of the lidar in the frame of the rover, m.
+        mount: x and y of the lidar in the frame of the rover, m.
         max_range: range at which a beam has hit nothing, m.
         added: rows whose scan is added. The others do not change.
         renewed: rows whose map is cleared first.
@@ -139,60 +160,48 @@ def add_scans(
     evidence = evidences[i]
     ring = rings[i]
     center = wp.vec2i(cell_of(poses[i, 0]), cell_of(poses[i, 1]))
-    before = centers[i]
     if renewed[i]:
-        before = center + wp.vec2i(SIZE, SIZE)
-    move_window(before, center, evidence, ring)
+        clear_window(evidence, ring)
+    else:
+        move_window(centers[i], center, evidence, ring)
     centers[i] = center
-    cos_yaw = wp.cos(poses[i, 4])
-    sin_yaw = wp.sin(poses[i, 4])
-    cos_pitch = wp.cos(poses[i, 2])
-    sin_pitch = wp.sin(poses[i, 2])
-    cos_roll = wp.cos(poses[i, 3])
-    sin_roll = wp.sin(poses[i, 3])
     # Position of the lidar, in cells.
-    x = (poses[i, 0] + mount * cos_yaw) / CELL
-    y = (poses[i, 1] + mount * sin_yaw) / CELL
+    cos = wp.cos(poses[i, 4])
+    sin = wp.sin(poses[i, 4])
+    x = (poses[i, 0] + mount[0] * cos - mount[1] * sin) / CELL
+    y = (poses[i, 1] + mount[0] * sin + mount[1] * cos) / CELL
     count = directions.shape[0]
-    # First the cells that the beams pass, then those at their ends: a beam must not clear what another one has hit.
-    for stage in range(2):
-        seen = bool(False)
-        last_x = float(0.0)
-        last_y = float(0.0)
+    for k in range(count):
+        beam = beam_of(directions[k], readings[i, k] / CELL, poses[i])
+        # Cells that the beam crosses along the axis along which it crosses more.
+        crossed = wp.max(wp.abs(beam[0]), wp.abs(beam[1]))
+        for n in range(int(wp.min(crossed - 1.5, float(REACH)))):
+            part = float(n + 1) / crossed
+            along = int(wp.floor(x + part * beam[0]))
+            across = int(wp.floor(y + part * beam[1]))
+            passed = int(evidence[address(along, across)])
+            if passed > 0:
+                set_evidence(along, across, passed - 1, evidence, ring)
+    # After all beams have passed, so that no beam clears what another one has hit.
+    for k in range(count):
+        beam = beam_of(directions[k], readings[i, k] / CELL, poses[i])
+        if is_hit(beam, readings[i, k], max_range):
+            along = int(wp.floor(x + beam[0]))
+            across = int(wp.floor(y + beam[1]))
+            before = int(evidence[address(along, across)])
+            set_evidence(along, across, wp.min(before + HIT, MOST), evidence, ring)
+    for k in range(count):
+        beam = beam_of(directions[k], readings[i, k] / CELL, poses[i])
         # The last reading is a neighbor of the first one.
-        for p in range(-1, count):
-            k = wp.where(p < 0, count - 1, p)
-            along = directions[k][0]
-            aside = directions[k][1]
-            forward = along * cos_pitch + aside * sin_roll * sin_pitch
-            left = aside * cos_roll
-            up = aside * sin_roll * cos_pitch - along * sin_pitch
-            reading = readings[i, k]
-            step_x = reading / CELL * (forward * cos_yaw - left * sin_yaw)
-            step_y = reading / CELL * (forward * sin_yaw + left * cos_yaw)
-            # Cells that the beam crosses along the axis along which it crosses more.
-            crossed = wp.max(wp.abs(step_x), wp.abs(step_y))
-            if stage == 0:
-                if p >= 0 and crossed > 0.0:
-                    for n in range(int(wp.min(crossed - 1.5, float(HALF - 2)))):
-                        part = float(n + 1) / crossed
-                        clear(
-                            int(wp.floor(x + part * step_x)), int(wp.floor(y + part * step_y)), center, evidence, ring
-                        )
-            else:
-                hit = reading < max_range and crossed < float(HALF - 2) and reading * up > LOWEST
-                end_x = x + step_x
-                end_y = y + step_y
-                if hit and p >= 0:
-                    mark(int(wp.floor(end_x)), int(wp.floor(end_y)), center, evidence, ring)
-                    apart = wp.max(wp.abs(end_x - last_x), wp.abs(end_y - last_y))
-                    if seen and wp.length(wp.vec2(end_x - last_x, end_y - last_y)) < NO_GAP:
-                        for n in range(int(wp.ceil(apart)) - 1):
-                            part = float(n + 1) / wp.ceil(apart)
-                            between_x = int(wp.floor(last_x + part * (end_x - last_x)))
-                            between_y = int(wp.floor(last_y + part * (end_y - last_y)))
-                            if int(evidence[address(between_x, between_y)]) < HIT:
-                                mark(between_x, between_y, center, evidence, ring)
-                seen = hit
-                last_x = end_x
-                last_y = end_y
+        other = (k + 1) % count
+        next_beam = beam_of(directions[other], readings[i, other] / CELL, poses[i])
+        gap_x = next_beam[0] - beam[0]
+        gap_y = next_beam[1] - beam[1]
+        both = is_hit(beam, readings[i, k], max_range) and is_hit(next_beam, readings[i, other], max_range)
+        if both and wp.length(wp.vec2(gap_x, gap_y)) < NO_GAP:
+            steps = wp.ceil(wp.max(wp.abs(gap_x), wp.abs(gap_y)))
+            for n in range(1, int(steps)):
+                along = int(wp.floor(x + beam[0] + float(n) / steps * gap_x))
+                across = int(wp.floor(y + beam[1] + float(n) / steps * gap_y))
+                before = int(evidence[address(along, across)])
+                set_evidence(along, across, wp.max(before, OCCUPIED), evidence, ring)

@@ -27,6 +27,9 @@ ROUTE_KEYS = ("lidar", "pose", "imu", "target")
 ROUTE_BOUNDS = Bounds((0.0, -math.pi, 0.0, -math.pi, -1.0), (100.0, math.pi, 100.0, math.pi, 1000.0))
 """Bounds of a route: distance and angle of two corners (m, rad), and its length (m)."""
 
+FARTHEST_MOUNT = 0.45
+"""Largest distance of the lidar from the robot's center along x and along y, m."""
+
 
 class SeenMap:
     """Maps of the obstacles that rovers have seen in their episodes, and the shortest routes on them.
@@ -43,6 +46,9 @@ class SeenMap:
         lidar: settings of the lidar; ``None``: the defaults.
         robot: robot, or its name, for the position of the lidar.
         device: device of the observations; ``None``: the CPU.
+
+    Raises:
+        ValueError: if the lidar is mounted too far from the robot's center.
     """
 
     def __init__(
@@ -57,7 +63,11 @@ class SeenMap:
         from rover_rl.envs.seen_map.scan_kernels import RINGS, SIZE
 
         lidar, device = lidar or LidarConfig(), torch.device(device or "cpu")
-        self._mount, self._max_range = get_robot(robot).lidar_position[0], lidar.max_range - 1e-3
+        self._mount, self._max_range = get_robot(robot).lidar_position[:2], lidar.max_range - 1e-3
+        if max(map(abs, self._mount)) > FARTHEST_MOUNT:
+            raise ValueError(
+                f"the lidar must be at most {FARTHEST_MOUNT} m from the robot's center along x and y, got {self._mount}"
+            )
         cells = (rows, SIZE * SIZE)
         self._every = torch.ones(rows, dtype=torch.bool, device=device)
         self._renewed = self._every.clone()
@@ -103,6 +113,22 @@ class SeenMap:
         angle = wrap_angle(torch.atan2(offset[..., 1], offset[..., 0]) - imu[:, 2:])
         corners = torch.stack((offset.norm(dim=-1), angle), -1).flatten(1)
         return torch.cat((corners, self._lengths[:, None]), -1)
+
+    def occupied(self) -> tuple[Tensor, Tensor]:
+        """Returns the cells that count as occupied.
+
+        Returns:
+            Cells, bool ``[N, rows, columns]``, and x, y of the lower corner of cell ``[0, 0]`` of each row's window,
+            float32 ``[N, 2]``, m.
+        """
+        from rover_rl.envs.seen_map.scan_kernels import CELL, HALF, OCCUPIED, SIZE
+
+        lowest = self._centers - HALF
+        # A cell is stored at its number modulo the size.
+        columns, rows = ((lowest[:, axis, None] + torch.arange(SIZE, device=lowest.device)) % SIZE for axis in range(2))
+        address = rows[:, :, None] * SIZE + columns[:, None]
+        cells = self._evidence.gather(1, address.flatten(1).long()) >= OCCUPIED
+        return cells.reshape(address.shape), lowest * CELL
 
     def _launch(self, poses: Tensor, readings: Tensor, goals: Tensor, rows: Tensor) -> None:
         """Launches the kernels. Poses are x, y, pitch, roll, yaw, ``[N, 5]``."""
