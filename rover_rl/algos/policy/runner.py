@@ -20,6 +20,7 @@ from torch import Tensor
 
 from rover_rl.algos.policy.recurrent import state_keys
 from rover_rl.envs.config import EnvConfig, LidarConfig
+from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.seen_map.seen_map import ROUTE, SeenMap
 
 Policy: TypeAlias = Callable[[TensorDictBase], TensorDictBase]
@@ -61,13 +62,17 @@ class PolicyRunner:
         action_repeat: number of steps that each action is held for; ``None``: see :func:`default_action_repeat`.
         min_rows: smallest number of rows that the policy is called with. Copies of the last row fill them up. Matrix
             products of few rows round differently.
+        env: environment that the policy drives in, for the bounds that routes stay in; ``None``: no bounds.
 
     Attributes:
         policy: the policy.
         action_repeat: number of steps that each action is held for.
     """
 
-    def __init__(self, policy: Policy, action_repeat: int | None = None, min_rows: int = 1) -> None:
+    def __init__(
+        self, policy: Policy, action_repeat: int | None = None, min_rows: int = 1, env: RoverEnv | None = None
+    ) -> None:
+        self._env = env
         self.action_repeat = default_action_repeat(policy, action_repeat)
         self.policy, self._min_rows, self._keys = policy, min_rows, state_keys(policy)
         self._seen: SeenMap | None = None
@@ -121,14 +126,16 @@ class PolicyRunner:
     def _new_map(self, observation: TensorDictBase) -> SeenMap:
         """Creates the maps of a policy that reads the route."""
         rows, points = observation["lidar"].shape
-        made_for = getattr(self.policy, "made_for", None) or EnvConfig(lidar=LidarConfig(points=points))
-        return SeenMap(rows, made_for.lidar, made_for.robot, observation["lidar"].device)
+        config = self._env.config if self._env is not None else getattr(self.policy, "made_for", None)
+        config = config or EnvConfig(lidar=LidarConfig(points=points))
+        return SeenMap(rows, config.lidar, config.robot, observation["lidar"].device)
 
     def _decide(self, observation: TensorDictBase, due: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         """Calls the policy and returns the actions and the next state of all rows. Rows that are ``due`` matter."""
         rows, inputs = len(observation), observation.copy()
         if self._seen is not None:
-            inputs[ROUTE] = self._seen(observation, due, self._is_init)
+            bounds = self._env.placement.bounds if self._env is not None else None
+            inputs[ROUTE] = self._seen(observation, due, self._is_init, bounds)
         if self._keys:
             inputs.update(self._state).set("is_init", self._is_init[:, None])
         if rows < self._min_rows:

@@ -66,7 +66,7 @@ def least_cost(x: int, y: int):
 
 
 @wp.func
-def weight_of(x: int, y: int, goal: int, center: wp.vec2i, ring: wp.array[wp.uint8]):
+def weight_of(x: int, y: int, goal: int, center: wp.vec2i, fence: wp.vec4i, ring: wp.array[wp.uint8]):
     """Returns the weight of cell (x, y) of the window; 0 if the rover cannot be there."""
     nearest = int(ring[address(x + center[0] - HALF, y + center[1] - HALF)])
     weight = int(OPEN_WEIGHT)
@@ -81,6 +81,8 @@ def weight_of(x: int, y: int, goal: int, center: wp.vec2i, ring: wp.array[wp.uin
         weight = wp.where(wp.min(from_home, from_goal) > BESIDE, 0, BESIDE_WEIGHT)
     elif nearest == 0 and y * SIZE + x != goal:
         weight = 0
+    if x < fence[0] or y < fence[1] or x > fence[2] or y > fence[3]:
+        weight = wp.where(y * SIZE + x == goal, weight, 0)
     return weight
 
 
@@ -88,6 +90,7 @@ def weight_of(x: int, y: int, goal: int, center: wp.vec2i, ring: wp.array[wp.uin
 def spread(
     goal: int,
     center: wp.vec2i,
+    fence: wp.vec4i,
     ring: wp.array[wp.uint8],
     costs: wp.array[int],
     heads: wp.array[int],
@@ -124,7 +127,7 @@ def spread(
             here = costs[cell]
             x = cell & LAST
             y = cell / SIZE
-            weight = weight_of(x, y, goal, center, ring)
+            weight = weight_of(x, y, goal, center, fence, ring)
             for step in range(8):
                 offset = neighbor(step)
                 to_x = x + offset[0]
@@ -134,12 +137,18 @@ def spread(
                     other = to_y * SIZE + to_x
                     candidate = here + step_length(step) * weight
                     known = costs[other]
-                    if candidate < known and (other == home or weight_of(to_x, to_y, goal, center, ring) > 0):
+                    if candidate < known and (other == home or weight_of(to_x, to_y, goal, center, fence, ring) > 0):
                         estimate = least_cost(to_x - HALF, to_y - HALF)
                         if known < UNKNOWN_COST and following[other] != REMOVED:
                             unlink(other, (known + estimate) / WIDTH % BUCKETS, heads, following, preceding)
                         costs[other] = candidate
                         link(other, (candidate + estimate) / WIDTH % BUCKETS, heads, following, preceding)
+
+
+@wp.func
+def edge(coordinate: float, center: int):
+    """Returns the number within the window of the cell that holds a coordinate, m; outside of the window, one of -1."""
+    return wp.clamp(int(wp.floor(wp.clamp(coordinate / CELL, -1.0e8, 1.0e8))) - center + HALF, -1, SIZE)
 
 
 @wp.func
@@ -149,6 +158,7 @@ def next_step(
     before: int,
     goal: int,
     center: wp.vec2i,
+    fence: wp.vec4i,
     ring: wp.array[wp.uint8],
     costs: wp.array[int],
 ):
@@ -160,7 +170,7 @@ def next_step(
         to_x = x + offset[0]
         to_y = y + offset[1]
         if to_x >= 0 and to_y >= 0 and to_x < SIZE and to_y < SIZE:
-            weight = weight_of(to_x, to_y, goal, center, ring)
+            weight = weight_of(to_x, to_y, goal, center, fence, ring)
             known = costs[to_y * SIZE + to_x]
             if weight > 0 and known < UNKNOWN_COST:
                 cost = known + step_length(step) * weight
@@ -188,6 +198,7 @@ def is_open(from_x: int, from_y: int, to_x: int, to_y: int, least: int, center: 
 def find_corners(
     goal: int,
     center: wp.vec2i,
+    fence: wp.vec4i,
     ring: wp.array[wp.uint8],
     costs: wp.array[int],
     corners: wp.array2d[float],
@@ -208,7 +219,7 @@ def find_corners(
     step = int(-1)
     n = int(0)
     while n < LONGEST and found < 2 and y * SIZE + x != goal:
-        step = next_step(x, y, step, goal, center, ring, costs)
+        step = next_step(x, y, step, goal, center, fence, ring, costs)
         offset = neighbor(step)
         nearest = int(ring[address(x + offset[0] + center[0] - HALF, y + offset[1] + center[1] - HALF)])
         least = wp.min(least, nearest)
@@ -230,6 +241,7 @@ def find_corners(
 @wp.kernel
 def plan_routes(
     goals: wp.array2d[float],
+    bounds: wp.array2d[float],
     planned: wp.array[wp.bool],
     centers: wp.array[wp.vec2i],
     rings: wp.array2d[wp.uint8],
@@ -244,6 +256,7 @@ def plan_routes(
 
     Args:
         goals: x and y of the goals, ``[N, 2]``, m.
+        bounds: lower x and y and upper x and y of the area that routes stay in, ``[N, 4]``, m.
         planned: rows to plan for, ``[N]``. The results of others do not change.
         centers: cells in the middle of the windows.
         rings: distance of each cell from the nearest occupied one: see :func:`add_scans`.
@@ -263,13 +276,20 @@ def plan_routes(
             column = wp.clamp(cell_of(goals[i, 0]) - center[0] + HALF, 0, SIZE - 1)
             row = wp.clamp(cell_of(goals[i, 1]) - center[1] + HALF, 0, SIZE - 1)
             goal = row * SIZE + column
-            spread(goal, center, rings[i], costs[t], heads[t], following[t], preceding[t])
+            # Cells that are inside as a whole. Bounds may be infinite.
+            fence = wp.vec4i(
+                edge(bounds[i, 0], center[0]) + 1,
+                edge(bounds[i, 1], center[1]) + 1,
+                edge(bounds[i, 2], center[0]) - 1,
+                edge(bounds[i, 3], center[1]) - 1,
+            )
+            spread(goal, center, fence, rings[i], costs[t], heads[t], following[t], preceding[t])
             total = costs[t, HALF * SIZE + HALF]
             lengths[i] = -1.0
             found = int(0)
             if total < UNKNOWN_COST:
                 lengths[i] = float(total) * CELL / float(OPEN_WEIGHT * STRAIGHT)
-                found = find_corners(goal, center, rings[i], costs[t], corners[i])
+                found = find_corners(goal, center, fence, rings[i], costs[t], corners[i])
             for k in range(found, 2):
                 # The last corner is the goal itself.
                 corners[i, k, 0] = goals[i, 0]

@@ -23,7 +23,14 @@ OCCUPIED = wp.constant(2)
 HIT = wp.constant(4)
 """Evidence that a reading adds to the cell at its end."""
 MOST = wp.constant(12)
-"""Largest evidence of a cell. Each beam that passes through it takes 1 away."""
+"""Largest evidence from readings. Each beam that passes through a cell takes 1 away."""
+STEEP = wp.constant(255)
+"""Evidence of a cell that is too steep. Beams do not change it."""
+MAX_TILT = wp.constant(0.42)
+"""Tilt of the rover above which the ground ahead uphill is too steep, rad: 24 degrees. Tires of usual friction (0.5)
+slide at 26.6."""
+UPHILL = wp.constant(3.0)
+"""Distance of the cell that is too steep then, in cells: 0.45 m."""
 RINGS = wp.constant(4)
 """Number of rings that are told apart around an occupied cell: 0 is the cell itself, ``RINGS`` is farther than 3."""
 NO_GAP = wp.constant(4.0)
@@ -139,8 +146,8 @@ def add_scans(
     """Adds a scan to each row's map; thread ``i`` does row i.
 
     Each beam takes 1 from the evidence of the cells that it passes, up to 1.5 cells before its end. Then each one adds
-    ``HIT`` to the cell at its end. Last, the cells between the ends of two neighboring beams count as occupied, too, if
-    nothing fits between them.
+    ``HIT`` to the cell at its end. Then the cells between the ends of two neighboring beams count as occupied, too, if
+    nothing fits between them. Last, if the rover stands on a steep slope, a cell uphill counts as occupied for good.
 
     Args:
         poses: x, y (m), pitch, roll and yaw (rad) of the rovers, ``[N, 5]``.
@@ -180,7 +187,7 @@ def add_scans(
             along = int(wp.floor(x + part * beam[0]))
             across = int(wp.floor(y + part * beam[1]))
             passed = int(evidence[address(along, across)])
-            if passed > 0:
+            if passed > 0 and passed <= MOST:
                 set_evidence(along, across, passed - 1, evidence, ring)
     # After all beams have passed, so that no beam clears what another one has hit.
     for k in range(count):
@@ -189,7 +196,8 @@ def add_scans(
             along = int(wp.floor(x + beam[0]))
             across = int(wp.floor(y + beam[1]))
             before = int(evidence[address(along, across)])
-            set_evidence(along, across, wp.min(before + HIT, MOST), evidence, ring)
+            if before <= MOST:
+                set_evidence(along, across, wp.min(before + HIT, MOST), evidence, ring)
     for k in range(count):
         beam = beam_of(directions[k], readings[i, k] / CELL, poses[i])
         # The last reading is a neighbor of the first one.
@@ -205,3 +213,12 @@ def add_scans(
                 across = int(wp.floor(y + beam[1] + float(n) / steps * gap_y))
                 before = int(evidence[address(along, across)])
                 set_evidence(along, across, wp.max(before, OCCUPIED), evidence, ring)
+    cos_tilt = wp.cos(poses[i, 2]) * wp.cos(poses[i, 3])
+    if cos_tilt < wp.cos(MAX_TILT):
+        # Downhill is where the rover's vertical axis, Rz(yaw) Ry(pitch) Rx(roll) (0, 0, 1), points to.
+        forward = wp.cos(poses[i, 3]) * wp.sin(poses[i, 2])
+        left = -wp.sin(poses[i, 3])
+        scale = -UPHILL / wp.length(wp.vec2(forward, left))
+        along = int(wp.floor(poses[i, 0] / CELL + scale * (forward * cos - left * sin)))
+        across = int(wp.floor(poses[i, 1] / CELL + scale * (forward * sin + left * cos)))
+        set_evidence(along, across, STEEP, evidence, ring)

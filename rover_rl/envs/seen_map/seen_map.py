@@ -37,7 +37,7 @@ class SeenMap:
     Each row has its own map: a window of 19.2 m around the rover, in cells of 0.15 m, which moves with it. The end of a
     beam marks a cell as occupied, and beams that pass through a cell clear it. What has not been seen counts as free,
     so that routes lead into the unknown if that may be shorter. Once its end has been seen, no route leads into a dead
-    end any more.
+    end any more. Where the rover tilts by more than 24 degrees, the ground ahead uphill counts as occupied, too.
 
     The map needs a pose that does not jump, such as that of odometry.
 
@@ -71,6 +71,7 @@ class SeenMap:
         cells = (rows, SIZE * SIZE)
         self._every = torch.ones(rows, dtype=torch.bool, device=device)
         self._renewed = self._every.clone()
+        self._unbounded = torch.tensor((-math.inf, -math.inf, math.inf, math.inf), device=device).repeat(rows, 1)
         self._centers = torch.zeros(rows, 2, dtype=torch.int32, device=device)
         self._evidence = torch.zeros(cells, dtype=torch.uint8, device=device)
         self._rings = torch.full(cells, RINGS, dtype=torch.uint8, device=device)
@@ -87,7 +88,11 @@ class SeenMap:
         self._directions = torch.stack((angles.cos(), angles.sin()), -1)
 
     def __call__(
-        self, observation: TensorDictBase, rows: Tensor | None = None, renewed: Tensor | None = None
+        self,
+        observation: TensorDictBase,
+        rows: Tensor | None = None,
+        renewed: Tensor | None = None,
+        bounds: Tensor | None = None,
     ) -> Tensor:
         """Adds the scans of an observation to the maps and plans the routes to the goals.
 
@@ -95,6 +100,7 @@ class SeenMap:
             observation: observation ``[N]`` with :data:`ROUTE_KEYS`.
             rows: rows whose scan is added, bool ``[N]``; ``None``: all. The maps of the others stay as they are.
             renewed: rows whose episode begins, bool ``[N]``. Their maps are cleared before.
+            bounds: area that the routes stay in: lower x and y and upper x and y, ``[N, 4]``, m; ``None``: no bounds.
 
         Returns:
             Routes, float32 ``[N, 5]``: distance (m) and angle (rad, relative to the rover's heading) of the first and
@@ -107,7 +113,9 @@ class SeenMap:
         pose, imu, target = observation["pose"], observation["imu"], observation["target"]
         bearing = target[:, 1:] + imu[:, 2:]
         goal = pose[:, :2] + target[:, :1] * torch.cat((bearing.cos(), bearing.sin()), -1)
-        self._launch(torch.cat((pose[:, :2], imu), -1), observation["lidar"].contiguous(), goal, rows.contiguous())
+        bounds = self._unbounded if bounds is None else bounds
+        poses, readings = torch.cat((pose[:, :2], imu), -1), observation["lidar"].contiguous()
+        self._launch(poses, readings, goal, bounds.contiguous(), rows.contiguous())
         self._renewed &= ~rows
         offset = self._corners - pose[:, None, :2]
         angle = wrap_angle(torch.atan2(offset[..., 1], offset[..., 0]) - imu[:, 2:])
@@ -115,7 +123,7 @@ class SeenMap:
         return torch.cat((corners, self._lengths[:, None]), -1)
 
     def occupied(self) -> tuple[Tensor, Tensor]:
-        """Returns the cells that count as occupied.
+        """Returns the cells that count as occupied or too steep.
 
         Returns:
             Cells, bool ``[N, rows, columns]``, and x, y of the lower corner of cell ``[0, 0]`` of each row's window,
@@ -130,7 +138,7 @@ class SeenMap:
         cells = self._evidence.gather(1, address.flatten(1).long()) >= OCCUPIED
         return cells.reshape(address.shape), lowest * CELL
 
-    def _launch(self, poses: Tensor, readings: Tensor, goals: Tensor, rows: Tensor) -> None:
+    def _launch(self, poses: Tensor, readings: Tensor, goals: Tensor, bounds: Tensor, rows: Tensor) -> None:
         """Launches the kernels. Poses are x, y, pitch, roll, yaw, ``[N, 5]``."""
         from rover_rl.envs.seen_map.route_kernels import plan_routes
         from rover_rl.envs.seen_map.scan_kernels import add_scans
@@ -144,6 +152,6 @@ class SeenMap:
         scans += [centers, self._evidence, self._rings]
         wp.launch(add_scans, len(poses), scans, device=device, stream=stream)
         costs, following, preceding = self._memory
-        plans = [goals, rows, centers, self._rings, costs, self._heads, following, preceding]
+        plans = [goals, bounds, rows, centers, self._rings, costs, self._heads, following, preceding]
         plans += [self._corners, self._lengths]
         wp.launch(plan_routes, len(costs), plans, device=device, stream=stream)

@@ -17,9 +17,9 @@ from rover_rl.envs.specs import bounded_spec
 class RouteObservation(Transform):
     """Adds ``route`` to the observation: float32 ``[N, 5]``, see :class:`~rover_rl.envs.seen_map.seen_map.SeenMap`.
 
-    The route is the shortest one around the obstacles that the rover has seen in this episode. Unlike
-    :class:`~rover_rl.envs.transforms.path_reward.PathReward`, it uses the lidar, the pose and the IMU only, so that a
-    policy may read it wherever it drives.
+    The route is the shortest one around the obstacles that the rover has seen in this episode, within the bounds of the
+    world. Unlike :class:`~rover_rl.envs.transforms.path_reward.PathReward`, it uses the lidar, the pose and the IMU
+    only, so that a policy may read it wherever it drives.
 
     Append it after :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat`, so that the map is updated with each
     decision.
@@ -36,6 +36,7 @@ class RouteObservation(Transform):
 
     def __init__(self, env: RoverEnv) -> None:
         super().__init__()
+        self._env = env
         self._seen = SeenMap(env.num_envs, env.config.lidar, env.robot, env.device)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -48,7 +49,7 @@ class RouteObservation(Transform):
 
     def _route(self, observation: TensorDictBase, renewed: Tensor | None = None) -> Tensor:
         """Returns the routes. If ``renewed`` is given, only these rows have changed, and their episodes begin."""
-        route = self._seen(in_rows(observation), renewed, renewed)
+        route = self._seen(in_rows(observation), renewed, renewed, self._env.placement.bounds)
         return route.reshape(*observation.batch_size, route.shape[-1])
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
