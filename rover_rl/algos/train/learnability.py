@@ -82,7 +82,8 @@ class Learnability:
     @property
     def values(self) -> Tensor:
         """Estimated learnability p (1 - p) of each world, float64 ``[len(pool)]``."""
-        return self.success_rate * (1 - self.success_rate)
+        rate = self.success_rate
+        return rate * (1 - rate)
 
     def probabilities(self, share: float, temperature: float) -> Tensor:
         """Returns how often to draw each world, float64 ``[len(pool)]``.

@@ -86,14 +86,15 @@ def test_episodes_follow_the_success_of_the_policy() -> None:
         # Each decision is an episode in which the rovers stand still.
         step, td = env.step_and_maybe_reset(td.set("action", torch.zeros(64, 2)))
         shares.append(step["next", "outcome", "world"].flatten().bincount(minlength=3) / 64)
-    # The first two episodes have drawn their worlds before they had weights.
-    assert shares[1].max() < 0.6
-    assert shares[2][0] > 0.9
-    assert shares[-1][2] > 0.9
+    # The first episodes have drawn their worlds before these had weights.
+    assert shares[0].max() < 0.6
+    assert shares[1][0] > 0.9
+    assert shares[1][2] < 0.1
+    assert max(share[2] for share in shares) > 0.9
 
 
 def test_a_run_records_its_worlds_and_continues_with_its_estimates(tmp_path: Path) -> None:
-    first = train(with_settings(LEARNABLE, total_steps=1024, runs=str(tmp_path)))
+    first = train(with_settings(LEARNABLE, total_steps=512, runs=str(tmp_path)))
     progress, rows = progress_of(first.folder), _record(first.folder)
     assert len(progress["drawn_learnability"]) == len(progress["steps"])
     assert 0 < progress["drawn_learnability"][0] <= 0.25
@@ -109,7 +110,7 @@ def test_a_run_records_its_worlds_and_continues_with_its_estimates(tmp_path: Pat
         rate = float(row["success_rate"])
         assert float(row["learnability"]) == pytest.approx(rate * (1 - rate), abs=1e-4)
     state = load_state(first.folder / "training_state.pt")["curriculum"]
-    second = train(with_settings(LEARNABLE, total_steps=1088, runs=str(tmp_path)), first.folder)
+    second = train(with_settings(LEARNABLE, total_steps=640, runs=str(tmp_path)), first.folder)
     again = load_state(second.folder / "training_state.pt")["curriculum"]
     assert (again["totals"] >= state["totals"]).all()
     assert again["totals"].sum() > state["totals"].sum()
