@@ -91,7 +91,7 @@ class CollectionConfig:
     """Additional reward in training, per meter gained on the shortest free path to the goal.
     It leads around the walls of a maze."""
     curriculum: CurriculumKind = "none"
-    """How episodes choose their worlds from ranges such as "maze:*@0-1", in Warp.
+    """How episodes choose their worlds from a range such as "maze:0-999@0-1", in Warp.
     none: evenly.
     learnability: a share of them prefers the worlds in which the policy sometimes succeeds and sometimes fails."""
     curriculum_share: float = 0.5

@@ -295,7 +295,7 @@ class RoverEnv(EnvBase):
         return self.simulator.robot_connected
 
     def set_world_weights(self, weights: Tensor) -> None:
-        """Sets how often episodes draw each world of :attr:`pool`, for the episodes after the next one of each row.
+        """Sets how often episodes draw each world of ``pool``, for the episodes after the next one of each row.
 
         Args:
             weights: weight of each world, ``[len(pool)]``.

@@ -17,6 +17,7 @@ from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.train.learnability import Learnability
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.task import StepEvent
+from rover_rl.envs.transforms.path_reward import world_of
 from rover_rl.files import written_whole
 from rover_rl.sims.worlds.pool import WorldPool
 
@@ -51,7 +52,7 @@ class Curriculum(Transform):
         share: part of the episodes that draws by learnability, from 0 to 1. The others draw evenly.
         temperature: temperature of these draws: see
             :meth:`~rover_rl.algos.train.learnability.Learnability.probabilities`.
-        estimates: state of the ``learnability`` to begin with. ``None`` knows nothing of the worlds.
+        estimates (dict): state of the ``learnability`` to begin with. ``None`` knows nothing of the worlds.
 
     Attributes:
         learnability: estimates of the worlds.
@@ -81,7 +82,7 @@ class Curriculum(Transform):
         begun = torch.where(succeeded > 0, steps, tensordict[_KEY, "begun"])
         timed_out = next_tensordict["truncated"] & (2 * (steps - begun) >= self._length)
         failed = timed_out | next_tensordict["terminated"] & (outcome["phase"] < StepEvent.GOAL)
-        self._add(outcome["world"], succeeded, failed.long())
+        self._add(world_of(next_tensordict), succeeded, failed.long())
         return _with_entries(next_tensordict, begun, succeeded, failed.long())
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
@@ -134,12 +135,11 @@ class CurriculumRecord:
             Mean learnability and difficulty of the worlds that were drawn in the batch. Worlds without a difficulty do
             not count. Means over nothing are nan.
         """
-        drawn = batch["outcome", "world"][batch["step_count"] == 0].cpu()
+        drawn = world_of(batch)[batch["step_count"] == 0].cpu()
         learnability, difficulty = self.learnability.values[drawn], self.learnability.difficulty[drawn]
         after = batch["next"]
         world, succeeded, failed = (
-            each.flatten().cpu()
-            for each in (after["outcome", "world"], after[_KEY, "succeeded"], after[_KEY, "failed"])
+            each.flatten().cpu() for each in (world_of(after), after[_KEY, "succeeded"], after[_KEY, "failed"])
         )
         self.learnability.add(world, succeeded, failed)
         draws, attempts, successes = self._totals.unbind(-1)

@@ -42,7 +42,7 @@ class Learnability:
         >>> learnability = Learnability(WorldPool("maze:0-99@0-1"))
         >>> learnability.add(torch.tensor([3, 3]), successes=torch.tensor([1, 1]), failures=torch.tensor([0, 1]))
         >>> learnability.success_rate[3]
-        tensor(0.5949, dtype=torch.float64)
+        tensor(0.6356, dtype=torch.float64)
     """
 
     def __init__(self, pool: WorldPool) -> None:

@@ -20,10 +20,9 @@ from rover_rl.algos.train.run_folder import load_state
 from rover_rl.envs.config import TaskConfig
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.sims.worlds.pool import WorldPool
-from tests.algos.train.runs import PPO, equal, progress_of
+from tests.algos.train.runs import LEARNABLE, equal, progress_of
 
 WALLS = [World(f"wall {k}", Terrain.flat((8.0, 8.0)), [box((2.0, 0.0, 0.5), (0.2, 1.0 + k, 1.0))]) for k in range(3)]
-LEARNABLE = with_settings(PPO, backend="warp", world="maze:0-7@0-1", curriculum="learnability", length=24)
 
 
 def make(rows: int, length: int = 40, estimates: dict[str, Tensor] | None = None, **settings) -> EnvBase:
@@ -148,6 +147,11 @@ def test_workers_have_a_curriculum_of_their_own(tmp_path: Path) -> None:
     folder = train(config).folder
     assert train(with_settings(config, total_steps=768), folder).steps == 768
     assert sum(int(row["draws"]) for row in _record(folder)) >= 8
+
+
+def test_a_range_of_one_world_leaves_nothing_to_choose(tmp_path: Path) -> None:
+    folder = train(with_settings(LEARNABLE, world="maze:7-7", total_steps=128, runs=str(tmp_path))).folder
+    assert [row["world"] for row in _record(folder)] == ["maze:7"]
 
 
 def test_a_curriculum_needs_worlds_to_choose_from(tmp_path: Path) -> None:
