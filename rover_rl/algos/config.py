@@ -15,10 +15,12 @@ from typing import Any, ClassVar, Literal, TypeAlias, get_args
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_ROVERS, check_at_least, check_positive, check_seed
 from rover_rl.envs.config import DEFAULT_PHYSICS, OBSERVATION_KEYS, EnvConfig
-from rover_rl.sims.backends import resolve_backend
+from rover_rl.sims.backends import name_of, resolve_backend
 
 CollectorName: TypeAlias = Literal["auto", "process", "processes", "ray"]
 """Kinds of collectors."""
+CurriculumKind: TypeAlias = Literal["none", "learnability"]
+"""Ways to choose the worlds of episodes."""
 MemoryKind: TypeAlias = Literal["none", "gru", "lstm"]
 """Kinds of memory of a policy."""
 ExpertKind: TypeAlias = Literal["map", "route"]
@@ -94,6 +96,15 @@ class CollectionConfig:
     route_reward: float = 0.0
     """Additional reward in training, per meter by which the route on what has been seen gets shorter.
     Needs "route" in observation. Unlike path_reward, it takes no time in many worlds."""
+    curriculum: CurriculumKind = "none"
+    """How episodes choose their worlds from a range such as "maze:0-999@0-1", in Warp.
+    none: evenly.
+    learnability: a share of them prefers the worlds in which the policy sometimes succeeds and sometimes fails."""
+    curriculum_share: float = 0.5
+    """Share of the episodes whose worlds are chosen by learnability. The others choose evenly."""
+    curriculum_temperature: float = 0.25
+    """Temperature of that choice: weights are p (1 - p) to the power of 1 / temperature, for a success rate p.
+    Low ones choose only the most learnable worlds."""
 
 
 @dataclass(frozen=True)
@@ -297,13 +308,9 @@ class TrainingConfig:
         self.algorithm.check()
         self.run.check()
         _check_counts(self.collection, "action_repeat")
-        rewards = {"path_reward": self.collection.path_reward, "route_reward": self.collection.route_reward}
-        check_at_least(0, MAX_NUMBER, **rewards)
-        needs_route = self.collection.route_reward or getattr(self.algorithm, "expert", "map") == "route"
-        if needs_route and "route" not in self.network.observation:
-            raise ValueError(
-                f'route_reward and expert="route" need "route" in observation, got {self.network.observation}'
-            )
+        check_at_least(0, MAX_NUMBER, path_reward=self.collection.path_reward)
+        self._check_route()
+        self._check_curriculum()
         self._check_env()
         self._check_workers()
         mirror = self.algorithm.mirror_augmentation
@@ -335,6 +342,26 @@ class TrainingConfig:
         if self.on_gpu and (env.backend in ("bullet", "mujoco") or self.workers > 1):
             raise ValueError(
                 f"device={self.device!r} needs backend='warp' and workers=1, got {env.backend!r} and {self.workers}"
+            )
+
+    def _check_route(self) -> None:
+        check_at_least(0, MAX_NUMBER, route_reward=self.collection.route_reward)
+        imitated = isinstance(self.algorithm, PPOConfig) and self.algorithm.expert == "route"
+        if (self.collection.route_reward or imitated) and "route" not in self.network.observation:
+            raise ValueError(
+                f"route_reward and expert='route' need \"route\" in observation, got {self.network.observation}"
+            )
+
+    def _check_curriculum(self) -> None:
+        settings = self.collection
+        if settings.curriculum not in (kinds := get_args(CurriculumKind)):
+            raise ValueError(f"curriculum must be one of {kinds}, got {settings.curriculum!r}")
+        _check_fractions(settings, "curriculum_share")
+        _check_positive(settings, "curriculum_temperature")
+        backend = self.env.backend if isinstance(self.env.backend, str) else name_of(self.env.backend)
+        if settings.curriculum != "none" and backend in ("bullet", "mujoco"):
+            raise ValueError(
+                f"curriculum needs backend='warp', in which rovers change worlds at resets: in {backend!r} they do not"
             )
 
     def _check_workers(self) -> None:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs import EnvBase, RandomTruncationTransform, RewardSum, StepCounter, Transform
 
 from rover_rl.algos.config import TrainingConfig, usable_cores
 from rover_rl.algos.policy.recurrent import memory_transforms
+from rover_rl.algos.train.curriculum import Curriculum
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import reward_components
@@ -27,7 +30,9 @@ SESSION_SEEDS = 1_000_003
 """Offset of the seeds of each session of a run, so that a resumed run draws new starts and goals."""
 
 
-def make_training_env(config: TrainingConfig, worker: int = 0, session: int = 0) -> EnvBase:
+def make_training_env(
+    config: TrainingConfig, worker: int = 0, session: int = 0, estimates: Mapping[str, Tensor] | None = None
+) -> EnvBase:
     """Makes the environment of one worker, in which one step is one decision of the policy.
 
     The first episode of each row has a random length, so that the resets of the rows are spread over time.
@@ -36,6 +41,7 @@ def make_training_env(config: TrainingConfig, worker: int = 0, session: int = 0)
         config: settings of the training run.
         worker: index of the worker, from 0.
         session: number of times the run has been resumed.
+        estimates: state of the :class:`~rover_rl.algos.train.learnability.Learnability` that a curriculum begins with.
     """
     env_config = _worker_env_config(config, worker, session)
     reward_components(env_config.reward, env_config.contract_reward)
@@ -49,6 +55,10 @@ def make_training_env(config: TrainingConfig, worker: int = 0, session: int = 0)
         env = env.append_transform(RouteReward(config.collection.route_reward))
     if config.collection.path_reward:
         env = env.append_transform(PathReward(rovers, config.collection.path_reward))
+    if config.collection.curriculum != "none":
+        settings = config.collection
+        curriculum = Curriculum(rovers, settings.curriculum_share, settings.curriculum_temperature, estimates)
+        env = env.append_transform(curriculum)
     env = env.append_transform(RewardSum(["reward"], ["episode_reward"]))
     env = env.append_transform(GoalCounter())
     env = env.append_transform(StepCounter())
