@@ -23,6 +23,8 @@ CurriculumKind: TypeAlias = Literal["none", "learnability"]
 """Ways to choose the worlds of episodes."""
 MemoryKind: TypeAlias = Literal["none", "gru", "lstm"]
 """Kinds of memory of a policy."""
+ExpertKind: TypeAlias = Literal["map", "route"]
+"""Kinds of experts to imitate."""
 UNLIMITED_STEPS = 10**9
 """Effectively unlimited step budget: the time limit ends the training."""
 _SEEDS_OF_A_RUN = 2**32
@@ -35,7 +37,8 @@ class NetworkConfig:
 
     observation: tuple[str, ...] = ("lidar", "imu", "target", "velocities")
     """Entries of the observation that the policy reads.
-    With "pose" it may learn one map by heart, which does not help in another."""
+    With "pose" it may learn one map by heart, which does not help in another.
+    "route" is the shortest way to the goal on a map of what the lidar has seen in the episode, for mazes."""
     north_up: bool = False
     """Also give the policy lidar and target rotated into the world's frame by the IMU's yaw.
     The policy can recognize places of one map by them without the pose.
@@ -90,6 +93,9 @@ class CollectionConfig:
     path_reward: float = 0.0
     """Additional reward in training, per meter gained on the shortest free path to the goal.
     It leads around the walls of a maze."""
+    route_reward: float = 0.0
+    """Additional reward in training, per meter by which the route on what has been seen gets shorter.
+    Needs "route" in observation. Unlike path_reward, it takes no time in many worlds."""
     curriculum: CurriculumKind = "none"
     """How episodes choose their worlds from a range such as "maze:0-999@0-1", in Warp.
     none: evenly.
@@ -156,8 +162,11 @@ class PPOConfig(AlgorithmConfig):
     entropy_coef: float = 0.003
     """Coefficient of the entropy bonus."""
     imitation: float = 0.0
-    """Fraction of training that imitates a privileged expert (DAgger), from the start.
+    """Fraction of training that imitates an expert (DAgger), from the start.
     0 learns from the reward alone."""
+    expert: ExpertKind = "map"
+    """Expert to imitate: map (knows the world) or route (follows the route on what has been seen).
+    route needs "route" in observation."""
 
     def check(self) -> None:
         """Checks the settings: see :meth:`AlgorithmConfig.check`."""
@@ -165,6 +174,8 @@ class PPOConfig(AlgorithmConfig):
         _check_counts(self, "epochs")
         _check_positive(self, "clip")
         _check_fractions(self, "lmbda", "imitation")
+        if self.expert not in (kinds := get_args(ExpertKind)):
+            raise ValueError(f"expert must be one of {kinds}, got {self.expert!r}")
         check_at_least(0, MAX_NUMBER, entropy_coef=self.entropy_coef)
 
 
@@ -298,6 +309,7 @@ class TrainingConfig:
         self.run.check()
         _check_counts(self.collection, "action_repeat")
         check_at_least(0, MAX_NUMBER, path_reward=self.collection.path_reward)
+        self._check_route()
         self._check_curriculum()
         self._check_env()
         self._check_workers()
@@ -330,6 +342,14 @@ class TrainingConfig:
         if self.on_gpu and (env.backend in ("bullet", "mujoco") or self.workers > 1):
             raise ValueError(
                 f"device={self.device!r} needs backend='warp' and workers=1, got {env.backend!r} and {self.workers}"
+            )
+
+    def _check_route(self) -> None:
+        check_at_least(0, MAX_NUMBER, route_reward=self.collection.route_reward)
+        imitated = isinstance(self.algorithm, PPOConfig) and self.algorithm.expert == "route"
+        if (self.collection.route_reward or imitated) and "route" not in self.network.observation:
+            raise ValueError(
+                f"route_reward and expert='route' need \"route\" in observation, got {self.network.observation}"
             )
 
     def _check_curriculum(self) -> None:

@@ -19,6 +19,7 @@ from rover_rl.algos.policy.privileged import MIRROR_SIGNS, PrivilegedEncoder, mi
 from rover_rl.algos.policy.recurrent import recurrent_network
 from rover_rl.envs.config import ActionConfig, LidarConfig
 from rover_rl.envs.observation import observation_bounds
+from rover_rl.envs.seen_map.seen_map import ROUTE, ROUTE_BOUNDS
 from rover_rl.envs.specs import action_bounds, bounded_spec
 
 DEFAULT_KEYS = ("lidar", "imu", "target", "velocities")
@@ -52,7 +53,8 @@ class ObservationEncoder(nn.Module):
     tilts in units of about 20 degrees.
 
     Args:
-        keys: entries of the observation to read, some of ``lidar``, ``imu``, ``target``, ``velocities``, ``pose``.
+        keys: entries of the observation to read, some of ``lidar``, ``imu``, ``target``, ``velocities``, ``pose``, and
+            ``route`` (:class:`~rover_rl.envs.transforms.route_observation.RouteObservation`).
         lidar_points: number of readings in ``lidar``.
         north_up: whether to add lidar and target in map orientation: rotated by the yaw, so that they do not change
             when the rover turns in place. Requires ``lidar``, ``imu`` and ``target``.
@@ -75,11 +77,11 @@ class ObservationEncoder(nn.Module):
         if north_up and not {"lidar", "imu", "target"} <= set(keys):
             raise ValueError(f"north_up needs lidar, imu and target, got {self.keys}")
         self._lidar_points, self._north_up, self._has_yaw = lidar_points, north_up, north_up or "pose" in keys
-        self._bounds = observation_bounds(LidarConfig(points=lidar_points))
+        self._bounds = {**observation_bounds(LidarConfig(points=lidar_points)), ROUTE: ROUTE_BOUNDS}
         if unknown := [key for key in self.keys if key not in self._bounds]:
             raise ValueError(f"the observation has no entries {unknown}; use some of {[*self._bounds]}")
         sizes = {key: len(bounds.low) for key, bounds in self._bounds.items()}
-        sizes |= {"imu": 4 if self._has_yaw else 2, "target": 5, "pose": 4 * len(WAVELENGTHS) + 1}
+        sizes |= {"imu": 4 if self._has_yaw else 2, "target": 5, "pose": 4 * len(WAVELENGTHS) + 1, ROUTE: 13}
         self.features = sum(sizes[key] for key in self.keys) + (lidar_points + 4 if north_up else 0)
 
     def forward(self, *observation: Tensor) -> Tensor:
@@ -127,6 +129,13 @@ class ObservationEncoder(nn.Module):
     def _target(self, target: Tensor) -> Tensor:
         distance, angle = target.split(1, -1)
         return torch.cat((distance / 5 - 1, distance.log1p() - 1, angle.sin(), angle.cos(), angle / math.pi), -1)
+
+    def _route(self, route: Tensor) -> Tensor:
+        """Encodes two corners like targets, and the length, for which no path counts as none left."""
+        first, second, length = route.split((2, 2, 1), -1)
+        left = length.clamp(min=0)
+        rest = (left / 10 - 1, left.log1p() - 1, (length < 0).to(length.dtype))
+        return torch.cat((self._target(first), self._target(second), *rest), -1)
 
     def _velocities(self, velocities: Tensor) -> Tensor:
         speed, yaw_rate = velocities.split(1, -1)
@@ -320,6 +329,7 @@ _MIRROR: dict[NestedKey, tuple[float, ...]] = {
     "imu": (1.0, -1.0, -1.0),
     "target": (1.0, -1.0),
     "velocities": (1.0, -1.0),
+    ROUTE: (1.0, -1.0, 1.0, -1.0, 1.0),
     "action": (1.0, -1.0),
     **MIRROR_SIGNS,
 }

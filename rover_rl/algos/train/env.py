@@ -18,8 +18,11 @@ from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import reward_components
 from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.seen_map.seen_map import ROUTE
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward
+from rover_rl.envs.transforms.route_observation import RouteObservation
+from rover_rl.envs.transforms.route_reward import RouteReward
 from rover_rl.envs.transforms.step_clock import StepClock
 from rover_rl.sims.backends import find_settings
 
@@ -46,6 +49,10 @@ def make_training_env(
     env = add_reward(rovers, env_config.reward, env_config)
     action_repeat = config.collection.action_repeat
     env = env.append_transform(ActionRepeat(action_repeat))
+    if ROUTE in config.network.observation:
+        env = env.append_transform(RouteObservation(rovers))
+    if config.collection.route_reward:
+        env = env.append_transform(RouteReward(config.collection.route_reward))
     if config.collection.path_reward:
         env = env.append_transform(PathReward(rovers, config.collection.path_reward))
     if config.collection.curriculum != "none":

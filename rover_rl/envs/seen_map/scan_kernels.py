@@ -1,0 +1,224 @@
+"""Warp kernels that add lidar scans to maps of seen obstacles.
+
+A map is a window of ``SIZE x SIZE`` cells around the rover, which moves with it cell by cell. Cell (X, Y) of the world
+covers ``CELL * [X, X + 1)`` by ``CELL * [Y, Y + 1)``, m. It is stored at ``(Y mod SIZE) * SIZE + X mod SIZE``, so that
+nothing moves in memory when the window does: only the cells that enter are cleared. The surroundings of a cell at one
+edge of the window therefore reach over to the opposite edge.
+"""
+
+from __future__ import annotations
+
+from rover_rl.sims.native.warp import wp
+
+SIZE = wp.constant(128)
+"""Number of cells along a side of the window. A power of two."""
+HALF = wp.constant(64)
+"""Number of cells on each side of the rover's."""
+LAST = wp.constant(127)
+"""Bits of a cell number that its address depends on."""
+CELL = wp.constant(0.15)
+"""Side length of a cell, m. A gap of 0.7 m, in which the rover fits, has at least three free cells side by side."""
+OCCUPIED = wp.constant(2)
+"""Evidence from which on a cell counts as occupied."""
+HIT = wp.constant(4)
+"""Evidence that a reading adds to the cell at its end."""
+MOST = wp.constant(12)
+"""Largest evidence from readings. Each beam that passes through a cell takes 1 away."""
+STEEP = wp.constant(255)
+"""Evidence of a cell that is too steep. Beams do not change it."""
+MAX_TILT = wp.constant(0.42)
+"""Tilt of the rover above which the ground ahead uphill is too steep, rad: 24 degrees. Tires of usual friction (0.5)
+slide at 26.6."""
+UPHILL = wp.constant(3.0)
+"""Distance of the cell that is too steep then, in cells: 0.45 m."""
+RINGS = wp.constant(4)
+"""Number of rings that are told apart around an occupied cell: 0 is the cell itself, ``RINGS`` is farther than 3."""
+NO_GAP = wp.constant(4.0)
+"""Distance between the ends of neighboring beams up to which nothing fits between them, cells: 0.6 m."""
+LOWEST = wp.constant(-4.0 / 3.0)
+"""Height of the end of a beam, relative to the lidar, below which it is on the ground, cells: -0.2 m."""
+REACH = wp.constant(60)
+"""Number of cells along an axis up to which beams count: 9 m. All of them are in the window, if the lidar is at most
+3 cells, 0.45 m, from the rover's center along each axis."""
+
+
+@wp.func
+def address(x: int, y: int):
+    """Returns where cell (x, y) of the world is stored."""
+    return (y & LAST) * SIZE + (x & LAST)
+
+
+@wp.func
+def cell_of(position: float):
+    """Returns the number of the cell that holds a coordinate, m."""
+    return int(wp.floor(position / CELL))
+
+
+@wp.func
+def find_ring(x: int, y: int, evidence: wp.array[wp.uint8]):
+    """Returns the distance of a cell from the nearest occupied one, at most ``RINGS``, in cells (Chebyshev)."""
+    nearest = int(RINGS)
+    for dy in range(1 - RINGS, RINGS):
+        for dx in range(1 - RINGS, RINGS):
+            if int(evidence[address(x + dx, y + dy)]) >= OCCUPIED:
+                nearest = wp.min(nearest, wp.max(wp.abs(dx), wp.abs(dy)))
+    return nearest
+
+
+@wp.func
+def set_evidence(x: int, y: int, value: int, evidence: wp.array[wp.uint8], rings: wp.array[wp.uint8]):
+    """Sets the evidence of a cell. If that makes it occupied or free, the rings around it change."""
+    here = address(x, y)
+    before = int(evidence[here])
+    evidence[here] = wp.uint8(value)
+    if (before < OCCUPIED) != (value < OCCUPIED):
+        for dy in range(1 - RINGS, RINGS):
+            for dx in range(1 - RINGS, RINGS):
+                there = address(x + dx, y + dy)
+                if before < OCCUPIED:
+                    rings[there] = wp.uint8(wp.min(int(rings[there]), wp.max(wp.abs(dx), wp.abs(dy))))
+                else:
+                    rings[there] = wp.uint8(find_ring(x + dx, y + dy, evidence))
+
+
+@wp.func
+def move_window(before: wp.vec2i, after: wp.vec2i, evidence: wp.array[wp.uint8], rings: wp.array[wp.uint8]):
+    """Clears the columns and rows that enter the window in the place of those that leave it."""
+    for axis in range(2):
+        shift = after[axis] - before[axis]
+        for k in range(wp.min(wp.abs(shift), SIZE)):
+            entered = wp.where(shift > 0, after[axis] + HALF - 1 - k, after[axis] - HALF + k)
+            for other in range(SIZE):
+                x = wp.where(axis == 0, entered, other)
+                y = wp.where(axis == 0, other, entered)
+                if evidence[address(x, y)] > wp.uint8(0):
+                    set_evidence(x, y, 0, evidence, rings)
+
+
+@wp.func
+def clear_window(evidence: wp.array[wp.uint8], rings: wp.array[wp.uint8]):
+    """Clears all cells."""
+    for cell in range(SIZE * SIZE):
+        evidence[cell] = wp.uint8(0)
+        rings[cell] = wp.uint8(RINGS)
+
+
+@wp.func
+def beam_of(direction: wp.vec2, reading: float, pose: wp.array[float]):
+    """Returns a beam in the world's frame, in the unit of its reading.
+
+    A beam at the angle a in the frame of the lidar has the direction ``Rz(yaw) Ry(pitch) Rx(roll) (cos a, sin a, 0)``.
+
+    Args:
+        direction: cosine and sine of the angle in the frame of the lidar.
+        reading: length of the beam.
+        pose: x, y, pitch, roll and yaw of the rover.
+    """
+    aside = direction[1] * wp.sin(pose[3])
+    forward = direction[0] * wp.cos(pose[2]) + aside * wp.sin(pose[2])
+    left = direction[1] * wp.cos(pose[3])
+    up = aside * wp.cos(pose[2]) - direction[0] * wp.sin(pose[2])
+    cos = wp.cos(pose[4])
+    sin = wp.sin(pose[4])
+    return reading * wp.vec3(forward * cos - left * sin, forward * sin + left * cos, up)
+
+
+@wp.func
+def is_hit(beam: wp.vec3, reading: float, max_range: float):
+    """Returns whether a beam, in cells, ends at an obstacle in the window."""
+    crossed = wp.max(wp.abs(beam[0]), wp.abs(beam[1]))
+    return reading < max_range and crossed < float(REACH) and beam[2] > LOWEST
+
+
+@wp.kernel
+def add_scans(
+    poses: wp.array2d[float],
+    readings: wp.array2d[float],
+    directions: wp.array[wp.vec2],
+    mount: wp.vec2,
+    max_range: float,
+    added: wp.array[wp.bool],
+    renewed: wp.array[wp.bool],
+    centers: wp.array[wp.vec2i],
+    evidences: wp.array2d[wp.uint8],
+    rings: wp.array2d[wp.uint8],
+):
+    """Adds a scan to each row's map; thread ``i`` does row i.
+
+    Each beam takes 1 from the evidence of the cells that it passes, up to 1.5 cells before its end. Then each one adds
+    ``HIT`` to the cell at its end. Then the cells between the ends of two neighboring beams count as occupied, too, if
+    nothing fits between them. Last, if the rover stands on a steep slope, a cell uphill counts as occupied for good.
+
+    Args:
+        poses: x, y (m), pitch, roll and yaw (rad) of the rovers, ``[N, 5]``.
+        readings: lidar readings, ``[N, P]``, m.
+        directions: cosine and sine of the angle of each reading in the frame of the lidar, ``[P]``.
+        mount: x and y of the lidar in the frame of the rover, m.
+        max_range: range at which a beam has hit nothing, m.
+        added: rows whose scan is added. The others do not change.
+        renewed: rows whose map is cleared first.
+        centers: cells in the middle of the windows; updated.
+        evidences: evidence of an obstacle in each cell, ``[N, SIZE * SIZE]``; updated.
+        rings: distance of each cell from the nearest occupied one, in cells, at most ``RINGS``; updated.
+    """
+    i = wp.tid()
+    if not added[i]:
+        return
+    evidence = evidences[i]
+    ring = rings[i]
+    center = wp.vec2i(cell_of(poses[i, 0]), cell_of(poses[i, 1]))
+    if renewed[i]:
+        clear_window(evidence, ring)
+    else:
+        move_window(centers[i], center, evidence, ring)
+    centers[i] = center
+    # Position of the lidar, in cells.
+    cos = wp.cos(poses[i, 4])
+    sin = wp.sin(poses[i, 4])
+    x = (poses[i, 0] + mount[0] * cos - mount[1] * sin) / CELL
+    y = (poses[i, 1] + mount[0] * sin + mount[1] * cos) / CELL
+    count = directions.shape[0]
+    for k in range(count):
+        beam = beam_of(directions[k], readings[i, k] / CELL, poses[i])
+        # Cells that the beam crosses along the axis along which it crosses more.
+        crossed = wp.max(wp.abs(beam[0]), wp.abs(beam[1]))
+        for n in range(int(wp.min(crossed - 1.5, float(REACH)))):
+            part = float(n + 1) / crossed
+            along = int(wp.floor(x + part * beam[0]))
+            across = int(wp.floor(y + part * beam[1]))
+            passed = int(evidence[address(along, across)])
+            if passed > 0 and passed <= MOST:
+                set_evidence(along, across, passed - 1, evidence, ring)
+    # After all beams have passed, so that no beam clears what another one has hit.
+    for k in range(count):
+        beam = beam_of(directions[k], readings[i, k] / CELL, poses[i])
+        if is_hit(beam, readings[i, k], max_range):
+            along = int(wp.floor(x + beam[0]))
+            across = int(wp.floor(y + beam[1]))
+            before = int(evidence[address(along, across)])
+            if before <= MOST:
+                set_evidence(along, across, wp.min(before + HIT, MOST), evidence, ring)
+    for k in range(count):
+        beam = beam_of(directions[k], readings[i, k] / CELL, poses[i])
+        # The last reading is a neighbor of the first one.
+        other = (k + 1) % count
+        next_beam = beam_of(directions[other], readings[i, other] / CELL, poses[i])
+        gap_x = next_beam[0] - beam[0]
+        gap_y = next_beam[1] - beam[1]
+        both = is_hit(beam, readings[i, k], max_range) and is_hit(next_beam, readings[i, other], max_range)
+        if both and wp.length(wp.vec2(gap_x, gap_y)) < NO_GAP:
+            steps = wp.ceil(wp.max(wp.abs(gap_x), wp.abs(gap_y)))
+            for n in range(1, int(steps)):
+                along = int(wp.floor(x + beam[0] + float(n) / steps * gap_x))
+                across = int(wp.floor(y + beam[1] + float(n) / steps * gap_y))
+                before = int(evidence[address(along, across)])
+                set_evidence(along, across, wp.max(before, OCCUPIED), evidence, ring)
+    cos_tilt = wp.cos(poses[i, 2]) * wp.cos(poses[i, 3])
+    if cos_tilt < wp.cos(MAX_TILT):
+        # Downhill is where the rover's vertical axis, Rz(yaw) Ry(pitch) Rx(roll) (0, 0, 1), points to.
+        forward = wp.cos(poses[i, 3]) * wp.sin(poses[i, 2])
+        left = -wp.sin(poses[i, 3])
+        scale = -UPHILL / wp.length(wp.vec2(forward, left))
+        along = int(wp.floor(poses[i, 0] / CELL + scale * (forward * cos - left * sin)))
+        across = int(wp.floor(poses[i, 1] / CELL + scale * (forward * sin + left * cos)))
+        set_evidence(along, across, STEEP, evidence, ring)

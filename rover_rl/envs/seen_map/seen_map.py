@@ -1,0 +1,157 @@
+"""``SeenMap``: what the lidars of a batch of rovers have seen, and the routes to their goals on it.
+
+Example:
+    >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0)
+    >>> seen = SeenMap(2, env.config.lidar)
+    >>> seen(env.reset()).shape
+    torch.Size([2, 5])
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.specs import Bounds
+from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.rotations import wrap_angle
+
+ROUTE = "route"
+"""Name of the route in an observation."""
+ROUTE_KEYS = ("lidar", "pose", "imu", "target")
+"""Entries of an observation that the map and the route are computed from."""
+ROUTE_BOUNDS = Bounds((0.0, -math.pi, 0.0, -math.pi, -1.0), (100.0, math.pi, 100.0, math.pi, 1000.0))
+"""Bounds of a route: distance and angle of two corners (m, rad), and its length (m)."""
+
+FARTHEST_MOUNT = 0.45
+"""Largest distance of the lidar from the robot's center along x and along y, m."""
+
+
+class SeenMap:
+    """Maps of the obstacles that rovers have seen in their episodes, and the shortest routes on them.
+
+    Each row has its own map: a window of 19.2 m around the rover, in cells of 0.15 m, which moves with it. The end of a
+    beam marks a cell as occupied, and beams that pass through a cell clear it. What has not been seen counts as free,
+    so that routes lead into the unknown if that may be shorter. Once its end has been seen, no route leads into a dead
+    end any more. Where the rover tilts by more than 24 degrees, the ground ahead uphill counts as occupied, too.
+
+    The map needs a pose that does not jump, such as that of odometry.
+
+    Args:
+        rows: number N of rovers.
+        lidar: settings of the lidar; ``None``: the defaults.
+        robot: robot, or its name, for the position of the lidar.
+        device: device of the observations; ``None``: the CPU.
+
+    Raises:
+        ValueError: if the lidar is mounted too far from the robot's center.
+    """
+
+    def __init__(
+        self,
+        rows: int,
+        lidar: LidarConfig | None = None,
+        robot: str | Robot = "rover_zero",
+        device: torch.device | str | None = None,
+    ) -> None:
+        # Importing NVIDIA Warp takes half a second.
+        from rover_rl.envs.seen_map.route_kernels import BUCKETS
+        from rover_rl.envs.seen_map.scan_kernels import RINGS, SIZE
+
+        lidar, device = lidar or LidarConfig(), torch.device(device or "cpu")
+        self._mount, self._max_range = get_robot(robot).lidar_position[:2], lidar.max_range - 1e-3
+        if max(map(abs, self._mount)) > FARTHEST_MOUNT:
+            raise ValueError(
+                f"the lidar must be at most {FARTHEST_MOUNT} m from the robot's center along x and y, got {self._mount}"
+            )
+        cells = (rows, SIZE * SIZE)
+        self._every = torch.ones(rows, dtype=torch.bool, device=device)
+        self._renewed = self._every.clone()
+        self._unbounded = torch.tensor((-math.inf, -math.inf, math.inf, math.inf), device=device).repeat(rows, 1)
+        self._centers = torch.zeros(rows, 2, dtype=torch.int32, device=device)
+        self._evidence = torch.zeros(cells, dtype=torch.uint8, device=device)
+        self._rings = torch.full(cells, RINGS, dtype=torch.uint8, device=device)
+        # x and y of two corners, and the length.
+        self._corners = torch.zeros(rows, 2, 2, device=device)
+        self._lengths = torch.zeros(rows, device=device)
+        # On an accelerator, each thread plans for one row. On the CPU, one plans for all.
+        threads = rows if device.type == "cuda" else 1
+        self._heads = torch.empty(threads, BUCKETS, dtype=torch.int32, device=device)
+        self._memory = [torch.empty(threads, cells[1], dtype=torch.int32, device=device) for _ in range(3)]
+        # A reading is the minimum over several beams: the angle is that of their center.
+        share = lidar.beams / lidar.points
+        angles = (torch.arange(lidar.points, device=device) * share + (share - 1) / 2) * (2 * math.pi / lidar.beams)
+        self._directions = torch.stack((angles.cos(), angles.sin()), -1)
+
+    def __call__(
+        self,
+        observation: TensorDictBase,
+        rows: Tensor | None = None,
+        renewed: Tensor | None = None,
+        bounds: Tensor | None = None,
+    ) -> Tensor:
+        """Adds the scans of an observation to the maps and plans the routes to the goals.
+
+        Args:
+            observation: observation ``[N]`` with :data:`ROUTE_KEYS`.
+            rows: rows whose scan is added, bool ``[N]``; ``None``: all. The maps of the others stay as they are.
+            renewed: rows whose episode begins, bool ``[N]``. Their maps are cleared before.
+            bounds: area that the routes stay in: lower x and y and upper x and y, ``[N, 4]``, m; ``None``: no bounds.
+
+        Returns:
+            Routes, float32 ``[N, 5]``: distance (m) and angle (rad, relative to the rover's heading) of the first and
+            the second corner, and the length (m). The goal counts as a corner. In the length, a meter beside an
+            obstacle counts more, up to ten. Without a path, both corners are the goal, and the length is -1.
+        """
+        rows = self._every if rows is None else rows
+        if renewed is not None:
+            self._renewed |= renewed
+        pose, imu, target = observation["pose"], observation["imu"], observation["target"]
+        bearing = target[:, 1:] + imu[:, 2:]
+        goal = pose[:, :2] + target[:, :1] * torch.cat((bearing.cos(), bearing.sin()), -1)
+        bounds = self._unbounded if bounds is None else bounds
+        poses, readings = torch.cat((pose[:, :2], imu), -1), observation["lidar"].contiguous()
+        self._launch(poses, readings, goal, bounds.contiguous(), rows.contiguous())
+        self._renewed &= ~rows
+        offset = self._corners - pose[:, None, :2]
+        angle = wrap_angle(torch.atan2(offset[..., 1], offset[..., 0]) - imu[:, 2:])
+        corners = torch.stack((offset.norm(dim=-1), angle), -1).flatten(1)
+        return torch.cat((corners, self._lengths[:, None]), -1)
+
+    def occupied(self) -> tuple[Tensor, Tensor]:
+        """Returns the cells that count as occupied or too steep.
+
+        Returns:
+            Cells, bool ``[N, rows, columns]``, and x, y of the lower corner of cell ``[0, 0]`` of each row's window,
+            float32 ``[N, 2]``, m.
+        """
+        from rover_rl.envs.seen_map.scan_kernels import CELL, HALF, OCCUPIED, SIZE
+
+        lowest = self._centers - HALF
+        # A cell is stored at its number modulo the size.
+        columns, rows = ((lowest[:, axis, None] + torch.arange(SIZE, device=lowest.device)) % SIZE for axis in range(2))
+        address = rows[:, :, None] * SIZE + columns[:, None]
+        cells = self._evidence.gather(1, address.flatten(1).long()) >= OCCUPIED
+        return cells.reshape(address.shape), lowest * CELL
+
+    def _launch(self, poses: Tensor, readings: Tensor, goals: Tensor, bounds: Tensor, rows: Tensor) -> None:
+        """Launches the kernels. Poses are x, y, pitch, roll, yaw, ``[N, 5]``."""
+        from rover_rl.envs.seen_map.route_kernels import plan_routes
+        from rover_rl.envs.seen_map.scan_kernels import add_scans
+        from rover_rl.sims.native.warp import wp
+
+        device = wp.device_from_torch(poses.device)
+        stream = wp.stream_from_torch(poses.device) if device.is_cuda else None
+        centers = wp.from_torch(self._centers, dtype=wp.vec2i)
+        directions = wp.from_torch(self._directions, dtype=wp.vec2)
+        scans = [poses, readings, directions, self._mount, self._max_range, rows, self._renewed]
+        scans += [centers, self._evidence, self._rings]
+        wp.launch(add_scans, len(poses), scans, device=device, stream=stream)
+        costs, following, preceding = self._memory
+        plans = [goals, bounds, rows, centers, self._rings, costs, self._heads, following, preceding]
+        plans += [self._corners, self._lengths]
+        wp.launch(plan_routes, len(costs), plans, device=device, stream=stream)
