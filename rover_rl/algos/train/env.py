@@ -50,7 +50,7 @@ def make_training_env(
     action_repeat = config.collection.action_repeat
     env = env.append_transform(ActionRepeat(action_repeat))
     if ROUTE in config.network.observation:
-        env = env.append_transform(RouteObservation(rovers))
+        env = env.append_transform(RouteObservation(rovers, _threads(config)))
     if config.collection.route_reward:
         env = env.append_transform(RouteReward(config.collection.route_reward))
     if config.collection.path_reward:
@@ -75,7 +75,7 @@ def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> Env
     backend = env.backend
     if backend in ("mujoco", "warp"):
         # The workers share the cores. Networks of this size need only one thread per worker.
-        backend = find_settings(backend)(threads=max(1, usable_cores() // config.workers))
+        backend = find_settings(backend)(threads=_threads(config))
     return replace(
         env,
         num_envs=rovers,
@@ -85,6 +85,11 @@ def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> Env
         # On the CPU, tensordicts without a device are faster.
         device=config.device if config.on_gpu else None,
     )
+
+
+def _threads(config: TrainingConfig) -> int:
+    """Returns the number of CPU threads of one worker."""
+    return max(1, usable_cores() // config.workers)
 
 
 class GoalCounter(Transform):

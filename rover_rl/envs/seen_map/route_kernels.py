@@ -251,8 +251,10 @@ def plan_routes(
     preceding: wp.array2d[int],
     corners: wp.array3d[float],
     lengths: wp.array[float],
+    first: int,
+    last: int,
 ):
-    """Plans the route from each rover to its goal; thread ``t`` does rows t, t + T, t + 2 T ... with T threads.
+    """Plans the route from each rover to its goal; thread ``t`` does every T-th row from ``first + t`` on.
 
     Args:
         goals: x and y of the goals, ``[N, 2]``, m.
@@ -267,9 +269,11 @@ def plan_routes(
         corners: results: x and y of the first two corners, ``[N, 2, 2]``, m; the goal if there are fewer, or no path.
         lengths: results: cost of the route, as the length of an open route of that cost, m; -1 if there is no path.
             ``[N]``.
+        first: first row.
+        last: row after the last one.
     """
     t = wp.tid()
-    for i in range(t, planned.shape[0], costs.shape[0]):
+    for i in range(first + t, last, costs.shape[0]):
         if planned[i]:
             center = centers[i]
             # A goal outside of the window counts as at its edge.

@@ -142,8 +142,9 @@ def add_scans(
     centers: wp.array[wp.vec2i],
     evidences: wp.array2d[wp.uint8],
     rings: wp.array2d[wp.uint8],
+    first: int,
 ):
-    """Adds a scan to each row's map; thread ``i`` does row i.
+    """Adds a scan to each row's map; thread ``t`` does row ``first + t``.
 
     Each beam takes 1 from the evidence of the cells that it passes, up to 1.5 cells before its end. Then each one adds
     ``HIT`` to the cell at its end. Then the cells between the ends of two neighboring beams count as occupied, too, if
@@ -160,8 +161,9 @@ def add_scans(
         centers: cells in the middle of the windows; updated.
         evidences: evidence of an obstacle in each cell, ``[N, SIZE * SIZE]``; updated.
         rings: distance of each cell from the nearest occupied one, in cells, at most ``RINGS``; updated.
+        first: row of the first thread.
     """
-    i = wp.tid()
+    i = first + wp.tid()
     if not added[i]:
         return
     evidence = evidences[i]

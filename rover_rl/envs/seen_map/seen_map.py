@@ -10,6 +10,8 @@ Example:
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 
 import torch
 from tensordict import TensorDictBase
@@ -46,6 +48,7 @@ class SeenMap:
         lidar: settings of the lidar; ``None``: the defaults.
         robot: robot, or its name, for the position of the lidar.
         device: device of the observations; ``None``: the CPU.
+        threads: number of CPU threads. Results do not depend on it.
 
     Raises:
         ValueError: if the lidar is mounted too far from the robot's center.
@@ -57,6 +60,7 @@ class SeenMap:
         lidar: LidarConfig | None = None,
         robot: str | Robot = "rover_zero",
         device: torch.device | str | None = None,
+        threads: int = 1,
     ) -> None:
         # Importing NVIDIA Warp takes half a second.
         from rover_rl.envs.seen_map.route_kernels import BUCKETS
@@ -78,10 +82,15 @@ class SeenMap:
         # x and y of two corners, and the length.
         self._corners = torch.zeros(rows, 2, 2, device=device)
         self._lengths = torch.zeros(rows, device=device)
-        # On an accelerator, each thread plans for one row. On the CPU, one plans for all.
-        threads = rows if device.type == "cuda" else 1
-        self._heads = torch.empty(threads, BUCKETS, dtype=torch.int32, device=device)
-        self._memory = [torch.empty(threads, cells[1], dtype=torch.int32, device=device) for _ in range(3)]
+        # On an accelerator, each thread plans for one row. On the CPU, each one plans for a share of them.
+        on_gpu = device.type == "cuda"
+        self._shares = [*pairwise(torch.linspace(0, rows, 1 + (1 if on_gpu else min(threads, rows))).long().tolist())]
+        self._pool = ThreadPoolExecutor(len(self._shares) - 1) if len(self._shares) > 1 else None
+        sizes = (cells[1], BUCKETS, cells[1], cells[1])
+        self._memory = [
+            [torch.empty(rows if on_gpu else 1, size, dtype=torch.int32, device=device) for size in sizes]
+            for _ in self._shares
+        ]
         # A reading is the minimum over several beams: the angle is that of their center.
         share = lidar.beams / lidar.points
         angles = (torch.arange(lidar.points, device=device) * share + (share - 1) / 2) * (2 * math.pi / lidar.beams)
@@ -145,13 +154,21 @@ class SeenMap:
         from rover_rl.sims.native.warp import wp
 
         device = wp.device_from_torch(poses.device)
-        stream = wp.stream_from_torch(poses.device) if device.is_cuda else None
+        options = {"device": device, "stream": wp.stream_from_torch(poses.device) if device.is_cuda else None}
         centers = wp.from_torch(self._centers, dtype=wp.vec2i)
         directions = wp.from_torch(self._directions, dtype=wp.vec2)
         scans = [poses, readings, directions, self._mount, self._max_range, rows, self._renewed]
         scans += [centers, self._evidence, self._rings]
-        wp.launch(add_scans, len(poses), scans, device=device, stream=stream)
-        costs, following, preceding = self._memory
-        plans = [goals, bounds, rows, centers, self._rings, costs, self._heads, following, preceding]
-        plans += [self._corners, self._lengths]
-        wp.launch(plan_routes, len(costs), plans, device=device, stream=stream)
+        plans = [goals, bounds, rows, centers, self._rings]
+
+        def launch(share: tuple[int, int], memory: list[Tensor]) -> None:
+            first, last = share
+            wp.launch(add_scans, last - first, [*scans, first], **options)
+            inputs = [*plans, *memory, self._corners, self._lengths, first, last]
+            wp.launch(plan_routes, len(memory[0]), inputs, **options)
+
+        parts = list(zip(self._shares, self._memory, strict=True))
+        others = [self._pool.submit(launch, *part) for part in parts[1:]] if self._pool else []
+        launch(*parts[0])
+        for other in others:
+            other.result()

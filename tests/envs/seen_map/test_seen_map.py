@@ -125,6 +125,26 @@ def test_a_gap_of_070_m_is_open_and_one_of_035_m_is_not() -> None:
     assert length(0.35) == -1.0, "the room is closed"
 
 
+def test_a_route_stays_in_bounds() -> None:
+    walls = ((2.0, -3.0, 2.0, 1.0),)
+    observation = observed((0.0, 0.0), (4.0, 0.0), walls)
+    # The shorter way around, to the left, leads out of the bounds.
+    angle = one_map()(observation, bounds=torch.tensor([[-1.0, -5.0, 6.0, 1.3]]))[0, 1]
+    assert angle < -0.5
+    assert one_map()(observation, bounds=torch.tensor([[-1.0, -5.0, 6.0, 5.0]]))[0, 1] > 0.3
+
+
+def test_a_route_avoids_ground_on_which_the_rover_tilted() -> None:
+    seen = one_map()
+    # Nose up by 30 degrees: the lidar sees nothing, but the goal is uphill.
+    for _ in range(3):
+        route = seen(observed((0.0, 0.0), (4.0, 0.0), pitch=-math.radians(30)))[0]
+    assert is_occupied(seen, 0.5, 0.0)
+    assert abs(float(route[1])) > 0.3
+    gentle = one_map()
+    assert abs(float(gentle(observed((0.0, 0.0), (4.0, 0.0), pitch=-math.radians(20)))[0, 1])) < 1e-6
+
+
 def test_a_goal_beyond_the_window_leads_towards_its_edge() -> None:
     route = one_map()(observed((0.0, 0.0), (30.0, 0.0)))[0]
     torch.testing.assert_close(route[:2], torch.tensor([30.0, 0.0]))
@@ -200,10 +220,11 @@ def test_the_window_moves_with_the_rover(x: float, y: float) -> None:
     assert torch.equal(after, expected)
 
 
-def test_rows_are_independent() -> None:
+@pytest.mark.parametrize("threads", [1, 2, 8])
+def test_rows_are_independent(threads: int) -> None:
     places = [((0.0, 0.0), U_SHAPE), ((1.0, 1.0), ((2.0, -3.0, 2.0, 1.0),)), ((-3.0, 0.5), ())]
     scans = [observed(place, (4.0, 0.0), walls, yaw=0.3) for place, walls in places]
-    together = SeenMap(3, LIDAR, CENTERED)
+    together = SeenMap(3, LIDAR, CENTERED, threads=threads)
     for _ in range(3):
         batch = together(torch.cat(scans))
     for row, scan in enumerate(scans):
