@@ -27,7 +27,9 @@ Policy: TypeAlias = Callable[[TensorDictBase], TensorDictBase]
 """Function or module that adds ``"action"``, ``[N, 2]``, to observations ``[N]``.
 
 A policy with memory is a module with ``in_keys`` and ``out_keys``, as TorchRL's: it reads its state at some keys, and
-``is_init``, and writes the next state at the same keys under ``"next"``. Without a state, it starts a new one."""
+``is_init``, and writes the next state at the same keys under ``"next"``. Without a state, it starts a new one.
+
+A policy that needs to know the environment has a method ``enter(env)``."""
 
 
 def default_action_repeat(policy: Policy | None, given: int | None = None) -> int:
@@ -73,6 +75,8 @@ class PolicyRunner:
         self, policy: Policy, action_repeat: int | None = None, min_rows: int = 1, env: RoverEnv | None = None
     ) -> None:
         self._env = env
+        if env is not None and hasattr(policy, "enter"):
+            policy.enter(env)
         self.action_repeat = default_action_repeat(policy, action_repeat)
         self.policy, self._min_rows, self._keys = policy, min_rows, state_keys(policy)
         self._seen: SeenMap | None = None
