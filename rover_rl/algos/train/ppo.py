@@ -97,6 +97,7 @@ class PPOLearner:
             device,
             memory=network.memory,
             memory_size=network.memory_size,
+            follower=None if network.prior == "none" else get_robot(config.env.robot),
         )
         self.critic = make_critic(encoder, network.hidden, device, network.privileged_critic)
         self._advantage = GAE(gamma=settings.gamma, lmbda=settings.lmbda, value_network=self.critic, average_gae=True)
