@@ -102,7 +102,11 @@ class MapExpert(TensorDictModuleBase):
         self._expert: PrivilegedExpert | None = None
 
     def enter(self, env: RoverEnv) -> None:
-        """Prepares for the worlds and the robot of an environment."""
+        """Prepares for the worlds and the robot of an environment.
+
+        Args:
+            env (rover_rl.RoverEnv): environment.
+        """
         self._expert = PrivilegedExpert(env.pool, env.robot, env.device)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:

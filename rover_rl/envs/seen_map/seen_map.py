@@ -24,8 +24,6 @@ from rover_rl.sims.rotations import wrap_angle
 
 ROUTE = "route"
 """Name of the route in an observation."""
-ROUTE_KEYS = ("lidar", "pose", "imu", "target")
-"""Entries of an observation that the map and the route are computed from."""
 ROUTE_BOUNDS = Bounds((0.0, -math.pi, 0.0, -math.pi, -1.0), (100.0, math.pi, 100.0, math.pi, 1000.0))
 """Bounds of a route: distance and angle of two corners (m, rad), and its length (m)."""
 
@@ -106,7 +104,7 @@ class SeenMap:
         """Adds the scans of an observation to the maps and plans the routes to the goals.
 
         Args:
-            observation: observation ``[N]`` with :data:`ROUTE_KEYS`.
+            observation: observation ``[N]`` with ``lidar``, ``pose``, ``imu`` and ``target``.
             rows: rows whose scan is added, bool ``[N]``; ``None``: all. The maps of the others stay as they are.
             renewed: rows whose episode begins, bool ``[N]``. Their maps are cleared before.
             bounds: area that the routes stay in: lower x and y and upper x and y, ``[N, 4]``, m; ``None``: no bounds.
