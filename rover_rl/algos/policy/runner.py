@@ -64,7 +64,8 @@ class PolicyRunner:
         action_repeat: number of steps that each action is held for; ``None``: see :func:`default_action_repeat`.
         min_rows: smallest number of rows that the policy is called with. Copies of the last row fill them up. Matrix
             products of few rows round differently.
-        env (rover_rl.RoverEnv | None): environment that the policy drives in, for the bounds that routes stay in; ``None``: no bounds.
+        env (rover_rl.RoverEnv | None): environment that the policy drives in, for the bounds that routes stay in;
+            ``None``: no bounds.
 
     Attributes:
         policy: the policy.
