@@ -19,7 +19,7 @@ from rover_rl.envs.seen_map.seen_map import ROUTE
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.robots.footprint import footprint
 
-MARGIN = 0.05
+MARGIN = 0.02
 """Free distance on each side of the footprint in the lane ahead, m."""
 STOP = 0.05
 """Free distance in front of the footprint at which the rover stops, m."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import torch
 from tensordict import TensorDictBase
@@ -20,7 +21,11 @@ from torch import Tensor
 from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.specs import Bounds
 from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.rotations import wrap_angle
+
+if TYPE_CHECKING:
+    from rover_rl.envs.seen_map.scan_kernels import Clearance
 
 ROUTE = "route"
 """Name of the route in an observation."""
@@ -29,6 +34,9 @@ ROUTE_BOUNDS = Bounds((0.0, -math.pi, 0.0, -math.pi, -1.0), (100.0, math.pi, 100
 
 FARTHEST_MOUNT = 0.45
 """Largest distance of the lidar from the robot's center along x and along y, m."""
+
+MARGINS = (0.01, 0.075, 0.225)
+"""Distances of a rover's side from obstacles below which it does not fit, hardly fits, and should be slow, m."""
 
 
 class SeenMap:
@@ -62,7 +70,7 @@ class SeenMap:
     ) -> None:
         # Importing NVIDIA Warp takes half a second.
         from rover_rl.envs.seen_map.route_kernels import BUCKETS
-        from rover_rl.envs.seen_map.scan_kernels import RINGS, SIZE
+        from rover_rl.envs.seen_map.scan_kernels import OPEN, SIZE
 
         lidar, device = lidar or LidarConfig(), torch.device(device or "cpu")
         self._mount, self._max_range = get_robot(robot).lidar_position[:2], lidar.max_range - 1e-3
@@ -76,7 +84,9 @@ class SeenMap:
         self._unbounded = torch.tensor((-math.inf, -math.inf, math.inf, math.inf), device=device).repeat(rows, 1)
         self._centers = torch.zeros(rows, 2, dtype=torch.int32, device=device)
         self._evidence = torch.zeros(cells, dtype=torch.uint8, device=device)
-        self._rings = torch.full(cells, RINGS, dtype=torch.uint8, device=device)
+        self._boxes = torch.zeros(cells, dtype=torch.int32, device=device)
+        self._levels = torch.full(cells, OPEN, dtype=torch.uint8, device=device)
+        self._clearance = _clearance(get_robot(robot))
         # x and y of two corners, and the length.
         self._corners = torch.zeros(rows, 2, 2, device=device)
         self._lengths = torch.zeros(rows, device=device)
@@ -155,9 +165,9 @@ class SeenMap:
         options = {"device": device, "stream": wp.stream_from_torch(poses.device) if device.is_cuda else None}
         centers = wp.from_torch(self._centers, dtype=wp.vec2i)
         directions = wp.from_torch(self._directions, dtype=wp.vec2)
-        scans = [poses, readings, directions, self._mount, self._max_range, rows, self._renewed]
-        scans += [centers, self._evidence, self._rings]
-        plans = [goals, bounds, rows, centers, self._rings]
+        scans = [poses, readings, directions, self._mount, self._max_range, self._clearance]
+        scans += [rows, self._renewed, centers, self._evidence, self._boxes, self._levels]
+        plans = [goals, bounds, rows, centers, self._levels]
 
         def launch(share: tuple[int, int], memory: list[Tensor]) -> None:
             first, last = share
@@ -170,3 +180,15 @@ class SeenMap:
         launch(*parts[0])
         for other in others:
             other.result()
+
+
+def _clearance(robot: Robot) -> Clearance:
+    """Returns the distances from obstacles at which the levels of cells begin, in parts of a cell."""
+    from rover_rl.envs.seen_map.scan_kernels import CELL, PARTS, Clearance
+
+    half_width = footprint(robot).half_width
+    tight, near, wide = (math.ceil((half_width + margin) / CELL * PARTS) for margin in MARGINS)
+    clearance = Clearance()
+    clearance.tight, clearance.near, clearance.wide = tight**2, near**2, wide**2
+    clearance.reach = math.ceil(wide / PARTS)
+    return clearance
