@@ -139,21 +139,22 @@ class SeenMap:
         corners = torch.stack((offset.norm(dim=-1), angle), -1).flatten(1)
         return torch.cat((corners, self._lengths[:, None]), -1)
 
-    def occupied(self) -> tuple[Tensor, Tensor]:
-        """Returns the cells that count as occupied or too steep.
+    def levels(self) -> tuple[Tensor, Tensor]:
+        """Returns how far the cells are from obstacles.
 
         Returns:
-            Cells, bool ``[N, rows, columns]``, and x, y of the lower corner of cell ``[0, 0]`` of each row's window,
-            float32 ``[N, 2]``, m.
+            Levels, uint8 ``[N, rows, columns]``: 0 in cells with an obstacle or too steep ones, 1 where the rover does
+            not fit, 2 where it hardly fits, 3 where it should be slow, and 4 elsewhere. And x, y of the lower corner of
+            cell ``[0, 0]`` of each row's window, float32 ``[N, 2]``, m.
         """
-        from rover_rl.envs.seen_map.scan_kernels import CELL, HALF, OCCUPIED, SIZE
+        from rover_rl.envs.seen_map.scan_kernels import CELL, HALF, SIZE
 
         lowest = self._centers - HALF
         # A cell is stored at its number modulo the size.
         columns, rows = ((lowest[:, axis, None] + torch.arange(SIZE, device=lowest.device)) % SIZE for axis in range(2))
         address = rows[:, :, None] * SIZE + columns[:, None]
-        cells = self._evidence.gather(1, address.flatten(1).long()) >= OCCUPIED
-        return cells.reshape(address.shape), lowest * CELL
+        levels = self._levels.gather(1, address.flatten(1).long())
+        return levels.reshape(address.shape), lowest * CELL
 
     def _launch(self, poses: Tensor, readings: Tensor, goals: Tensor, bounds: Tensor, rows: Tensor) -> None:
         """Launches the kernels. Poses are x, y, pitch, roll, yaw, ``[N, 5]``."""

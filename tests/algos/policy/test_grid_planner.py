@@ -70,7 +70,7 @@ def test_it_reaches_goals_in_mazes_without_a_contact() -> None:
 
 
 def test_it_plans_at_the_times_at_which_a_decision_is_due() -> None:
-    env = RoverEnv(world_n="maze", num_envs=2, seed=0, backend="warp")
+    env = RoverEnv(world_n="maze", num_envs=16, seed=0, backend="warp")
     runner, observation = PolicyRunner(GridPlanner(), env=env), env.reset()
     assert runner.action_repeat == 4
     actions = []
