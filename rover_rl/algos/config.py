@@ -80,10 +80,10 @@ class NetworkConfig:
             raise ValueError(f"observation must be some of {OBSERVATION_KEYS}, each once, got {self.observation}")
         if self.prior not in (kinds := get_args(PriorKind)):
             raise ValueError(f"prior must be one of {kinds}, got {self.prior!r}")
-        if self.prior == "route" and (self.memory != "none" or not {"lidar", "route"} <= set(self.observation)):
+        if self.prior == "route" and (self.memory != "none" or not {"lidar", "imu", "route"} <= set(self.observation)):
             raise ValueError(
-                f"prior='route' needs lidar and route in observation and memory='none', got {self.observation} and "
-                f"{self.memory!r}"
+                f"prior='route' needs lidar, imu and route in observation and memory='none', got {self.observation} "
+                f"and {self.memory!r}"
             )
         if self.north_up and not {"lidar", "imu", "target"} <= set(self.observation):
             raise ValueError(f"north_up needs lidar, imu and target in observation, got {self.observation}")

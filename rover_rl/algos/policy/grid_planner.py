@@ -29,6 +29,10 @@ BEHIND = 0.3
 """Free distance behind the footprint that is required for backing off, m."""
 BACK_OFF = -0.3
 """Speed of backing off, m/s."""
+STEEP = 0.42
+"""Pitch above which a slope is too steep, rad: 24 degrees, as for the map."""
+BACK_DOWN = -0.5
+"""Speed of backing down a slope, m/s."""
 CREEP = 0.1
 """Lowest speed in a free lane, m/s."""
 TURN = 1.2
@@ -42,7 +46,7 @@ class GridPlanner(TensorDictModule):
     A*: the stack of costmap, planner and path follower of mobile robots, such as that of Nav2. What has not been seen
     counts as free. See :class:`~rover_rl.envs.seen_map.seen_map.SeenMap`.
 
-    The policy reads ``lidar`` and ``route``. A :class:`~rover_rl.algos.policy.runner.PolicyRunner` adds ``route``.
+    The policy reads ``lidar``, ``imu`` and ``route``, which a :class:`~rover_rl.algos.policy.runner.PolicyRunner` adds.
 
     Args:
         robot: name of a robot, or a robot, for the footprint and the position of the lidar.
@@ -57,17 +61,19 @@ class GridPlanner(TensorDictModule):
     trained_action_repeat = 4
 
     def __init__(self, robot: str | Robot = "rover_zero") -> None:
-        super().__init__(partial(follow, robot=get_robot(robot)), in_keys=["lidar", ROUTE], out_keys=["action"])
+        super().__init__(partial(follow, robot=get_robot(robot)), in_keys=["lidar", "imu", ROUTE], out_keys=["action"])
 
 
-def follow(lidar: Tensor, route: Tensor, robot: Robot) -> Tensor:
+def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
     """Computes the action of a rover that follows its route.
 
     The heading offset is twice the angle to the first corner of the route. The speed decreases as the angle grows and
-    as obstacles in the lane ahead get closer. In front of an obstacle, the rover backs off while it turns.
+    as obstacles in the lane ahead get closer. In front of an obstacle, the rover backs off while it turns. From a slope
+    that is too steep it backs down straight.
 
     Args:
         lidar: lidar readings, ``[..., points]``, m.
+        imu: pitch, roll and yaw, ``[..., 3]``, rad.
         route: route, ``[..., 5]``.
         robot: robot whose footprint must stay free.
 
@@ -84,4 +90,8 @@ def follow(lidar: Tensor, route: Tensor, robot: Robot) -> Tensor:
     speed = angle.cos().clamp(min=0).square() * ((ahead - STOP) / SLOW).clamp(CREEP, 1)
     speed = torch.where(ahead < STOP, torch.where(behind > BEHIND, BACK_OFF, 0.0), speed)
     speed = torch.where(angle.abs() > TURN, speed.clamp(max=0), speed)
-    return torch.cat((speed, (2 * angle).clamp(-math.pi, math.pi)), -1)
+    # A positive pitch is nose down.
+    steep = imu[..., :1] < -STEEP
+    speed = torch.where(steep, BACK_DOWN, speed)
+    turn = torch.where(steep, 0.0, 2 * angle)
+    return torch.cat((speed, turn.clamp(-math.pi, math.pi)), -1)

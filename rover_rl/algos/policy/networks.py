@@ -156,7 +156,7 @@ class EncodedNetwork(nn.Module):
         encoder: encoder of the observation.
         body: network that takes the features.
         privileged: encoder of the privileged observation, whose features follow; ``None``: the observation only.
-        prior: module that maps ``lidar`` and ``route`` to what is added to the mean; ``None``: nothing is added.
+        prior: module that maps ``lidar``, ``imu`` and ``route`` to what is added to the mean; ``None``: nothing.
     """
 
     def __init__(
@@ -182,7 +182,7 @@ class EncodedNetwork(nn.Module):
             return self.body(features)
         loc, scale = self.body(features)
         entry = dict(zip(self.encoder.keys, entries[:count], strict=True))
-        return loc + self.prior(entry["lidar"], entry[ROUTE]), scale
+        return loc + self.prior(*(entry[key] for key in ("lidar", "imu", ROUTE))), scale
 
 
 class RoutePrior(nn.Module):
@@ -208,9 +208,9 @@ class RoutePrior(nn.Module):
         self.register_buffer("_middle", middle, persistent=False)
         self.register_buffer("_half", half, persistent=False)
 
-    def forward(self, lidar: Tensor, route: Tensor) -> Tensor:
-        """Returns the mean before squashing, ``[..., 2]``, for the ``lidar`` and the ``route`` of an observation."""
-        share = (follow(lidar, route, self._robot) - self._middle) / self._half
+    def forward(self, lidar: Tensor, imu: Tensor, route: Tensor) -> Tensor:
+        """Returns the mean before squashing, ``[..., 2]``, for these entries of an observation."""
+        share = (follow(lidar, imu, route, self._robot) - self._middle) / self._half
         return torch.atanh(share.clamp(-self.LARGEST, self.LARGEST))
 
 

@@ -211,5 +211,5 @@ def _make_expert(config: TrainingConfig) -> Callable[[TensorDictBase], Tensor]:
     assert isinstance(config.algorithm, PPOConfig)
     robot = get_robot(config.env.robot)
     if config.algorithm.expert == "route":
-        return lambda decisions: follow(decisions["lidar"], decisions[ROUTE], robot)
+        return lambda decisions: follow(decisions["lidar"], decisions["imu"], decisions[ROUTE], robot)
     return PrivilegedExpert(WorldPool.of(config.env.world), robot, config.device).action
