@@ -16,6 +16,7 @@ from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import make_actor
 from rover_rl.algos.video.film import film
 from rover_rl.cli import main
+from rover_rl.cli.policies import NO_POLICY, ONE_POLICY
 from rover_rl.progress import redirected_progress
 from rover_rl.sims.worlds import WORLDS
 from tests.full_disk import largest_file
@@ -88,9 +89,9 @@ NAMES = f"use one of {COMMANDS}; see rover-rl --help"
         ("evaluate x --count 1.5", "--count takes {None}|INT, got 1.5; see rover-rl evaluate --help"),
         (
             "film",
-            "film needs: Folder of a run, checkpoint file, pretrained:NAME, scripted or random; see rover-rl",
+            f"film needs: {ONE_POLICY.removesuffix('.')}; see rover-rl",
         ),
-        ("evaluate", "name a policy: the folder of a run, a checkpoint, pretrained:NAME, scripted or random"),
+        ("evaluate", NO_POLICY),
     ],
 )
 def test_a_malformed_command_line_is_refused_in_one_line(

@@ -17,9 +17,10 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from rover_rl.algos.policy.baselines import drive_towards
+from rover_rl.envs.config import EnvConfig, RobotLike
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.transforms.path_reward import CAUTION, goal_of, world_of
-from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.rotations import wrap_angle
 from rover_rl.sims.worlds.path_distance import PathDistances
 from rover_rl.sims.worlds.world import Worlds
@@ -93,10 +94,21 @@ class MapExpert(TensorDictModuleBase):
     """The :class:`PrivilegedExpert` as a policy: what is possible with the map of the world.
 
     A :class:`~rover_rl.algos.policy.runner.PolicyRunner` with an environment tells it the worlds.
+
+    Args:
+        robot: name of a robot, or a robot, that it drives.
+
+    Attributes:
+        made_for: environment that the policy drives in, with ``robot``.
+
+    Raises:
+        ValueError: for an unknown robot.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, robot: RobotLike = "rover_zero") -> None:
         super().__init__()
+        get_robot(robot)
+        self.made_for = EnvConfig(robot=robot)
         self.in_keys = ["pose", "imu", "target", "lidar", "outcome"]
         self.out_keys = ["action"]
         self._expert: PrivilegedExpert | None = None

@@ -9,12 +9,14 @@ Example:
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 
 import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
+from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike
 from rover_rl.envs.seen_map.seen_map import ROUTE
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.robots.footprint import footprint
@@ -52,6 +54,7 @@ class GridPlanner(TensorDictModule):
         robot: name of a robot, or a robot, for the footprint and the position of the lidar.
 
     Attributes:
+        made_for: environment that the policy drives in, with ``robot`` and one lidar reading for each beam.
         trained_action_repeat: number of steps from one plan to the next.
 
     Raises:
@@ -60,8 +63,10 @@ class GridPlanner(TensorDictModule):
 
     trained_action_repeat = 4
 
-    def __init__(self, robot: str | Robot = "rover_zero") -> None:
+    def __init__(self, robot: RobotLike = "rover_zero") -> None:
         super().__init__(partial(follow, robot=get_robot(robot)), in_keys=["lidar", "imu", ROUTE], out_keys=["action"])
+        lidar = LidarConfig()
+        self.made_for = EnvConfig(robot=robot, lidar=replace(lidar, points=lidar.beams))
 
 
 def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
