@@ -218,26 +218,6 @@ def clear_window(evidence: wp.array[wp.uint8], levels: wp.array[wp.uint8]):
 
 
 @wp.func
-def beam_of(direction: wp.vec2, reading: float, pose: wp.array[float]):
-    """Returns a beam in the world's frame, in the unit of its reading.
-
-    A beam at the angle a in the frame of the lidar has the direction ``Rz(yaw) Ry(pitch) Rx(roll) (cos a, sin a, 0)``.
-
-    Args:
-        direction: cosine and sine of the angle in the frame of the lidar.
-        reading: length of the beam.
-        pose: x, y, pitch, roll and yaw of the rover.
-    """
-    aside = direction[1] * wp.sin(pose[3])
-    forward = direction[0] * wp.cos(pose[2]) + aside * wp.sin(pose[2])
-    left = direction[1] * wp.cos(pose[3])
-    up = aside * wp.cos(pose[2]) - direction[0] * wp.sin(pose[2])
-    cos = wp.cos(pose[4])
-    sin = wp.sin(pose[4])
-    return reading * wp.vec3(forward * cos - left * sin, forward * sin + left * cos, up)
-
-
-@wp.func
 def is_hit(beam: wp.vec3, reading: float, max_range: float):
     """Returns whether a beam, in cells, ends at an obstacle in the window."""
     crossed = wp.max(wp.abs(beam[0]), wp.abs(beam[1]))
@@ -293,14 +273,23 @@ def add_scans(
     else:
         move_window(centers[i], center, clearance, evidence, box, level)
     centers[i] = center
-    # Position of the lidar, in cells.
+    cos_pitch = wp.cos(poses[i, 2])
+    sin_pitch = wp.sin(poses[i, 2])
+    cos_roll = wp.cos(poses[i, 3])
+    sin_roll = wp.sin(poses[i, 3])
     cos = wp.cos(poses[i, 4])
     sin = wp.sin(poses[i, 4])
+    # Position of the lidar, in cells.
     x = (poses[i, 0] + mount[0] * cos - mount[1] * sin) / CELL
     y = (poses[i, 1] + mount[0] * sin + mount[1] * cos) / CELL
+    # Axes of the rover in the world's frame: the columns of Rz(yaw) Ry(pitch) Rx(roll).
+    ahead = wp.vec3(cos_pitch * cos, cos_pitch * sin, -sin_pitch)
+    left = wp.vec3(
+        sin_roll * sin_pitch * cos - cos_roll * sin, sin_roll * sin_pitch * sin + cos_roll * cos, sin_roll * cos_pitch
+    )
     count = directions.shape[0]
     for k in range(count):
-        beam = beam_of(directions[k], readings[i, k] / CELL, poses[i])
+        beam = readings[i, k] / CELL * (directions[k][0] * ahead + directions[k][1] * left)
         # Cells that the beam crosses along the axis along which it crosses more.
         crossed = wp.max(wp.abs(beam[0]), wp.abs(beam[1]))
         for n in range(int(wp.min(crossed - 1.5, float(REACH)))):
@@ -312,17 +301,17 @@ def add_scans(
                 weaken(along, across, passed - 1, clearance, evidence, box, level)
     # After all beams have passed, so that no beam clears what another one has hit.
     for k in range(count):
-        beam = beam_of(directions[k], readings[i, k] / CELL, poses[i])
+        beam = readings[i, k] / CELL * (directions[k][0] * ahead + directions[k][1] * left)
         if is_hit(beam, readings[i, k], max_range):
             before = int(evidence[address(int(wp.floor(x + beam[0])), int(wp.floor(y + beam[1])))])
             if before <= MOST:
                 value = wp.min(before + HIT, MOST)
                 mark(x + beam[0], y + beam[1], value, clearance, evidence, box, level)
     for k in range(count):
-        beam = beam_of(directions[k], readings[i, k] / CELL, poses[i])
+        beam = readings[i, k] / CELL * (directions[k][0] * ahead + directions[k][1] * left)
         # The last reading is a neighbor of the first one.
         other = (k + 1) % count
-        next_beam = beam_of(directions[other], readings[i, other] / CELL, poses[i])
+        next_beam = readings[i, other] / CELL * (directions[other][0] * ahead + directions[other][1] * left)
         gap_x = next_beam[0] - beam[0]
         gap_y = next_beam[1] - beam[1]
         both = is_hit(beam, readings[i, k], max_range) and is_hit(next_beam, readings[i, other], max_range)
@@ -333,12 +322,11 @@ def add_scans(
                 between_y = y + beam[1] + float(n) / steps * gap_y
                 before = int(evidence[address(int(wp.floor(between_x)), int(wp.floor(between_y)))])
                 mark(between_x, between_y, wp.max(before, OCCUPIED), clearance, evidence, box, level)
-    cos_tilt = wp.cos(poses[i, 2]) * wp.cos(poses[i, 3])
-    if cos_tilt < wp.cos(MAX_TILT):
-        # Downhill is where the rover's vertical axis, Rz(yaw) Ry(pitch) Rx(roll) (0, 0, 1), points to.
-        forward = wp.cos(poses[i, 3]) * wp.sin(poses[i, 2])
-        left = -wp.sin(poses[i, 3])
-        scale = -UPHILL / wp.length(wp.vec2(forward, left))
-        steep_x = poses[i, 0] / CELL + scale * (forward * cos - left * sin)
-        steep_y = poses[i, 1] / CELL + scale * (forward * sin + left * cos)
+    if cos_pitch * cos_roll < wp.cos(MAX_TILT):
+        # The rover's vertical axis leans downhill.
+        down_x = cos_roll * sin_pitch * cos + sin_roll * sin
+        down_y = cos_roll * sin_pitch * sin - sin_roll * cos
+        scale = UPHILL / wp.length(wp.vec2(down_x, down_y))
+        steep_x = poses[i, 0] / CELL - scale * down_x
+        steep_y = poses[i, 1] / CELL - scale * down_y
         mark(steep_x, steep_y, STEEP, clearance, evidence, box, level)
