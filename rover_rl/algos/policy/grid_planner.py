@@ -16,7 +16,7 @@ import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
-from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike
+from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike, TaskConfig
 from rover_rl.envs.seen_map.seen_map import ROUTE
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.robots.footprint import footprint
@@ -54,7 +54,8 @@ class GridPlanner(TensorDictModule):
         robot: name of a robot, or a robot, for the footprint and the position of the lidar.
 
     Attributes:
-        made_for: environment that the policy drives in, with ``robot`` and one lidar reading for each beam.
+        made_for: environment that the policy drives in, with ``robot``, one lidar reading for each beam, and episodes
+            that end when the body touches an obstacle.
         trained_action_repeat: number of steps from one plan to the next.
 
     Raises:
@@ -66,7 +67,9 @@ class GridPlanner(TensorDictModule):
     def __init__(self, robot: RobotLike = "rover_zero") -> None:
         super().__init__(partial(follow, robot=get_robot(robot)), in_keys=["lidar", "imu", ROUTE], out_keys=["action"])
         lidar = LidarConfig()
-        self.made_for = EnvConfig(robot=robot, lidar=replace(lidar, points=lidar.beams))
+        # In narrow gaps, readings are below the contract's threshold.
+        task = TaskConfig(collision_from="contact", collision_window=0)
+        self.made_for = EnvConfig(robot=robot, lidar=replace(lidar, points=lidar.beams), task=task)
 
 
 def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
