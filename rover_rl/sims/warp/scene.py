@@ -5,18 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
 
+from rover_rl.sims import worlds
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.inertial_model import InertialModel
 from rover_rl.sims.warp.kernels.types import MAX_WHEELS, RobotModel, Scene
 from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds.cache import code_key, content_key, load_arrays, store_arrays
 from rover_rl.sims.worlds.obstacles import Solids, groups_of
+from rover_rl.sims.worlds.world_key import world_key
 
 BLOCK_SIDE = 1.5
 """Approximate side length of a block of ground, m."""
@@ -26,10 +30,14 @@ ROUNDING = 1e-4
 """Safety margin of bounds for the rounding errors of single precision, m."""
 GRID_CELL = 1.0
 """Side length of a cell of the broad-phase grid, m."""
+KIND = "scenes"
+"""Folder of the cache."""
 ALIGNMENT = 64
 """Alignment of the arrays of a scene in memory, bytes: the length of a cache line."""
 ARRAY_TYPES = {name: var.type.dtype for name, var in vars(Scene)["vars"].items() if hasattr(var.type, "dtype")}
 """Type of the elements of each array in a scene."""
+ADDRESSES = [getattr(type(Scene().__ctype__()), name).offset // 8 for name in ARRAY_TYPES]  # type: ignore[attr-defined]
+"""Where the struct of a scene has the addresses of the arrays, in words of 8 bytes."""
 
 
 class SceneTable:
@@ -58,17 +66,15 @@ class SceneTable:
         """Packs a world that may be set soon. It is safe to call from another thread."""
         packed = self._packed.get(world)
         if packed is None:
-            packed = self._packed[world] = PackedScene.of(world, self._reach)
+            packed = self._packed[world] = PackedScene.stored(world, self._reach)
         return packed
 
     def __setitem__(self, slot: int, world: World) -> None:
         """Copies a world to a slot."""
-        scene, memory = self.prepare(world).copy_to(self._device)
-        # As bytes: an array of structs is slow to make.
-        data = np.frombuffer(scene.__ctype__(), dtype=np.uint8)  # type: ignore[attr-defined]
-        record = wp.array(data, dtype=wp.uint8, device=self._device)
+        packed = self.prepare(world)
+        self._owners[slot] = memory = wp.array(packed.block, dtype=wp.uint8, device=self._device)
+        record = wp.array(packed.record_at(memory.ptr), dtype=wp.uint8, device=self._device)
         wp.copy(self._bytes, record, dest_offset=slot * self._size, count=self._size)
-        self._owners[slot] = memory
 
 
 @dataclass(frozen=True)
@@ -76,14 +82,25 @@ class PackedScene:
     """A world as the kernels read it, in one block of memory, so that a thread reads one region.
 
     Attributes:
-        numbers: fields of the scene that are not arrays, by name.
-        shapes: shape of each array, by name, in the order of the block.
-        block: the arrays one after the other, uint8, each aligned to a cache line.
+        block: the arrays of the scene one after the other, uint8, each aligned to a cache line.
+        record: struct of the scene, uint8, in which the addresses of the arrays are relative to the block.
     """
 
-    numbers: dict[str, Any]
-    shapes: dict[str, tuple[int, ...]]
     block: np.ndarray
+    record: np.ndarray
+
+    @classmethod
+    def stored(cls, world: World, reach: float) -> PackedScene:
+        """Returns the packed world that is stored on disk, or packs and stores it: see :meth:`of`."""
+        here = Path(__file__).parent
+        code = code_key(here, here / "kernels", Path(worlds.__file__).parent)
+        key = content_key(code, wp.config.version, repr(reach), world_key(world))
+        arrays = load_arrays(KIND, key)
+        if arrays is not None:
+            return cls(**arrays)
+        packed = cls.of(world, reach)
+        store_arrays(KIND, key, vars(packed))
+        return packed
 
     @classmethod
     def of(cls, world: World, reach: float) -> PackedScene:
@@ -100,32 +117,28 @@ class PackedScene:
         grid_numbers, grid = _grid(groups, reach)
         arrays = {"heights": heights, "blocks": _blocks(heights, block, terrain.cell)}
         arrays |= _solids(groups) | _faces(groups) | grid
-        memory = np.zeros(sum(_aligned(array.nbytes) for array in arrays.values()) + ALIGNMENT, dtype=np.uint8)
-        start = 0
-        for array in arrays.values():
-            memory[start : start + array.nbytes] = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
-            start += _aligned(array.nbytes)
-        numbers = {"origin": wp.vec2(*terrain.origin), "cell": terrain.cell, "block": block, **grid_numbers}
-        return cls(numbers, {name: array.shape for name, array in arrays.items()}, memory)
-
-    def copy_to(self, device: wp.Device) -> tuple[Scene, wp.array]:
-        """Copies the world to a device.
-
-        Returns:
-            The scene, and the memory that its arrays are in. The caller keeps the memory as long as the scene.
-        """
-        memory = wp.array(self.block, dtype=wp.uint8, device=device)
+        sizes = [_aligned(array.nbytes) for array in arrays.values()]
+        memory = np.zeros(sum(sizes) + ALIGNMENT, dtype=np.uint8)
         scene = Scene()
-        for name, value in self.numbers.items():
+        numbers = {"origin": wp.vec2(*terrain.origin), "cell": terrain.cell, "block": block, **grid_numbers}
+        for name, value in numbers.items():
             setattr(scene, name, value)
-        start = memory.ptr
-        for name, shape in self.shapes.items():
+        for (name, array), end in zip(arrays.items(), np.cumsum(sizes).tolist(), strict=True):
+            start = end - _aligned(array.nbytes)
+            memory[start : start + array.nbytes] = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
             dtype = ARRAY_TYPES[name]
             # The last dimension of an array of vectors is in its type.
-            outer = shape[:-1] if wp.types.type_is_vector(dtype) else shape
-            setattr(scene, name, wp.array(ptr=start, dtype=dtype, shape=outer, device=device))
-            start += _aligned(4 * math.prod(shape))
-        return scene, memory
+            shape = array.shape[:-1] if wp.types.type_is_vector(dtype) else array.shape
+            setattr(scene, name, wp.array(ptr=memory.ctypes.data + start, dtype=dtype, shape=shape, device="cpu"))
+        record = np.frombuffer(scene.__ctype__(), dtype=np.uint8).copy()  # type: ignore[attr-defined]
+        record.view(np.uint64)[ADDRESSES] -= np.uint64(memory.ctypes.data)
+        return cls(memory, record)
+
+    def record_at(self, address: int) -> np.ndarray:
+        """Returns the struct of the scene for a copy of the block at an address, uint8."""
+        record = self.record.copy()
+        record.view(np.uint64)[ADDRESSES] += np.uint64(address)
+        return record
 
 
 def _aligned(size: int) -> int:

@@ -13,6 +13,7 @@ from rover_rl.sims.worlds.actor import Actor
 from rover_rl.sims.worlds.files.suffixes import is_world_file
 from rover_rl.sims.worlds.free_space import FreeSpace, free_space
 from rover_rl.sims.worlds.generators import forest, hills, inspect, maze, moon, ramps, rooms
+from rover_rl.sims.worlds.layout_cache import stored_layout
 from rover_rl.sims.worlds.names import WorldName, WorldRange
 from rover_rl.sims.worlds.obstacles import Obstacle, boulder, box, boxes, cylinder, cylinders
 from rover_rl.sims.worlds.placement import rest_on_ground
@@ -111,7 +112,8 @@ def _make_world(name: WorldName) -> World:
         raise ValueError(f"world {name.part!r} takes no difficulty, got {name.difficulty:g}")
     if callable(part):
         make = part if name.difficulty is None else partial(part, difficulty=name.difficulty)
-        part = _REGISTRY.call(name.part, make, *([name.seed or 0] if takes_seed else []))
+        call = partial(_REGISTRY.call, name.part, make, *([name.seed or 0] if takes_seed else []))
+        part = stored_layout(name, call) if name.part in WORLDS else call()
     if not isinstance(part, World):
         raise ValueError(
             f"world {name.part!r} must be a World or a function that returns one, got {type(part).__name__}"

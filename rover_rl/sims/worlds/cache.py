@@ -8,11 +8,19 @@ import math
 import os
 import struct
 import zlib
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from rover_rl.files import written_whole
+
+KEPT_BYTES = 2**30
+"""Size of the files of a kind, above which the oldest ones are deleted."""
+FOLDERS = 256
+"""Number of folders that the files of a kind are spread over."""
+ALIGNMENT = 8
+"""Alignment of the arrays of a file in memory, bytes."""
 
 
 def cache_folder() -> Path:
@@ -31,19 +39,28 @@ def content_key(*parts: bytes | str) -> str:
     return digest.hexdigest()
 
 
+@lru_cache(maxsize=16)
+def code_key(*folders: Path) -> str:
+    """Returns a key of the modules in folders: what another version of them stored is not found."""
+    return content_key(*(path.read_bytes() for folder in folders for path in sorted(folder.glob("*.py"))))
+
+
 def load_arrays(kind: str, key: str) -> dict[str, np.ndarray] | None:
     """Returns the arrays that are stored under a key. ``None`` if there are none, or the file is damaged."""
     try:
-        content = _path(kind, key).read_bytes()
-        size = _SIZE.unpack_from(content)[0]
-        described = json.loads(content[_SIZE.size : _SIZE.size + size])
-        data = memoryview(bytearray(zlib.decompress(content[_SIZE.size + size :])))
-        arrays, start = {}, 0
+        data = memoryview(bytearray(zlib.decompress(_path(kind, key).read_bytes())))
+        end = _SIZE.size + _SIZE.unpack_from(data)[0]
+        described = json.loads(bytes(data[_SIZE.size : end]))
+        arrays = {}
         for name, kind_of_number, shape in described:
-            dtype, count = np.dtype(kind_of_number), math.prod(shape)
-            arrays[name] = np.frombuffer(data, dtype, count, start).reshape(shape)
-            start += count * dtype.itemsize
-        return arrays if start == len(data) else None
+            dtype, count, start = np.dtype(kind_of_number), math.prod(shape), _aligned(end)
+            if dtype.kind == "b":
+                bits = np.frombuffer(data, np.uint8, -(-count // 8), start)
+                array, end = np.unpackbits(bits, count=count).view(bool), start + len(bits)
+            else:
+                array, end = np.frombuffer(data, dtype, count, start), start + count * dtype.itemsize
+            arrays[name] = array.reshape(shape)
+        return arrays
     except (OSError, ValueError, TypeError, struct.error, zlib.error):
         return None
 
@@ -51,21 +68,44 @@ def load_arrays(kind: str, key: str) -> dict[str, np.ndarray] | None:
 def store_arrays(kind: str, key: str, arrays: dict[str, np.ndarray]) -> None:
     """Stores arrays of numbers under a key. Several processes may do so at once. A full disk is no error.
 
-    A file has the length of a description (4 bytes, little-endian), the description (JSON: name, type and shape of each
-    array), and the arrays one after the other, compressed with zlib. Such files are read three times as fast as those
-    of ``numpy.savez_compressed``.
+    A file is compressed with zlib, whose checksum covers all of it. It has the length of a description (4 bytes,
+    little-endian), the description (JSON: name, type and shape of each array), and the arrays one after the other, each
+    at a multiple of 8 bytes, those of booleans as bits. Such files are read three times as fast as those of
+    ``numpy.savez_compressed``.
     """
     described = json.dumps([(name, array.dtype.str, array.shape) for name, array in arrays.items()]).encode()
-    data = b"".join(array.tobytes() for array in arrays.values())
-    content = _SIZE.pack(len(described)) + described + zlib.compress(data, level=1)
+    data = bytearray(_SIZE.pack(len(described)) + described)
+    for array in arrays.values():
+        data += bytes(_aligned(len(data)) - len(data))
+        data += (np.packbits(array) if array.dtype.kind == "b" else array).tobytes()
+    path = _path(kind, key)
     try:
-        with written_whole(_path(kind, key)) as temporary:
-            temporary.write_bytes(content)
+        with written_whole(path) as temporary:
+            temporary.write_bytes(zlib.compress(data, level=1))
+        _delete_oldest(path)
     except OSError:
         pass
 
 
 _SIZE = struct.Struct("<I")
+
+
+def _delete_oldest(newest: Path) -> None:
+    """Deletes the oldest files in the folder of the newest one while they take more than their share of the disk."""
+    with os.scandir(newest.parent) as entries:
+        files = sorted((entry.stat().st_mtime_ns, entry.stat().st_size, entry.path) for entry in entries)
+    size = sum(size for _, size, _ in files)
+    for _, freed, path in files:
+        if size <= KEPT_BYTES / FOLDERS:
+            return
+        if path != str(newest):
+            # Another process may have deleted it.
+            Path(path).unlink(missing_ok=True)
+            size -= freed
+
+
+def _aligned(size: int) -> int:
+    return -(-size // ALIGNMENT) * ALIGNMENT
 
 
 def _path(kind: str, key: str) -> Path:

@@ -2,75 +2,54 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterator
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from rover_rl.sims import robots
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.cache import content_key, load_arrays, store_arrays
-from rover_rl.sims.worlds.obstacles import groups_of
+from rover_rl.sims.worlds.cache import code_key, content_key, load_arrays, store_arrays
+from rover_rl.sims.worlds.cell_grid import CellGrid, overlap
 from rover_rl.sims.worlds.world import World
+from rover_rl.sims.worlds.world_key import world_key
 
 if TYPE_CHECKING:
     from rover_rl.sims.worlds.free_space import FreeSpace
 
 KIND = "free_space"
 """Folder of the cache."""
+CELLS = ("spawn_cells", "goal_cells")
+"""Lists of cells, which are stored as booleans of the grid."""
 
 
 def load_free_space(kind: type[FreeSpace], world: World, robot: Robot) -> FreeSpace | None:
     """Returns the stored free space of a world for a robot.
 
-    Returns ``None`` if it is not stored, the file is damaged, or another version of this package wrote it.
+    Returns ``None`` if it is not stored, or the file is damaged.
     """
     arrays = load_arrays(KIND, _key(world, robot))
-    if arrays is None or set(arrays) != {field.name for field in fields(kind)}:
+    if arrays is None:
         return None
-    values: dict[str, Any] = {name: torch.from_numpy(array) for name, array in arrays.items()}
-    values["cell"] = float(arrays["cell"])
-    values["origin"] = tuple(arrays["origin"].tolist())
-    return kind(**values)
+    grid = CellGrid(overlap(world.bounds, world.terrain.extent))
+    cells = {name: grid.centers(arrays.pop(name)) for name in CELLS}
+    return kind(grid.cell, grid.origin, **cells, **{name: torch.from_numpy(array) for name, array in arrays.items()})
 
 
 def store_free_space(world: World, robot: Robot, space: FreeSpace) -> None:
     """Stores the free space of a world for a robot. A full or read-only disk is no error."""
-    values = {field.name: getattr(space, field.name) for field in fields(space)}
-    arrays = {name: value.numpy() if isinstance(value, Tensor) else np.array(value) for name, value in values.items()}
+    arrays = {name: value.numpy() for name, value in vars(space).items() if isinstance(value, Tensor)}
+    grid = CellGrid(overlap(world.bounds, world.terrain.extent))
+    arrays |= {name: grid.marked(getattr(space, name)) for name in CELLS}
     store_arrays(KIND, _key(world, robot), arrays)
 
 
 def _key(world: World, robot: Robot) -> str:
-    return content_key(_code(), _description(robot), *_content(world))
-
-
-def _content(world: World) -> Iterator[bytes | str]:
-    """Yields what the free space of a world depends on."""
-    terrain = world.terrain
-    yield repr((terrain.cell, terrain.origin, world.bounds, world.spawn_range, world.goal_range))
-    tensors = [terrain.heights]
-    for solids in groups_of(world.obstacles):
-        tensors += [solids.vertices, solids.faces]
-    for tensor in tensors:
-        yield repr(tensor.shape)
-        yield tensor.numpy().tobytes()
-
-
-@lru_cache(maxsize=1)
-def _code() -> bytes:
-    """Hash of the modules that compute free space: what another version of them stored is not used."""
-    digest = hashlib.sha256()
-    for folder in (Path(__file__).parent, Path(robots.__file__).parent):
-        for path in sorted(folder.glob("*.py")):
-            digest.update(path.read_bytes())
-    return digest.digest()
+    folders = (Path(__file__).parent, Path(robots.__file__).parent)
+    return content_key(code_key(*folders), _description(robot), world_key(world))
 
 
 @lru_cache(maxsize=16)

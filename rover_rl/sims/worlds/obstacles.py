@@ -126,7 +126,8 @@ class _Member(Obstacle):
 
     @property
     def footprint(self) -> Tensor:
-        return self.vertices[self._solids.outline, :2]
+        outline = self._solids.outline
+        return super().footprint if outline is None else self.vertices[outline, :2]
 
 
 def _outline(vertices: np.ndarray) -> np.ndarray:

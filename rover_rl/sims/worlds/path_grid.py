@@ -13,17 +13,19 @@ from torch import Tensor
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.cell_distance import distance_to_cells
-from rover_rl.sims.worlds.cell_grid import CELL
+from rover_rl.sims.worlds.cell_grid import CellGrid, overlap
 from rover_rl.sims.worlds.free_space import FreeSpace, free_space
 from rover_rl.sims.worlds.grid_kernels import BUCKETS, find_steps, spread_costs
+from rover_rl.sims.worlds.ground_limits import MAX_SLOPE, slopes_on_grid
 from rover_rl.sims.worlds.passages import orientation_of
 from rover_rl.sims.worlds.path_steps import LONGEST, STEPS, TURNED_STEPS
 from rover_rl.sims.worlds.world import World
 
 CAUTION_DISTANCE = 0.35
 """Distance from the edge of the roomy cells within which caution increases the path cost, m."""
-CAUTION_CELLS = CAUTION_DISTANCE / CELL
-"""The same in cells."""
+CAUTION_SLOPE = math.radians(12)
+"""Slope of the ground above which caution increases the path cost, rad. Steeper ground takes much of the friction of the
+wheels, so that a rover slides sideways and does not turn."""
 SPAN = LONGEST * math.sqrt(2)
 """Distance within which all cells of a step lie, in cells."""
 MAX_CAUTION = 15.0
@@ -67,23 +69,25 @@ class PathGrid:
         self.passable, self.roomy = space.passable, space.roomy
         self.origin, self.cell = space.origin, space.cell
         self._shape = space.passable.shape
-        # A margin around the grid counts as an edge.
-        edge = distance_to_cells(np.pad(~space.roomy.numpy(), 1, constant_values=True), CAUTION_CELLS + 2 * SPAN)[0]
-        self._prepare(space, edge[1:-1, 1:-1], caution)
+        self._prepare(space, caution, _steepness(world) if caution else 0.0)
         self._nearest = distance_to_cells(self._reachable(space))[1].ravel()
 
-    def _prepare(self, space: FreeSpace, edge: np.ndarray, caution: float) -> None:
+    def _prepare(self, space: FreeSpace, caution: float, steepness: np.ndarray | float) -> None:
         """Copies the weights, the free steps and the openness of all cells to the kernels' arrays.
 
         Args:
             space: free space.
-            edge: distance of each cell from the nearest cell that is not roomy, ``[rows, columns]``, in cells.
-            caution: relative extra cost at the edge.
+            caution: relative extra cost at the edge of the roomy cells and on the steepest ground.
+            steepness: part of ``caution`` that the slope of each cell costs, ``[rows, columns]``.
         """
-        near = (1 - edge * space.cell / CAUTION_DISTANCE).clip(0)
-        weights = np.where(space.passable.numpy(), 1 + caution * near, 0).astype(np.float32)
+        # A margin around the grid counts as an edge.
+        closed = np.pad(~space.roomy.numpy(), 1, constant_values=True)
+        edge = distance_to_cells(closed, max(CAUTION_DISTANCE / space.cell, SPAN) + 1)[0][1:-1, 1:-1]
+        extra = np.maximum(1 - edge * space.cell / CAUTION_DISTANCE, steepness).clip(0, 1)
+        weights = np.where(space.passable.numpy(), 1 + caution * extra, 0).astype(np.float32)
         # A step leads to cells within SPAN.
-        openness = (edge > SPAN).astype(np.int32) + (edge > (CAUTION_CELLS if caution else 0) + SPAN)
+        even = distance_to_cells(weights != 1, SPAN + 1)[0] > SPAN
+        openness = (edge > SPAN).astype(np.int32) * (1 + even)
         self._weights = wp.array(weights.ravel(), dtype=float, device="cpu")
         self._openness = wp.array(openness, dtype=int, device="cpu")
         orientations, crossed, starts, self._lengths = _step_table()
@@ -124,6 +128,15 @@ class PathGrid:
         index = (points.double().cpu().numpy() - self.origin) / self.cell
         # Of two cells that are equally near, the first one.
         return np.ceil(index - 0.5).astype(np.int64)[..., ::-1].clip(0, np.array(self._shape) - 1)
+
+
+def _steepness(world: World) -> np.ndarray | float:
+    """Returns the slope of each cell: 0 up to ``CAUTION_SLOPE``, 1 from ``MAX_SLOPE`` on, ``[rows, columns]``."""
+    if world.terrain.is_flat:
+        return 0.0
+    least, most = math.tan(CAUTION_SLOPE), math.tan(MAX_SLOPE)
+    slopes = slopes_on_grid(world.terrain, CellGrid(overlap(world.bounds, world.terrain.extent)))
+    return ((slopes - least) / (most - least)).clip(0, 1)
 
 
 @lru_cache(maxsize=1)
