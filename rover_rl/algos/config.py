@@ -23,6 +23,8 @@ CurriculumKind: TypeAlias = Literal["none", "learnability"]
 """Ways to choose the worlds of episodes."""
 MemoryKind: TypeAlias = Literal["none", "gru", "lstm"]
 """Kinds of memory of a policy."""
+PriorKind: TypeAlias = Literal["none", "route"]
+"""Kinds of drivers that a policy starts from."""
 ExpertKind: TypeAlias = Literal["map", "route"]
 """Kinds of experts to imitate."""
 UNLIMITED_STEPS = 10**9
@@ -54,6 +56,9 @@ class NetworkConfig:
     The policy then decides every action_repeat steps wherever it drives, as in training."""
     memory_size: int = 128
     """Number of units of the memory."""
+    prior: PriorKind = "none"
+    """What a PPO policy without memory starts from: none, or route (a driver that follows the route).
+    It learns what to add to the driver's action. Needs "route" in observation."""
     privileged_critic: bool = False
     """Let the critic, in PPO, also read what is known only in simulation: true state, local map and path length.
     The actor never reads it."""
@@ -73,6 +78,13 @@ class NetworkConfig:
         unknown = [key for key in self.observation if key not in OBSERVATION_KEYS]
         if unknown or not self.observation or len(set(self.observation)) < len(self.observation):
             raise ValueError(f"observation must be some of {OBSERVATION_KEYS}, each once, got {self.observation}")
+        if self.prior not in (kinds := get_args(PriorKind)):
+            raise ValueError(f"prior must be one of {kinds}, got {self.prior!r}")
+        if self.prior == "route" and (self.memory != "none" or not {"lidar", "imu", "route"} <= set(self.observation)):
+            raise ValueError(
+                f"prior='route' needs lidar, imu and route in observation and memory='none', got {self.observation} "
+                f"and {self.memory!r}"
+            )
         if self.north_up and not {"lidar", "imu", "target"} <= set(self.observation):
             raise ValueError(f"north_up needs lidar, imu and target in observation, got {self.observation}")
 
@@ -319,8 +331,13 @@ class TrainingConfig:
                 "mirror_augmentation does not go with north_up, nor with pose in observation: a map is not its mirror "
                 "image"
             )
-        if self.algo != PPOConfig.name and (self.network.memory != "none" or self.network.privileged_critic):
-            raise ValueError(f"memory and privileged_critic are for PPO, and the algorithm is {self.algo.upper()}")
+        network = self.network
+        if self.algo != PPOConfig.name and (
+            network.memory != "none" or network.prior != "none" or network.privileged_critic
+        ):
+            raise ValueError(
+                f"memory, prior and privileged_critic are for PPO, and the algorithm is {self.algo.upper()}"
+            )
         decisions = self.num_envs * self.algorithm.rollout_length
         if isinstance(self.algorithm, SACConfig) and self.algorithm.buffer_size < decisions:
             raise ValueError(

@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
@@ -18,6 +18,7 @@ from rich.live import Live
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_SECONDS, check_at_least, check_positive, check_seed
 from rover_rl.cli.environment import read_env
+from rover_rl.cli.policies import LIVE_POLICY
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2.settings import Command, PoseSource, Ros2Settings, TransportName
 
@@ -45,8 +46,7 @@ class Drive:
     drives in a direction that no lidar beam covers.
     """
 
-    policy: tyro.conf.Positional[str]
-    """Policy: folder of a run, checkpoint file, ONNX file, pretrained:NAME, or scripted."""
+    policy: Annotated[tyro.conf.Positional[str], tyro.conf.arg(help=LIVE_POLICY)]
     goal: tuple[tuple[float, float], ...] = ()
     """Goals to drive to, in order: x y (m)."""
     goals: Path | None = None

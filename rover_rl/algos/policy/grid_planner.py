@@ -9,17 +9,19 @@ Example:
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 
 import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
+from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike
 from rover_rl.envs.seen_map.seen_map import ROUTE
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.robots.footprint import footprint
 
-MARGIN = 0.05
+MARGIN = 0.02
 """Free distance on each side of the footprint in the lane ahead, m."""
 STOP = 0.05
 """Free distance in front of the footprint at which the rover stops, m."""
@@ -29,6 +31,10 @@ BEHIND = 0.3
 """Free distance behind the footprint that is required for backing off, m."""
 BACK_OFF = -0.3
 """Speed of backing off, m/s."""
+STEEP = 0.42
+"""Pitch above which a slope is too steep, rad: 24 degrees, as for the map."""
+BACK_DOWN = -0.5
+"""Speed of backing down a slope, m/s."""
 CREEP = 0.1
 """Lowest speed in a free lane, m/s."""
 TURN = 1.2
@@ -42,12 +48,13 @@ class GridPlanner(TensorDictModule):
     A*: the stack of costmap, planner and path follower of mobile robots, such as that of Nav2. What has not been seen
     counts as free. See :class:`~rover_rl.envs.seen_map.seen_map.SeenMap`.
 
-    The policy reads ``lidar`` and ``route``. A :class:`~rover_rl.algos.policy.runner.PolicyRunner` adds ``route``.
+    The policy reads ``lidar``, ``imu`` and ``route``, which a :class:`~rover_rl.algos.policy.runner.PolicyRunner` adds.
 
     Args:
         robot: name of a robot, or a robot, for the footprint and the position of the lidar.
 
     Attributes:
+        made_for: environment that the policy drives in, with ``robot`` and one lidar reading for each beam.
         trained_action_repeat: number of steps from one plan to the next.
 
     Raises:
@@ -56,18 +63,22 @@ class GridPlanner(TensorDictModule):
 
     trained_action_repeat = 4
 
-    def __init__(self, robot: str | Robot = "rover_zero") -> None:
-        super().__init__(partial(follow, robot=get_robot(robot)), in_keys=["lidar", ROUTE], out_keys=["action"])
+    def __init__(self, robot: RobotLike = "rover_zero") -> None:
+        super().__init__(partial(follow, robot=get_robot(robot)), in_keys=["lidar", "imu", ROUTE], out_keys=["action"])
+        lidar = LidarConfig()
+        self.made_for = EnvConfig(robot=robot, lidar=replace(lidar, points=lidar.beams))
 
 
-def follow(lidar: Tensor, route: Tensor, robot: Robot) -> Tensor:
+def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
     """Computes the action of a rover that follows its route.
 
     The heading offset is twice the angle to the first corner of the route. The speed decreases as the angle grows and
-    as obstacles in the lane ahead get closer. In front of an obstacle, the rover backs off while it turns.
+    as obstacles in the lane ahead get closer. In front of an obstacle, the rover backs off while it turns. From a slope
+    that is too steep it backs down straight.
 
     Args:
         lidar: lidar readings, ``[..., points]``, m.
+        imu: pitch, roll and yaw, ``[..., 3]``, rad.
         route: route, ``[..., 5]``.
         robot: robot whose footprint must stay free.
 
@@ -84,4 +95,8 @@ def follow(lidar: Tensor, route: Tensor, robot: Robot) -> Tensor:
     speed = angle.cos().clamp(min=0).square() * ((ahead - STOP) / SLOW).clamp(CREEP, 1)
     speed = torch.where(ahead < STOP, torch.where(behind > BEHIND, BACK_OFF, 0.0), speed)
     speed = torch.where(angle.abs() > TURN, speed.clamp(max=0), speed)
-    return torch.cat((speed, (2 * angle).clamp(-math.pi, math.pi)), -1)
+    # A positive pitch is nose down.
+    steep = imu[..., :1] < -STEEP
+    speed = torch.where(steep, BACK_DOWN, speed)
+    turn = torch.where(steep, 0.0, 2 * angle)
+    return torch.cat((speed, turn.clamp(-math.pi, math.pi)), -1)

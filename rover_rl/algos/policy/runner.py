@@ -27,8 +27,10 @@ Policy: TypeAlias = Callable[[TensorDictBase], TensorDictBase]
 """Function or module that adds ``"action"``, ``[N, 2]``, to observations ``[N]``.
 
 A policy with memory is a module with ``in_keys`` and ``out_keys``, as TorchRL's: it reads its state at some keys, and
-``is_init``, and writes the next state at the same keys under ``"next"``. Without a state, it starts a new one. A policy
-with a true ``row_by_row`` is called only with the rows that decide."""
+``is_init``, and writes the next state at the same keys under ``"next"``. Without a state, it starts a new one.
+
+A policy that needs to know the environment has a method ``enter(env)``. A policy with a true ``row_by_row`` is called
+only with the rows that decide."""
 
 
 def default_action_repeat(policy: Policy | None, given: int | None = None) -> int:
@@ -64,8 +66,8 @@ class PolicyRunner:
         action_repeat: number of steps that each action is held for; ``None``: see :func:`default_action_repeat`.
         min_rows: smallest number of rows that the policy is called with. Copies of the last row fill them up. Matrix
             products of few rows round differently.
-        env: environment that the policy drives in, for the bounds that routes stay in; ``None``: those of the entry
-            ``bounds`` of the observation, or none.
+        env (rover_rl.RoverEnv | None): environment that the policy drives in, for the bounds that routes stay in;
+            ``None``: those of the entry ``bounds`` of the observation, or none.
 
     Attributes:
         policy: the policy.
@@ -76,6 +78,8 @@ class PolicyRunner:
         self, policy: Policy, action_repeat: int | None = None, min_rows: int = 1, env: RoverEnv | None = None
     ) -> None:
         self._env = env
+        if env is not None and hasattr(policy, "enter"):
+            policy.enter(env)
         self.action_repeat = default_action_repeat(policy, action_repeat)
         self.policy, self._min_rows, self._keys = policy, min_rows, state_keys(policy)
         self._seen: SeenMap | None = None

@@ -97,6 +97,7 @@ class PPOLearner:
             device,
             memory=network.memory,
             memory_size=network.memory_size,
+            follower=None if network.prior == "none" else get_robot(config.env.robot),
         )
         self.critic = make_critic(encoder, network.hidden, device, network.privileged_critic)
         self._advantage = GAE(gamma=settings.gamma, lmbda=settings.lmbda, value_network=self.critic, average_gae=True)
@@ -210,5 +211,5 @@ def _make_expert(config: TrainingConfig) -> Callable[[TensorDictBase], Tensor]:
     assert isinstance(config.algorithm, PPOConfig)
     robot = get_robot(config.env.robot)
     if config.algorithm.expert == "route":
-        return lambda decisions: follow(decisions["lidar"], decisions[ROUTE], robot)
+        return lambda decisions: follow(decisions["lidar"], decisions["imu"], decisions[ROUTE], robot)
     return PrivilegedExpert(WorldPool.of(config.env.world), robot, config.device).action

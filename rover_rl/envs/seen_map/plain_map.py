@@ -7,10 +7,11 @@ from torch import Tensor, nn
 
 from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.seen_map.plain_routes import plan
-from rover_rl.envs.seen_map.plain_scans import moved_window, rings, with_scan
+from rover_rl.envs.seen_map.plain_scans import Lidar, levels, moved_window, packed, unpacked, with_scan
 from rover_rl.envs.seen_map.scan_kernels import CELL, SIZE
 from rover_rl.envs.seen_map.seen_map import (
     beam_directions,
+    clearance_of,
     goal_positions,
     largest_reading,
     lidar_mount,
@@ -41,7 +42,7 @@ class PlainSeenMap(nn.Module):
     def __init__(self, lidar: LidarConfig | None = None, robot: str | Robot = "rover_zero") -> None:
         super().__init__()
         lidar = lidar or LidarConfig()
-        self._max_range = largest_reading(lidar)
+        self._max_range, self._clearance = largest_reading(lidar), clearance_of(robot)
         self.register_buffer("_directions", beam_directions(lidar))
         self.register_buffer("_mount", torch.tensor(lidar_mount(robot)))
 
@@ -51,8 +52,8 @@ class PlainSeenMap(nn.Module):
         """Adds a scan and plans the route.
 
         Args:
-            state: state before, ``[N, state_size]``: the cell in the middle of the window, and the evidence of an
-                obstacle in each cell of the window. Zeros at the start of an episode.
+            state: state before, ``[N, state_size]``: the cell in the middle of the window, and what has been seen in
+                each cell of the window. Zeros at the start of an episode.
             lidar: lidar readings, ``[N, P]``, m.
             pose: x, y and z, ``[N, 3]``, m.
             imu: pitch, roll and yaw, ``[N, 3]``, rad.
@@ -62,10 +63,11 @@ class PlainSeenMap(nn.Module):
         Returns:
             The route, ``[N, 5]``, as ``SeenMap`` returns it, and the next state.
         """
-        before, evidence = state[:, :2], state[:, 2:].reshape(-1, SIZE, SIZE)
+        before, cells = state[:, :2], state[:, 2:].reshape(-1, SIZE, SIZE)
         center = (pose[:, :2] / CELL).floor()
-        evidence = moved_window(evidence, center - before)
         poses = torch.cat((pose[:, :2], imu), -1)
-        evidence = with_scan(evidence, center, poses, lidar, self._directions, self._mount, self._max_range)
-        corners, lengths = plan(rings(evidence), center, goal_positions(pose, imu, target), bounds)
-        return relative_route(corners, lengths, pose, imu), torch.cat((center, evidence.flatten(1)), -1)
+        sensor = Lidar(self._directions, self._mount, self._max_range)
+        content = with_scan(unpacked(moved_window(cells, center - before)), center, poses, lidar, sensor)
+        corners, lengths = plan(levels(content, self._clearance), center, goal_positions(pose, imu, target), bounds)
+        route = relative_route(corners, lengths, pose, imu)
+        return route, torch.cat((center, packed(content).flatten(1)), -1)

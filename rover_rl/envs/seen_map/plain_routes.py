@@ -20,10 +20,11 @@ from rover_rl.envs.seen_map.route_kernels import (
     LONGEST,
     NEAREST,
     OPEN_WEIGHT,
+    ROOM,
     STRAIGHT,
     UNKNOWN_COST,
 )
-from rover_rl.envs.seen_map.scan_kernels import CELL, HALF, RINGS, SIZE
+from rover_rl.envs.seen_map.scan_kernels import CELL, HALF, OPEN, SIZE
 
 _WIDTH = SIZE + 1
 """Cells in a row of the padded window."""
@@ -38,11 +39,11 @@ _RELAXATIONS = 4
 """Relaxations of all cells from one check of the end to the next."""
 
 
-def plan(ring: Tensor, center: Tensor, goal: Tensor, bounds: Tensor) -> tuple[Tensor, Tensor]:
+def plan(levels: Tensor, center: Tensor, goal: Tensor, bounds: Tensor) -> tuple[Tensor, Tensor]:
     """Plans the route from the middle of each window to its goal.
 
     Args:
-        ring: distance of each cell from the nearest occupied one, ``[N, SIZE, SIZE]``.
+        levels: level of each cell, ``[N, SIZE, SIZE]``: see ``scan_kernels``.
         center: cells in the middle of the windows, ``[N, 2]``.
         goal: x and y of the goals, ``[N, 2]``, m.
         bounds: lower x and y and upper x and y of the area that routes stay in, ``[N, 4]``, m.
@@ -53,14 +54,14 @@ def plan(ring: Tensor, center: Tensor, goal: Tensor, bounds: Tensor) -> tuple[Te
     """
     # A goal outside of the window counts as at its edge.
     cell = ((goal / CELL).floor() - center + HALF).clamp(0, SIZE - 1)
-    edges = ((bounds / CELL).clamp(-1e8, 1e8).floor() - center.repeat(1, 2) + HALF).clamp(-1, SIZE)
-    weights = _padded(_weights(ring, cell, edges), 0.0)
+    edges = ((bounds / CELL).clamp(-1e8, 1e8).floor() - center.repeat(1, 2) + HALF).clamp(-ROOM, SIZE - 1 + ROOM)
+    weights = _padded(_weights(levels, cell, edges), 0.0)
     target = _MARGIN + cell[:, 1:].long() * _WIDTH + cell[:, :1].long()
     costs = _costs(weights, target)
     total = costs[:, _HOME]
     reachable = total < _UNKNOWN
     path, steps = _cheapest_path(costs, weights, torch.where(reachable[:, None], target, _HOME))
-    cells, found = _corners(_padded(ring, 0.0), path, steps)
+    cells, found = _corners(_padded(levels, 0.0), path, steps)
     corners = torch.where(found, (cells + (center - HALF)[:, None] + 0.5) * CELL, goal[:, None])
     return corners, torch.where(reachable, total * CELL / (OPEN_WEIGHT * STRAIGHT), -1.0)
 
@@ -69,26 +70,28 @@ def _padded(window: Tensor, value: float) -> Tensor:
     return F.pad(F.pad(window, (0, 1), value=value).flatten(1), (_MARGIN, _MARGIN), value=value)
 
 
-def _weights(ring: Tensor, goal: Tensor, edges: Tensor) -> Tensor:
+def _weights(levels: Tensor, goal: Tensor, edges: Tensor) -> Tensor:
     """Returns the weights of the cells, ``[N, SIZE, SIZE]``; 0 where the rover cannot be.
 
     Args:
-        ring: distance of each cell from the nearest occupied one, ``[N, SIZE, SIZE]``.
+        levels: level of each cell, ``[N, SIZE, SIZE]``.
         goal: column and row of the goal, ``[N, 2]``.
         edges: column and row of the cells that hold the lower and the upper bounds, ``[N, 4]``.
     """
-    number = torch.arange(SIZE, device=ring.device, dtype=ring.dtype)
+    number = torch.arange(SIZE, device=levels.device, dtype=levels.dtype)
     column, row = number[None, None, :], number[None, :, None]
     from_home = torch.maximum((column - HALF).abs(), (row - HALF).abs())
     from_goal = torch.maximum((column - goal[:, None, :1]).abs(), (row - goal[:, None, 1:]).abs())
     is_goal = from_goal == 0
-    # No gap is that narrow. But beside a wall, start and goal may seem to be.
+    # The rover does not fit. But beside a wall, start and goal may seem to be so.
     beside = torch.where(torch.minimum(from_home, from_goal) > BESIDE, 0.0, float(BESIDE_WEIGHT))
-    weight = torch.full_like(ring, float(OPEN_WEIGHT))
-    for distance, value in ((3, 3.0), (2, 5.0), (1, beside), (0, torch.where(is_goal, float(OPEN_WEIGHT), 0.0))):
-        weight = torch.where(ring == distance, value, weight)
-    lower_x, lower_y, upper_x, upper_y = edges[:, :, None, None].unbind(1)
-    inside = (column > lower_x) & (row > lower_y) & (column < upper_x) & (row < upper_y)
+    weight = torch.full_like(levels, float(OPEN_WEIGHT))
+    for level, value in ((3, 3.0), (2, 6.0), (1, beside), (0, torch.where(is_goal, float(OPEN_WEIGHT), 0.0))):
+        weight = torch.where(levels == level, value, weight)
+    # The rover's center needs some room to the bounds.
+    (lower_x, lower_y), (upper_x, upper_y) = ((part[:, :, None, None]).unbind(1) for part in edges.chunk(2, 1))
+    inside = (column >= lower_x + ROOM) & (row >= lower_y + ROOM)
+    inside = inside & (column <= upper_x - ROOM) & (row <= upper_y - ROOM)
     return torch.where(inside | is_goal, weight, 0.0)
 
 
@@ -189,11 +192,11 @@ def _cheapest_path(costs: Tensor, weights: Tensor, goal: Tensor) -> tuple[Tensor
     return path, (path[:, :-1] != goal).sum(1, keepdim=True)
 
 
-def _corners(ring: Tensor, path: Tensor, steps: Tensor) -> tuple[Tensor, Tensor]:
+def _corners(levels: Tensor, path: Tensor, steps: Tensor) -> tuple[Tensor, Tensor]:
     """Finds up to two corners of each path by string pulling: see ``find_corners`` in ``route_kernels``.
 
     Args:
-        ring: distance of each cell of the padded window from the nearest occupied one, ``[N, L]``.
+        levels: level of each cell of the padded window, ``[N, L]``.
         path: addresses of the cells of the path, int64 ``[N, LONGEST + 1]``.
         steps: number of steps of the path, int64 ``[N, 1]``.
 
@@ -201,8 +204,8 @@ def _corners(ring: Tensor, path: Tensor, steps: Tensor) -> tuple[Tensor, Tensor]
         Column and row of the corners, float32 ``[N, 2, 2]``, and which were found, bool ``[N, 2, 1]``.
     """
     from_first = path - _MARGIN
-    cells = torch.stack((from_first % _WIDTH, from_first.div(_WIDTH, rounding_mode="floor")), -1).to(ring.dtype)
-    nearest = ring.gather(1, path)
+    cells = torch.stack((from_first % _WIDTH, from_first.div(_WIDTH, rounding_mode="floor")), -1).to(levels.dtype)
+    along = levels.gather(1, path)
     step = torch.arange(LONGEST, device=path.device)
     start, found = torch.zeros_like(steps), torch.ones_like(steps, dtype=torch.bool)
     corners = []
@@ -210,7 +213,7 @@ def _corners(ring: Tensor, path: Tensor, steps: Tensor) -> tuple[Tensor, Tensor]
         # The corner is the cell before the first step to a cell that the straight line does not reach.
         first = cells.gather(1, start[..., None].expand(-1, -1, 2))
         due = (step >= start + NEAREST) & (step < steps) & found
-        blocked = due & (_least_on_line(ring, first, cells[:, 1:]) < _least_on_path(nearest, start))
+        blocked = due & (_lowest_on_line(levels, first, cells[:, 1:]) < _lowest_on_path(along, start))
         number = torch.where(blocked, step, LONGEST).amin(1, keepdim=True)
         found = number < LONGEST
         start = torch.where(found, number, 0)
@@ -219,31 +222,31 @@ def _corners(ring: Tensor, path: Tensor, steps: Tensor) -> tuple[Tensor, Tensor]
     return torch.cat((one, two), 1), torch.cat((has_one, has_two), 1)
 
 
-def _least_on_path(nearest: Tensor, start: Tensor) -> Tensor:
-    """Returns the least of ``nearest [N, LONGEST + 1]`` from the cell after ``start [N, 1]`` to each later one."""
-    number = torch.arange(LONGEST + 1, device=nearest.device)
+def _lowest_on_path(levels: Tensor, start: Tensor) -> Tensor:
+    """Returns the lowest of ``levels [N, LONGEST + 1]`` from the cell after ``start [N, 1]`` to each later one."""
+    number = torch.arange(LONGEST + 1, device=levels.device)
     before = number[:, None] <= number[1:]
     counted = (number[:, None] > start[..., None]) & before
-    return torch.where(counted, nearest[..., None], float(RINGS)).amin(1)
+    return torch.where(counted, levels[..., None], float(OPEN)).amin(1)
 
 
-def _least_on_line(ring: Tensor, start: Tensor, end: Tensor) -> Tensor:
-    """Returns the least distance from obstacles of the cells between two cells, ``[N, E]``.
+def _lowest_on_line(levels: Tensor, start: Tensor, end: Tensor) -> Tensor:
+    """Returns the lowest level of the cells between two cells, ``[N, E]``.
 
     Args:
-        ring: distance of each cell of the padded window from the nearest occupied one, ``[N, L]``.
+        levels: level of each cell of the padded window, ``[N, L]``.
         start: column and row of the first cell, ``[N, 1, 2]``.
         end: column and row of the last cells, ``[N, E, 2]``.
     """
     offset = end - start
     count = offset.abs().amax(-1, keepdim=True)
-    number = torch.arange(1, LONGEST, device=ring.device, dtype=ring.dtype)
+    number = torch.arange(1, LONGEST, device=levels.device, dtype=levels.dtype)
     inside = number < count
     part = torch.where(inside, number / count, 0.0)
     column, row = (start[..., axis : axis + 1] + (part * offset[..., axis : axis + 1] + 0.5).floor() for axis in (0, 1))
     address = _MARGIN + (row * _WIDTH + column).long()
-    values = ring.gather(1, address.flatten(1)).reshape(address.shape)
-    return torch.where(inside, values, float(RINGS)).amin(-1)
+    values = levels.gather(1, address.flatten(1)).reshape(address.shape)
+    return torch.where(inside, values, float(OPEN)).amin(-1)
 
 
 def _repeat(

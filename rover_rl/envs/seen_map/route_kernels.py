@@ -7,7 +7,7 @@ every exact method finds the same ones.
 
 from __future__ import annotations
 
-from rover_rl.envs.seen_map.scan_kernels import CELL, HALF, LAST, RINGS, SIZE, address, cell_of
+from rover_rl.envs.seen_map.scan_kernels import CELL, HALF, LAST, OPEN, SIZE, address, cell_of
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.worlds.grid_kernels import link, unlink
 
@@ -16,7 +16,9 @@ STRAIGHT = wp.constant(5)
 DIAGONAL = wp.constant(7)
 """Length of a diagonal step."""
 OPEN_WEIGHT = wp.constant(2)
-"""Weight of a cell that is farther than 3 cells from obstacles, and the smallest one."""
+"""Weight of a cell that is far from obstacles, and the smallest one."""
+ROOM = wp.constant(2)
+"""Number of cells to the bounds, at least: 0.3 m."""
 BESIDE = wp.constant(4)
 """Number of cells from start and goal within which the route may run right beside obstacles."""
 BESIDE_WEIGHT = wp.constant(40)
@@ -66,20 +68,20 @@ def least_cost(x: int, y: int):
 
 
 @wp.func
-def weight_of(x: int, y: int, goal: int, center: wp.vec2i, fence: wp.vec4i, ring: wp.array[wp.uint8]):
+def weight_of(x: int, y: int, goal: int, center: wp.vec2i, fence: wp.vec4i, levels: wp.array[wp.uint8]):
     """Returns the weight of cell (x, y) of the window; 0 if the rover cannot be there."""
-    nearest = int(ring[address(x + center[0] - HALF, y + center[1] - HALF)])
+    level = int(levels[address(x + center[0] - HALF, y + center[1] - HALF)])
     weight = int(OPEN_WEIGHT)
-    if nearest == 3:
+    if level == 3:
         weight = 3
-    elif nearest == 2:
-        weight = 5
-    elif nearest == 1:
-        # No gap is that narrow. But beside a wall, start and goal may seem to be.
+    elif level == 2:
+        weight = 6
+    elif level == 1:
+        # The rover does not fit. But beside a wall, start and goal may seem to be so.
         from_home = wp.max(wp.abs(x - HALF), wp.abs(y - HALF))
         from_goal = wp.max(wp.abs(x - (goal & LAST)), wp.abs(y - goal / SIZE))
         weight = wp.where(wp.min(from_home, from_goal) > BESIDE, 0, BESIDE_WEIGHT)
-    elif nearest == 0 and y * SIZE + x != goal:
+    elif level == 0 and y * SIZE + x != goal:
         weight = 0
     if x < fence[0] or y < fence[1] or x > fence[2] or y > fence[3]:
         weight = wp.where(y * SIZE + x == goal, weight, 0)
@@ -91,7 +93,7 @@ def spread(
     goal: int,
     center: wp.vec2i,
     fence: wp.vec4i,
-    ring: wp.array[wp.uint8],
+    levels: wp.array[wp.uint8],
     costs: wp.array[int],
     heads: wp.array[int],
     following: wp.array[int],
@@ -127,7 +129,7 @@ def spread(
             here = costs[cell]
             x = cell & LAST
             y = cell / SIZE
-            weight = weight_of(x, y, goal, center, fence, ring)
+            weight = weight_of(x, y, goal, center, fence, levels)
             for step in range(8):
                 offset = neighbor(step)
                 to_x = x + offset[0]
@@ -137,7 +139,7 @@ def spread(
                     other = to_y * SIZE + to_x
                     candidate = here + step_length(step) * weight
                     known = costs[other]
-                    if candidate < known and (other == home or weight_of(to_x, to_y, goal, center, fence, ring) > 0):
+                    if candidate < known and (other == home or weight_of(to_x, to_y, goal, center, fence, levels) > 0):
                         estimate = least_cost(to_x - HALF, to_y - HALF)
                         if known < UNKNOWN_COST and following[other] != REMOVED:
                             unlink(other, (known + estimate) / WIDTH % BUCKETS, heads, following, preceding)
@@ -147,8 +149,8 @@ def spread(
 
 @wp.func
 def edge(coordinate: float, center: int):
-    """Returns the number within the window of the cell that holds a coordinate, m; outside of the window, one of -1."""
-    return wp.clamp(int(wp.floor(wp.clamp(coordinate / CELL, -1.0e8, 1.0e8))) - center + HALF, -1, SIZE)
+    """Returns the number within the window of the cell that holds a coordinate, m; outside of it, one ``ROOM`` away."""
+    return wp.clamp(int(wp.floor(wp.clamp(coordinate / CELL, -1.0e8, 1.0e8))) - center + HALF, -ROOM, SIZE - 1 + ROOM)
 
 
 @wp.func
@@ -159,7 +161,7 @@ def next_step(
     goal: int,
     center: wp.vec2i,
     fence: wp.vec4i,
-    ring: wp.array[wp.uint8],
+    levels: wp.array[wp.uint8],
     costs: wp.array[int],
 ):
     """Returns the step of a cheapest path from a cell: of equally cheap ones that which goes on ahead, or the first."""
@@ -170,7 +172,7 @@ def next_step(
         to_x = x + offset[0]
         to_y = y + offset[1]
         if to_x >= 0 and to_y >= 0 and to_x < SIZE and to_y < SIZE:
-            weight = weight_of(to_x, to_y, goal, center, fence, ring)
+            weight = weight_of(to_x, to_y, goal, center, fence, levels)
             known = costs[to_y * SIZE + to_x]
             if weight > 0 and known < UNKNOWN_COST:
                 cost = known + step_length(step) * weight
@@ -181,15 +183,15 @@ def next_step(
 
 
 @wp.func
-def is_open(from_x: int, from_y: int, to_x: int, to_y: int, least: int, center: wp.vec2i, ring: wp.array[wp.uint8]):
-    """Returns whether all cells between two cells of the window are at least ``least`` cells from obstacles."""
+def is_open(from_x: int, from_y: int, to_x: int, to_y: int, least: int, center: wp.vec2i, levels: wp.array[wp.uint8]):
+    """Returns whether all cells between two cells of the window have at least the level ``least``."""
     count = wp.max(wp.abs(to_x - from_x), wp.abs(to_y - from_y))
     free = bool(True)
     for n in range(1, count):
         part = float(n) / float(count)
         x = from_x + int(wp.floor(part * float(to_x - from_x) + 0.5))
         y = from_y + int(wp.floor(part * float(to_y - from_y) + 0.5))
-        if int(ring[address(x + center[0] - HALF, y + center[1] - HALF)]) < least:
+        if int(levels[address(x + center[0] - HALF, y + center[1] - HALF)]) < least:
             free = False
     return free
 
@@ -199,7 +201,7 @@ def find_corners(
     goal: int,
     center: wp.vec2i,
     fence: wp.vec4i,
-    ring: wp.array[wp.uint8],
+    levels: wp.array[wp.uint8],
     costs: wp.array[int],
     corners: wp.array2d[float],
 ):
@@ -212,25 +214,25 @@ def find_corners(
     y = int(HALF)
     start_x = int(HALF)
     start_y = int(HALF)
-    # Cells since the last corner, and the smallest distance from an obstacle on them.
+    # Number of cells since the last corner, and their lowest level.
     walked = int(0)
-    least = int(RINGS)
+    least = int(OPEN)
     found = int(0)
     step = int(-1)
     n = int(0)
     while n < LONGEST and found < 2 and y * SIZE + x != goal:
-        step = next_step(x, y, step, goal, center, fence, ring, costs)
+        step = next_step(x, y, step, goal, center, fence, levels, costs)
         offset = neighbor(step)
-        nearest = int(ring[address(x + offset[0] + center[0] - HALF, y + offset[1] + center[1] - HALF)])
-        least = wp.min(least, nearest)
-        if walked >= NEAREST and not is_open(start_x, start_y, x + offset[0], y + offset[1], least, center, ring):
+        level = int(levels[address(x + offset[0] + center[0] - HALF, y + offset[1] + center[1] - HALF)])
+        least = wp.min(least, level)
+        if walked >= NEAREST and not is_open(start_x, start_y, x + offset[0], y + offset[1], least, center, levels):
             corners[found, 0] = (float(x + center[0] - HALF) + 0.5) * CELL
             corners[found, 1] = (float(y + center[1] - HALF) + 0.5) * CELL
             found += 1
             start_x = x
             start_y = y
             walked = 0
-            least = nearest
+            least = level
         x += offset[0]
         y += offset[1]
         walked += 1
@@ -244,7 +246,7 @@ def plan_routes(
     bounds: wp.array2d[float],
     planned: wp.array[wp.bool],
     centers: wp.array[wp.vec2i],
-    rings: wp.array2d[wp.uint8],
+    levels: wp.array2d[wp.uint8],
     costs: wp.array2d[int],
     heads: wp.array2d[int],
     following: wp.array2d[int],
@@ -261,7 +263,7 @@ def plan_routes(
         bounds: lower x and y and upper x and y of the area that routes stay in, ``[N, 4]``, m.
         planned: rows to plan for, ``[N]``. The results of others do not change.
         centers: cells in the middle of the windows.
-        rings: distance of each cell from the nearest occupied one: see :func:`add_scans`.
+        levels: level of each cell: see :func:`add_scans`.
         costs: working memory, ``[T, SIZE * SIZE]``.
         heads: working memory, ``[T, BUCKETS]``.
         following: working memory, ``[T, SIZE * SIZE]``.
@@ -280,20 +282,20 @@ def plan_routes(
             column = wp.clamp(cell_of(goals[i, 0]) - center[0] + HALF, 0, SIZE - 1)
             row = wp.clamp(cell_of(goals[i, 1]) - center[1] + HALF, 0, SIZE - 1)
             goal = row * SIZE + column
-            # Cells that are inside as a whole. Bounds may be infinite.
+            # The rover's center needs some room to the bounds, which may be infinite.
             fence = wp.vec4i(
-                edge(bounds[i, 0], center[0]) + 1,
-                edge(bounds[i, 1], center[1]) + 1,
-                edge(bounds[i, 2], center[0]) - 1,
-                edge(bounds[i, 3], center[1]) - 1,
+                edge(bounds[i, 0], center[0]) + ROOM,
+                edge(bounds[i, 1], center[1]) + ROOM,
+                edge(bounds[i, 2], center[0]) - ROOM,
+                edge(bounds[i, 3], center[1]) - ROOM,
             )
-            spread(goal, center, fence, rings[i], costs[t], heads[t], following[t], preceding[t])
+            spread(goal, center, fence, levels[i], costs[t], heads[t], following[t], preceding[t])
             total = costs[t, HALF * SIZE + HALF]
             lengths[i] = -1.0
             found = int(0)
             if total < UNKNOWN_COST:
                 lengths[i] = float(total) * CELL / float(OPEN_WEIGHT * STRAIGHT)
-                found = find_corners(goal, center, fence, rings[i], costs[t], corners[i])
+                found = find_corners(goal, center, fence, levels[i], costs[t], corners[i])
             for k in range(found, 2):
                 # The last corner is the goal itself.
                 corners[i, k, 0] = goals[i, 0]

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import torch
 from tensordict import TensorDictBase
@@ -20,7 +21,11 @@ from torch import Tensor
 from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.specs import Bounds
 from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.rotations import wrap_angle
+
+if TYPE_CHECKING:
+    from rover_rl.envs.seen_map.scan_kernels import Clearance
 
 ROUTE = "route"
 """Name of the route in an observation."""
@@ -35,6 +40,9 @@ ROUTE_BOUNDS = Bounds((0.0, -math.pi, 0.0, -math.pi, -1.0), (100.0, math.pi, 100
 
 FARTHEST_MOUNT = 0.45
 """Largest distance of the lidar from the robot's center along x and along y, m."""
+
+MARGINS = (0.01, 0.075, 0.225)
+"""Distances of a rover's side from obstacles below which it does not fit, hardly fits, and should be slow, m."""
 
 
 def lidar_mount(robot: str | Robot) -> tuple[float, float]:
@@ -62,6 +70,18 @@ def beam_directions(lidar: LidarConfig, device: torch.device | str | None = None
 def largest_reading(lidar: LidarConfig) -> float:
     """Returns the reading from which on a beam has hit nothing, m."""
     return lidar.max_range - 1e-3
+
+
+def clearance_of(robot: str | Robot) -> Clearance:
+    """Returns the distances from obstacles at which the levels of cells begin, in parts of a cell."""
+    from rover_rl.envs.seen_map.scan_kernels import CELL, PARTS, Clearance
+
+    half_width = footprint(get_robot(robot)).half_width
+    tight, near, wide = (math.ceil((half_width + margin) / CELL * PARTS) for margin in MARGINS)
+    clearance = Clearance()
+    clearance.tight, clearance.near, clearance.wide = tight**2, near**2, wide**2
+    clearance.reach = math.ceil(wide / PARTS)
+    return clearance
 
 
 def goal_positions(pose: Tensor, imu: Tensor, target: Tensor) -> Tensor:
@@ -115,7 +135,7 @@ class SeenMap:
     ) -> None:
         # Importing NVIDIA Warp takes half a second.
         from rover_rl.envs.seen_map.route_kernels import BUCKETS
-        from rover_rl.envs.seen_map.scan_kernels import RINGS, SIZE
+        from rover_rl.envs.seen_map.scan_kernels import OPEN, SIZE
 
         lidar, device = lidar or LidarConfig(), torch.device(device or "cpu")
         self._mount, self._max_range = lidar_mount(robot), largest_reading(lidar)
@@ -125,7 +145,9 @@ class SeenMap:
         self._unbounded = torch.tensor(NO_BOUNDS, device=device).repeat(rows, 1)
         self._centers = torch.zeros(rows, 2, dtype=torch.int32, device=device)
         self._evidence = torch.zeros(cells, dtype=torch.uint8, device=device)
-        self._rings = torch.full(cells, RINGS, dtype=torch.uint8, device=device)
+        self._boxes = torch.zeros(cells, dtype=torch.int32, device=device)
+        self._levels = torch.full(cells, OPEN, dtype=torch.uint8, device=device)
+        self._clearance = clearance_of(robot)
         # x and y of two corners, and the length.
         self._corners = torch.zeros(rows, 2, 2, device=device)
         self._lengths = torch.zeros(rows, device=device)
@@ -150,7 +172,7 @@ class SeenMap:
         """Adds the scans of an observation to the maps and plans the routes to the goals.
 
         Args:
-            observation: observation ``[N]`` with :data:`ROUTE_KEYS`.
+            observation: observation ``[N]`` with ``lidar``, ``pose``, ``imu`` and ``target``.
             rows: rows whose scan is added, bool ``[N]``; ``None``: all. The maps of the others stay as they are.
             renewed: rows whose episode begins, bool ``[N]``. Their maps are cleared before.
             bounds: area that the routes stay in: lower x and y and upper x and y, ``[N, 4]``, m; ``None``: no bounds.
@@ -171,21 +193,22 @@ class SeenMap:
         self._renewed &= ~rows
         return relative_route(self._corners, self._lengths, pose, imu)
 
-    def occupied(self) -> tuple[Tensor, Tensor]:
-        """Returns the cells that count as occupied or too steep.
+    def levels(self) -> tuple[Tensor, Tensor]:
+        """Returns how far the cells are from obstacles.
 
         Returns:
-            Cells, bool ``[N, rows, columns]``, and x, y of the lower corner of cell ``[0, 0]`` of each row's window,
-            float32 ``[N, 2]``, m.
+            Levels, uint8 ``[N, rows, columns]``: 0 in cells with an obstacle or too steep ones, 1 where the rover does
+            not fit, 2 where it hardly fits, 3 where it should be slow, and 4 elsewhere. And x, y of the lower corner of
+            cell ``[0, 0]`` of each row's window, float32 ``[N, 2]``, m.
         """
-        from rover_rl.envs.seen_map.scan_kernels import CELL, HALF, OCCUPIED, SIZE
+        from rover_rl.envs.seen_map.scan_kernels import CELL, HALF, SIZE
 
         lowest = self._centers - HALF
         # A cell is stored at its number modulo the size.
         columns, rows = ((lowest[:, axis, None] + torch.arange(SIZE, device=lowest.device)) % SIZE for axis in range(2))
         address = rows[:, :, None] * SIZE + columns[:, None]
-        cells = self._evidence.gather(1, address.flatten(1).long()) >= OCCUPIED
-        return cells.reshape(address.shape), lowest * CELL
+        levels = self._levels.gather(1, address.flatten(1).long())
+        return levels.reshape(address.shape), lowest * CELL
 
     def _launch(self, poses: Tensor, readings: Tensor, goals: Tensor, bounds: Tensor, rows: Tensor) -> None:
         """Launches the kernels. Poses are x, y, pitch, roll, yaw, ``[N, 5]``."""
@@ -197,9 +220,9 @@ class SeenMap:
         options = {"device": device, "stream": wp.stream_from_torch(poses.device) if device.is_cuda else None}
         centers = wp.from_torch(self._centers, dtype=wp.vec2i)
         directions = wp.from_torch(self._directions, dtype=wp.vec2)
-        scans = [poses, readings, directions, self._mount, self._max_range, rows, self._renewed]
-        scans += [centers, self._evidence, self._rings]
-        plans = [goals, bounds, rows, centers, self._rings]
+        scans = [poses, readings, directions, self._mount, self._max_range, self._clearance]
+        scans += [rows, self._renewed, centers, self._evidence, self._boxes, self._levels]
+        plans = [goals, bounds, rows, centers, self._levels]
 
         def launch(share: tuple[int, int], memory: list[Tensor]) -> None:
             first, last = share

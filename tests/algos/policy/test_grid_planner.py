@@ -17,6 +17,7 @@ from rover_rl.sims.robots import get_robot
 
 ROBOT = get_robot("rover_zero")
 OPEN = torch.full((64,), 12.0)
+LEVEL = torch.zeros(3)
 
 
 def route(angle: float) -> Tensor:
@@ -31,19 +32,19 @@ def wall(distance: float, direction: float) -> Tensor:
 
 
 def test_on_free_ground_it_drives_along_the_route_at_full_speed() -> None:
-    speed, turn = follow(OPEN, route(0.0), ROBOT).tolist()
+    speed, turn = follow(OPEN, LEVEL, route(0.0), ROBOT).tolist()
     assert (speed, turn) == (1.0, 0.0)
-    speed, turn = follow(OPEN, route(0.5), ROBOT).tolist()
+    speed, turn = follow(OPEN, LEVEL, route(0.5), ROBOT).tolist()
     assert 0.5 < speed < 1.0
     assert turn == pytest.approx(1.0)
 
 
 def test_it_turns_on_the_spot_if_the_route_leads_back() -> None:
-    assert follow(OPEN, route(2.5), ROBOT)[0] == 0.0
+    assert follow(OPEN, LEVEL, route(2.5), ROBOT)[0] == 0.0
 
 
 def test_in_front_of_a_wall_it_slows_down_and_backs_off() -> None:
-    speeds = [float(follow(wall(distance, 0.0), route(0.0), ROBOT)[0]) for distance in (3.0, 0.5, 0.3, 0.1)]
+    speeds = [float(follow(wall(distance, 0.0), LEVEL, route(0.0), ROBOT)[0]) for distance in (3.0, 0.5, 0.3, 0.1)]
     assert speeds == sorted(speeds, reverse=True)
     assert speeds[0] == 1.0
     assert speeds[-1] < 0.0
@@ -51,7 +52,16 @@ def test_in_front_of_a_wall_it_slows_down_and_backs_off() -> None:
 
 def test_it_does_not_back_into_a_wall_behind() -> None:
     between = torch.minimum(wall(0.1, 0.0), wall(0.5, math.pi))
-    assert follow(between, route(0.0), ROBOT)[0] == 0.0
+    assert follow(between, LEVEL, route(0.0), ROBOT)[0] == 0.0
+
+
+def test_it_backs_down_a_slope_that_is_too_steep() -> None:
+    uphill = torch.tensor([-0.5, 0.0, 0.0])
+    speed, turn = follow(OPEN, uphill, route(0.5), ROBOT).tolist()
+    assert speed < 0.0
+    assert turn == 0.0
+    downhill = torch.tensor([0.5, 0.0, 0.0])
+    assert follow(OPEN, downhill, route(0.5), ROBOT)[0] > 0.0
 
 
 def test_it_reaches_goals_in_mazes_without_a_contact() -> None:
@@ -70,7 +80,7 @@ def test_it_reaches_goals_in_mazes_without_a_contact() -> None:
 
 
 def test_it_plans_at_the_times_at_which_a_decision_is_due() -> None:
-    env = RoverEnv(world_n="maze", num_envs=2, seed=0, backend="warp")
+    env = RoverEnv(world_n="maze", num_envs=16, seed=0, backend="warp")
     runner, observation = PolicyRunner(GridPlanner(), env=env), env.reset()
     assert runner.action_repeat == 4
     actions = []

@@ -14,7 +14,8 @@ from torch import Tensor
 
 from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.seen_map.plain_map import PlainSeenMap
-from rover_rl.envs.seen_map.seen_map import BOUNDS, NO_BOUNDS, ROUTE_KEYS, SeenMap
+from rover_rl.envs.seen_map.plain_scans import levels, unpacked
+from rover_rl.envs.seen_map.seen_map import BOUNDS, NO_BOUNDS, ROUTE_KEYS, SeenMap, clearance_of
 from rover_rl.sims.robots import get_robot
 from tests.envs.seen_map.test_seen_map import U_SHAPE, Wall, observed
 
@@ -35,14 +36,14 @@ class Both:
         area = torch.tensor([bounds])
         expected = self.kernels(observation, bounds=area)
         route, self.state = self.plain(self.state, *(observation[key] for key in ROUTE_KEYS), area)
-        occupied = self.kernels.occupied()[0]
-        self.decisions, self.cells = self.decisions + 1, self.cells + occupied.numel()
+        around = self.kernels.levels()[0]
+        self.decisions, self.cells = self.decisions + 1, self.cells + around.numel()
         self.same_routes += int(torch.allclose(route, expected, atol=1e-4))
-        self.same_cells += int((self.occupied() == occupied).sum())
+        self.same_cells += int((self.levels() == around).sum())
         self.lengths.append(float(expected[0, 4]))
 
-    def occupied(self) -> Tensor:
-        return self.state[:, 2:].reshape(1, 128, 128) >= 2
+    def levels(self) -> Tensor:
+        return levels(unpacked(self.state[:, 2:].reshape(1, 128, 128)), clearance_of(ROBOT))
 
     def assert_same(self) -> None:
         """Sines and cosines of two libraries may differ in the last bit, so that a beam ends in another cell."""
@@ -100,12 +101,12 @@ def test_steep_ground_is_kept_and_what_is_gone_is_cleared() -> None:
     wall = ((1.5, -0.5, 1.5, 0.5),)
     both(observed((0.0, 0.0), (4.0, 0.0), wall, yaw=0.4, pitch=-0.5))
     both(observed((0.0, 0.0), (4.0, 0.0), wall, yaw=0.4))
-    occupied = int(both.occupied().sum())
+    occupied = int((both.levels() == 0).sum())
     for _ in range(12):
         both(observed((0.0, 0.0), (4.0, 0.0), yaw=0.4))
     both.assert_same()
     # The cell uphill.
-    assert occupied > int(both.occupied().sum()) == 1
+    assert occupied > int((both.levels() == 0).sum()) == 1
 
 
 @pytest.mark.parametrize("goal", [(0.02, 0.03), (0.2, 0.1), (1.5, 0.0), (40.0, -3.0)])
