@@ -23,6 +23,7 @@ from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.cli import main
 from rover_rl.envs.seen_map.seen_map import BOUNDS
+from rover_rl.sims.robots import get_robot
 
 pytestmark = pytest.mark.skipif(
     any(find_spec(name) is None for name in ("onnxscript", "onnxruntime")), reason="needs rover_rl[onnx]"
@@ -33,16 +34,18 @@ DECISIONS = 30
 
 
 def routed_checkpoint(memory: str) -> Checkpoint:
-    """A checkpoint of a small network with random weights that reads the route."""
-    keys = ("lidar", "target", "route")
+    """A checkpoint of a small network with random weights that reads the route; without memory, it adds to a driver."""
+    prior = "route" if memory == "none" else "none"
+    keys = ("lidar", "imu", "target", "route") if memory == "none" else ("lidar", "target", "route")
+    network = {"observation": keys, "hidden": (16, 8), "memory": memory, "memory_size": UNITS, "prior": prior}
     torch.manual_seed(0)
-    actor = make_actor(ObservationEncoder(keys), hidden=(16, 8), memory=memory, memory_size=UNITS)
+    follower = get_robot("rover_zero") if memory == "none" else None
+    actor = make_actor(ObservationEncoder(keys), (16, 8), memory=memory, memory_size=UNITS, follower=follower)
     # Enlarged, so that its actions differ, and with a preference for driving ahead.
     weights = {name: weight * 2.0 for name, weight in actor.state_dict().items()}
     (last,) = (name for name, weight in weights.items() if weight.shape == (4,))
     weights[last] = torch.tensor([0.8, 0.0, 0.0, 0.0])
-    config = training_config("ppo", world="maze", observation=keys, hidden=(16, 8), memory=memory, memory_size=UNITS)
-    return Checkpoint(config=config, steps=100, actor=weights)
+    return Checkpoint(config=training_config("ppo", world="maze", **network), steps=100, actor=weights)
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +124,7 @@ def test_the_state_holds_the_map_and_is_cleared_row_by_row(folder):
     _, state = onnx_function(folder / "gru.onnx")({**observations[0], "state_in": torch.zeros(1, 2 + CELLS + UNITS)})
     center, cells, memory = state.split((2, CELLS, UNITS), -1)
     assert torch.equal(center, (observations[0]["pose"][:, :2] / 0.15).floor())
-    assert set(cells.unique().tolist()) >= {0.0, 4.0}
+    assert 10 < cells.count_nonzero() < 1000
     assert memory.abs().max() > 0
 
 
