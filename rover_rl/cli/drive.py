@@ -118,13 +118,13 @@ class Drive:
 
             policy = self._policy()
             assert policy.module is not None
-            runner = PolicyRunner(policy.module)
             goals, settings = self._goals(policy.worlds[0]), self._settings()
             watchdog = (
                 None if self.dry_run else stack.enter_context(Watchdog(self.cmd_vel_topic, settings, SENSOR_TIMEOUT))
             )
             env = self._env(policy, settings)
             stack.callback(env.close)
+            runner = PolicyRunner(policy.module, env=env)
             log = stack.enter_context(DriveLog(self.log, policy.worlds[0], policy.name, self.seconds, env.robot.name))
             show_status = stack.enter_context(_status_display(Console(), each_step=self.dry_run))
             for number, goal in enumerate(goals, 1):

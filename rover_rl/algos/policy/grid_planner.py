@@ -95,7 +95,7 @@ def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
     aside = y.abs() > outline.half_width + MARGIN
     ahead = x.masked_fill(aside | (x < 0), math.inf).amin(-1, keepdim=True) - outline.front
     behind = (-x).masked_fill(aside | (x > 0), math.inf).amin(-1, keepdim=True) + outline.back
-    speed = angle.cos().clamp(min=0).square() * ((ahead - STOP) / SLOW).clamp(CREEP, 1)
+    speed = angle.cos().clamp(min=0).square() * ((ahead - STOP) / SLOW).clamp(CREEP, 1.0)
     speed = torch.where(ahead < STOP, torch.where(behind > BEHIND, BACK_OFF, 0.0), speed)
     speed = torch.where(angle.abs() > TURN, speed.clamp(max=0), speed)
     # A positive pitch is nose down.

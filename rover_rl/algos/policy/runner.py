@@ -21,7 +21,7 @@ from torch import Tensor
 from rover_rl.algos.policy.recurrent import state_keys
 from rover_rl.envs.config import EnvConfig, LidarConfig
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.seen_map.seen_map import ROUTE, SeenMap
+from rover_rl.envs.seen_map.seen_map import BOUNDS, NO_BOUNDS, ROUTE, SeenMap
 
 Policy: TypeAlias = Callable[[TensorDictBase], TensorDictBase]
 """Function or module that adds ``"action"``, ``[N, 2]``, to observations ``[N]``.
@@ -29,7 +29,8 @@ Policy: TypeAlias = Callable[[TensorDictBase], TensorDictBase]
 A policy with memory is a module with ``in_keys`` and ``out_keys``, as TorchRL's: it reads its state at some keys, and
 ``is_init``, and writes the next state at the same keys under ``"next"``. Without a state, it starts a new one.
 
-A policy that needs to know the environment has a method ``enter(env)``."""
+A policy that needs to know the environment has a method ``enter(env)``. A policy with a true ``row_by_row`` is called
+only with the rows that decide."""
 
 
 def default_action_repeat(policy: Policy | None, given: int | None = None) -> int:
@@ -57,7 +58,8 @@ class PolicyRunner:
 
     The runner calls the policy when a row is due for a decision, and holds its actions in between. It carries the
     memory of a policy from decision to decision, row by row. Policies without memory pass through. For a policy that
-    reads ``route``, it keeps the maps of what the rovers have seen, and adds the routes on them to the observation.
+    reads ``route``, it keeps the maps of what the rovers have seen, and adds the routes on them to the observation. For
+    one that reads ``bounds``, such as an exported policy that keeps its own map, it adds the bounds of the world.
 
     Args:
         policy: policy to run.
@@ -65,7 +67,7 @@ class PolicyRunner:
         min_rows: smallest number of rows that the policy is called with. Copies of the last row fill them up. Matrix
             products of few rows round differently.
         env (rover_rl.RoverEnv | None): environment that the policy drives in, for the bounds that routes stay in;
-            ``None``: no bounds.
+            ``None``: those of the entry ``bounds`` of the observation, or none.
 
     Attributes:
         policy: the policy.
@@ -139,15 +141,35 @@ class PolicyRunner:
         """Calls the policy and returns the actions and the next state of all rows. Rows that are ``due`` matter."""
         rows, inputs = len(observation), observation.copy()
         if self._seen is not None:
-            bounds = self._env.placement.bounds if self._env is not None else None
-            inputs[ROUTE] = self._seen(observation, due, self._is_init, bounds)
+            inputs[ROUTE] = self._seen(observation, due, self._is_init, self._bounds(observation))
+        if BOUNDS in getattr(self.policy, "in_keys", ()):
+            inputs[BOUNDS] = self._bounds(observation)
         if self._keys:
             inputs.update(self._state).set("is_init", self._is_init[:, None])
+        if getattr(self.policy, "row_by_row", False):
+            outputs = self.policy(inputs[due])
+            return _scattered(outputs["action"], due), {
+                key: _scattered(outputs["next", key], due) for key in self._keys
+            }
         if rows < self._min_rows:
             inputs = inputs[torch.arange(self._min_rows, device=observation.device).clamp(max=rows - 1)]
         outputs = self.policy(inputs)
         return outputs["action"][:rows], {key: outputs["next", key][:rows] for key in self._keys}
 
+    def _bounds(self, observation: TensorDictBase) -> Tensor:
+        """Returns the area that routes stay in, ``[N, 4]``, m."""
+        if self._env is not None:
+            return self._env.placement.bounds
+        lidar = observation["lidar"]
+        return observation.get(BOUNDS, lidar.new_tensor(NO_BOUNDS).expand(len(lidar), 4))
+
 
 def _where(rows: Tensor, value: Tensor, other: Tensor) -> Tensor:
     return torch.where(rows.reshape(-1, *[1] * (value.ndim - 1)), value, other)
+
+
+def _scattered(values: Tensor, rows: Tensor) -> Tensor:
+    """Returns ``values`` in the selected rows, bool ``[N]``, and 0 in the others."""
+    all_rows = values.new_zeros(len(rows), *values.shape[1:])
+    all_rows[rows] = values
+    return all_rows

@@ -29,6 +29,12 @@ if TYPE_CHECKING:
 
 ROUTE = "route"
 """Name of the route in an observation."""
+ROUTE_KEYS = ("lidar", "pose", "imu", "target")
+"""Entries of an observation that the map and the route are computed from."""
+BOUNDS = "bounds"
+"""Name of the area that routes stay in: lower x and y, and upper x and y, ``[N, 4]``, m."""
+NO_BOUNDS = (-1e6, -1e6, 1e6, 1e6)
+"""Area without bounds."""
 ROUTE_BOUNDS = Bounds((0.0, -math.pi, 0.0, -math.pi, -1.0), (100.0, math.pi, 100.0, math.pi, 1000.0))
 """Bounds of a route: distance and angle of two corners (m, rad), and its length (m)."""
 
@@ -37,6 +43,65 @@ FARTHEST_MOUNT = 0.45
 
 MARGINS = (0.01, 0.075, 0.225)
 """Distances of a rover's side from obstacles below which it does not fit, hardly fits, and should be slow, m."""
+
+
+def lidar_mount(robot: str | Robot) -> tuple[float, float]:
+    """Returns x and y of the lidar in the frame of the robot, m.
+
+    Raises:
+        ValueError: if the lidar is mounted too far from the robot's center.
+    """
+    x, y, _ = get_robot(robot).lidar_position
+    if max(abs(x), abs(y)) > FARTHEST_MOUNT:
+        raise ValueError(
+            f"the lidar must be at most {FARTHEST_MOUNT} m from the robot's center along x and y, got {(x, y)}"
+        )
+    return x, y
+
+
+def beam_directions(lidar: LidarConfig, device: torch.device | str | None = None) -> Tensor:
+    """Returns cosine and sine of the angle of each reading in the frame of the lidar, ``[points, 2]``."""
+    # A reading is the minimum over several beams: the angle is that of their center.
+    share = lidar.beams / lidar.points
+    angles = (torch.arange(lidar.points, device=device) * share + (share - 1) / 2) * (2 * math.pi / lidar.beams)
+    return torch.stack((angles.cos(), angles.sin()), -1)
+
+
+def largest_reading(lidar: LidarConfig) -> float:
+    """Returns the reading from which on a beam has hit nothing, m."""
+    return lidar.max_range - 1e-3
+
+
+def clearance_of(robot: str | Robot) -> Clearance:
+    """Returns the distances from obstacles at which the levels of cells begin, in parts of a cell."""
+    from rover_rl.envs.seen_map.scan_kernels import CELL, PARTS, Clearance
+
+    half_width = footprint(get_robot(robot)).half_width
+    tight, near, wide = (math.ceil((half_width + margin) / CELL * PARTS) for margin in MARGINS)
+    clearance = Clearance()
+    clearance.tight, clearance.near, clearance.wide = tight**2, near**2, wide**2
+    clearance.reach = math.ceil(wide / PARTS)
+    return clearance
+
+
+def goal_positions(pose: Tensor, imu: Tensor, target: Tensor) -> Tensor:
+    """Returns x and y of the goals, ``[N, 2]``, m, from entries of the observation ``[N, n]``."""
+    bearing = target[:, 1:] + imu[:, 2:]
+    return pose[:, :2] + target[:, :1] * torch.cat((bearing.cos(), bearing.sin()), -1)
+
+
+def relative_route(corners: Tensor, lengths: Tensor, pose: Tensor, imu: Tensor) -> Tensor:
+    """Returns routes as entries of the observation, ``[N, 5]``: see :class:`SeenMap`.
+
+    Args:
+        corners: x and y of two corners, ``[N, 2, 2]``, m.
+        lengths: lengths of the routes, ``[N]``, m.
+        pose: x, y and z of the rovers, ``[N, 3]``, m.
+        imu: pitch, roll and yaw of the rovers, ``[N, 3]``, rad.
+    """
+    offset = corners - pose[:, None, :2]
+    angle = wrap_angle(torch.atan2(offset[..., 1], offset[..., 0]) - imu[:, 2:])
+    return torch.cat((torch.stack((offset.norm(dim=-1), angle), -1).flatten(1), lengths[:, None]), -1)
 
 
 class SeenMap:
@@ -73,20 +138,16 @@ class SeenMap:
         from rover_rl.envs.seen_map.scan_kernels import OPEN, SIZE
 
         lidar, device = lidar or LidarConfig(), torch.device(device or "cpu")
-        self._mount, self._max_range = get_robot(robot).lidar_position[:2], lidar.max_range - 1e-3
-        if max(map(abs, self._mount)) > FARTHEST_MOUNT:
-            raise ValueError(
-                f"the lidar must be at most {FARTHEST_MOUNT} m from the robot's center along x and y, got {self._mount}"
-            )
+        self._mount, self._max_range = lidar_mount(robot), largest_reading(lidar)
         cells = (rows, SIZE * SIZE)
         self._every = torch.ones(rows, dtype=torch.bool, device=device)
         self._renewed = self._every.clone()
-        self._unbounded = torch.tensor((-math.inf, -math.inf, math.inf, math.inf), device=device).repeat(rows, 1)
+        self._unbounded = torch.tensor(NO_BOUNDS, device=device).repeat(rows, 1)
         self._centers = torch.zeros(rows, 2, dtype=torch.int32, device=device)
         self._evidence = torch.zeros(cells, dtype=torch.uint8, device=device)
         self._boxes = torch.zeros(cells, dtype=torch.int32, device=device)
         self._levels = torch.full(cells, OPEN, dtype=torch.uint8, device=device)
-        self._clearance = _clearance(get_robot(robot))
+        self._clearance = clearance_of(robot)
         # x and y of two corners, and the length.
         self._corners = torch.zeros(rows, 2, 2, device=device)
         self._lengths = torch.zeros(rows, device=device)
@@ -99,10 +160,7 @@ class SeenMap:
             [torch.empty(rows if on_gpu else 1, size, dtype=torch.int32, device=device) for size in sizes]
             for _ in self._shares
         ]
-        # A reading is the minimum over several beams: the angle is that of their center.
-        share = lidar.beams / lidar.points
-        angles = (torch.arange(lidar.points, device=device) * share + (share - 1) / 2) * (2 * math.pi / lidar.beams)
-        self._directions = torch.stack((angles.cos(), angles.sin()), -1)
+        self._directions = beam_directions(lidar, device)
 
     def __call__(
         self,
@@ -128,16 +186,12 @@ class SeenMap:
         if renewed is not None:
             self._renewed |= renewed
         pose, imu, target = observation["pose"], observation["imu"], observation["target"]
-        bearing = target[:, 1:] + imu[:, 2:]
-        goal = pose[:, :2] + target[:, :1] * torch.cat((bearing.cos(), bearing.sin()), -1)
+        goal = goal_positions(pose, imu, target)
         bounds = self._unbounded if bounds is None else bounds
         poses, readings = torch.cat((pose[:, :2], imu), -1), observation["lidar"].contiguous()
         self._launch(poses, readings, goal, bounds.contiguous(), rows.contiguous())
         self._renewed &= ~rows
-        offset = self._corners - pose[:, None, :2]
-        angle = wrap_angle(torch.atan2(offset[..., 1], offset[..., 0]) - imu[:, 2:])
-        corners = torch.stack((offset.norm(dim=-1), angle), -1).flatten(1)
-        return torch.cat((corners, self._lengths[:, None]), -1)
+        return relative_route(self._corners, self._lengths, pose, imu)
 
     def levels(self) -> tuple[Tensor, Tensor]:
         """Returns how far the cells are from obstacles.
@@ -181,15 +235,3 @@ class SeenMap:
         launch(*parts[0])
         for other in others:
             other.result()
-
-
-def _clearance(robot: Robot) -> Clearance:
-    """Returns the distances from obstacles at which the levels of cells begin, in parts of a cell."""
-    from rover_rl.envs.seen_map.scan_kernels import CELL, PARTS, Clearance
-
-    half_width = footprint(robot).half_width
-    tight, near, wide = (math.ceil((half_width + margin) / CELL * PARTS) for margin in MARGINS)
-    clearance = Clearance()
-    clearance.tight, clearance.near, clearance.wide = tight**2, near**2, wide**2
-    clearance.reach = math.ceil(wide / PARTS)
-    return clearance
