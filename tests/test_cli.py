@@ -16,7 +16,7 @@ from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import make_actor
 from rover_rl.algos.video.film import film
 from rover_rl.cli import main
-from rover_rl.progress import redirected_progress
+from rover_rl.cli.policies import NO_POLICY, ONE_POLICY
 from rover_rl.sims.worlds import WORLDS
 from tests.full_disk import largest_file
 
@@ -88,9 +88,9 @@ NAMES = f"use one of {COMMANDS}; see rover-rl --help"
         ("evaluate x --count 1.5", "--count takes {None}|INT, got 1.5; see rover-rl evaluate --help"),
         (
             "film",
-            "film needs: Folder of a run, checkpoint file, pretrained:NAME, scripted or random; see rover-rl",
+            f"film needs: {ONE_POLICY.removesuffix('.')}; see rover-rl",
         ),
-        ("evaluate", "name a policy: the folder of a run, a checkpoint, pretrained:NAME, scripted or random"),
+        ("evaluate", NO_POLICY),
     ],
 )
 def test_a_malformed_command_line_is_refused_in_one_line(
@@ -157,6 +157,14 @@ def test_settings_that_cannot_be_read_are_refused_in_one_line(
         assert "config.yaml is empty, or cut short" in failed(capsys, "train", "--resume", tmp_path)
 
 
+@pytest.fixture(scope="module")
+def compiled_kernels(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """The kernels that a film and an evaluation need are on disk: compiling them writes files."""
+    film = tmp_path_factory.mktemp("films") / "film.gif"
+    line = f"film scripted --world maze --seconds 0.5 --width 64 --height 48 --out {film}"
+    assert main(line.split()) == 0
+
+
 @pytest.mark.parametrize(
     ("line", "name"),
     [
@@ -166,17 +174,18 @@ def test_settings_that_cannot_be_read_are_refused_in_one_line(
         ("train --runs {} --name run", "run/config.yaml"),
     ],
 )
+@pytest.mark.usefixtures("compiled_kernels")
 def test_without_space_the_file_is_named_and_nothing_is_left(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, line: str, name: str
 ) -> None:
     if name.endswith(".mp4"):
         pytest.importorskip("imageio_ffmpeg", reason="needs rover_rl[video]")
-    # The first film compiles the renderer, for which lines of progress appear.
-    with largest_file(100), redirected_progress(lambda fraction: None):
+    with largest_file(100):
         assert failed(capsys, *line.format(tmp_path).split()) == f"rover-rl: {tmp_path}/{name}: File too large\n"
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
+@pytest.mark.usefixtures("compiled_kernels")
 def test_results_are_shown_where_they_cannot_be_written(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     given = ["evaluate", "scripted", "--world", "maze", "--count", "1", "--seconds", "0.5", "--out"]
     with largest_file(100):

@@ -15,12 +15,18 @@ from typing import Any, ClassVar, Literal, TypeAlias, get_args
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_ROVERS, check_at_least, check_positive, check_seed
 from rover_rl.envs.config import DEFAULT_PHYSICS, OBSERVATION_KEYS, EnvConfig
-from rover_rl.sims.backends import resolve_backend
+from rover_rl.sims.backends import name_of, resolve_backend
 
 CollectorName: TypeAlias = Literal["auto", "process", "processes", "ray"]
 """Kinds of collectors."""
+CurriculumKind: TypeAlias = Literal["none", "learnability"]
+"""Ways to choose the worlds of episodes."""
 MemoryKind: TypeAlias = Literal["none", "gru", "lstm"]
 """Kinds of memory of a policy."""
+PriorKind: TypeAlias = Literal["none", "route"]
+"""Kinds of drivers that a policy starts from."""
+ExpertKind: TypeAlias = Literal["map", "route"]
+"""Kinds of experts to imitate."""
 UNLIMITED_STEPS = 10**9
 """Effectively unlimited step budget: the time limit ends the training."""
 _SEEDS_OF_A_RUN = 2**32
@@ -33,7 +39,8 @@ class NetworkConfig:
 
     observation: tuple[str, ...] = ("lidar", "imu", "target", "velocities")
     """Entries of the observation that the policy reads.
-    With "pose" it may learn one map by heart, which does not help in another."""
+    With "pose" it may learn one map by heart, which does not help in another.
+    "route" is the shortest way to the goal on a map of what the lidar has seen in the episode, for mazes."""
     north_up: bool = False
     """Also give the policy lidar and target rotated into the world's frame by the IMU's yaw.
     The policy can recognize places of one map by them without the pose.
@@ -49,6 +56,9 @@ class NetworkConfig:
     The policy then decides every action_repeat steps wherever it drives, as in training."""
     memory_size: int = 128
     """Number of units of the memory."""
+    prior: PriorKind = "none"
+    """What a PPO policy without memory starts from: none, or route (a driver that follows the route).
+    It learns what to add to the driver's action. Needs "route" in observation."""
     privileged_critic: bool = False
     """Let the critic, in PPO, also read what is known only in simulation: true state, local map and path length.
     The actor never reads it."""
@@ -68,6 +78,13 @@ class NetworkConfig:
         unknown = [key for key in self.observation if key not in OBSERVATION_KEYS]
         if unknown or not self.observation or len(set(self.observation)) < len(self.observation):
             raise ValueError(f"observation must be some of {OBSERVATION_KEYS}, each once, got {self.observation}")
+        if self.prior not in (kinds := get_args(PriorKind)):
+            raise ValueError(f"prior must be one of {kinds}, got {self.prior!r}")
+        if self.prior == "route" and (self.memory != "none" or not {"lidar", "imu", "route"} <= set(self.observation)):
+            raise ValueError(
+                f"prior='route' needs lidar, imu and route in observation and memory='none', got {self.observation} "
+                f"and {self.memory!r}"
+            )
         if self.north_up and not {"lidar", "imu", "target"} <= set(self.observation):
             raise ValueError(f"north_up needs lidar, imu and target in observation, got {self.observation}")
 
@@ -88,6 +105,18 @@ class CollectionConfig:
     path_reward: float = 0.0
     """Additional reward in training, per meter gained on the shortest free path to the goal.
     It leads around the walls of a maze."""
+    route_reward: float = 0.0
+    """Additional reward in training, per meter by which the route on what has been seen gets shorter.
+    Needs "route" in observation. Unlike path_reward, it takes no time in many worlds."""
+    curriculum: CurriculumKind = "none"
+    """How episodes choose their worlds from a range such as "maze:0-999@0-1", in Warp.
+    none: evenly.
+    learnability: a share of them prefers the worlds in which the policy sometimes succeeds and sometimes fails."""
+    curriculum_share: float = 0.5
+    """Share of the episodes whose worlds are chosen by learnability. The others choose evenly."""
+    curriculum_temperature: float = 0.25
+    """Temperature of that choice: weights are p (1 - p) to the power of 1 / temperature, for a success rate p.
+    Low ones choose only the most learnable worlds."""
 
 
 @dataclass(frozen=True)
@@ -145,8 +174,11 @@ class PPOConfig(AlgorithmConfig):
     entropy_coef: float = 0.003
     """Coefficient of the entropy bonus."""
     imitation: float = 0.0
-    """Fraction of training that imitates a privileged expert (DAgger), from the start.
+    """Fraction of training that imitates an expert (DAgger), from the start.
     0 learns from the reward alone."""
+    expert: ExpertKind = "map"
+    """Expert to imitate: map (knows the world) or route (follows the route on what has been seen).
+    route needs "route" in observation."""
 
     def check(self) -> None:
         """Checks the settings: see :meth:`AlgorithmConfig.check`."""
@@ -154,6 +186,8 @@ class PPOConfig(AlgorithmConfig):
         _check_counts(self, "epochs")
         _check_positive(self, "clip")
         _check_fractions(self, "lmbda", "imitation")
+        if self.expert not in (kinds := get_args(ExpertKind)):
+            raise ValueError(f"expert must be one of {kinds}, got {self.expert!r}")
         check_at_least(0, MAX_NUMBER, entropy_coef=self.entropy_coef)
 
 
@@ -287,6 +321,8 @@ class TrainingConfig:
         self.run.check()
         _check_counts(self.collection, "action_repeat")
         check_at_least(0, MAX_NUMBER, path_reward=self.collection.path_reward)
+        self._check_route()
+        self._check_curriculum()
         self._check_env()
         self._check_workers()
         mirror = self.algorithm.mirror_augmentation
@@ -295,8 +331,13 @@ class TrainingConfig:
                 "mirror_augmentation does not go with north_up, nor with pose in observation: a map is not its mirror "
                 "image"
             )
-        if self.algo != PPOConfig.name and (self.network.memory != "none" or self.network.privileged_critic):
-            raise ValueError(f"memory and privileged_critic are for PPO, and the algorithm is {self.algo.upper()}")
+        network = self.network
+        if self.algo != PPOConfig.name and (
+            network.memory != "none" or network.prior != "none" or network.privileged_critic
+        ):
+            raise ValueError(
+                f"memory, prior and privileged_critic are for PPO, and the algorithm is {self.algo.upper()}"
+            )
         decisions = self.num_envs * self.algorithm.rollout_length
         if isinstance(self.algorithm, SACConfig) and self.algorithm.buffer_size < decisions:
             raise ValueError(
@@ -318,6 +359,26 @@ class TrainingConfig:
         if self.on_gpu and (env.backend in ("bullet", "mujoco") or self.workers > 1):
             raise ValueError(
                 f"device={self.device!r} needs backend='warp' and workers=1, got {env.backend!r} and {self.workers}"
+            )
+
+    def _check_route(self) -> None:
+        check_at_least(0, MAX_NUMBER, route_reward=self.collection.route_reward)
+        imitated = isinstance(self.algorithm, PPOConfig) and self.algorithm.expert == "route"
+        if (self.collection.route_reward or imitated) and "route" not in self.network.observation:
+            raise ValueError(
+                f"route_reward and expert='route' need \"route\" in observation, got {self.network.observation}"
+            )
+
+    def _check_curriculum(self) -> None:
+        settings = self.collection
+        if settings.curriculum not in (kinds := get_args(CurriculumKind)):
+            raise ValueError(f"curriculum must be one of {kinds}, got {settings.curriculum!r}")
+        _check_fractions(settings, "curriculum_share")
+        _check_positive(settings, "curriculum_temperature")
+        backend = self.env.backend if isinstance(self.env.backend, str) else name_of(self.env.backend)
+        if settings.curriculum != "none" and backend in ("bullet", "mujoco"):
+            raise ValueError(
+                f"curriculum needs backend='warp', in which rovers change worlds at resets: in {backend!r} they do not"
             )
 
     def _check_workers(self) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Union
 import tyro
 
 from rover_rl.cli.environment import EnvOptions
-from rover_rl.cli.policies import resolve_policy
+from rover_rl.cli.policies import NO_POLICY, SEVERAL_POLICIES, resolve_policy
 
 if TYPE_CHECKING:
     from rover_rl.algos.benchmarks.suite import Suite
@@ -23,8 +23,7 @@ _Environment = Annotated[EnvOptions, tyro.conf.arg(name="")]
 class BarnBenchmark:
     """Run policies in the worlds of BARN: 300 fields of cylinders, 10 m to the goal, 100 s, any contact fails."""
 
-    policies: tyro.conf.Positional[tuple[str, ...]]
-    """Policies: run folders, checkpoints, ONNX files, pretrained:NAME, scripted or random."""
+    policies: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(help=SEVERAL_POLICIES)]
     data: Path
     """Folder of the public repository Daffan/the-barn-challenge, or of its worlds; or an .npz file of worlds."""
     worlds: str = "test"
@@ -69,8 +68,7 @@ class BarnBenchmark:
 class JaxNavBenchmark:
     """Run policies in levels of JaxNav: small mazes of cells of 1 m, any contact fails."""
 
-    policies: tyro.conf.Positional[tuple[str, ...]]
-    """Policies: run folders, checkpoints, ONNX files, pretrained:NAME, scripted or random."""
+    policies: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(help=SEVERAL_POLICIES)]
     data: Path
     """File of levels: .npz with map_data, start_xy, start_theta, goal_xy and geodesic8."""
     runs: int = 4
@@ -131,7 +129,7 @@ def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark) -> int:
     from rover_rl.algos.benchmarks.suite import run_suite
 
     if not options.policies:
-        raise ValueError("name a policy: the folder of a run, a checkpoint, pretrained:NAME, scripted or random")
+        raise ValueError(NO_POLICY)
     environment, out = options.environment, options.out
     words = dict.fromkeys(options.policies)
     resolved = {word: resolve_policy(word, (suite.name,), environment.robot) for word in words}

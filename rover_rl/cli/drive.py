@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
@@ -18,6 +18,7 @@ from rich.live import Live
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_SECONDS, check_at_least, check_positive, check_seed
 from rover_rl.cli.environment import read_env
+from rover_rl.cli.policies import LIVE_POLICY
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2.settings import Command, PoseSource, Ros2Settings, TransportName
 
@@ -45,8 +46,7 @@ class Drive:
     drives in a direction that no lidar beam covers.
     """
 
-    policy: tyro.conf.Positional[str]
-    """Policy: folder of a run, checkpoint file, ONNX file, pretrained:NAME, or scripted."""
+    policy: Annotated[tyro.conf.Positional[str], tyro.conf.arg(help=LIVE_POLICY)]
     goal: tuple[tuple[float, float], ...] = ()
     """Goals to drive to, in order: x y (m)."""
     goals: Path | None = None
@@ -118,13 +118,13 @@ class Drive:
 
             policy = self._policy()
             assert policy.module is not None
-            runner = PolicyRunner(policy.module)
             goals, settings = self._goals(policy.worlds[0]), self._settings()
             watchdog = (
                 None if self.dry_run else stack.enter_context(Watchdog(self.cmd_vel_topic, settings, SENSOR_TIMEOUT))
             )
             env = self._env(policy, settings)
             stack.callback(env.close)
+            runner = PolicyRunner(policy.module, env=env)
             log = stack.enter_context(DriveLog(self.log, policy.worlds[0], policy.name, self.seconds, env.robot.name))
             show_status = stack.enter_context(_status_display(Console(), each_step=self.dry_run))
             for number, goal in enumerate(goals, 1):

@@ -11,7 +11,7 @@ import tyro
 
 from rover_rl.algos.config_files import experiments
 from rover_rl.cli.environment import AnyBackendEnvOptions
-from rover_rl.cli.policies import ResolvedPolicy, resolve_policy
+from rover_rl.cli.policies import NO_POLICY, SEVERAL_POLICIES, ResolvedPolicy, resolve_policy
 from rover_rl.sims.robots import get_robot
 
 if TYPE_CHECKING:
@@ -30,8 +30,9 @@ class Evaluate:
     Writes evaluation.json, evaluation.csv and plots of the paths.
     """
 
-    policies: tyro.conf.Positional[tuple[str, ...]]
-    """Policies: run folders, checkpoints, ONNX files, pretrained:NAME, scripted, random, or drive logs (.jsonl)."""
+    policies: Annotated[
+        tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(help=f"{SEVERAL_POLICIES} Also drive logs ({LOG}).")
+    ]
     world: tuple[str, ...] = ()
     """Worlds to drive in, or ranges of worlds such as maze:10000-10063. Seeds from 10000 up are for evaluation.
     Default: for each policy, the worlds that it was trained in; after training in a range, one that was not in it."""
@@ -111,7 +112,7 @@ class Evaluate:
     def _policies(self) -> list[ResolvedPolicy]:
         """Resolves the policies and gives each a unique name."""
         if not self.policies:
-            raise ValueError("name a policy: the folder of a run, a checkpoint, pretrained:NAME, scripted or random")
+            raise ValueError(NO_POLICY)
         words = dict.fromkeys(word for word in self.policies if not word.endswith(LOG))
         policies = {word: resolve_policy(word, self.world, self.environment.robot) for word in words}
         names = Counter(policy.name for policy in policies.values())

@@ -9,15 +9,14 @@ from typing import Annotated, Literal
 import tyro
 
 from rover_rl.cli.environment import EnvOptions
-from rover_rl.cli.policies import resolve_policy
+from rover_rl.cli.policies import ONE_POLICY, resolve_policy
 
 
 @dataclass(frozen=True)
 class Film:
     """Film a policy: one rover from behind with its lidar beams, or many rovers from above."""
 
-    policy: tyro.conf.Positional[str]
-    """Folder of a run, checkpoint file, pretrained:NAME, scripted or random."""
+    policy: Annotated[tyro.conf.Positional[str], tyro.conf.arg(help=ONE_POLICY)]
     out: Path = Path("film.mp4")
     """File to write: .mp4 (needs the extra video) or .gif."""
     view: Literal["chase", "top"] = "chase"

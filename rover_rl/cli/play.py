@@ -8,10 +8,11 @@ import webbrowser
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
-from rover_rl.cli.policies import resolve_policy
+from rover_rl.cli.policies import ONE_POLICY, resolve_policy
 
 FOLDER = Path("runs/play")
 """Folder of the films of policies that have no folder of their own."""
@@ -24,8 +25,7 @@ class Play:
     ``rover-rl film`` has more options.
     """
 
-    policy: tyro.conf.Positional[str] = "pretrained:moon-sac"
-    """Folder of a run, checkpoint file, pretrained:NAME, scripted or random."""
+    policy: Annotated[tyro.conf.Positional[str], tyro.conf.arg(help=ONE_POLICY)] = "pretrained:moon-sac"
     world: str | None = None
     """World to drive in. Default: the one that the policy was trained in, or moon."""
     seconds: float = 5.0

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rover_rl.algos.policy.names import BASELINES, make_baseline
+
 if TYPE_CHECKING:
     from rover_rl.algos.config import TrainingConfig
     from rover_rl.algos.evaluation.evaluate import Policy
@@ -15,6 +17,19 @@ PRETRAINED = "pretrained:"
 """Prefix of the names of pretrained policies."""
 ONNX = ".onnx"
 """Suffix of exported ONNX policies."""
+RANDOM = "random"
+"""Name of the policy that acts at random."""
+_NAMES = f"pretrained:NAME, {', '.join(BASELINES)} or {RANDOM}"
+ONE_POLICY = f"Folder of a run, checkpoint file, ONNX file, {_NAMES}."
+"""Help of an argument that names a policy."""
+SEVERAL_POLICIES = f"Policies: run folders, checkpoints, ONNX files, {_NAMES}."
+"""Help of an argument that names several policies."""
+LIVE_POLICY = (
+    f"Policy: folder of a run, checkpoint file, ONNX file, pretrained:NAME, or a baseline: {', '.join(BASELINES)}."
+)
+"""Help of an argument that names a policy for a live rover, which does not act at random."""
+NO_POLICY = f"name a policy: the folder of a run, a checkpoint, {_NAMES}"
+"""Error message if an argument that names several policies is missing."""
 
 
 @dataclass(frozen=True)
@@ -40,21 +55,20 @@ def resolve_policy(word: str, worlds: tuple[str, ...], robot: str | None = None)
     """Resolves the name of a policy on the command line.
 
     Args:
-        word: ``random``, ``scripted``, ``pretrained:NAME``, or the path of a run's folder, checkpoint or ONNX file.
+        word: ``random``, name of a baseline (:data:`rover_rl.algos.policy.names.BASELINES`), ``pretrained:NAME``, or
+            the path of a run's folder, checkpoint or ONNX file.
         worlds: worlds to drive in; if empty, the ones that the policy was trained in. For a range of seeds, it is one
             world that was not in the training.
-        robot: robot of the scripted policy; ``None``: the default robot.
+        robot: robot of a baseline; ``None``: the default robot.
 
     Raises:
         FileNotFoundError: if the checkpoint does not exist.
         ValueError: if there is no such pretrained policy, or the file holds no policy.
     """
-    from rover_rl.algos.policy.baselines import ScriptedPolicy
-
-    if word == "random":
+    if word == RANDOM:
         return ResolvedPolicy(word, None, worlds)
-    if word == "scripted":
-        return ResolvedPolicy(word, ScriptedPolicy(robot) if robot else ScriptedPolicy(), worlds)
+    if word in BASELINES:
+        return ResolvedPolicy(word, make_baseline(word, robot), worlds)
     if word.endswith(ONNX):
         from rover_rl.algos.deploy.export import OnnxPolicy
 

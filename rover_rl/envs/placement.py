@@ -50,6 +50,11 @@ class Placement:
         self._cells = SlotTable((), torch.float32, device)
         self._fill(range(len(self._slots.worlds)))
 
+    @property
+    def bounds(self) -> Tensor:
+        """Bounds of each row's world: lower x and y, and upper x and y, ``[N, 4]``, m."""
+        return torch.cat((self.bounds_low, self.bounds_high), -1)
+
     def set_worlds(self, rows: Sequence[int], worlds: Iterable[World]) -> None:
         """Moves rows to worlds.
 

@@ -294,6 +294,19 @@ class RoverEnv(EnvBase):
         """Whether the rovers are connected. Always true in simulation."""
         return self.simulator.robot_connected
 
+    def set_world_weights(self, weights: Tensor) -> None:
+        """Sets how often episodes draw each world of ``pool``, for the episodes after the next one of each row.
+
+        Args:
+            weights: weight of each world, ``[len(pool)]``.
+
+        Raises:
+            ValueError: if episodes do not draw worlds here, or a weight is negative or not finite, or all are 0.
+        """
+        if not isinstance(self.simulator, WorldChanger):
+            raise ValueError(f"rows keep their worlds in {type(self.simulator).__name__}: weights have no effect")
+        self._row_worlds.set_weights(weights)
+
     def render(self, row: int = 0, view: View = "chase", width: int = 640, height: int = 480) -> Tensor:
         """Renders one rover and its goal from behind (``"chase"``) or above (``"top"``), uint8 ``[H, W, 3]``."""
         self._require_open("render")

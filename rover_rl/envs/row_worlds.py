@@ -11,10 +11,12 @@ from torch import Tensor
 from rover_rl.envs.rng import random_bits, to_index
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.ahead import WorldsAhead
-from rover_rl.sims.worlds.pool import WorldPool, WorldSource
+from rover_rl.sims.worlds.pool import WorldPool, WorldSource, draws_worlds
 
 _WORLD = 16
 """Stream of random numbers."""
+_PARTS = 2**31 - 1
+"""Number of equal parts that weighted draws divide the total weight into: the largest size of ``to_index``."""
 
 
 class RowWorlds:
@@ -22,7 +24,7 @@ class RowWorlds:
 
     Worlds without a range are assigned to equal blocks of rows. If ``world_n`` has a range of seeds, as in
     ``"maze:*"``, or is a :class:`~rover_rl.sims.worlds.pool.WorldPool`, each episode draws a world of the pool. The
-    draw depends on the seed of the row and the number of the episode only.
+    draw depends on the seed of the row, the number of the episode and the weights of the worlds only.
 
     Args:
         world_n: worlds.
@@ -44,12 +46,15 @@ class RowWorlds:
             raise ValueError(f"world_n must give between 1 and num_envs={num_envs} worlds, got 0")
         self.pool = WorldPool.of(world_n)
         count = len(self.pool)
-        self.is_drawn = isinstance(world_n, WorldPool) or self.pool.has_ranges
+        self.is_drawn = draws_worlds(world_n)
         if not self.is_drawn and count > num_envs:
             raise ValueError(f"world_n must give between 1 and num_envs={num_envs} worlds, got {count}")
+        self._limits: Tensor | None = None
         rows = torch.arange(num_envs, device=keys.device)[:, None]
         self.index = self._drawn(keys) if self.is_drawn else rows * count // num_envs
         self.worlds = [self.pool[index] for index in self.index.flatten().tolist()]
+        # The episodes of these keys have drawn their worlds.
+        self._next_keys, self._next = keys, self.index
         self._ahead: WorldsAhead | None = None
 
     @property
@@ -58,7 +63,7 @@ class RowWorlds:
         return self.index if len(self.pool) > 1 else None
 
     def draw(self, mask: Tensor, keys: Tensor, next_keys: Tensor) -> list[int]:
-        """Draws the worlds of new episodes.
+        """Draws the worlds of new episodes, and those of the episodes after these.
 
         Use it only if :attr:`is_drawn`.
 
@@ -70,16 +75,40 @@ class RowWorlds:
         Returns:
             Rows whose world is another one than before.
         """
-        drawn = self._drawn(keys)
+        drawn = torch.where(keys == self._next_keys, self._next, self._drawn(keys))
         changed = (mask & (drawn != self.index)).squeeze(-1)
         self.index = torch.where(mask, drawn, self.index)
         rows = changed.nonzero().squeeze(-1)
         # Worlds are Python objects that a simulator copies one by one, so that this loop is over changed rows alone.
         for row, index in zip(rows.tolist(), self.index[rows, 0].tolist(), strict=True):
             self.worlds[row] = self._ahead[index] if self._ahead else self.pool[index]
+        self._next_keys = torch.where(mask, next_keys, self._next_keys)
+        self._next = torch.where(mask, self._drawn(next_keys), self._next)
         if self._ahead:
-            self._ahead.request(self._drawn(next_keys)[mask].tolist())
+            self._ahead.request(self._next[mask].tolist())
         return rows.tolist()
+
+    def set_weights(self, weights: Tensor) -> None:
+        """Sets the weights of the worlds in later draws. The next episode of each row has already drawn its world.
+
+        Args:
+            weights: weight of each world of the pool, ``[len(pool)]``.
+
+        Raises:
+            ValueError: if episodes do not draw worlds, or a weight is negative or not finite, or all are 0.
+        """
+        count = len(self.pool)
+        if not self.is_drawn:
+            raise ValueError(
+                "weights are for a range of worlds, as in 'maze:*', or a WorldPool, from which episodes draw"
+            )
+        if weights.shape != (count,):
+            raise ValueError(f"weights must have the shape {(count,)}, one for each world, got {(*weights.shape,)}")
+        # On the CPU, where sums are the same each time.
+        limits = weights.to("cpu", torch.float64).cumsum(0)
+        if not (weights >= 0).all() or not 0 < limits[-1] < torch.inf:
+            raise ValueError("weights must be finite and not negative, and not all 0")
+        self._limits = (limits / limits[-1] * _PARTS).round().long().to(self.index.device)
 
     def prepare_ahead(self, prepare: Callable[[World], object]) -> None:
         """From now on, prepares the worlds of the next episodes in a thread during :meth:`preparing`.
@@ -111,6 +140,9 @@ class RowWorlds:
     def _drawn(self, keys: Tensor) -> Tensor:
         """Returns the index of the world that each episode draws, int64 ``[N, 1]``."""
         bits = random_bits(keys, _WORLD, 0, 2)
+        if self._limits is not None:
+            part = to_index(bits[:, :1], torch.full_like(keys, _PARTS))
+            return torch.searchsorted(self._limits, part, right=True)
         sizes = torch.tensor(self.pool.sizes, device=keys.device)
         entry = to_index(bits[:, :1], torch.full_like(keys, len(sizes)))
         return (sizes.cumsum(0) - sizes)[entry] + to_index(bits[:, 1:], sizes[entry])

@@ -20,6 +20,9 @@ PPO, SAC = training_config("ppo"), training_config("sac")
         (PPO, "workers", 3),
         (PPO, "hidden", ()),
         (PPO, "hidden", (0,)),
+        (PPO, "curriculum", "hardest"),
+        (PPO, "curriculum_share", 1.5),
+        (PPO, "curriculum_temperature", 0.0),
         (PPO, "observation", ()),
         (PPO, "observation", ("lidar", "camera")),
         (PPO, "observation", ("lidar", "lidar")),
@@ -92,6 +95,16 @@ def test_default_workers_share_the_rovers_equally() -> None:
             "north_up needs lidar, imu and target",
         ),
         (training_config("ppo", max_std=0.0), "max_std must be positive"),
+        (training_config("ppo", prior="route"), "prior='route' needs lidar, imu and route in observation"),
+        (
+            training_config("ppo", prior="route", memory="gru", observation=("lidar", "imu", "route")),
+            "needs .* memory='none', got .* 'gru'",
+        ),
+        (training_config("ppo", prior="path"), "prior must be one of"),
+        (training_config("sac", prior="route", observation=("lidar", "imu", "route")), "prior and .* are for PPO"),
+        (training_config("ppo", route_reward=1.0), 'need "route" in observation'),
+        (training_config("ppo", expert="route", imitation=0.1), 'need "route" in observation'),
+        (training_config("ppo", expert="script"), "expert must be one of"),
     ],
 )
 def test_inconsistent_network_settings_raise(config: TrainingConfig, message: str) -> None:

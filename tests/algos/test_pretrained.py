@@ -2,21 +2,24 @@ from __future__ import annotations
 
 import re
 import shlex
+from dataclasses import replace
 
 import pytest
 import tyro
 
-from rover_rl.algos.evaluation.episodes import stored_episodes
+from rover_rl.algos.evaluation.episodes import draw_episodes, stored_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.pretrained import FOLDER, load_pretrained, pretrained_names
 from rover_rl.cli.train import train_defaults
 
 FLOOR = {"inspect": 0.9, "moon": 0.9, "maze": 0.85}
-"""Share of the episodes below that a policy must reach; its card tells what it reaches of all of them."""
+"""Share of the episodes below that a policy must reach in a world; its card tells what it reaches of all of them."""
+ANYWHERE = "anywhere"
+"""Name of the policy for all worlds."""
 
 
-def test_there_is_one_for_each_world_with_a_card() -> None:
-    assert {name.split("-")[0] for name in pretrained_names()} == set(FLOOR)
+def test_there_is_one_for_each_world_and_one_for_all_with_a_card() -> None:
+    assert {name.split("-")[0] for name in pretrained_names()} == {ANYWHERE, *FLOOR}
     for name in pretrained_names():
         assert (FOLDER / f"{name}.pt").stat().st_size < 500_000
         card = (FOLDER / f"{name}.md").read_text()
@@ -36,7 +39,7 @@ def test_its_card_tells_the_command_that_trained_it(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", pretrained_names())
+@pytest.mark.parametrize("name", [name for name in pretrained_names() if name != ANYWHERE])
 def test_it_reaches_its_goals(name: str) -> None:
     checkpoint = load_pretrained(name)
     env = checkpoint.env
@@ -44,6 +47,19 @@ def test_it_reaches_its_goals(name: str) -> None:
     episodes = stored_episodes(env.world).first(24)
     result = evaluate(checkpoint.make_actor(), episodes, name=name, seconds=40, rows=12)
     assert result.success_rate >= FLOOR[env.world]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("world", FLOOR)
+def test_the_one_for_all_reaches_its_goals_in_each_world(world: str) -> None:
+    actor, episodes = load_pretrained(ANYWHERE).make_actor(), stored_episodes(world).first(24)
+    assert evaluate(actor, episodes, name=ANYWHERE, seconds=40, rows=12).success_rate >= FLOOR[world]
+
+
+def test_the_one_for_all_reaches_goals_in_mazes_that_it_has_not_seen() -> None:
+    actor, episodes = load_pretrained(ANYWHERE).make_actor(), draw_episodes("maze:10000-10015", episodes=1)
+    result = evaluate(actor, episodes, env=replace(actor.made_for, backend="warp"), rows=16)
+    assert result.success_rate >= 0.9
 
 
 def test_a_name_that_is_none_is_refused() -> None:

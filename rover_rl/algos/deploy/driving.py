@@ -102,7 +102,7 @@ def drive_to(
             covers less than in training.
     """
     rover = live_rover(env)
-    runner = policy if isinstance(policy, PolicyRunner) else PolicyRunner(policy)
+    runner = policy if isinstance(policy, PolicyRunner) else PolicyRunner(policy, env=env)
     if made_for := getattr(runner.policy, "made_for", None):
         require_match(made_for, env.config)
     rover.require_robot()
@@ -111,7 +111,7 @@ def drive_to(
     ending, elapsed, held = "", 0.0, math.inf
     try:
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            PolicyRunner(runner.policy)(env.fake_tensordict())  # warm-up: the first call is slow
+            PolicyRunner(runner.policy, env=env)(env.fake_tensordict())  # warm-up: the first call is slow
             tensordict = env.reset(goal=torch.tensor([goal]))
             if log is not None:
                 log.begin(env.rover_state, goal)

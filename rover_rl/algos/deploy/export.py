@@ -4,7 +4,9 @@ The exported policy maps raw observations, each float32 ``[1, n]`` by name, to t
 exploration: forward speed (m/s) and heading offset (rad). It includes the scaling of the observations.
 
 A policy with memory also takes ``state_in`` and returns ``state_out``, each float32 ``[1, s]``. The state is zero at
-the start of an episode, and ``state_out`` of a decision is ``state_in`` of the next one.
+the start of an episode, and ``state_out`` of a decision is ``state_in`` of the next one. A policy that reads ``route``
+has a state, too: the file includes the map of what the lidar has seen and the planner, and reads ``lidar``, ``pose``,
+``imu``, ``target`` and ``bounds`` in place of ``route``.
 
 Both kinds of files contain checksums, which are verified when the files are loaded here. An ONNX file has the SHA-256
 of its bytes as the property ``rover_rl_sha256``, computed with 64 zeros in its place. A program has a checksum for each
@@ -19,34 +21,26 @@ from __future__ import annotations
 
 import io
 import json
-import logging
-import re
-import warnings
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from tensordict import NestedKey, TensorDict, TensorDictBase
-from torch import Tensor, nn
+from torch import Tensor
+from torch.export import ExportedProgram
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl.algos.archives import checked_copy
 from rover_rl.algos.config import with_settings
 from rover_rl.algos.config_files import config_from, plain
+from rover_rl.algos.deploy.onnx_files import SETTINGS_PROPERTY, open_onnx, session_function, write_onnx
+from rover_rl.algos.deploy.plain_policy import STATE_IN, ExportedFunction, PlainPolicy, finite_arrays, input_names
+from rover_rl.algos.deploy.trial_inputs import drive_observations, random_observations
 from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.algos.policy.networks import action_spec, middle_and_half
-from rover_rl.algos.policy.recurrent import RecurrentStep
 from rover_rl.algos.policy.runner import PolicyRunner
-from rover_rl.envs.observation import observation_bounds
+from rover_rl.envs.seen_map.seen_map import BOUNDS
 from rover_rl.files import written_whole
-
-if TYPE_CHECKING:
-    from onnxruntime import InferenceSession
 
 Format: TypeAlias = Literal["onnx", "torch"]
 
@@ -54,61 +48,24 @@ SUFFIXES: dict[str, str] = {"onnx": ".onnx", "torch": ".pt2"}
 """File suffix of each format."""
 CHECKED = 1000
 """Number of observations on which an exported policy is compared with the original."""
-_PROPERTY = "rover_rl"
-"""Property of an ONNX file that holds the settings, as JSON."""
-_CHECKSUM = "rover_rl_sha256"
-"""Property of an ONNX file that holds its checksum."""
-STATE_IN, STATE_OUT = "state_in", "state_out"
-"""Names of the state of the memory, before and after a decision."""
-ExportedFunction: TypeAlias = Callable[[dict[str, Any]], Any]
-"""Exported policy: function from observations by name to an action ``[1, 2]``. With memory, the observations include
-``state_in``, and the function returns the action and ``state_out``."""
-_STATE = "memory"
-"""Entry of a tensordict that holds the state of the memory of a policy from a file, float32 ``[N, s]``."""
-_ZEROS = "0" * 64
-_CHECKSUM_BYTES = re.compile(_CHECKSUM.encode() + rb"\x12\x40([0-9a-f]{64})")
-"""Checksum in the bytes of an ONNX file: name of the property, tag and length of the value, value."""
+CHECKED_DRIVE, CHECKED_JUMPS = 100, 20
+"""Number of decisions of a drive, and of random observations after it, on which a policy with a map is compared."""
 TOLERANCE = 1e-4
 """Largest accepted difference of an action, m/s or rad."""
+EQUAL_SHARE = 0.99
+"""Share of the decisions of a policy with a map that must be within the tolerance.
 
-
-class PlainPolicy(nn.Module):
-    """A checkpoint's policy as a module that maps tensors of observations to a tensor of actions.
-
-    Args:
-        checkpoint: checkpoint of the policy.
-
-    Attributes:
-        inputs: names of the arguments, in their order.
-        outputs: names of the results, in their order.
-        state_size: number of entries of the state of the memory; 0 without memory.
-    """
-
-    _middle: Tensor
-    _half: Tensor
-
-    def __init__(self, checkpoint: Checkpoint) -> None:
-        super().__init__()
-        actor, memory = checkpoint.make_actor(), checkpoint.config.network.memory != "none"
-        self._network = RecurrentStep(actor[0]) if memory else actor[0].module
-        self.state_size: int = self._network.state_size if memory else 0
-        self.inputs = [*([STATE_IN] if memory else []), *checkpoint.config.network.observation]
-        self.outputs = ["action", *([STATE_OUT] if memory else [])]
-        middle, half = middle_and_half(action_spec(checkpoint.env.action))
-        self.register_buffer("_middle", middle)
-        self.register_buffer("_half", half)
-
-    def forward(self, *inputs: Tensor) -> Tensor | tuple[Tensor, Tensor]:
-        """Returns the action ``[N, 2]``, with memory also the next state ``[N, s]``, for the inputs ``[N, n]``."""
-        loc, second = self._network(*inputs)
-        action = self._middle + self._half * torch.tanh(loc)
-        return (action, second) if self.state_size else action
+Sines and cosines of other libraries may differ in the last bit. If a beam ends that close to the edge of a cell,
+another cell is marked, and the route may differ for a while."""
+_STATE = "memory"
+"""Entry of a tensordict that holds the state of a policy from a file, float32 ``[N, s]``."""
 
 
 def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
     """Exports a policy and compares its actions with those of the original on 1,000 observations.
 
-    To a policy with memory, they are the observations of one episode.
+    To a policy with memory, they are the observations of one episode. A policy that reads ``route`` is compared over a
+    drive of 100 decisions among random walls, and on 20 random observations.
 
     Args:
         checkpoint: checkpoint of the policy.
@@ -116,52 +73,57 @@ def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
         form: file format, ``"onnx"`` or ``"torch"``.
 
     Returns:
-        Largest difference of an action.
+        Largest difference of an action. For a policy that reads ``route``: the largest in 99 % of the decisions.
 
     Raises:
         ImportError: if a package that the format needs is not installed.
         RuntimeError: if the actions differ by more than ``TOLERANCE``. No file is written then.
+        ValueError: if the policy reads ``route``, and the lidar is mounted too far from the robot's center.
     """
     policy = PlainPolicy(checkpoint).eval()
+    settings = json.dumps(plain(checkpoint.config))
+    with torch.no_grad():
+        program = torch.export.export(policy, _example(policy, checkpoint))
     with written_whole(path) as temporary:
         if form == "onnx":
-            _write_onnx(policy, checkpoint, temporary)
+            write_onnx(program, policy.inputs, policy.outputs, settings, temporary)
             exported = onnx_function(temporary)
         else:
-            _write_program(policy, checkpoint, temporary)
+            _write_program(program, settings, temporary)
             exported = program_function(temporary)
-        difference = _difference(checkpoint, exported, policy.state_size)
+        difference = _difference(checkpoint, exported, policy)
         if not difference <= TOLERANCE:
             raise RuntimeError(f"the exported policy acts otherwise: its actions differ by up to {difference:.2g}")
     return difference
 
 
-def random_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]:
-    """Draws observations ``[count, n]`` of each key that the policy reads, uniformly within its bounds, with seed 0."""
-    generator = torch.Generator().manual_seed(0)
-    bounds = observation_bounds(checkpoint.env.lidar)
-    drawn = {}
-    for key in checkpoint.config.network.observation:
-        low, high = (torch.as_tensor(side).float() for side in (bounds[key].low, bounds[key].high))
-        width = checkpoint.lidar_points if key == "lidar" else len(low)
-        drawn[key] = low + (high - low) * torch.rand(count, width, generator=generator)
-    return drawn
+def _difference(checkpoint: Checkpoint, exported: ExportedFunction, policy: PlainPolicy) -> float:
+    """Returns the largest difference between the actions of the checkpoint's policy and the exported one.
+
+    For a policy with a map, it is the largest in a share of the decisions: see ``EQUAL_SHARE``.
+    """
+    if BOUNDS not in policy.inputs:
+        return float(_differences(checkpoint, exported, policy, random_observations(checkpoint, CHECKED)).max())
+    drive, jumps = drive_observations(checkpoint, CHECKED_DRIVE), random_observations(checkpoint, CHECKED_JUMPS)
+    observations = {key: torch.cat((drive[key], jumps[key])) for key in drive}
+    differences = _differences(checkpoint, exported, policy, observations)
+    return float(differences.quantile(EQUAL_SHARE, interpolation="lower"))
 
 
-def _difference(checkpoint: Checkpoint, exported: ExportedFunction, state_size: int) -> float:
-    """Returns the largest difference between the actions of the checkpoint's policy and the exported one."""
-    observations = random_observations(checkpoint, CHECKED)
-    rows = TensorDict(observations, batch_size=[CHECKED]).split(1)
-    runner, state = PolicyRunner(checkpoint.make_actor(), action_repeat=1), torch.zeros(1, state_size)
+def _differences(
+    checkpoint: Checkpoint, exported: ExportedFunction, policy: PlainPolicy, observations: dict[str, Tensor]
+) -> Tensor:
+    """Returns the difference of the actions in each decision of an episode; NaN if an action is."""
+    rows = TensorDict(observations).auto_batch_size_(1).split(1)
+    runner, state = PolicyRunner(checkpoint.make_actor(), action_repeat=1), torch.zeros(1, policy.state_size)
     differences = []
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         for row in rows:
             action = exported({**row, STATE_IN: state})
-            if state_size:
+            if policy.state_size:
                 action, state = action
-            differences.append((action - runner(row)).abs().max().item())
-    # Unlike Python's, PyTorch's maximum is NaN if a difference is.
-    return torch.tensor(differences).max().item()
+            differences.append((action - runner(row)).abs().max())
+    return torch.stack(differences)
 
 
 def _example(policy: PlainPolicy, checkpoint: Checkpoint) -> tuple[Tensor, ...]:
@@ -169,42 +131,10 @@ def _example(policy: PlainPolicy, checkpoint: Checkpoint) -> tuple[Tensor, ...]:
     return tuple(example[key] for key in policy.inputs)
 
 
-def _write_onnx(policy: PlainPolicy, checkpoint: Checkpoint, path: Path) -> None:
-    try:
-        import onnxscript  # noqa: F401  (torch.onnx needs it)
-    except ImportError as error:
-        raise ImportError('export to ONNX needs the extra onnx: pip install "rover_rl[onnx]"') from error
-    # It logs a message for each operator of packages that are not installed.
-    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
-    with warnings.catch_warnings():
-        # PyTorch warns about its own code.
-        warnings.simplefilter("ignore", FutureWarning)
-        program = torch.onnx.export(
-            policy,
-            _example(policy, checkpoint),
-            input_names=policy.inputs,
-            output_names=policy.outputs,
-            dynamo=True,
-            verbose=False,
-        )
-    assert program is not None
-    program.model.metadata_props.update({_PROPERTY: json.dumps(plain(checkpoint.config)), _CHECKSUM: _ZEROS})
-    program.save(str(path), external_data=False)
-    content = path.read_bytes()
-    place = _CHECKSUM_BYTES.search(content)
-    assert place is not None
-    path.write_bytes(_with_checksum(content, place, sha256(content).hexdigest()))
-
-
-def _with_checksum(content: bytes, place: re.Match[bytes], checksum: str) -> bytes:
-    return content[: place.start(1)] + checksum.encode() + content[place.end(1) :]
-
-
-def _write_program(policy: PlainPolicy, checkpoint: Checkpoint, path: Path) -> None:
-    program = torch.export.export(policy, _example(policy, checkpoint))
+def _write_program(program: ExportedProgram, settings: str, path: Path) -> None:
     # Written to memory first: on a full disk, PyTorch's writer aborts the process.
     written = io.BytesIO()
-    torch.export.save(program, written, extra_files={"rover_rl.json": json.dumps(plain(checkpoint.config))})
+    torch.export.save(program, written, extra_files={"rover_rl.json": settings})
     path.write_bytes(written.getvalue())
 
 
@@ -216,50 +146,7 @@ def onnx_function(path: Path) -> ExportedFunction:
         ValueError: if the file is no ONNX policy, or damaged. The function raises it for NaN or infinity in an
             observation.
     """
-    return _function(_session(path))
-
-
-def _session(path: Path) -> InferenceSession:
-    try:
-        import onnxruntime
-    except ImportError as error:
-        raise ImportError('ONNX policies need the package onnxruntime: pip install "rover_rl[onnx]"') from error
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    content = path.read_bytes()
-    place = _CHECKSUM_BYTES.search(content)
-    # Files of older versions have no checksum.
-    if place and sha256(_with_checksum(content, place, _ZEROS)).hexdigest().encode() != place[1]:
-        raise ValueError(f"{path} is damaged: it differs from its checksum")
-    try:
-        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    except Exception as error:
-        raise ValueError(f"{path} is no ONNX policy: {' '.join(str(error).split())}") from error
-
-
-def _function(session: InferenceSession) -> ExportedFunction:
-    keys = [entry.name for entry in session.get_inputs()]
-    outputs = ["action", STATE_OUT] if STATE_IN in keys else ["action"]
-
-    def act(observation: dict[str, Any]) -> Tensor | tuple[Tensor, ...]:
-        results = session.run(outputs, dict(zip(keys, _finite(observation, keys), strict=True)))
-        action, *state = map(torch.from_numpy, results)
-        return (action, *state) if state else action
-
-    return act
-
-
-def _finite(observation: Mapping[str, Any], keys: Sequence[str]) -> list[NDArray[np.float32]]:
-    """Returns the entries of an observation after checking that they are finite.
-
-    Raises:
-        ValueError: for the first entry with NaN or infinity, which a network would accept silently.
-    """
-    entries = [np.asarray(observation[key], np.float32) for key in keys]
-    for key, entry in zip(keys, entries, strict=True):
-        if not np.isfinite(entry).all():
-            raise ValueError(f"observation {key!r} holds NaN or infinity: the policy does not act on it")
-    return entries
+    return session_function(open_onnx(path))
 
 
 def program_function(path: Path) -> ExportedFunction:
@@ -276,11 +163,11 @@ def program_function(path: Path) -> ExportedFunction:
     except Exception as error:  # a damaged file can fail in any way
         raise ValueError(f"{path} is damaged, or was not written by rover-rl export") from error
 
-    keys = [*([] if network.memory == "none" else [STATE_IN]), *network.observation]
+    names = input_names(network)
 
-    def act(observation: dict[str, Any]) -> Tensor | tuple[Tensor, ...]:
+    def act(inputs: dict[str, Any]) -> Tensor | tuple[Tensor, ...]:
         with torch.no_grad():
-            return module(*map(torch.from_numpy, _finite(observation, keys)))
+            return module(*map(torch.from_numpy, finite_arrays(inputs, names)))
 
     return act
 
@@ -295,7 +182,8 @@ class OnnxPolicy:
         config: settings that the policy was trained with.
         made_for: environment that the policy was made for.
         trained_action_repeat: number of steps that each action was held for in training.
-        in_keys: entries that the policy reads. With a memory, its state is one of them.
+        row_by_row: whether each row takes a call of its own: always.
+        in_keys: entries that the policy reads. With a map or a memory, its state is one of them.
         out_keys: entries that the policy writes.
 
     Raises:
@@ -305,42 +193,45 @@ class OnnxPolicy:
             an observation.
     """
 
+    row_by_row = True
+
     def __init__(self, path: Path) -> None:
         if not path.is_file():
             raise FileNotFoundError(f"no ONNX policy at {path}")
         self._path = path
-        session = _session(path)
+        session = open_onnx(path)
         try:
-            settings = json.loads(session.get_modelmeta().custom_metadata_map.get(_PROPERTY, "null"))
+            settings = json.loads(session.get_modelmeta().custom_metadata_map.get(SETTINGS_PROPERTY, "null"))
         except ValueError as error:  # invalid encoding or JSON
             raise ValueError(f"{path} is damaged: its settings cannot be read") from error
         if settings is None:
             raise ValueError(f"{path} was not written by rover-rl export")
         self.config = config_from(settings, str(path))
-        lidar = next((entry.shape[1] for entry in session.get_inputs() if entry.name == "lidar"), None)
+        sizes: dict[str, int] = {entry.name: entry.shape[-1] for entry in session.get_inputs()}
+        lidar = sizes.get("lidar")
         if lidar is not None and lidar != self.config.env.lidar.points:
             # The settings in files of version 0.1 lack the number of lidar points.
             self.config = with_settings(self.config, lidar=replace(self.config.env.lidar, points=lidar))
         self.made_for, self.trained_action_repeat = self.config.env, self.config.collection.action_repeat
-        sizes = {entry.name: entry.shape[-1] for entry in session.get_inputs()}
-        self._state_size: int | None = sizes.get(STATE_IN)
-        self.in_keys: list[NestedKey] = [*self.config.network.observation]
+        self._state_size = sizes.pop(STATE_IN, None)
+        self._entries = [*sizes]
+        self.in_keys: list[NestedKey] = [*self._entries]
         self.out_keys: list[NestedKey] = ["action"]
         if self._state_size is not None:
             self.in_keys += [_STATE, "is_init"]
             self.out_keys += [("next", _STATE)]
-        self._act = _function(session)
+        self._act = session_function(session)
 
     def __reduce__(self) -> tuple[type[OnnxPolicy], tuple[Path]]:
         # Sessions of onnxruntime cannot be pickled: other processes read the file again.
         return type(self), (self._path,)
 
     def __call__(self, now: TensorDictBase) -> TensorDictBase:
-        """Sets ``"action"``, float32 ``[N, 2]``, and the next state of the memory.
+        """Sets ``"action"``, float32 ``[N, 2]``, and the next state.
 
         Computes them row by row, because the file has a batch size of 1.
         """
-        rows = now.select(*self.config.network.observation).split(1)
+        rows = now.select(*self._entries).split(1)
         if self._state_size is None:
             return now.set("action", torch.cat([self._act(dict(row)) for row in rows]))
         state = now.get(_STATE, torch.zeros(len(now), self._state_size))

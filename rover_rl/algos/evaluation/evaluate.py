@@ -236,7 +236,7 @@ def _drive(
         offset: index of the first episode, for policies that read ``episode``.
     """
     places = places or {}
-    runner = PolicyRunner(policy, action_repeat, _MIN_ROWS)
+    runner = PolicyRunner(policy, action_repeat, _MIN_ROWS, env)
     recorder = _Recorder(schedule.count, env.length, env.control_dt)
     episode = torch.tensor(schedule.first)
     driving = torch.ones(env.num_envs, dtype=torch.bool)

@@ -14,6 +14,7 @@ from rover_rl.algos.config_files import config_from, plain
 from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
 from rover_rl.envs.config import EnvConfig, LidarConfig
 from rover_rl.files import written_whole
+from rover_rl.sims.robots import get_robot
 
 SETTINGS, CHECKPOINT = "config.yaml", "checkpoint.pt"
 """Names of the files in a run's folder that hold the settings and the policy."""
@@ -105,6 +106,7 @@ class Checkpoint:
             network.max_std,
             memory=network.memory,
             memory_size=network.memory_size,
+            follower=None if network.prior == "none" else get_robot(env.robot),
         )
         try:
             actor.load_state_dict(self.actor)

@@ -1,4 +1,4 @@
-"""PrivilegedExpert: planner that uses the map and the pose, for imitation in training.
+"""PrivilegedExpert: planner that uses the map and the pose, for imitation in training and as an upper bound.
 
 Example:
     >>> env = make_env(world_n="maze", num_envs=2, seed=0)
@@ -13,11 +13,14 @@ import math
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from rover_rl.algos.policy.baselines import drive_towards
+from rover_rl.envs.config import EnvConfig, RobotLike
+from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.transforms.path_reward import CAUTION, goal_of, world_of
-from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.rotations import wrap_angle
 from rover_rl.sims.worlds.path_distance import PathDistances
 from rover_rl.sims.worlds.world import Worlds
@@ -103,6 +106,7 @@ class PrivilegedExpert:
         return self._angles[length.argmin(-1, keepdim=True)]
 
 
+<<<<<<< HEAD
 def _drive_on_slope(turn: Tensor, rate: Tensor, lidar: Tensor) -> Tensor:
     """Returns the actions of a rover on a slope, where it slides while it turns on the spot.
 
@@ -122,6 +126,48 @@ def _drive_on_slope(turn: Tensor, rate: Tensor, lidar: Tensor) -> Tensor:
     speed = torch.where(turn.abs() > BACKWARD, -most * tail.cos(), speed)
     offset = torch.where(turn.abs() > BACKWARD, 2 * (tail - overshoot), offset)
     return torch.cat((speed, offset.clamp(-MAX_OFFSET, MAX_OFFSET)), -1)
+=======
+class MapExpert(TensorDictModuleBase):
+    """The :class:`PrivilegedExpert` as a policy: what is possible with the map of the world.
+
+    A :class:`~rover_rl.algos.policy.runner.PolicyRunner` with an environment tells it the worlds.
+
+    Args:
+        robot: name of a robot, or a robot, that it drives.
+
+    Attributes:
+        made_for: environment that the policy drives in, with ``robot``.
+
+    Raises:
+        ValueError: for an unknown robot.
+    """
+
+    def __init__(self, robot: RobotLike = "rover_zero") -> None:
+        super().__init__()
+        get_robot(robot)
+        self.made_for = EnvConfig(robot=robot)
+        self.in_keys = ["pose", "imu", "target", "lidar", "outcome"]
+        self.out_keys = ["action"]
+        self._expert: PrivilegedExpert | None = None
+
+    def enter(self, env: RoverEnv) -> None:
+        """Prepares for the worlds and the robot of an environment.
+
+        Args:
+            env (rover_rl.RoverEnv): environment.
+        """
+        self._expert = PrivilegedExpert(env.pool, env.robot, env.device)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Sets ``action [N, 2]``.
+
+        Raises:
+            RuntimeError: before :meth:`enter`.
+        """
+        if self._expert is None:
+            raise RuntimeError("the expert knows no map: drive it with PolicyRunner(policy, env=env)")
+        return tensordict.set("action", self._expert.action(tensordict))
+>>>>>>> main
 
 
 def _pass_through(turn: Tensor) -> Tensor:

@@ -15,11 +15,14 @@ from torchrl.data import Bounded
 from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 
 from rover_rl.algos.config import MemoryKind
+from rover_rl.algos.policy.grid_planner import follow
 from rover_rl.algos.policy.privileged import MIRROR_SIGNS, PrivilegedEncoder, mirrored_map
 from rover_rl.algos.policy.recurrent import recurrent_network
 from rover_rl.envs.config import ActionConfig, LidarConfig
 from rover_rl.envs.observation import observation_bounds
+from rover_rl.envs.seen_map.seen_map import ROUTE, ROUTE_BOUNDS
 from rover_rl.envs.specs import action_bounds, bounded_spec
+from rover_rl.sims.robots import Robot
 
 DEFAULT_KEYS = ("lidar", "imu", "target", "velocities")
 """Entries of the observation that networks read by default. With the pose, a policy would memorize the map."""
@@ -52,7 +55,8 @@ class ObservationEncoder(nn.Module):
     tilts in units of about 20 degrees.
 
     Args:
-        keys: entries of the observation to read, some of ``lidar``, ``imu``, ``target``, ``velocities``, ``pose``.
+        keys: entries of the observation to read, some of ``lidar``, ``imu``, ``target``, ``velocities``, ``pose``, and
+            ``route`` (:class:`~rover_rl.envs.transforms.route_observation.RouteObservation`).
         lidar_points: number of readings in ``lidar``.
         north_up: whether to add lidar and target in map orientation: rotated by the yaw, so that they do not change
             when the rover turns in place. Requires ``lidar``, ``imu`` and ``target``.
@@ -75,11 +79,11 @@ class ObservationEncoder(nn.Module):
         if north_up and not {"lidar", "imu", "target"} <= set(keys):
             raise ValueError(f"north_up needs lidar, imu and target, got {self.keys}")
         self._lidar_points, self._north_up, self._has_yaw = lidar_points, north_up, north_up or "pose" in keys
-        self._bounds = observation_bounds(LidarConfig(points=lidar_points))
+        self._bounds = {**observation_bounds(LidarConfig(points=lidar_points)), ROUTE: ROUTE_BOUNDS}
         if unknown := [key for key in self.keys if key not in self._bounds]:
             raise ValueError(f"the observation has no entries {unknown}; use some of {[*self._bounds]}")
         sizes = {key: len(bounds.low) for key, bounds in self._bounds.items()}
-        sizes |= {"imu": 4 if self._has_yaw else 2, "target": 5, "pose": 4 * len(WAVELENGTHS) + 1}
+        sizes |= {"imu": 4 if self._has_yaw else 2, "target": 5, "pose": 4 * len(WAVELENGTHS) + 1, ROUTE: 13}
         self.features = sum(sizes[key] for key in self.keys) + (lidar_points + 4 if north_up else 0)
 
     def forward(self, *observation: Tensor) -> Tensor:
@@ -128,6 +132,13 @@ class ObservationEncoder(nn.Module):
         distance, angle = target.split(1, -1)
         return torch.cat((distance / 5 - 1, distance.log1p() - 1, angle.sin(), angle.cos(), angle / math.pi), -1)
 
+    def _route(self, route: Tensor) -> Tensor:
+        """Encodes two corners like targets, and the length, for which no path counts as none left."""
+        first, second, length = route.split((2, 2, 1), -1)
+        left = length.clamp(min=0)
+        rest = (left / 10 - 1, left.log1p() - 1, (length < 0).to(length.dtype))
+        return torch.cat((self._target(first), self._target(second), *rest), -1)
+
     def _velocities(self, velocities: Tensor) -> Tensor:
         speed, yaw_rate = velocities.split(1, -1)
         return torch.cat((speed, yaw_rate / 3), -1)
@@ -145,10 +156,18 @@ class EncodedNetwork(nn.Module):
         encoder: encoder of the observation.
         body: network that takes the features.
         privileged: encoder of the privileged observation, whose features follow; ``None``: the observation only.
+        prior: module that maps ``lidar``, ``imu`` and ``route`` to what is added to the mean; ``None``: nothing.
     """
 
-    def __init__(self, encoder: ObservationEncoder, body: nn.Module, privileged: nn.Module | None = None) -> None:
+    def __init__(
+        self,
+        encoder: ObservationEncoder,
+        body: nn.Module,
+        privileged: nn.Module | None = None,
+        prior: RoutePrior | None = None,
+    ) -> None:
         super().__init__()
+        self.prior = prior
         self.encoder = encoder
         self.body = body
         self.privileged = privileged
@@ -159,7 +178,40 @@ class EncodedNetwork(nn.Module):
         features = self.encoder(*entries[:count])
         if self.privileged is not None:
             features = torch.cat((features, self.privileged(*entries[count:])), -1)
-        return self.body(features)
+        if self.prior is None:
+            return self.body(features)
+        loc, scale = self.body(features)
+        entry = dict(zip(self.encoder.keys, entries[:count], strict=True))
+        return loc + self.prior(*(entry[key] for key in ("lidar", "imu", ROUTE))), scale
+
+
+class RoutePrior(nn.Module):
+    """Mean of a squashed normal distribution at which the action is that of a driver who follows the route.
+
+    A policy that adds to it begins as that driver, and learns what to do better (T. Silver, K. Allen, J. Tenenbaum, L.
+    Kaelbling, "Residual policy learning", 2018). The driver is :func:`~rover_rl.algos.policy.grid_planner.follow`.
+
+    Args:
+        robot: robot that drives.
+        action: bounds of the action.
+    """
+
+    LARGEST = 0.95
+    """Largest part of the range of an action: an infinite mean would reach the bounds."""
+    _middle: Tensor
+    _half: Tensor
+
+    def __init__(self, robot: Robot, action: Bounded) -> None:
+        super().__init__()
+        self._robot = robot
+        middle, half = middle_and_half(action)
+        self.register_buffer("_middle", middle, persistent=False)
+        self.register_buffer("_half", half, persistent=False)
+
+    def forward(self, lidar: Tensor, imu: Tensor, route: Tensor) -> Tensor:
+        """Returns the mean before squashing, ``[..., 2]``, for these entries of an observation."""
+        share = (follow(lidar, imu, route, self._robot) - self._middle) / self._half
+        return torch.atanh(share.clamp(-self.LARGEST, self.LARGEST))
 
 
 def make_actor(
@@ -170,6 +222,7 @@ def make_actor(
     device: torch.device | str | None = None,
     memory: MemoryKind = "none",
     memory_size: int = 128,
+    follower: Robot | None = None,
 ) -> ProbabilisticActor:
     """Creates a stochastic policy: a tanh-squashed normal distribution within the action's bounds.
 
@@ -182,6 +235,8 @@ def make_actor(
         memory: kind of memory between the hidden layers and the last layer. With a memory, the policy reads and writes
             a state: see ``rover_rl.algos.policy.recurrent``.
         memory_size: number of units of the memory.
+        follower: robot that follows the route, to whose action the policy adds: see :class:`RoutePrior`. It goes with
+            no memory. ``None``: the policy starts from nothing.
 
     Returns:
         A module from observation to ``action [..., 2]`` and ``action_log_prob [...]``. The action is the center of the
@@ -197,7 +252,8 @@ def make_actor(
     # With small weights in the last layer, the first actions are near the center of their bounds for any observation.
     if memory == "none":
         body = _mlp(encoder.features, hidden, 2 * spec.shape[-1], gain=0.01)
-        network = EncodedNetwork(encoder, nn.Sequential(body, NormalParameters(max_std)))
+        prior = None if follower is None else RoutePrior(follower, spec)
+        network = EncodedNetwork(encoder, nn.Sequential(body, NormalParameters(max_std)), prior=prior)
         return _actor(_module(network, encoder.keys, ("loc", "scale")).to(device), spec)
     *layers, units = hidden
     body = nn.Sequential(_mlp(encoder.features, layers, units, gain=math.sqrt(2)), nn.ReLU())
@@ -320,6 +376,7 @@ _MIRROR: dict[NestedKey, tuple[float, ...]] = {
     "imu": (1.0, -1.0, -1.0),
     "target": (1.0, -1.0),
     "velocities": (1.0, -1.0),
+    ROUTE: (1.0, -1.0, 1.0, -1.0, 1.0),
     "action": (1.0, -1.0),
     **MIRROR_SIGNS,
 }

@@ -19,19 +19,25 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl.algos.policy.recurrent import state_keys
+from rover_rl.envs.config import EnvConfig, LidarConfig
+from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.seen_map.seen_map import BOUNDS, NO_BOUNDS, ROUTE, SeenMap
 
 Policy: TypeAlias = Callable[[TensorDictBase], TensorDictBase]
 """Function or module that adds ``"action"``, ``[N, 2]``, to observations ``[N]``.
 
 A policy with memory is a module with ``in_keys`` and ``out_keys``, as TorchRL's: it reads its state at some keys, and
-``is_init``, and writes the next state at the same keys under ``"next"``. Without a state, it starts a new one."""
+``is_init``, and writes the next state at the same keys under ``"next"``. Without a state, it starts a new one.
+
+A policy that needs to know the environment has a method ``enter(env)``. A policy with a true ``row_by_row`` is called
+only with the rows that decide."""
 
 
 def default_action_repeat(policy: Policy | None, given: int | None = None) -> int:
     """Returns the number of steps that each action of a policy is held for.
 
-    The memory of a policy changes with each decision, so that it must decide as often as in training. Policies without
-    memory decide at each step.
+    The memory of a policy and its map change with each decision, so that it must decide as often as in training.
+    Policies without them decide at each step.
 
     Args:
         policy: policy.
@@ -39,29 +45,44 @@ def default_action_repeat(policy: Policy | None, given: int | None = None) -> in
     """
     if given is not None:
         return given
-    return getattr(policy, "trained_action_repeat", 1) if state_keys(policy) else 1
+    return getattr(policy, "trained_action_repeat", 1) if state_keys(policy) or reads_route(policy) else 1
+
+
+def reads_route(policy: object) -> bool:
+    """Returns whether a policy reads the route on the map of what has been seen, ``"route"``."""
+    return ROUTE in getattr(policy, "in_keys", ())
 
 
 class PolicyRunner:
     """Runs a policy on a batch of rows.
 
     The runner calls the policy when a row is due for a decision, and holds its actions in between. It carries the
-    memory of a policy from decision to decision, row by row. Policies without memory pass through.
+    memory of a policy from decision to decision, row by row. Policies without memory pass through. For a policy that
+    reads ``route``, it keeps the maps of what the rovers have seen, and adds the routes on them to the observation. For
+    one that reads ``bounds``, such as an exported policy that keeps its own map, it adds the bounds of the world.
 
     Args:
         policy: policy to run.
         action_repeat: number of steps that each action is held for; ``None``: see :func:`default_action_repeat`.
         min_rows: smallest number of rows that the policy is called with. Copies of the last row fill them up. Matrix
             products of few rows round differently.
+        env (rover_rl.RoverEnv | None): environment that the policy drives in, for the bounds that routes stay in;
+            ``None``: those of the entry ``bounds`` of the observation, or none.
 
     Attributes:
         policy: the policy.
         action_repeat: number of steps that each action is held for.
     """
 
-    def __init__(self, policy: Policy, action_repeat: int | None = None, min_rows: int = 1) -> None:
+    def __init__(
+        self, policy: Policy, action_repeat: int | None = None, min_rows: int = 1, env: RoverEnv | None = None
+    ) -> None:
+        self._env = env
+        if env is not None and hasattr(policy, "enter"):
+            policy.enter(env)
         self.action_repeat = default_action_repeat(policy, action_repeat)
         self.policy, self._min_rows, self._keys = policy, min_rows, state_keys(policy)
+        self._seen: SeenMap | None = None
         # Rows whose episode begins, and number of steps that each row's action has been held for.
         self._is_init, self._held = torch.ones(0, dtype=torch.bool), torch.zeros(0, dtype=torch.int64)
         self.reset()
@@ -74,6 +95,7 @@ class PolicyRunner:
         """
         if rows is None:
             self._state: dict[str, Tensor] = {}
+            self._seen = None
             self._action: Tensor | None = None
         elif self._action is not None:
             self._is_init |= rows.to(self._is_init.device)
@@ -91,7 +113,7 @@ class PolicyRunner:
         due = self._is_init | (self._held >= self.action_repeat if due is None else due.to(self._held.device))
         # On the CPU, the check is cheap and saves the call. On an accelerator it would synchronize.
         if self.action_repeat == 1 or due.device.type != "cpu" or due.any():
-            action, state = self._decide(observation)
+            action, state = self._decide(observation, due)
             self._action = torch.where(due[:, None], action, self._action)
             self._state = {key: _where(due, value, self._state[key]) for key, value in state.items()}
         self._held = torch.where(due, 0, self._held) + 1
@@ -101,21 +123,53 @@ class PolicyRunner:
     def _start(self, observation: TensorDictBase) -> Tensor:
         """Takes the first decision of all rows."""
         self._is_init = torch.ones(len(observation), dtype=torch.bool, device=observation.device)
-        self._action, self._state = self._decide(observation)
+        if reads_route(self.policy):
+            self._seen = self._new_map(observation)
+        self._action, self._state = self._decide(observation, self._is_init)
         self._held = torch.ones(len(observation), dtype=torch.int64, device=self._action.device)
         self._is_init = torch.zeros_like(self._held, dtype=torch.bool)
         return self._action
 
-    def _decide(self, observation: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Calls the policy and returns the actions and the next state of all rows."""
+    def _new_map(self, observation: TensorDictBase) -> SeenMap:
+        """Creates the maps of a policy that reads the route."""
+        rows, points = observation["lidar"].shape
+        config = self._env.config if self._env is not None else getattr(self.policy, "made_for", None)
+        config = config or EnvConfig(lidar=LidarConfig(points=points))
+        return SeenMap(rows, config.lidar, config.robot, observation["lidar"].device)
+
+    def _decide(self, observation: TensorDictBase, due: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+        """Calls the policy and returns the actions and the next state of all rows. Rows that are ``due`` matter."""
         rows, inputs = len(observation), observation.copy()
+        if self._seen is not None:
+            inputs[ROUTE] = self._seen(observation, due, self._is_init, self._bounds(observation))
+        if BOUNDS in getattr(self.policy, "in_keys", ()):
+            inputs[BOUNDS] = self._bounds(observation)
         if self._keys:
             inputs.update(self._state).set("is_init", self._is_init[:, None])
+        if getattr(self.policy, "row_by_row", False):
+            outputs = self.policy(inputs[due])
+            return _scattered(outputs["action"], due), {
+                key: _scattered(outputs["next", key], due) for key in self._keys
+            }
         if rows < self._min_rows:
             inputs = inputs[torch.arange(self._min_rows, device=observation.device).clamp(max=rows - 1)]
         outputs = self.policy(inputs)
         return outputs["action"][:rows], {key: outputs["next", key][:rows] for key in self._keys}
 
+    def _bounds(self, observation: TensorDictBase) -> Tensor:
+        """Returns the area that routes stay in, ``[N, 4]``, m."""
+        if self._env is not None:
+            return self._env.placement.bounds
+        lidar = observation["lidar"]
+        return observation.get(BOUNDS, lidar.new_tensor(NO_BOUNDS).expand(len(lidar), 4))
+
 
 def _where(rows: Tensor, value: Tensor, other: Tensor) -> Tensor:
     return torch.where(rows.reshape(-1, *[1] * (value.ndim - 1)), value, other)
+
+
+def _scattered(values: Tensor, rows: Tensor) -> Tensor:
+    """Returns ``values`` in the selected rows, bool ``[N]``, and 0 in the others."""
+    all_rows = values.new_zeros(len(rows), *values.shape[1:])
+    all_rows[rows] = values
+    return all_rows

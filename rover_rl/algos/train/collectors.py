@@ -7,7 +7,7 @@ import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
 from contextlib import AbstractContextManager, contextmanager
@@ -15,9 +15,11 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Thread
+from typing import TypeAlias
 
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.collectors import BaseCollector, Collector
 from torchrl.envs import EnvBase
 from torchrl.modules import ProbabilisticActor
@@ -25,6 +27,8 @@ from torchrl.modules import ProbabilisticActor
 from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.train.env import SESSION_SEEDS, make_training_env
 
+Estimates: TypeAlias = Mapping[str, Tensor]
+"""State of the estimates of a curriculum."""
 _LAST_LINES = 60
 """Number of lines of a failed worker's output that are reported."""
 _POLL_INTERVAL = 1.0
@@ -38,7 +42,9 @@ class WorkerError(ChildProcessError):
 
 
 @contextmanager
-def collect(config: TrainingConfig, actor: ProbabilisticActor, session: int = 0) -> Iterator[Iterator[TensorDictBase]]:
+def collect(
+    config: TrainingConfig, actor: ProbabilisticActor, session: int = 0, estimates: Estimates | None = None
+) -> Iterator[Iterator[TensorDictBase]]:
     """Opens a collector and yields an endless iterator over batches ``[num_envs, rollout_length]``.
 
     If the algorithm is ``asynchronous`` and there are several workers, each batch holds the rows of one worker,
@@ -49,6 +55,7 @@ def collect(config: TrainingConfig, actor: ProbabilisticActor, session: int = 0)
         config: settings of the training run.
         actor: policy that collects the data.
         session: number of times the run has been resumed.
+        estimates: state of the :class:`~rover_rl.algos.train.learnability.Learnability` that a curriculum begins with.
 
     Raises:
         WorkerError: by the iterator, within seconds after a worker has failed.
@@ -57,16 +64,16 @@ def collect(config: TrainingConfig, actor: ProbabilisticActor, session: int = 0)
     if config.algorithm.asynchronous:
         # Each batch of an asynchronous collector comes from one worker.
         frames //= config.workers
-    with _COLLECTORS[config.collector](config, actor, frames, session) as batches:
+    with _COLLECTORS[config.collector](config, actor, frames, session, estimates) as batches:
         yield batches
 
 
 @contextmanager
 def _in_this_process(
-    config: TrainingConfig, actor: ProbabilisticActor, frames: int, session: int
+    config: TrainingConfig, actor: ProbabilisticActor, frames: int, session: int, estimates: Estimates | None
 ) -> Iterator[Iterator[TensorDictBase]]:
     collector = Collector(
-        partial(make_training_env, config, session=session),
+        partial(make_training_env, config, session=session, estimates=estimates),
         actor,
         frames_per_batch=frames,
         track_traj_ids=False,
@@ -80,12 +87,12 @@ def _in_this_process(
 
 @contextmanager
 def _in_processes(
-    config: TrainingConfig, actor: ProbabilisticActor, frames: int, session: int
+    config: TrainingConfig, actor: ProbabilisticActor, frames: int, session: int, estimates: Estimates | None
 ) -> Iterator[Iterator[TensorDictBase]]:
     with TemporaryDirectory(prefix="rover_rl-") as folder:
         logs = [Path(folder) / f"worker-{worker}" for worker in range(config.workers)]
         collector = Collector(
-            [partial(_make_worker_env, config, worker, session, log) for worker, log in enumerate(logs)],
+            [partial(_make_worker_env, config, worker, session, estimates, log) for worker, log in enumerate(logs)],
             actor,
             num_collectors=config.workers,
             sync=not config.algorithm.asynchronous,
@@ -140,7 +147,9 @@ def _last_output(log: Path) -> str:
     return "\n".join((f"{log.name}:", *lines[-_LAST_LINES:])) if lines else f"{log.name} printed nothing"
 
 
-def _make_worker_env(config: TrainingConfig, worker: int, session: int, log: Path) -> EnvBase:
+def _make_worker_env(
+    config: TrainingConfig, worker: int, session: int, estimates: Estimates | None, log: Path
+) -> EnvBase:
     """Makes the environment of a worker process. The worker ignores Ctrl-C, which the training process handles."""
     if multiprocessing.parent_process() is not None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -149,17 +158,17 @@ def _make_worker_env(config: TrainingConfig, worker: int, session: int, log: Pat
         with log.open("wb", buffering=0) as file:
             os.dup2(file.fileno(), 2)
         faulthandler.enable(all_threads=False)
-    return make_training_env(config, worker, session)
+    return make_training_env(config, worker, session, estimates)
 
 
 @contextmanager
 def _on_a_cluster(
-    config: TrainingConfig, actor: ProbabilisticActor, frames: int, session: int
+    config: TrainingConfig, actor: ProbabilisticActor, frames: int, session: int, estimates: Estimates | None
 ) -> Iterator[Iterator[TensorDictBase]]:
     from ray.exceptions import RayError
 
     collector = Collector(
-        [partial(_make_remote_env, config, worker, session) for worker in range(config.workers)],
+        [partial(_make_remote_env, config, worker, session, estimates) for worker in range(config.workers)],
         actor,
         num_collectors=config.workers,
         sync=not config.algorithm.asynchronous,
@@ -207,11 +216,11 @@ def _ended_actors(collector: BaseCollector) -> list[str]:
     return reports
 
 
-def _make_remote_env(config: TrainingConfig, worker: int, session: int) -> EnvBase:
+def _make_remote_env(config: TrainingConfig, worker: int, session: int, estimates: Estimates | None) -> EnvBase:
     """Makes the environment of a Ray worker."""
     torch.set_num_threads(1)
     torch.manual_seed(config.seed + worker + session * SESSION_SEEDS)
-    return make_training_env(config, worker, session)
+    return make_training_env(config, worker, session, estimates)
 
 
 _COLLECTORS: dict[str, Callable[..., AbstractContextManager[Iterator[TensorDictBase]]]] = {

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs import EnvBase, RandomTruncationTransform, RewardSum, StepCounter, Transform
 
 from rover_rl.algos.config import TrainingConfig, usable_cores
 from rover_rl.algos.policy.recurrent import memory_transforms
+from rover_rl.algos.train.curriculum import Curriculum
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import reward_components
 from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.seen_map.seen_map import ROUTE
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward
+from rover_rl.envs.transforms.route_observation import RouteObservation
+from rover_rl.envs.transforms.route_reward import RouteReward
 from rover_rl.envs.transforms.step_clock import StepClock
 from rover_rl.sims.backends import find_settings
 
@@ -24,7 +30,9 @@ SESSION_SEEDS = 1_000_003
 """Offset of the seeds of each session of a run, so that a resumed run draws new starts and goals."""
 
 
-def make_training_env(config: TrainingConfig, worker: int = 0, session: int = 0) -> EnvBase:
+def make_training_env(
+    config: TrainingConfig, worker: int = 0, session: int = 0, estimates: Mapping[str, Tensor] | None = None
+) -> EnvBase:
     """Makes the environment of one worker, in which one step is one decision of the policy.
 
     The first episode of each row has a random length, so that the resets of the rows are spread over time.
@@ -33,6 +41,7 @@ def make_training_env(config: TrainingConfig, worker: int = 0, session: int = 0)
         config: settings of the training run.
         worker: index of the worker, from 0.
         session: number of times the run has been resumed.
+        estimates: state of the :class:`~rover_rl.algos.train.learnability.Learnability` that a curriculum begins with.
     """
     env_config = _worker_env_config(config, worker, session)
     reward_components(env_config.reward, env_config.contract_reward)
@@ -40,8 +49,16 @@ def make_training_env(config: TrainingConfig, worker: int = 0, session: int = 0)
     env = add_reward(rovers, env_config.reward, env_config)
     action_repeat = config.collection.action_repeat
     env = env.append_transform(ActionRepeat(action_repeat))
+    if ROUTE in config.network.observation:
+        env = env.append_transform(RouteObservation(rovers, _threads(config)))
+    if config.collection.route_reward:
+        env = env.append_transform(RouteReward(config.collection.route_reward))
     if config.collection.path_reward:
         env = env.append_transform(PathReward(rovers, config.collection.path_reward))
+    if config.collection.curriculum != "none":
+        settings = config.collection
+        curriculum = Curriculum(rovers, settings.curriculum_share, settings.curriculum_temperature, estimates)
+        env = env.append_transform(curriculum)
     env = env.append_transform(RewardSum(["reward"], ["episode_reward"]))
     env = env.append_transform(GoalCounter())
     env = env.append_transform(StepCounter())
@@ -58,7 +75,7 @@ def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> Env
     backend = env.backend
     if backend in ("mujoco", "warp"):
         # The workers share the cores. Networks of this size need only one thread per worker.
-        backend = find_settings(backend)(threads=max(1, usable_cores() // config.workers))
+        backend = find_settings(backend)(threads=_threads(config))
     return replace(
         env,
         num_envs=rovers,
@@ -68,6 +85,11 @@ def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> Env
         # On the CPU, tensordicts without a device are faster.
         device=config.device if config.on_gpu else None,
     )
+
+
+def _threads(config: TrainingConfig) -> int:
+    """Returns the number of CPU threads of one worker."""
+    return max(1, usable_cores() // config.workers)
 
 
 class GoalCounter(Transform):

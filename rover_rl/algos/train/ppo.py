@@ -19,7 +19,7 @@ Example:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from torchrl.objectives.value import GAE
 
 from rover_rl.algos.config import PPOConfig, TrainingConfig
 from rover_rl.algos.policy.expert import PrivilegedExpert
+from rover_rl.algos.policy.grid_planner import follow
 from rover_rl.algos.policy.networks import (
     ObservationEncoder,
     action_spec,
@@ -44,6 +45,7 @@ from rover_rl.algos.policy.networks import (
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import TrainingRun, TrainingSummary, prepare, set_learning_rate
 from rover_rl.algos.train.sequences import MirrorMemory, mirrored_sequences
+from rover_rl.envs.seen_map.seen_map import ROUTE
 from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds.pool import WorldPool
@@ -95,6 +97,7 @@ class PPOLearner:
             device,
             memory=network.memory,
             memory_size=network.memory_size,
+            follower=None if network.prior == "none" else get_robot(config.env.robot),
         )
         self.critic = make_critic(encoder, network.hidden, device, network.privileged_critic)
         self._advantage = GAE(gamma=settings.gamma, lmbda=settings.lmbda, value_network=self.critic, average_gae=True)
@@ -107,11 +110,7 @@ class PPOLearner:
             loss_critic_type="l2",
         )
         self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=settings.learning_rate)
-        self._expert = (
-            PrivilegedExpert(WorldPool.of(config.env.world), get_robot(config.env.robot), device)
-            if settings.imitation
-            else None
-        )
+        self._expert = _make_expert(config) if settings.imitation else None
         self._recurrent, self._mirror_memory = network.memory != "none", MirrorMemory(self.actor)
         inputs = dict.fromkeys((*self.actor.in_keys, *self.critic.in_keys))
         self._training_keys = (*inputs, "action", "action_log_prob", "advantage", "value_target")
@@ -132,7 +131,7 @@ class PPOLearner:
         gradient_step = self._gradient_step
         if self._expert and share < self._settings.imitation:
             # DAgger (Ross et al., 2011): the policy drives, and the expert labels the visited states with its actions.
-            decisions["action"] = self._inside_bounds(self._expert.action(batch))
+            decisions["action"] = self._inside_bounds(self._expert(batch))
             gradient_step = self._imitation_step
         steps = []
         for part in self._minibatches(decisions):
@@ -205,3 +204,12 @@ class PPOLearner:
         """Loads a state that :meth:`state_dict` returned."""
         self._loss.load_state_dict(state["loss"])
         self._optimizer.load_state_dict(state["optimizer"])
+
+
+def _make_expert(config: TrainingConfig) -> Callable[[TensorDictBase], Tensor]:
+    """Returns the expert to imitate, a function from decisions ``[...]`` to actions ``[..., 2]``."""
+    assert isinstance(config.algorithm, PPOConfig)
+    robot = get_robot(config.env.robot)
+    if config.algorithm.expert == "route":
+        return lambda decisions: follow(decisions["lidar"], decisions["imu"], decisions[ROUTE], robot)
+    return PrivilegedExpert(WorldPool.of(config.env.world), robot, config.device).action

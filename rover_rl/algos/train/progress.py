@@ -124,9 +124,10 @@ class Stopwatch:
 class ProgressLog:
     """Writes one row per batch to ``progress.csv`` and TensorBoard, and shows recent means in a progress bar.
 
-    In a resumed run, rows after the saved state are removed, because their batches are collected again. Without a
-    terminal, lines are printed (:class:`~rover_rl.progress.ProgressDisplay`). TensorBoard events are written if the
-    package ``tensorboard`` is installed.
+    In a resumed run, rows after the saved state are removed, because their batches are collected again. The table keeps
+    its columns: values of other names are left out, and missing ones are nan. Without a terminal, lines are printed
+    (:class:`~rover_rl.progress.ProgressDisplay`). TensorBoard events are written if the package ``tensorboard`` is
+    installed.
 
     Args:
         folder: folder of the run.
@@ -139,7 +140,7 @@ class ProgressLog:
         self._path = folder / "progress.csv"
         self._recent: list[dict[str, float]] = []
         self._steps, self._clock = steps, time.perf_counter()
-        _keep_rows(self._path, updates)
+        self._columns = _keep_rows(self._path, updates)
         self._events = _Events(folder / "tensorboard", steps if updates else None) if _HAS_TENSORBOARD else None
         self._display = ProgressDisplay("training", keep=True, tenths=True, console=console, interval=_LINE_INTERVAL)
 
@@ -190,8 +191,9 @@ class ProgressLog:
     def _append(self, row: dict[str, float]) -> None:
         """Appends a row to ``progress.csv``."""
         new = not self._path.exists()
+        self._columns = self._columns or list(row)
         with errors_name(self._path), self._path.open("a", newline="") as file:
-            writer = csv.DictWriter(file, list(row))
+            writer = csv.DictWriter(file, self._columns, restval=math.nan, extrasaction="ignore")
             if new:
                 writer.writeheader()
             writer.writerow({key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()})
@@ -244,17 +246,22 @@ class _Events:
             self._records.close()
 
 
-def _keep_rows(path: Path, updates: int) -> None:
-    """Truncates the table to its first ``updates`` rows; deletes it if there are none to keep."""
+def _keep_rows(path: Path, updates: int) -> list[str]:
+    """Truncates the table to its first ``updates`` rows; deletes it if there are none to keep.
+
+    Returns:
+        Columns of the remaining table, none if there is no table.
+    """
     if not path.exists():
-        return
+        return []
     if not updates:
         path.unlink()
-        return
+        return []
     with path.open(newline="") as file:
         kept = file.readlines()[: updates + 1]
     with written_whole(path) as temporary:
         temporary.write_text("".join(kept), newline="")
+    return next(csv.reader(kept), [])
 
 
 def read_progress(path: Path) -> dict[str, list[float]]:

@@ -26,6 +26,7 @@ from rover_rl.algos.config import TrainingConfig, default_workers, with_settings
 from rover_rl.algos.config_files import write_config
 from rover_rl.algos.policy.checkpoint import CHECKPOINT, SETTINGS, Checkpoint
 from rover_rl.algos.train.collectors import WorkerError, collect
+from rover_rl.algos.train.curriculum import CurriculumRecord
 from rover_rl.algos.train.progress import BatchStatistics, ProgressLog, Stopwatch
 from rover_rl.algos.train.ray_cluster import connect
 from rover_rl.algos.train.run_folder import STATE, load_state, new_run_folder, save_run
@@ -34,7 +35,7 @@ from rover_rl.envs.rewards import reward_components
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.names import check_training_seed
-from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.sims.worlds.pool import WorldPool, draws_worlds
 
 
 class Learner(Protocol):
@@ -83,10 +84,11 @@ class TrainingRun:
     """Context manager of a new or resumed training run.
 
     The run's folder holds ``config.yaml``, ``progress.csv`` (one row per batch), ``checkpoint.pt`` (the policy),
-    ``training_state.pt`` (the state from which training continues), ``snapshots/`` (earlier policies) and, if
-    TensorBoard is installed, ``tensorboard/``. Files are replaced as a whole, every ``checkpoint_minutes`` and at
-    the end. Ctrl-C and SIGTERM end the run after the current batch; a second one ends it immediately. A run whose
-    weights become NaN or infinite, or whose files cannot be written, keeps its last checkpoint.
+    ``training_state.pt`` (the state from which training continues), ``snapshots/`` (earlier policies), with a
+    curriculum ``curriculum.csv`` (the worlds that were drawn) and, if TensorBoard is installed, ``tensorboard/``. Files
+    are replaced as a whole, every ``checkpoint_minutes`` and at the end. Ctrl-C and SIGTERM end the run after the
+    current batch; a second one ends it immediately. A run whose weights become NaN or infinite, or whose files cannot
+    be written, keeps its last checkpoint.
 
     Args:
         config: settings of the training run.
@@ -115,6 +117,7 @@ class TrainingRun:
         self._minutes_before = self._saved_at = 0.0
         self._saved_steps: int | None = None
         self._stopping = False
+        self._curriculum = None if config.collection.curriculum == "none" else CurriculumRecord(config)
         if folder is None:
             default = "-".join((config.algo, *config.env.world_names)).replace("*", "all")
             default = re.sub(r"[:/\\]+", "-", default)
@@ -146,6 +149,8 @@ class TrainingRun:
             self.steps, self.updates, self._minutes_before = state["steps"], state["updates"], state["minutes"]
             self._session = state["session"] + 1
             self.learner.load_state_dict(state["learner"])
+            if self._curriculum and "curriculum" in state:
+                self._curriculum.load_state_dict(state["curriculum"])
             torch.set_rng_state(state["random"])
             if self.config.on_gpu:
                 torch.cuda.set_rng_state(state["random_on_gpu"], self.config.device)
@@ -215,12 +220,15 @@ class TrainingRun:
         """
         if self.updates and self.share >= 1:
             return
-        with collect(self.config, self.learner.actor, self._session) as batches:
+        estimates = self._curriculum.learnability.state_dict() if self._curriculum else None
+        with collect(self.config, self.learner.actor, self._session, estimates) as batches:
             while not self.updates or (self.share < 1 and not self._stopping):
                 requested = self.stopwatch.elapsed
                 batch = next(batches)
                 self.stopwatch.collected(batch, self.config.rovers_per_worker, self.stopwatch.elapsed - requested)
                 self._batch_statistics = self._statistics(batch)
+                if self._curriculum:
+                    self._batch_statistics |= self._curriculum(batch)
                 yield batch
 
     def record(self, learned: dict[str, float]) -> None:
@@ -262,7 +270,11 @@ class TrainingRun:
         }
         if self.config.on_gpu:
             state["random_on_gpu"] = torch.cuda.get_rng_state(self.config.device)
+        if self._curriculum:
+            state["curriculum"] = self._curriculum.state_dict()
         save_run(self.folder, self._checkpoint(), state)
+        if self._curriculum:
+            self._curriculum.write(self.folder)
         self._saved_steps = self.steps
 
     def _require_finite(self) -> None:
@@ -295,7 +307,7 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
 
     Raises:
         ValueError: for an unknown world, robot or reward, a world whose seed is for evaluation, a device that does not
-            exist, or a setting out of range.
+            exist, a curriculum without worlds to draw, or a setting out of range.
         ImportError: if the extra of the backend or the collector is missing.
         ConnectionError: if no Ray cluster answers.
     """
@@ -303,6 +315,10 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
     env = config.env
     for world in env.worlds:
         check_world(world)
+    if config.collection.curriculum != "none" and not draws_worlds(env.world):
+        raise ValueError(
+            f"curriculum chooses among the worlds of a range, as in 'maze:*', or of a WorldPool, got {env.world!r}"
+        )
     get_robot(env.robot)
     reward_components(env.reward, env.contract_reward)
     available_device(config.device)

@@ -116,7 +116,7 @@ class _Rollout:
 
     def __init__(self, env: EnvBase, rovers: RoverEnv, policy: Policy) -> None:
         self.steps: list[TensorDict] = []
-        self._env, self._rovers, self._runner = env, rovers, PolicyRunner(policy)
+        self._env, self._rovers, self._runner = env, rovers, PolicyRunner(policy, env=rovers)
         self._tensordict = env.reset()
         self._goals = self._episodes = torch.zeros(env.batch_size, dtype=torch.int64)
         self._endings: list[str] = []

@@ -118,3 +118,8 @@ class WorldPool:
             raise IndexError(f"the pool has {len(self)} worlds, got index {index}")
         part = bisect_right(self._starts, index) - 1
         return self._ranges[part] or self.entries[part], index - self._starts[part]
+
+
+def draws_worlds(worlds: WorldSource) -> bool:
+    """Whether each episode draws its world: from a pool, or from a list with a range of seeds."""
+    return isinstance(worlds, WorldPool) or WorldPool.of(worlds).has_ranges

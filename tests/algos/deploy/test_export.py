@@ -16,7 +16,8 @@ from tensordict import TensorDict
 from rover_rl import RewardConfig, TaskConfig
 from rover_rl.algos.config import training_config, with_settings
 from rover_rl.algos.deploy import export as exporting
-from rover_rl.algos.deploy.export import OnnxPolicy, export, onnx_function, program_function, random_observations
+from rover_rl.algos.deploy.export import OnnxPolicy, export, onnx_function, program_function
+from rover_rl.algos.deploy.trial_inputs import random_observations
 from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.policy.runner import PolicyRunner

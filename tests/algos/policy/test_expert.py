@@ -2,11 +2,13 @@ from __future__ import annotations
 
 import math
 
+import pytest
 import torch
 from torch import Tensor
 
-from rover_rl import Terrain, World, box, make_env
-from rover_rl.algos.policy.expert import PrivilegedExpert
+from rover_rl import RoverEnv, Terrain, World, box, make_env
+from rover_rl.algos.policy.expert import MapExpert, PrivilegedExpert
+from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs.transforms.path_reward import CAUTION
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds.path_distance import PathDistances
@@ -77,6 +79,7 @@ def test_it_passes_a_gap_in_which_it_cannot_turn() -> None:
     assert reached.all()
 
 
+<<<<<<< HEAD
 def test_it_backs_down_a_slope() -> None:
     """While a rover turns around on a slope, it slides."""
     x = torch.arange(-6, 6.25, 0.25)
@@ -91,4 +94,15 @@ def test_it_backs_down_a_slope() -> None:
         assert (td["imu"][:, 2:][~reached].abs() < 1).all()
         td = env.step(td.set("action", expert.action(td)))["next"]
         reached |= td["outcome", "goal_reached"]
+=======
+def test_as_a_policy_it_reaches_goals_in_the_worlds_of_the_environment() -> None:
+    with pytest.raises(RuntimeError, match="knows no map"):
+        MapExpert()(make_env(world_n="maze", num_envs=1, backend="warp").reset())
+    env = RoverEnv(world_n="maze:9000-9007", num_envs=8, seed=0, backend="warp", end_on_goal=True)
+    runner, observation = PolicyRunner(MapExpert(), env=env), env.reset()
+    reached = torch.zeros(8, dtype=torch.bool)
+    for _ in range(600):
+        observation = env.step(observation.set("action", runner(observation)).set("_step", ~reached))["next"]
+        reached |= observation["outcome", "goal_reached"].squeeze(-1)
+>>>>>>> main
     assert reached.all()

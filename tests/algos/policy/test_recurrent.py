@@ -72,7 +72,7 @@ def test_settings_from_before_there_were_memories_have_none() -> None:
 @pytest.mark.parametrize("settings", [{"memory": "gru"}, {"privileged_critic": True}])
 def test_sac_has_no_memory_and_no_privileged_critic(settings: dict) -> None:
     training_config("ppo", **settings).check()
-    with pytest.raises(ValueError, match="memory and privileged_critic are for PPO, and the algorithm is SAC"):
+    with pytest.raises(ValueError, match="memory, prior and privileged_critic are for PPO, and the algorithm is SAC"):
         training_config("sac", **settings).check()
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import torch
 from tensordict import TensorDict, TensorDictBase
 
@@ -44,12 +46,45 @@ def test_the_caller_may_say_which_rows_decide() -> None:
     assert counts(runner, seen, due=second) == [0, 2]
 
 
+def test_a_policy_of_single_rows_is_called_with_those_that_decide() -> None:
+    rows = []
+
+    class SingleRows(CountingPolicy):
+        row_by_row = True
+
+        def __call__(self, td: TensorDictBase) -> TensorDictBase:
+            rows.append(len(td))
+            return super().__call__(td)
+
+    runner, (seen, *_) = PolicyRunner(SingleRows()), observations(3)
+    second = torch.tensor([False, True, False])
+    assert [counts(runner, seen, due=second) for _ in range(3)] == [[0, 0, 0], [0, 1, 0], [0, 2, 0]]
+    runner.reset(torch.tensor([True, False, False]))
+    assert counts(runner, seen, due=second) == [0, 3, 0]
+    assert rows == [3, 1, 1, 2]
+
+
 def test_only_policies_with_memory_decide_as_often_as_in_training_by_default() -> None:
     actor = recurrent_checkpoint("gru").make_actor()
     memoryless = make_actor(hidden=(8,))
     memoryless.trained_action_repeat = 4
     assert [default_action_repeat(policy) for policy in (actor, memoryless, None)] == [4, 1, 1]
     assert [default_action_repeat(policy, 2) for policy in (actor, memoryless, None)] == [2, 2, 2]
+
+
+def test_a_policy_may_read_the_bounds() -> None:
+    class Bounded:
+        in_keys = ("lidar", "bounds")
+
+        def __call__(self, td: TensorDictBase) -> TensorDictBase:
+            return td.set("action", td["bounds"][:, 2:])
+
+    seen = observations(2)[0]
+    assert torch.equal(PolicyRunner(Bounded())(seen), torch.full((2, 2), 1e6))
+    given = seen.clone().set("bounds", torch.tensor([[-1.0, -2.0, 3.0, 4.0]]).expand(2, 4))
+    assert torch.equal(PolicyRunner(Bounded())(given), given["bounds"][:, 2:])
+    env = SimpleNamespace(placement=SimpleNamespace(bounds=2 * given["bounds"]))
+    assert torch.equal(PolicyRunner(Bounded(), env=env)(given), 2 * given["bounds"][:, 2:])
 
 
 def test_policies_without_memory_pass_through() -> None:

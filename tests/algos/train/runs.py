@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 
-from rover_rl.algos.config import training_config
+from rover_rl.algos.config import training_config, with_settings
 from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.progress import read_progress
 from rover_rl.algos.train.sac import SACLearner
@@ -40,6 +40,8 @@ SAC = training_config(
     hidden=(16,),
     snapshots=2,
 )
+LEARNABLE = with_settings(PPO, backend="warp", world="maze:0-7@0-1", curriculum="learnability", length=24)
+"""A training with a curriculum."""
 BOTH = pytest.mark.parametrize("config", [PPO, SAC], ids=["ppo", "sac"])
 """Runs a test with PPO and with SAC."""
 LEARNERS: dict[str, Any] = {"ppo": PPOLearner, "sac": SACLearner}

@@ -71,6 +71,15 @@ def test_remote_workers_carry_the_memory(cluster: None, tmp_path: Path, monkeypa
     check_states(joined(collected), "gru")
 
 
+@pytest.mark.slow
+def test_remote_workers_have_a_curriculum_of_their_own(cluster: None, tmp_path: Path) -> None:
+    config = with_settings(runs.LEARNABLE, collector="ray", workers=2, total_steps=256, runs=str(tmp_path))
+    folder = train(config).folder
+    assert train(with_settings(config, total_steps=384), folder).steps == 384
+    record = (folder / "curriculum.csv").read_text().splitlines()
+    assert sum(int(row.split(",")[1]) for row in record[1:]) >= 8
+
+
 def kill_a_worker_at_the_third_update(monkeypatch: pytest.MonkeyPatch, wait: float) -> None:
     """Lets PPO kill a worker and wait for some seconds."""
     update, calls = PPOLearner.update, []

@@ -8,10 +8,17 @@ from pathlib import Path
 import pytest
 import torch
 
+from rover_rl import Terrain, World, register_world
 from rover_rl.sims import worlds
-from rover_rl.sims.worlds import WORLDS, Terrain, World, WorldName, get_world, layout_cache, register_world
+from rover_rl.sims.worlds import WORLDS, WorldName, get_world, layout_cache
 from rover_rl.sims.worlds.layout_cache import stored_layout
 from rover_rl.sims.worlds.obstacles import groups_of
+
+
+@pytest.fixture(autouse=True)
+def temporary_registry(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Removes registrations after each test, because other tests compare the list of names."""
+    monkeypatch.setattr(worlds._REGISTRY, "_parts", dict(worlds._REGISTRY._parts))
 
 
 @pytest.fixture(autouse=True)

@@ -1,0 +1,103 @@
+"""``PlainPolicy``: everything that a policy computes, as one module on plain tensors, for export."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from rover_rl.algos.config import NetworkConfig
+from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.policy.networks import action_spec, middle_and_half
+from rover_rl.algos.policy.recurrent import RecurrentStep
+from rover_rl.envs.seen_map.seen_map import BOUNDS, ROUTE, ROUTE_KEYS
+
+STATE_IN, STATE_OUT = "state_in", "state_out"
+"""Names of the state, before and after a decision."""
+ExportedFunction: TypeAlias = Callable[[dict[str, Any]], Any]
+"""Exported policy: function from inputs by name to an action ``[1, 2]``. With a state, the inputs include ``state_in``,
+and the function returns the action and ``state_out``."""
+
+
+def input_names(network: NetworkConfig) -> list[str]:
+    """Returns the names of the inputs of an exported policy, in their order.
+
+    A policy that reads ``route`` reads what the route is computed from instead, and the bounds of the area.
+    """
+    with_map = ROUTE in network.observation
+    has_state = with_map or network.memory != "none"
+    read = dict.fromkeys(key for key in network.observation if key != ROUTE)
+    read |= dict.fromkeys((*ROUTE_KEYS, BOUNDS) if with_map else ())
+    return [*([STATE_IN] if has_state else []), *read]
+
+
+class PlainPolicy(nn.Module):
+    """A checkpoint's policy as a module that maps tensors of observations to a tensor of actions.
+
+    Its state holds the map of what the lidar has seen, if the policy reads ``route``, and then the state of the memory.
+
+    Args:
+        checkpoint: checkpoint of the policy.
+
+    Attributes:
+        inputs: names of the arguments, in their order.
+        outputs: names of the results, in their order.
+        state_size: number of entries of the state; 0 without map and memory.
+    """
+
+    _middle: Tensor
+    _half: Tensor
+
+    def __init__(self, checkpoint: Checkpoint) -> None:
+        super().__init__()
+        actor, settings = checkpoint.make_actor(), checkpoint.config.network
+        self._observation = tuple(settings.observation)
+        memory = settings.memory != "none"
+        self._network = RecurrentStep(actor[0]) if memory else actor[0].module
+        self._memory_size: int = self._network.state_size if memory else 0
+        self._map, self._map_size = None, 0
+        if ROUTE in settings.observation:
+            # Importing NVIDIA Warp takes half a second.
+            from rover_rl.envs.seen_map.plain_map import PlainSeenMap
+
+            self._map = PlainSeenMap(checkpoint.env.lidar, checkpoint.env.robot)
+            self._map_size = self._map.state_size
+        self.state_size = self._map_size + self._memory_size
+        self.inputs = input_names(settings)
+        self.outputs = ["action", *([STATE_OUT] if self.state_size else [])]
+        middle, half = middle_and_half(action_spec(checkpoint.env.action))
+        self.register_buffer("_middle", middle)
+        self.register_buffer("_half", half)
+
+    def forward(self, *inputs: Tensor) -> Tensor | tuple[Tensor, Tensor]:
+        """Returns the action ``[N, 2]``, with a state also the next state ``[N, s]``, for the inputs ``[N, n]``."""
+        entries, states = dict(zip(self.inputs, inputs, strict=True)), []
+        if self._map is not None:
+            read = (entries[key] for key in (*ROUTE_KEYS, BOUNDS))
+            entries[ROUTE], state = self._map(entries[STATE_IN][:, : self._map_size], *read)
+            states.append(state)
+        observation = [entries[key] for key in self._observation]
+        if self._memory_size:
+            loc, state = self._network(entries[STATE_IN][:, self._map_size :], *observation)
+            states.append(state)
+        else:
+            loc, _ = self._network(*observation)
+        action = self._middle + self._half * torch.tanh(loc)
+        return (action, torch.cat(states, -1)) if states else action
+
+
+def finite_arrays(inputs: Mapping[str, Any], names: Sequence[str]) -> list[NDArray[np.float32]]:
+    """Returns inputs of a policy, in the order of ``names``, after checking that they are finite.
+
+    Raises:
+        ValueError: for the first one with NaN or infinity, which a network would accept silently.
+    """
+    arrays = [np.asarray(inputs[name], np.float32) for name in names]
+    for name, array in zip(names, arrays, strict=True):
+        if not np.isfinite(array).all():
+            raise ValueError(f"observation {name!r} holds NaN or infinity: the policy does not act on it")
+    return arrays

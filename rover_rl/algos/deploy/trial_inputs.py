@@ -1,0 +1,82 @@
+"""Inputs on which exported policies are compared with the original: random ones, and those of a drive."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from rover_rl.algos.deploy.plain_policy import STATE_IN, input_names
+from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.envs.observation import observation_bounds
+from rover_rl.envs.seen_map.seen_map import BOUNDS, lidar_mount
+
+_DECISION = 0.2
+"""Time between two decisions of the drive, s."""
+_YARD = 7.0
+"""Half of the width of the yard, m."""
+_WALLS = 24
+"""Number of walls in the yard."""
+
+
+def random_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]:
+    """Draws inputs ``[count, n]`` of a policy, except its state, uniformly within their bounds, with seed 0."""
+    generator = torch.Generator().manual_seed(0)
+    bounds = observation_bounds(checkpoint.env.lidar)
+    drawn = {}
+    for key in input_names(checkpoint.config.network):
+        if key == BOUNDS:
+            drawn[key] = torch.tensor((-1.0, -1.0, 1.0, 1.0)) * (20 + 80 * torch.rand(count, 4, generator=generator))
+        elif key != STATE_IN:
+            low, high = (torch.as_tensor(side).float() for side in (bounds[key].low, bounds[key].high))
+            width = checkpoint.lidar_points if key == "lidar" else len(low)
+            drawn[key] = low + (high - low) * torch.rand(count, width, generator=generator)
+    return drawn
+
+
+def drive_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]:
+    """Returns inputs ``[count, n]`` of a policy with a map, except its state, of consecutive decisions of a drive.
+
+    The rover drives a figure of eight in a yard with random walls, which it sees but does not feel, on ground with
+    small waves. Every fifth second it gets a new goal. At a quarter of the drive, it stands on a steep slope.
+    """
+    generator = torch.Generator().manual_seed(1)
+    observations = random_observations(checkpoint, count)
+    time = _DECISION * torch.arange(count)
+    phase = 2 * math.pi * time / 40
+    position = torch.stack((5 * phase.sin(), 3 * (2 * phase).sin()), -1)
+    yaw = torch.atan2(6 * (2 * phase).cos(), 5 * phase.cos())
+    pitch = 0.04 * (3 * time).sin()
+    pitch[count // 4] = -0.5
+    observations["imu"] = torch.stack((pitch, 0.04 * (2 * time).cos(), yaw), -1)
+    observations["pose"] = torch.cat((position, torch.zeros(count, 1)), -1)
+    goals = 2 * _YARD * torch.rand(1 + count // 25, 2, generator=generator) - _YARD
+    offset = goals[torch.arange(count) // 25] - position
+    bearing = torch.remainder(torch.atan2(offset[:, 1], offset[:, 0]) - yaw + math.pi, 2 * math.pi) - math.pi
+    observations["target"] = torch.stack((offset.norm(dim=-1), bearing), -1)
+    observations["lidar"] = _readings(checkpoint, position, yaw, generator)
+    observations[BOUNDS] = torch.tensor((-_YARD, -_YARD, _YARD, _YARD)).repeat(count, 1)
+    return observations
+
+
+def _readings(checkpoint: Checkpoint, position: Tensor, yaw: Tensor, generator: torch.Generator) -> Tensor:
+    """Returns the lidar readings ``[count, points]`` at positions ``[count, 2]`` and yaws ``[count]`` in the yard."""
+    mount, lidar = lidar_mount(checkpoint.env.robot), checkpoint.env.lidar
+    cos, sin = yaw.cos(), yaw.sin()
+    origin = position + torch.stack((mount[0] * cos - mount[1] * sin, mount[0] * sin + mount[1] * cos), -1)
+    angles = yaw[:, None] + torch.arange(lidar.points) * (2 * math.pi / lidar.points)
+    beams = torch.stack((angles.cos(), angles.sin()), -1)[:, :, None]
+    start = 2 * _YARD * torch.rand(_WALLS, 2, generator=generator) - _YARD
+    along = 3 * torch.rand(_WALLS, 2, generator=generator) - 1.5
+    first = (start - origin[:, None])[:, None]
+    # Where the beam and the line of the wall meet, as a length of the beam and as a share of the wall.
+    across = _cross(beams, along)
+    length, share = _cross(first, along) / across, _cross(first, beams) / across
+    length = torch.where((length > 0) & (share >= 0) & (share <= 1), length, math.inf)
+    noise = 0.01 * torch.randn(angles.shape, generator=generator)
+    return (length.amin(-1) + noise).clamp(0.0, lidar.max_range)
+
+
+def _cross(one: Tensor, other: Tensor) -> Tensor:
+    return one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]

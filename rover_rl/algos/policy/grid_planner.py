@@ -1,0 +1,105 @@
+"""``GridPlanner``: classical baseline that plans on a grid map of what the lidar has seen and follows the route.
+
+Example:
+    >>> runner = PolicyRunner(GridPlanner())
+    >>> runner(env.reset()).shape
+    torch.Size([4, 2])
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+
+import torch
+from tensordict.nn import TensorDictModule
+from torch import Tensor
+
+from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike, TaskConfig
+from rover_rl.envs.seen_map.seen_map import ROUTE
+from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.robots.footprint import footprint
+
+MARGIN = 0.02
+"""Free distance on each side of the footprint in the lane ahead, m."""
+STOP = 0.05
+"""Free distance in front of the footprint at which the rover stops, m."""
+SLOW = 0.6
+"""Free distance beyond that at which it drives at full speed, m."""
+BEHIND = 0.3
+"""Free distance behind the footprint that is required for backing off, m."""
+BACK_OFF = -0.3
+"""Speed of backing off, m/s."""
+STEEP = 0.42
+"""Pitch above which a slope is too steep, rad: 24 degrees, as for the map."""
+BACK_DOWN = -0.5
+"""Speed of backing down a slope, m/s."""
+CREEP = 0.1
+"""Lowest speed in a free lane, m/s."""
+TURN = 1.2
+"""Angle to the route from which on the rover turns on the spot, rad."""
+
+
+class GridPlanner(TensorDictModule):
+    """Follows the shortest route on a map of what the lidar has seen in the episode: see :func:`follow`.
+
+    The map is a grid of occupied cells around the rover, with higher costs near obstacles, and the route is found by
+    A*: the stack of costmap, planner and path follower of mobile robots, such as that of Nav2. What has not been seen
+    counts as free. See :class:`~rover_rl.envs.seen_map.seen_map.SeenMap`.
+
+    The policy reads ``lidar``, ``imu`` and ``route``, which a :class:`~rover_rl.algos.policy.runner.PolicyRunner` adds.
+
+    Args:
+        robot: name of a robot, or a robot, for the footprint and the position of the lidar.
+
+    Attributes:
+        made_for: environment that the policy drives in, with ``robot``, one lidar reading for each beam, and episodes
+            that end when the body touches an obstacle.
+        trained_action_repeat: number of steps from one plan to the next.
+
+    Raises:
+        ValueError: for an unknown robot.
+    """
+
+    trained_action_repeat = 4
+
+    def __init__(self, robot: RobotLike = "rover_zero") -> None:
+        super().__init__(partial(follow, robot=get_robot(robot)), in_keys=["lidar", "imu", ROUTE], out_keys=["action"])
+        lidar = LidarConfig()
+        # In narrow gaps, readings are below the contract's threshold.
+        task = TaskConfig(collision_from="contact", collision_window=0)
+        self.made_for = EnvConfig(robot=robot, lidar=replace(lidar, points=lidar.beams), task=task)
+
+
+def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
+    """Computes the action of a rover that follows its route.
+
+    The heading offset is twice the angle to the first corner of the route. The speed decreases as the angle grows and
+    as obstacles in the lane ahead get closer. In front of an obstacle, the rover backs off while it turns. From a slope
+    that is too steep it backs down straight.
+
+    Args:
+        lidar: lidar readings, ``[..., points]``, m.
+        imu: pitch, roll and yaw, ``[..., 3]``, rad.
+        route: route, ``[..., 5]``.
+        robot: robot whose footprint must stay free.
+
+    Returns:
+        Action ``[..., 2]``: forward speed (m/s) and heading offset (rad).
+    """
+    outline, angle = footprint(robot), route[..., 1:2]
+    points = lidar.shape[-1]
+    beams = (torch.arange(points, dtype=lidar.dtype, device=lidar.device) + 0.5) * (2 * math.pi / points)
+    x, y = lidar * beams.cos() + robot.lidar_position[0], lidar * beams.sin()
+    aside = y.abs() > outline.half_width + MARGIN
+    ahead = x.masked_fill(aside | (x < 0), math.inf).amin(-1, keepdim=True) - outline.front
+    behind = (-x).masked_fill(aside | (x > 0), math.inf).amin(-1, keepdim=True) + outline.back
+    speed = angle.cos().clamp(min=0).square() * ((ahead - STOP) / SLOW).clamp(CREEP, 1.0)
+    speed = torch.where(ahead < STOP, torch.where(behind > BEHIND, BACK_OFF, 0.0), speed)
+    speed = torch.where(angle.abs() > TURN, speed.clamp(max=0), speed)
+    # A positive pitch is nose down.
+    steep = imu[..., :1] < -STEEP
+    speed = torch.where(steep, BACK_DOWN, speed)
+    turn = torch.where(steep, 0.0, 2 * angle)
+    return torch.cat((speed, turn.clamp(-math.pi, math.pi)), -1)

@@ -1,0 +1,38 @@
+"""Baseline policies by name. Does not import PyTorch.
+
+The command line, its help and its error messages read this table: a new baseline is a line in :data:`BASELINES`.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rover_rl.algos.policy.runner import Policy
+    from rover_rl.envs.config import RobotLike
+
+BASELINES = {
+    "scripted": "rover_rl.algos.policy.baselines:ScriptedPolicy",
+    "dwa": "rover_rl.algos.policy.dwa:DynamicWindowPolicy",
+    "gridplanner": "rover_rl.algos.policy.grid_planner:GridPlanner",
+    "expert": "rover_rl.algos.policy.expert:MapExpert",
+}
+"""Classes of the baseline policies, ``module:class``, by name. The first argument of each is the robot."""
+
+
+def make_baseline(name: str, robot: RobotLike | None = None) -> Policy:
+    """Creates a baseline policy.
+
+    Args:
+        name: name of the policy.
+        robot: name of a robot, or a robot; ``None``: the default robot.
+
+    Raises:
+        ValueError: if the name or the robot is unknown.
+    """
+    if name not in BASELINES:
+        raise ValueError(f"unknown baseline {name!r}; use one of {[*BASELINES]}")
+    module, _, attribute = BASELINES[name].partition(":")
+    policy_class = getattr(import_module(module), attribute)
+    return policy_class() if robot is None else policy_class(robot)

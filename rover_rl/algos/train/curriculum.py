@@ -1,0 +1,171 @@
+"""Curriculum over the worlds of a pool: which worlds episodes draw in training, and a record of it."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.envs import Transform
+
+from rover_rl.algos.config import TrainingConfig
+from rover_rl.algos.train.learnability import Learnability
+from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.task import StepEvent
+from rover_rl.envs.transforms.path_reward import world_of
+from rover_rl.files import written_whole
+from rover_rl.sims.worlds.pool import WorldPool
+
+RECORD = "curriculum.csv"
+"""Name of the table of the worlds that were drawn, in a run's folder."""
+_KEY = "attempt"
+_ENTRIES = ("begun", "succeeded", "failed")
+_UPDATE_ATTEMPTS = 64
+"""Number of attempts after which the weights of the worlds are updated."""
+
+
+class Curriculum(Transform):
+    """Lets episodes draw the worlds in which the policy sometimes succeeds and sometimes fails.
+
+    An attempt is the way to one goal. It succeeds at the goal. It fails if the episode ends before it otherwise, or at
+    the time limit if at least half of the episode went into it. The last attempts of other episodes do not count. The
+    transform estimates the :class:`~rover_rl.algos.train.learnability.Learnability` of the worlds from the attempts of
+    all rows, and updates the weights of the draw after each 64 attempts
+    (:meth:`~rover_rl.RoverEnv.set_world_weights`).
+
+    It adds the nested entry ``attempt``, each int64 ``[N, 1]``:
+
+    - ``("attempt", "begun")``: number of steps of the episode before the current attempt;
+    - ``("attempt", "succeeded")``: number of attempts that succeeded in this step;
+    - ``("attempt", "failed")``: number of attempts that failed in this step.
+
+    Append it after :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat`, and before transforms that truncate
+    episodes.
+
+    Args:
+        env (rover_rl.RoverEnv): environment that draws worlds.
+        share: part of the episodes that draws by learnability, from 0 to 1. The others draw evenly.
+        temperature: temperature of these draws: see
+            :meth:`~rover_rl.algos.train.learnability.Learnability.probabilities`.
+        estimates (dict): state of the ``learnability`` to begin with. ``None`` knows nothing of the worlds.
+
+    Attributes:
+        learnability: estimates of the worlds.
+
+    Raises:
+        ValueError: if the environment does not draw a world for each episode.
+    """
+
+    def __init__(
+        self, env: RoverEnv, share: float, temperature: float, estimates: Mapping[str, Tensor] | None = None
+    ) -> None:
+        super().__init__()
+        self.learnability = Learnability(env.pool)
+        if estimates is not None:
+            self.learnability.load_state_dict(estimates)
+        self._share, self._temperature, self._length = share, temperature, env.length
+        self._set_weights = env.set_world_weights
+        self._update_weights()
+
+    def _update_weights(self) -> None:
+        self._attempts = 0
+        self._set_weights(self.learnability.probabilities(self._share, self._temperature))
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        outcome = next_tensordict["outcome"]
+        steps, succeeded = outcome["steps"], outcome["goals"]
+        begun = torch.where(succeeded > 0, steps, tensordict[_KEY, "begun"])
+        timed_out = next_tensordict["truncated"] & (2 * (steps - begun) >= self._length)
+        failed = timed_out | next_tensordict["terminated"] & (outcome["phase"] < StepEvent.GOAL)
+        self._add(world_of(next_tensordict), succeeded, failed.long())
+        return _with_entries(next_tensordict, begun, succeeded, failed.long())
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        zeros = torch.zeros_like(tensordict_reset["outcome", "steps"])
+        return _with_entries(tensordict_reset, zeros, zeros.clone(), zeros.clone())
+
+    def _add(self, world: Tensor, succeeded: Tensor, failed: Tensor) -> None:
+        """Adds the attempts of a step to the estimates."""
+        attempts = int((succeeded + failed).sum())
+        if attempts:
+            self.learnability.add(world, succeeded, failed)
+            self._attempts += attempts
+        if self._attempts >= _UPDATE_ATTEMPTS:
+            self._update_weights()
+
+    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
+        """Adds ``attempt``."""
+        steps = observation_spec["outcome", "steps"]
+        leaf = Unbounded(shape=steps.shape, dtype=torch.int64, device=steps.device)
+        observation_spec[_KEY] = Composite({name: leaf.clone() for name in _ENTRIES}, shape=observation_spec.shape)
+        return observation_spec
+
+
+def _with_entries(tensordict: TensorDictBase, *values: Tensor) -> TensorDictBase:
+    for name, value in zip(_ENTRIES, values, strict=True):
+        tensordict.set((_KEY, name), value)
+    return tensordict
+
+
+class CurriculumRecord:
+    """Worlds that a training run has drawn, and what the policy did in them, in all workers and sessions.
+
+    Args:
+        config: settings of the training run.
+
+    Attributes:
+        learnability: estimates from the attempts of all workers.
+    """
+
+    def __init__(self, config: TrainingConfig) -> None:
+        self._names = config.env.world_names
+        self._pool = WorldPool.of(config.env.world)
+        self.learnability = Learnability(self._pool)
+        self._totals = torch.zeros(len(self._pool), 3, dtype=torch.int64)
+
+    def __call__(self, batch: TensorDictBase) -> dict[str, float]:
+        """Adds a batch of decisions ``[N, T]``.
+
+        Returns:
+            Mean learnability and difficulty of the worlds that were drawn in the batch. Worlds without a difficulty do
+            not count. Means over nothing are nan.
+        """
+        drawn = world_of(batch)[batch["step_count"] == 0].cpu()
+        learnability, difficulty = self.learnability.values[drawn], self.learnability.difficulty[drawn]
+        after = batch["next"]
+        world, succeeded, failed = (
+            each.flatten().cpu() for each in (world_of(after), after[_KEY, "succeeded"], after[_KEY, "failed"])
+        )
+        self.learnability.add(world, succeeded, failed)
+        draws, attempts, successes = self._totals.unbind(-1)
+        draws.index_add_(0, drawn, torch.ones_like(drawn))
+        attempts.index_add_(0, world, succeeded + failed)
+        successes.index_add_(0, world, succeeded)
+        return {"drawn_learnability": learnability.mean().item(), "drawn_difficulty": difficulty.nanmean().item()}
+
+    def write(self, folder: Path) -> None:
+        """Writes the table of the drawn worlds, the most frequent ones first."""
+        draws = self._totals[:, 0]
+        rates, values = self.learnability.success_rate, self.learnability.values
+        header = ("world", "draws", "attempts", "successes", "success_rate", "learnability")
+        with written_whole(folder / RECORD) as temporary, temporary.open("w", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(header)
+            for index in draws.argsort(descending=True, stable=True)[: int((draws > 0).sum())].tolist():
+                estimates = (f"{each[index].item():.4f}" for each in (rates, values))
+                writer.writerow((self._pool.name(index), *self._totals[index].tolist(), *estimates))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Returns the names of the worlds, and all counts."""
+        return {"worlds": self._names, "totals": self._totals, **self.learnability.state_dict()}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Loads a state that :meth:`state_dict` returned. Ignores that of a run that has been in other worlds."""
+        if state["worlds"] == self._names:
+            self._totals = state["totals"].clone()
+            self.learnability.load_state_dict(state)

@@ -1,0 +1,73 @@
+"""``PlainSeenMap``: the map and the route of :class:`~rover_rl.envs.seen_map.seen_map.SeenMap` for export."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.seen_map.plain_routes import plan
+from rover_rl.envs.seen_map.plain_scans import Lidar, levels, moved_window, packed, unpacked, with_scan
+from rover_rl.envs.seen_map.scan_kernels import CELL, SIZE
+from rover_rl.envs.seen_map.seen_map import (
+    beam_directions,
+    clearance_of,
+    goal_positions,
+    largest_reading,
+    lidar_mount,
+    relative_route,
+)
+from rover_rl.sims.robots import Robot
+
+
+class PlainSeenMap(nn.Module):
+    """One decision of a :class:`~rover_rl.envs.seen_map.seen_map.SeenMap` as a function of plain tensors.
+
+    Args:
+        lidar: settings of the lidar; ``None``: the defaults.
+        robot: robot, or its name, for the position of the lidar.
+
+    Attributes:
+        state_size: number of entries of the state.
+
+    Raises:
+        ValueError: if the lidar is mounted too far from the robot's center.
+    """
+
+    state_size = 2 + SIZE * SIZE
+
+    _directions: Tensor
+    _mount: Tensor
+
+    def __init__(self, lidar: LidarConfig | None = None, robot: str | Robot = "rover_zero") -> None:
+        super().__init__()
+        lidar = lidar or LidarConfig()
+        self._max_range, self._clearance = largest_reading(lidar), clearance_of(robot)
+        self.register_buffer("_directions", beam_directions(lidar))
+        self.register_buffer("_mount", torch.tensor(lidar_mount(robot)))
+
+    def forward(
+        self, state: Tensor, lidar: Tensor, pose: Tensor, imu: Tensor, target: Tensor, bounds: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Adds a scan and plans the route.
+
+        Args:
+            state: state before, ``[N, state_size]``: the cell in the middle of the window, and what has been seen in
+                each cell of the window. Zeros at the start of an episode.
+            lidar: lidar readings, ``[N, P]``, m.
+            pose: x, y and z, ``[N, 3]``, m.
+            imu: pitch, roll and yaw, ``[N, 3]``, rad.
+            target: distance (m) and relative angle (rad) of the goal, ``[N, 2]``.
+            bounds: lower x and y and upper x and y of the area that the routes stay in, ``[N, 4]``, m.
+
+        Returns:
+            The route, ``[N, 5]``, as ``SeenMap`` returns it, and the next state.
+        """
+        before, cells = state[:, :2], state[:, 2:].reshape(-1, SIZE, SIZE)
+        center = (pose[:, :2] / CELL).floor()
+        poses = torch.cat((pose[:, :2], imu), -1)
+        sensor = Lidar(self._directions, self._mount, self._max_range)
+        content = with_scan(unpacked(moved_window(cells, center - before)), center, poses, lidar, sensor)
+        corners, lengths = plan(levels(content, self._clearance), center, goal_positions(pose, imu, target), bounds)
+        route = relative_route(corners, lengths, pose, imu)
+        return route, torch.cat((center, packed(content).flatten(1)), -1)

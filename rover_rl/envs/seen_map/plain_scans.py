@@ -1,0 +1,256 @@
+"""Scans on maps of seen obstacles as plain tensor operations, for export: what ``scan_kernels`` computes.
+
+A map is one number for each cell here, ``[N, row, column]`` in the order of the window, so that it moves when the
+window does. The number holds the evidence of an obstacle and the box that it has been seen in. All numbers are integers
+in tensors of floats, which are exact.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, TypeAlias
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from rover_rl.envs.seen_map.scan_kernels import (
+    CELL,
+    HALF,
+    HIT,
+    LOWEST,
+    MAX_TILT,
+    MOST,
+    NO_GAP,
+    OCCUPIED,
+    OPEN,
+    PARTS,
+    REACH,
+    SIZE,
+    STEEP,
+    UPHILL,
+    Clearance,
+)
+
+_GAP_CELLS = math.ceil(NO_GAP) - 1
+"""Largest number of cells between the ends of two neighboring beams that count as one obstacle."""
+_CODE = 16
+"""Number of values of a digit of a map: evidence, and the four sides of the box. All are below."""
+_STEEP_CODE = _CODE - 1
+"""Digit that stands for the evidence of a cell that is too steep."""
+_SIDES = 4
+"""Number of sides of a box: ``PARTS - 1 - first`` and ``last`` along x, and along y. Larger ones are larger boxes."""
+
+Points: TypeAlias = tuple[Tensor, Tensor, Tensor]
+"""Points in the world: x and y, in cells, and which of them count, ``[N, n]`` each."""
+
+
+class Lidar(NamedTuple):
+    """A lidar on a rover.
+
+    Attributes:
+        directions: cosine and sine of the angle of each reading in the frame of the lidar, ``[P, 2]``.
+        mount: x and y of the lidar in the frame of the rover, ``[2]``, m.
+        max_range: range at which a beam has hit nothing, m.
+    """
+
+    directions: Tensor
+    mount: Tensor
+    max_range: float
+
+
+class Cells(NamedTuple):
+    """Content of the cells of maps.
+
+    Attributes:
+        evidence: evidence of an obstacle, ``[N, SIZE, SIZE]``.
+        sides: sides of the box in which it has been seen, ``[N, 4, SIZE, SIZE]``; -1 in cells that are not occupied.
+    """
+
+    evidence: Tensor
+    sides: Tensor
+
+
+def moved_window(cells: Tensor, shift: Tensor) -> Tensor:
+    """Returns the maps ``[N, SIZE, SIZE]`` of windows that have moved by ``shift [N, 2]`` cells along x and y."""
+    every = torch.arange(SIZE, device=cells.device)
+    # A shift by more clears the window as one by its size does.
+    column, row = (every + shift.clamp(-SIZE, SIZE).long()[:, :, None]).unbind(1)
+    stays = ((row >= 0) & (row < SIZE))[:, :, None] & ((column >= 0) & (column < SIZE))[:, None]
+    source = row.clamp(0, SIZE - 1)[:, :, None] * SIZE + column.clamp(0, SIZE - 1)[:, None]
+    moved = cells.flatten(1).gather(1, source.flatten(1)).reshape(cells.shape)
+    return torch.where(stays, moved, 0.0)
+
+
+def unpacked(cells: Tensor) -> Cells:
+    """Returns the content of the cells of maps ``[N, SIZE, SIZE]``."""
+    digits = []
+    for _ in range(1 + _SIDES):
+        rest = (cells / _CODE).floor()
+        digits.append(cells - _CODE * rest)
+        cells = rest
+    evidence = torch.where(digits[0] == _STEEP_CODE, float(STEEP), digits[0])
+    sides = torch.stack(digits[1:], 1)
+    return Cells(evidence, torch.where(evidence[:, None] >= OCCUPIED, sides, -1.0))
+
+
+def packed(cells: Cells) -> Tensor:
+    """Returns maps ``[N, SIZE, SIZE]`` with a content."""
+    number = torch.zeros_like(cells.evidence)
+    for side in reversed(cells.sides.clamp(min=0.0).unbind(1)):
+        number = _CODE * number + side
+    return _CODE * number + cells.evidence.clamp(max=_STEEP_CODE)
+
+
+def with_scan(cells: Cells, center: Tensor, pose: Tensor, readings: Tensor, lidar: Lidar) -> Cells:
+    """Returns the content of maps with a scan added to each.
+
+    Args:
+        cells: content before.
+        center: cells in the middle of the windows, ``[N, 2]``.
+        pose: x, y (m), pitch, roll and yaw (rad) of the rovers, ``[N, 5]``.
+        readings: lidar readings, ``[N, P]``, m.
+        lidar: the lidar.
+    """
+    cos, sin = pose[:, 4:].cos(), pose[:, 4:].sin()
+    # Position of the lidar, in cells.
+    x = (pose[:, :1] + lidar.mount[0] * cos - lidar.mount[1] * sin) / CELL
+    y = (pose[:, 1:2] + lidar.mount[0] * sin + lidar.mount[1] * cos) / CELL
+    beams = _beams(pose, readings / CELL, lidar.directions)
+    hits = _hits(beams, readings, lidar.max_range)
+    passed = _counts(center, _passed(x, y, beams))
+    kinds = (x + beams[0], y + beams[1], hits), _between(x, y, beams, hits), _uphill(pose, cos, sin)
+    hit, gap, steep = (_counts(center, points) for points in kinds)
+    # Beams that pass take 1 each, and those that end add HIT each, in any order: one stage follows the other.
+    evidence = (cells.evidence - passed).clamp(min=0.0)
+    sides = torch.where(evidence[:, None] >= OCCUPIED, cells.sides, -1.0)
+    evidence = (evidence + HIT * hit).clamp(max=MOST)
+    evidence = torch.where(gap > 0, evidence.clamp(min=OCCUPIED), evidence)
+    # Beams do not change a steep cell. Ends of beams do not widen its box, but what is between them does.
+    was_steep = cells.evidence > MOST
+    boxes = [torch.where(was_steep[:, None], -1.0, _boxes(center, kinds[0])), *(_boxes(center, k) for k in kinds[1:])]
+    sides = torch.where(was_steep[:, None], cells.sides, sides)
+    for box in boxes:
+        sides = torch.maximum(sides, box)
+    return Cells(torch.where(was_steep | (steep > 0), float(STEEP), evidence), sides)
+
+
+def levels(cells: Cells, clearance: Clearance) -> Tensor:
+    """Returns the level of each cell by the distance of its middle from the nearest box, ``[N, SIZE, SIZE]``.
+
+    The surroundings of a cell at an edge of the window reach over to the opposite edge.
+    """
+    reach = clearance.reach
+    offset = torch.arange(-reach, reach + 1, device=cells.evidence.device)
+    around = F.pad(cells.sides, (reach,) * 4, mode="circular")
+    # Squared distances along x and along y, in parts, from the box in a cell to the middle of one `offset` cells away.
+    middle = (PARTS * offset + PARTS // 2).to(around.dtype)[None, :, None, None]
+    x, y = (
+        torch.maximum(PARTS - 1 - sides[:, :1] - middle, middle - sides[:, 1:] - 1).clamp(min=0.0).square()
+        for sides in around.chunk(2, 1)
+    )
+    free = around[:, :1] < 0
+    x = torch.where(free, float(clearance.wide), x)
+    squares = []
+    for column, part in enumerate(x.unbind(1)):
+        # The obstacle is at the opposite side.
+        start = 2 * reach - column
+        squares.append((part[:, None] + y)[..., start : start + SIZE])
+    nearest = _lowest(squares)
+    rows = [part[:, 2 * reach - row :][:, :SIZE] for row, part in enumerate(nearest.unbind(1))]
+    square = _lowest(rows)
+    limits = (clearance.tight, clearance.near, clearance.wide)
+    level = OPEN - sum((square < limit).to(square.dtype) for limit in limits)
+    return torch.where(cells.evidence >= OCCUPIED, 0.0, level)
+
+
+def _lowest(values: list[Tensor]) -> Tensor:
+    lowest = values[0]
+    for value in values[1:]:
+        lowest = torch.minimum(lowest, value)
+    return lowest
+
+
+def _beams(pose: Tensor, lengths: Tensor, directions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Returns x, y and z of beams in the world's frame, ``[N, P]``."""
+    cos_pitch, cos_roll, cos = pose[:, 2:].cos().split(1, -1)
+    sin_pitch, sin_roll, sin = pose[:, 2:].sin().split(1, -1)
+    # Axes of the rover in the world's frame: the columns of Rz(yaw) Ry(pitch) Rx(roll).
+    ahead = (cos_pitch * cos, cos_pitch * sin, -sin_pitch)
+    left = (
+        sin_roll * sin_pitch * cos - cos_roll * sin,
+        sin_roll * sin_pitch * sin + cos_roll * cos,
+        sin_roll * cos_pitch,
+    )
+    x, y, z = (
+        lengths * (directions[:, 0] * one + directions[:, 1] * other) for one, other in zip(ahead, left, strict=True)
+    )
+    return x, y, z
+
+
+def _hits(beams: tuple[Tensor, Tensor, Tensor], readings: Tensor, max_range: float) -> Tensor:
+    """Returns which beams, in cells, end at an obstacle in the window, bool ``[N, P]``."""
+    crossed = torch.maximum(beams[0].abs(), beams[1].abs())
+    return (readings < max_range) & (crossed < REACH) & (beams[2] > LOWEST)
+
+
+def _passed(x: Tensor, y: Tensor, beams: tuple[Tensor, Tensor, Tensor]) -> Points:
+    """Returns points in the cells that beams pass, up to 1.5 cells before their ends."""
+    crossed = torch.maximum(beams[0].abs(), beams[1].abs())[..., None]
+    number = torch.arange(1, REACH + 1, device=x.device)
+    part = number / crossed
+    counts = number <= crossed - 1.5
+    along, across = x[..., None] + part * beams[0][..., None], y[..., None] + part * beams[1][..., None]
+    return along.flatten(1), across.flatten(1), counts.flatten(1)
+
+
+def _between(x: Tensor, y: Tensor, beams: tuple[Tensor, Tensor, Tensor], hits: Tensor) -> Points:
+    """Returns points between the ends of neighboring beams. The last beam is a neighbor of the first one."""
+    gap_x, gap_y = (beam.roll(-1, 1) - beam for beam in beams[:2])
+    both = hits & hits.roll(-1, 1) & ((gap_x * gap_x + gap_y * gap_y).sqrt() < NO_GAP)
+    steps = torch.maximum(gap_x.abs(), gap_y.abs()).ceil()[..., None]
+    number = torch.arange(1, _GAP_CELLS + 1, device=x.device)
+    part = number / steps
+    along = (x + beams[0])[..., None] + part * gap_x[..., None]
+    across = (y + beams[1])[..., None] + part * gap_y[..., None]
+    return along.flatten(1), across.flatten(1), (both[..., None] & (number < steps)).flatten(1)
+
+
+def _uphill(pose: Tensor, cos: Tensor, sin: Tensor) -> Points:
+    """Returns a point uphill of the rover, which counts if the rover stands on a steep slope."""
+    cos_pitch, cos_roll = pose[:, 2:4].cos().split(1, -1)
+    sin_pitch, sin_roll = pose[:, 2:4].sin().split(1, -1)
+    # The rover's vertical axis leans downhill.
+    down_x = cos_roll * sin_pitch * cos + sin_roll * sin
+    down_y = cos_roll * sin_pitch * sin - sin_roll * cos
+    scale = UPHILL / (down_x * down_x + down_y * down_y).sqrt()
+    x, y = pose[:, :1] / CELL - scale * down_x, pose[:, 1:2] / CELL - scale * down_y
+    return x, y, cos_pitch * cos_roll < math.cos(MAX_TILT)
+
+
+def _addresses(center: Tensor, points: Points) -> Tensor:
+    """Returns the address of each point's cell in the window, int64 ``[N, n]``; any for those that do not count."""
+    x, y, counts = points
+    column, row = (
+        (torch.where(counts, position.floor(), 0.0) - center[:, axis : axis + 1] + HALF).long() % SIZE
+        for axis, position in enumerate((x, y))
+    )
+    return row * SIZE + column
+
+
+def _counts(center: Tensor, points: Points) -> Tensor:
+    """Returns the number of points in each cell of the window, ``[N, SIZE, SIZE]``."""
+    numbers = center.new_zeros(len(center), SIZE * SIZE)
+    added = numbers.scatter_add(1, _addresses(center, points), points[2].to(center.dtype))
+    return added.reshape(-1, SIZE, SIZE)
+
+
+def _boxes(center: Tensor, points: Points) -> Tensor:
+    """Returns the sides of the box of the points in each cell of the window, ``[N, 4, SIZE, SIZE]``; -1 without any."""
+    x, y, counts = points
+    parts = [((position - position.floor()) * PARTS).trunc().clamp(0, PARTS - 1) for position in (x, y)]
+    sides = torch.stack([side for part in parts for side in (PARTS - 1 - part, part)], 1)
+    sides = torch.where(counts[:, None], sides, -1.0)
+    addresses = _addresses(center, points)[:, None].expand(-1, _SIDES, -1)
+    none = center.new_full((len(center), _SIDES, SIZE * SIZE), -1.0)
+    return none.scatter_reduce(2, addresses, sides, "amax").reshape(-1, _SIDES, SIZE, SIZE)

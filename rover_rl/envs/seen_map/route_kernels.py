@@ -1,0 +1,302 @@
+"""Warp kernels that plan routes on maps of seen obstacles.
+
+What has not been seen counts as free. A step to a neighboring cell costs its length (``STRAIGHT`` or ``DIAGONAL``)
+times the weight of the cell that is nearer to the goal. Weights grow near obstacles. All costs are integers, so that
+every exact method finds the same ones.
+"""
+
+from __future__ import annotations
+
+from rover_rl.envs.seen_map.scan_kernels import CELL, HALF, LAST, OPEN, SIZE, address, cell_of
+from rover_rl.sims.native.warp import wp
+from rover_rl.sims.worlds.grid_kernels import link, unlink
+
+STRAIGHT = wp.constant(5)
+"""Length of a step along an axis."""
+DIAGONAL = wp.constant(7)
+"""Length of a diagonal step."""
+OPEN_WEIGHT = wp.constant(2)
+"""Weight of a cell that is far from obstacles, and the smallest one."""
+ROOM = wp.constant(2)
+"""Number of cells to the bounds, at least: 0.3 m."""
+BESIDE = wp.constant(4)
+"""Number of cells from start and goal within which the route may run right beside obstacles."""
+BESIDE_WEIGHT = wp.constant(40)
+"""Weight of a cell there. The route may begin and end beside an obstacle, but prefers a detour to running along it."""
+UNKNOWN_COST = wp.constant(1 << 30)
+"""Cost of a cell that no path has reached yet."""
+BUCKETS = wp.constant(64)
+"""Number of buckets of the queue."""
+WIDTH = wp.constant(8)
+"""Range of the costs in a bucket. A step changes the cost with the estimate by at most 7 * 40 + 14 < 63 * WIDTH."""
+REMOVED = wp.constant(-2)
+"""Follower of a cell that has left the queue."""
+NEAREST = wp.constant(4)
+"""Number of cells along the route to its first corner, at least, so that the corner's direction is steady: 0.6 m."""
+LONGEST = wp.constant(96)
+"""Number of cells along the route within which its corners are sought."""
+
+
+@wp.func
+def neighbor(step: int):
+    """Returns the offset of neighbor 0 to 7, counter-clockwise from +x."""
+    dx = int(0)
+    dy = int(0)
+    if step == 0 or step == 1 or step == 7:
+        dx = 1
+    elif step == 3 or step == 4 or step == 5:
+        dx = -1
+    if step == 1 or step == 2 or step == 3:
+        dy = 1
+    elif step == 5 or step == 6 or step == 7:
+        dy = -1
+    return wp.vec2i(dx, dy)
+
+
+@wp.func
+def step_length(step: int):
+    """Returns the length of the step to neighbor 0 to 7."""
+    return wp.where(step % 2 == 0, STRAIGHT, DIAGONAL)
+
+
+@wp.func
+def least_cost(x: int, y: int):
+    """Returns the cost of the straight way between two cells that are (x, y) apart, if all is free."""
+    most = wp.max(wp.abs(x), wp.abs(y))
+    least = wp.min(wp.abs(x), wp.abs(y))
+    return OPEN_WEIGHT * (STRAIGHT * (most - least) + DIAGONAL * least)
+
+
+@wp.func
+def weight_of(x: int, y: int, goal: int, center: wp.vec2i, fence: wp.vec4i, levels: wp.array[wp.uint8]):
+    """Returns the weight of cell (x, y) of the window; 0 if the rover cannot be there."""
+    level = int(levels[address(x + center[0] - HALF, y + center[1] - HALF)])
+    weight = int(OPEN_WEIGHT)
+    if level == 3:
+        weight = 3
+    elif level == 2:
+        weight = 6
+    elif level == 1:
+        # The rover does not fit. But beside a wall, start and goal may seem to be so.
+        from_home = wp.max(wp.abs(x - HALF), wp.abs(y - HALF))
+        from_goal = wp.max(wp.abs(x - (goal & LAST)), wp.abs(y - goal / SIZE))
+        weight = wp.where(wp.min(from_home, from_goal) > BESIDE, 0, BESIDE_WEIGHT)
+    elif level == 0 and y * SIZE + x != goal:
+        weight = 0
+    if x < fence[0] or y < fence[1] or x > fence[2] or y > fence[3]:
+        weight = wp.where(y * SIZE + x == goal, weight, 0)
+    return weight
+
+
+@wp.func
+def spread(
+    goal: int,
+    center: wp.vec2i,
+    fence: wp.vec4i,
+    levels: wp.array[wp.uint8],
+    costs: wp.array[int],
+    heads: wp.array[int],
+    following: wp.array[int],
+    preceding: wp.array[int],
+):
+    """Computes the costs from the goal to all cells that may be on a cheapest path to the center.
+
+    A* from the goal (P. E. Hart, N. J. Nilsson, B. Raphael, "A formal basis for the heuristic determination of minimum
+    cost paths", IEEE Transactions on Systems Science and Cybernetics 4, 1968) with a circular queue of buckets. It ends
+    when no cell with a lower or equal cost is left, so that the costs along *all* cheapest paths are exact.
+
+    Cells are addressed within the window, from 0 to SIZE - 1 along each axis; the rover's is (HALF, HALF).
+    """
+    for cell in range(SIZE * SIZE):
+        costs[cell] = UNKNOWN_COST
+    for bucket in range(BUCKETS):
+        heads[bucket] = -1
+    home = int(HALF * SIZE + HALF)
+    costs[goal] = 0
+    level = least_cost((goal & LAST) - HALF, goal / SIZE - HALF) / WIDTH
+    link(goal, level % BUCKETS, heads, following, preceding)
+    empty = int(0)
+    # With an empty queue, or once the home's cost is below those in the queue, all is known.
+    while empty < BUCKETS and level * WIDTH <= costs[home]:
+        cell = heads[level % BUCKETS]
+        if cell < 0:
+            level += 1
+            empty += 1
+        else:
+            empty = int(0)
+            unlink(cell, level % BUCKETS, heads, following, preceding)
+            following[cell] = REMOVED
+            here = costs[cell]
+            x = cell & LAST
+            y = cell / SIZE
+            weight = weight_of(x, y, goal, center, fence, levels)
+            for step in range(8):
+                offset = neighbor(step)
+                to_x = x + offset[0]
+                to_y = y + offset[1]
+                # The path ends at home.
+                if cell != home and to_x >= 0 and to_y >= 0 and to_x < SIZE and to_y < SIZE:
+                    other = to_y * SIZE + to_x
+                    candidate = here + step_length(step) * weight
+                    known = costs[other]
+                    if candidate < known and (other == home or weight_of(to_x, to_y, goal, center, fence, levels) > 0):
+                        estimate = least_cost(to_x - HALF, to_y - HALF)
+                        if known < UNKNOWN_COST and following[other] != REMOVED:
+                            unlink(other, (known + estimate) / WIDTH % BUCKETS, heads, following, preceding)
+                        costs[other] = candidate
+                        link(other, (candidate + estimate) / WIDTH % BUCKETS, heads, following, preceding)
+
+
+@wp.func
+def edge(coordinate: float, center: int):
+    """Returns the number within the window of the cell that holds a coordinate, m; outside of it, one ``ROOM`` away."""
+    return wp.clamp(int(wp.floor(wp.clamp(coordinate / CELL, -1.0e8, 1.0e8))) - center + HALF, -ROOM, SIZE - 1 + ROOM)
+
+
+@wp.func
+def next_step(
+    x: int,
+    y: int,
+    before: int,
+    goal: int,
+    center: wp.vec2i,
+    fence: wp.vec4i,
+    levels: wp.array[wp.uint8],
+    costs: wp.array[int],
+):
+    """Returns the step of a cheapest path from a cell: of equally cheap ones that which goes on ahead, or the first."""
+    best = int(UNKNOWN_COST)
+    chosen = int(0)
+    for step in range(8):
+        offset = neighbor(step)
+        to_x = x + offset[0]
+        to_y = y + offset[1]
+        if to_x >= 0 and to_y >= 0 and to_x < SIZE and to_y < SIZE:
+            weight = weight_of(to_x, to_y, goal, center, fence, levels)
+            known = costs[to_y * SIZE + to_x]
+            if weight > 0 and known < UNKNOWN_COST:
+                cost = known + step_length(step) * weight
+                if cost < best or (cost == best and step == before):
+                    best = cost
+                    chosen = step
+    return chosen
+
+
+@wp.func
+def is_open(from_x: int, from_y: int, to_x: int, to_y: int, least: int, center: wp.vec2i, levels: wp.array[wp.uint8]):
+    """Returns whether all cells between two cells of the window have at least the level ``least``."""
+    count = wp.max(wp.abs(to_x - from_x), wp.abs(to_y - from_y))
+    free = bool(True)
+    for n in range(1, count):
+        part = float(n) / float(count)
+        x = from_x + int(wp.floor(part * float(to_x - from_x) + 0.5))
+        y = from_y + int(wp.floor(part * float(to_y - from_y) + 0.5))
+        if int(levels[address(x + center[0] - HALF, y + center[1] - HALF)]) < least:
+            free = False
+    return free
+
+
+@wp.func
+def find_corners(
+    goal: int,
+    center: wp.vec2i,
+    fence: wp.vec4i,
+    levels: wp.array[wp.uint8],
+    costs: wp.array[int],
+    corners: wp.array2d[float],
+):
+    """Finds up to two corners of the cheapest path by string pulling, and returns their number.
+
+    A corner is the last cell of the path up to which the straight line from the corner before, first from the rover, is
+    as far from obstacles as the path itself.
+    """
+    x = int(HALF)
+    y = int(HALF)
+    start_x = int(HALF)
+    start_y = int(HALF)
+    # Number of cells since the last corner, and their lowest level.
+    walked = int(0)
+    least = int(OPEN)
+    found = int(0)
+    step = int(-1)
+    n = int(0)
+    while n < LONGEST and found < 2 and y * SIZE + x != goal:
+        step = next_step(x, y, step, goal, center, fence, levels, costs)
+        offset = neighbor(step)
+        level = int(levels[address(x + offset[0] + center[0] - HALF, y + offset[1] + center[1] - HALF)])
+        least = wp.min(least, level)
+        if walked >= NEAREST and not is_open(start_x, start_y, x + offset[0], y + offset[1], least, center, levels):
+            corners[found, 0] = (float(x + center[0] - HALF) + 0.5) * CELL
+            corners[found, 1] = (float(y + center[1] - HALF) + 0.5) * CELL
+            found += 1
+            start_x = x
+            start_y = y
+            walked = 0
+            least = level
+        x += offset[0]
+        y += offset[1]
+        walked += 1
+        n += 1
+    return found
+
+
+@wp.kernel
+def plan_routes(
+    goals: wp.array2d[float],
+    bounds: wp.array2d[float],
+    planned: wp.array[wp.bool],
+    centers: wp.array[wp.vec2i],
+    levels: wp.array2d[wp.uint8],
+    costs: wp.array2d[int],
+    heads: wp.array2d[int],
+    following: wp.array2d[int],
+    preceding: wp.array2d[int],
+    corners: wp.array3d[float],
+    lengths: wp.array[float],
+    first: int,
+    last: int,
+):
+    """Plans the route from each rover to its goal; thread ``t`` does every T-th row from ``first + t`` on.
+
+    Args:
+        goals: x and y of the goals, ``[N, 2]``, m.
+        bounds: lower x and y and upper x and y of the area that routes stay in, ``[N, 4]``, m.
+        planned: rows to plan for, ``[N]``. The results of others do not change.
+        centers: cells in the middle of the windows.
+        levels: level of each cell: see :func:`add_scans`.
+        costs: working memory, ``[T, SIZE * SIZE]``.
+        heads: working memory, ``[T, BUCKETS]``.
+        following: working memory, ``[T, SIZE * SIZE]``.
+        preceding: working memory, ``[T, SIZE * SIZE]``.
+        corners: results: x and y of the first two corners, ``[N, 2, 2]``, m; the goal if there are fewer, or no path.
+        lengths: results: cost of the route, as the length of an open route of that cost, m; -1 if there is no path.
+            ``[N]``.
+        first: first row.
+        last: row after the last one.
+    """
+    t = wp.tid()
+    for i in range(first + t, last, costs.shape[0]):
+        if planned[i]:
+            center = centers[i]
+            # A goal outside of the window counts as at its edge.
+            column = wp.clamp(cell_of(goals[i, 0]) - center[0] + HALF, 0, SIZE - 1)
+            row = wp.clamp(cell_of(goals[i, 1]) - center[1] + HALF, 0, SIZE - 1)
+            goal = row * SIZE + column
+            # The rover's center needs some room to the bounds, which may be infinite.
+            fence = wp.vec4i(
+                edge(bounds[i, 0], center[0]) + ROOM,
+                edge(bounds[i, 1], center[1]) + ROOM,
+                edge(bounds[i, 2], center[0]) - ROOM,
+                edge(bounds[i, 3], center[1]) - ROOM,
+            )
+            spread(goal, center, fence, levels[i], costs[t], heads[t], following[t], preceding[t])
+            total = costs[t, HALF * SIZE + HALF]
+            lengths[i] = -1.0
+            found = int(0)
+            if total < UNKNOWN_COST:
+                lengths[i] = float(total) * CELL / float(OPEN_WEIGHT * STRAIGHT)
+                found = find_corners(goal, center, fence, levels[i], costs[t], corners[i])
+            for k in range(found, 2):
+                # The last corner is the goal itself.
+                corners[i, k, 0] = goals[i, 0]
+                corners[i, k, 1] = goals[i, 1]

@@ -1,0 +1,163 @@
+"""Exported policies that read the route: their files hold the map, the planner and the network."""
+
+from __future__ import annotations
+
+import pickle
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from rover_rl.algos.config import training_config
+from rover_rl.algos.deploy import export as exporting
+from rover_rl.algos.deploy.export import OnnxPolicy, export, onnx_function, program_function
+from rover_rl.algos.deploy.trial_inputs import drive_observations
+from rover_rl.algos.evaluation.episodes import stored_episodes
+from rover_rl.algos.evaluation.evaluate import evaluate
+from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
+from rover_rl.algos.policy.runner import PolicyRunner
+from rover_rl.cli import main
+from rover_rl.envs.seen_map.seen_map import BOUNDS
+from rover_rl.sims.robots import get_robot
+
+pytestmark = pytest.mark.skipif(
+    any(find_spec(name) is None for name in ("onnxscript", "onnxruntime")), reason="needs rover_rl[onnx]"
+)
+CELLS = 128 * 128
+UNITS = 12
+DECISIONS = 30
+
+
+def routed_checkpoint(memory: str) -> Checkpoint:
+    """A checkpoint of a small network with random weights that reads the route; without memory, it adds to a driver."""
+    prior = "route" if memory == "none" else "none"
+    keys = ("lidar", "imu", "target", "route") if memory == "none" else ("lidar", "target", "route")
+    network = {"observation": keys, "hidden": (16, 8), "memory": memory, "memory_size": UNITS, "prior": prior}
+    torch.manual_seed(0)
+    follower = get_robot("rover_zero") if memory == "none" else None
+    actor = make_actor(ObservationEncoder(keys), (16, 8), memory=memory, memory_size=UNITS, follower=follower)
+    # Enlarged, so that its actions differ, and with a preference for driving ahead.
+    weights = {name: weight * 2.0 for name, weight in actor.state_dict().items()}
+    (last,) = (name for name, weight in weights.items() if weight.shape == (4,))
+    weights[last] = torch.tensor([0.8, 0.0, 0.0, 0.0])
+    return Checkpoint(config=training_config("ppo", world="maze", **network), steps=100, actor=weights)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Holds a recurrent policy, exported to ONNX by the command, and one without memory, exported to a program."""
+    folder = tmp_path_factory.mktemp("routed")
+    (folder / "gru").mkdir()
+    routed_checkpoint("gru").save(folder / "gru" / "checkpoint.pt")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(exporting, "CHECKED_DRIVE", DECISIONS)
+        assert main(["export", str(folder / "gru"), "--out", str(folder / "gru.onnx")]) == 0
+        assert export(routed_checkpoint("none"), folder / "none.pt2", "torch") <= exporting.TOLERANCE
+    return folder
+
+
+def drive(memory: str) -> list[TensorDict]:
+    """The observations of a drive, as a batch of one row each."""
+    return list(TensorDict(drive_observations(routed_checkpoint(memory), DECISIONS), [DECISIONS]).split(1))
+
+
+def actions_of(policy, observations: list[TensorDict]) -> Tensor:
+    """The actions in an episode."""
+    runner = PolicyRunner(policy, action_repeat=1)
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        return torch.cat([runner(observation) for observation in observations])
+
+
+def assert_same(actions: Tensor, expected: Tensor) -> None:
+    """Checks that 99 % of the actions are equal, and that they differ from one another."""
+    assert ((actions - expected).abs().amax(-1) <= 1e-4).float().mean() >= 0.99
+    assert (expected.std(0) > 0.003).all()
+
+
+def test_the_file_reads_what_the_network_and_the_map_read(folder):
+    import onnxruntime
+
+    session = onnxruntime.InferenceSession(str(folder / "gru.onnx"))
+    inputs = {entry.name: entry.shape for entry in session.get_inputs()}
+    state = [1, 2 + CELLS + UNITS]
+    sizes = {"lidar": [1, 32], "target": [1, 2], "pose": [1, 3], "imu": [1, 3], "bounds": [1, 4]}
+    assert inputs == {"state_in": state, **sizes}
+    assert {entry.name: entry.shape for entry in session.get_outputs()} == {"action": [1, 2], "state_out": state}
+    policy = OnnxPolicy(folder / "gru.onnx")
+    assert policy.in_keys == [*sizes, "memory", "is_init"]
+
+
+def test_an_exported_policy_acts_as_the_original_over_an_episode(folder):
+    observations = drive("gru")
+    expected = actions_of(routed_checkpoint("gru").make_actor(), observations)
+    policy = pickle.loads(pickle.dumps(OnnxPolicy(folder / "gru.onnx")))
+    assert_same(actions_of(policy, observations), expected)
+
+
+def test_a_program_acts_as_the_original_over_an_episode(folder):
+    observations, act, state = drive("none")[:10], program_function(folder / "none.pt2"), torch.zeros(1, 2 + CELLS)
+    actions = []
+    for observation in observations:
+        action, state = act({**observation, "state_in": state})
+        actions.append(action)
+    assert_same(torch.cat(actions), actions_of(routed_checkpoint("none").make_actor(), observations))
+    observations[0][BOUNDS][0, 2] = torch.inf
+    with pytest.raises(ValueError, match="observation 'bounds' holds NaN or infinity"):
+        act({**observations[0], "state_in": state})
+
+
+def test_the_state_holds_the_map_and_is_cleared_row_by_row(folder):
+    policy, observations = OnnxPolicy(folder / "gru.onnx"), drive("gru")[:6]
+    runner = PolicyRunner(policy, action_repeat=1)
+    for observation in observations:
+        action = runner(torch.cat([observation, observation]))
+    assert torch.equal(action[0], action[1])
+    runner.reset(torch.tensor([False, True]))
+    after = runner(torch.cat([observations[0], observations[0]]))
+    assert torch.equal(after[1:], PolicyRunner(policy)(observations[0]))
+    assert not torch.allclose(after[0], after[1], atol=1e-3)
+    _, state = onnx_function(folder / "gru.onnx")({**observations[0], "state_in": torch.zeros(1, 2 + CELLS + UNITS)})
+    center, cells, memory = state.split((2, CELLS, UNITS), -1)
+    assert torch.equal(center, (observations[0]["pose"][:, :2] / 0.15).floor())
+    assert 10 < cells.count_nonzero() < 1000
+    assert memory.abs().max() > 0
+
+
+def test_routes_stay_in_the_bounds(folder):
+    policy, observation = OnnxPolicy(folder / "gru.onnx"), drive("gru")[0].exclude(BOUNDS)
+    # The goal is outside.
+    narrow = observation.clone().set(
+        BOUNDS, observation["pose"][:, [0, 1, 0, 1]] + torch.tensor([-1.0, -1.0, 1.0, 1.0])
+    )
+    actor = routed_checkpoint("gru").make_actor()
+    without, within = (
+        torch.cat([actions_of(each, [seen]) for each in (policy, actor)]) for seen in (observation, narrow)
+    )
+    torch.testing.assert_close(without[0], without[1], atol=1e-4, rtol=0)
+    torch.testing.assert_close(within[0], within[1], atol=1e-4, rtol=0)
+    assert (without[0] - within[0]).abs().max() > 1e-3
+
+
+def test_it_drives_as_the_original_in_a_maze(folder):
+    episodes = stored_episodes("maze").first(3)
+    policies = (routed_checkpoint("gru").make_actor(), OnnxPolicy(folder / "gru.onnx"))
+    # Fewer rows than episodes, whose map is cleared when the next one begins.
+    ours, theirs = (evaluate(policy, episodes, seconds=2.0, rows=2) for policy in policies)
+    assert ours.action_repeat == theirs.action_repeat == 4
+    assert ours.endings == theirs.endings
+    for one, other in zip(ours.trajectories, theirs.trajectories, strict=True):
+        torch.testing.assert_close(one.position, other.position, atol=1e-3, rtol=0)
+        assert (one.position[-1] - one.position[0]).norm() > 0.1
+
+
+def test_a_damaged_file_is_refused(folder, tmp_path):
+    data, path = (folder / "gru.onnx").read_bytes(), tmp_path / "half.onnx"
+    for damaged in (data[: len(data) // 2], data[:5000] + b"\x07" + data[5001:]):
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"half\.onnx is (damaged|no ONNX policy)"):
+            OnnxPolicy(path)

@@ -1,0 +1,43 @@
+"""One table names the baselines: the command line, its help, its errors and the docs agree with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rover_rl import EnvConfig, RoverEnv
+from rover_rl.algos.policy.names import BASELINES, make_baseline
+from rover_rl.algos.policy.runner import PolicyRunner
+from rover_rl.cli import main
+from rover_rl.cli.policies import LIVE_POLICY, NO_POLICY, ONE_POLICY, SEVERAL_POLICIES, resolve_policy
+
+DOCS = Path(__file__).parents[3] / "docs"
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_a_baseline_is_found_by_its_name_and_drives(name: str) -> None:
+    policy = resolve_policy(name, ("maze",), "rover_zero").module
+    assert type(policy) is type(make_baseline(name))
+    assert policy is not None
+    lidar = getattr(policy, "made_for", EnvConfig()).lidar
+    env = RoverEnv(world_n="maze", num_envs=2, lidar_points=lidar.points, backend="warp")
+    assert PolicyRunner(policy, env=env)(env.reset()).shape == (2, 2)
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_help_errors_and_docs_name_it(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    for text in (ONE_POLICY, SEVERAL_POLICIES, LIVE_POLICY, NO_POLICY):
+        assert name in text
+    with pytest.raises(SystemExit):
+        main(["evaluate", "--help"])
+    assert name in capsys.readouterr().out
+    for page in ("evaluation.md", "external_benchmarks.md"):
+        assert f"`{name}`" in (DOCS / page).read_text()
+
+
+def test_unknown_baselines_and_robots_are_refused() -> None:
+    with pytest.raises(ValueError, match="unknown baseline 'dwb'; use one of"):
+        make_baseline("dwb")
+    with pytest.raises(ValueError, match="unknown robot 'tank'"):
+        make_baseline("dwa", "tank")

@@ -1,0 +1,327 @@
+"""Maps of what the lidar has seen, and the routes on them, in worlds of walls that are drawn by hand."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tensordict import TensorDict
+from torch import Tensor
+
+from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.seen_map.seen_map import SeenMap
+from rover_rl.sims.robots import Robot, get_robot
+
+LIDAR = LidarConfig(points=128, beams=128)
+CENTERED = replace(get_robot("rover_zero"), lidar_position=(0.0, 0.0, 0.3))
+CELL = 0.15
+Wall = tuple[float, float, float, float]
+"""Ends x, y, x, y of a wall, m."""
+U_SHAPE: tuple[Wall, ...] = ((2.0, -2.0, 2.0, 2.0), (-1.0, 2.0, 2.0, 2.0), (-1.0, -2.0, 2.0, -2.0))
+"""A dead end that opens to -x."""
+
+
+def ranges(position: tuple[float, float], yaw: float, walls: tuple[Wall, ...], points: int = 128) -> Tensor:
+    """Readings of a lidar, by intersecting each beam with each wall."""
+    angles = yaw + torch.arange(points, dtype=torch.float64) * (2 * math.pi / points)
+    beams = torch.stack((angles.cos(), angles.sin()), -1)
+    readings = torch.full((points,), LIDAR.max_range, dtype=torch.float64)
+    for x0, y0, x1, y1 in walls:
+        first = torch.tensor((x0 - position[0], y0 - position[1]), dtype=torch.float64)
+        along = torch.tensor((x1 - x0, y1 - y0), dtype=torch.float64)
+        across = beams[:, 0] * along[1] - beams[:, 1] * along[0]
+        distance = (first[0] * along[1] - first[1] * along[0]) / across
+        share = (first[0] * beams[:, 1] - first[1] * beams[:, 0]) / across
+        hit = (distance > 0) & (share >= 0) & (share <= 1)
+        readings = torch.where(hit, torch.minimum(readings, distance), readings)
+    return readings.float()
+
+
+def observed(
+    position: tuple[float, float],
+    goal: tuple[float, float],
+    walls: tuple[Wall, ...] = (),
+    yaw: float = 0.0,
+    pitch: float = 0.0,
+) -> TensorDict:
+    """The observation of one rover."""
+    offset = goal[0] - position[0], goal[1] - position[1]
+    bearing = math.remainder(math.atan2(offset[1], offset[0]) - yaw, 2 * math.pi)
+    entries = {
+        "lidar": ranges(position, yaw, walls)[None],
+        "pose": torch.tensor([[*position, 0.0]]),
+        "imu": torch.tensor([[pitch, 0.0, yaw]]),
+        "target": torch.tensor([[math.hypot(*offset), bearing]]),
+    }
+    return TensorDict(entries, batch_size=[1])
+
+
+def one_map(robot: str | Robot = CENTERED) -> SeenMap:
+    return SeenMap(1, LIDAR, robot)
+
+
+def is_occupied(seen: SeenMap, x: float, y: float) -> bool:
+    return level_at(seen, x, y) == 0
+
+
+def level_at(seen: SeenMap, x: float, y: float) -> int:
+    levels, origin = seen.levels()
+    column, row = ((value - low) / CELL for value, low in zip((x, y), origin[0].tolist(), strict=True))
+    return int(levels[0, math.floor(row), math.floor(column)])
+
+
+# -----------------------------------------------------------------------------------------------------------
+# Routes
+
+
+def test_without_obstacles_the_route_leads_straight_to_the_goal() -> None:
+    route = one_map()(observed((0.0, 0.0), (3.0, 4.0), yaw=0.4))[0]
+    bearing = math.atan2(4.0, 3.0) - 0.4
+    torch.testing.assert_close(route[:4], torch.tensor([5.0, bearing, 5.0, bearing]))
+    # Steps in eight directions are at most 8 % longer than the straight line, and a cell is 0.15 m.
+    assert 5.0 - 0.3 < route[4] < 5.0 * 1.083 + 0.3
+
+
+def test_a_route_leads_around_a_wall() -> None:
+    walls = ((2.0, -3.0, 2.0, 1.0),)
+    distance, angle, _, _, length = one_map()(observed((0.0, 0.0), (4.0, 0.0), walls))[0].tolist()
+    corner = distance * math.cos(angle), distance * math.sin(angle)
+    # Around its left end, which is nearer than the right one.
+    assert 1.4 < corner[0] < 2.6
+    assert 1.1 < corner[1] < 2.2
+    assert length > 2 * math.hypot(2.0, 1.0)
+
+
+def test_a_route_leads_out_of_a_dead_end_that_has_been_seen() -> None:
+    seen = one_map()
+    distance, angle, *_ = seen(observed((0.0, 0.0), (4.0, 0.0), U_SHAPE))[0].tolist()
+    assert abs(angle) > math.pi / 2, "it goes back"
+    assert distance * math.cos(angle) < -1.0, "as far as the opening"
+
+
+def test_what_is_behind_the_rover_is_remembered() -> None:
+    short = LidarConfig(points=128, beams=128, max_range=3.5)
+    seen, fresh = SeenMap(1, short, CENTERED), SeenMap(1, short, CENTERED)
+    inside, outside = (observed((x, 0.0), (4.0, 0.0), U_SHAPE) for x in (0.0, -3.0))
+    outside["lidar"] = outside["lidar"].clamp(max=3.5)
+    seen(inside)
+    remembered, unknown = seen(outside)[0], fresh(outside)[0]
+    assert unknown[1].abs() < 0.1, "into the dead end, whose end is out of sight"
+    assert remembered[1].abs() > 0.5, "around it"
+    assert remembered[4] > unknown[4] + 0.3
+
+
+def test_a_gap_of_070_m_is_open_and_one_of_050_m_is_not() -> None:
+    def length(gap: float) -> float:
+        walls = ((1.5, -4.0, 1.5, -gap / 2), (1.5, gap / 2, 1.5, 4.0), (-3.0, -4.0, -3.0, 4.0))
+        walls += ((-3.0, 4.0, 1.5, 4.0), (-3.0, -4.0, 1.5, -4.0))
+        seen = one_map()
+        # From two places, so that the ends of the walls are seen.
+        seen(observed((0.0, 0.0), (3.0, 0.0), walls))
+        return float(seen(observed((0.5, 0.0), (3.0, 0.0), walls))[0, 4])
+
+    assert 0 < length(0.7) < 10.0
+    assert length(0.5) == -1.0, "the room is closed"
+
+
+def test_a_route_stays_in_bounds() -> None:
+    walls = ((2.0, -3.0, 2.0, 1.0),)
+    observation = observed((0.0, 0.0), (4.0, 0.0), walls)
+    # The shorter way around, to the left, leads out of the bounds.
+    angle = one_map()(observation, bounds=torch.tensor([[-1.0, -5.0, 6.0, 1.3]]))[0, 1]
+    assert angle < -0.5
+    assert one_map()(observation, bounds=torch.tensor([[-1.0, -5.0, 6.0, 5.0]]))[0, 1] > 0.3
+
+
+def test_a_route_avoids_ground_on_which_the_rover_tilted() -> None:
+    seen = one_map()
+    # Nose up by 30 degrees: the lidar sees nothing, but the goal is uphill.
+    for _ in range(3):
+        route = seen(observed((0.0, 0.0), (4.0, 0.0), pitch=-math.radians(30)))[0]
+    assert is_occupied(seen, 0.5, 0.0)
+    assert abs(float(route[1])) > 0.3
+    gentle = one_map()
+    assert abs(float(gentle(observed((0.0, 0.0), (4.0, 0.0), pitch=-math.radians(20)))[0, 1])) < 1e-6
+
+
+def test_a_goal_beyond_the_window_leads_towards_its_edge() -> None:
+    route = one_map()(observed((0.0, 0.0), (30.0, 0.0)))[0]
+    torch.testing.assert_close(route[:2], torch.tensor([30.0, 0.0]))
+    assert 9.0 < route[4] < 11.0
+
+
+# -----------------------------------------------------------------------------------------------------------
+# The map
+
+
+def test_the_ends_of_beams_are_occupied() -> None:
+    seen = one_map()
+    seen(observed((0.0, 0.0), (4.0, 0.0), ((2.02, -1.0, 2.02, 1.0),)))
+    assert all(is_occupied(seen, 2.02, y) for y in (-0.9, -0.5, 0.0, 0.5, 0.9))
+    assert not any(is_occupied(seen, x, 0.0) for x in (0.5, 1.0, 1.7, 2.5))
+
+
+def test_the_lidar_is_where_the_robot_carries_it() -> None:
+    robot = replace(CENTERED, lidar_position=(0.3, -0.2, 0.3))
+    seen = SeenMap(1, LIDAR, robot)
+    # Facing +y, the lidar is at (0.2, 0.3).
+    observation = observed((0.2, 0.3), (4.0, 0.0), ((-1.0, 2.02, 1.0, 2.02),), yaw=math.pi / 2)
+    observation["pose"] = torch.zeros(1, 3)
+    seen(observation)
+    assert is_occupied(seen, 0.2, 2.02)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(0.8, 3.0), st.floats(0.0, 2 * math.pi))
+def test_levels_tell_how_far_a_wall_is_from_the_middle_of_a_cell(distance: float, direction: float) -> None:
+    """A long wall, perpendicular to a direction.
+
+    A box holds the ends of beams in a cell to 1 cm. Its corner can be half of a cell's diagonal in front of the wall.
+    """
+    normal = torch.tensor((math.cos(direction), math.sin(direction)))
+    along = torch.stack((-normal[1], normal[0]))
+    ends = torch.cat((distance * normal - 5 * along, distance * normal + 5 * along)).tolist()
+    seen = one_map()
+    seen(observed((0.0, 0.0), (0.1, 0.0), (tuple(ends),)))
+    for share in torch.arange(0.0, distance, 0.1).tolist():
+        x, y = (math.floor(value / CELL) * CELL for value in (share * normal).tolist())
+        gap = distance - float(torch.tensor((x + CELL / 2, y + CELL / 2)) @ normal)
+        level = level_at(seen, x + CELL / 2, y + CELL / 2)
+        # Half of the width is 0.225 m: it does not fit below 0.235, hardly below 0.3, and should be slow below 0.45 m.
+        least = next(k for k, limit in enumerate((-1.0, 0.235, 0.3, 0.45, math.inf)) if gap - 0.13 < limit)
+        most = next(k for k, limit in enumerate((-1.0, 0.235, 0.3, 0.45, math.inf)) if gap + 0.05 < limit)
+        assert least <= level <= most or level == 0, (gap, level)
+
+
+def test_beams_clear_what_is_gone() -> None:
+    seen = one_map()
+    wall = ((1.5, -0.3, 1.5, 0.3),)
+    seen(observed((0.0, 0.0), (4.0, 0.0), wall))
+    assert is_occupied(seen, 1.5, 0.0)
+    for _ in range(12):
+        seen(observed((0.0, 0.0), (4.0, 0.0)))
+    assert not is_occupied(seen, 1.5, 0.0)
+    assert seen(observed((0.0, 0.0), (4.0, 0.0)))[0, 4] == one_map()(observed((0.0, 0.0), (4.0, 0.0)))[0, 4]
+
+
+def test_beams_that_point_to_the_ground_mark_nothing() -> None:
+    wall = ((3.0, -1.0, 3.0, 1.0),)
+    for pitch, marked in ((0.0, True), (0.05, True), (0.1, False), (-0.1, True)):
+        seen = one_map()
+        seen(observed((0.0, 0.0), (4.0, 0.0), wall, pitch=pitch))
+        assert is_occupied(seen, 3.0 * math.cos(pitch), 0.0) == marked, pitch
+
+
+def test_an_episode_that_begins_clears_its_map() -> None:
+    seen = one_map()
+    seen(observed((0.0, 0.0), (4.0, 0.0), U_SHAPE))
+    fresh = observed((0.0, 0.0), (4.0, 0.0))
+    assert torch.equal(seen(fresh, renewed=torch.tensor([True])), one_map()(fresh))
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(-40.0, 40.0), st.floats(-40.0, 40.0))
+def test_the_window_moves_with_the_rover(x: float, y: float) -> None:
+    """What leaves it is forgotten, and what stays is kept."""
+    seen = one_map()
+    seen(observed((0.0, 0.0), (0.0, 0.0), U_SHAPE))
+    before, first = (part.clone() for part in seen.levels())
+    # Beams of length 0 clear nothing, and mark the cell of the lidar.
+    blind = observed((x, y), (x, y))
+    seen(blind.set("lidar", torch.zeros(1, 128)))
+    after, second = seen.levels()
+    shift = ((second - first)[0] / CELL).round().long().tolist()
+    size = before.shape[-1]
+    before, after = before == 0, after == 0
+    expected = torch.zeros_like(before)
+    if max(map(abs, shift)) < size:
+        old = [slice(max(0, by), size + min(0, by)) for by in shift]
+        new = [slice(max(0, -by), size + min(0, -by)) for by in shift]
+        expected[:, new[1], new[0]] = before[:, old[1], old[0]]
+    expected[0, size // 2, size // 2] = True
+    assert torch.equal(after, expected)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 8])
+def test_rows_are_independent(threads: int) -> None:
+    places = [((0.0, 0.0), U_SHAPE), ((1.0, 1.0), ((2.0, -3.0, 2.0, 1.0),)), ((-3.0, 0.5), ())]
+    scans = [observed(place, (4.0, 0.0), walls, yaw=0.3) for place, walls in places]
+    together = SeenMap(3, LIDAR, CENTERED, threads=threads)
+    for _ in range(3):
+        batch = together(torch.cat(scans))
+    for row, scan in enumerate(scans):
+        alone = one_map()
+        for _ in range(3):
+            route = alone(scan)
+        assert torch.equal(batch[row], route[0])
+
+
+def test_rows_that_are_not_added_keep_their_maps() -> None:
+    scans = torch.cat([observed((0.0, 0.0), (4.0, 0.0), U_SHAPE)] * 2)
+    empty = torch.cat([observed((0.0, 0.0), (4.0, 0.0))] * 2)
+    seen = SeenMap(2, LIDAR, CENTERED)
+    first = seen(scans)
+    second = seen(empty, torch.tensor([False, True]))
+    assert torch.equal(second[0], first[0])
+    assert (seen.levels()[0][1] == 0).sum() < (seen.levels()[0][0] == 0).sum()
+
+
+def test_a_lidar_far_from_the_center_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"at most 0\.45 m"):
+        SeenMap(1, LIDAR, replace(CENTERED, lidar_position=(0.6, 0.0, 0.3)))
+
+
+# -----------------------------------------------------------------------------------------------------------
+# The costs, against an implementation of its own
+
+
+def cheapest(levels: Tensor, goal: tuple[int, int]) -> float:
+    """Length of the cheapest route from the middle of a window to a cell, by Dijkstra's algorithm with a heap."""
+    size = len(levels)
+    column, row = goal
+    home = (size // 2, size // 2)
+    beside = torch.zeros(levels.shape, dtype=torch.bool)
+    for y, x in ((row, column), home):
+        beside[max(0, y - 4) : y + 5, max(0, x - 4) : x + 5] = True
+    weight = torch.tensor([0, 0, 6, 3, 2])[levels.long()]
+    weight[(levels == 1) & beside] = 40
+    if levels[row, column] == 0:
+        weight[row, column] = 2
+    weights = weight.tolist()
+    costs, queue = {(row, column): 0}, [(0, (row, column))]
+    while queue:
+        cost, (row, column) = heapq.heappop(queue)
+        if (row, column) == home:
+            return cost * CELL / 10
+        if cost > costs[row, column]:
+            continue
+        for dy in (-1, 0, 1):
+            for dx in (-1, 0, 1):
+                to = row + dy, column + dx
+                inside = 0 <= to[0] < size and 0 <= to[1] < size
+                if inside and (weights[to[0]][to[1]] > 0 or to == home):
+                    total = cost + (7 if dx and dy else 5) * weights[row][column]
+                    if total < costs.get(to, 1 << 30):
+                        costs[to] = total
+                        heapq.heappush(queue, (total, to))
+    return -1.0
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 2**31))
+def test_the_length_is_that_of_the_cheapest_route(seed: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    draw = (torch.rand(20, 4, generator=generator) * 12 - 6).tolist()
+    walls = tuple((x, y, x + (a / 3), y + (b / 3)) for x, y, a, b in draw)
+    goal = tuple((torch.rand(2, generator=generator) * 12 - 6).tolist())
+    seen = one_map()
+    for position in ((0.3, 0.3), (0.0, 0.0)):
+        route = seen(observed(position, goal, walls))[0]
+    levels, origin = seen.levels()
+    cell = tuple(math.floor((value - low) / CELL + 1e-6) for value, low in zip(goal, origin[0].tolist(), strict=True))
+    assert float(route[4]) == pytest.approx(cheapest(levels[0], cell), abs=1e-4)
