@@ -106,27 +106,6 @@ class PrivilegedExpert:
         return self._angles[length.argmin(-1, keepdim=True)]
 
 
-<<<<<<< HEAD
-def _drive_on_slope(turn: Tensor, rate: Tensor, lidar: Tensor) -> Tensor:
-    """Returns the actions of a rover on a slope, where it slides while it turns on the spot.
-
-    Args:
-        turn: angle to the direction of the path, ``[M, 1]``, rad.
-        rate: yaw rate from wheel odometry, ``[M, 1]``, rad/s.
-        lidar: lidar readings, ``[M, points]``, m.
-
-    Returns:
-        Forward speed (m/s) and heading offset (rad), ``[M, 2]``.
-    """
-    overshoot = OVERSHOOT * rate * rate.abs()
-    speed, offset = drive_towards(turn - overshoot, lidar).split(1, -1)
-    tail = wrap_angle(turn + math.pi)
-    creep, most = SLOPE_SPEED
-    speed = torch.where(turn.abs() > SHARP, speed.clamp(max=creep), speed)
-    speed = torch.where(turn.abs() > BACKWARD, -most * tail.cos(), speed)
-    offset = torch.where(turn.abs() > BACKWARD, 2 * (tail - overshoot), offset)
-    return torch.cat((speed, offset.clamp(-MAX_OFFSET, MAX_OFFSET)), -1)
-=======
 class MapExpert(TensorDictModuleBase):
     """The :class:`PrivilegedExpert` as a policy: what is possible with the map of the world.
 
@@ -146,7 +125,7 @@ class MapExpert(TensorDictModuleBase):
         super().__init__()
         get_robot(robot)
         self.made_for = EnvConfig(robot=robot)
-        self.in_keys = ["pose", "imu", "target", "lidar", "outcome"]
+        self.in_keys = ["pose", "imu", "target", "lidar", "velocities", "outcome"]
         self.out_keys = ["action"]
         self._expert: PrivilegedExpert | None = None
 
@@ -167,7 +146,27 @@ class MapExpert(TensorDictModuleBase):
         if self._expert is None:
             raise RuntimeError("the expert knows no map: drive it with PolicyRunner(policy, env=env)")
         return tensordict.set("action", self._expert.action(tensordict))
->>>>>>> main
+
+
+def _drive_on_slope(turn: Tensor, rate: Tensor, lidar: Tensor) -> Tensor:
+    """Returns the actions of a rover on a slope, where it slides while it turns on the spot.
+
+    Args:
+        turn: angle to the direction of the path, ``[M, 1]``, rad.
+        rate: yaw rate from wheel odometry, ``[M, 1]``, rad/s.
+        lidar: lidar readings, ``[M, points]``, m.
+
+    Returns:
+        Forward speed (m/s) and heading offset (rad), ``[M, 2]``.
+    """
+    overshoot = OVERSHOOT * rate * rate.abs()
+    speed, offset = drive_towards(turn - overshoot, lidar).split(1, -1)
+    tail = wrap_angle(turn + math.pi)
+    creep, most = SLOPE_SPEED
+    speed = torch.where(turn.abs() > SHARP, speed.clamp(max=creep), speed)
+    speed = torch.where(turn.abs() > BACKWARD, -most * tail.cos(), speed)
+    offset = torch.where(turn.abs() > BACKWARD, 2 * (tail - overshoot), offset)
+    return torch.cat((speed, offset.clamp(-MAX_OFFSET, MAX_OFFSET)), -1)
 
 
 def _pass_through(turn: Tensor) -> Tensor:

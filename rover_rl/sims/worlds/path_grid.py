@@ -24,13 +24,8 @@ from rover_rl.sims.worlds.world import World
 CAUTION_DISTANCE = 0.35
 """Distance from the edge of the roomy cells within which caution increases the path cost, m."""
 CAUTION_SLOPE = math.radians(12)
-<<<<<<< HEAD
 """Slope of the ground above which caution increases the path cost, rad. On steeper ground, gravity takes so much of the
 friction that a rover slides sideways and hardly turns."""
-=======
-"""Slope of the ground above which caution increases the path cost, rad. Steeper ground takes much of the friction of
-the wheels, so that a rover slides sideways and does not turn."""
->>>>>>> main
 SPAN = LONGEST * math.sqrt(2)
 """Distance within which all cells of a step lie, in cells."""
 MAX_CAUTION = 15.0

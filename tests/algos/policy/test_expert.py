@@ -79,7 +79,6 @@ def test_it_passes_a_gap_in_which_it_cannot_turn() -> None:
     assert reached.all()
 
 
-<<<<<<< HEAD
 def test_it_backs_down_a_slope() -> None:
     """While a rover turns around on a slope, it slides."""
     x = torch.arange(-6, 6.25, 0.25)
@@ -94,7 +93,9 @@ def test_it_backs_down_a_slope() -> None:
         assert (td["imu"][:, 2:][~reached].abs() < 1).all()
         td = env.step(td.set("action", expert.action(td)))["next"]
         reached |= td["outcome", "goal_reached"]
-=======
+    assert reached.all()
+
+
 def test_as_a_policy_it_reaches_goals_in_the_worlds_of_the_environment() -> None:
     with pytest.raises(RuntimeError, match="knows no map"):
         MapExpert()(make_env(world_n="maze", num_envs=1, backend="warp").reset())
@@ -104,5 +105,4 @@ def test_as_a_policy_it_reaches_goals_in_the_worlds_of_the_environment() -> None
     for _ in range(600):
         observation = env.step(observation.set("action", runner(observation)).set("_step", ~reached))["next"]
         reached |= observation["outcome", "goal_reached"].squeeze(-1)
->>>>>>> main
     assert reached.all()
