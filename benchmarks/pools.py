@@ -5,8 +5,8 @@
 Measures environments side by side, in turn: all rows in one maze, rows in many mazes for life, and rows that draw
 another maze for each episode. Prints the steps per second of each, and their ratio to all rows in one maze in the same
 round. As mazes differ, the latter is the mean over several of them. First prints the time that a world takes to
-prepare, its layout, its free space, and its copy on the device, and the memory of the process with many worlds. The
-cache of free space is empty at first.
+prepare, its layout, its free space, and its copy on the device, when nothing is on disk and when all is, and the memory
+of the process with many worlds. The cache on disk is empty at first.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 import os
 import time
 from dataclasses import dataclass
+from itertools import pairwise, product
 from statistics import harmonic_mean, median
 from tempfile import TemporaryDirectory
 from unittest.mock import patch
@@ -26,11 +27,11 @@ from rich.table import Table
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
-from rover_rl import make_env
-from rover_rl.sims.robots import get_robot
+from rover_rl import RoverEnv, make_env
+from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.warp import WarpSettings
 from rover_rl.sims.warp.scene import SceneTable
-from rover_rl.sims.worlds import free_space, get_world
+from rover_rl.sims.worlds import _make_world, free_space, get_world
 from rover_rl.sims.worlds.pool import WorldPool
 
 
@@ -47,7 +48,7 @@ class Options:
     pool: str = "maze:*"
     """Mazes that episodes draw from."""
     warm: bool = False
-    """Whether the free space of all mazes of the pool is on disk at first, as after a long run. Takes minutes."""
+    """Whether all mazes of the pool are on disk at first, as after a long run. Takes minutes."""
     length: int = 400
     """Number of steps after which an episode ends."""
     settle: int = 200
@@ -66,23 +67,29 @@ class Options:
 
 def preparation(options: Options) -> Table:
     """Measures the processor time for preparing worlds."""
-    table = Table("generator", "layout", "free space", "copy", "all", title="Preparation of a world, median, ms")
+    table = Table("generator", "on disk", "layout", "free space", "copy", "all", title="Preparation of a world, ms")
     robot = get_robot("rover_zero")
-    scenes = SceneTable(1, 0.5, "cpu")
-    for name in options.generators:
-        times = []
-        # The first one compiles the kernels.
-        for seed in range(options.prepared + 1):
-            clock = [time.process_time()]
-            world = get_world(f"{name}:{5000 + seed}")
-            clock.append(time.process_time())
-            free_space(world, robot)
-            clock.append(time.process_time())
-            scenes[0] = world
-            clock.append(time.process_time())
-            times.append([1e3 * (b - a) for a, b in zip([*clock[:-1], clock[0]], [*clock[1:], clock[-1]], strict=True)])
-        table.add_row(name, *(f"{median(part):.1f}" for part in zip(*times[1:], strict=True)))
+    # The first world compiles the kernels.
+    _prepare("moon", robot, SceneTable(1, 0.5, "cpu"))
+    for name, stored in product(options.generators, ("", "yes")):
+        # In memory, a world is found by its name.
+        _make_world.cache_clear()
+        scenes = SceneTable(1, 0.5, "cpu")
+        times = [_prepare(f"{name}:{5000 + seed}", robot, scenes) for seed in range(options.prepared)]
+        table.add_row(name, stored, *(f"{median(part):.2f}" for part in zip(*times, strict=True)))
     return table
+
+
+def _prepare(name: str, robot: Robot, scenes: SceneTable) -> tuple[float, ...]:
+    """Prepares a world and returns the times for its layout, its free space, its copy, and all of them, ms."""
+    clock = [time.process_time()]
+    world = get_world(name)
+    clock.append(time.process_time())
+    free_space(world, robot)
+    clock.append(time.process_time())
+    scenes[0] = world
+    clock.append(time.process_time())
+    return tuple(1e3 * (end - begin) for begin, end in [*pairwise(clock), (clock[0], clock[-1])])
 
 
 def memory(options: Options) -> str:
@@ -97,10 +104,11 @@ def memory(options: Options) -> str:
 
 
 def warm_up(options: Options) -> None:
-    """Computes the free space of all mazes of the pool, which stays on disk."""
-    pool = WorldPool(options.pool)
-    for index in range(len(pool)):
-        free_space(get_world(pool.name(index)), get_robot("rover_zero"))
+    """Prepares all mazes of the pool, so that they are on disk."""
+    env = RoverEnv(world_n="maze", backend="warp")
+    for world in WorldPool(options.pool):
+        free_space(world, env.robot)
+        env.simulator.prepare_world(world)
 
 
 def speeds(options: Options) -> Table:

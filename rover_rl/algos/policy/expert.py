@@ -38,6 +38,20 @@ CREEP = 0.4
 """Speed in narrow passages, m/s."""
 ALIGNED = 0.3
 """Angle to the direction of a narrow passage at which the expert stands still to turn, rad."""
+SLOPE = math.radians(5)
+"""Tilt of the rover above which it drives as on a slope, where wheels slide, rad."""
+OVERSHOOT = 0.05
+"""Angle that the rover still turns while its wheels stop turning it, over the square of their yaw rate, s^2/rad. Their
+yaw rate decreases by 4 rad/s^2, and the body turns at 0.4 times that rate: 0.4 / (2 * 4)."""
+SHARP = math.radians(45)
+"""Angle to the direction above which the rover creeps on a slope, rad. At 0.5 m/s, the wheels of one side would rest
+while the others turn the rover as fast as they can, and it would stand still, as measured on slopes of 20 degrees."""
+BACKWARD = math.radians(120)
+"""Angle to the direction above which the rover drives backward on a slope, rad. While it turns around, it slides."""
+SLOPE_SPEED = (0.2, 0.5)
+"""Largest speed on a slope in sharp turns, and backward, m/s."""
+MAX_OFFSET = 3.0
+"""Largest heading offset on a slope, rad. With pi, the sign of the heading error would be random."""
 NEAR = 0.8
 """Distance to the goal below which the expert drives straight to it, m."""
 
@@ -46,8 +60,8 @@ class PrivilegedExpert:
     """Expert that follows the shortest free path, which it computes from the map and the pose.
 
     A policy without the map and the pose can imitate it: see ``imitation`` in
-    :class:`~rover_rl.algos.config.PPOConfig`. Observations must contain ``pose``, ``imu``, ``target``, ``lidar`` and
-    ``outcome``.
+    :class:`~rover_rl.algos.config.PPOConfig`. Observations must contain ``pose``, ``imu``, ``target``, ``lidar``,
+    ``velocities`` and ``outcome``.
 
     Args:
         worlds: worlds, by index. Usually ``RoverEnv.pool``.
@@ -63,16 +77,18 @@ class PrivilegedExpert:
     def action(self, observation: TensorDictBase) -> Tensor:
         """Returns actions ``[N, ..., 2]`` for observations ``[N, ...]``: forward speed (m/s), heading offset (rad)."""
         shape = observation.batch_size
-        rows = observation.select("pose", "imu", "target", "lidar", "outcome").flatten()
+        rows = observation.select("pose", "imu", "target", "lidar", "velocities", "outcome").flatten()
         position, fields = rows["pose"][:, :2], self._distances.fields(world_of(rows)[:, 0], goal_of(rows))
         direction = self._best_heading(fields, position, LOOK_AHEAD)
         distance, bearing = rows["target"].split(1, -1)
         ahead = torch.cat((direction.cos(), direction.sin()), -1)
         points = torch.stack([position, *(position + distance * ahead for distance in LOOK_AHEAD)], 1)
         narrow = self._distances.narrow(fields, points).any(-1, keepdim=True)
-        yaw = rows["imu"][:, 2:]
-        turn = wrap_angle(direction - yaw)
-        careful = drive_towards(torch.where(distance < NEAR, bearing, turn), rows["lidar"])
+        tilt, yaw = rows["imu"].split((2, 1), -1)
+        turn = torch.where(distance < NEAR, bearing, wrap_angle(direction - yaw))
+        careful = drive_towards(turn, rows["lidar"])
+        sloped = _drive_on_slope(turn, rows["velocities"][:, 1:], rows["lidar"])
+        careful = torch.where(tilt.norm(dim=-1, keepdim=True) > SLOPE, sloped, careful)
         through = _pass_through(wrap_angle(self._best_heading(fields, position, LOOK_AHEAD_NARROW) - yaw))
         return torch.where(narrow, through, careful).reshape(*shape, 2)
 
@@ -109,7 +125,7 @@ class MapExpert(TensorDictModuleBase):
         super().__init__()
         get_robot(robot)
         self.made_for = EnvConfig(robot=robot)
-        self.in_keys = ["pose", "imu", "target", "lidar", "outcome"]
+        self.in_keys = ["pose", "imu", "target", "lidar", "velocities", "outcome"]
         self.out_keys = ["action"]
         self._expert: PrivilegedExpert | None = None
 
@@ -130,6 +146,27 @@ class MapExpert(TensorDictModuleBase):
         if self._expert is None:
             raise RuntimeError("the expert knows no map: drive it with PolicyRunner(policy, env=env)")
         return tensordict.set("action", self._expert.action(tensordict))
+
+
+def _drive_on_slope(turn: Tensor, rate: Tensor, lidar: Tensor) -> Tensor:
+    """Returns the actions of a rover on a slope, where it slides while it turns on the spot.
+
+    Args:
+        turn: angle to the direction of the path, ``[M, 1]``, rad.
+        rate: yaw rate from wheel odometry, ``[M, 1]``, rad/s.
+        lidar: lidar readings, ``[M, points]``, m.
+
+    Returns:
+        Forward speed (m/s) and heading offset (rad), ``[M, 2]``.
+    """
+    overshoot = OVERSHOOT * rate * rate.abs()
+    speed, offset = drive_towards(turn - overshoot, lidar).split(1, -1)
+    tail = wrap_angle(turn + math.pi)
+    creep, most = SLOPE_SPEED
+    speed = torch.where(turn.abs() > SHARP, speed.clamp(max=creep), speed)
+    speed = torch.where(turn.abs() > BACKWARD, -most * tail.cos(), speed)
+    offset = torch.where(turn.abs() > BACKWARD, 2 * (tail - overshoot), offset)
+    return torch.cat((speed, offset.clamp(-MAX_OFFSET, MAX_OFFSET)), -1)
 
 
 def _pass_through(turn: Tensor) -> Tensor:

@@ -9,6 +9,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
+from scipy.ndimage import binary_opening
 from torch import Tensor
 
 from rover_rl.sims.robots import Robot
@@ -18,6 +19,7 @@ from rover_rl.sims.worlds.clearance import clearance_on_grid
 from rover_rl.sims.worlds.free_space_cache import load_free_space, store_free_space
 from rover_rl.sims.worlds.ground_limits import (
     CLIFF_SLOPE,
+    LANE_WIDTH,
     MAX_SLOPE,
     MAX_TILT,
     level_cells,
@@ -204,15 +206,17 @@ def distance_to_polygon(points: Tensor, polygon: Tensor) -> Tensor:
 def _gentle(world: World, robot: Robot, grid: CellGrid) -> np.ndarray:
     """Returns the cells on gentle ground, with no cliff within the turning circle: bool ``[rows, columns]``.
 
-    Cliffs are cells with ground steeper than ``CLIFF_SLOPE``. Their distance counts between centers. No rover passes
-    between cliffs through narrow cells, as wheels slip on slopes.
+    Strips and corners narrower than ``LANE_WIDTH`` do not count. Cliffs are cells with ground steeper than
+    ``CLIFF_SLOPE``. Their distance counts between centers. No rover passes between cliffs through narrow cells, as
+    wheels slip on slopes.
     """
     if world.terrain.is_flat:
         return np.ones(grid.shape, dtype=bool)
     slopes = slopes_on_grid(world.terrain, grid)
     least = (robot.radius + grid.half_diagonal) / grid.cell
     away, _ = distance_to_cells(slopes > math.tan(CLIFF_SLOPE), least + 1)
-    return (slopes <= math.tan(MAX_SLOPE)) & (away >= least)
+    gentle = (slopes <= math.tan(MAX_SLOPE)) & (away >= least)
+    return binary_opening(gentle, np.ones([round(LANE_WIDTH / grid.cell)] * 2))
 
 
 def _find_roomy(

@@ -16,6 +16,9 @@ MAX_SLOPE = math.radians(25)
 """Maximum slope of the ground below the center of a rover, rad."""
 CLIFF_SLOPE = math.radians(30)
 """Slope above which ground counts as an obstacle, which no part of the rover may be above, rad."""
+LANE_WIDTH = 0.4
+"""Minimum width of the strip between places that are too steep in which the center of a rover may be, m. On slopes it
+slides out of narrower ones."""
 MAX_TILT = math.radians(20)
 """Maximum tilt of a rover at a spawn pose, rad."""
 GROUND_CLEARANCE = 0.45

@@ -57,7 +57,7 @@ class PathDistances:
 
         self._grid = lru_cache(KEPT_GRIDS)(lambda index: PathGrid(worlds[index], robot, caution))
         device = device or "cpu"
-        # Distances of all cells, row by row; negative where the cell is not passable.
+        # Distances of all cells, row by row; negative in cells without a path.
         self._fields = SlotTable((), torch.float32, device)
         # Whether cells are narrow.
         self._narrow = SlotTable((), torch.bool, device)
@@ -98,7 +98,7 @@ class PathDistances:
         return torch.tensor([self._slots[key] for key in keys], device=goal.device)[row]
 
     def along(self, fields: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns the distance from positions to the goals of ``fields``, and whether the positions are passable.
+        """Returns the distance from positions to the goals of ``fields``, and whether a path leads there.
 
         Args:
             fields: number of each row's field, from :meth:`fields`, int64 ``[N]``.
@@ -140,7 +140,7 @@ class PathDistances:
         """
         grid = self._grid(index)
         squares = torch.tensor([((key >> 16) & 0xFFFF, key & 0xFFFF) for key in keys]) - _OFFSET
-        costs = torch.where(grid.passable, 1.0, -1.0) * grid.costs(squares * SQUARE)
+        costs = torch.where(grid.reachable, 1.0, -1.0) * grid.costs(squares * SQUARE)
         frame = torch.tensor((*grid.origin, grid.cell, *grid.passable.shape))
         for key, field in zip(keys, costs, strict=True):
             slot = self._free_slot(field.numel(), needed)

@@ -24,8 +24,8 @@ from rover_rl.sims.worlds.world import World
 CAUTION_DISTANCE = 0.35
 """Distance from the edge of the roomy cells within which caution increases the path cost, m."""
 CAUTION_SLOPE = math.radians(12)
-"""Slope of the ground above which caution increases the path cost, rad. Steeper ground takes much of the friction of
-the wheels, so that a rover slides sideways and does not turn."""
+"""Slope of the ground above which caution increases the path cost, rad. On steeper ground, gravity takes so much of the
+friction that a rover slides sideways and hardly turns."""
 SPAN = LONGEST * math.sqrt(2)
 """Distance within which all cells of a step lie, in cells."""
 MAX_CAUTION = 15.0
@@ -44,12 +44,14 @@ class PathGrid:
     Args:
         world: world of the paths.
         robot: robot that determines the free space.
-        caution: relative extra cost of a path in narrow cells and at the edge of the roomy cells, at most 15. It
-            decreases linearly to 0 at a distance of 0.35 m from the edge. With 0, the cost is the length.
+        caution: relative extra cost of a path in narrow cells, at the edge of the roomy cells, and on the steepest
+            ground, at most 15. It decreases linearly to 0 at a distance of 0.35 m from the edge, and on ground of
+            12 degrees. With 0, the cost is the length.
 
     Attributes:
         passable: cells through which paths may run, bool ``[rows, columns]``.
         roomy: those in which the rover can turn, bool ``[rows, columns]``.
+        reachable: cells with a path to the goals, bool ``[rows, columns]``.
         origin: x, y of the center of cell ``[0, 0]``, m.
         cell: side length of a cell, m.
 
@@ -70,7 +72,9 @@ class PathGrid:
         self.origin, self.cell = space.origin, space.cell
         self._shape = space.passable.shape
         self._prepare(space, caution, _steepness(world) if caution else 0.0)
-        self._nearest = distance_to_cells(self._reachable(space))[1].ravel()
+        reachable = self._reachable(space)
+        self.reachable = torch.from_numpy(reachable)
+        self._nearest = distance_to_cells(reachable)[1].ravel()
 
     def _prepare(self, space: FreeSpace, caution: float, steepness: np.ndarray | float) -> None:
         """Copies the weights, the free steps and the openness of all cells to the kernels' arrays.

@@ -79,6 +79,23 @@ def test_it_passes_a_gap_in_which_it_cannot_turn() -> None:
     assert reached.all()
 
 
+def test_it_backs_down_a_slope() -> None:
+    """While a rover turns around on a slope, it slides."""
+    x = torch.arange(-6, 6.25, 0.25)
+    slope = World("slope", Terrain((x * math.tan(math.radians(20))).expand(len(x), -1), 0.25))
+    env = make_env(world_n=slope, num_envs=4, seed=0, backend="warp", end_on_goal=True)
+    expert = PrivilegedExpert([slope], ROVER)
+    uphill = torch.tensor([[0.0, side, 0.3 * side] for side in (-1, -0.5, 0.5, 1)])
+    td = env.reset(start=uphill, goal=torch.tensor([[-3.0, 0.0]]).expand(4, -1))
+    reached = torch.zeros(4, 1, dtype=torch.bool)
+    for _ in range(200):
+        # A reset after the goal is another episode.
+        assert (td["imu"][:, 2:][~reached].abs() < 1).all()
+        td = env.step(td.set("action", expert.action(td)))["next"]
+        reached |= td["outcome", "goal_reached"]
+    assert reached.all()
+
+
 def test_as_a_policy_it_reaches_goals_in_the_worlds_of_the_environment() -> None:
     with pytest.raises(RuntimeError, match="knows no map"):
         MapExpert()(make_env(world_n="maze", num_envs=1, backend="warp").reset())

@@ -196,6 +196,20 @@ def test_spawn_headings_next_to_a_wall_do_not_face_it():
     assert (yaw.cos() > 0.9).any()
 
 
+def valley(width: float) -> World:
+    """A valley with level ground of a width, between slopes of 27 degrees."""
+    y = torch.arange(-4, 4.1, 0.1, dtype=torch.float64)
+    heights = math.tan(math.radians(27)) * (y.abs() - width / 2).clamp(min=0)
+    return World("valley", Terrain(heights[:, None].expand(-1, len(y)), 0.1))
+
+
+def test_strips_between_steep_ground_have_a_minimum_width():
+    rows = free_space(valley(0.8), ROVER).passable.any(1)
+    assert 4 <= rows.sum() <= 8
+    with pytest.raises(ValueError, match="no free goal cell"):
+        free_space(valley(0.3), ROVER)
+
+
 def test_no_part_of_a_rover_is_above_a_cliff():
     heights = np.zeros((101, 101))
     heights[:, 60:] = -2.0

@@ -28,3 +28,16 @@ def test_caution_increases_only_the_cost_of_paths_along_walls(caution: float) ->
     assert ratio.min() >= 1 - 1e-5
     assert ratio.max() <= 1 + caution
     assert (careful > plain + 0.1).any()
+
+
+def test_caution_avoids_slopes() -> None:
+    """Paths over a hill with slopes of up to 20 degrees, and past it."""
+    x = torch.arange(-5, 5.1, 0.1, dtype=torch.float64)
+    y, x = torch.meshgrid(x, x, indexing="ij")
+    hill = World("hill", Terrain(0.9 * torch.exp(-(x**2 + y**2) / (2 * 1.5**2)), 0.1))
+    grids = [PathGrid(hill, ROVER, caution) for caution in (0.0, 4.0)]
+    for x_start, least, most in ((-4, -1e-3, 0.02), (0, 0.5, 2.5)):
+        plain, careful = (grid.costs(torch.tensor([[x_start, -4.0]]))[0] for grid in grids)
+        # From y = 4 to y = -4.
+        extra = (careful - plain)[90, 50 + 10 * x_start]
+        assert least < extra < most
