@@ -39,6 +39,12 @@ CREEP = 0.1
 """Lowest speed in a free lane, m/s."""
 TURN = 1.2
 """Angle to the route from which on the rover turns on the spot, rad."""
+SLOPE = math.radians(5)
+"""Tilt of the rover above which it drives as on a slope, where it slides while it turns on the spot, rad."""
+SHARP = math.radians(45)
+"""Angle to the route above which it drives slowly on a slope, rad."""
+SLOPE_SPEED = 0.2
+"""Speed in sharp turns on a slope, m/s."""
 
 
 class GridPlanner(TensorDictModule):
@@ -76,8 +82,8 @@ def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
     """Computes the action of a rover that follows its route.
 
     The heading offset is twice the angle to the first corner of the route. The speed decreases as the angle grows and
-    as obstacles in the lane ahead get closer. In front of an obstacle, the rover backs off while it turns. From a slope
-    that is too steep it backs down straight.
+    as obstacles in the lane ahead get closer. In front of an obstacle, the rover backs off while it turns. On a slope,
+    it does not turn on the spot, but in a slow curve. From a slope that is too steep, it backs down straight.
 
     Args:
         lidar: lidar readings, ``[..., points]``, m.
@@ -95,9 +101,12 @@ def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
     aside = y.abs() > outline.half_width + MARGIN
     ahead = x.masked_fill(aside | (x < 0), math.inf).amin(-1, keepdim=True) - outline.front
     behind = (-x).masked_fill(aside | (x > 0), math.inf).amin(-1, keepdim=True) + outline.back
-    speed = angle.cos().clamp(min=0).square() * ((ahead - STOP) / SLOW).clamp(CREEP, 1.0)
+    allowed = ((ahead - STOP) / SLOW).clamp(CREEP, 1.0)
+    speed = angle.cos().clamp(min=0).square() * allowed
+    sloped = imu[..., :2].norm(dim=-1, keepdim=True) > SLOPE
+    speed = torch.where(sloped & (angle.abs() > SHARP), SLOPE_SPEED * allowed, speed)
     speed = torch.where(ahead < STOP, torch.where(behind > BEHIND, BACK_OFF, 0.0), speed)
-    speed = torch.where(angle.abs() > TURN, speed.clamp(max=0), speed)
+    speed = torch.where(~sloped & (angle.abs() > TURN), speed.clamp(max=0), speed)
     # A positive pitch is nose down.
     steep = imu[..., :1] < -STEEP
     speed = torch.where(steep, BACK_DOWN, speed)

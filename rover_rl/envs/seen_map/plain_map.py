@@ -7,7 +7,15 @@ from torch import Tensor, nn
 
 from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.seen_map.plain_routes import plan
-from rover_rl.envs.seen_map.plain_scans import Lidar, levels, moved_window, packed, unpacked, with_scan
+from rover_rl.envs.seen_map.plain_scans import (
+    Lidar,
+    levels,
+    moved_window,
+    packed,
+    tilted,
+    unpacked,
+    with_scan,
+)
 from rover_rl.envs.seen_map.scan_kernels import CELL, SIZE
 from rover_rl.envs.seen_map.seen_map import (
     beam_directions,
@@ -34,7 +42,7 @@ class PlainSeenMap(nn.Module):
         ValueError: if the lidar is mounted too far from the robot's center.
     """
 
-    state_size = 2 + SIZE * SIZE
+    state_size = 3 + SIZE * SIZE
 
     _directions: Tensor
     _mount: Tensor
@@ -52,8 +60,8 @@ class PlainSeenMap(nn.Module):
         """Adds a scan and plans the route.
 
         Args:
-            state: state before, ``[N, state_size]``: the cell in the middle of the window, and what has been seen in
-                each cell of the window. Zeros at the start of an episode.
+            state: state before, ``[N, state_size]``: the cell in the middle of the window, whether the ground is
+                rough, and what has been seen in each cell of the window. Zeros at the start of an episode.
             lidar: lidar readings, ``[N, P]``, m.
             pose: x, y and z, ``[N, 3]``, m.
             imu: pitch, roll and yaw, ``[N, 3]``, rad.
@@ -63,11 +71,13 @@ class PlainSeenMap(nn.Module):
         Returns:
             The route, ``[N, 5]``, as ``SeenMap`` returns it, and the next state.
         """
-        before, cells = state[:, :2], state[:, 2:].reshape(-1, SIZE, SIZE)
+        before, was_rough, cells = state[:, :2], state[:, 2:3] > 0, state[:, 3:].reshape(-1, SIZE, SIZE)
         center = (pose[:, :2] / CELL).floor()
         poses = torch.cat((pose[:, :2], imu), -1)
         sensor = Lidar(self._directions, self._mount, self._max_range)
-        content = with_scan(unpacked(moved_window(cells, center - before)), center, poses, lidar, sensor)
+        rough = was_rough | tilted(poses)
+        cells = torch.where((rough != was_rough)[..., None], 0.0, moved_window(cells, center - before))
+        content = with_scan(unpacked(cells), center, rough, poses, lidar, sensor)
         corners, lengths = plan(levels(content, self._clearance), center, goal_positions(pose, imu, target), bounds)
         route = relative_route(corners, lengths, pose, imu)
-        return route, torch.cat((center, packed(content).flatten(1)), -1)
+        return route, torch.cat((center, rough.to(center.dtype), packed(content).flatten(1)), -1)

@@ -26,6 +26,7 @@ from rover_rl.envs.seen_map.scan_kernels import (
     OPEN,
     PARTS,
     REACH,
+    ROUGH_TILT,
     SIZE,
     STEEP,
     UPHILL,
@@ -41,6 +42,8 @@ _STEEP_CODE = _CODE - 1
 _SIDES = 4
 """Number of sides of a box: ``PARTS - 1 - first`` and ``last`` along x, and along y. Larger ones are larger boxes."""
 
+Vectors: TypeAlias = tuple[Tensor, Tensor, Tensor]
+"""x, y and z of vectors in the world's frame."""
 Points: TypeAlias = tuple[Tensor, Tensor, Tensor]
 """Points in the world: x and y, in cells, and which of them count, ``[N, n]`` each."""
 
@@ -50,7 +53,7 @@ class Lidar(NamedTuple):
 
     Attributes:
         directions: cosine and sine of the angle of each reading in the frame of the lidar, ``[P, 2]``.
-        mount: x and y of the lidar in the frame of the rover, ``[2]``, m.
+        mount: position of the lidar in the frame of the rover, whose origin is on the ground, ``[3]``, m.
         max_range: range at which a beam has hit nothing, m.
     """
 
@@ -102,12 +105,18 @@ def packed(cells: Cells) -> Tensor:
     return _CODE * number + cells.evidence.clamp(max=_STEEP_CODE)
 
 
-def with_scan(cells: Cells, center: Tensor, pose: Tensor, readings: Tensor, lidar: Lidar) -> Cells:
+def tilted(pose: Tensor) -> Tensor:
+    """Returns whether rovers tilt as on rough ground, bool ``[N, 1]``, from their poses ``[N, 5]``."""
+    return pose[:, 2:3].cos() * pose[:, 3:4].cos() < math.cos(ROUGH_TILT)
+
+
+def with_scan(cells: Cells, center: Tensor, rough: Tensor, pose: Tensor, readings: Tensor, lidar: Lidar) -> Cells:
     """Returns the content of maps with a scan added to each.
 
     Args:
         cells: content before.
         center: cells in the middle of the windows, ``[N, 2]``.
+        rough: whether the ground is rough, bool ``[N, 1]``.
         pose: x, y (m), pitch, roll and yaw (rad) of the rovers, ``[N, 5]``.
         readings: lidar readings, ``[N, P]``, m.
         lidar: the lidar.
@@ -116,8 +125,15 @@ def with_scan(cells: Cells, center: Tensor, pose: Tensor, readings: Tensor, lida
     # Position of the lidar, in cells.
     x = (pose[:, :1] + lidar.mount[0] * cos - lidar.mount[1] * sin) / CELL
     y = (pose[:, 1:2] + lidar.mount[0] * sin + lidar.mount[1] * cos) / CELL
-    beams = _beams(pose, readings / CELL, lidar.directions)
-    hits = _hits(beams, readings, lidar.max_range)
+    ahead, left = _axes(pose)
+    lengths, directions = readings / CELL, lidar.directions
+    x_beam, y_beam, z_beam = (
+        lengths * (directions[:, 0] * one + directions[:, 1] * other) for one, other in zip(ahead, left, strict=True)
+    )
+    beams = (x_beam, y_beam, z_beam)
+    hits = _hits(beams, readings, lidar.max_range) & (
+        ~rough | _is_steep(beams, _cross(ahead, left), lidar.mount[2] / CELL)
+    )
     passed = _counts(center, _passed(x, y, beams))
     kinds = (x + beams[0], y + beams[1], hits), _between(x, y, beams, hits), _uphill(pose, cos, sin)
     hit, gap, steep = (_counts(center, points) for points in kinds)
@@ -171,30 +187,45 @@ def _lowest(values: list[Tensor]) -> Tensor:
     return lowest
 
 
-def _beams(pose: Tensor, lengths: Tensor, directions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Returns x, y and z of beams in the world's frame, ``[N, P]``."""
+def _axes(pose: Tensor) -> tuple[Vectors, Vectors]:
+    """Returns the axes ahead and to the left of rovers in the world's frame, from poses ``[N, 5]``."""
     cos_pitch, cos_roll, cos = pose[:, 2:].cos().split(1, -1)
     sin_pitch, sin_roll, sin = pose[:, 2:].sin().split(1, -1)
-    # Axes of the rover in the world's frame: the columns of Rz(yaw) Ry(pitch) Rx(roll).
+    # Columns of Rz(yaw) Ry(pitch) Rx(roll).
     ahead = (cos_pitch * cos, cos_pitch * sin, -sin_pitch)
     left = (
         sin_roll * sin_pitch * cos - cos_roll * sin,
         sin_roll * sin_pitch * sin + cos_roll * cos,
         sin_roll * cos_pitch,
     )
-    x, y, z = (
-        lengths * (directions[:, 0] * one + directions[:, 1] * other) for one, other in zip(ahead, left, strict=True)
-    )
-    return x, y, z
+    return ahead, left
 
 
-def _hits(beams: tuple[Tensor, Tensor, Tensor], readings: Tensor, max_range: float) -> Tensor:
+def _cross(one: Vectors, other: Vectors) -> Vectors:
+    """Returns the cross products of vectors."""
+    (a, b, c), (x, y, z) = one, other
+    return b * z - c * y, c * x - a * z, a * y - b * x
+
+
+def _hits(beams: Vectors, readings: Tensor, max_range: float) -> Tensor:
     """Returns which beams, in cells, end at an obstacle in the window, bool ``[N, P]``."""
     crossed = torch.maximum(beams[0].abs(), beams[1].abs())
     return (readings < max_range) & (crossed < REACH) & (beams[2] > LOWEST)
 
 
-def _passed(x: Tensor, y: Tensor, beams: tuple[Tensor, Tensor, Tensor]) -> Points:
+def _is_steep(beams: Vectors, up: Vectors, height: Tensor) -> Tensor:
+    """Returns whether the ground rises too steeply from below the lidar to the ends of beams, bool ``[N, P]``.
+
+    Args:
+        beams: vectors from the lidar, in cells.
+        up: unit vectors from the ground below the lidar to the lidar.
+        height: height of the lidar, in cells.
+    """
+    x, y, z = (beam + height * part for beam, part in zip(beams, up, strict=True))
+    return z > math.tan(MAX_TILT) * (x * x + y * y).sqrt()
+
+
+def _passed(x: Tensor, y: Tensor, beams: Vectors) -> Points:
     """Returns points in the cells that beams pass, up to 1.5 cells before their ends."""
     crossed = torch.maximum(beams[0].abs(), beams[1].abs())[..., None]
     number = torch.arange(1, REACH + 1, device=x.device)
@@ -204,7 +235,7 @@ def _passed(x: Tensor, y: Tensor, beams: tuple[Tensor, Tensor, Tensor]) -> Point
     return along.flatten(1), across.flatten(1), counts.flatten(1)
 
 
-def _between(x: Tensor, y: Tensor, beams: tuple[Tensor, Tensor, Tensor], hits: Tensor) -> Points:
+def _between(x: Tensor, y: Tensor, beams: Vectors, hits: Tensor) -> Points:
     """Returns points between the ends of neighboring beams. The last beam is a neighbor of the first one."""
     gap_x, gap_y = (beam.roll(-1, 1) - beam for beam in beams[:2])
     both = hits & hits.roll(-1, 1) & ((gap_x * gap_x + gap_y * gap_y).sqrt() < NO_GAP)

@@ -30,8 +30,10 @@ MOST = wp.constant(12)
 STEEP = wp.constant(255)
 """Evidence of a cell that is too steep. Beams do not change it."""
 MAX_TILT = wp.constant(0.42)
-"""Tilt of the rover above which the ground ahead uphill is too steep, rad: 24 degrees. Tires of usual friction (0.5)
-slide at 26.6."""
+"""Slope above which ground is too steep, rad: 24 degrees. Tires of usual friction (0.5) slide at 26.6."""
+ROUGH_TILT = wp.constant(0.05)
+"""Tilt of the rover above which the ground is not level, rad: 3 degrees. On level ground, starting and stopping tilt it
+by 0.01 at most."""
 UPHILL = wp.constant(3.0)
 """Distance of the cell that is too steep then, in cells: 0.45 m."""
 PARTS = wp.constant(16)
@@ -218,10 +220,26 @@ def clear_window(evidence: wp.array[wp.uint8], levels: wp.array[wp.uint8]):
 
 
 @wp.func
-def is_hit(beam: wp.vec3, reading: float, max_range: float):
-    """Returns whether a beam, in cells, ends at an obstacle in the window."""
+def is_hit(beam: wp.vec3, reading: float, max_range: float, up: wp.vec3, rough: bool):
+    """Returns whether a beam ends at an obstacle in the window.
+
+    On rough ground, the beam may end on a slope that the rover can climb. Some of the ground from below the lidar to
+    the end of the beam is at least as steep as the straight line between them. So the end is an obstacle if that line
+    is too steep: on a level rover with the lidar at 0.32 m, within 0.72 m. Farther ends do not count.
+
+    Args:
+        beam: vector from the lidar to the end of the beam, in cells.
+        reading: length of the beam, m.
+        max_range: range at which a beam has hit nothing, m.
+        up: vector from the ground below the lidar to the lidar, in cells.
+        rough: whether the ground is rough.
+    """
     crossed = wp.max(wp.abs(beam[0]), wp.abs(beam[1]))
-    return reading < max_range and crossed < float(REACH) and beam[2] > LOWEST
+    hit = reading < max_range and crossed < float(REACH) and beam[2] > LOWEST
+    if rough:
+        rise = beam + up
+        hit = hit and rise[2] > wp.tan(MAX_TILT) * wp.length(wp.vec2(rise[0], rise[1]))
+    return hit
 
 
 @wp.kernel
@@ -229,11 +247,12 @@ def add_scans(
     poses: wp.array2d[float],
     readings: wp.array2d[float],
     directions: wp.array[wp.vec2],
-    mount: wp.vec2,
+    mount: wp.vec3,
     max_range: float,
     clearance: Clearance,
     added: wp.array[wp.bool],
     renewed: wp.array[wp.bool],
+    roughs: wp.array[wp.bool],
     centers: wp.array[wp.vec2i],
     evidences: wp.array2d[wp.uint8],
     boxes: wp.array2d[int],
@@ -246,15 +265,19 @@ def add_scans(
     ``HIT`` to the cell at its end. Then the cells between the ends of two neighboring beams count as occupied, too, if
     nothing fits between them. Last, if the rover stands on a steep slope, a cell uphill counts as occupied for good.
 
+    The ground of a row is rough once its rover has tilted by ``ROUGH_TILT``. The row's map is cleared then, as what it
+    holds may be gentle slopes.
+
     Args:
         poses: x, y (m), pitch, roll and yaw (rad) of the rovers, ``[N, 5]``.
         readings: lidar readings, ``[N, P]``, m.
         directions: cosine and sine of the angle of each reading in the frame of the lidar, ``[P]``.
-        mount: x and y of the lidar in the frame of the rover, m.
+        mount: position of the lidar in the frame of the rover, whose origin is on the ground, m.
         max_range: range at which a beam has hit nothing, m.
         clearance: distances from obstacles at which levels begin.
         added: rows whose scan is added. The others do not change.
         renewed: rows whose map is cleared first.
+        roughs: whether the ground is rough, ``[N]``; updated.
         centers: cells in the middle of the windows; updated.
         evidences: evidence of an obstacle in each cell, ``[N, SIZE * SIZE]``; updated.
         boxes: where in each occupied cell the obstacle is: see :func:`distance_square`. ``[N, SIZE * SIZE]``; updated.
@@ -268,15 +291,18 @@ def add_scans(
     box = boxes[i]
     level = levels[i]
     center = wp.vec2i(cell_of(poses[i, 0]), cell_of(poses[i, 1]))
-    if renewed[i]:
-        clear_window(evidence, level)
-    else:
-        move_window(centers[i], center, clearance, evidence, box, level)
-    centers[i] = center
     cos_pitch = wp.cos(poses[i, 2])
     sin_pitch = wp.sin(poses[i, 2])
     cos_roll = wp.cos(poses[i, 3])
     sin_roll = wp.sin(poses[i, 3])
+    was_rough = roughs[i] and not renewed[i]
+    rough = was_rough or cos_pitch * cos_roll < wp.cos(ROUGH_TILT)
+    roughs[i] = rough
+    if renewed[i] or rough != was_rough:
+        clear_window(evidence, level)
+    else:
+        move_window(centers[i], center, clearance, evidence, box, level)
+    centers[i] = center
     cos = wp.cos(poses[i, 4])
     sin = wp.sin(poses[i, 4])
     # Position of the lidar, in cells.
@@ -287,6 +313,7 @@ def add_scans(
     left = wp.vec3(
         sin_roll * sin_pitch * cos - cos_roll * sin, sin_roll * sin_pitch * sin + cos_roll * cos, sin_roll * cos_pitch
     )
+    up = mount[2] / CELL * wp.cross(ahead, left)
     count = directions.shape[0]
     for k in range(count):
         beam = readings[i, k] / CELL * (directions[k][0] * ahead + directions[k][1] * left)
@@ -302,7 +329,7 @@ def add_scans(
     # After all beams have passed, so that no beam clears what another one has hit.
     for k in range(count):
         beam = readings[i, k] / CELL * (directions[k][0] * ahead + directions[k][1] * left)
-        if is_hit(beam, readings[i, k], max_range):
+        if is_hit(beam, readings[i, k], max_range, up, rough):
             before = int(evidence[address(int(wp.floor(x + beam[0])), int(wp.floor(y + beam[1])))])
             if before <= MOST:
                 value = wp.min(before + HIT, MOST)
@@ -314,8 +341,9 @@ def add_scans(
         next_beam = readings[i, other] / CELL * (directions[other][0] * ahead + directions[other][1] * left)
         gap_x = next_beam[0] - beam[0]
         gap_y = next_beam[1] - beam[1]
-        both = is_hit(beam, readings[i, k], max_range) and is_hit(next_beam, readings[i, other], max_range)
-        if both and wp.length(wp.vec2(gap_x, gap_y)) < NO_GAP:
+        hit = is_hit(beam, readings[i, k], max_range, up, rough)
+        next_hit = is_hit(next_beam, readings[i, other], max_range, up, rough)
+        if hit and next_hit and wp.length(wp.vec2(gap_x, gap_y)) < NO_GAP:
             steps = wp.ceil(wp.max(wp.abs(gap_x), wp.abs(gap_y)))
             for n in range(1, int(steps)):
                 between_x = x + beam[0] + float(n) / steps * gap_x

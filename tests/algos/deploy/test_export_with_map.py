@@ -28,7 +28,8 @@ from rover_rl.sims.robots import get_robot
 pytestmark = pytest.mark.skipif(
     any(find_spec(name) is None for name in ("onnxscript", "onnxruntime")), reason="needs rover_rl[onnx]"
 )
-CELLS = 128 * 128
+MAP = 2 + 1 + 128 * 128
+"""Entries of the state of a map: the middle of the window, whether the ground is rough, and its cells."""
 UNITS = 12
 DECISIONS = 30
 
@@ -84,7 +85,7 @@ def test_the_file_reads_what_the_network_and_the_map_read(folder):
 
     session = onnxruntime.InferenceSession(str(folder / "gru.onnx"))
     inputs = {entry.name: entry.shape for entry in session.get_inputs()}
-    state = [1, 2 + CELLS + UNITS]
+    state = [1, MAP + UNITS]
     sizes = {"lidar": [1, 32], "target": [1, 2], "pose": [1, 3], "imu": [1, 3], "bounds": [1, 4]}
     assert inputs == {"state_in": state, **sizes}
     assert {entry.name: entry.shape for entry in session.get_outputs()} == {"action": [1, 2], "state_out": state}
@@ -100,7 +101,7 @@ def test_an_exported_policy_acts_as_the_original_over_an_episode(folder):
 
 
 def test_a_program_acts_as_the_original_over_an_episode(folder):
-    observations, act, state = drive("none")[:10], program_function(folder / "none.pt2"), torch.zeros(1, 2 + CELLS)
+    observations, act, state = drive("none")[:10], program_function(folder / "none.pt2"), torch.zeros(1, MAP)
     actions = []
     for observation in observations:
         action, state = act({**observation, "state_in": state})
@@ -121,9 +122,10 @@ def test_the_state_holds_the_map_and_is_cleared_row_by_row(folder):
     after = runner(torch.cat([observations[0], observations[0]]))
     assert torch.equal(after[1:], PolicyRunner(policy)(observations[0]))
     assert not torch.allclose(after[0], after[1], atol=1e-3)
-    _, state = onnx_function(folder / "gru.onnx")({**observations[0], "state_in": torch.zeros(1, 2 + CELLS + UNITS)})
-    center, cells, memory = state.split((2, CELLS, UNITS), -1)
+    _, state = onnx_function(folder / "gru.onnx")({**observations[0], "state_in": torch.zeros(1, MAP + UNITS)})
+    center, rough, cells, memory = state.split((2, 1, 128 * 128, UNITS), -1)
     assert torch.equal(center, (observations[0]["pose"][:, :2] / 0.15).floor())
+    assert rough == 0
     assert 10 < cells.count_nonzero() < 1000
     assert memory.abs().max() > 0
 

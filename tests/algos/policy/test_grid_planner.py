@@ -43,6 +43,16 @@ def test_it_turns_on_the_spot_if_the_route_leads_back() -> None:
     assert follow(OPEN, LEVEL, route(2.5), ROBOT)[0] == 0.0
 
 
+def test_on_a_slope_it_turns_in_a_slow_curve() -> None:
+    """While it turns on the spot, it slides."""
+    for tilt in (torch.tensor([-0.2, 0.0, 0.0]), torch.tensor([0.0, 0.2, 0.0])):
+        speed, turn = follow(OPEN, tilt, route(2.5), ROBOT).tolist()
+        assert 0.1 < speed < 0.3
+        assert turn == pytest.approx(math.pi)
+        assert follow(wall(0.1, 0.0), tilt, route(2.5), ROBOT)[0] < 0.0
+    assert follow(OPEN, LEVEL, route(2.5), ROBOT)[0] == 0.0
+
+
 def test_in_front_of_a_wall_it_slows_down_and_backs_off() -> None:
     speeds = [float(follow(wall(distance, 0.0), LEVEL, route(0.0), ROBOT)[0]) for distance in (3.0, 0.5, 0.3, 0.1)]
     assert speeds == sorted(speeds, reverse=True)

@@ -149,6 +149,45 @@ def test_a_route_avoids_ground_on_which_the_rover_tilted() -> None:
     assert abs(float(gentle(observed((0.0, 0.0), (4.0, 0.0), pitch=-math.radians(20)))[0, 1])) < 1e-6
 
 
+def test_on_rough_ground_far_ends_of_beams_may_be_gentle_slopes() -> None:
+    far, near = ((3.0, -4.0, 3.0, 4.0),), ((0.6, -4.0, 0.6, 4.0),)
+    seen = one_map()
+    seen(observed((0.0, 0.0), (6.0, 0.0), far))
+    assert is_occupied(seen, 3.0, 0.0), "a wall"
+    # Nose up by 6 degrees, and level again.
+    seen(observed((0.0, 0.0), (6.0, 0.0), far, pitch=-0.1))
+    for _ in range(3):
+        _, angle, *_ = seen(observed((0.0, 0.0), (6.0, 0.0), far))[0].tolist()
+    assert not is_occupied(seen, 3.0, 0.0)
+    assert abs(angle) < 1e-6, "straight on"
+    seen(observed((0.0, 0.0), (6.0, 0.0), near))
+    assert is_occupied(seen, 0.6, 0.0), "too steep to be climbed"
+
+
+def test_slopes_are_measured_from_the_ground_below_the_lidar() -> None:
+    """From a lidar at 0.3 m, the line to a point 1 m ahead on the same height rises by 17 degrees."""
+    wall = ((1.0, -4.0, 1.0, 4.0),)
+
+    def occupied(pitch: float) -> bool:
+        seen = one_map()
+        # The walls are drawn in two dimensions, and the beams end 1 m ahead of the lidar along the rover's axis.
+        seen(observed((0.0, 0.0), (6.0, 0.0), wall, pitch=pitch))
+        return is_occupied(seen, 0.98, 0.0)
+
+    assert not occupied(-math.radians(6)), "23 degrees"
+    assert occupied(-math.radians(8)), "25 degrees"
+
+
+def test_a_new_episode_starts_on_level_ground() -> None:
+    wall = ((3.0, -4.0, 3.0, 4.0),)
+    seen = one_map()
+    seen(observed((0.0, 0.0), (6.0, 0.0), wall, pitch=-0.1))
+    seen(observed((0.0, 0.0), (6.0, 0.0), wall))
+    assert not is_occupied(seen, 3.0, 0.0)
+    seen(observed((0.0, 0.0), (6.0, 0.0), wall), renewed=torch.tensor([True]))
+    assert is_occupied(seen, 3.0, 0.0)
+
+
 def test_a_goal_beyond_the_window_leads_towards_its_edge() -> None:
     route = one_map()(observed((0.0, 0.0), (30.0, 0.0)))[0]
     torch.testing.assert_close(route[:2], torch.tensor([30.0, 0.0]))
@@ -210,11 +249,10 @@ def test_beams_clear_what_is_gone() -> None:
 
 
 def test_beams_that_point_to_the_ground_mark_nothing() -> None:
-    wall = ((3.0, -1.0, 3.0, 1.0),)
-    for pitch, marked in ((0.0, True), (0.05, True), (0.1, False), (-0.1, True)):
+    for x, pitch, marked in ((3.1, 0.045, True), (6.1, 0.045, False), (6.1, 0.0, True), (6.1, -0.045, True)):
         seen = one_map()
-        seen(observed((0.0, 0.0), (4.0, 0.0), wall, pitch=pitch))
-        assert is_occupied(seen, 3.0 * math.cos(pitch), 0.0) == marked, pitch
+        seen(observed((0.0, 0.0), (8.0, 0.0), ((x, -1.0, x, 1.0),), pitch=pitch))
+        assert is_occupied(seen, x, 0.0) == marked, (x, pitch)
 
 
 def test_an_episode_that_begins_clears_its_map() -> None:
