@@ -15,8 +15,9 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import count
+from itertools import count, pairwise
 from multiprocessing import get_context
+from statistics import median
 
 import numpy as np
 import psutil
@@ -45,7 +46,11 @@ class Options:
 
 
 def growth(backend: str, cycles: int, warmup: int, worlds: Sequence[str] = WORLDS) -> dict[str, float]:
-    """Returns the growth of this process over ``cycles`` environments in each of ``worlds``, MB."""
+    """Returns the growth of this process over ``cycles`` environments in each of ``worlds``, MB.
+
+    It is ``cycles`` times the median growth over one environment: a leak grows with each one, while the system may move
+    pages of memory at any time.
+    """
     torch.set_num_threads(1)
     return {name: _growth(name, backend, cycles, warmup) for name in worlds}
 
@@ -60,10 +65,11 @@ def _growth(name: str, backend: str, cycles: int, warmup: int) -> float:
     seeds = count()
     for _ in range(warmup):
         _open_and_close(name, backend, next(seeds))
-    before = _memory()
+    memory = [_memory()]
     for _ in range(cycles):
         _open_and_close(name, backend, next(seeds))
-    return _memory() - before
+        memory.append(_memory())
+    return cycles * median(after - before for before, after in pairwise(memory))
 
 
 def _open_and_close(name: str, backend: str, seed: int) -> None:
