@@ -36,7 +36,7 @@ from rover_rl.envs.privileged import PrivilegedObservation
 from rover_rl.envs.randomization import CommandDelay, draw_dynamics, sense
 from rover_rl.envs.rng import episode_keys, row_keys
 from rover_rl.envs.row_worlds import RowWorlds
-from rover_rl.envs.sensing import LidarPooling, scanning
+from rover_rl.envs.sensing import LidarPooling, check_period, scanning
 from rover_rl.envs.task import (
     TaskState,
     target_info,
@@ -337,6 +337,7 @@ class RoverEnv(EnvBase):
     def _open(self) -> None:
         """Builds the simulator. The next reset must include all rows."""
         self.simulator: Simulator = self._make_simulator()
+        check_period(self.config.lidar.period, self.simulator)
         self._started = False
         self.is_closed = False
         if self._row_worlds.is_drawn and isinstance(self.simulator, WorldChanger):
