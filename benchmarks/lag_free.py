@@ -109,7 +109,7 @@ class LagFreeRovers:
         """
         raise ValueError("rovers without drive lag have no dynamics to vary")
 
-    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
+    def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
         """Executes the commands for one control step."""
         active = torch.ones(self.num_envs, dtype=torch.bool) if active is None else active
         for row in active.nonzero().flatten().tolist() if self._limiters else ():

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
+from rover_rl.checks import MAX_COUNT, check_at_least
 from rover_rl.plain import from_plain, to_plain
 from rover_rl.sims.backends import BackendLike as AnyBackend
 from rover_rl.sims.backends import find_settings, name_of
@@ -57,11 +58,20 @@ class LidarConfig:
         points: Number of readings in an observation, each the minimum of a segment of the scan.
         beams: Number of beams of a raw scan.
         max_range: Maximum of a reading, m. Larger ranges are clipped.
+        period: Number of steps from one scan to the next, in simulation. With 4, the lidar scans at 5 Hz, and readings
+            stay the same in between. Fewer scans take less time.
+
+    Raises:
+        ValueError: if ``period`` is less than 1.
     """
 
     points: int = 32
     beams: int = 128
     max_range: float = 12.0
+    period: int = 1
+
+    def __post_init__(self) -> None:
+        check_at_least(1, MAX_COUNT, period=self.period)
 
 
 @dataclass(frozen=True)
@@ -352,6 +362,7 @@ class EnvConfig:
             "world_n": self.world,
             "lidar_points": self.lidar.points,
             "lidar_beams": self.lidar.beams,
+            "lidar_period": self.lidar.period,
             "max_lidar_range": self.lidar.max_range,
             "scan_topic": self.connection.scan_topic,
             "imu_topic": self.connection.imu_topic,

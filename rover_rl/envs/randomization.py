@@ -38,7 +38,9 @@ def draw_dynamics(randomization: Randomization, keys: Tensor) -> Dynamics:
     return Dynamics(**{name: low + fraction * (high - low) for fraction, (name, (low, high)) in pairs})
 
 
-def sense(randomization: Randomization, rover: RoverState, keys: Tensor, step: Tensor) -> RoverState:
+def sense(
+    randomization: Randomization, rover: RoverState, keys: Tensor, step: Tensor, scan_period: int = 1
+) -> RoverState:
     """Adds sensor noise to a state. Returns the same object if there is no noise.
 
     Args:
@@ -46,10 +48,11 @@ def sense(randomization: Randomization, rover: RoverState, keys: Tensor, step: T
         rover: true state of the rovers, ``[N]``.
         keys: random keys of the episodes, ``[N, 1]``.
         step: index of the step in its episode, ``[N, 1]``.
+        scan_period: number of steps from one scan to the next. A scan keeps its noise.
     """
     noise, sensed = randomization, dict[str, Tensor]()
     if noise.range_noise or noise.dropout:
-        sensed["ranges"] = _scan(noise, rover.ranges, keys, step)
+        sensed["ranges"] = _scan(noise, rover.ranges, keys, step - step % scan_period)
     if noise.odometry_noise:
         linear, angular = (1 + noise.odometry_noise * _normal(keys, _ODOMETRY, step, 2)).split(1, -1)
         sensed["linear_velocity"] = rover.linear_velocity * linear

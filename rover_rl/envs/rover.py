@@ -36,7 +36,7 @@ from rover_rl.envs.privileged import PrivilegedObservation
 from rover_rl.envs.randomization import CommandDelay, draw_dynamics, sense
 from rover_rl.envs.rng import episode_keys, row_keys
 from rover_rl.envs.row_worlds import RowWorlds
-from rover_rl.envs.sensing import LidarPooling
+from rover_rl.envs.sensing import LidarPooling, check_period, scanning
 from rover_rl.envs.task import (
     TaskState,
     target_info,
@@ -90,6 +90,7 @@ class RoverEnv(EnvBase):
         physics: physics preset of a backend given by name. Bullet has ``"default"``, ``"accurate"`` and ``"fast"``.
         robot: name of a robot, or a :class:`~rover_rl.sims.robots.Robot`.
         lidar_beams: number of beams of a raw scan.
+        lidar_period: number of steps from one scan to the next: see :class:`LidarConfig`.
         seed: seed of the first row. ``None`` uses a random seed.
         device: device of the tensors. ``None`` is the CPU, and leaves the device of the tensordicts unset.
         end_on_goal: whether reaching the goal ends the episode, instead of setting a new goal.
@@ -136,6 +137,7 @@ class RoverEnv(EnvBase):
         physics: str | None = None,
         robot: str | Robot = "rover_zero",
         lidar_beams: int = 128,
+        lidar_period: int = 1,
         seed: int | None = None,
         device: torch.device | str | None = None,
         end_on_goal: bool = False,
@@ -150,7 +152,7 @@ class RoverEnv(EnvBase):
             EnvConfig(
                 world=world_n,
                 robot=robot,
-                lidar=LidarConfig(lidar_points, lidar_beams, max_lidar_range),
+                lidar=LidarConfig(lidar_points, lidar_beams, max_lidar_range, lidar_period),
                 action=action or ActionConfig(),
                 task=task or TaskConfig(),
                 reward="task",
@@ -335,6 +337,7 @@ class RoverEnv(EnvBase):
     def _open(self) -> None:
         """Builds the simulator. The next reset must include all rows."""
         self.simulator: Simulator = self._make_simulator()
+        check_period(self.config.lidar.period, self.simulator)
         self._started = False
         self.is_closed = False
         if self._row_worlds.is_drawn and isinstance(self.simulator, WorldChanger):
@@ -422,7 +425,7 @@ class RoverEnv(EnvBase):
         rows = None if active is None else active.squeeze(-1).to(device)
         steps = self._state.task.steps + (1 if active is None else active)
         with self._row_worlds.preparing():
-            rover = self.simulator.step(command.to(device), rows)
+            rover = self.simulator.step(command.to(device), rows, *scanning(steps, self.config.lidar.period, device))
         self._perceive(rover, steps)
 
         self._navigation.advance(self._state, invalid, active, self._keys)
@@ -444,7 +447,7 @@ class RoverEnv(EnvBase):
         if rover.device is not None and rover.device != self._tensor_device:
             rover = rover.to(self._tensor_device)
         state = self._state
-        sensed = sense(self.randomization, rover, self._keys, steps)
+        sensed = sense(self.randomization, rover, self._keys, steps, self.config.lidar.period)
         state.truth = Perception(rover, self.lidar)
         state.sensed = state.truth if sensed is rover else Perception(sensed, self.lidar)
         state.reference = state.truth if self.config.outcome_from == "truth" else state.sensed

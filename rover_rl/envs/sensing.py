@@ -1,9 +1,13 @@
-"""Lidar pooling: from a raw scan to the nearest reading of each segment."""
+"""Lidar: when it scans, and pooling of a raw scan to the nearest reading of each segment."""
 
 from __future__ import annotations
 
+import inspect
+
 import torch
 from torch import Tensor
+
+from rover_rl.sims.base import Simulator
 
 
 class LidarPooling:
@@ -46,6 +50,22 @@ class LidarPooling:
         ranges = torch.nan_to_num(ranges, nan=self.max_range, posinf=self.max_range, neginf=0.0)
         grouped = ranges.unflatten(-1, (self.points, -1)) if self._gather is None else ranges[..., self._gather]
         return grouped.amin(-1).clamp(0.0, self.max_range)
+
+
+def check_period(period: int, simulator: Simulator) -> None:
+    """Checks that a simulator can scan every ``period`` steps.
+
+    Raises:
+        ValueError: if ``step`` of the simulator takes no ``scanned``, and ``period`` is not 1.
+    """
+    if period > 1 and "scanned" not in inspect.signature(simulator.step).parameters:
+        name = type(simulator).__name__
+        raise ValueError(f"lidar_period must be 1 in {name}, whose step() takes no scanned, got {period}")
+
+
+def scanning(steps: Tensor, period: int, device: torch.device) -> tuple[Tensor, ...]:
+    """Returns which rovers scan after ``steps [N, 1]`` steps of their episodes, bool ``[N]``; nothing if all do."""
+    return () if period == 1 else ((steps % period == 0).squeeze(-1).to(device),)
 
 
 def _segments(beams: int, points: int) -> Tensor:

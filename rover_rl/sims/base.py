@@ -116,12 +116,14 @@ class Simulator(Protocol):
         """Returns the current state without advancing time."""
         ...
 
-    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
+    def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
         """Advances the rovers by one control step.
 
         Args:
             commands: forward speed (m/s) and counter-clockwise yaw rate (rad/s), ``[N, 2]``.
             active: rovers to advance, bool ``[N]``. No time passes for the others. ``None`` advances all.
+            scanned: rovers whose lidar scans, if they advance, bool ``[N]``. The others keep their last scan. ``None``:
+                all. Only passed if ``lidar.period`` is more than 1. A real lidar has its own period.
 
         Returns:
             The state of all rovers.

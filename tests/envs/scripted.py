@@ -87,7 +87,7 @@ class ScriptedSimulator:
         self.poses = poses
         return self.state()
 
-    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
+    def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
         active = torch.ones(self.num_envs, dtype=torch.bool) if active is None else active
         self.commands.append(commands)
         self._step = [step + int(moves) for step, moves in zip(self._step, active.tolist(), strict=True)]

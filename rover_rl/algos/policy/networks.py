@@ -182,7 +182,8 @@ class EncodedNetwork(nn.Module):
             return self.body(features)
         loc, scale = self.body(features)
         entry = dict(zip(self.encoder.keys, entries[:count], strict=True))
-        return loc + self.prior(*(entry[key] for key in ("lidar", "imu", ROUTE))), scale
+        reach = self.prior.REACH
+        return reach * torch.tanh(loc / reach) + self.prior(*(entry[key] for key in ("lidar", "imu", ROUTE))), scale
 
 
 class RoutePrior(nn.Module):
@@ -198,6 +199,9 @@ class RoutePrior(nn.Module):
 
     LARGEST = 0.95
     """Largest part of the range of an action: an infinite mean would reach the bounds."""
+    REACH = 1.0
+    """Largest change of the mean by the policy, before squashing. A policy that may change more takes back what the
+    driver does in rare places, such as backing out of a dead end, and gets stuck there."""
     _middle: Tensor
     _half: Tensor
 

@@ -89,14 +89,14 @@ class BulletSimulator:
             for row, scales in zip(local.tolist(), factors[torch.from_numpy(group.rows[local])].tolist(), strict=True):
                 group.physics.set_dynamics(row, *scales)
 
-    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
+    def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
         """Advances the rovers by one control step of ``substeps`` physics steps. See :meth:`Simulator.step`."""
         speeds = self._drive.advance(commands, active).tolist()
         for group in self._groups:
             held = [] if active is None else np.flatnonzero(~active.numpy()[group.rows]).tolist()
             touched = group.physics.step(speeds[group.block], self._body[group.block, :7], held)
             local = group.local if not held else np.setdiff1d(group.local, held)
-            self._read(group, local)
+            self._read(group, local, None if scanned is None else scanned.numpy())
             self._contact[group.rows[local], 0] = touched[local]
         return self.state()
 
@@ -119,12 +119,13 @@ class BulletSimulator:
         self._finalizer()
         self._renderers.close()
 
-    def _read(self, group: _WorldGroup, local: np.ndarray) -> None:
+    def _read(self, group: _WorldGroup, local: np.ndarray, scanned: np.ndarray | None = None) -> None:
         """Reads the poses and wheel speeds of rovers and updates their scans.
 
         Args:
             group: group of the rovers.
             local: indices of the rovers within the group.
+            scanned: rovers of the batch that scan, bool ``[N]``; ``None``: all.
         """
         if not len(local):
             return
@@ -133,7 +134,11 @@ class BulletSimulator:
         self._body[rows, :3] = reading.position
         self._body[rows, 3:7] = reading.orientation
         self._body[rows, 7:] = reading.wheel_speeds
-        self._ranges[rows] = group.lidar.scan(reading.position, reading.rotation)
+        if scanned is None:
+            self._ranges[rows] = group.lidar.scan(reading.position, reading.rotation)
+        elif len(chosen := np.flatnonzero(scanned[group.rows[local]])):
+            ranges = group.lidar.scan(reading.position[chosen], reading.rotation[chosen])
+            self._ranges[group.rows[local[chosen]]] = ranges
 
 
 class _WorldGroup:

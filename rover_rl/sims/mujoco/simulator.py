@@ -103,7 +103,7 @@ class MujocoSimulator:
             for row in np.flatnonzero(mask.numpy()[share.rows]).tolist():
                 share.physics.set_dynamics(row, factors[share.rows.start + row].tolist())
 
-    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
+    def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
         """Advances the rovers by one control step of ``substeps`` physics steps. See :meth:`Simulator.step`."""
         speeds = self._drive.advance(commands, active).numpy()
 
@@ -111,7 +111,7 @@ class MujocoSimulator:
             rows = share.rows.start + local
             self._contact[rows, 0] = share.physics.step(local, speeds[rows])
 
-        self._update(advance, None if active is None else active.numpy())
+        self._update(advance, *(None if mask is None else mask.numpy() for mask in (active, scanned)))
         return self.state()
 
     def state(self) -> RoverState:
@@ -134,12 +134,18 @@ class MujocoSimulator:
             self._pool.shutdown()
         self._renderers.close()
 
-    def _update(self, change: Callable[[_Share, np.ndarray], None], mask: np.ndarray | None) -> None:
+    def _update(
+        self,
+        change: Callable[[_Share, np.ndarray], None],
+        mask: np.ndarray | None,
+        scanned: np.ndarray | None = None,
+    ) -> None:
         """Changes the selected rovers and reads their poses, wheel speeds and scans, on all threads.
 
         Args:
             change: function of a share and the indices ``[k]`` of the selected rovers within it.
             mask: selected rovers, bool ``[N]``. ``None`` selects all.
+            scanned: those that scan, bool ``[N]``. ``None``: all.
         """
 
         def run(shares: list[_Share]) -> None:
@@ -147,20 +153,22 @@ class MujocoSimulator:
                 local = share.all if mask is None else np.flatnonzero(mask[share.rows])
                 if len(local):
                     change(share, local)
-                    self._read(share, local)
+                    self._read(share, local, scanned)
 
         others = [self._pool.submit(run, shares) for shares in self._threads[1:]] if self._pool else []
         run(self._threads[0])
         for other in others:
             other.result()
 
-    def _read(self, share: _Share, local: np.ndarray) -> None:
+    def _read(self, share: _Share, local: np.ndarray, scanned: np.ndarray | None) -> None:
         reading = share.physics.read(local)
         rows = share.rows.start + local
         self._body[rows, :3] = reading.position
         self._body[rows, 3:7] = np.roll(reading.orientation, -1, axis=1)
         self._body[rows, 7:] = reading.wheel_speeds
-        self._ranges[rows] = share.lidar.scan(reading.position, reading.orientation)
+        chosen = np.arange(len(local)) if scanned is None else np.flatnonzero(scanned[rows])
+        if len(chosen):
+            self._ranges[rows[chosen]] = share.lidar.scan(reading.position[chosen], reading.orientation[chosen])
 
 
 class _Share:

@@ -218,7 +218,7 @@ class Ros2Simulator:
         self._dt = self.control_dt
         return self.state()
 
-    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
+    def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
         """Sends a command within the limits, and waits for the next scan: see :meth:`Simulator.step`.
 
         Without recent scans, sends a stop command instead.

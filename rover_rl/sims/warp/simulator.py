@@ -135,6 +135,7 @@ class WarpSimulator:
         """Places the rovers of ``mask`` at rest on the ground at ``poses``: see :meth:`Simulator.reset`."""
         self._set_rest_poses(mask, poses)
         self._buffers.active.copy_(mask)
+        self._buffers.scanned.copy_(mask)
         inputs = [self._model, self._buffers.rovers, self._poses]
         wp.launch(place, dim=self.num_envs, inputs=inputs, stream=self._stream, **self._launch_options)
         self.launch(physics=False)
@@ -154,13 +155,14 @@ class WarpSimulator:
         """Sets the dynamics of the rovers of ``mask``: see :meth:`Simulator.set_dynamics`."""
         self._buffers.set_dynamics(mask, dynamics)
 
-    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
+    def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
         """Simulates one control step of ``settings.substeps`` substeps: see :meth:`Simulator.step`."""
         self._buffers.target_speeds.copy_(self._drive.advance(commands, active))
         if active is None:
             self._buffers.active.fill_(True)
         else:
             self._buffers.active.copy_(active)
+        self._buffers.scanned.copy_(self._buffers.active if scanned is None else self._buffers.active & scanned)
         self.launch()
         return self.state()
 

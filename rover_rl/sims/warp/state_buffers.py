@@ -28,6 +28,7 @@ class StateBuffers:
         scene: index of each rover's world in the array of scenes, int32 ``[N]``.
         target_speeds: target speeds of the left and right wheels, ``[N, 2]``, rad/s.
         active: rovers that the next launch simulates, bool ``[N]``.
+        scanned: those whose lidar scans, bool ``[N]``.
         base_state: position (m) and orientation (x, y, z, w) of the base frame, and mean speed of the left and of the
             right wheels (rad/s), ``[N, 9]``.
         ranges: scans, ``[N, beams]``, m.
@@ -42,6 +43,7 @@ class StateBuffers:
         self.scene = torch.zeros(count, dtype=torch.int32, device=device)
         self.target_speeds = self._zeros(count, 2)
         self.active = torch.ones(count, dtype=torch.bool, device=device)
+        self.scanned = self.active.clone()
         self.base_state = self._zeros(count, 9)
         self.ranges = self._zeros(count, beams)
         self.contact = torch.zeros(count, 1, dtype=torch.bool, device=device)
@@ -69,6 +71,7 @@ class StateBuffers:
         rovers.scene = self._shared(self.scene, wp.int32)
         rovers.target_speeds = self._shared(self.target_speeds, wp.vec2)
         rovers.active = self._shared(self.active, wp.bool)
+        rovers.scanned = self._shared(self.scanned, wp.bool)
         rovers.base_state = self._shared(self.base_state, wp.float32)
         rovers.ranges = self._shared(self.ranges, wp.float32)
         rovers.contact = self._shared(self.contact.view(count), wp.bool)

@@ -66,7 +66,7 @@ class SlidingSimulator:
     def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
         self._pose = self._pose + 0 * dynamics.friction[:, None]
 
-    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
+    def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
         self._drive.advance(commands, active)
         x, y, yaw = self._pose.split(1, -1)
         speed, turn = commands.split(1, -1)

@@ -64,6 +64,24 @@ def test_a_policy_with_a_prior_begins_as_the_driver_that_follows_the_route(tmp_p
     torch.testing.assert_close(action[inside], expected[inside], atol=0.2, rtol=0)
 
 
+def test_no_weights_take_back_what_the_driver_decides(tmp_path: Path) -> None:
+    settings = config(tmp_path, prior="route")
+    actor = PPOLearner(settings).actor
+    observation = make_training_env(settings).rollout(4, break_when_any_done=False).select(*SENSES)
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        for weight in actor.parameters():
+            weight *= 100.0
+        action = actor(observation.clone())["action"]
+    driver = GridPlanner()(observation.clone())["action"]
+    space = actor.spec["action"].space
+    middle, half = (space.low + space.high) / 2, (space.high - space.low) / 2
+    # tanh(atanh(0.9) - 1) = 0.4
+    decided = (driver - middle).abs() > 0.9 * half
+    assert decided.sum() > 5
+    assert ((action - middle).sign() == (driver - middle).sign())[decided].all()
+    assert ((action - driver).abs() > 0.2)[decided].any(), "the weights change the action"
+
+
 def test_the_prior_of_a_mirror_image_is_the_mirror_image_of_the_prior(tmp_path: Path) -> None:
     observation = make_training_env(config(tmp_path)).rollout(4, break_when_any_done=False).select(*SENSES)
     every = torch.ones(observation.batch_size, dtype=torch.bool)

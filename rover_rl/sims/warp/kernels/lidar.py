@@ -437,7 +437,7 @@ def slice_obstacle(
 
 @wp.kernel
 def scan(scenes: wp.array[Scene], model: RobotModel, rovers: RoverArrays, beams: wp.array[wp.vec2], first: int):
-    """One scan per active rover; thread ``t`` scans for rover ``first + t`` from the pose in ``rovers.base_state``.
+    """One scan per rover that scans; thread ``t`` scans for rover ``first + t`` from the pose in ``rovers.base_state``.
 
     Ranges are in m, ``inf`` without a return, and 0 for a lidar inside an obstacle or below the ground. ``beams`` holds
     the unit directions (ahead, left) of the beams, equally spaced counter-clockwise from straight ahead.
@@ -445,7 +445,7 @@ def scan(scenes: wp.array[Scene], model: RobotModel, rovers: RoverArrays, beams:
     Order: near obstacles, far obstacles that these do not occlude, then the ground.
     """
     row = first + wp.tid()
-    if not rovers.active[row]:
+    if not rovers.scanned[row]:
         return
     scene = scenes[rovers.scene[row]]
     base = wp.vec3(rovers.base_state[row, 0], rovers.base_state[row, 1], rovers.base_state[row, 2])

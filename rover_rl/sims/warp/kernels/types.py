@@ -115,9 +115,11 @@ class RoverArrays:
     # Factor of all friction coefficients, and maximum torque of a wheel motor, N m.
     friction_scale: wp.array[float]
     motor_torque: wp.array[float]
-    # Inputs: target speed of the left and right wheels relative to the chassis (rad/s), and which rovers are simulated.
+    # Inputs: target speed of the left and right wheels relative to the chassis (rad/s), which rovers are simulated, and
+    # which of them scan.
     target_speeds: wp.array[wp.vec2]
     active: wp.array[wp.bool]
+    scanned: wp.array[wp.bool]
     # Outputs: base state [N, 9] (position of the base frame, its orientation, mean speed of the left and of the right
     # wheels relative to the chassis), scan [N, beams], m, and whether the rover touched an obstacle in the last control
     # step.
