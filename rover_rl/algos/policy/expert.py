@@ -17,6 +17,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from rover_rl.algos.policy.baselines import drive_towards
+from rover_rl.algos.policy.grid_planner import SHARP, SLOPE, SLOPE_SPEED
 from rover_rl.envs.config import EnvConfig, RobotLike
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.transforms.path_reward import CAUTION, goal_of, world_of
@@ -38,18 +39,13 @@ CREEP = 0.4
 """Speed in narrow passages, m/s."""
 ALIGNED = 0.3
 """Angle to the direction of a narrow passage at which the expert stands still to turn, rad."""
-SLOPE = math.radians(5)
-"""Tilt of the rover above which it drives as on a slope, where wheels slide, rad."""
 OVERSHOOT = 0.05
 """Angle that the rover still turns while its wheels stop turning it, over the square of their yaw rate, s^2/rad. Their
 yaw rate decreases by 4 rad/s^2, and the body turns at 0.4 times that rate: 0.4 / (2 * 4)."""
-SHARP = math.radians(45)
-"""Angle to the direction above which the rover creeps on a slope, rad. At 0.5 m/s, the wheels of one side would rest
-while the others turn the rover as fast as they can, and it would stand still, as measured on slopes of 20 degrees."""
 BACKWARD = math.radians(120)
 """Angle to the direction above which the rover drives backward on a slope, rad. While it turns around, it slides."""
-SLOPE_SPEED = (0.2, 0.5)
-"""Largest speed on a slope in sharp turns, and backward, m/s."""
+BACKWARD_SPEED = 0.5
+"""Largest speed backward on a slope, m/s."""
 MAX_OFFSET = 3.0
 """Largest heading offset on a slope, rad. With pi, the sign of the heading error would be random."""
 NEAR = 0.8
@@ -162,9 +158,8 @@ def _drive_on_slope(turn: Tensor, rate: Tensor, lidar: Tensor) -> Tensor:
     overshoot = OVERSHOOT * rate * rate.abs()
     speed, offset = drive_towards(turn - overshoot, lidar).split(1, -1)
     tail = wrap_angle(turn + math.pi)
-    creep, most = SLOPE_SPEED
-    speed = torch.where(turn.abs() > SHARP, speed.clamp(max=creep), speed)
-    speed = torch.where(turn.abs() > BACKWARD, -most * tail.cos(), speed)
+    speed = torch.where(turn.abs() > SHARP, speed.clamp(max=SLOPE_SPEED), speed)
+    speed = torch.where(turn.abs() > BACKWARD, -BACKWARD_SPEED * tail.cos(), speed)
     offset = torch.where(turn.abs() > BACKWARD, 2 * (tail - overshoot), offset)
     return torch.cat((speed, offset.clamp(-MAX_OFFSET, MAX_OFFSET)), -1)
 

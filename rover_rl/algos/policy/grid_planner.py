@@ -42,7 +42,8 @@ TURN = 1.2
 SLOPE = math.radians(5)
 """Tilt of the rover above which it drives as on a slope, where it slides while it turns on the spot, rad."""
 SHARP = math.radians(45)
-"""Angle to the route above which it drives slowly on a slope, rad."""
+"""Angle to the route above which it drives slowly on a slope, rad. At 0.5 m/s, the wheels of one side would rest while
+the others turn the rover as fast as they can, and it would stand still, as measured on slopes of 20 degrees."""
 SLOPE_SPEED = 0.2
 """Speed in sharp turns on a slope, m/s."""
 
