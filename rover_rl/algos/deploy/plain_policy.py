@@ -15,6 +15,7 @@ from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import action_spec, middle_and_half
 from rover_rl.algos.policy.recurrent import RecurrentStep
 from rover_rl.envs.seen_map.seen_map import BOUNDS, ROUTE, ROUTE_KEYS
+from rover_rl.sims.timing import CONTROL_DT
 
 STATE_IN, STATE_OUT = "state_in", "state_out"
 """Names of the state, before and after a decision."""
@@ -64,7 +65,8 @@ class PlainPolicy(nn.Module):
             # Importing NVIDIA Warp takes half a second.
             from rover_rl.envs.seen_map.plain_map import PlainSeenMap
 
-            self._map = PlainSeenMap(checkpoint.env.lidar, checkpoint.env.robot)
+            interval = checkpoint.config.collection.action_repeat * CONTROL_DT
+            self._map = PlainSeenMap(checkpoint.env.lidar, checkpoint.env.robot, interval)
             self._map_size = self._map.state_size
         self.state_size = self._map_size + self._memory_size
         self.inputs = input_names(settings)

@@ -22,6 +22,7 @@ from rover_rl.algos.policy.recurrent import state_keys
 from rover_rl.envs.config import EnvConfig, LidarConfig
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.seen_map.seen_map import BOUNDS, NO_BOUNDS, ROUTE, SeenMap
+from rover_rl.sims.timing import CONTROL_DT
 
 Policy: TypeAlias = Callable[[TensorDictBase], TensorDictBase]
 """Function or module that adds ``"action"``, ``[N, 2]``, to observations ``[N]``.
@@ -135,7 +136,8 @@ class PolicyRunner:
         rows, points = observation["lidar"].shape
         config = self._env.config if self._env is not None else getattr(self.policy, "made_for", None)
         config = config or EnvConfig(lidar=LidarConfig(points=points))
-        return SeenMap(rows, config.lidar, config.robot, observation["lidar"].device)
+        interval = self.action_repeat * (CONTROL_DT if self._env is None else self._env.control_dt)
+        return SeenMap(rows, config.lidar, config.robot, observation["lidar"].device, interval=interval)
 
     def _decide(self, observation: TensorDictBase, due: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         """Calls the policy and returns the actions and the next state of all rows. Rows that are ``due`` matter."""

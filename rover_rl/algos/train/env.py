@@ -50,7 +50,7 @@ def make_training_env(
     action_repeat = config.collection.action_repeat
     env = env.append_transform(ActionRepeat(action_repeat))
     if ROUTE in config.network.observation:
-        env = env.append_transform(RouteObservation(rovers, _threads(config)))
+        env = env.append_transform(RouteObservation(rovers, _threads(config), action_repeat))
     if config.collection.route_reward:
         env = env.append_transform(RouteReward(config.collection.route_reward))
     if config.collection.path_reward:

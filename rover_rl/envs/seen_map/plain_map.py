@@ -14,6 +14,7 @@ from rover_rl.envs.seen_map.plain_scans import (
     packed,
     tilted,
     unpacked,
+    waited,
     with_scan,
 )
 from rover_rl.envs.seen_map.scan_kernels import CELL, SIZE
@@ -23,6 +24,7 @@ from rover_rl.envs.seen_map.seen_map import (
     goal_positions,
     largest_reading,
     lidar_mount,
+    patience_of,
     relative_route,
 )
 from rover_rl.sims.robots import Robot
@@ -34,6 +36,7 @@ class PlainSeenMap(nn.Module):
     Args:
         lidar: settings of the lidar; ``None``: the defaults.
         robot: robot, or its name, for the position of the lidar.
+        interval: time from one decision to the next, s.
 
     Attributes:
         state_size: number of entries of the state.
@@ -42,15 +45,18 @@ class PlainSeenMap(nn.Module):
         ValueError: if the lidar is mounted too far from the robot's center.
     """
 
-    state_size = 3 + SIZE * SIZE
+    state_size = 6 + SIZE * SIZE
 
     _directions: Tensor
     _mount: Tensor
 
-    def __init__(self, lidar: LidarConfig | None = None, robot: str | Robot = "rover_zero") -> None:
+    def __init__(
+        self, lidar: LidarConfig | None = None, robot: str | Robot = "rover_zero", interval: float = 0.2
+    ) -> None:
         super().__init__()
         lidar = lidar or LidarConfig()
         self._max_range, self._clearance = largest_reading(lidar), clearance_of(robot)
+        self._patience = patience_of(interval)
         self.register_buffer("_directions", beam_directions(lidar))
         self.register_buffer("_mount", torch.tensor(lidar_mount(robot)))
 
@@ -61,7 +67,8 @@ class PlainSeenMap(nn.Module):
 
         Args:
             state: state before, ``[N, state_size]``: the cell in the middle of the window, whether the ground is
-                rough, and what has been seen in each cell of the window. Zeros at the start of an episode.
+                rough, the place around which the rover is and its number of scans there, and what has been seen in each
+                cell of the window. Zeros at the start of an episode.
             lidar: lidar readings, ``[N, P]``, m.
             pose: x, y and z, ``[N, 3]``, m.
             imu: pitch, roll and yaw, ``[N, 3]``, rad.
@@ -71,13 +78,18 @@ class PlainSeenMap(nn.Module):
         Returns:
             The route, ``[N, 5]``, as ``SeenMap`` returns it, and the next state.
         """
-        before, was_rough, cells = state[:, :2], state[:, 2:3] > 0, state[:, 3:].reshape(-1, SIZE, SIZE)
+        before, was_rough = state[:, :2], state[:, 2:3] > 0
+        cells = state[:, 6:].reshape(-1, SIZE, SIZE)
         center = (pose[:, :2] / CELL).floor()
         poses = torch.cat((pose[:, :2], imu), -1)
         sensor = Lidar(self._directions, self._mount, self._max_range)
         rough = was_rough | tilted(poses)
         cells = torch.where((rough != was_rough)[..., None], 0.0, moved_window(cells, center - before))
-        content = with_scan(unpacked(cells), center, rough, poses, lidar, sensor)
-        corners, lengths = plan(levels(content, self._clearance), center, goal_positions(pose, imu, target), bounds)
+        places, waits = waited(state[:, 3:5], state[:, 5:6], poses)
+        halted = waits > self._patience
+        content = with_scan(unpacked(cells), center, rough, halted, poses, lidar, sensor)
+        level = levels(content, rough, self._clearance)
+        corners, lengths = plan(level, center, goal_positions(pose, imu, target), bounds)
         route = relative_route(corners, lengths, pose, imu)
-        return route, torch.cat((center, rough.to(center.dtype), packed(content).flatten(1)), -1)
+        waits = torch.where(halted, 1.0, waits)
+        return route, torch.cat((center, rough.to(center.dtype), places, waits, packed(content).flatten(1)), -1)

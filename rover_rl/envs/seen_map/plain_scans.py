@@ -15,7 +15,10 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from rover_rl.envs.seen_map.scan_kernels import (
+    AHEAD,
     CELL,
+    CLOSED,
+    DOUBTFUL,
     HALF,
     HIT,
     LOWEST,
@@ -28,8 +31,8 @@ from rover_rl.envs.seen_map.scan_kernels import (
     REACH,
     ROUGH_TILT,
     SIZE,
-    STEEP,
-    UPHILL,
+    SUSPECTED,
+    WAY,
     Clearance,
 )
 
@@ -37,8 +40,8 @@ _GAP_CELLS = math.ceil(NO_GAP) - 1
 """Largest number of cells between the ends of two neighboring beams that count as one obstacle."""
 _CODE = 16
 """Number of values of a digit of a map: evidence, and the four sides of the box. All are below."""
-_STEEP_CODE = _CODE - 1
-"""Digit that stands for the evidence of a cell that is too steep."""
+_CLOSED_CODE = _CODE - 1
+"""Digit that stands for the evidence of a cell that is closed."""
 _SIDES = 4
 """Number of sides of a box: ``PARTS - 1 - first`` and ``last`` along x, and along y. Larger ones are larger boxes."""
 
@@ -92,7 +95,7 @@ def unpacked(cells: Tensor) -> Cells:
         rest = (cells / _CODE).floor()
         digits.append(cells - _CODE * rest)
         cells = rest
-    evidence = torch.where(digits[0] == _STEEP_CODE, float(STEEP), digits[0])
+    evidence = torch.where(digits[0] == _CLOSED_CODE, float(CLOSED), digits[0])
     sides = torch.stack(digits[1:], 1)
     return Cells(evidence, torch.where(evidence[:, None] >= OCCUPIED, sides, -1.0))
 
@@ -102,7 +105,7 @@ def packed(cells: Cells) -> Tensor:
     number = torch.zeros_like(cells.evidence)
     for side in reversed(cells.sides.clamp(min=0.0).unbind(1)):
         number = _CODE * number + side
-    return _CODE * number + cells.evidence.clamp(max=_STEEP_CODE)
+    return _CODE * number + cells.evidence.clamp(max=_CLOSED_CODE)
 
 
 def tilted(pose: Tensor) -> Tensor:
@@ -110,13 +113,29 @@ def tilted(pose: Tensor) -> Tensor:
     return pose[:, 2:3].cos() * pose[:, 3:4].cos() < math.cos(ROUGH_TILT)
 
 
-def with_scan(cells: Cells, center: Tensor, rough: Tensor, pose: Tensor, readings: Tensor, lidar: Lidar) -> Cells:
+def waited(places: Tensor, waits: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
+    """Returns the places around which rovers are, ``[N, 2]``, m, and their numbers of scans there, ``[N, 1]``.
+
+    Args:
+        places: places before, ``[N, 2]``, m.
+        waits: numbers of scans before, ``[N, 1]``. 0 at the start of an episode.
+        pose: x, y (m), pitch, roll and yaw (rad) of the rovers, ``[N, 5]``.
+    """
+    away = (pose[:, :2] - places).square().sum(-1, keepdim=True).sqrt() > WAY
+    leaves = away | (waits == 0)
+    return torch.where(leaves, pose[:, :2], places), torch.where(leaves, 1.0, waits + 1)
+
+
+def with_scan(
+    cells: Cells, center: Tensor, rough: Tensor, halted: Tensor, pose: Tensor, readings: Tensor, lidar: Lidar
+) -> Cells:
     """Returns the content of maps with a scan added to each.
 
     Args:
         cells: content before.
         center: cells in the middle of the windows, ``[N, 2]``.
         rough: whether the ground is rough, bool ``[N, 1]``.
+        halted: rovers ahead of which a cell is closed, bool ``[N, 1]``.
         pose: x, y (m), pitch, roll and yaw (rad) of the rovers, ``[N, 5]``.
         readings: lidar readings, ``[N, P]``, m.
         lidar: the lidar.
@@ -131,39 +150,58 @@ def with_scan(cells: Cells, center: Tensor, rough: Tensor, pose: Tensor, reading
         lengths * (directions[:, 0] * one + directions[:, 1] * other) for one, other in zip(ahead, left, strict=True)
     )
     beams = (x_beam, y_beam, z_beam)
-    hits = _hits(beams, readings, lidar.max_range) & (
-        ~rough | _is_steep(beams, _cross(ahead, left), lidar.mount[2] / CELL)
-    )
+    ends = _ends(beams, readings, lidar.max_range)
+    steep = _is_steep(beams, _cross(ahead, left), lidar.mount[2] / CELL)
+    hits = ends & (beams[2] > LOWEST) & (steep | ~rough)
     passed = _counts(center, _passed(x, y, beams))
-    kinds = (x + beams[0], y + beams[1], hits), _between(x, y, beams, hits), _uphill(pose, cos, sin)
-    hit, gap, steep = (_counts(center, points) for points in kinds)
+    x_end, y_end = x + beams[0], y + beams[1]
+    hit, gap, close = (
+        (_counts(center, points), _boxes(center, points))
+        for points in (
+            (x_end, y_end, hits),
+            _between(x, y, beams, hits),
+            _joined(_uphill(pose, cos, sin), (*_ahead(pose, cos, sin), halted)),
+        )
+    )
+    doubt = _counts(center, (x_end, y_end, ends & rough & ~hits))
     # Beams that pass take 1 each, and those that end add HIT each, in any order: one stage follows the other.
     evidence = (cells.evidence - passed).clamp(min=0.0)
     sides = torch.where(evidence[:, None] >= OCCUPIED, cells.sides, -1.0)
-    evidence = (evidence + HIT * hit).clamp(max=MOST)
-    evidence = torch.where(gap > 0, evidence.clamp(min=OCCUPIED), evidence)
-    # Beams do not change a steep cell. Ends of beams do not widen its box, but what is between them does.
-    was_steep = cells.evidence > MOST
-    boxes = [torch.where(was_steep[:, None], -1.0, _boxes(center, kinds[0])), *(_boxes(center, k) for k in kinds[1:])]
-    sides = torch.where(was_steep[:, None], cells.sides, sides)
-    for box in boxes:
-        sides = torch.maximum(sides, box)
-    return Cells(torch.where(was_steep | (steep > 0), float(STEEP), evidence), sides)
+    evidence = (evidence + HIT * hit[0]).clamp(max=MOST)
+    evidence = torch.where(gap[0] > 0, evidence.clamp(min=OCCUPIED), evidence)
+    # Beams do not change a closed cell. Ends of beams do not widen its box, but what is between them does.
+    was_closed = cells.evidence > MOST
+    evidence = torch.where(was_closed, float(CLOSED), evidence)
+    sides = torch.where(was_closed[:, None], cells.sides, torch.maximum(sides, hit[1]))
+    sides = torch.maximum(sides, gap[1])
+    evidence = torch.where(doubt > 0, evidence.clamp(min=SUSPECTED), evidence)
+    return Cells(torch.where(close[0] > 0, float(CLOSED), evidence), torch.maximum(sides, close[1]))
 
 
-def levels(cells: Cells, clearance: Clearance) -> Tensor:
-    """Returns the level of each cell by the distance of its middle from the nearest box, ``[N, SIZE, SIZE]``.
+def levels(cells: Cells, rough: Tensor, clearance: Clearance) -> Tensor:
+    """Returns the level of each cell, ``[N, SIZE, SIZE]``, on ground that is rough ``[N, 1]`` or not.
 
     The surroundings of a cell at an edge of the window reach over to the opposite edge.
     """
+    level = torch.where(cells.evidence >= OCCUPIED, 0.0, _levels_by_distance(cells.sides, clearance))
+    suspected = ((cells.evidence == SUSPECTED) & rough[..., None]).to(level.dtype)
+    offset = torch.arange(-clearance.reach, clearance.reach + 1, device=level.device)
+    near = PARTS * PARTS * (offset.square() + offset.square()[:, None]) < clearance.doubt
+    around = F.pad(suspected[:, None], (clearance.reach,) * 4, mode="circular")
+    count = F.conv2d(around, near[None, None].to(level.dtype))[:, 0]
+    return torch.where(count > 0.5, level.clamp(max=DOUBTFUL), level)
+
+
+def _levels_by_distance(sides: Tensor, clearance: Clearance) -> Tensor:
+    """Returns the level of each cell by the distance of its middle from the nearest of boxes with the given sides."""
     reach = clearance.reach
-    offset = torch.arange(-reach, reach + 1, device=cells.evidence.device)
-    around = F.pad(cells.sides, (reach,) * 4, mode="circular")
+    offset = torch.arange(-reach, reach + 1, device=sides.device)
+    around = F.pad(sides, (reach,) * 4, mode="circular")
     # Squared distances along x and along y, in parts, from the box in a cell to the middle of one `offset` cells away.
     middle = (PARTS * offset + PARTS // 2).to(around.dtype)[None, :, None, None]
     x, y = (
-        torch.maximum(PARTS - 1 - sides[:, :1] - middle, middle - sides[:, 1:] - 1).clamp(min=0.0).square()
-        for sides in around.chunk(2, 1)
+        torch.maximum(PARTS - 1 - pair[:, :1] - middle, middle - pair[:, 1:] - 1).clamp(min=0.0).square()
+        for pair in around.chunk(2, 1)
     )
     free = around[:, :1] < 0
     x = torch.where(free, float(clearance.wide), x)
@@ -176,8 +214,7 @@ def levels(cells: Cells, clearance: Clearance) -> Tensor:
     rows = [part[:, 2 * reach - row :][:, :SIZE] for row, part in enumerate(nearest.unbind(1))]
     square = _lowest(rows)
     limits = (clearance.tight, clearance.near, clearance.wide)
-    level = OPEN - sum((square < limit).to(square.dtype) for limit in limits)
-    return torch.where(cells.evidence >= OCCUPIED, 0.0, level)
+    return OPEN - sum((square < limit).to(square.dtype) for limit in limits)
 
 
 def _lowest(values: list[Tensor]) -> Tensor:
@@ -207,10 +244,9 @@ def _cross(one: Vectors, other: Vectors) -> Vectors:
     return b * z - c * y, c * x - a * z, a * y - b * x
 
 
-def _hits(beams: Vectors, readings: Tensor, max_range: float) -> Tensor:
-    """Returns which beams, in cells, end at an obstacle in the window, bool ``[N, P]``."""
-    crossed = torch.maximum(beams[0].abs(), beams[1].abs())
-    return (readings < max_range) & (crossed < REACH) & (beams[2] > LOWEST)
+def _ends(beams: Vectors, readings: Tensor, max_range: float) -> Tensor:
+    """Returns which beams, in cells, have hit something in the window, bool ``[N, P]``."""
+    return (readings < max_range) & (torch.maximum(beams[0].abs(), beams[1].abs()) < REACH)
 
 
 def _is_steep(beams: Vectors, up: Vectors, height: Tensor) -> Tensor:
@@ -254,9 +290,20 @@ def _uphill(pose: Tensor, cos: Tensor, sin: Tensor) -> Points:
     # The rover's vertical axis leans downhill.
     down_x = cos_roll * sin_pitch * cos + sin_roll * sin
     down_y = cos_roll * sin_pitch * sin - sin_roll * cos
-    scale = UPHILL / (down_x * down_x + down_y * down_y).sqrt()
+    scale = AHEAD / (down_x * down_x + down_y * down_y).sqrt()
     x, y = pose[:, :1] / CELL - scale * down_x, pose[:, 1:2] / CELL - scale * down_y
     return x, y, cos_pitch * cos_roll < math.cos(MAX_TILT)
+
+
+def _ahead(pose: Tensor, cos: Tensor, sin: Tensor) -> tuple[Tensor, Tensor]:
+    """Returns x and y of a point ahead of the rover."""
+    return pose[:, :1] / CELL + AHEAD * cos, pose[:, 1:2] / CELL + AHEAD * sin
+
+
+def _joined(one: Points, other: Points) -> Points:
+    """Returns the points of both."""
+    x, y, counts = (torch.cat(parts, 1) for parts in zip(one, other, strict=True))
+    return x, y, counts
 
 
 def _addresses(center: Tensor, points: Points) -> Tensor:

@@ -7,7 +7,7 @@ every exact method finds the same ones.
 
 from __future__ import annotations
 
-from rover_rl.envs.seen_map.scan_kernels import CELL, HALF, LAST, OPEN, SIZE, address, cell_of
+from rover_rl.envs.seen_map.scan_kernels import CELL, HALF, LAST, OPEN, SIZE, address, cell_of, level_of
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.worlds.grid_kernels import link, unlink
 
@@ -68,9 +68,11 @@ def least_cost(x: int, y: int):
 
 
 @wp.func
-def weight_of(x: int, y: int, goal: int, center: wp.vec2i, fence: wp.vec4i, levels: wp.array[wp.uint8]):
+def weight_of(
+    x: int, y: int, goal: int, center: wp.vec2i, fence: wp.vec4i, levels: wp.array[wp.uint8], doubts: wp.array[wp.int16]
+):
     """Returns the weight of cell (x, y) of the window; 0 if the rover cannot be there."""
-    level = int(levels[address(x + center[0] - HALF, y + center[1] - HALF)])
+    level = level_of(address(x + center[0] - HALF, y + center[1] - HALF), levels, doubts)
     weight = int(OPEN_WEIGHT)
     if level == 3:
         weight = 3
@@ -94,6 +96,7 @@ def spread(
     center: wp.vec2i,
     fence: wp.vec4i,
     levels: wp.array[wp.uint8],
+    doubts: wp.array[wp.int16],
     costs: wp.array[int],
     heads: wp.array[int],
     following: wp.array[int],
@@ -129,7 +132,7 @@ def spread(
             here = costs[cell]
             x = cell & LAST
             y = cell / SIZE
-            weight = weight_of(x, y, goal, center, fence, levels)
+            weight = weight_of(x, y, goal, center, fence, levels, doubts)
             for step in range(8):
                 offset = neighbor(step)
                 to_x = x + offset[0]
@@ -139,7 +142,9 @@ def spread(
                     other = to_y * SIZE + to_x
                     candidate = here + step_length(step) * weight
                     known = costs[other]
-                    if candidate < known and (other == home or weight_of(to_x, to_y, goal, center, fence, levels) > 0):
+                    if candidate < known and (
+                        other == home or weight_of(to_x, to_y, goal, center, fence, levels, doubts) > 0
+                    ):
                         estimate = least_cost(to_x - HALF, to_y - HALF)
                         if known < UNKNOWN_COST and following[other] != REMOVED:
                             unlink(other, (known + estimate) / WIDTH % BUCKETS, heads, following, preceding)
@@ -162,6 +167,7 @@ def next_step(
     center: wp.vec2i,
     fence: wp.vec4i,
     levels: wp.array[wp.uint8],
+    doubts: wp.array[wp.int16],
     costs: wp.array[int],
 ):
     """Returns the step of a cheapest path from a cell: of equally cheap ones that which goes on ahead, or the first."""
@@ -172,7 +178,7 @@ def next_step(
         to_x = x + offset[0]
         to_y = y + offset[1]
         if to_x >= 0 and to_y >= 0 and to_x < SIZE and to_y < SIZE:
-            weight = weight_of(to_x, to_y, goal, center, fence, levels)
+            weight = weight_of(to_x, to_y, goal, center, fence, levels, doubts)
             known = costs[to_y * SIZE + to_x]
             if weight > 0 and known < UNKNOWN_COST:
                 cost = known + step_length(step) * weight
@@ -183,7 +189,16 @@ def next_step(
 
 
 @wp.func
-def is_open(from_x: int, from_y: int, to_x: int, to_y: int, least: int, center: wp.vec2i, levels: wp.array[wp.uint8]):
+def is_open(
+    from_x: int,
+    from_y: int,
+    to_x: int,
+    to_y: int,
+    least: int,
+    center: wp.vec2i,
+    levels: wp.array[wp.uint8],
+    doubts: wp.array[wp.int16],
+):
     """Returns whether all cells between two cells of the window have at least the level ``least``."""
     count = wp.max(wp.abs(to_x - from_x), wp.abs(to_y - from_y))
     free = bool(True)
@@ -191,7 +206,7 @@ def is_open(from_x: int, from_y: int, to_x: int, to_y: int, least: int, center: 
         part = float(n) / float(count)
         x = from_x + int(wp.floor(part * float(to_x - from_x) + 0.5))
         y = from_y + int(wp.floor(part * float(to_y - from_y) + 0.5))
-        if int(levels[address(x + center[0] - HALF, y + center[1] - HALF)]) < least:
+        if level_of(address(x + center[0] - HALF, y + center[1] - HALF), levels, doubts) < least:
             free = False
     return free
 
@@ -202,6 +217,7 @@ def find_corners(
     center: wp.vec2i,
     fence: wp.vec4i,
     levels: wp.array[wp.uint8],
+    doubts: wp.array[wp.int16],
     costs: wp.array[int],
     corners: wp.array2d[float],
 ):
@@ -221,11 +237,13 @@ def find_corners(
     step = int(-1)
     n = int(0)
     while n < LONGEST and found < 2 and y * SIZE + x != goal:
-        step = next_step(x, y, step, goal, center, fence, levels, costs)
+        step = next_step(x, y, step, goal, center, fence, levels, doubts, costs)
         offset = neighbor(step)
-        level = int(levels[address(x + offset[0] + center[0] - HALF, y + offset[1] + center[1] - HALF)])
+        level = level_of(address(x + offset[0] + center[0] - HALF, y + offset[1] + center[1] - HALF), levels, doubts)
         least = wp.min(least, level)
-        if walked >= NEAREST and not is_open(start_x, start_y, x + offset[0], y + offset[1], least, center, levels):
+        if walked >= NEAREST and not is_open(
+            start_x, start_y, x + offset[0], y + offset[1], least, center, levels, doubts
+        ):
             corners[found, 0] = (float(x + center[0] - HALF) + 0.5) * CELL
             corners[found, 1] = (float(y + center[1] - HALF) + 0.5) * CELL
             found += 1
@@ -247,6 +265,7 @@ def plan_routes(
     planned: wp.array[wp.bool],
     centers: wp.array[wp.vec2i],
     levels: wp.array2d[wp.uint8],
+    doubts: wp.array2d[wp.int16],
     costs: wp.array2d[int],
     heads: wp.array2d[int],
     following: wp.array2d[int],
@@ -264,6 +283,7 @@ def plan_routes(
         planned: rows to plan for, ``[N]``. The results of others do not change.
         centers: cells in the middle of the windows.
         levels: level of each cell: see :func:`add_scans`.
+        doubts: number of suspected cells around each one.
         costs: working memory, ``[T, SIZE * SIZE]``.
         heads: working memory, ``[T, BUCKETS]``.
         following: working memory, ``[T, SIZE * SIZE]``.
@@ -289,13 +309,13 @@ def plan_routes(
                 edge(bounds[i, 2], center[0]) - ROOM,
                 edge(bounds[i, 3], center[1]) - ROOM,
             )
-            spread(goal, center, fence, levels[i], costs[t], heads[t], following[t], preceding[t])
+            spread(goal, center, fence, levels[i], doubts[i], costs[t], heads[t], following[t], preceding[t])
             total = costs[t, HALF * SIZE + HALF]
             lengths[i] = -1.0
             found = int(0)
             if total < UNKNOWN_COST:
                 lengths[i] = float(total) * CELL / float(OPEN_WEIGHT * STRAIGHT)
-                found = find_corners(goal, center, fence, levels[i], costs[t], corners[i])
+                found = find_corners(goal, center, fence, levels[i], doubts[i], costs[t], corners[i])
             for k in range(found, 2):
                 # The last corner is the goal itself.
                 corners[i, k, 0] = goals[i, 0]

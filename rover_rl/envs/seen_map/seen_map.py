@@ -41,6 +41,9 @@ ROUTE_BOUNDS = Bounds((0.0, -math.pi, 0.0, -math.pi, -1.0), (100.0, math.pi, 100
 FARTHEST_MOUNT = 0.45
 """Largest distance of the lidar from the robot's center along x and along y, m."""
 
+PATIENCE = 8.0
+"""Time in which a rover makes half a meter of way, if it can get on, s. Turning around takes 3 s."""
+
 MARGINS = (0.01, 0.075, 0.225)
 """Distances of a rover's side from obstacles below which it does not fit, hardly fits, and should be slow, m."""
 
@@ -80,8 +83,19 @@ def clearance_of(robot: str | Robot) -> Clearance:
     tight, near, wide = (math.ceil((half_width + margin) / CELL * PARTS) for margin in MARGINS)
     clearance = Clearance()
     clearance.tight, clearance.near, clearance.wide = tight**2, near**2, wide**2
+    # A suspected obstacle may be anywhere in its cell.
+    clearance.doubt = (wide + PARTS // 2) ** 2
     clearance.reach = math.ceil(wide / PARTS)
     return clearance
+
+
+def patience_of(interval: float) -> int:
+    """Returns the number of scans within which a rover makes its way, if it can get on.
+
+    Args:
+        interval: time from one scan to the next, s.
+    """
+    return math.ceil(PATIENCE / interval)
 
 
 def goal_positions(pose: Tensor, imu: Tensor, target: Tensor) -> Tensor:
@@ -110,11 +124,15 @@ class SeenMap:
     Each row has its own map: a window of 19.2 m around the rover, in cells of 0.15 m, which moves with it. The end of a
     beam marks a cell as occupied, and beams that pass through a cell clear it. What has not been seen counts as free,
     so that routes lead into the unknown if that may be shorter. Once its end has been seen, no route leads into a dead
-    end any more. Where the rover tilts by more than 24 degrees, the ground ahead uphill counts as occupied, too.
+    end any more.
+
+    What the lidar does not see is found out by driving. Where the rover tilts by more than 24 degrees, the ground ahead
+    uphill counts as occupied. If the rover does not get farther than half a meter in 8 s, the place ahead of it does.
 
     The lidar scans in one plane, so that a gentle slope ahead looks like a wall. On rough ground, that is once the
     rover has tilted by more than 3 degrees in the episode, the end of a beam therefore marks a cell only if the ground
-    rises to it by more than 24 degrees: on a level rover with the lidar at 0.32 m, within 0.72 m.
+    rises to it by more than 24 degrees: on a level rover with the lidar at 0.32 m, within 0.72 m. At other ends, an
+    obstacle is suspected: a route crosses them only if the detour around them is much longer.
 
     The map needs a pose that does not jump, such as that of odometry.
 
@@ -124,6 +142,7 @@ class SeenMap:
         robot: robot, or its name, for the position of the lidar.
         device: device of the observations; ``None``: the CPU.
         threads: number of CPU threads. Results do not depend on it.
+        interval: time from one scan that is added to the next, s.
 
     Raises:
         ValueError: if the lidar is mounted too far from the robot's center.
@@ -136,21 +155,25 @@ class SeenMap:
         robot: str | Robot = "rover_zero",
         device: torch.device | str | None = None,
         threads: int = 1,
+        interval: float = 0.2,
     ) -> None:
         # Importing NVIDIA Warp takes half a second.
         from rover_rl.envs.seen_map.route_kernels import BUCKETS
         from rover_rl.envs.seen_map.scan_kernels import OPEN, SIZE
 
         lidar, device = lidar or LidarConfig(), torch.device(device or "cpu")
-        self._mount, self._max_range = lidar_mount(robot), largest_reading(lidar)
+        self._mount, self._max_range, self._patience = lidar_mount(robot), largest_reading(lidar), patience_of(interval)
         cells = (rows, SIZE * SIZE)
         self._every = torch.ones(rows, dtype=torch.bool, device=device)
         self._renewed, self._rough = self._every.clone(), ~self._every
+        self._places = torch.zeros(rows, 2, device=device)
+        self._waits = torch.zeros(rows, dtype=torch.int32, device=device)
         self._unbounded = torch.tensor(NO_BOUNDS, device=device).repeat(rows, 1)
         self._centers = torch.zeros(rows, 2, dtype=torch.int32, device=device)
         self._evidence = torch.zeros(cells, dtype=torch.uint8, device=device)
         self._boxes = torch.zeros(cells, dtype=torch.int32, device=device)
         self._levels = torch.full(cells, OPEN, dtype=torch.uint8, device=device)
+        self._doubts = torch.zeros(cells, dtype=torch.int16, device=device)
         self._clearance = clearance_of(robot)
         # x and y of two corners, and the length.
         self._corners = torch.zeros(rows, 2, 2, device=device)
@@ -201,18 +224,18 @@ class SeenMap:
         """Returns how far the cells are from obstacles.
 
         Returns:
-            Levels, uint8 ``[N, rows, columns]``: 0 in cells with an obstacle or too steep ones, 1 where the rover does
-            not fit, 2 where it hardly fits, 3 where it should be slow, and 4 elsewhere. And x, y of the lower corner of
-            cell ``[0, 0]`` of each row's window, float32 ``[N, 2]``, m.
+            Levels, uint8 ``[N, rows, columns]``: 0 in cells with an obstacle or closed ones, 1 where the rover does not
+            fit, 2 where it hardly fits or an obstacle is suspected, 3 where it should be slow, and 4 elsewhere. And x,
+            y of the lower corner of cell ``[0, 0]`` of each row's window, float32 ``[N, 2]``, m.
         """
-        from rover_rl.envs.seen_map.scan_kernels import CELL, HALF, SIZE
+        from rover_rl.envs.seen_map.scan_kernels import CELL, DOUBTFUL, HALF, SIZE
 
+        levels = torch.where(self._doubts > 0, self._levels.clamp(max=DOUBTFUL), self._levels)
         lowest = self._centers - HALF
         # A cell is stored at its number modulo the size.
         columns, rows = ((lowest[:, axis, None] + torch.arange(SIZE, device=lowest.device)) % SIZE for axis in range(2))
         address = rows[:, :, None] * SIZE + columns[:, None]
-        levels = self._levels.gather(1, address.flatten(1).long())
-        return levels.reshape(address.shape), lowest * CELL
+        return levels.gather(1, address.flatten(1).long()).reshape(address.shape), lowest * CELL
 
     def _launch(self, poses: Tensor, readings: Tensor, goals: Tensor, bounds: Tensor, rows: Tensor) -> None:
         """Launches the kernels. Poses are x, y, pitch, roll, yaw, ``[N, 5]``."""
@@ -224,9 +247,10 @@ class SeenMap:
         options = {"device": device, "stream": wp.stream_from_torch(poses.device) if device.is_cuda else None}
         centers = wp.from_torch(self._centers, dtype=wp.vec2i)
         directions = wp.from_torch(self._directions, dtype=wp.vec2)
-        scans = [poses, readings, directions, self._mount, self._max_range, self._clearance]
-        scans += [rows, self._renewed, self._rough, centers, self._evidence, self._boxes, self._levels]
-        plans = [goals, bounds, rows, centers, self._levels]
+        scans = [poses, readings, directions, self._mount, self._max_range, self._clearance, self._patience]
+        scans += [rows, self._renewed, self._rough, self._places, self._waits]
+        scans += [centers, self._evidence, self._boxes, self._levels, self._doubts]
+        plans = [goals, bounds, rows, centers, self._levels, self._doubts]
 
         def launch(share: tuple[int, int], memory: list[Tensor]) -> None:
             first, last = share

@@ -27,6 +27,7 @@ class RouteObservation(Transform):
     Args:
         env (rover_rl.RoverEnv): environment whose lidar and robot are used.
         threads: number of CPU threads. Results do not depend on it.
+        action_repeat: number of steps from one decision to the next.
 
     Example:
         >>> env = RoverEnv(world_n="maze", num_envs=4, seed=0)
@@ -35,10 +36,11 @@ class RouteObservation(Transform):
         torch.Size([4, 3, 5])
     """
 
-    def __init__(self, env: RoverEnv, threads: int = 1) -> None:
+    def __init__(self, env: RoverEnv, threads: int = 1, action_repeat: int = 1) -> None:
         super().__init__()
         self._env = env
-        self._seen = SeenMap(env.num_envs, env.config.lidar, env.robot, env.device, threads)
+        interval = action_repeat * env.control_dt
+        self._seen = SeenMap(env.num_envs, env.config.lidar, env.robot, env.device, threads, interval)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         return next_tensordict.set(ROUTE, self._route(next_tensordict))

@@ -26,8 +26,9 @@ ROBOT = replace(get_robot("rover_zero"), lidar_position=(0.17, -0.05, 0.3))
 class Both:
     """The kernels and the tensor operations, side by side, on the same observations of one rover."""
 
-    def __init__(self) -> None:
-        self.kernels, self.plain = SeenMap(1, LIDAR, ROBOT), PlainSeenMap(LIDAR, ROBOT)
+    def __init__(self, interval: float = 0.2) -> None:
+        self.kernels = SeenMap(1, LIDAR, ROBOT, interval=interval)
+        self.plain = PlainSeenMap(LIDAR, ROBOT, interval)
         self.state = torch.zeros(1, self.plain.state_size)
         self.lengths: list[float] = []
         self.decisions = self.same_routes = self.cells = self.same_cells = 0
@@ -43,7 +44,8 @@ class Both:
         self.lengths.append(float(expected[0, 4]))
 
     def levels(self) -> Tensor:
-        return levels(unpacked(self.state[:, 3:].reshape(1, 128, 128)), clearance_of(ROBOT))
+        cells = unpacked(self.state[:, 6:].reshape(1, 128, 128))
+        return levels(cells, self.state[:, 2:3] > 0, clearance_of(ROBOT))
 
     def assert_same(self) -> None:
         """Sines and cosines of two libraries may differ in the last bit, so that a beam ends in another cell."""
@@ -109,6 +111,24 @@ def test_steep_ground_is_kept_and_what_is_gone_is_cleared() -> None:
     both.assert_same()
     # The cell uphill.
     assert occupied > int((both.levels() == 0).sum()) == 1
+
+
+@pytest.mark.parametrize("start", [0.0, 5.0])
+def test_the_place_ahead_is_closed_at_the_same_scan(start: float) -> None:
+    both, closed = Both(interval=2.0), []
+    for k in range(11):
+        both(observed((start + 0.1 * (k % 3), 0.0), (9.0, 0.3), yaw=0.2 * k))
+        closed.append(int((both.levels() == 0).sum()))
+    both.assert_same()
+    assert closed == [0] * 4 + [1] * 4 + [2] * 3
+
+
+def test_suspected_cells_are_cleared_and_hit() -> None:
+    both = Both()
+    wall = ((2.0, -0.5, 2.0, 0.5),)
+    for x, walls in ((0.0, wall), (0.1, wall), (0.1, ()), (0.2, wall), (1.4, wall), (0.4, wall)):
+        both(observed((x, 0.0), (5.0, 0.1), walls, pitch=-0.06))
+    both.assert_same()
 
 
 @pytest.mark.parametrize("goal", [(0.02, 0.03), (0.2, 0.1), (1.5, 0.0), (40.0, -3.0)])

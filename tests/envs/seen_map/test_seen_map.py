@@ -164,6 +164,52 @@ def test_on_rough_ground_far_ends_of_beams_may_be_gentle_slopes() -> None:
     assert is_occupied(seen, 0.6, 0.0), "too steep to be climbed"
 
 
+def test_on_rough_ground_routes_avoid_far_ends_of_beams_unless_the_detour_is_long() -> None:
+    def angle(half_width: float) -> float:
+        seen = one_map()
+        wall = ((3.0, -half_width, 3.0, half_width + 0.1),)
+        for pitch in (-0.1, 0.0, 0.0):
+            route = seen(observed((0.0, 0.0), (6.0, 0.0), wall, pitch=pitch))[0]
+        assert level_at(seen, 3.0, 0.0) == 2, "suspected"
+        return float(route[1])
+
+    assert abs(angle(0.3)) > 0.1, "around a boulder"
+    assert abs(angle(4.0)) < 1e-6, "across a slope"
+
+
+def test_beams_that_pass_clear_suspected_cells() -> None:
+    seen = one_map()
+    seen(observed((0.0, 0.0), (6.0, 0.0), ((3.0, -0.3, 3.0, 0.3),), pitch=-0.1))
+    assert level_at(seen, 3.0, 0.0) == 2
+    seen(observed((0.0, 0.0), (6.0, 0.0)))
+    assert level_at(seen, 3.0, 0.0) == 4
+
+
+@pytest.mark.parametrize("interval", [0.2, 1.0])
+def test_the_place_ahead_is_closed_if_the_rover_does_not_get_on_for_8_seconds(interval: float) -> None:
+    seen = SeenMap(1, LIDAR, CENTERED, interval=interval)
+    scans = round(8.0 / interval)
+    for k in range(scans):
+        # Back and forth, as in front of a gap that is too narrow.
+        route = seen(observed((0.2 * (k % 2), 0.0), (4.0, 0.0)))
+        assert abs(float(route[0, 1])) < 1e-6
+    route = seen(observed((0.0, 0.0), (4.0, 0.0)))
+    assert is_occupied(seen, 0.45, 0.0)
+    assert abs(float(route[0, 1])) > 0.3, "around it"
+    for _ in range(12):
+        seen(observed((0.0, 0.0), (4.0, 0.0)))
+    assert is_occupied(seen, 0.45, 0.0), "no beam clears it"
+    seen(observed((0.0, 0.0), (4.0, 0.0)), renewed=torch.tensor([True]))
+    assert not is_occupied(seen, 0.45, 0.0)
+
+
+def test_nothing_is_closed_ahead_of_a_rover_that_gets_on() -> None:
+    seen = SeenMap(1, LIDAR, CENTERED, interval=1.0)
+    for k in range(30):
+        seen(observed((0.1 * k, 0.0), (8.0, 0.0)))
+        assert (seen.levels()[0] == 4).all()
+
+
 def test_slopes_are_measured_from_the_ground_below_the_lidar() -> None:
     """From a lidar at 0.3 m, the line to a point 1 m ahead on the same height rises by 17 degrees."""
     wall = ((1.0, -4.0, 1.0, 4.0),)

@@ -14,7 +14,7 @@ from rover_rl.envs.transforms.route_reward import RouteReward
 
 
 def routed(rovers: RoverEnv, repeat: int = 4) -> EnvBase:
-    return TransformedEnv(rovers, ActionRepeat(repeat)).append_transform(RouteObservation(rovers))
+    return TransformedEnv(rovers, ActionRepeat(repeat)).append_transform(RouteObservation(rovers, action_repeat=repeat))
 
 
 def maze(num_envs: int | None = 4, seed: int = 0) -> RoverEnv:
