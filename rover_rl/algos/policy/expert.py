@@ -83,9 +83,10 @@ class PrivilegedExpert:
         tilt, yaw = rows["imu"].split((2, 1), -1)
         turn = torch.where(distance < NEAR, bearing, wrap_angle(direction - yaw))
         careful = drive_towards(turn, rows["lidar"])
-        sloped = _drive_on_slope(turn, rows["velocities"][:, 1:], rows["lidar"])
-        careful = torch.where(tilt.norm(dim=-1, keepdim=True) > SLOPE, sloped, careful)
-        through = _pass_through(wrap_angle(self._best_heading(fields, position, LOOK_AHEAD_NARROW) - yaw))
+        sloped = tilt.norm(dim=-1, keepdim=True) > SLOPE
+        on_slope = _drive_on_slope(turn, rows["velocities"][:, 1:], rows["lidar"])
+        careful = torch.where(sloped, on_slope, careful)
+        through = _pass_through(wrap_angle(self._best_heading(fields, position, LOOK_AHEAD_NARROW) - yaw), sloped)
         return torch.where(narrow, through, careful).reshape(*shape, 2)
 
     def _best_heading(self, fields: Tensor, position: Tensor, look_ahead: tuple[float, ...]) -> Tensor:
@@ -158,20 +159,23 @@ def _drive_on_slope(turn: Tensor, rate: Tensor, lidar: Tensor) -> Tensor:
     overshoot = OVERSHOOT * rate * rate.abs()
     speed, offset = drive_towards(turn - overshoot, lidar).split(1, -1)
     tail = wrap_angle(turn + math.pi)
-    speed = torch.where(turn.abs() > SHARP, speed.clamp(max=SLOPE_SPEED), speed)
+    speed = torch.where(turn.abs() > SHARP, speed.clamp(max=SLOPE_SPEED), speed.clamp(min=SLOPE_SPEED))
     speed = torch.where(turn.abs() > BACKWARD, -BACKWARD_SPEED * tail.cos(), speed)
     offset = torch.where(turn.abs() > BACKWARD, 2 * (tail - overshoot), offset)
     return torch.cat((speed, offset.clamp(-MAX_OFFSET, MAX_OFFSET)), -1)
 
 
-def _pass_through(turn: Tensor) -> Tensor:
+def _pass_through(turn: Tensor, sloped: Tensor) -> Tensor:
     """Returns the actions of a rover in a narrow passage, where obstacles are too near for a careful driver.
 
     Args:
         turn: angle to the direction of the passage, ``[M, 1]``, rad.
+        sloped: whether the rover is on a slope, bool ``[M, 1]``.
 
     Returns:
         Forward speed (m/s) and heading offset (rad), ``[M, 2]``.
     """
     speed = CREEP * (1 - turn.abs() / ALIGNED).clamp(min=0)
+    # Slower, it would stand still while it turns.
+    speed = torch.where(sloped & (turn.abs() < SHARP), speed.clamp(min=SLOPE_SPEED), speed)
     return torch.cat((speed, (2 * turn).clamp(-math.pi, math.pi)), -1)
