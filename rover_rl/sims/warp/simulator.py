@@ -125,10 +125,12 @@ class WarpSimulator:
 
     def _fill(self, slots: Iterable[int]) -> None:
         """Copies the worlds of slots to the device, and the slot of every rover."""
-        for slot in slots:
-            world = self._slots.worlds[slot]
-            self._scenes[slot] = world
-            self._terrains[slot] = world.terrain
+        # Copies wait for kernels that still read the slot's world before, and kernels for the copies.
+        with wp.ScopedStream(self._stream):
+            for slot in slots:
+                world = self._slots.worlds[slot]
+                self._scenes[slot] = world
+                self._terrains[slot] = world.terrain
         self._buffers.scene.copy_(torch.tensor(self._slots.of_row, dtype=torch.int32))
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
