@@ -26,6 +26,7 @@ import tyro
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from benchmarks.stored import stored_worlds
 from rover_rl import Randomization, make_env
 from rover_rl.algos.config import training_config
 from rover_rl.algos.evaluation.episodes import STORED_WORLDS, stored_episodes
@@ -73,7 +74,7 @@ def rollout_digest(world: str, backend: str, randomization: Randomization | None
 def evaluation_digest(name: str, count: int) -> tuple[str, float]:
     """Digest of an evaluation, and its success rate."""
     checkpoint = load_pretrained(name)
-    (world,) = checkpoint.env.world_names
+    world, *_ = stored_worlds(checkpoint.env)
     result = evaluate(checkpoint.make_actor(), stored_episodes(world).first(count), name=name)
     values = {key: metric.value for key, metric in result.metrics.items()}
     text = json.dumps([values, result.to_json()["episodes"]], sort_keys=True)

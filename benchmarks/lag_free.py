@@ -23,6 +23,8 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
+from benchmarks.stored import stored_worlds
+from rover_rl.algos.evaluation.body_contacts import is_touching
 from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.algos.evaluation.evaluate import environment_for, evaluate
 from rover_rl.algos.evaluation.metrics import count_reversals
@@ -35,7 +37,7 @@ from rover_rl.sims.connection import Connection
 from rover_rl.sims.native.bullet import pybullet
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2.limits import CommandLimiter, CommandLimits
-from rover_rl.sims.rotations import matrix_to_quaternion
+from rover_rl.sims.rotations import matrix_to_quaternion, quaternion_to_euler
 from rover_rl.sims.worlds import World, rest_on_ground
 
 DT = 0.05
@@ -80,7 +82,10 @@ class LagFree:
 
 
 class LagFreeRovers:
-    """Rovers that follow their commands exactly, on the ground of one world."""
+    """Rovers that follow their commands exactly, on the ground of one world.
+
+    Obstacles do not stop them. The body touches one where its outline is within 1 cm of it.
+    """
 
     def __init__(self, worlds: Sequence[World], robot: Robot, lidar_beams: int, settings: LagFree) -> None:
         self.num_envs, self.device, self.robot_connected = len(worlds), torch.device("cpu"), True
@@ -127,14 +132,16 @@ class LagFreeRovers:
         """Returns poses, velocities and scans."""
         position, rotation = rest_on_ground(self._world, self._robot, self._pose)
         ranges = self._lidar.scan(position.numpy(), np.ascontiguousarray(rotation.numpy()))
+        orientation = matrix_to_quaternion(rotation).float()
         return RoverState.pack(
             position=position.float(),
-            orientation=matrix_to_quaternion(rotation).float(),
+            orientation=orientation,
             linear_velocity=self._twist[:, :1].clone(),
             angular_velocity=self._twist[:, 1:].clone(),
             ranges=torch.from_numpy(ranges).float(),
             dt=torch.full((self.num_envs, 1), DT),
             stamp=torch.zeros(self.num_envs, 1, dtype=torch.float64),
+            contact=is_touching(position.float(), quaternion_to_euler(orientation), self._world, self._robot)[:, None],
         )
 
     def close(self) -> None:
@@ -147,8 +154,8 @@ class LagFreeRovers:
 class Options:
     """Measure command reversals without and with the command limits."""
 
-    policies: tuple[str, ...] = ("inspect-ppo", "maze-ppo", "moon-sac")
-    """Names of pretrained policies. Each drives in the world that it was trained in."""
+    policies: tuple[str, ...] = ("anywhere", "moon-ppo", "moon-sac")
+    """Names of pretrained policies. Each drives in the first world with stored episodes that it was trained for."""
     count: int = 64
     """Number of stored episodes."""
     seconds: float = 60.0
@@ -160,7 +167,7 @@ class Options:
 def measure(policy: str, count: int, seconds: float) -> dict[str, dict[str, float]]:
     """Evaluates a policy on the same episodes without and with the limits."""
     checkpoint = load_pretrained(policy)
-    actor, (world, *_) = checkpoint.make_actor(), checkpoint.env.world_names
+    actor, (world, *_) = checkpoint.make_actor(), stored_worlds(checkpoint.env)
     results = {}
     for name, limited in (("without limits", False), ("with limits", True)):
         settings = LagFree(limited)

@@ -1,8 +1,9 @@
-"""Table and learning curves of the README: trains the policies of the package with several seeds, and evaluates them.
+"""Table and learning curves: trains the policies of the package with several seeds, and evaluates them.
 
-    python benchmarks/results.py --policies inspect-ppo moon-sac --seeds 0 1 2
+    python -m benchmarks.results --policies moon-ppo moon-sac --seeds 0 1 2
 
-Each training has the settings of the package's policy and uses the whole machine. Evaluations run in parallel at the
+Each training has the settings of the package's policy and uses the whole machine. A policy that was trained in ranges
+of worlds is evaluated on the stored episodes of the first kind that has them. Evaluations run in parallel at the
 end. Writes a folder for each run to ``runs/results/``, with ``evaluation.json`` and ``paths.png``, and for all runs
 ``results.md``, ``results.json`` and ``learning_curves.png``. A second call continues: it repeats no complete training
 or evaluation.
@@ -20,6 +21,7 @@ from typing import Any
 
 import tyro
 
+from benchmarks.stored import stored_worlds
 from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, with_settings
 from rover_rl.algos.config_files import run_config
 from rover_rl.algos.evaluation.cores import over_cores
@@ -35,7 +37,7 @@ from rover_rl.files import write_json, written_whole
 
 SUCCESS_THRESHOLD = 0.9
 """Success rate whose number of training steps is reported."""
-OTHER_MAZES = ("maze:1", "maze:2", "maze:3")
+OTHER_MAZES = ("maze:10001", "maze:10002", "maze:10003")
 """Mazes that no policy was trained in."""
 FEW_EPISODES = 128
 """Number of episodes for snapshots and other mazes."""
@@ -91,12 +93,13 @@ def measured(folder: Path, options: Options) -> dict[str, Any]:
 
 def _measure(folder: Path, options: Options) -> dict[str, Any]:
     checkpoint = Checkpoint.load(folder)
-    actor, (world, *_) = checkpoint.make_actor(), checkpoint.env.world_names
+    actor, worlds = checkpoint.make_actor(), stored_worlds(checkpoint.env)
+    world = worlds[0]
     drive = partial(evaluate, seconds=options.seconds)
     driven = drive(actor, stored_episodes(world).first(options.count), name=folder.name)
     # The original reports the number of goals for inspect only.
-    jams = (True, False) if world == "inspect" else ()
-    endless = {jam: evaluate_endless(actor, world, name=folder.name, jam=jam, rows=options.endless) for jam in jams}
+    jams = (True, False) if "inspect" in worlds else ()
+    endless = {jam: evaluate_endless(actor, "inspect", name=folder.name, jam=jam, rows=options.endless) for jam in jams}
     write_evaluation(folder / "evaluation.json", [driven, *endless.values()])
     draw_paths([driven], folder / "paths.png")
     quick = min(options.count, FEW_EPISODES)

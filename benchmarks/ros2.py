@@ -1,12 +1,12 @@
 """Success, latency and CPU usage of the ROS 2 backend, compared with Bullet in process.
 
-    python benchmarks/ros2.py --policy maze-ppo
+    python -m benchmarks.ros2 --policy anywhere
 
 Starts ``rover-rl robot`` in a separate process, on the loopback interface and a random domain, and drives it through
 ``backend="ros2"``. Measures:
 
 - success on the stored episodes, with the robot faster than real time, compared with ``backend="bullet"``;
-- at 20 Hz, the time from the arrival of a scan to the command, including the policy;
+- at 20 Hz, the time from the arrival of a scan to the command in the steps in which the policy decides;
 - at 20 Hz, the CPU usage of the backend alone: sending commands and receiving messages, without environment and policy.
 
 Writes the results to ``runs/ros2/ros2.json``. Requires ``pip install "rover_rl[ros2]"``.
@@ -32,6 +32,7 @@ from rich.console import Console
 from rich.table import Table
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from benchmarks.stored import stored_worlds
 from rover_rl import RoverEnv
 from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.algos.evaluation.evaluate import Policy, environment_for, evaluate
@@ -52,8 +53,9 @@ LIVE = Ros2Settings(reset="topic")
 class Options:
     """Measure success, latency and CPU usage of the ROS 2 backend."""
 
-    policy: str = "maze-ppo"
-    """Name of a pretrained policy, or path of a checkpoint or of a run's folder."""
+    policy: str = "anywhere"
+    """Name of a pretrained policy, or path of a checkpoint or of a run's folder. It drives in the first world
+    with stored episodes that it was trained for."""
     count: int = 256
     """Number of stored episodes."""
     rate: float = 8.0
@@ -97,23 +99,26 @@ def success(policy: Policy, world: str, options: Options) -> dict[str, Any]:
 
 @single_threaded()
 def latency(policy: Policy, world: str, seconds: float) -> dict[str, Any]:
-    """Measures the latency from the arrival of a scan to the command, ms, and the CPU usage of the whole process."""
+    """Measures the latency of decisions, from the arrival of a scan to the command, ms, and the whole process's CPU."""
     latencies = []
     with robot(world, 1.0):
-        env = RoverEnv(world_n=world, backend=LIVE, seed=0)
+        env = RoverEnv(**replace(environment_for(policy, None), world=world, backend=LIVE, seed=0).arguments())
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            td, runner = env.reset(), PolicyRunner(policy)
+            td, runner, step = env.reset(), PolicyRunner(policy, env=env), 0
             wall, cpu = time.perf_counter(), time.process_time()
             while time.perf_counter() - wall < seconds:
                 td = env.step(td.set("action", runner(td)))["next"]
-                latencies.append(1000 * env.simulator.latency)
-                if td["done"].any():
-                    td, latencies = env.reset(), latencies[:-1]
+                done = bool(td["done"].any())
+                if step % runner.action_repeat == 0 and not done:
+                    latencies.append(1000 * env.simulator.latency)
+                step += 1
+                if done:
+                    td, step = env.reset(), 0
                     runner.reset()
             share = (time.process_time() - cpu) / (time.perf_counter() - wall)
         env.close()
     median, p99 = np.percentile(latencies, [50, 99])
-    return {"latency, ms: median": median, "latency, ms: 99 %": p99, "CPU, all": share, "steps": len(latencies)}
+    return {"latency, ms: median": median, "latency, ms: 99 %": p99, "CPU, all": share, "decisions": len(latencies)}
 
 
 def backend_cpu(world: str, seconds: float) -> dict[str, Any]:
@@ -134,7 +139,7 @@ def main(options: Options) -> None:
     os.environ |= {"ROS_DOMAIN_ID": str(random.SystemRandom().randint(1, 99)), "ROS_LOCALHOST_ONLY": "1"}
     name = options.policy
     checkpoint = load_pretrained(name) if name in pretrained_names() else Checkpoint.load(name)
-    policy, world = checkpoint.make_actor(), checkpoint.env.world_names[0]
+    policy, world = checkpoint.make_actor(), stored_worlds(checkpoint.env)[0]
     results = latency(policy, world, options.seconds) | backend_cpu(world, options.seconds)
     results |= success(policy, world, options)
     write_json(options.out / "ros2.json", {"policy": name, "rate": options.rate, **results})

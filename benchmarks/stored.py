@@ -1,0 +1,19 @@
+"""Worlds with stored starts and goals that a policy was trained for."""
+
+from __future__ import annotations
+
+from rover_rl.algos.evaluation.episodes import STORED_WORLDS
+from rover_rl.envs.config import EnvConfig
+from rover_rl.sims.worlds.names import WorldRange
+
+
+def stored_worlds(env: EnvConfig) -> list[str]:
+    """Returns the worlds with stored starts and goals among those of a training; for a range, the world of its kind.
+
+    Example:
+        >>> stored_worlds(EnvConfig(world=("maze:0-99@0.2-0.8", "rooms:0-99", "moon")))
+        ['maze', 'moon']
+    """
+    ranges = {name: WorldRange.parse(name) for name in env.world_names}
+    kinds = dict.fromkeys(name if seeds is None else seeds.part for name, seeds in ranges.items())
+    return [kind for kind in kinds if kind in STORED_WORLDS]
