@@ -39,7 +39,7 @@ env = make_env(world_n="moon", num_envs=8, seed=3, reward=[*contract_reward(), T
 # The components are in the rollout, beside their sum.
 
 STEPS = 240  # of 0.05 s
-policy = load_pretrained("moon-warp").make_actor()
+policy = load_pretrained("moon-ppo").make_actor()
 with torch.no_grad():
     rollout = env.rollout(STEPS, policy, break_when_any_done=False)
 components = rollout["next", "reward_components"]

@@ -10,12 +10,14 @@ from typing import Any
 import pytest
 import torch
 
-from rover_rl.algos.config import SACConfig, training_config
+from rover_rl.algos.config import PPOConfig, SACConfig, training_config
 from rover_rl.algos.config_files import read_config
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import make_actor
+from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.algos.video.film import film
 from rover_rl.cli import main
+from rover_rl.cli.demo import Demo
 from rover_rl.cli.policies import NO_POLICY, ONE_POLICY
 from rover_rl.sims.worlds import WORLDS
 from tests.full_disk import largest_file
@@ -42,7 +44,7 @@ def test_help_shows_units_and_defaults(capsys: pytest.CaptureFixture[str]) -> No
 def test_unknown_worlds_are_refused_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     message = failed(capsys, "train", "--world", "mars", "--runs", tmp_path)
     assert message.startswith(f"rover-rl: unknown world 'mars'; use one of {sorted(WORLDS)}")
-    # The worlds that have a pretrained policy.
+    # The worlds of the demo.
     message = failed(capsys, "demo", "--world", "mars", "--runs", tmp_path)
     assert message.startswith("rover-rl: unknown world 'mars'; use one of ['inspect', 'maze', 'moon']")
 
@@ -264,10 +266,14 @@ def test_settings_come_from_a_file_and_options_go_first(capsys: pytest.CaptureFi
 
 
 def test_settings_can_be_those_of_a_pretrained_policy(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    # Without the reward for the shortest path, whose maps take seconds.
-    given = ["--config", "pretrained:maze-ppo", "--path-reward", "0", "--imitation", "0", "--max-minutes", "1e-6"]
+    given = ["--config", "pretrained:moon-ppo", "--world", "maze", "--max-minutes", "1e-6"]
     assert main(["train", *given, "--runs", str(tmp_path), *SIZE]) == 0
-    assert read_config(tmp_path / "ppo-maze" / "config.yaml").env.world == "maze"
+    config, pretrained = read_config(tmp_path / "ppo-maze" / "config.yaml"), load_pretrained("moon-ppo").config
+    assert (config.env.world, config.env.backend) == ("maze", "warp")
+    # A setting that is neither given nor a default.
+    assert isinstance(config.algorithm, PPOConfig)
+    assert isinstance(pretrained.algorithm, PPOConfig)
+    assert config.algorithm.minibatch == pretrained.algorithm.minibatch != PPOConfig().minibatch
     capsys.readouterr()
     assert "no pretrained policy 'mars-ppo'" in failed(capsys, "train", "--config", "pretrained:mars-ppo")
 
@@ -390,6 +396,17 @@ def test_the_demo_trains_in_warp_and_shows_the_policy_beside_others_in_bullet(
     assert lines[-1] == f"To watch more of it: rover-rl play {folder}"
     assert "\x1b" not in told
     assert "━━━━━━━━━━" not in told
+
+
+def test_the_demo_trains_in_a_maze_with_settings_of_its_own() -> None:
+    base = load_pretrained("moon-ppo").config
+    moon, maze = (Demo(world=world)._config(base) for world in ("moon", "maze:3"))
+    for config in (moon, maze):
+        config.check()
+        assert config.env.backend == "warp"
+    assert (moon.collection.path_reward, moon.network.north_up, moon.env.action.min_speed) == (0.0, False, -1.0)
+    assert (maze.collection.path_reward, maze.network.north_up, maze.env.action.min_speed) == (10.0, True, 0.0)
+    assert maze.env.world == "maze:3"
 
 
 def test_robot_and_drive_take_the_description_of_an_environment(

@@ -75,7 +75,7 @@ def test_own_reward(run):
 
 def test_evaluate_policies(run):
     output, names = run("evaluate_policies.py", EPISODES=2)
-    assert "maze-warp: 2 of 2 goals" in output
+    assert "anywhere: 2 of 2 goals" in output
     assert "scripted: " in output
     assert names["figures"] == 1
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, training_config, with_settings
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least
@@ -18,19 +18,30 @@ if TYPE_CHECKING:
     from rover_rl.algos.evaluation.results import Evaluation
 
 WORLDS = ("inspect", "maze", "moon")
-"""Worlds that have a pretrained policy."""
+"""Worlds that the package stores starts and goals for."""
 FILMED = 8.0
 """Duration of the drive that is filmed, s."""
 SETTINGS = {"num_envs": 256, "minibatch": 512, "imitation": 0.25}
-"""Settings of training that differ from those of the pretrained policy: they need fewer steps."""
+"""Settings of training that differ from those of ``pretrained:moon-ppo``: they need fewer steps."""
+MAZE: dict[str, Any] = {
+    "path_reward": 10.0,
+    "gamma": 0.97,
+    "epochs": 6,
+    "entropy_coef": 0.0,
+    "max_std": 0.4,
+    "north_up": True,
+    "mirror_augmentation": False,
+    "hidden": (256, 256),
+}
+"""Further settings of training in a maze, where progress in a straight line misleads."""
 
 
 @dataclass(frozen=True)
 class Demo:
     """Train a policy in about a minute, evaluate it beside other policies, and film it.
 
-    Trains PPO in the fast simulator, Warp. Then drives the trained, the pretrained, the scripted and the random policy
-    from the same starts in another simulator, Bullet.
+    Trains PPO in the fast simulator, Warp. Then drives the trained policy, pretrained:anywhere, the scripted and the
+    random policy from the same starts in another simulator, Bullet.
     """
 
     world: str = "moon"
@@ -54,23 +65,13 @@ class Demo:
             from rover_rl.algos.pretrained import load_pretrained
             from rover_rl.algos.train import train
 
-            pretrained = load_pretrained(f"{self.world.split(':')[0]}-warp")
-            config = with_settings(
-                pretrained.config,
-                world=self.world,
-                total_steps=UNLIMITED_STEPS,
-                max_minutes=self.minutes,
-                seed=self.seed,
-                runs=self.runs,
-                name=None,
-                **SETTINGS,
-            )
+            config = self._config(load_pretrained("moon-ppo").config)
             _warm_up(config)
         summary = train(config)
         print(format_summary(summary), flush=True)
         if summary.interrupted:
             return INTERRUPTED
-        self._evaluate(summary.folder, pretrained.make_actor())
+        self._evaluate(summary.folder, load_pretrained("anywhere").make_actor())
         return 0
 
     def _check(self) -> None:
@@ -80,6 +81,22 @@ class Demo:
         training_config("ppo", max_minutes=self.minutes, seed=self.seed).check()
         check_at_least(1, MAX_COUNT, count=self.count)
         check_at_least(CONTROL_DT, MAX_SECONDS, seconds=self.seconds)
+
+    def _config(self, base: TrainingConfig) -> TrainingConfig:
+        """Returns the settings of the training, which start from those of a pretrained policy."""
+        config = with_settings(
+            base,
+            world=self.world,
+            total_steps=UNLIMITED_STEPS,
+            max_minutes=self.minutes,
+            seed=self.seed,
+            runs=self.runs,
+            name=None,
+            **SETTINGS,
+        )
+        if self.world.split(":")[0] != "maze":
+            return config
+        return with_settings(config, action=replace(config.env.action, min_speed=0.0), **MAZE)
 
     def _evaluate(self, folder: Path, pretrained: Policy) -> None:
         """Evaluates the trained policy beside others, and writes figures, plots and a film to the run's folder."""

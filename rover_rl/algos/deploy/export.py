@@ -13,7 +13,7 @@ of its bytes as the property ``rover_rl_sha256``, computed with 64 zeros in its 
 record.
 
 Example:
-    >>> export(load_pretrained("maze-ppo"), Path("maze.onnx"))
+    >>> export(load_pretrained("moon-ppo"), Path("moon.onnx"))
     >>> OnnxPolicy(Path("maze.onnx"))(env.reset())["action"]
 """
 

@@ -7,11 +7,11 @@ from pathlib import Path
 from rover_rl.algos.policy.checkpoint import Checkpoint
 
 FOLDER = Path(__file__).parent
-"""Folder with a checkpoint and a model card of each policy, such as ``maze-ppo.pt`` and ``maze-ppo.md``."""
+"""Folder with a checkpoint and a model card of each policy, such as ``anywhere.pt`` and ``anywhere.md``."""
 
 
 def pretrained_names() -> list[str]:
-    """Returns the names of the pretrained policies, such as ``"maze-ppo"``."""
+    """Returns the names of the pretrained policies, such as ``"anywhere"``."""
     return sorted(path.stem for path in FOLDER.glob("*.pt"))
 
 

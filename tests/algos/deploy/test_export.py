@@ -20,9 +20,12 @@ from rover_rl.algos.deploy.export import OnnxPolicy, export, onnx_function, prog
 from rover_rl.algos.deploy.trial_inputs import random_observations
 from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
+from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.cli import main
+from rover_rl.envs.config import ActionConfig
 from tests.algos.policy.memories import recurrent_checkpoint
 
 needs_onnx = pytest.mark.skipif(
@@ -174,10 +177,27 @@ def test_the_task_travels_with_the_file(checkpoint, tmp_path):
 @needs_onnx
 def test_the_command_exports_and_evaluates(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert main(["export", "pretrained:maze-ppo"]) == 0
-    assert "maze-ppo.onnx: acts as pretrained:maze-ppo does" in capsys.readouterr().out
-    assert main(["evaluate", "maze-ppo.onnx", "--count", "2", "--out", str(tmp_path)]) == 0
-    assert [entry["policy"] for entry in json.loads((tmp_path / "evaluation.json").read_text())] == ["maze-ppo"]
+    assert main(["export", "pretrained:moon-sac"]) == 0
+    assert "moon-sac.onnx: acts as pretrained:moon-sac does" in capsys.readouterr().out
+    assert main(["evaluate", "moon-sac.onnx", "--count", "2", "--out", str(tmp_path)]) == 0
+    assert [entry["policy"] for entry in json.loads((tmp_path / "evaluation.json").read_text())] == ["moon-sac"]
+
+
+@needs_onnx
+def test_a_policy_that_turns_to_the_north_and_drives_forward_only_drives_as_the_original(tmp_path):
+    network = {"hidden": (16,), "north_up": True, "mirror_augmentation": False}
+    config = training_config("ppo", world="maze", action=ActionConfig(min_speed=0.0), max_std=0.4, **network)
+    torch.manual_seed(0)
+    encoder = ObservationEncoder(north_up=True)
+    actor = make_actor(encoder, (16,), config.env.action, max_std=0.4)
+    weights = {name: 2 * weight for name, weight in actor.state_dict().items()}
+    checkpoint, path = Checkpoint(config=config, steps=100, actor=weights), tmp_path / "north.onnx"
+    assert export(checkpoint, path) <= exporting.TOLERANCE
+    policy, episodes = OnnxPolicy(path), stored_episodes("maze").first(2)
+    assert policy.made_for.action.min_speed == 0.0
+    ours, theirs = (evaluate(each, episodes, seconds=2.0) for each in (checkpoint.make_actor(), policy))
+    for one, other in zip(ours.trajectories, theirs.trajectories, strict=True):
+        torch.testing.assert_close(one.position, other.position, atol=1e-3, rtol=0)
 
 
 @needs_onnx

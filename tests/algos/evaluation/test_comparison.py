@@ -196,7 +196,7 @@ def test_backends_that_cannot_be_used_fail_before_anything_is_driven(
 
 def test_a_policy_with_other_action_bounds_drives_in_several_backends(tmp_path: Path) -> None:
     """Each backend gets the environment that the policy was made for, not the default one."""
-    given = ["evaluate", "pretrained:maze-ppo", "--backend", "bullet", SLIPPERY, "--count", "1", "--seconds", "0.5"]
-    assert main([*given, "--out", str(tmp_path)]) == 0
+    given = ["evaluate", "pretrained:anywhere", "--backend", "bullet", SLIPPERY, "--count", "1", "--seconds", "0.5"]
+    assert main([*given, "--world", "maze", "--out", str(tmp_path)]) == 0
     results = json.loads((tmp_path / "evaluation.json").read_text())
     assert results[0]["env"] | {"backend": SLIPPERY} == results[1]["env"]

@@ -102,7 +102,7 @@ def driving(environment) -> Iterator[Callable[..., Command]]:
 def test_drive_writes_a_log_that_evaluate_reads(driving, observer, tmp_path):
     log = tmp_path / "drive.jsonl"
     goals = ("--random", "2", "--seconds", "5", "--clearance", "0")
-    drive = driving("pretrained:maze-ppo", *goals, "--log", str(log))
+    drive = driving("pretrained:anywhere", "--world", "maze", *goals, "--log", str(log))
     code = drive.wait(90)
     assert code in (0, 1), drive.output
     assert drive.output.count("goal 1,") == drive.output.count("goal 2,") == 1

@@ -198,6 +198,6 @@ def test_a_log_without_a_finished_drive_is_rejected(tmp_path):
 def test_an_exported_policy_drives_the_rover(env, tmp_path):
     pytest.importorskip("onnxscript", reason="needs rover_rl[onnx]")
     pytest.importorskip("onnxruntime", reason="needs rover_rl[onnx]")
-    path = tmp_path / "inspect.onnx"
-    export(load_pretrained("inspect-ppo"), path)
+    path = tmp_path / "moon.onnx"
+    export(load_pretrained("moon-ppo"), path)
     assert drive_to(env, OnnxPolicy(path), GOAL) == "goal"

@@ -110,7 +110,7 @@ def test_the_environment_fulfills_the_contract(with_robot):
 
 @pytest.mark.slow
 def test_a_policy_performs_as_in_bullet(with_robot):
-    policy, episodes = load_pretrained("maze-ppo").make_actor(), stored_episodes("maze").part(26, 28)
+    policy, episodes = load_pretrained("anywhere").make_actor(), stored_episodes("maze").part(26, 28)
     live = evaluate(policy, episodes, rows=1, env=replace(environment_for(policy, None), backend=LIVE))
     bullet = evaluate(policy, episodes)
     assert live.endings == bullet.endings == ["goal"] * 2
