@@ -39,8 +39,8 @@ REACH = wp.constant(60)
 STRETCH = wp.constant(4)
 """Number of cells between two heights that are compared, at most: 0.6 m."""
 FARTHEST_HEIGHT = wp.constant(20)
-"""Number of cells along an axis up to which the ends of beams tell heights: 3 m. An error of 1 degree in the tilt changes
-the height there by 5 cm."""
+"""Number of cells along an axis up to which the ends of beams tell heights: 3 m. An error of 1 degree in the tilt
+changes the height there by 5 cm."""
 
 
 @wp.func
