@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.seen_map.cell_kernels import CELL, SIZE, UNSEEN
 from rover_rl.envs.seen_map.plain_routes import plan
 from rover_rl.envs.seen_map.plain_scans import (
     Lidar,
@@ -17,7 +18,6 @@ from rover_rl.envs.seen_map.plain_scans import (
     waited,
     with_scan,
 )
-from rover_rl.envs.seen_map.scan_kernels import CELL, SIZE
 from rover_rl.envs.seen_map.seen_map import (
     beam_directions,
     clearance_of,
@@ -45,7 +45,7 @@ class PlainSeenMap(nn.Module):
         ValueError: if the lidar is mounted too far from the robot's center.
     """
 
-    state_size = 6 + SIZE * SIZE
+    state_size = 8 + 2 * SIZE * SIZE
 
     _directions: Tensor
     _mount: Tensor
@@ -67,8 +67,8 @@ class PlainSeenMap(nn.Module):
 
         Args:
             state: state before, ``[N, state_size]``: the cell in the middle of the window, whether the ground is
-                rough, the place around which the rover is and its number of scans there, and what has been seen in each
-                cell of the window. Zeros at the start of an episode.
+                rough, the place around which the rover is and its number of scans there, the first corner of the route,
+                and what has been seen in each cell of the window and how high it is. Zeros at the start of an episode.
             lidar: lidar readings, ``[N, P]``, m.
             pose: x, y and z, ``[N, 3]``, m.
             imu: pitch, roll and yaw, ``[N, 3]``, rad.
@@ -79,17 +79,22 @@ class PlainSeenMap(nn.Module):
             The route, ``[N, 5]``, as ``SeenMap`` returns it, and the next state.
         """
         before, was_rough = state[:, :2], state[:, 2:3] > 0
-        cells = state[:, 6:].reshape(-1, SIZE, SIZE)
+        cells, heights = state[:, 8:].reshape(-1, 2, SIZE, SIZE).unbind(1)
         center = (pose[:, :2] / CELL).floor()
-        poses = torch.cat((pose[:, :2], imu), -1)
+        poses = torch.cat((pose[:, :2], imu, pose[:, 2:]), -1)
         sensor = Lidar(self._directions, self._mount, self._max_range)
         rough = was_rough | tilted(poses)
-        cells = torch.where((rough != was_rough)[..., None], 0.0, moved_window(cells, center - before))
+        turned = (rough != was_rough)[..., None]
+        cells = torch.where(turned, 0.0, moved_window(cells, center - before))
+        heights = torch.where(turned, UNSEEN, moved_window(heights, center - before, UNSEEN))
         places, waits = waited(state[:, 3:5], state[:, 5:6], poses)
         halted = waits > self._patience
-        content = with_scan(unpacked(cells), center, rough, halted, poses, lidar, sensor)
+        content, heights = with_scan(
+            unpacked(cells), heights, center, rough, halted, state[:, 6:8], poses, lidar, sensor
+        )
         level = levels(content, rough, self._clearance)
         corners, lengths = plan(level, center, goal_positions(pose, imu, target), bounds)
         route = relative_route(corners, lengths, pose, imu)
         waits = torch.where(halted, 1.0, waits)
-        return route, torch.cat((center, rough.to(center.dtype), places, waits, packed(content).flatten(1)), -1)
+        kept = torch.stack((packed(content), heights), 1).flatten(1)
+        return route, torch.cat((center, rough.to(center.dtype), places, waits, corners[:, 0], kept), -1)

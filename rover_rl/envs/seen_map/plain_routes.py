@@ -13,6 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch._higher_order_ops.while_loop import while_loop
 
+from rover_rl.envs.seen_map.cell_kernels import CELL, HALF, OPEN, SIZE
 from rover_rl.envs.seen_map.route_kernels import (
     BESIDE,
     BESIDE_WEIGHT,
@@ -24,7 +25,6 @@ from rover_rl.envs.seen_map.route_kernels import (
     STRAIGHT,
     UNKNOWN_COST,
 )
-from rover_rl.envs.seen_map.scan_kernels import CELL, HALF, OPEN, SIZE
 
 _WIDTH = SIZE + 1
 """Cells in a row of the padded window."""
@@ -43,7 +43,7 @@ def plan(levels: Tensor, center: Tensor, goal: Tensor, bounds: Tensor) -> tuple[
     """Plans the route from the middle of each window to its goal.
 
     Args:
-        levels: level of each cell, ``[N, SIZE, SIZE]``: see ``scan_kernels``.
+        levels: level of each cell, ``[N, SIZE, SIZE]``: see ``cell_kernels``.
         center: cells in the middle of the windows, ``[N, 2]``.
         goal: x and y of the goals, ``[N, 2]``, m.
         bounds: lower x and y and upper x and y of the area that routes stay in, ``[N, 4]``, m.

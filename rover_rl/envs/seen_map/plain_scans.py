@@ -1,8 +1,8 @@
 """Scans on maps of seen obstacles as plain tensor operations, for export: what ``scan_kernels`` computes.
 
-A map is one number for each cell here, ``[N, row, column]`` in the order of the window, so that it moves when the
-window does. The number holds the evidence of an obstacle and the box that it has been seen in. All numbers are integers
-in tensors of floats, which are exact.
+A map is two numbers for each cell here, ``[N, row, column]`` in the order of the window, so that they move when the
+window does. One holds the evidence of an obstacle and the box that it has been seen in: integers in a tensor of floats,
+which are exact. The other is the height of the ground.
 """
 
 from __future__ import annotations
@@ -14,26 +14,31 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from rover_rl.envs.seen_map.scan_kernels import (
-    AHEAD,
+from rover_rl.envs.seen_map.cell_kernels import (
     CELL,
     CLOSED,
     DOUBTFUL,
     HALF,
-    HIT,
-    LOWEST,
     MAX_TILT,
     MOST,
-    NO_GAP,
     OCCUPIED,
     OPEN,
     PARTS,
-    REACH,
-    ROUGH_TILT,
     SIZE,
     SUSPECTED,
-    WAY,
+    UNSEEN,
     Clearance,
+)
+from rover_rl.envs.seen_map.scan_kernels import (
+    AHEAD,
+    FARTHEST_HEIGHT,
+    HIT,
+    LOWEST,
+    NO_GAP,
+    REACH,
+    ROUGH_TILT,
+    STRETCH,
+    WAY,
 )
 
 _GAP_CELLS = math.ceil(NO_GAP) - 1
@@ -77,15 +82,21 @@ class Cells(NamedTuple):
     sides: Tensor
 
 
-def moved_window(cells: Tensor, shift: Tensor) -> Tensor:
-    """Returns the maps ``[N, SIZE, SIZE]`` of windows that have moved by ``shift [N, 2]`` cells along x and y."""
+def moved_window(cells: Tensor, shift: Tensor, entering: float = 0.0) -> Tensor:
+    """Returns the maps ``[N, SIZE, SIZE]`` of windows that have moved by ``shift [N, 2]`` cells along x and y.
+
+    Args:
+        cells: maps before.
+        shift: ways of the windows, in cells.
+        entering: value of the cells that enter.
+    """
     every = torch.arange(SIZE, device=cells.device)
     # A shift by more clears the window as one by its size does.
     column, row = (every + shift.clamp(-SIZE, SIZE).long()[:, :, None]).unbind(1)
     stays = ((row >= 0) & (row < SIZE))[:, :, None] & ((column >= 0) & (column < SIZE))[:, None]
     source = row.clamp(0, SIZE - 1)[:, :, None] * SIZE + column.clamp(0, SIZE - 1)[:, None]
     moved = cells.flatten(1).gather(1, source.flatten(1)).reshape(cells.shape)
-    return torch.where(stays, moved, 0.0)
+    return torch.where(stays, moved, entering)
 
 
 def unpacked(cells: Tensor) -> Cells:
@@ -119,7 +130,7 @@ def waited(places: Tensor, waits: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]
     Args:
         places: places before, ``[N, 2]``, m.
         waits: numbers of scans before, ``[N, 1]``. 0 at the start of an episode.
-        pose: x, y (m), pitch, roll and yaw (rad) of the rovers, ``[N, 5]``.
+        pose: x, y (m), pitch, roll, yaw (rad) and z (m) of the rovers, ``[N, 6]``.
     """
     away = (pose[:, :2] - places).square().sum(-1, keepdim=True).sqrt() > WAY
     leaves = away | (waits == 0)
@@ -127,20 +138,30 @@ def waited(places: Tensor, waits: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]
 
 
 def with_scan(
-    cells: Cells, center: Tensor, rough: Tensor, halted: Tensor, pose: Tensor, readings: Tensor, lidar: Lidar
-) -> Cells:
-    """Returns the content of maps with a scan added to each.
+    cells: Cells,
+    heights: Tensor,
+    center: Tensor,
+    rough: Tensor,
+    halted: Tensor,
+    corners: Tensor,
+    pose: Tensor,
+    readings: Tensor,
+    lidar: Lidar,
+) -> tuple[Cells, Tensor]:
+    """Returns the content and the heights of maps with a scan added to each.
 
     Args:
         cells: content before.
+        heights: heights of the ground before, ``[N, SIZE, SIZE]``, m.
         center: cells in the middle of the windows, ``[N, 2]``.
         rough: whether the ground is rough, bool ``[N, 1]``.
-        halted: rovers ahead of which a cell is closed, bool ``[N, 1]``.
-        pose: x, y (m), pitch, roll and yaw (rad) of the rovers, ``[N, 5]``.
+        halted: rovers on whose routes a cell is closed, bool ``[N, 1]``.
+        corners: x and y of the first corners of the routes before, ``[N, 2]``, m.
+        pose: x, y (m), pitch, roll, yaw (rad) and z (m) of the rovers, ``[N, 6]``.
         readings: lidar readings, ``[N, P]``, m.
         lidar: the lidar.
     """
-    cos, sin = pose[:, 4:].cos(), pose[:, 4:].sin()
+    cos, sin = pose[:, 4:5].cos(), pose[:, 4:5].sin()
     # Position of the lidar, in cells.
     x = (pose[:, :1] + lidar.mount[0] * cos - lidar.mount[1] * sin) / CELL
     y = (pose[:, 1:2] + lidar.mount[0] * sin + lidar.mount[1] * cos) / CELL
@@ -151,7 +172,8 @@ def with_scan(
     )
     beams = (x_beam, y_beam, z_beam)
     ends = _ends(beams, readings, lidar.max_range)
-    steep = _is_steep(beams, _cross(ahead, left), lidar.mount[2] / CELL)
+    up = _cross(ahead, left)
+    steep = _is_steep(beams, up, lidar.mount[2] / CELL)
     hits = ends & (beams[2] > LOWEST) & (steep | ~rough)
     passed = _counts(center, _passed(x, y, beams))
     x_end, y_end = x + beams[0], y + beams[1]
@@ -160,7 +182,7 @@ def with_scan(
         for points in (
             (x_end, y_end, hits),
             _between(x, y, beams, hits),
-            _joined(_uphill(pose, cos, sin), (*_ahead(pose, cos, sin), halted)),
+            _joined(_uphill(pose, cos, sin), (*_on_route(pose, corners), halted)),
         )
     )
     doubt = _counts(center, (x_end, y_end, ends & rough & ~hits))
@@ -175,7 +197,14 @@ def with_scan(
     sides = torch.where(was_closed[:, None], cells.sides, torch.maximum(sides, hit[1]))
     sides = torch.maximum(sides, gap[1])
     evidence = torch.where(doubt > 0, evidence.clamp(min=SUSPECTED), evidence)
-    return Cells(torch.where(close[0] > 0, float(CLOSED), evidence), torch.maximum(sides, close[1]))
+    z = pose[:, 5:] + sum(lidar.mount[axis] * part[2] for axis, part in enumerate((ahead, left, up)))
+    shown = (readings < lidar.max_range) & (torch.maximum(beams[0].abs(), beams[1].abs()) < FARTHEST_HEIGHT) & rough
+    ground = _joined((x_end, y_end, shown), (pose[:, :1] / CELL, pose[:, 1:2] / CELL, rough))
+    heights = torch.maximum(heights, _tops(center, ground, torch.cat((z + CELL * beams[2], pose[:, 5:]), 1)))
+    wall = _walls(heights) & rough[..., None] & (evidence != CLOSED)
+    evidence = torch.where(wall, float(CLOSED), evidence)
+    sides = torch.where(wall[:, None], torch.maximum(sides, _middle(sides)), sides)
+    return Cells(torch.where(close[0] > 0, float(CLOSED), evidence), torch.maximum(sides, close[1])), heights
 
 
 def levels(cells: Cells, rough: Tensor, clearance: Clearance) -> Tensor:
@@ -225,9 +254,9 @@ def _lowest(values: list[Tensor]) -> Tensor:
 
 
 def _axes(pose: Tensor) -> tuple[Vectors, Vectors]:
-    """Returns the axes ahead and to the left of rovers in the world's frame, from poses ``[N, 5]``."""
-    cos_pitch, cos_roll, cos = pose[:, 2:].cos().split(1, -1)
-    sin_pitch, sin_roll, sin = pose[:, 2:].sin().split(1, -1)
+    """Returns the axes ahead and to the left of rovers in the world's frame, from poses ``[N, 6]``."""
+    cos_pitch, cos_roll, cos = pose[:, 2:5].cos().split(1, -1)
+    sin_pitch, sin_roll, sin = pose[:, 2:5].sin().split(1, -1)
     # Columns of Rz(yaw) Ry(pitch) Rx(roll).
     ahead = (cos_pitch * cos, cos_pitch * sin, -sin_pitch)
     left = (
@@ -295,9 +324,51 @@ def _uphill(pose: Tensor, cos: Tensor, sin: Tensor) -> Points:
     return x, y, cos_pitch * cos_roll < math.cos(MAX_TILT)
 
 
-def _ahead(pose: Tensor, cos: Tensor, sin: Tensor) -> tuple[Tensor, Tensor]:
-    """Returns x and y of a point ahead of the rover."""
-    return pose[:, :1] / CELL + AHEAD * cos, pose[:, 1:2] / CELL + AHEAD * sin
+def _on_route(pose: Tensor, corners: Tensor) -> tuple[Tensor, Tensor]:
+    """Returns x and y of a point ahead of the rover on the way to a corner, in cells."""
+    way_x, way_y = (corners - pose[:, :2]).split(1, -1)
+    scale = AHEAD / (way_x * way_x + way_y * way_y).sqrt().clamp(min=1e-6)
+    return pose[:, :1] / CELL + scale * way_x, pose[:, 1:2] / CELL + scale * way_y
+
+
+def _walls(heights: Tensor) -> Tensor:
+    """Returns the cells halfway between two whose heights differ too much, bool ``[N, SIZE, SIZE]``.
+
+    Only cells in the middle of the window are compared, where heights change.
+    """
+    border = HALF - FARTHEST_HEIGHT - 2 * STRETCH
+    middle = heights[:, border : SIZE - border, border : SIZE - border]
+    size = middle.shape[-1]
+    closed = torch.zeros_like(middle)
+    for row in range(-STRETCH, STRETCH + 1):
+        for column in range(-STRETCH, STRETCH + 1):
+            distance = math.hypot(row, column)
+            if 0 < distance <= STRETCH:
+                limit = math.tan(MAX_TILT) * CELL * (distance + 1.0)
+                # Pairs of a cell and a higher one, which is (row, column) away.
+                lower, higher = _overlap(middle, row, column)
+                steep = (lower > UNSEEN) & (higher - lower > limit)
+                # Rounded to the higher cell.
+                half_row, half_column = (int(math.copysign((abs(offset) + 1) // 2, offset)) for offset in (row, column))
+                first_row, first_column = max(0, -row) + half_row, max(0, -column) + half_column
+                left, right = first_column, size - first_column - steep.shape[-1]
+                above, below = first_row, size - first_row - steep.shape[-2]
+                closed = torch.maximum(closed, F.pad(steep.to(closed.dtype), (left, right, above, below)))
+    return F.pad(closed, (border,) * 4) > 0
+
+
+def _overlap(cells: Tensor, row: int, column: int) -> tuple[Tensor, Tensor]:
+    """Returns the cells that have another one (row, column) away in the map, and these others."""
+    size = cells.shape[-1]
+    rows, columns = (slice(max(0, -offset), size - max(0, offset)) for offset in (row, column))
+    other_rows, other_columns = (slice(max(0, offset), size - max(0, -offset)) for offset in (row, column))
+    return cells[:, rows, columns], cells[:, other_rows, other_columns]
+
+
+def _middle(sides: Tensor) -> Tensor:
+    """Returns the sides of the box of a point in the middle of a cell, ``[4, 1, 1]``."""
+    part = PARTS // 2
+    return sides.new_tensor([PARTS - 1 - part, part] * 2)[:, None, None]
 
 
 def _joined(one: Points, other: Points) -> Points:
@@ -321,6 +392,13 @@ def _counts(center: Tensor, points: Points) -> Tensor:
     numbers = center.new_zeros(len(center), SIZE * SIZE)
     added = numbers.scatter_add(1, _addresses(center, points), points[2].to(center.dtype))
     return added.reshape(-1, SIZE, SIZE)
+
+
+def _tops(center: Tensor, points: Points, heights: Tensor) -> Tensor:
+    """Returns the greatest of the heights ``[N, n]`` of the points in each cell; ``UNSEEN`` without any."""
+    heights = torch.where(points[2], heights, UNSEEN)
+    none = center.new_full((len(center), SIZE * SIZE), UNSEEN)
+    return none.scatter_reduce(1, _addresses(center, points), heights, "amax").reshape(-1, SIZE, SIZE)
 
 
 def _boxes(center: Tensor, points: Points) -> Tensor:

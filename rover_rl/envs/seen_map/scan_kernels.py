@@ -1,38 +1,27 @@
-"""Warp kernels that add lidar scans to maps of seen obstacles.
-
-A map is a window of ``SIZE x SIZE`` cells around the rover, which moves with it cell by cell. Cell (X, Y) of the world
-covers ``CELL * [X, X + 1)`` by ``CELL * [Y, Y + 1)``, m. It is stored at ``(Y mod SIZE) * SIZE + X mod SIZE``, so that
-nothing moves in memory when the window does: only the cells that enter are cleared. The surroundings of a cell at one
-edge of the window therefore reach over to the opposite edge.
-
-Cells are as wide as a gap's tolerance. Occupied ones therefore also hold the box in which the obstacle has been seen.
-Each cell has a level by the distance of its middle from the nearest box, and the number of suspected cells around it.
-"""
+"""Warp kernel that adds lidar scans to maps of seen obstacles."""
 
 from __future__ import annotations
 
+from rover_rl.envs.seen_map.cell_kernels import (
+    CELL,
+    CLOSED,
+    MAX_TILT,
+    MOST,
+    OCCUPIED,
+    UNSEEN,
+    Clearance,
+    address,
+    cell_of,
+    clear_window,
+    mark,
+    move_window,
+    suspect,
+    weaken,
+)
 from rover_rl.sims.native.warp import wp
 
-SIZE = wp.constant(128)
-"""Number of cells along a side of the window. A power of two."""
-HALF = wp.constant(64)
-"""Number of cells on each side of the rover's."""
-LAST = wp.constant(127)
-"""Bits of a cell number that its address depends on."""
-CELL = wp.constant(0.15)
-"""Side length of a cell, m."""
-SUSPECTED = wp.constant(1)
-"""Evidence of a cell on rough ground in which a beam has ended: at an obstacle, or at a slope that can be climbed."""
-OCCUPIED = wp.constant(2)
-"""Evidence from which on a cell counts as occupied."""
 HIT = wp.constant(4)
 """Evidence that a reading adds to the cell at its end."""
-MOST = wp.constant(12)
-"""Largest evidence from readings. Each beam that passes through a cell takes 1 away."""
-CLOSED = wp.constant(255)
-"""Evidence of a cell that is too steep, or that the rover could not get to. Beams do not change it."""
-MAX_TILT = wp.constant(0.42)
-"""Slope above which ground is too steep, rad: 24 degrees. Tires of usual friction (0.5) slide at 26.6."""
 ROUGH_TILT = wp.constant(0.05)
 """Tilt of the rover above which the ground is not level, rad: 3 degrees. On level ground, starting and stopping tilt it
 by 0.01 at most."""
@@ -40,12 +29,6 @@ AHEAD = wp.constant(3.0)
 """Distance from the rover at which a cell is closed, in cells: 0.45 m."""
 WAY = wp.constant(0.5)
 """Distance up to which a rover is still around a place, m."""
-PARTS = wp.constant(16)
-"""Number of parts along a side of a cell, in which the ends of beams are told apart."""
-OPEN = wp.constant(4)
-"""Level of a cell far from obstacles. Cells at obstacles have level 0, and :class:`Clearance` tells the others."""
-DOUBTFUL = wp.constant(2)
-"""Highest level of a cell near a suspected one. A route crosses it if a detour is three times as long, or longer."""
 NO_GAP = wp.constant(4.0)
 """Distance between the ends of neighboring beams up to which nothing fits between them, cells: 0.6 m."""
 LOWEST = wp.constant(-4.0 / 3.0)
@@ -53,224 +36,11 @@ LOWEST = wp.constant(-4.0 / 3.0)
 REACH = wp.constant(60)
 """Number of cells along an axis up to which beams count: 9 m. All of them are in the window, if the lidar is at most
 3 cells, 0.45 m, from the rover's center along each axis."""
-
-
-@wp.func
-def address(x: int, y: int):
-    """Returns where cell (x, y) of the world is stored."""
-    return (y & LAST) * SIZE + (x & LAST)
-
-
-@wp.func
-def cell_of(position: float):
-    """Returns the number of the cell that holds a coordinate, m."""
-    return int(wp.floor(position / CELL))
-
-
-@wp.struct
-class Clearance:
-    """Squares of the distances from obstacles, in parts of a cell, below which the middles of cells have levels 1 to 3.
-
-    Attributes:
-        tight: below it, the rover does not fit.
-        near: below it, it hardly fits.
-        wide: below it, it should be slow.
-        doubt: below it, the middles of a cell and of a suspected one are near each other.
-        reach: number of cells within which an obstacle changes levels.
-    """
-
-    tight: int
-    near: int
-    wide: int
-    doubt: int
-    reach: int
-
-
-@wp.func
-def distance_square(dx: int, dy: int, box: int):
-    """Returns the squared distance of the middle of cell (dx, dy) from a box in cell (0, 0), in parts.
-
-    Args:
-        dx: number of columns between the cells.
-        dy: number of rows between them.
-        box: first and last part of the box along x, and along y, with 4 bits each.
-    """
-    x = PARTS * dx + PARTS / 2
-    y = PARTS * dy + PARTS / 2
-    away_x = wp.max(wp.max((box & 15) - x, x - ((box >> 4) & 15) - 1), 0)
-    away_y = wp.max(wp.max(((box >> 8) & 15) - y, y - ((box >> 12) & 15) - 1), 0)
-    return away_x * away_x + away_y * away_y
-
-
-@wp.func
-def level_at(square: int, clearance: Clearance):
-    """Returns the level of a cell by the squared distance of its middle from an obstacle, in parts."""
-    level = int(OPEN)
-    if square < clearance.tight:
-        level = 1
-    elif square < clearance.near:
-        level = 2
-    elif square < clearance.wide:
-        level = 3
-    return level
-
-
-@wp.func
-def level_of(cell: int, levels: wp.array[wp.uint8], doubts: wp.array[wp.int16]):
-    """Returns the level of the cell at an address, with suspected cells around it."""
-    level = int(levels[cell])
-    return wp.where(doubts[cell] > wp.int16(0), wp.min(level, DOUBTFUL), level)
-
-
-@wp.func
-def find_level(x: int, y: int, lowest: int, clearance: Clearance, evidence: wp.array[wp.uint8], boxes: wp.array[int]):
-    """Returns the level of a cell that is not occupied, from all obstacles around it. It is at least ``lowest``."""
-    level = int(OPEN)
-    for dy in range(-clearance.reach, clearance.reach + 1):
-        for dx in range(-clearance.reach, clearance.reach + 1):
-            there = address(x + dx, y + dy)
-            if level > lowest and int(evidence[there]) >= OCCUPIED:
-                level = wp.min(level, level_at(distance_square(-dx, -dy, boxes[there]), clearance))
-    return level
-
-
-@wp.func
-def lower_levels(x: int, y: int, clearance: Clearance, boxes: wp.array[int], levels: wp.array[wp.uint8]):
-    """Lowers the levels around a cell in which an obstacle has appeared or grown."""
-    here = address(x, y)
-    for dy in range(-clearance.reach, clearance.reach + 1):
-        for dx in range(-clearance.reach, clearance.reach + 1):
-            there = address(x + dx, y + dy)
-            level = level_at(distance_square(dx, dy, boxes[here]), clearance)
-            levels[there] = wp.uint8(wp.min(int(levels[there]), level))
-    levels[here] = wp.uint8(0)
-
-
-@wp.func
-def count_doubt(x: int, y: int, change: int, clearance: Clearance, doubts: wp.array[wp.int16]):
-    """Adds ``change`` to the number of suspected cells in the counts of the cells around one."""
-    for dy in range(-clearance.reach, clearance.reach + 1):
-        for dx in range(-clearance.reach, clearance.reach + 1):
-            if PARTS * PARTS * (dx * dx + dy * dy) < clearance.doubt:
-                there = address(x + dx, y + dy)
-                doubts[there] = wp.int16(int(doubts[there]) + change)
-
-
-@wp.func
-def weaken(
-    x: int,
-    y: int,
-    value: int,
-    rough: bool,
-    clearance: Clearance,
-    evidence: wp.array[wp.uint8],
-    boxes: wp.array[int],
-    levels: wp.array[wp.uint8],
-    doubts: wp.array[wp.int16],
-):
-    """Lowers the evidence of a cell. If that frees it, the levels that it has lowered are computed again."""
-    here = address(x, y)
-    before = int(evidence[here])
-    evidence[here] = wp.uint8(value)
-    if rough and before == SUSPECTED:
-        count_doubt(x, y, -1, clearance, doubts)
-    if rough and value == SUSPECTED:
-        count_doubt(x, y, 1, clearance, doubts)
-    if before >= OCCUPIED and value < OCCUPIED:
-        for dy in range(-clearance.reach, clearance.reach + 1):
-            for dx in range(-clearance.reach, clearance.reach + 1):
-                there = address(x + dx, y + dy)
-                lowered = level_at(distance_square(dx, dy, boxes[here]), clearance)
-                if there == here or (lowered < OPEN and int(levels[there]) == lowered):
-                    levels[there] = wp.uint8(find_level(x + dx, y + dy, lowered, clearance, evidence, boxes))
-
-
-@wp.func
-def mark(
-    x: float,
-    y: float,
-    value: int,
-    rough: bool,
-    clearance: Clearance,
-    evidence: wp.array[wp.uint8],
-    boxes: wp.array[int],
-    levels: wp.array[wp.uint8],
-    doubts: wp.array[wp.int16],
-):
-    """Sets the evidence of an obstacle at a point, in cells, to an occupied cell's.
-
-    The box of a cell holds the points at which obstacles have been seen since the cell was free.
-    """
-    column = int(wp.floor(x))
-    row = int(wp.floor(y))
-    part_x = wp.clamp(int((x - float(column)) * float(PARTS)), 0, PARTS - 1)
-    part_y = wp.clamp(int((y - float(row)) * float(PARTS)), 0, PARTS - 1)
-    here = address(column, row)
-    first_x = part_x
-    last_x = part_x
-    first_y = part_y
-    last_y = part_y
-    before = int(evidence[here])
-    if before >= OCCUPIED:
-        first_x = wp.min(first_x, boxes[here] & 15)
-        last_x = wp.max(last_x, (boxes[here] >> 4) & 15)
-        first_y = wp.min(first_y, (boxes[here] >> 8) & 15)
-        last_y = wp.max(last_y, (boxes[here] >> 12) & 15)
-    box = first_x + (last_x << 4) + (first_y << 8) + (last_y << 12)
-    evidence[here] = wp.uint8(value)
-    if rough and before == SUSPECTED:
-        count_doubt(column, row, -1, clearance, doubts)
-    if before < OCCUPIED or box != boxes[here]:
-        boxes[here] = box
-        lower_levels(column, row, clearance, boxes, levels)
-
-
-@wp.func
-def suspect(
-    x: float,
-    y: float,
-    clearance: Clearance,
-    evidence: wp.array[wp.uint8],
-    doubts: wp.array[wp.int16],
-):
-    """Suspects an obstacle at a point, in cells, if its cell has no evidence of one."""
-    column = int(wp.floor(x))
-    row = int(wp.floor(y))
-    if int(evidence[address(column, row)]) < SUSPECTED:
-        evidence[address(column, row)] = wp.uint8(SUSPECTED)
-        count_doubt(column, row, 1, clearance, doubts)
-
-
-@wp.func
-def move_window(
-    before: wp.vec2i,
-    after: wp.vec2i,
-    rough: bool,
-    clearance: Clearance,
-    evidence: wp.array[wp.uint8],
-    boxes: wp.array[int],
-    levels: wp.array[wp.uint8],
-    doubts: wp.array[wp.int16],
-):
-    """Clears the columns and rows that enter the window in the place of those that leave it."""
-    for axis in range(2):
-        shift = after[axis] - before[axis]
-        for k in range(wp.min(wp.abs(shift), SIZE)):
-            entered = wp.where(shift > 0, after[axis] + HALF - 1 - k, after[axis] - HALF + k)
-            for other in range(SIZE):
-                x = wp.where(axis == 0, entered, other)
-                y = wp.where(axis == 0, other, entered)
-                if evidence[address(x, y)] > wp.uint8(0):
-                    weaken(x, y, 0, rough, clearance, evidence, boxes, levels, doubts)
-
-
-@wp.func
-def clear_window(evidence: wp.array[wp.uint8], levels: wp.array[wp.uint8], doubts: wp.array[wp.int16]):
-    """Clears all cells."""
-    for cell in range(SIZE * SIZE):
-        evidence[cell] = wp.uint8(0)
-        levels[cell] = wp.uint8(OPEN)
-        doubts[cell] = wp.int16(0)
+STRETCH = wp.constant(4)
+"""Number of cells between two heights that are compared, at most: 0.6 m."""
+FARTHEST_HEIGHT = wp.constant(20)
+"""Number of cells along an axis up to which the ends of beams tell heights: 3 m. An error of 1 degree in the tilt
+changes the height there by 5 cm."""
 
 
 @wp.func
@@ -303,6 +73,55 @@ def is_obstacle(beam: wp.vec3, up: wp.vec3, rough: bool):
     return beam[2] > LOWEST and (steep or not rough)
 
 
+@wp.func
+def shows_ground(beam: wp.vec3, reading: float, max_range: float):
+    """Returns whether the end of a beam, in cells from the lidar, tells the height of the ground."""
+    return reading < max_range and wp.max(wp.abs(beam[0]), wp.abs(beam[1])) < float(FARTHEST_HEIGHT)
+
+
+@wp.func
+def raise_ground(x: float, y: float, z: float, heights: wp.array[float]):
+    """Raises the height of the cell of a point to the point's. x and y are in cells, z in m."""
+    here = address(int(wp.floor(x)), int(wp.floor(y)))
+    heights[here] = wp.max(heights[here], z)
+
+
+@wp.func
+def close_steep(
+    x: float,
+    y: float,
+    rough: bool,
+    clearance: Clearance,
+    evidence: wp.array[wp.uint8],
+    boxes: wp.array[int],
+    levels: wp.array[wp.uint8],
+    doubts: wp.array[wp.int16],
+    heights: wp.array[float],
+):
+    """Closes cells between that of a point, in cells, and others nearby, if the ground between them is too steep.
+
+    The heights may be those of the nearest or of the farthest points of two cells that are n cells apart: at most n + 1
+    cells. Ground that rises by more than ``tan(MAX_TILT)`` of that distance is steeper than ``MAX_TILT`` somewhere. The
+    cell halfway, rounded to the higher one, is closed.
+    """
+    column = int(wp.floor(x))
+    row = int(wp.floor(y))
+    here = heights[address(column, row)]
+    for dy in range(-STRETCH, STRETCH + 1):
+        for dx in range(-STRETCH, STRETCH + 1):
+            there = heights[address(column + dx, row + dy)]
+            square = dx * dx + dy * dy
+            limit = wp.tan(MAX_TILT) * CELL * (wp.sqrt(float(square)) + 1.0)
+            if there > UNSEEN and square <= STRETCH * STRETCH and wp.abs(there - here) > limit:
+                upward = wp.where(there > here, 1, 0)
+                to_x = column + wp.sign(dx) * ((wp.abs(dx) + upward) / 2)
+                to_y = row + wp.sign(dy) * ((wp.abs(dy) + upward) / 2)
+                if int(evidence[address(to_x, to_y)]) != CLOSED:
+                    middle_x = float(to_x) + 0.5
+                    middle_y = float(to_y) + 0.5
+                    mark(middle_x, middle_y, CLOSED, rough, clearance, evidence, boxes, levels, doubts)
+
+
 @wp.kernel
 def add_scans(
     poses: wp.array2d[float],
@@ -322,6 +141,8 @@ def add_scans(
     boxes: wp.array2d[int],
     levels: wp.array2d[wp.uint8],
     doubts: wp.array2d[wp.int16],
+    heights: wp.array2d[float],
+    corners: wp.array3d[float],
     first: int,
 ):
     """Adds a scan to each row's map; thread ``t`` does row ``first + t``.
@@ -330,20 +151,22 @@ def add_scans(
     ends at an obstacle adds ``HIT`` to the cell at its end. Then the cells between two neighboring ones of these ends
     count as occupied, too, if nothing fits between them. Other ends on rough ground are suspected.
 
-    Two kinds of cells are closed for good: one uphill of a rover on a steep slope, and one ahead of a rover that has
-    not got farther than ``WAY`` within ``patience`` scans, whether it cannot or does not dare to.
+    Three kinds of cells are closed for good: those that are too steep by the heights around them, one uphill of a rover
+    on a steep slope, and one on the route of a rover that has not got farther than ``WAY`` within ``patience`` scans,
+    whether it cannot or does not dare to. On rough ground, the height of a cell is the greatest one that has been seen
+    there, at the end of a beam or below the rover.
 
     The ground of a row is rough once its rover has tilted by ``ROUGH_TILT``. The row's map is cleared then, as what it
     holds may be gentle slopes.
 
     Args:
-        poses: x, y (m), pitch, roll and yaw (rad) of the rovers, ``[N, 5]``.
+        poses: x, y (m), pitch, roll, yaw (rad) and z (m) of the rovers, ``[N, 6]``.
         readings: lidar readings, ``[N, P]``, m.
         directions: cosine and sine of the angle of each reading in the frame of the lidar, ``[P]``.
         mount: position of the lidar in the frame of the rover, whose origin is on the ground, m.
         max_range: range at which a beam has hit nothing, m.
         clearance: distances from obstacles at which levels begin.
-        patience: number of scans after which the cell ahead of a rover that makes no way is closed.
+        patience: number of scans after which a cell on the route of a rover that makes no way is closed.
         added: rows whose scan is added. The others do not change.
         renewed: rows whose map is cleared first.
         roughs: whether the ground is rough, ``[N]``; updated.
@@ -354,6 +177,8 @@ def add_scans(
         boxes: where in each occupied cell the obstacle is: see :func:`distance_square`. ``[N, SIZE * SIZE]``; updated.
         levels: level of each cell, ``[N, SIZE * SIZE]``; updated.
         doubts: number of suspected cells around each one, ``[N, SIZE * SIZE]``; updated.
+        heights: height of the ground in each cell, ``[N, SIZE * SIZE]``, m; updated on rough ground.
+        corners: corners of the routes before, ``[N, 2, 2]``, m.
         first: row of the first thread.
     """
     i = first + wp.tid()
@@ -363,6 +188,7 @@ def add_scans(
     box = boxes[i]
     level = levels[i]
     doubt = doubts[i]
+    height = heights[i]
     center = wp.vec2i(cell_of(poses[i, 0]), cell_of(poses[i, 1]))
     cos_pitch = wp.cos(poses[i, 2])
     sin_pitch = wp.sin(poses[i, 2])
@@ -372,9 +198,9 @@ def add_scans(
     rough = was_rough or cos_pitch * cos_roll < wp.cos(ROUGH_TILT)
     roughs[i] = rough
     if renewed[i] or rough != was_rough:
-        clear_window(evidence, level, doubt)
+        clear_window(rough, evidence, level, doubt, height)
     else:
-        move_window(centers[i], center, rough, clearance, evidence, box, level, doubt)
+        move_window(centers[i], center, rough, clearance, evidence, box, level, doubt, height)
     centers[i] = center
     cos = wp.cos(poses[i, 4])
     sin = wp.sin(poses[i, 4])
@@ -430,6 +256,19 @@ def add_scans(
             suspect(x + beam[0], y + beam[1], clearance, evidence, doubt)
     here_x = poses[i, 0] / CELL
     here_y = poses[i, 1] / CELL
+    if rough:
+        z = poses[i, 5] + mount[0] * ahead[2] + mount[1] * left[2] + CELL * up[2]
+        raise_ground(here_x, here_y, poses[i, 5], height)
+        for k in range(count):
+            beam = readings[i, k] / CELL * (directions[k][0] * ahead + directions[k][1] * left)
+            if shows_ground(beam, readings[i, k], max_range):
+                raise_ground(x + beam[0], y + beam[1], z + CELL * beam[2], height)
+        # After all heights are known, so that the order of the beams does not matter.
+        close_steep(here_x, here_y, rough, clearance, evidence, box, level, doubt, height)
+        for k in range(count):
+            beam = readings[i, k] / CELL * (directions[k][0] * ahead + directions[k][1] * left)
+            if shows_ground(beam, readings[i, k], max_range):
+                close_steep(x + beam[0], y + beam[1], rough, clearance, evidence, box, level, doubt, height)
     if cos_pitch * cos_roll < wp.cos(MAX_TILT):
         # The rover's vertical axis leans downhill.
         down_x = cos_roll * sin_pitch * cos + sin_roll * sin
@@ -443,4 +282,7 @@ def add_scans(
         waits[i] = 0
     if waits[i] >= patience:
         waits[i] = 0
-        mark(here_x + AHEAD * cos, here_y + AHEAD * sin, CLOSED, rough, clearance, evidence, box, level, doubt)
+        way_x = corners[i, 0, 0] - poses[i, 0]
+        way_y = corners[i, 0, 1] - poses[i, 1]
+        scale = AHEAD / wp.max(wp.length(wp.vec2(way_x, way_y)), 1.0e-6)
+        mark(here_x + scale * way_x, here_y + scale * way_y, CLOSED, rough, clearance, evidence, box, level, doubt)

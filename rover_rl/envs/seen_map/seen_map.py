@@ -25,7 +25,7 @@ from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.rotations import wrap_angle
 
 if TYPE_CHECKING:
-    from rover_rl.envs.seen_map.scan_kernels import Clearance
+    from rover_rl.envs.seen_map.cell_kernels import Clearance
 
 ROUTE = "route"
 """Name of the route in an observation."""
@@ -77,7 +77,7 @@ def largest_reading(lidar: LidarConfig) -> float:
 
 def clearance_of(robot: str | Robot) -> Clearance:
     """Returns the distances from obstacles at which the levels of cells begin, in parts of a cell."""
-    from rover_rl.envs.seen_map.scan_kernels import CELL, PARTS, Clearance
+    from rover_rl.envs.seen_map.cell_kernels import CELL, PARTS, Clearance
 
     half_width = footprint(get_robot(robot)).half_width
     tight, near, wide = (math.ceil((half_width + margin) / CELL * PARTS) for margin in MARGINS)
@@ -127,12 +127,15 @@ class SeenMap:
     end any more.
 
     What the lidar does not see is found out by driving. Where the rover tilts by more than 24 degrees, the ground ahead
-    uphill counts as occupied. If the rover does not get farther than half a meter in 8 s, the place ahead of it does.
+    uphill counts as occupied. If the rover does not get farther than half a meter in 8 s, the place 0.45 m ahead on its
+    route does.
 
     The lidar scans in one plane, so that a gentle slope ahead looks like a wall. On rough ground, that is once the
     rover has tilted by more than 3 degrees in the episode, the end of a beam therefore marks a cell only if the ground
     rises to it by more than 24 degrees: on a level rover with the lidar at 0.32 m, within 0.72 m. At other ends, an
-    obstacle is suspected: a route crosses them only if the detour around them is much longer.
+    obstacle is suspected: a route crosses them only if the detour around them is much longer. The rover itself and the
+    ends of beams up to 3 m away also tell how high the ground is. Where two heights differ by more than a slope of 24
+    degrees allows, the place between them counts as occupied for the rest of the episode.
 
     The map needs a pose that does not jump, such as that of odometry.
 
@@ -158,8 +161,8 @@ class SeenMap:
         interval: float = 0.2,
     ) -> None:
         # Importing NVIDIA Warp takes half a second.
+        from rover_rl.envs.seen_map.cell_kernels import OPEN, SIZE, UNSEEN
         from rover_rl.envs.seen_map.route_kernels import BUCKETS
-        from rover_rl.envs.seen_map.scan_kernels import OPEN, SIZE
 
         lidar, device = lidar or LidarConfig(), torch.device(device or "cpu")
         self._mount, self._max_range, self._patience = lidar_mount(robot), largest_reading(lidar), patience_of(interval)
@@ -174,6 +177,7 @@ class SeenMap:
         self._boxes = torch.zeros(cells, dtype=torch.int32, device=device)
         self._levels = torch.full(cells, OPEN, dtype=torch.uint8, device=device)
         self._doubts = torch.zeros(cells, dtype=torch.int16, device=device)
+        self._heights = torch.full(cells, UNSEEN, device=device)
         self._clearance = clearance_of(robot)
         # x and y of two corners, and the length.
         self._corners = torch.zeros(rows, 2, 2, device=device)
@@ -215,7 +219,7 @@ class SeenMap:
         pose, imu, target = observation["pose"], observation["imu"], observation["target"]
         goal = goal_positions(pose, imu, target)
         bounds = self._unbounded if bounds is None else bounds
-        poses, readings = torch.cat((pose[:, :2], imu), -1), observation["lidar"].contiguous()
+        poses, readings = torch.cat((pose[:, :2], imu, pose[:, 2:]), -1), observation["lidar"].contiguous()
         self._launch(poses, readings, goal, bounds.contiguous(), rows.contiguous())
         self._renewed &= ~rows
         return relative_route(self._corners, self._lengths, pose, imu)
@@ -228,7 +232,7 @@ class SeenMap:
             fit, 2 where it hardly fits or an obstacle is suspected, 3 where it should be slow, and 4 elsewhere. And x,
             y of the lower corner of cell ``[0, 0]`` of each row's window, float32 ``[N, 2]``, m.
         """
-        from rover_rl.envs.seen_map.scan_kernels import CELL, DOUBTFUL, HALF, SIZE
+        from rover_rl.envs.seen_map.cell_kernels import CELL, DOUBTFUL, HALF, SIZE
 
         levels = torch.where(self._doubts > 0, self._levels.clamp(max=DOUBTFUL), self._levels)
         lowest = self._centers - HALF
@@ -238,7 +242,7 @@ class SeenMap:
         return levels.gather(1, address.flatten(1).long()).reshape(address.shape), lowest * CELL
 
     def _launch(self, poses: Tensor, readings: Tensor, goals: Tensor, bounds: Tensor, rows: Tensor) -> None:
-        """Launches the kernels. Poses are x, y, pitch, roll, yaw, ``[N, 5]``."""
+        """Launches the kernels. Poses are x, y, pitch, roll, yaw and z, ``[N, 6]``."""
         from rover_rl.envs.seen_map.route_kernels import plan_routes
         from rover_rl.envs.seen_map.scan_kernels import add_scans
         from rover_rl.sims.native.warp import wp
@@ -250,6 +254,7 @@ class SeenMap:
         scans = [poses, readings, directions, self._mount, self._max_range, self._clearance, self._patience]
         scans += [rows, self._renewed, self._rough, self._places, self._waits]
         scans += [centers, self._evidence, self._boxes, self._levels, self._doubts]
+        scans += [self._heights, self._corners]
         plans = [goals, bounds, rows, centers, self._levels, self._doubts]
 
         def launch(share: tuple[int, int], memory: list[Tensor]) -> None:

@@ -44,7 +44,7 @@ class Both:
         self.lengths.append(float(expected[0, 4]))
 
     def levels(self) -> Tensor:
-        cells = unpacked(self.state[:, 6:].reshape(1, 128, 128))
+        cells = unpacked(self.state[:, 8:].reshape(1, 2, 128, 128)[:, 0])
         return levels(cells, self.state[:, 2:3] > 0, clearance_of(ROBOT))
 
     def assert_same(self) -> None:
@@ -67,13 +67,13 @@ def test_it_computes_what_the_kernels_compute(seed: int, bounded: bool, tilt: fl
     position, yaw = torch.rand(2, generator=generator) * 4 - 2, 0.0
     bounds = (-4.0, -5.0, 6.5, 7.0) if bounded else NO_BOUNDS
     for step in range(6):
-        draw = torch.rand(6, generator=generator).tolist()
+        draw = torch.rand(7, generator=generator).tolist()
         # Goals inside and outside of the window and of the bounds, and a few jumps.
         goal = (24 * draw[0] - 12, 24 * draw[1] - 12)
         position = position + (torch.tensor(draw[2:4]) - 0.5) * (20.0 if step == 4 else 1.0)
         yaw += draw[4] - 0.5
         observation = observed(
-            (position[0].item(), position[1].item()), goal, walls, yaw, pitch=tilt * (2 * draw[5] - 1)
+            (position[0].item(), position[1].item()), goal, walls, yaw, tilt * (2 * draw[5] - 1), z=draw[6]
         )
         both(observation, bounds)
     both.assert_same()
@@ -102,7 +102,7 @@ def test_a_closed_room_has_no_route() -> None:
 
 def test_steep_ground_is_kept_and_what_is_gone_is_cleared() -> None:
     both = Both()
-    wall = ((1.5, -0.5, 1.5, 0.5),)
+    wall = ((3.5, -0.5, 3.5, 0.5),)
     both(observed((0.0, 0.0), (4.0, 0.0), wall, yaw=0.4, pitch=-0.5))
     both(observed((0.0, 0.0), (4.0, 0.0), wall, yaw=0.4))
     occupied = int((both.levels() == 0).sum())
@@ -114,13 +114,23 @@ def test_steep_ground_is_kept_and_what_is_gone_is_cleared() -> None:
 
 
 @pytest.mark.parametrize("start", [0.0, 5.0])
-def test_the_place_ahead_is_closed_at_the_same_scan(start: float) -> None:
+def test_a_place_on_the_route_is_closed_at_the_same_scan(start: float) -> None:
     both, closed = Both(interval=2.0), []
     for k in range(11):
         both(observed((start + 0.1 * (k % 3), 0.0), (9.0, 0.3), yaw=0.2 * k))
         closed.append(int((both.levels() == 0).sum()))
     both.assert_same()
     assert closed == [0] * 4 + [1] * 4 + [2] * 3
+
+
+def test_ground_between_heights_that_differ_too_much_is_closed() -> None:
+    both = Both()
+    for k in range(6):
+        x, z = 0.25 * k, 0.12 * k
+        wall = ((2.0 + 0.2 * k, -3.0, 2.1 + 0.2 * k, 3.0),)
+        both(observed((x, 0.1), (5.0, 0.1), wall, yaw=0.2 * k, pitch=-0.1, z=z))
+    both.assert_same()
+    assert int((both.levels() == 0).sum()) > 5
 
 
 def test_suspected_cells_are_cleared_and_hit() -> None:

@@ -48,13 +48,14 @@ def observed(
     walls: tuple[Wall, ...] = (),
     yaw: float = 0.0,
     pitch: float = 0.0,
+    z: float = 0.0,
 ) -> TensorDict:
     """The observation of one rover."""
     offset = goal[0] - position[0], goal[1] - position[1]
     bearing = math.remainder(math.atan2(offset[1], offset[0]) - yaw, 2 * math.pi)
     entries = {
         "lidar": ranges(position, yaw, walls)[None],
-        "pose": torch.tensor([[*position, 0.0]]),
+        "pose": torch.tensor([[*position, z]]),
         "imu": torch.tensor([[pitch, 0.0, yaw]]),
         "target": torch.tensor([[math.hypot(*offset), bearing]]),
     }
@@ -186,13 +187,13 @@ def test_beams_that_pass_clear_suspected_cells() -> None:
 
 
 @pytest.mark.parametrize("interval", [0.2, 1.0])
-def test_the_place_ahead_is_closed_if_the_rover_does_not_get_on_for_8_seconds(interval: float) -> None:
+def test_a_place_on_the_route_is_closed_if_the_rover_does_not_get_on_for_8_seconds(interval: float) -> None:
     seen = SeenMap(1, LIDAR, CENTERED, interval=interval)
     scans = round(8.0 / interval)
     for k in range(scans):
-        # Back and forth, as in front of a gap that is too narrow.
-        route = seen(observed((0.2 * (k % 2), 0.0), (4.0, 0.0)))
-        assert abs(float(route[0, 1])) < 1e-6
+        # Back and forth, as in front of a gap that is too narrow, wherever the rover turns.
+        route = seen(observed((0.2 * (k % 2), 0.0), (4.0, 0.0), yaw=1.5))
+        assert abs(float(route[0, 1]) + 1.5) < 1e-6
     route = seen(observed((0.0, 0.0), (4.0, 0.0)))
     assert is_occupied(seen, 0.45, 0.0)
     assert abs(float(route[0, 1])) > 0.3, "around it"
@@ -201,6 +202,40 @@ def test_the_place_ahead_is_closed_if_the_rover_does_not_get_on_for_8_seconds(in
     assert is_occupied(seen, 0.45, 0.0), "no beam clears it"
     seen(observed((0.0, 0.0), (4.0, 0.0)), renewed=torch.tensor([True]))
     assert not is_occupied(seen, 0.45, 0.0)
+
+
+def test_ground_between_heights_that_differ_too_much_is_closed() -> None:
+    def seen_at(distance: float) -> SeenMap:
+        """Ground that rises from 0.3 m at x = 2 to 0.6 m some way behind, as the lidar sees it from two heights."""
+        seen = one_map()
+        seen(observed((0.0, 0.0), (6.0, 0.0), pitch=-0.1))
+        for z, x in ((0.0, 2.0), (0.3, 2.0 + distance)):
+            seen(observed((0.0, 0.0), (6.0, 0.0), ((x, -3.0, x, 3.0),), z=z))
+        return seen
+
+    steep = seen_at(0.4)
+    assert is_occupied(steep, 2.3, 0.0), "by 37 degrees, at least 27 if the cells are that wide"
+    route = steep(observed((0.0, 0.0), (6.0, 0.0), z=0.8))
+    assert abs(float(route[0, 1])) > 0.3, "around it, though no beam ends there any more"
+    gentle = seen_at(0.7)
+    assert not any(is_occupied(gentle, 2.0 + 0.15 * k, 0.0) for k in range(6)), "by 23 degrees"
+
+
+def test_ground_is_as_high_as_the_rover_stands() -> None:
+    seen = one_map()
+    seen(observed((0.0, 0.0), (6.0, 0.0), pitch=-0.1))
+    # Down a step of 0.4 m.
+    seen(observed((0.5, 0.0), (6.0, 0.0), z=-0.4))
+    assert is_occupied(seen, 0.2, 0.0)
+
+
+def test_on_level_ground_heights_close_nothing() -> None:
+    seen = one_map()
+    for z, x in ((0.0, 2.0), (0.3, 2.4)):
+        seen(observed((0.0, 0.0), (6.0, 0.0), ((x, -3.0, x, 3.0),), z=z))
+    for _ in range(12):
+        seen(observed((0.0, 0.0), (6.0, 0.0)))
+    assert not is_occupied(seen, 2.3, 0.0)
 
 
 def test_nothing_is_closed_ahead_of_a_rover_that_gets_on() -> None:
