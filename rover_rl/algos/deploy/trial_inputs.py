@@ -50,7 +50,7 @@ def drive_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]:
     pitch = 0.04 * (3 * time).sin()
     pitch[count // 4] = -0.5
     observations["imu"] = torch.stack((pitch, 0.04 * (2 * time).cos(), yaw), -1)
-    observations["pose"] = torch.cat((position, torch.zeros(count, 1)), -1)
+    observations["pose"] = torch.cat((position, 0.2 * (3 * time).cos()[:, None]), -1)
     goals = 2 * _YARD * torch.rand(1 + count // 25, 2, generator=generator) - _YARD
     offset = goals[torch.arange(count) // 25] - position
     bearing = torch.remainder(torch.atan2(offset[:, 1], offset[:, 0]) - yaw + math.pi, 2 * math.pi) - math.pi

@@ -28,9 +28,9 @@ from rover_rl.sims.robots import get_robot
 pytestmark = pytest.mark.skipif(
     any(find_spec(name) is None for name in ("onnxscript", "onnxruntime")), reason="needs rover_rl[onnx]"
 )
-MAP = 2 + 1 + 2 + 1 + 128 * 128
+MAP = 2 + 1 + 2 + 1 + 2 + 2 * 128 * 128
 """Entries of the state of a map: the middle of the window, whether the ground is rough, the place around which the
-rover is, its number of scans there, and the cells of the window."""
+rover is, its number of scans there, the first corner of its route, and the cells of the window and their heights."""
 UNITS = 12
 DECISIONS = 30
 
@@ -124,12 +124,15 @@ def test_the_state_holds_the_map_and_is_cleared_row_by_row(folder):
     assert torch.equal(after[1:], PolicyRunner(policy)(observations[0]))
     assert not torch.allclose(after[0], after[1], atol=1e-3)
     _, state = onnx_function(folder / "gru.onnx")({**observations[0], "state_in": torch.zeros(1, MAP + UNITS)})
-    center, rough, place, scans, cells, memory = state.split((2, 1, 2, 1, 128 * 128, UNITS), -1)
+    parts = (2, 1, 2, 1, 2, 128 * 128, 128 * 128, UNITS)
+    center, rough, place, scans, corner, cells, heights, memory = state.split(parts, -1)
     assert torch.equal(center, (observations[0]["pose"][:, :2] / 0.15).floor())
     assert rough == 0
     assert torch.equal(place, observations[0]["pose"][:, :2])
     assert scans == 1
+    assert (corner - place).norm() >= 0.5
     assert 10 < cells.count_nonzero() < 1000
+    assert (heights == 0).all(), "the ground is not rough"
     assert memory.abs().max() > 0
 
 
