@@ -332,22 +332,37 @@ def _on_route(pose: Tensor, corners: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _walls(heights: Tensor) -> Tensor:
-    """Returns the cells that are too much higher than others nearby, bool ``[N, SIZE, SIZE]``.
+    """Returns the cells halfway between two whose heights differ too much, bool ``[N, SIZE, SIZE]``.
 
     Only cells in the middle of the window are compared, where heights change.
     """
     border = HALF - FARTHEST_HEIGHT - 2 * STRETCH
-    first, last = border, SIZE - border
-    here = heights[:, first:last, first:last]
-    closed = torch.zeros_like(here, dtype=torch.bool)
+    middle = heights[:, border : SIZE - border, border : SIZE - border]
+    size = middle.shape[-1]
+    closed = torch.zeros_like(middle)
     for row in range(-STRETCH, STRETCH + 1):
         for column in range(-STRETCH, STRETCH + 1):
             distance = math.hypot(row, column)
             if 0 < distance <= STRETCH:
-                there = heights[:, first + row : last + row, first + column : last + column]
                 limit = math.tan(MAX_TILT) * CELL * (distance + 1.0)
-                closed = closed | ((there > UNSEEN) & (here - there > limit))
-    return F.pad(closed, (border,) * 4)
+                # Pairs of a cell and a higher one, which is (row, column) away.
+                lower, higher = _overlap(middle, row, column)
+                steep = (lower > UNSEEN) & (higher - lower > limit)
+                # Rounded to the higher cell.
+                half_row, half_column = (int(math.copysign((abs(offset) + 1) // 2, offset)) for offset in (row, column))
+                first_row, first_column = max(0, -row) + half_row, max(0, -column) + half_column
+                left, right = first_column, size - first_column - steep.shape[-1]
+                above, below = first_row, size - first_row - steep.shape[-2]
+                closed = torch.maximum(closed, F.pad(steep.to(closed.dtype), (left, right, above, below)))
+    return F.pad(closed, (border,) * 4) > 0
+
+
+def _overlap(cells: Tensor, row: int, column: int) -> tuple[Tensor, Tensor]:
+    """Returns the cells that have another one (row, column) away in the map, and these others."""
+    size = cells.shape[-1]
+    rows, columns = (slice(max(0, -offset), size - max(0, offset)) for offset in (row, column))
+    other_rows, other_columns = (slice(max(0, offset), size - max(0, -offset)) for offset in (row, column))
+    return cells[:, rows, columns], cells[:, other_rows, other_columns]
 
 
 def _middle(sides: Tensor) -> Tensor:

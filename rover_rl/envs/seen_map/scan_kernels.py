@@ -98,10 +98,11 @@ def close_steep(
     doubts: wp.array[wp.int16],
     heights: wp.array[float],
 ):
-    """Closes the higher of the cell of a point, in cells, and each cell nearby, if the ground between is too steep.
+    """Closes cells between that of a point, in cells, and others nearby, if the ground between them is too steep.
 
     The heights may be those of the nearest or of the farthest points of two cells that are n cells apart: at most n + 1
-    cells. Ground that rises by more than ``tan(MAX_TILT)`` of that distance is steeper than ``MAX_TILT`` somewhere.
+    cells. Ground that rises by more than ``tan(MAX_TILT)`` of that distance is steeper than ``MAX_TILT`` somewhere. The
+    cell halfway, rounded to the higher one, is closed.
     """
     column = int(wp.floor(x))
     row = int(wp.floor(y))
@@ -112,8 +113,9 @@ def close_steep(
             square = dx * dx + dy * dy
             limit = wp.tan(MAX_TILT) * CELL * (wp.sqrt(float(square)) + 1.0)
             if there > UNSEEN and square <= STRETCH * STRETCH and wp.abs(there - here) > limit:
-                to_x = wp.where(there > here, column + dx, column)
-                to_y = wp.where(there > here, row + dy, row)
+                upward = wp.where(there > here, 1, 0)
+                to_x = column + wp.sign(dx) * ((wp.abs(dx) + upward) / 2)
+                to_y = row + wp.sign(dy) * ((wp.abs(dy) + upward) / 2)
                 if int(evidence[address(to_x, to_y)]) != CLOSED:
                     middle_x = float(to_x) + 0.5
                     middle_y = float(to_y) + 0.5

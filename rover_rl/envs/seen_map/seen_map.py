@@ -135,7 +135,7 @@ class SeenMap:
     rises to it by more than 24 degrees: on a level rover with the lidar at 0.32 m, within 0.72 m. At other ends, an
     obstacle is suspected: a route crosses them only if the detour around them is much longer. The rover itself and the
     ends of beams up to 3 m away also tell how high the ground is. Where two heights differ by more than a slope of 24
-    degrees allows, the higher place counts as occupied for the rest of the episode.
+    degrees allows, the place between them counts as occupied for the rest of the episode.
 
     The map needs a pose that does not jump, such as that of odometry.
 
