@@ -14,7 +14,7 @@ record.
 
 Example:
     >>> export(load_pretrained("moon-ppo"), Path("moon.onnx"))
-    >>> OnnxPolicy(Path("maze.onnx"))(env.reset())["action"]
+    >>> OnnxPolicy(Path("moon.onnx"))(env.reset())["action"]
 """
 
 from __future__ import annotations

@@ -6,7 +6,8 @@ nothing moves in memory when the window does: only the cells that enter are clea
 edge of the window therefore reach over to the opposite edge.
 
 Cells are as wide as a gap's tolerance. Occupied ones therefore also hold the box in which the obstacle has been seen.
-Each cell has a level by the distance of its middle from the nearest box, and the number of suspected cells around it.
+Each cell has a level by the distance of its middle from the nearest box, the number of suspected cells around it, and
+on rough ground the greatest height, in m, at which the ground has been seen there.
 """
 
 from __future__ import annotations
