@@ -4,7 +4,7 @@
   time.
 - ``breakdown``: profile of a batched step by function.
 - ``physics``: speed and accuracy of the physics presets.
-- ``simulators``: speed of Warp compared with Bullet, on one core and on a GPU if there is one.
+- ``simulators``: speed of the simulators compared with Bullet, on one core.
 - ``law``: every simulator compared with Coulomb's law of friction by hand.
 - ``parity``: agreement of the simulators with one another.
 - ``endurance``: robustness of Warp under ten million random actions.
@@ -12,6 +12,7 @@
 - ``peers``: speed compared with a process and a PyBullet client for each rover.
 - ``footprint``: startup time and memory.
 - ``training``: speed of PPO and SAC compared with Stable-Baselines3.
+- ``gpu``: speed on a GPU, skipped without one; see :mod:`benchmarks.gpu`.
 
 Comparisons are measured alternately in one run and reported as ratios, because absolute numbers depend on the machine
 and its load. Run nothing else at the same time. Writes ``bench.json``, ``bench.png`` and ``breakdown.html`` to
@@ -46,6 +47,7 @@ Part = Literal[
     "peers",
     "footprint",
     "training",
+    "gpu",
 ]
 
 

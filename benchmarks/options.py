@@ -41,6 +41,16 @@ class Options:
     """Number of alternating measurements for a ratio, whose median is reported."""
     minutes: float = 1.0
     """Duration of each training in minutes."""
+    device: str | None = None
+    """Device of the benchmark ``gpu``; ``cpu`` rehearses it. Default: the GPU, if there is one."""
+    gpu_rovers: tuple[int, ...] = (1024, 4096, 16_384, 65_536, 131_072)
+    """Numbers of rovers on the GPU."""
+    gpu_beams: tuple[int, ...] = (128, 640)
+    """Numbers of lidar beams per rover on the GPU."""
+    gpu_worlds: tuple[str, ...] = ("maze", "moon", "inspect", "maze:0-1023")
+    """Worlds on the GPU. All numbers of rovers are measured in the first one only."""
+    gpu_learners: tuple[int, ...] = (4096, 16_384, 65_536)
+    """Numbers of rovers in training on the GPU."""
     out: Path = Path("runs/bench")
     """Output folder."""
 
@@ -50,7 +60,13 @@ class Options:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
         if not self.num_envs or min(self.num_envs) < 1:
             raise ValueError(f"num_envs must name numbers of at least 1, got {self.num_envs}")
-        if not self.beams or min(self.beams) < 32:
-            raise ValueError(f"beams must be at least the 32 lidar points, got {self.beams}")
+        for name in ("beams", "gpu_beams"):
+            if not getattr(self, name) or min(getattr(self, name)) < 32:
+                raise ValueError(f"{name} must be at least the 32 lidar points, got {getattr(self, name)}")
+        for name in ("gpu_rovers", "gpu_learners"):
+            if not getattr(self, name) or min(getattr(self, name)) < 1:
+                raise ValueError(f"{name} must name numbers of at least 1, got {getattr(self, name)}")
+        if not self.gpu_worlds:
+            raise ValueError("gpu_worlds must name at least one world, got none")
         if self.rovers % self.workers:
             raise ValueError(f"rovers={self.rovers} cannot be shared equally by workers={self.workers}")

@@ -1,8 +1,7 @@
 """Speed of the simulators compared with Bullet: simulator alone, whole environment, and scaling to two threads.
 
 Bullet uses its default preset and 64 rovers, the number at which it is fastest, as does MuJoCo; Warp uses more. Each
-runs on one core, and two are measured alternately in one run. On machines with a GPU, also measures Warp's steps per
-second there: physics, lidar and whole environment.
+runs on one core, and two are measured alternately in one run. :mod:`benchmarks.gpu` measures Warp on a GPU.
 """
 
 from __future__ import annotations
@@ -12,24 +11,22 @@ from dataclasses import asdict, replace
 from typing import Any
 
 import torch
-from rich.console import Group
 from rich.table import Table
 from torchrl.envs import EnvBase
 
 from benchmarks.engines import choose_engines
 from benchmarks.options import Options
-from benchmarks.ratios import paired, rate
+from benchmarks.ratios import paired
 from rover_rl import make_env
 from rover_rl.sims import Backend
 from rover_rl.sims.backends import resolve_backend
 
 WORLDS = ("inspect", "moon", "maze")
-GPU_ROVERS = (1024, 4096, 16384, 65536)
 BEAMS = (128, 640)
 
 
-def _environment(world: str, rovers: int, beams: int, backend: str | Backend, device: str | None = None) -> EnvBase:
-    env = make_env(world_n=world, num_envs=rovers, lidar_beams=beams, backend=backend, seed=0, device=device)
+def _environment(world: str, rovers: int, beams: int, backend: str | Backend) -> EnvBase:
+    env = make_env(world_n=world, num_envs=rovers, lidar_beams=beams, backend=backend, seed=0)
     env.reset()
     return env
 
@@ -64,7 +61,7 @@ def environment_work(env: EnvBase) -> Callable[[], int]:
 
 
 def measure(options: Options) -> dict[str, Any]:
-    """Measures the speed ratios on the CPU, and the speed on a GPU; ``"gpu"`` is ``None`` on machines without one."""
+    """Measures the speed ratios."""
     rows = []
 
     def compare(what: str, one: EnvBase, other: EnvBase, work: Callable[[EnvBase], Callable[[], int]]) -> None:
@@ -88,49 +85,14 @@ def measure(options: Options) -> dict[str, Any]:
             compare(f"{engine} / bullet: environment, {world}, {envs:,} rovers", fast, bullet, environment_work)
         one, two = (_environment("inspect", rovers, BEAMS[0], replace(one_core, threads=threads)) for threads in (1, 2))
         compare(f"{engine}: two threads / one thread", two, one, simulator_work)
-    return {"ratios": rows, "gpu": _measure_gpu(options) if torch.cuda.is_available() else None}
+    return {"ratios": rows}
 
 
-def _measure_gpu(options: Options) -> list[dict[str, Any]]:
-    """Measures Warp's steps per second on a GPU, with a row for each number of rovers."""
-    rows = []
-    for rovers in GPU_ROVERS:
-        env = _environment("maze", rovers, BEAMS[0], "warp", "cuda")
-
-        def synchronized(work: Callable[[], int]) -> Callable[[], int]:
-            def timed() -> int:
-                steps = sum(work() for _ in range(10))
-                torch.cuda.synchronize()
-                return steps
-
-            return timed
-
-        # Measures physics and lidar with the rovers in motion.
-        step_environment = environment_work(env)
-        for _ in range(20):
-            step_environment()
-        launch = env.base_env.simulator.launch
-        works = {
-            "physics": lambda launch=launch, rovers=rovers: launch(lidar=False) or rovers,
-            "lidar": lambda launch=launch, rovers=rovers: launch(physics=False) or rovers,
-            "environment": step_environment,
-        }
-        rates = {name: rate(synchronized(work), options.seconds) for name, work in works.items()}
-        rows.append({"rovers": rovers, **rates})
-        env.close()
-    return rows
-
-
-def table(found: dict[str, Any]) -> Group:
-    """Formats the results as tables for the terminal."""
+def table(found: dict[str, Any]) -> Table:
+    """Formats the results for the terminal."""
     headings = "measured", "steps/s", "Bullet or one thread, steps/s", "speedup"
     ratios = Table(*headings, title="Simulators: speed")
     for row in found["ratios"]:
         ratio = f"{row['median']:.2f} ({row['least']:.2f} to {row['most']:.2f})"
         ratios.add_row(row["what"], f"{row['rate']:,.0f}", f"{row['other']:,.0f}", ratio)
-    if found["gpu"] is None:
-        return Group(ratios, "GPU: skipped, torch finds no CUDA device")
-    gpu = Table("rovers", "physics", "lidar", "environment", title="Warp on a GPU, steps/s")
-    for row in found["gpu"]:
-        gpu.add_row(*(f"{row[name]:,.0f}" for name in ("rovers", "physics", "lidar", "environment")))
-    return Group(ratios, gpu)
+    return ratios

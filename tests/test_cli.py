@@ -213,6 +213,35 @@ def test_too_little_memory_is_told_in_one_line(capsys: pytest.CaptureFixture[str
     assert "not enough memory" in failed(capsys, "train", "--hidden", 10**12)
 
 
+@pytest.mark.parametrize(
+    "error",
+    [
+        torch.OutOfMemoryError(
+            "CUDA out of memory. Tried to allocate 12.00 GiB. GPU 0 has a total capacity of 139 GiB"
+        ),
+        RuntimeError("Failed to allocate 17179869184 bytes on device 'cuda:0'"),
+        RuntimeError("Warp CUDA error 2: out of memory (in function wp_alloc_device_default)"),
+    ],
+)
+def test_too_little_memory_of_a_gpu_is_told_in_one_line(
+    error: Exception, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("rover_rl.algos.train.train", fail)
+    assert failed(capsys, "train").startswith("rover-rl: not enough memory on the GPU; use fewer rovers (--num-envs)")
+
+
+def test_an_error_of_the_gpu_that_is_not_its_memory_is_shown_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError("CUDA error: an illegal memory access was encountered")
+
+    monkeypatch.setattr("rover_rl.algos.train.train", fail)
+    with pytest.raises(RuntimeError, match="illegal memory access"):
+        main(["train"])
+
+
 SIZE = ["--num-envs", "4", "--workers", "1", "--rollout-length", "4", "--total-steps", "64", "--hidden", "16"]
 
 

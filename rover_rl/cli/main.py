@@ -24,6 +24,9 @@ FAILED = 2
 BROKEN_PIPE = 141
 """Exit code when the reader of the output has closed the pipe: 128 + SIGPIPE, as in a shell."""
 
+_OUT_OF_MEMORY = re.compile("allocate memory|out of memory|Failed to allocate")
+"""What PyTorch's and Warp's errors say if there is not enough memory."""
+
 COMMANDS = {
     "evaluate": Evaluate,
     "benchmark": Benchmark,
@@ -59,9 +62,11 @@ def main(args: list[str] | None = None) -> int:
         print(f"rover-rl: {_error_message(error)}", file=sys.stderr)
         return FAILED
     except (MemoryError, RuntimeError) as error:
-        if not (isinstance(error, MemoryError) or re.search(r"allocate memory|out of memory", str(error))):
+        if not (isinstance(error, MemoryError) or _OUT_OF_MEMORY.search(str(error))):
             raise
-        print("rover-rl: not enough memory; use smaller values", file=sys.stderr)
+        on_gpu = "cuda" in str(error).lower()
+        advice = " on the GPU; use fewer rovers (--num-envs) or smaller values" if on_gpu else "; use smaller values"
+        print(f"rover-rl: not enough memory{advice}", file=sys.stderr)
         return FAILED
     except KeyboardInterrupt:
         print("rover-rl: interrupted", file=sys.stderr)

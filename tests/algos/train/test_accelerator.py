@@ -1,6 +1,6 @@
 """On an accelerator, the task and the learners keep all tensors there, and no step waits for it.
 
-PyTorch gets a simulated device, so that no GPU is needed. Tests on a real one are in tests/sims/warp/test_gpu.py.
+PyTorch gets a simulated device, so that no GPU is needed. Tests on a real one are in tests/gpu.
 """
 
 from __future__ import annotations

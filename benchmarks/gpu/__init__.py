@@ -1,0 +1,71 @@
+"""Speed on a GPU: simulator, environment and training, what bounds each kernel, and the processors beside it.
+
+    python -m benchmarks gpu
+    python -m benchmarks gpu --device cpu --gpu-rovers 64 256 --seconds 0.2   # a rehearsal
+
+Takes less than eight minutes on an H200. Writes ``gpu.json`` after each section, so that nothing is lost if the machine
+goes away, and ``gpu.png``. A section that fails is reported with its error, and the others go on.
+
+- ``machine``: GPU, versions, and measured ceilings: memory bandwidth, float32 arithmetic, and the cost of a launch.
+- ``speed``: steps per second of physics, lidar and whole environment, by number of rovers, beams and worlds, and memory
+  per rover.
+- ``tuning``: the kernels with other block sizes and numbers of lidar threads per rover.
+- ``kernels``: time of each kernel beside what its arithmetic and its bytes need at the measured ceilings. With Nsight
+  Compute (``ncu``), also divergence, occupancy and what warps wait for.
+- ``training``: speed of PPO, and the shares of simulation, gradient steps and idle time of the device.
+- ``processors``: the same environment on all cores of the machine's CPU.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+import torch
+from rich.console import Group
+
+from benchmarks.options import Options
+from rover_rl.files import write_json
+
+SECTIONS = ("machine", "speed", "kernels", "training", "processors")
+"""Sections in the order in which they run: what matters most comes first."""
+
+
+def measure(options: Options) -> dict[str, Any] | None:
+    """Measures all sections. Returns ``None`` without a GPU, unless ``--device`` names a device."""
+    device = options.device or ("cuda" if torch.cuda.is_available() else None)
+    if device is None:
+        return None
+    results: dict[str, Any] = {"device": device}
+    for name in SECTIONS:
+        results[name] = _attempt(_module(name).measure, options, torch.device(device), results)
+        write_json(options.out / "gpu.json", results)
+    _module("plot").draw(results, options.out / "gpu.png")
+    return results
+
+
+def _attempt(section: Callable[..., Any], *args: Any) -> Any:
+    """Returns the results of a section, or its error: the first failure should not end a measurement of minutes."""
+    try:
+        return section(*args)
+    except Exception as error:
+        return {"error": f"{type(error).__name__}: {error}", "traceback": traceback.format_exc()}
+
+
+def _module(name: str) -> ModuleType:
+    return import_module(f"{__name__}.{name}")
+
+
+def table(results: dict[str, Any] | None) -> Group:
+    """Formats the results as tables for the terminal."""
+    if results is None:
+        return Group("GPU: skipped, torch finds no CUDA device (--device cpu rehearses the measurement)")
+    parts = []
+    for name in SECTIONS:
+        found = results[name]
+        failed = isinstance(found, dict) and "error" in found
+        parts.append(f"{name} failed:\n{found['traceback']}" if failed else _module(name).table(found))
+    return Group(*parts)

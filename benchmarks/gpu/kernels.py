@@ -1,0 +1,120 @@
+"""Time of each kernel beside what its arithmetic and its bytes need, and why it takes longer.
+
+The time that a kernel needs at least is the larger of its float32 operations over the measured arithmetic rate and its
+bytes in device memory over the measured bandwidth. Nsight Compute counts both. It also tells what the rest of the time
+is: lanes of a warp that wait for others (divergence), too few warps on a multiprocessor, and what the warps wait for.
+"""
+
+from __future__ import annotations
+
+import shutil
+from functools import partial
+from typing import Any
+
+import torch
+from rich.console import Group
+from rich.table import Table
+
+from benchmarks.gpu.counters import count
+from benchmarks.gpu.profiled import map_work
+from benchmarks.gpu.speed import driving
+from benchmarks.gpu.timing import timed
+from benchmarks.options import Options
+from rover_rl.envs.seen_map.route_kernels import plan_routes
+from rover_rl.envs.seen_map.scan_kernels import add_scans
+from rover_rl.sims.native.warp import wp
+from rover_rl.sims.warp.kernels.dynamics import place, step_dynamics
+from rover_rl.sims.warp.kernels.lidar import scan
+from rover_rl.sims.warp.simulator import GPU_BLOCK_SIZE
+
+KERNELS = {kernel.key: kernel for kernel in (step_dynamics, scan, place, add_scans, plan_routes)}
+"""Kernels of a step, of a reset and of the map, by their names."""
+ROVERS = 65_536
+"""Number of rovers, at most."""
+WARP_THREADS = 32
+"""Threads of a warp, which share an instruction."""
+REGISTER_UNIT = 256
+"""Registers are given to a warp in multiples of this number (CUDA Programming Guide, compute capabilities)."""
+
+
+def measure(options: Options, device: torch.device, results: dict[str, Any]) -> dict[str, Any]:
+    """Times physics, lidar and map, and reads registers, occupancy and counters of the kernels on a GPU."""
+    rovers, beams = min(ROVERS, max(options.gpu_rovers)), min(options.gpu_beams)
+    world = options.gpu_worlds[0]
+    with driving(world, rovers, beams, device) as drive:
+        launch = drive.env.base_env.simulator.launch
+        works = {
+            "step_dynamics": partial(launch, lidar=False),
+            "scan": partial(launch, physics=False),
+            "add_scans and plan_routes": map_work(drive, device),
+        }
+        times = {name: timed(work, device, options.seconds, drive.step).device for name, work in works.items()}
+    found: dict[str, Any] = {"world": world, "rovers": rovers, "beams": beams, "seconds": times}
+    if device.type == "cuda":
+        found["resources"] = {name: _resources(kernel, results["machine"]) for name, kernel in KERNELS.items()}
+        found["counters"] = _limits(count(world, rovers, beams), results["machine"]) if shutil.which("ncu") else None
+    return found
+
+
+def _resources(kernel: wp.Kernel, machine: dict[str, Any]) -> dict[str, Any]:
+    """Registers and local memory of a thread, and how many threads fit on a multiprocessor."""
+    found: dict[str, Any] = wp.get_cuda_kernel_properties(kernel, block_dim=GPU_BLOCK_SIZE)
+    return found | {"resident_threads": resident_threads(found["register_count"], machine)}
+
+
+def resident_threads(registers: int, machine: dict[str, Any]) -> int:
+    """Returns how many threads of a kernel fit on a multiprocessor, by their registers.
+
+    Args:
+        registers: registers of a thread.
+        machine: ``registers`` and ``threads`` of a multiprocessor.
+    """
+    each = -(-registers * WARP_THREADS // REGISTER_UNIT) * REGISTER_UNIT
+    return min(machine["registers"] // each * WARP_THREADS, machine["threads"])
+
+
+def _limits(counted: list[dict[str, Any]], machine: dict[str, Any]) -> list[dict[str, Any]]:
+    """Adds the shares of the time that arithmetic and device memory need at the measured ceilings."""
+    for row in counted:
+        row["arithmetic_share"] = row["flops"] / machine["flops_per_s"] / row["seconds"]
+        row["memory_share"] = row["dram_bytes"] / machine["bytes_per_s"] / row["seconds"]
+    return counted
+
+
+def table(found: dict[str, Any]) -> Group:
+    """Formats the results for the terminal."""
+    case = f"{found['rovers']:,} rovers, {found['beams']} beams, {found['world']}"
+    times = Table("kernels", "ms", "rovers/s", title=f"Kernels: {case}")
+    for name, seconds in found["seconds"].items():
+        times.add_row(name, f"{1000 * seconds:.3f}", f"{found['rovers'] / seconds:,.0f}")
+    parts = [times]
+    if found.get("resources"):
+        columns = "kernel", "registers", "local memory, bytes", "threads on a multiprocessor"
+        resources = Table(*columns, title="Resources of a thread")
+        for name, row in found["resources"].items():
+            numbers = row["register_count"], row["local_memory_size"], row["resident_threads"]
+            resources.add_row(name, *map(str, numbers))
+        parts.append(resources)
+    if found.get("counters"):
+        parts.append(_counters_table(found["counters"]))
+    return Group(*parts)
+
+
+def _counters_table(rows: list[dict[str, Any]]) -> Table:
+    table = Table(
+        *("kernel", "ms", "arithmetic", "memory", "issue slots", "lanes of 32", "occupancy", "L1 hits", "waits for"),
+        title="Shares of the time that a kernel needs at the measured ceilings, and why it takes longer",
+    )
+    for row in rows:
+        table.add_row(
+            row["kernel"],
+            f"{1000 * row['seconds']:.3f}",
+            f"{row['arithmetic_share']:.1%}",
+            f"{row['memory_share']:.1%}",
+            f"{row['issue_share']:.0%}",
+            f"{row['lanes']:.1f}",
+            f"{row['occupancy']:.0%}",
+            f"{row['l1_hits']:.0%}",
+            ", ".join(f"{name} {share:.0%}" for name, share in row["waits"].items()),
+        )
+    return table

@@ -1,0 +1,62 @@
+"""Launches each kernel once, with rovers in motion: the program that Nsight Compute profiles.
+
+ncu --profile-from-start no python -m benchmarks.gpu.profiled --rovers 65536
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+import tyro
+
+from benchmarks.gpu.speed import Drive, driving
+from rover_rl.envs.seen_map.seen_map import SeenMap
+
+SEEN = 10
+"""Number of scans in the maps before the profiled one."""
+
+
+@dataclass
+class Options:
+    """Options of the profiled program."""
+
+    world: str = "maze"
+    """Name of the world."""
+    rovers: int = 65_536
+    """Number of rovers."""
+    beams: int = 128
+    """Number of lidar beams per rover."""
+    device: str = "cuda"
+    """Device."""
+
+
+def map_work(drive: Drive, device: torch.device) -> Callable[[], object]:
+    """Returns a function that adds the current scan to the map of each rover and plans its route."""
+    rovers = drive.env.base_env
+    seen = SeenMap(rovers.num_envs, rovers.config.lidar, rovers.robot, device)
+    return lambda: seen(drive.observation)
+
+
+def main(options: Options) -> None:
+    """Drives the rovers, then launches physics, lidar and map between the marks of the profiler."""
+    device = torch.device(options.device)
+    with driving(options.world, options.rovers, options.beams, device) as drive:
+        add_and_plan = map_work(drive, device)
+        for _ in range(SEEN):
+            drive.step()
+            add_and_plan()
+        on_gpu = device.type == "cuda"
+        if on_gpu:
+            torch.cuda.synchronize(device)
+            torch.cuda.profiler.start()
+        drive.env.base_env.simulator.launch()
+        add_and_plan()
+        if on_gpu:
+            torch.cuda.synchronize(device)
+            torch.cuda.profiler.stop()
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))

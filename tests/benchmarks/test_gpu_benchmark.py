@@ -1,0 +1,154 @@
+"""``python -m benchmarks gpu``: a rehearsal on the CPU, and what is read from profilers."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from rich.console import Console
+
+from benchmarks import gpu
+from benchmarks.gpu.counters import METRICS, read_counters
+from benchmarks.gpu.kernels import resident_threads
+from benchmarks.gpu.timing import timed
+from benchmarks.gpu.training import Phase, shares_of
+from benchmarks.options import Options
+
+H200 = {"registers": 65_536, "threads": 2048}
+
+
+@pytest.fixture
+def options(tmp_path: Path) -> Options:
+    return Options(
+        device="cpu",
+        gpu_rovers=(8, 16),
+        gpu_beams=(32,),
+        gpu_worlds=("maze", "maze:0-3"),
+        gpu_learners=(4,),
+        warp_envs=8,
+        seconds=0.01,
+        out=tmp_path,
+    )
+
+
+@pytest.mark.slow
+def test_a_rehearsal_on_the_cpu_measures_everything(options: Options, tmp_path: Path) -> None:
+    results = gpu.measure(options)
+    assert results is not None
+    assert json.loads((tmp_path / "gpu.json").read_text()) == results
+    assert [(row["world"], row["rovers"]) for row in results["speed"]] == [("maze", 8), ("maze", 16), ("maze:0-3", 16)]
+    for row in results["speed"]:
+        # Physics and lidar are a part of the step.
+        assert row["physics"] > row["environment"] > 0
+        assert row["lidar"] > row["environment"]
+        assert row["step_s"] > 0
+    assert all(row["steps_per_s"] > 0 for row in results["training"])
+    assert {row["map"] for row in results["training"]} == {True, False}
+    assert results["processors"][0]["gpu_speedup"] > 0
+    assert results["machine"]["bytes_per_s"] > 0
+    assert (tmp_path / "gpu.png").stat().st_size > 1000
+    console = Console(width=160, file=io.StringIO())
+    console.print(gpu.table(results))
+    told = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "failed" not in told
+    assert all(title in told for title in ("Machine", "Steps/s", "Kernels", "PPO", "CPU of this machine"))
+
+
+def test_a_section_that_fails_does_not_end_the_others(options: Options, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError("no counters")
+
+    for name in gpu.SECTIONS:
+        monkeypatch.setattr(f"benchmarks.gpu.{name}.measure", fail)
+    results = gpu.measure(options)
+    assert results is not None
+    assert {results[name]["error"] for name in gpu.SECTIONS} == {"RuntimeError: no counters"}
+    console = Console(width=160, file=io.StringIO())
+    console.print(gpu.table(results))
+    assert console.file.getvalue().count("failed:") == len(gpu.SECTIONS)  # type: ignore[attr-defined]
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
+def test_without_a_gpu_it_is_skipped(options: Options, tmp_path: Path) -> None:
+    assert gpu.measure(replace(options, device=None)) is None
+    assert not list(tmp_path.iterdir())
+
+
+def test_time_before_a_call_is_not_its_own() -> None:
+    calls: list[str] = []
+
+    def work() -> None:
+        calls.append("work")
+
+    def before() -> None:
+        calls.append("before")
+
+    timing = timed(work, torch.device("cpu"), 1e-4, before)
+    assert calls == ["before", "work"] * (len(calls) // 2)
+    assert 0 < timing.host <= timing.wall
+
+
+@pytest.mark.parametrize(("registers", "threads"), [(255, 256), (152, 416), (32, 2048), (16, 2048)])
+def test_registers_limit_the_threads_of_a_multiprocessor(registers: int, threads: int) -> None:
+    # 255 registers are given out as 256: 65,536 / 256 = 256 threads. 152 * 32 = 4,864 = 19 * 256: 13 warps.
+    assert resident_threads(registers, H200) == threads
+
+
+def profiled(*launches: dict[str, str]) -> str:
+    """What ``ncu --csv --page raw`` prints, with its own lines in between."""
+    names = ["ID", "Kernel Name", *METRICS]
+    out = io.StringIO()
+    writer = csv.writer(out, quoting=csv.QUOTE_ALL)
+    writer.writerow(names)
+    writer.writerow(["", "", *["unit"] * len(METRICS)])
+    for number, launch in enumerate(launches):
+        writer.writerow([str(number), *(launch.get(name, "0") for name in names[1:])])
+    return "==PROF== Connected to process 1\n" + out.getvalue() + "==PROF== Disconnected\n"
+
+
+def test_counters_are_read_from_nsight_compute() -> None:
+    output = profiled(
+        {
+            "Kernel Name": "step_dynamics_1234_cuda_kernel_forward",
+            "gpu__time_duration.sum": "2,000,000",
+            "smsp__sass_thread_inst_executed_op_ffma_pred_on.sum": "1,000",
+            "smsp__sass_thread_inst_executed_op_fadd_pred_on.sum": "10",
+            "smsp__sass_thread_inst_executed_op_fmul_pred_on.sum": "1",
+            "dram__bytes.sum": "5,000",
+            "smsp__thread_inst_executed_per_inst_executed.ratio": "8.5",
+            "sm__warps_active.avg.pct_of_peak_sustained_active": "12.5",
+            "smsp__average_warps_issue_stalled_long_scoreboard_per_issue_active.ratio": "3",
+            "smsp__average_warps_issue_stalled_wait_per_issue_active.ratio": "1",
+        },
+        {"Kernel Name": "scan"},
+    )
+    physics, scan = read_counters(output)
+    assert physics["seconds"] == pytest.approx(0.002)
+    assert physics["flops"] == 2011
+    assert (physics["dram_bytes"], physics["lanes"], physics["occupancy"]) == (5000, 8.5, 0.125)
+    assert list(physics["waits"])[:2] == ["memory", "previous instruction"]
+    # Three of five warps wait for memory, one for an instruction before, and one issues.
+    assert list(physics["waits"].values())[:2] == pytest.approx([0.6, 0.2])
+    assert scan["kernel"] == "scan"
+
+
+@pytest.mark.parametrize("output", ["", "==ERROR== The user does not have permission to access counters\n"])
+def test_without_counters_the_message_of_nsight_compute_is_told(output: str) -> None:
+    with pytest.raises(RuntimeError, match=r"ncu printed no counters: .*" + output.strip("=\n ")[:5]):
+        read_counters(output)
+
+
+def test_time_of_the_device_is_divided_between_simulation_update_and_idleness() -> None:
+    collection = Phase(2.0, [("step_dynamics_1", 0.5), ("scan_2", 0.25), ("elementwise", 0.25)])
+    shares = shares_of(collection, Phase(2.0, [("gemm", 1.0), ("elementwise", 0.5)]))
+    assert shares == {
+        "device: simulation": pytest.approx(0.1875),
+        "device: task and policy": pytest.approx(0.0625),
+        "device: update": pytest.approx(0.375),
+        "device: idle": pytest.approx(0.375),
+    }

@@ -1,0 +1,48 @@
+"""On the GPU, a row does not depend on its company or on the size of the batch, to the last bit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDictBase
+
+from rover_rl import Randomization
+from rover_rl.envs.seen_map.seen_map import SeenMap
+from tests.gpu.driven import drive, environment
+
+STEPS = 70
+SEED = 7
+
+
+def assert_same(some: list[TensorDictBase], others: list[TensorDictBase], rows: slice, other_rows: slice) -> None:
+    """Checks that all entries of rows are the same in each step, to the last bit."""
+    for step, (a, b) in enumerate(zip(some, others, strict=True)):
+        a, b = a[rows], b[other_rows]
+        assert set(a.keys(True, True)) == set(b.keys(True, True))
+        for key in a.keys(True, True):
+            assert torch.equal(a[key], b[key]), (step, key)
+
+
+@pytest.mark.parametrize("settings", [{}, {"world_n": "moon"}, {"randomization": Randomization.typical()}])
+def test_a_run_repeats_itself(gpu: torch.device, settings: dict[str, Any]) -> None:
+    first, again = (drive(environment(gpu, 64, **settings), STEPS) for _ in range(2))
+    assert_same(first, again, slice(None), slice(None))
+
+
+@pytest.mark.parametrize("world", ["maze", "moon"])
+def test_a_row_does_not_depend_on_the_size_of_the_batch(gpu: torch.device, world: str) -> None:
+    # The actions of drive() repeat every 20 rows: row 40 of the one batch acts as row 0 of the other.
+    many = drive(environment(gpu, 300, world_n=world, seed=SEED), STEPS)
+    few = drive(environment(gpu, 7, world_n=world, seed=SEED + 40), STEPS)
+    assert_same(many, few, slice(40, 47), slice(7))
+
+
+def test_a_map_does_not_depend_on_the_size_of_the_batch(gpu: torch.device) -> None:
+    env = environment(gpu, 96, lidar_points=128, length=200)
+    lidar = env.base_env.config.lidar
+    many, few = SeenMap(96, lidar, device=gpu), SeenMap(5, lidar, device=gpu)
+    for step in drive(env, 40)[::4]:
+        observation = step.to(gpu)
+        assert torch.equal(many(observation)[50:55], few(observation[50:55]))

@@ -1,0 +1,43 @@
+"""No step on the GPU waits for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+import torch
+
+from rover_rl import make_env
+from rover_rl.envs.transforms.action_repeat import ActionRepeat
+from rover_rl.envs.transforms.route_observation import RouteObservation
+
+
+@contextmanager
+def waiting_forbidden(device: torch.device) -> Iterator[None]:
+    """Makes PyTorch raise an error for every operation that waits for the GPU."""
+    if device.type != "cuda":
+        yield
+        return
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        yield
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+
+
+@pytest.mark.parametrize("repeat", [1, 4])
+def test_a_step_and_a_reset_do_not_wait(gpu: torch.device, repeat: int) -> None:
+    env = make_env(world_n="maze", num_envs=256, backend="warp", seed=0, lidar_points=128, device=str(gpu))
+    env = env.append_transform(ActionRepeat(repeat)).append_transform(RouteObservation(env.base_env, 1, repeat))
+    td = env.reset()
+    action = torch.full((256, 2), 0.3, device=gpu)
+    mask = (torch.arange(256, device=gpu) % 3 == 0)[:, None]
+    # The first step reads TorchRL's specs and compiles kernels.
+    td = env.step(td.set("action", action))["next"]
+    env._reset(td.exclude("reward").set("_reset", mask))
+    with waiting_forbidden(gpu):
+        for _ in range(3):
+            # TorchRL's step() and reset() read values themselves.
+            after = env._step(td.set("action", action))
+            env._reset(after.exclude("reward").set("_reset", mask))
