@@ -35,7 +35,7 @@ class Curriculum(Transform):
     An attempt is the way to one goal. It succeeds at the goal. It fails if the episode ends before it otherwise, or at
     the time limit if at least half of the episode went into it. The last attempts of other episodes do not count. The
     transform estimates the :class:`~rover_rl.algos.train.learnability.Learnability` of the worlds from the attempts of
-    all rows, and updates the weights of the draw after each 64 attempts
+    all rows, and updates the weights of the draw after at least 64 attempts
     (:meth:`~rover_rl.RoverEnv.set_world_weights`).
 
     It adds the nested entry ``attempt``, each int64 ``[N, 1]``:
@@ -53,7 +53,7 @@ class Curriculum(Transform):
         temperature: temperature of these draws: see
             :meth:`~rover_rl.algos.train.learnability.Learnability.probabilities`.
         estimates (dict): state of the ``learnability`` to begin with. ``None`` knows nothing of the worlds.
-        per_batch: whether the estimates learn from whole batches, with :meth:`batch_collected`, instead of from each
+        per_batch: whether the estimates learn from whole batches, with ``batch_collected()``, instead of from each
             step. On a GPU, the host waits for the device each time they learn.
 
     Attributes:

@@ -43,7 +43,7 @@ class StepClock(Transform):
         self._events: dict[int, list[tuple[Any, Any]]] | None = None
         if per_batch and self._device.type != "cpu":
             self._events = {1: [], 2: []}
-        self._started = self._now()
+        self._started: Any = 0.0
         for method in ("step", "reset"):
             setattr(simulator, method, self._timed(getattr(simulator, method)))
 
