@@ -6,6 +6,7 @@ exactly what the CPU works out.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -23,6 +24,19 @@ _COPIES = {"copy_", "_to_copy"}
 """Operators that may be given tensors of two devices; they wait where they copy to the host."""
 _INDEXES = {"index", "index_put_", "_index_put_impl_", "index_put"}
 """Operators that take the host's indices."""
+
+
+def _gru_cell(inputs: Tensor, states: Tensor, state: Tensor, *biases: Tensor) -> tuple[Tensor, Tensor]:
+    """A step of a GRU and the memory for its gradient, which is left out."""
+    (reset_in, update_in, new_in), (reset, update, new) = (
+        (gates + bias).chunk(3, -1) for gates, bias in zip((inputs, states), biases, strict=True)
+    )
+    new = (new_in + (reset_in + reset).sigmoid() * new).tanh()
+    return new + (update_in + update).sigmoid() * (state - new), state.new_zeros(0)
+
+
+_FUSED = {"_thnn_fused_gru_cell": _gru_cell}
+"""Operators that the CPU does not have."""
 
 
 class OnAccelerator(Tensor):
@@ -82,13 +96,26 @@ class Accelerator(TorchDispatchMode):
             onto = isinstance(args[0], OnAccelerator)
         if there and (name in _LOOKS or not onto or _by_mask(name, args)):
             self.looks.append(name)
+        if _from_host(name, onto, args, kwargs):
+            self.looks.append(f"{name} from the host")
         if given is not None and onto:
             kwargs["device"] = torch.device("cpu")
-        out = func(*tree_map(_on_host, args), **tree_map(_on_host, kwargs))
+        out = _FUSED.get(name, func)(*tree_map(_on_host, args), **tree_map(_on_host, kwargs))
         if onto:
             return return_and_correct_aliasing(func, args, kwargs, tree_map(_on_accelerator, out))
         # What is copied into is given back itself.
         return args[0] if name == "copy_" else out
+
+
+def _from_host(name: str, onto: bool, args: Any, kwargs: Any) -> bool:
+    """Whether values of the host are copied to the device, which waits for its earlier work."""
+    if name in _COPIES:
+        source = args[1] if name == "copy_" else args[0]
+        return (
+            onto and not isinstance(source, OnAccelerator) and not (kwargs.get("non_blocking") or args[2:3] == (True,))
+        )
+    indices = args[1] if name in _INDEXES else ()
+    return onto and any(index is not None and not isinstance(index, OnAccelerator) for index in indices)
 
 
 def _by_mask(name: str, args: Any) -> bool:
@@ -104,8 +131,22 @@ def _on_accelerator(value: Any) -> Any:
     return OnAccelerator(value) if isinstance(value, Tensor) and not isinstance(value, OnAccelerator) else value
 
 
+class _Event:
+    """An event of the device, which keeps up with the host."""
+
+    def __init__(self, enable_timing: bool = False) -> None: ...
+
+    def record(self) -> None:
+        self._time = time.perf_counter()
+
+    def elapsed_time(self, end: _Event) -> float:
+        return 1000 * (end._time - self._time)
+
+
 class _Module(backend_registration._DummyBackendModule):  # type: ignore[misc]
     """What stands for ``torch.cuda``."""
+
+    Event = _Event
 
     def synchronize(self, device: Any = None) -> None: ...
 

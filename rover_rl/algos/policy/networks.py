@@ -12,9 +12,10 @@ from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.data import Bounded
-from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
+from torchrl.modules import MLP, ProbabilisticActor, ValueOperator
 
 from rover_rl.algos.config import MemoryKind
+from rover_rl.algos.policy.distributions import BoundedTanhNormal
 from rover_rl.algos.policy.grid_planner import follow
 from rover_rl.algos.policy.privileged import MIRROR_SIGNS, PrivilegedEncoder, mirrored_map
 from rover_rl.algos.policy.recurrent import recurrent_network
@@ -280,7 +281,7 @@ def _actor(network: TensorDictModuleBase, spec: Bounded) -> ProbabilisticActor:
         network,
         in_keys=["loc", "scale"],
         spec=spec,
-        distribution_class=TanhNormal,
+        distribution_class=BoundedTanhNormal,
         distribution_kwargs={"low": spec.space.low, "high": spec.space.high},
         return_log_prob=True,
     )

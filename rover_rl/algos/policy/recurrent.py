@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.data import Unbounded
@@ -46,7 +47,7 @@ def recurrent_network(embedding: TensorDictModule, units: int, head: nn.Module, 
         A module that writes ``loc``, ``scale`` and the next state of the memory.
     """
     state = MEMORY_KEYS[kind]
-    recurrent = {"gru": GRUModule, "lstm": LSTMModule}[kind](
+    recurrent = {"gru": GRU, "lstm": LSTMModule}[kind](
         units,
         size,
         in_keys=["embedding", *state, "is_init"],
@@ -61,6 +62,24 @@ def recurrent_network(embedding: TensorDictModule, units: int, head: nn.Module, 
     # Collectors store all outputs: the embedding and what is recalled would take more memory than the observation.
     kept = ["loc", "scale", *(("next", key) for key in state)]
     return TensorDictSequential(embedding, recurrent, outputs, selected_out_keys=kept)
+
+
+class GRU(GRUModule):
+    """TorchRL's GRU, with steps that do not ask whether an episode begins: the host would wait for a GPU."""
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes output and next state of a step, or in recurrent mode those of sequences."""
+        if self.recurrent_mode:
+            return super().forward(tensordict)
+        value, state, is_init = (tensordict.get(key) for key in self.in_keys)
+        size = (value.shape[:-1].numel(), 1, -1)
+        if state is None:
+            state = value.new_zeros(*value.shape[:-1], 1, self.gru.hidden_size)
+        state = torch.where(is_init[..., None], 0, state).reshape(size).transpose(0, 1).contiguous()
+        out, state = self.gru(value.reshape(size), state)
+        shape = value.shape[:-1]
+        tensordict.set(self.out_keys[0], out.reshape(*shape, -1))
+        return tensordict.set(self.out_keys[1], state.reshape(*shape, 1, -1))
 
 
 class _Joined(nn.Module):
@@ -122,7 +141,19 @@ def memory_transforms(kind: str, size: int) -> list[Transform]:
     if kind == "none":
         return []
     state = {key: Unbounded(shape=(1, size)) for key in MEMORY_KEYS[kind]}
-    return [InitTracker(), TensorDictPrimer(state, expand_specs=True)]
+    return [InitTracker(), MemoryPrimer(state, expand_specs=True)]
+
+
+class MemoryPrimer(TensorDictPrimer):
+    """TorchRL's ``TensorDictPrimer``, with resets that do not ask which rows are reset: the host would wait for a GPU.
+
+    A reset of some rows returns zeros in all rows. The environment keeps the previous states of the others.
+    """
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        for key, spec in self.primers.items(True, True):
+            tensordict_reset.set(key, spec.zero())
+        return tensordict_reset
 
 
 def state_keys(policy: object) -> list[str]:

@@ -1,4 +1,4 @@
-"""Data collection with TorchRL's collectors: in this process, in several processes, or on a Ray cluster."""
+"""Data collection in this process, or with TorchRL's collectors in several processes or on a Ray cluster."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from torchrl.modules import ProbabilisticActor
 
 from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.train.env import SESSION_SEEDS, make_training_env
+from rover_rl.algos.train.rollouts import rollouts
 
 Estimates: TypeAlias = Mapping[str, Tensor]
 """State of the estimates of a curriculum."""
@@ -72,17 +73,11 @@ def collect(
 def _in_this_process(
     config: TrainingConfig, actor: ProbabilisticActor, frames: int, session: int, estimates: Estimates | None
 ) -> Iterator[Iterator[TensorDictBase]]:
-    collector = Collector(
-        partial(make_training_env, config, session=session, estimates=estimates),
-        actor,
-        frames_per_batch=frames,
-        track_traj_ids=False,
-        auto_register_policy_transforms=False,
-    )
+    env = make_training_env(config, session=session, estimates=estimates, per_batch=config.on_gpu)
     try:
-        yield iter(collector)
+        yield rollouts(env, actor, frames // config.num_envs)
     finally:
-        collector.shutdown()
+        env.close(raise_if_closed=False)
 
 
 @contextmanager

@@ -35,7 +35,7 @@ class Curriculum(Transform):
     An attempt is the way to one goal. It succeeds at the goal. It fails if the episode ends before it otherwise, or at
     the time limit if at least half of the episode went into it. The last attempts of other episodes do not count. The
     transform estimates the :class:`~rover_rl.algos.train.learnability.Learnability` of the worlds from the attempts of
-    all rows, and updates the weights of the draw after each 64 attempts
+    all rows, and updates the weights of the draw after at least 64 attempts
     (:meth:`~rover_rl.RoverEnv.set_world_weights`).
 
     It adds the nested entry ``attempt``, each int64 ``[N, 1]``:
@@ -53,6 +53,8 @@ class Curriculum(Transform):
         temperature: temperature of these draws: see
             :meth:`~rover_rl.algos.train.learnability.Learnability.probabilities`.
         estimates (dict): state of the ``learnability`` to begin with. ``None`` knows nothing of the worlds.
+        per_batch: whether the estimates learn from whole batches, with ``batch_collected()``, instead of from each
+            step. On a GPU, the host waits for the device each time they learn.
 
     Attributes:
         learnability: estimates of the worlds.
@@ -62,13 +64,19 @@ class Curriculum(Transform):
     """
 
     def __init__(
-        self, env: RoverEnv, share: float, temperature: float, estimates: Mapping[str, Tensor] | None = None
+        self,
+        env: RoverEnv,
+        share: float,
+        temperature: float,
+        estimates: Mapping[str, Tensor] | None = None,
+        per_batch: bool = False,
     ) -> None:
         super().__init__()
         self.learnability = Learnability(env.pool)
         if estimates is not None:
             self.learnability.load_state_dict(estimates)
         self._share, self._temperature, self._length = share, temperature, env.length
+        self._per_batch = per_batch
         self._set_weights = env.set_world_weights
         self._update_weights()
 
@@ -82,15 +90,22 @@ class Curriculum(Transform):
         begun = torch.where(succeeded > 0, steps, tensordict[_KEY, "begun"])
         timed_out = next_tensordict["truncated"] & (2 * (steps - begun) >= self._length)
         failed = timed_out | next_tensordict["terminated"] & (outcome["phase"] < StepEvent.GOAL)
-        self._add(world_of(next_tensordict), succeeded, failed.long())
+        if not self._per_batch:
+            self._add(world_of(next_tensordict), succeeded, failed.long())
         return _with_entries(next_tensordict, begun, succeeded, failed.long())
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         zeros = torch.zeros_like(tensordict_reset["outcome", "steps"])
         return _with_entries(tensordict_reset, zeros, zeros.clone(), zeros.clone())
 
+    def batch_collected(self, batch: TensorDictBase) -> None:
+        """Learns from a batch ``[N, T]`` if the estimates do so per batch."""
+        if self._per_batch:
+            after = batch["next"]
+            self._add(world_of(after), after[_KEY, "succeeded"], after[_KEY, "failed"])
+
     def _add(self, world: Tensor, succeeded: Tensor, failed: Tensor) -> None:
-        """Adds the attempts of a step to the estimates."""
+        """Adds attempts to the estimates."""
         attempts = int((succeeded + failed).sum())
         if attempts:
             self.learnability.add(world, succeeded, failed)

@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
-from torchrl.envs import EnvBase, RandomTruncationTransform, RewardSum, StepCounter, Transform
+from torchrl.envs import EnvBase, RewardSum, StepCounter, Transform
 
 from rover_rl.algos.config import TrainingConfig, usable_cores
 from rover_rl.algos.policy.recurrent import memory_transforms
@@ -31,7 +31,11 @@ SESSION_SEEDS = 1_000_003
 
 
 def make_training_env(
-    config: TrainingConfig, worker: int = 0, session: int = 0, estimates: Mapping[str, Tensor] | None = None
+    config: TrainingConfig,
+    worker: int = 0,
+    session: int = 0,
+    estimates: Mapping[str, Tensor] | None = None,
+    per_batch: bool = False,
 ) -> EnvBase:
     """Makes the environment of one worker, in which one step is one decision of the policy.
 
@@ -42,6 +46,8 @@ def make_training_env(
         worker: index of the worker, from 0.
         session: number of times the run has been resumed.
         estimates: state of the :class:`~rover_rl.algos.train.learnability.Learnability` that a curriculum begins with.
+        per_batch: whether transforms read values from the device once per batch, instead of once per step: see
+            :class:`~rover_rl.algos.train.rollouts.PerBatch`.
     """
     env_config = _worker_env_config(config, worker, session)
     reward_components(env_config.reward, env_config.contract_reward)
@@ -57,16 +63,16 @@ def make_training_env(
         env = env.append_transform(PathReward(rovers, config.collection.path_reward))
     if config.collection.curriculum != "none":
         settings = config.collection
-        curriculum = Curriculum(rovers, settings.curriculum_share, settings.curriculum_temperature, estimates)
-        env = env.append_transform(curriculum)
+        share, temperature = settings.curriculum_share, settings.curriculum_temperature
+        env = env.append_transform(Curriculum(rovers, share, temperature, estimates, per_batch))
     env = env.append_transform(RewardSum(["reward"], ["episode_reward"]))
     env = env.append_transform(GoalCounter())
     env = env.append_transform(StepCounter())
     longest = -(-env_config.length // action_repeat)
-    env = env.append_transform(RandomTruncationTransform(min_horizon=1, max_horizon=longest))
+    env = env.append_transform(SpreadEnds(longest))
     for transform in memory_transforms(config.network.memory, config.network.memory_size):
         env = env.append_transform(transform)
-    return env.append_transform(StepClock(rovers.simulator, worker))
+    return env.append_transform(StepClock(rovers.simulator, worker, per_batch))
 
 
 def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> EnvConfig:
@@ -110,3 +116,33 @@ class GoalCounter(Transform):
         steps = observation_spec["outcome", "steps"]
         observation_spec["episode_goals"] = Unbounded(shape=steps.shape, dtype=torch.int64, device=steps.device)
         return observation_spec
+
+
+class SpreadEnds(Transform):
+    """Truncates the first episode of each row after a random number of decisions, and later ones after ``longest``.
+
+    Equals TorchRL's ``RandomTruncationTransform``, to the last bit, without asking at resets whether a row is reset:
+    the host would wait for a GPU. Append it after ``StepCounter``.
+
+    Args:
+        longest: largest number of decisions of an episode. The first lengths are drawn from 1 to ``longest``.
+    """
+
+    def __init__(self, longest: int) -> None:
+        super().__init__()
+        self._longest = longest
+        self._lengths: Tensor | None = None
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        over = next_tensordict["step_count"] >= self._lengths
+        for key in ("truncated", "done"):
+            next_tensordict.set(key, next_tensordict[key] | over)
+        return next_tensordict
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        done, mask = tensordict_reset["done"], tensordict.get("_reset", None)
+        if self._lengths is None:
+            self._lengths = torch.randint(1, self._longest + 1, done.shape, device=done.device)
+        elif mask is not None:
+            self._lengths = torch.where(mask, self._longest, self._lengths)
+        return tensordict_reset

@@ -6,6 +6,7 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
+from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.transforms import Transform
 
 from rover_rl.envs.task import EVENTS
@@ -57,7 +58,7 @@ class ActionRepeat(Transform):
             rows = active.reshape(tensordict.batch_size)
             # A component may compare its entries of two steps.
             current = tensordict.copy().update(next_tensordict)
-            next_tensordict = self.parent._step(current.set("_step", rows))
+            next_tensordict = _step_rows(self.parent, current.set("_step", rows))
             step = self._step_entries(next_tensordict, active)
             total = {key: _REDUCTIONS.get(key, torch.add)(value, step[key]) for key, value in total.items()}
         # A copy, because the environment keeps a reference to the outcome that it returns.
@@ -83,6 +84,19 @@ class ActionRepeat(Transform):
         steps = observation_spec["outcome", "steps"]
         observation_spec[_GOALS] = Unbounded(shape=steps.shape, dtype=torch.int64, device=steps.device)
         return observation_spec
+
+
+def _step_rows(env: EnvBase, tensordict: TensorDictBase) -> TensorDictBase:
+    """Steps the rows of ``_step``. A transform may return anything for the others."""
+    if tensordict.get("_step").device.type == "cpu" or not isinstance(env, TransformedEnv):
+        return env._step(tensordict)
+    # TransformedEnv._step would read whether the step is for all rows, and make the host wait for the device.
+    preset = tensordict.get("next", None)
+    tensordict = env.transform.inv(tensordict)
+    following = _step_rows(env.base_env, tensordict)
+    if preset is not None:
+        following.update(preset.exclude(*following.keys(True, True)))
+    return env.transform._step(tensordict, following)
 
 
 _REDUCTIONS = {

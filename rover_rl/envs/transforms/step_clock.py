@@ -27,51 +27,83 @@ class StepClock(Transform):
       before this one, s.
 
     The times are part of the data, so that they are also available from collectors in other processes. On a GPU, each
-    measurement synchronizes with the device.
+    measurement synchronizes with the device, unless the times are summed per batch.
 
     Args:
         simulator: simulator whose methods are timed from now on.
         worker: index of this process.
+        per_batch: whether the times are those at the end of the batch, and 0 before :meth:`batch_collected`. They are
+            measured with events of the device, without waiting for it. On the CPU, there are no events.
     """
 
-    def __init__(self, simulator: Simulator, worker: int = 0) -> None:
+    def __init__(self, simulator: Simulator, worker: int = 0, per_batch: bool = False) -> None:
         super().__init__()
-        self._started = 0.0
         self._device = simulator.device
         self._values = torch.tensor((worker, 0.0, 0.0), dtype=torch.float64)
+        self._events: dict[int, list[tuple[Any, Any]]] | None = None
+        if per_batch and self._device.type != "cpu":
+            self._events = {1: [], 2: []}
+        self._started: Any = 0.0
         for method in ("step", "reset"):
             setattr(simulator, method, self._timed(getattr(simulator, method)))
 
     def _timed(self, method: Callable[..., Any]) -> Callable[..., Any]:
         def call(*args: Any, **kwargs: Any) -> Any:
-            started = self._seconds()
+            started = self._now()
             result = method(*args, **kwargs)
-            self._values[1] += self._seconds() - started
+            self._add(1, started)
             return result
 
         return call
 
-    def _seconds(self) -> float:
+    def _now(self) -> Any:
+        """Returns the time in seconds, or a new event of the device."""
+        if self._events is not None:
+            event = torch.get_device_module(self._device).Event(enable_timing=True)
+            event.record()
+            return event
         if self._device.type == "cuda":
             torch.cuda.synchronize(self._device)
         return time.perf_counter()
 
+    def _add(self, index: int, started: Any) -> None:
+        """Adds the time since ``started`` to a value, or keeps the events that it is between."""
+        if self._events is None:
+            self._values[index] += self._now() - started
+        else:
+            self._events[index].append((started, self._now()))
+
+    def batch_collected(self, batch: TensorDictBase) -> None:
+        """Waits for the device and sets the times of a batch ``[N, T]``, if they are summed per batch."""
+        if self._events is None:
+            return
+        torch.get_device_module(self._device).synchronize(self._device)
+        for index, events in self._events.items():
+            self._values[index] += sum(started.elapsed_time(ended) for started, ended in events) / 1000
+            events.clear()
+        for name, value in zip(NAMES, self._values.tolist(), strict=True):
+            batch["next", _KEY, name].fill_(value)
+
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        self._started = self._seconds()
+        self._started = self._now()
         return tensordict
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        self._values[2] += self._seconds() - self._started
+        self._add(2, self._started)
         return self._write(next_tensordict)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         return self._write(tensordict_reset)
 
     def _write(self, tensordict: TensorDictBase) -> TensorDictBase:
-        # Copied on the CPU, too, because the returned values must not change later.
-        entries = self._values.to(tensordict.device or "cpu", copy=True).expand(*tensordict.batch_size, 3)
-        for name, values in zip(NAMES, entries.split(1, -1), strict=True):
-            tensordict.set((_KEY, name), values)
+        if self._events is None:
+            # Copied on the CPU, too, because the returned values must not change later.
+            values = self._values.to(tensordict.device or "cpu", copy=True)
+        else:
+            values = torch.zeros(3, dtype=torch.float64, device=tensordict.device)
+        entries = values.expand(*tensordict.batch_size, 3)
+        for name, entry in zip(NAMES, entries.split(1, -1), strict=True):
+            tensordict.set((_KEY, name), entry)
         return tensordict
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:

@@ -14,6 +14,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl import make_env
 from rover_rl.algos.config import TrainingConfig, training_config, with_settings
+from rover_rl.algos.train.collectors import collect
 from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.sac import SACLearner
@@ -91,13 +92,19 @@ LEARNERS = {
 }
 
 
+COLLECTED = {**LEARNERS, "gru": training_config("ppo", memory="gru", memory_size=8)}
+"""Trainings whose actors collect batches."""
+
+
 def on_both() -> dict[str, Any]:
-    """Observations and updates on the CPU and on an accelerator, and the operations of a step that wait for it."""
+    """Observations, batches and updates on the CPU and on an accelerator, and the operations that wait for it."""
     with accelerator() as on:
         there, looks = _stepped(on)
         found: dict[str, Any] = {"steps": (there, _stepped(None)[0]), "looks": looks}
         for name, config in LEARNERS.items():
             found[name] = _learned(on, config), _learned(None, config)
+        for name, config in COLLECTED.items():
+            found[f"batches of {name}"] = _collected(on, config), _collected(None, config)[0]
     return found
 
 
@@ -123,17 +130,7 @@ def _stepped(on: Accelerator | None) -> tuple[list[dict[str, Tensor]], list[str]
 
 def _learned(on: Accelerator | None, config: TrainingConfig) -> tuple[dict[str, float], dict[str, Tensor]]:
     """Statistics of the second update, and the weights after it."""
-    device = "cpu" if on is None else str(on.device)
-    config = with_settings(
-        config,
-        world=WORLDS,
-        num_envs=ROVERS,
-        workers=1,
-        rollout_length=4,
-        minibatch=12,
-        hidden=(16,),
-        device=device,
-    )
+    config = _small(on, config)
     torch.manual_seed(0)
     learner: Any = (PPOLearner if config.algo == "ppo" else SACLearner)(config)
     env = _env(on).append_transform(ActionRepeat(2))
@@ -148,6 +145,36 @@ def _learned(on: Accelerator | None, config: TrainingConfig) -> tuple[dict[str, 
             told = learner.update(0.0, Stopwatch())
     learner.load_state_dict(learner.state_dict())
     return told, {name: value.detach().to("cpu") for name, value in learner.actor.state_dict().items()}
+
+
+def _collected(on: Accelerator | None, config: TrainingConfig) -> tuple[list[dict[str, Tensor]], list[str]]:
+    """Three batches of a training, and the operations that waited for the accelerator in the last two."""
+    config = with_settings(_small(on, config), backend=SlidingBackend(), action_repeat=2, length=12, seed=3)
+    torch.manual_seed(0)
+    learner: Any = (PPOLearner if config.algo == "ppo" else SACLearner)(config)
+    seen, looks = [], []
+    with collect(config, learner.actor) as batches:
+        for number in range(3):
+            if on is not None:
+                on.looks.clear()
+            batch = next(batches)
+            if on is not None and number > 0:
+                looks += on.looks
+            seen.append(_on_host(batch))
+    return seen, looks
+
+
+def _small(on: Accelerator | None, config: TrainingConfig) -> TrainingConfig:
+    return with_settings(
+        config,
+        world=WORLDS,
+        num_envs=ROVERS,
+        workers=1,
+        rollout_length=4,
+        minibatch=12,
+        hidden=(16,),
+        device="cpu" if on is None else str(on.device),
+    )
 
 
 def _env(on: Accelerator | None) -> TransformedEnv:

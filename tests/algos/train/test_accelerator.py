@@ -1,4 +1,4 @@
-"""On an accelerator, the task and the learners keep all tensors there, and no step waits for it.
+"""On an accelerator, task, collection and learners keep all tensors there, and neither steps nor batches wait for it.
 
 PyTorch gets a simulated device, so that no GPU is needed. Tests on a real one are in tests/gpu.
 """
@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import torch
 
-from tests.algos.train.accelerated import LEARNERS, on_both
+from tests.algos.train.accelerated import COLLECTED, LEARNERS, on_both
 from tests.fork_server import fork_server
 
 
@@ -32,6 +32,24 @@ def test_an_environment_steps_as_on_the_cpu(found: dict[str, Any]) -> None:
 
 def test_a_step_does_not_wait_for_the_accelerator(found: dict[str, Any]) -> None:
     assert found["looks"] == []
+
+
+@pytest.mark.parametrize("learner", COLLECTED)
+def test_batches_are_collected_as_on_the_cpu_without_waiting(learner: str, found: dict[str, Any]) -> None:
+    (there, looks), here = found[f"batches of {learner}"]
+    assert looks == []
+    # With 6 rovers whose episodes take at most 6 decisions.
+    assert sum(int(batch["('next', 'done')"].sum()) for batch in here) > 6
+    for a, b in zip(here, there, strict=True):
+        assert a.keys() == b.keys()
+        for key in a:
+            if "clock" in key:
+                assert (b[key] == b[key].flatten()[0]).all() or "next" not in key
+            else:
+                # The device computes a memory in another order.
+                torch.testing.assert_close(a[key], b[key], rtol=0, atol=1e-4 if learner == "gru" else 0)
+    times = [batch["('next', 'clock', 'environment')"].max().item() for batch in there]
+    assert 0 < times[0] < times[1] < times[2]
 
 
 @pytest.mark.parametrize("learner", LEARNERS)

@@ -92,6 +92,20 @@ def test_episodes_follow_the_success_of_the_policy() -> None:
     assert max(share[2] for share in shares) > 0.9
 
 
+def test_estimates_may_learn_from_whole_batches() -> None:
+    pool = WorldPool(*WALLS)
+    base = RoverEnv(world_n=pool, num_envs=8, seed=0, backend="warp", length=8)
+    curriculum = Curriculum(base, 1.0, 0.25, per_batch=True)
+    env = base.append_transform(ActionRepeat(4)).append_transform(curriculum)
+    batch = env.rollout(6, break_when_any_done=False)
+    assert not curriculum.learnability.attempts.any()
+    curriculum.batch_collected(batch)
+    attempts = batch["next", "attempt", "succeeded"] + batch["next", "attempt", "failed"]
+    counts = batch["next", "outcome", "world"].flatten().bincount(attempts.flatten(), minlength=3)
+    assert counts.sum() > 0
+    assert torch.equal(curriculum.learnability.attempts, counts)
+
+
 def test_a_run_records_its_worlds_and_continues_with_its_estimates(tmp_path: Path) -> None:
     first = train(with_settings(LEARNABLE, total_steps=512, runs=str(tmp_path)))
     progress, rows = progress_of(first.folder), _record(first.folder)
