@@ -21,7 +21,7 @@ _NAME = "pretended"
 _LOOKS = {"_local_scalar_dense", "nonzero", "equal", "allclose", "masked_select", "unique", "_unique2", "unique_dim"}
 """Operators whose result, or its shape, the host has to wait for."""
 _COPIES = {"copy_", "_to_copy"}
-"""Operators that may be given tensors of two devices; they wait where they copy to the host."""
+"""Operators that may be given tensors of two devices; they wait where they copy from one to the other."""
 _INDEXES = {"index", "index_put_", "_index_put_impl_", "index_put"}
 """Operators that take the host's indices."""
 
@@ -94,7 +94,9 @@ class Accelerator(TorchDispatchMode):
         onto = bool(there) if given is None else torch.device(given).type == _NAME
         if name == "copy_":
             onto = isinstance(args[0], OnAccelerator)
-        if there and (name in _LOOKS or not onto or _by_mask(name, args)):
+        copied_from = [args[1] if name == "copy_" else args[0]] if name in _COPIES else []
+        from_host = onto and any(not isinstance(source, OnAccelerator) for source in copied_from)
+        if from_host or (there and (name in _LOOKS or not onto or _by_mask(name, args))):
             self.looks.append(name)
         if _from_host(name, onto, args, kwargs):
             self.looks.append(f"{name} from the host")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
@@ -13,7 +13,6 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World, free_space
 from rover_rl.sims.worlds.free_space import HEADINGS
 from rover_rl.sims.worlds.slot_table import SlotTable
-from rover_rl.sims.worlds.slots import Slots
 
 _START, _GOAL = 0, 1
 """Streams of random numbers."""
@@ -25,11 +24,13 @@ _CANDIDATES = 8
 class Placement:
     """Draws start poses and goals for a batch whose rows may be in different worlds.
 
+    It holds the free cells of worlds in numbered slots, and a row is in the world of a slot.
+
     Args:
-        worlds: world of each row.
+        worlds: worlds by slot.
+        slots: slot of each row, int64 ``[N]``. Their device is that of the draws.
         robot: robot that determines the free space.
         min_goal_distance: minimum distance from the rover to a new goal, m.
-        device: device of the draws.
 
     Attributes:
         bounds_low, bounds_high: lower and upper corners of the bounds of each row's world, ``[N, 2]``, m.
@@ -38,9 +39,8 @@ class Placement:
     bounds_low: Tensor
     bounds_high: Tensor
 
-    def __init__(self, worlds: Sequence[World], robot: Robot, min_goal_distance: float, device: torch.device) -> None:
-        self._robot, self._min_goal_distance, self._device = robot, min_goal_distance, device
-        self._slots = Slots(worlds)
+    def __init__(self, worlds: Mapping[int, World], slots: Tensor, robot: Robot, min_goal_distance: float) -> None:
+        self._robot, self._min_goal_distance, device = robot, min_goal_distance, slots.device
         self._start_cells = SlotTable((2,), torch.float32, device)
         self._headings = SlotTable((), torch.int64, device)
         self._goal_cells = SlotTable((2,), torch.float32, device)
@@ -48,32 +48,26 @@ class Placement:
         self._extremes = SlotTable((2,), torch.float32, device)
         self._bounds = SlotTable((2,), torch.float32, device)
         self._cells = SlotTable((), torch.float32, device)
-        self._fill(range(len(self._slots.worlds)))
+        self.hold_worlds(worlds)
+        self.enter_worlds(slots)
 
     @property
     def bounds(self) -> Tensor:
         """Bounds of each row's world: lower x and y, and upper x and y, ``[N, 4]``, m."""
         return torch.cat((self.bounds_low, self.bounds_high), -1)
 
-    def set_worlds(self, rows: Sequence[int], worlds: Iterable[World]) -> None:
-        """Moves rows to worlds.
-
-        Args:
-            rows: indices of the rows.
-            worlds: new world of each of these rows.
-        """
-        self._fill(self._slots.assign(rows, worlds))
-
-    def _fill(self, slots: Iterable[int]) -> None:
-        """Copies the free cells of the worlds in ``slots`` to the tables, and updates the slots of the rows."""
-        for slot in slots:
-            world = self._slots.worlds[slot]
+    def hold_worlds(self, worlds: Mapping[int, World]) -> None:
+        """Puts worlds, given by their slots, in place of those that were there."""
+        for slot, world in worlds.items():
             space = free_space(world, self._robot)
             self._start_cells[slot], self._headings[slot] = space.spawn_cells, space.spawn_headings
             self._goal_cells[slot], self._extremes[slot] = space.goal_cells, space.goal_extremes
             self._bounds[slot] = torch.tensor(world.bounds).T
             self._cells[slot] = torch.tensor([space.cell])
-        self._slot = torch.tensor(self._slots.of_row, device=self._device)
+
+    def enter_worlds(self, slots: Tensor) -> None:
+        """Sets the slots of all rows, int64 ``[N]``."""
+        self._slot = slots
         self.bounds_low, self.bounds_high = self._bounds.values[self._slot].unbind(1)
 
     def draw_start(self, keys: Tensor, mask: Tensor | None = None) -> Tensor:

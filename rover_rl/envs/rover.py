@@ -193,7 +193,6 @@ class RoverEnv(EnvBase):
         self._make_simulator = partial(
             make_simulator,
             config.backend,
-            worlds=self.worlds,
             robot=self.robot,
             lidar_beams=config.lidar.beams,
             physics=None if config.physics == DEFAULT_PHYSICS else config.physics,
@@ -212,7 +211,8 @@ class RoverEnv(EnvBase):
 
     def _init_task(self) -> None:
         config, device = self.config, self._tensor_device
-        self.placement = Placement(self.worlds, self.robot, config.task.min_goal_distance, device)
+        worlds = self._row_worlds
+        self.placement = Placement(worlds.held, worlds.slot, self.robot, config.task.min_goal_distance)
         self._navigation = Navigation(config, self.placement, self.num_envs, device)
         self.controller = HeadingController(self.num_envs, config.heading_gains, device)
         self._delay = CommandDelay(config.randomization.latency, self.num_envs, device)
@@ -230,7 +230,7 @@ class RoverEnv(EnvBase):
 
     @property
     def worlds(self) -> list[World]:
-        """World of each row."""
+        """World of each row, a new list at each access."""
         return self._row_worlds.worlds
 
     @property
@@ -336,12 +336,14 @@ class RoverEnv(EnvBase):
 
     def _open(self) -> None:
         """Builds the simulator. The next reset must include all rows."""
-        self.simulator: Simulator = self._make_simulator()
+        self.simulator: Simulator = self._make_simulator(worlds=self.worlds)
         check_period(self.config.lidar.period, self.simulator)
         self._started = False
         self.is_closed = False
         if self._row_worlds.is_drawn and isinstance(self.simulator, WorldChanger):
-            self._row_worlds.prepare_ahead(partial(_prepare, self.robot, self.simulator))
+            self._row_worlds.open(partial(_prepare, self.robot, self.simulator))
+            self.simulator.hold_worlds(self._row_worlds.held)
+            self.simulator.enter_worlds(self._row_worlds.slot.to(self.simulator.device))
 
     def _make_specs(self) -> None:
         batch_size, device, privileged = self.batch_size, self.device, self.config.privileged
@@ -403,12 +405,14 @@ class RoverEnv(EnvBase):
     def _change_worlds(self, mask: Tensor) -> None:
         """Draws the worlds of new episodes, in a simulator that can change the worlds of rows."""
         if isinstance(self.simulator, WorldChanger) and self._row_worlds.is_drawn:
-            rows = self._row_worlds.draw(mask, self._keys, episode_keys(self._row_keys, self._episode + 1))
-            if rows:
-                worlds = [self.worlds[row] for row in rows]
-                self.placement.set_worlds(rows, worlds)
-                self.simulator.set_worlds(rows, worlds)
-                self._state.world = self._row_worlds.index_if_several
+            worlds = self._row_worlds
+            entering = worlds.draw(mask, self._keys, episode_keys(self._row_keys, self._episode + 1))
+            if entering:
+                self.placement.hold_worlds(entering)
+                self.simulator.hold_worlds(entering)
+            self.placement.enter_worlds(worlds.slot)
+            self.simulator.enter_worlds(worlds.slot.to(self.simulator.device))
+            self._state.world = worlds.index_if_several
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         self._require_open("step")

@@ -12,6 +12,7 @@ from rover_rl.envs.rng import random_bits, to_index
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.ahead import WorldsAhead
 from rover_rl.sims.worlds.pool import WorldPool, WorldSource, draws_worlds
+from rover_rl.sims.worlds.slots import SPARE_WORLDS, Slots
 
 _WORLD = 16
 """Stream of random numbers."""
@@ -26,6 +27,10 @@ class RowWorlds:
     ``"maze:*"``, or is a :class:`~rover_rl.sims.worlds.pool.WorldPool`, each episode draws a world of the pool. The
     draw depends on the seed of the row, the number of the episode and the weights of the worlds only.
 
+    Those who hold data of worlds keep them by slot. If there are no more worlds than rows to draw from, the pool is
+    resident: all of its worlds have slots from :meth:`open` on, and rows change worlds on the device, without the host.
+    Of a larger pool, the worlds that rows are in have slots.
+
     Args:
         world_n: worlds.
         keys: random keys of the first episodes, ``[N, 1]``.
@@ -34,7 +39,7 @@ class RowWorlds:
         pool: all worlds that rows can be in.
         is_drawn: whether episodes draw their worlds.
         index: index of each row's world in the pool, int64 ``[N, 1]``.
-        worlds: world of each row.
+        slot: slot of each row's world, int64 ``[N]``.
 
     Raises:
         ValueError: if a world is unknown, or there are more worlds than rows.
@@ -50,22 +55,53 @@ class RowWorlds:
         if not self.is_drawn and count > num_envs:
             raise ValueError(f"world_n must give between 1 and num_envs={num_envs} worlds, got {count}")
         self._limits: Tensor | None = None
+        # On the device once for all: a copy from the host waits for the device.
+        self._sizes = torch.tensor(self.pool.sizes, device=keys.device)
+        self._starts = self._sizes.cumsum(0) - self._sizes
         rows = torch.arange(num_envs, device=keys.device)[:, None]
         self.index = self._drawn(keys) if self.is_drawn else rows * count // num_envs
-        self.worlds = [self.pool[index] for index in self.index.flatten().tolist()]
+        # None if the pool is resident.
+        self._slots: Slots | None = Slots([self.pool[k] for k in self.index.flatten().tolist()], SPARE_WORLDS)
+        self._held = self._slots.worlds
+        self.slot = torch.tensor(self._slots.of_row, device=keys.device)
         # The episodes of these keys have drawn their worlds.
         self._next_keys, self._next = keys, self.index
         self._ahead: WorldsAhead | None = None
+
+    @property
+    def held(self) -> dict[int, World]:
+        """Worlds by slot."""
+        return dict(enumerate(self._held))
+
+    @property
+    def worlds(self) -> list[World]:
+        """World of each row."""
+        return [self._held[slot] for slot in self.slot.tolist()]
 
     @property
     def index_if_several(self) -> Tensor | None:
         """:attr:`index`, or ``None`` if the pool has only one world."""
         return self.index if len(self.pool) > 1 else None
 
-    def draw(self, mask: Tensor, keys: Tensor, next_keys: Tensor) -> list[int]:
+    def open(self, prepare: Callable[[World], object]) -> None:
+        """Gets ready for :meth:`draw`: makes the pool resident, or prepares worlds in a thread if it is too large.
+
+        The thread prepares the worlds of the next episodes during :meth:`preparing`. Use this only if :attr:`is_drawn`.
+
+        Args:
+            prepare: what to do with a world before it is needed, safe to call from another thread.
+        """
+        if len(self.pool) > len(self.index):
+            self._ahead = WorldsAhead(self.pool, prepare, limit=len(self.index))
+            self._ahead.pause()
+        elif self._slots is not None:
+            self._slots, self._held = None, list(self.pool)
+            self.slot = self.index.squeeze(-1)
+
+    def draw(self, mask: Tensor, keys: Tensor, next_keys: Tensor) -> dict[int, World]:
         """Draws the worlds of new episodes, and those of the episodes after these.
 
-        Use it only if :attr:`is_drawn`.
+        Use it only after :meth:`open`.
 
         Args:
             mask: rows that begin an episode, bool ``[N, 1]``.
@@ -73,20 +109,28 @@ class RowWorlds:
             next_keys: random keys of the episodes after these, ``[N, 1]``.
 
         Returns:
-            Rows whose world is another one than before.
+            Worlds that enter slots, by slot. None if the pool is resident.
         """
         drawn = torch.where(keys == self._next_keys, self._next, self._drawn(keys))
-        changed = (mask & (drawn != self.index)).squeeze(-1)
-        self.index = torch.where(mask, drawn, self.index)
-        rows = changed.nonzero().squeeze(-1)
-        # Worlds are Python objects that a simulator copies one by one, so that this loop is over changed rows alone.
-        for row, index in zip(rows.tolist(), self.index[rows, 0].tolist(), strict=True):
-            self.worlds[row] = self._ahead[index] if self._ahead else self.pool[index]
+        before, self.index = self.index, torch.where(mask, drawn, self.index)
         self._next_keys = torch.where(mask, next_keys, self._next_keys)
         self._next = torch.where(mask, self._drawn(next_keys), self._next)
+        if self._slots is None:
+            self.slot = self.index.squeeze(-1)
+            return {}
+        entering = self._assign(self._slots, (self.index != before).squeeze(-1).nonzero().squeeze(-1))
         if self._ahead:
             self._ahead.request(self._next[mask].tolist())
-        return rows.tolist()
+        return entering
+
+    def _assign(self, slots: Slots, changed: Tensor) -> dict[int, World]:
+        """Assigns slots to the worlds of changed rows ``[M]``, and returns the worlds that enter slots, by slot."""
+        # Worlds are Python objects that a simulator copies one by one, so that these loops are over changed rows alone.
+        rows, source = changed.tolist(), self.pool if self._ahead is None else self._ahead
+        filled = slots.assign(rows, [source[index] for index in self.index[changed, 0].tolist()])
+        new = torch.tensor([slots.of_row[row] for row in rows], dtype=torch.int64, device=self.slot.device)
+        self.slot = self.slot.index_copy(0, changed, new)
+        return {slot: slots.worlds[slot] for slot in filled}
 
     def set_weights(self, weights: Tensor) -> None:
         """Sets the weights of the worlds in later draws. The next episode of each row has already drawn its world.
@@ -110,18 +154,9 @@ class RowWorlds:
             raise ValueError("weights must be finite and not negative, and not all 0")
         self._limits = (limits / limits[-1] * _PARTS).round().long().to(self.index.device)
 
-    def prepare_ahead(self, prepare: Callable[[World], object]) -> None:
-        """From now on, prepares the worlds of the next episodes in a thread during :meth:`preparing`.
-
-        Args:
-            prepare: what to do with a world before it is needed, safe to call from another thread.
-        """
-        self._ahead = WorldsAhead(self.pool, prepare, limit=len(self.index))
-        self._ahead.pause()
-
     @contextmanager
     def preparing(self) -> Iterator[None]:
-        """Lets the thread of :meth:`prepare_ahead` prepare worlds: use it around the simulator's kernels."""
+        """Lets the thread of :meth:`open` prepare worlds: use it around the simulator's kernels."""
         if self._ahead is None:
             yield
             return
@@ -143,6 +178,5 @@ class RowWorlds:
         if self._limits is not None:
             part = to_index(bits[:, :1], torch.full_like(keys, _PARTS))
             return torch.searchsorted(self._limits, part, right=True)
-        sizes = torch.tensor(self.pool.sizes, device=keys.device)
-        entry = to_index(bits[:, :1], torch.full_like(keys, len(sizes)))
-        return (sizes.cumsum(0) - sizes)[entry] + to_index(bits[:, 1:], sizes[entry])
+        entry = to_index(bits[:, :1], torch.full_like(keys, len(self._sizes)))
+        return self._starts[entry] + to_index(bits[:, 1:], self._sizes[entry])

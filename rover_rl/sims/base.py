@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, runtime_checkable
 
@@ -152,19 +152,31 @@ class Simulator(Protocol):
 
 @runtime_checkable
 class WorldChanger(Protocol):
-    """Interface of a simulator whose rovers can change worlds. With other simulators, a rover keeps its first world."""
+    """Interface of a simulator whose rovers can change worlds. With other simulators, a rover keeps its first world.
 
-    def set_worlds(self, rows: Sequence[int], worlds: Sequence[World]) -> None:
-        """Moves rovers to other worlds. The caller resets them next.
+    The simulator holds worlds in numbered slots, and a rover is in the world of a slot. If a pool has no more worlds
+    than rovers, the simulator holds all of them from the start, and a change of worlds is a new tensor of slots.
+    """
+
+    def hold_worlds(self, worlds: Mapping[int, World]) -> None:
+        """Puts worlds in slots, in place of those that were there. The caller resets the rovers of these slots next.
 
         Args:
-            rows: indices of the rovers.
-            worlds: new world of each of these rovers.
+            worlds: world of each slot that changes. Slots are less than
+                :func:`~rover_rl.sims.worlds.slots.max_slots`.
+        """
+        ...
+
+    def enter_worlds(self, slots: Tensor) -> None:
+        """Sets the slots of all rovers. The caller resets those that enter another world next.
+
+        Args:
+            slots: slot of each rover, int64 ``[N]``.
         """
         ...
 
     def prepare_world(self, world: World) -> None:
-        """Prepares a world that rovers may move to soon, which makes :meth:`set_worlds` faster.
+        """Prepares a world that rovers may move to soon, which makes :meth:`hold_worlds` faster.
 
         It may run in another thread, at the same time as the other methods.
         """

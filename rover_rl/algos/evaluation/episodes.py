@@ -218,7 +218,7 @@ def _draw_in(
 def _draw(world: World, robot: Robot, count: int, seed: int) -> tuple[Tensor, Tensor]:
     """Starts ``[count, 3]`` and goals ``[count, 2]`` of the first episodes of environments seeded ``seed`` and up."""
     device = torch.device("cpu")
-    placement = Placement([world] * count, robot, TaskConfig().min_goal_distance, device)
+    placement = Placement({0: world}, torch.zeros(count, dtype=torch.int64), robot, TaskConfig().min_goal_distance)
     keys = episode_keys(row_keys(seed, count, device), torch.ones(count, 1, dtype=torch.int64))
     start = placement.draw_start(keys)
     return start, placement.draw_goal(keys, torch.zeros_like(keys), start[:, :2])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import pairwise
@@ -28,12 +28,10 @@ from rover_rl.sims.warp.settings import WarpSettings
 from rover_rl.sims.warp.state_buffers import StateBuffers
 from rover_rl.sims.worlds import World, rest_on_ground
 from rover_rl.sims.worlds.slot_table import TerrainTable
-from rover_rl.sims.worlds.slots import Slots
+from rover_rl.sims.worlds.slots import Slots, max_slots
 
 MIN_ROVERS_PER_THREAD = 16
 """Minimum number of rovers per CPU thread; with fewer, another thread does not pay."""
-SPARE_WORLDS = 64
-"""Number of worlds that stay on the device after the last rover has left them."""
 GPU_BLOCK_SIZE = 32
 """Threads per block on a GPU: one warp, so that a few thousand rovers spread over all multiprocessors."""
 
@@ -78,11 +76,12 @@ class WarpSimulator:
         inertial_model = read_inertial_model(robot)
         self._buffers = StateBuffers(inertial_model, robot, count, lidar_beams, self.device)
         self._model = make_robot_model(robot, inertial_model, self._wp_device)
-        self._slots = Slots(worlds, SPARE_WORLDS)
-        # Rows enter their new worlds one by one, so that one more slot than rows and spare worlds is in use at most.
-        self._scenes = SceneTable(count + SPARE_WORLDS + 1, self._model.bounding_radius, self._wp_device)
+        self._worlds: dict[int, World] = {}
+        self._scenes = SceneTable(max_slots(count), self._model.bounding_radius, self._wp_device)
         self._terrains = TerrainTable(self.device)
-        self._fill(range(len(self._slots.worlds)))
+        slots = Slots(worlds)
+        self.hold_worlds(dict(enumerate(slots.worlds)))
+        self.enter_worlds(torch.tensor(slots.of_row))
         self._poses = wp.from_torch(self._buffers.poses)
         directions = np.stack((np.cos(angles), np.sin(angles)), -1)
         self._shards = self._record(wp.array(directions, dtype=wp.vec2, device=self._wp_device))
@@ -115,23 +114,23 @@ class WarpSimulator:
             )
         return shards
 
-    def set_worlds(self, rows: Sequence[int], worlds: Sequence[World]) -> None:
-        """Moves rovers to other worlds: see :meth:`WorldChanger.set_worlds`."""
-        self._fill(self._slots.assign(rows, worlds))
+    def hold_worlds(self, worlds: Mapping[int, World]) -> None:
+        """Copies worlds to the device: see :meth:`WorldChanger.hold_worlds`."""
+        # Copies wait for kernels that still read the slot's world before, and kernels for the copies.
+        with wp.ScopedStream(self._stream):
+            for slot, world in worlds.items():
+                if self._worlds.get(slot) is not world:
+                    self._worlds[slot] = world
+                    self._scenes[slot] = world
+                    self._terrains[slot] = world.terrain
+
+    def enter_worlds(self, slots: Tensor) -> None:
+        """Sets the slots of all rovers: see :meth:`WorldChanger.enter_worlds`."""
+        self._buffers.scene.copy_(slots)
 
     def prepare_world(self, world: World) -> None:
         """Prepares a world that rovers may move to soon: see :meth:`WorldChanger.prepare_world`."""
         self._scenes.prepare(world)
-
-    def _fill(self, slots: Iterable[int]) -> None:
-        """Copies the worlds of slots to the device, and the slot of every rover."""
-        # Copies wait for kernels that still read the slot's world before, and kernels for the copies.
-        with wp.ScopedStream(self._stream):
-            for slot in slots:
-                world = self._slots.worlds[slot]
-                self._scenes[slot] = world
-                self._terrains[slot] = world.terrain
-        self._buffers.scene.copy_(torch.tensor(self._slots.of_row, dtype=torch.int32))
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
         """Places the rovers of ``mask`` at rest on the ground at ``poses``: see :meth:`Simulator.reset`."""
@@ -175,7 +174,7 @@ class WarpSimulator:
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders an image: see :meth:`Simulator.render`."""
-        world = self._slots.worlds[self._slots.of_row[row]]
+        world = self._worlds[int(self._buffers.scene[row])]
         return self._renderers.render(world, self._buffers.base_state[row, :7], view, width, height, goal)
 
     @property

@@ -7,6 +7,15 @@ from collections.abc import Iterable, Sequence
 
 from rover_rl.sims.worlds.world import World
 
+SPARE_WORLDS = 64
+"""Number of worlds that stay in their slots after the last row has left them."""
+
+
+def max_slots(num_envs: int) -> int:
+    """Returns the largest number of slots that the worlds of a batch take."""
+    # Rows enter their new worlds one by one, so that one more slot than rows and spare worlds is in use at most.
+    return num_envs + SPARE_WORLDS + 1
+
 
 class Slots:
     """Assigns a slot to each world that a row of the batch is in.

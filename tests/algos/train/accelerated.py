@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
@@ -26,16 +26,23 @@ from rover_rl.sims.base import Dynamics
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.differential_drive import SimulatedDrive
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds import Terrain, World
+from rover_rl.sims.worlds.pool import WorldPool, WorldSource
+from rover_rl.sims.worlds.slots import Slots, max_slots
 from tests.accelerator import Accelerator, accelerator
 from tests.algos.train.runs import FIELD, WALL
 
 ROVERS = 6
 WORLDS = (FIELD, WALL)
+POOL = WorldPool(*(World(f"field {k}", Terrain.flat((6.0 + k, 6.0))) for k in range(4)))
+"""As many worlds as rovers at most, so that all of them stay on the device."""
 
 
 class SlidingBackend:
-    """Rovers that follow their commands exactly, without collisions, on any device."""
+    """Rovers that follow their commands exactly, without collisions, on any device.
+
+    They see how long the terrain of their world is, and can change worlds.
+    """
 
     def make(
         self,
@@ -46,18 +53,32 @@ class SlidingBackend:
         connection: Connection | None = None,
         device: torch.device | None = None,
     ) -> SlidingSimulator:
-        return SlidingSimulator(len(worlds), robot, lidar_beams, device or torch.device("cpu"))
+        return SlidingSimulator(worlds, robot, lidar_beams, device or torch.device("cpu"))
 
 
 class SlidingSimulator:
     robot_connected = True
 
-    def __init__(self, count: int, robot: Robot, beams: int, device: torch.device) -> None:
-        self.num_envs, self.device = count, device
+    def __init__(self, worlds: Sequence[World], robot: Robot, beams: int, device: torch.device) -> None:
+        self.num_envs = count = len(worlds)
+        self.device = device
         self.control_dt = 0.05
         self.ray_angles = torch.arange(beams, device=device) * (2 * math.pi / beams)
         self._drive = SimulatedDrive(robot, 0.05, count, device)
         self._pose = torch.zeros(count, 3, device=device)
+        self._lengths = torch.zeros(max_slots(count), 1, device=device)
+        slots = Slots(worlds)
+        self.hold_worlds(dict(enumerate(slots.worlds)))
+        self.enter_worlds(torch.tensor(slots.of_row, device=device))
+
+    def hold_worlds(self, worlds: Mapping[int, World]) -> None:
+        for slot, world in worlds.items():
+            self._lengths[slot] = world.bounds[0][1]
+
+    def enter_worlds(self, slots: Tensor) -> None:
+        self._length = self._lengths[slots]
+
+    def prepare_world(self, world: World) -> None: ...
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
         self._pose = torch.where(mask[:, None], poses, self._pose)
@@ -79,7 +100,7 @@ class SlidingSimulator:
         x, y, yaw = self._pose.split(1, -1)
         zero = torch.zeros_like(x)
         body = torch.cat((x, y, zero, zero, zero, (yaw / 2).sin(), (yaw / 2).cos(), zero, zero), -1)
-        ranges = 1.2 + (3 * self.ray_angles + yaw).cos()
+        ranges = 0.4 * self._length + (3 * self.ray_angles + yaw).cos()
         return self._drive.state(body, ranges)
 
     def close(self) -> None: ...
@@ -101,6 +122,8 @@ def on_both() -> dict[str, Any]:
     with accelerator() as on:
         there, looks = _stepped(on)
         found: dict[str, Any] = {"steps": (there, _stepped(None)[0]), "looks": looks}
+        there, looks = _changed(on)
+        found |= {"changes": (there, _changed(None)[0]), "looks of changes": looks}
         for name, config in LEARNERS.items():
             found[name] = _learned(on, config), _learned(None, config)
         for name, config in COLLECTED.items():
@@ -125,6 +148,28 @@ def _stepped(on: Accelerator | None) -> tuple[list[dict[str, Tensor]], list[str]
             looks += on.looks
         seen.append(_on_host(td["next"]))
         td = td["next"]
+    return seen, looks
+
+
+def _changed(on: Accelerator | None) -> tuple[list[dict[str, Tensor]], list[str]]:
+    """Observations of some rovers that begin episodes in other worlds, and then of a step of all rovers, in turn.
+
+    Also returns the operations that waited for the accelerator. These are the environment's own reset and step, because
+    those of TorchRL read values around them.
+    """
+    env = _env(on, POOL).base_env
+    env.reset()
+    seen, looks = [], []
+    for turn in range(8):
+        begins = torch.arange(ROVERS, device=env.device)[:, None] % 3 != turn % 3
+        reset = TensorDict({"_reset": begins}, [ROVERS], device=env.device)
+        action = TensorDict({"action": torch.full((ROVERS, 2), 0.4, device=env.device)}, [ROVERS], device=env.device)
+        if on is not None:
+            on.looks.clear()
+        results = env._reset(reset), env._step(action)
+        if on is not None:
+            looks += on.looks
+        seen += [_on_host(result) for result in results]
     return seen, looks
 
 
@@ -177,9 +222,9 @@ def _small(on: Accelerator | None, config: TrainingConfig) -> TrainingConfig:
     )
 
 
-def _env(on: Accelerator | None) -> TransformedEnv:
+def _env(on: Accelerator | None, worlds: WorldSource = WORLDS) -> TransformedEnv:
     return make_env(
-        world_n=WORLDS,
+        world_n=worlds,
         num_envs=ROVERS,
         length=12,
         backend=SlidingBackend(),

@@ -35,10 +35,15 @@ def test_the_other_worlds_drop_the_rover_from_0_75_m(name):
     assert get_world(name).drop_height(torch.tensor([[0.0, 0.0], [-3.9, -3.9]])).tolist() == [0.75, 0.75]
 
 
+def placed(name: str, rows: int) -> Placement:
+    """Placement of rows that are all in one world."""
+    return Placement({0: get_world(name)}, torch.zeros(rows, dtype=torch.int64), get_robot("rover_zero"), 1.0)
+
+
 @pytest.mark.parametrize("name", WORLD_NAMES)
 def test_starts_and_goals_are_drawn_in_the_worlds_ranges_with_goals_1_m_away(name):
     rows, table = 2000, contract.WORLDS[name]
-    placement = Placement([get_world(name)] * rows, get_robot("rover_zero"), 1.0, CPU)
+    placement = placed(name, rows)
     keys = row_keys(0, rows, CPU)
     start = placement.draw_start(keys)
     goal = placement.draw_goal(keys, torch.zeros_like(keys), start[:, :2])
@@ -58,7 +63,7 @@ def test_starts_and_goals_are_drawn_in_the_worlds_ranges_with_goals_1_m_away(nam
 @pytest.mark.parametrize("name", ["moon", "maze"])
 def test_the_starting_yaw_is_anything_from_minus_pi_to_pi(name):
     keys = row_keys(0, 4000, CPU)
-    yaw = Placement([get_world(name)] * 4000, get_robot("rover_zero"), 1.0, CPU).draw_start(keys)[:, 2]
+    yaw = placed(name, 4000).draw_start(keys)[:, 2]
     assert yaw.abs().max() <= math.pi
     assert min(torch.histc(yaw, 8, -math.pi, math.pi).tolist()) > 250
 
