@@ -113,7 +113,11 @@ LEARNERS = {
 }
 
 
-COLLECTED = {**LEARNERS, "gru": training_config("ppo", memory="gru", memory_size=8)}
+COLLECTED = {
+    **LEARNERS,
+    "gru": training_config("ppo", memory="gru", memory_size=8),
+    "pool": training_config("ppo", world=POOL),
+}
 """Trainings whose actors collect batches."""
 
 
@@ -212,7 +216,7 @@ def _collected(on: Accelerator | None, config: TrainingConfig) -> tuple[list[dic
 def _small(on: Accelerator | None, config: TrainingConfig) -> TrainingConfig:
     return with_settings(
         config,
-        world=WORLDS,
+        world=POOL if config.env.world is POOL else WORLDS,
         num_envs=ROVERS,
         workers=1,
         rollout_length=4,
