@@ -109,7 +109,7 @@ class RowWorlds:
             next_keys: random keys of the episodes after these, ``[N, 1]``.
 
         Returns:
-            Worlds that enter slots, by slot. None if the pool is resident.
+            Worlds that enter slots, by slot. Empty if the pool is resident.
         """
         drawn = torch.where(keys == self._next_keys, self._next, self._drawn(keys))
         before, self.index = self.index, torch.where(mask, drawn, self.index)
