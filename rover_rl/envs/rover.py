@@ -37,10 +37,7 @@ from rover_rl.envs.randomization import CommandDelay, draw_dynamics, sense
 from rover_rl.envs.rng import episode_keys, row_keys
 from rover_rl.envs.row_worlds import RowWorlds
 from rover_rl.envs.sensing import LidarPooling, check_period, scanning
-from rover_rl.envs.task import (
-    TaskState,
-    target_info,
-)
+from rover_rl.envs.task import TaskState, target_info
 from rover_rl.sims import BackendLike, Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.base import View, WorldChanger
 from rover_rl.sims.robots import Robot, get_robot

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -51,19 +52,30 @@ class InertialModel:
             Mass ``[N]``, center of mass ``[N, 3]``, and inertia about it ``[N, 3, 3]``. The inertia leaves out that of
             the wheels about their axles, since the spin of a wheel is a state of its own.
         """
-        device = chassis_mass.device
-        chassis_center, chassis_inertia, hubs = (
-            torch.from_numpy(values).to(device) for values in (self.chassis_center, self.chassis_inertia, self.hubs)
-        )
+        chassis_center, chassis_inertia, hubs, turn = self._on(chassis_mass.device)
         mass = chassis_mass + len(hubs) * self.wheel_mass
         center = (chassis_mass[:, None] * chassis_center + self.wheel_mass * hubs.sum(0)) / mass[:, None]
         inertia = chassis_mass[:, None, None] / self.chassis_mass * chassis_inertia
         inertia = inertia + _parallel_axis(chassis_mass, chassis_center - center)
-        turn = torch.tensor((self.wheel_turn_inertia, 0.0, self.wheel_turn_inertia), dtype=mass.dtype, device=device)
         wheel = torch.full_like(chassis_mass, self.wheel_mass)
         for hub in hubs:
-            inertia = inertia + turn.diag() + _parallel_axis(wheel, hub - center)
+            inertia = inertia + turn + _parallel_axis(wheel, hub - center)
         return mass, center, inertia
+
+    def _on(self, device: torch.device) -> list[Tensor]:
+        """Returns the tensors of :meth:`total` on a device: chassis center and inertia, hubs, inertia of a wheel.
+
+        They are copied once, because a copy from the host waits for the device.
+        """
+        if device not in self._copies:
+            turn = np.diag((self.wheel_turn_inertia, 0.0, self.wheel_turn_inertia))
+            arrays = (self.chassis_center, self.chassis_inertia, self.hubs, turn)
+            self._copies[device] = [torch.from_numpy(array).to(device) for array in arrays]
+        return self._copies[device]
+
+    @cached_property
+    def _copies(self) -> dict[torch.device, list[Tensor]]:
+        return {}
 
     def points(self) -> np.ndarray:
         """Sample points on the top and bottom of the boxes, at most :data:`POINT_SPACING` apart, ``[P, 3]``.

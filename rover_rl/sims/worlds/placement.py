@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Protocol
 
 import torch
@@ -57,7 +58,7 @@ def ground_frame(ground: Ground, robot: Robot, poses: Tensor) -> tuple[Tensor, T
         Height of the plane at x, y, ``[N]`` (m), and rotation of a rover on the plane, ``[N, 3, 3]`` (columns:
         forward, left, up), in the dtype of ``poses``.
     """
-    wheels = torch.tensor(robot.wheel_positions, dtype=poses.dtype, device=poses.device)
+    wheels = _wheels(robot, poses.dtype, poses.device)
     xy, yaw = poses[:, :2], poses[:, 2]
     ahead = torch.stack((yaw.cos(), yaw.sin()), -1)
     left = torch.stack((-yaw.sin(), yaw.cos()), -1)
@@ -76,6 +77,14 @@ def ground_frame(ground: Ground, robot: Robot, poses: Tensor) -> tuple[Tensor, T
     return heights.mean(1) - (slopes * middle).sum(-1), rotation
 
 
+# Once for each device: a copy from the host in every reset would wait for the device.
+@lru_cache(maxsize=16)
+def _wheels(robot: Robot, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Returns the centers of the wheels in the base frame, ``[W, 3]``, m."""
+    return torch.tensor(robot.wheel_positions, dtype=dtype, device=device)
+
+
+@lru_cache(maxsize=16)
 def _rims(robot: Robot, device: torch.device) -> Tensor:
     """Returns points on the lower half of the wheels' rims in the base frame: ``[P, 3]``, m."""
     angle = torch.linspace(-1.2, 1.2, 13, dtype=torch.float64, device=device)
@@ -89,5 +98,4 @@ def _rims(robot: Robot, device: torch.device) -> Tensor:
         ),
         -1,
     ).reshape(-1, 3)
-    hubs = torch.tensor(robot.wheel_positions, dtype=torch.float64, device=device)
-    return (hubs[:, None] + rim).reshape(-1, 3)
+    return (_wheels(robot, torch.float64, device)[:, None] + rim).reshape(-1, 3)
