@@ -77,6 +77,37 @@ def test_a_row_is_the_same_alone_and_among_others_in_other_worlds(threads: int) 
     assert len(batch["outcome", "world"][:, 21].unique()) > 2
 
 
+def eventful_rollout(env: RoverEnv, actions: torch.Tensor, resets: torch.Tensor) -> TensorDictBase:
+    """Results of 40 steps with partial resets ``[steps, N, 1]``, other weights after 12 steps, and a close after 26."""
+    td, records = env.reset(), []
+    for number, (action, reset) in enumerate(zip(actions, resets, strict=True)):
+        if number == 12:
+            env.set_world_weights(torch.tensor([1.0, 0, 2, 3, 0]))
+        if number == 26:
+            env.close()
+            td = env.reset()
+        step, td = env.step_and_maybe_reset(td.set("action", action))
+        records.append(step["next"].select(*OBSERVED))
+        assert env.worlds == [ROOMS[k] for k in td["outcome", "world"].flatten().tolist()]
+        if reset.any():
+            td = env.reset(td.set("_reset", reset)).exclude("_reset")
+    return torch.stack(records)
+
+
+@pytest.mark.parametrize("seed", [0, 4])
+def test_episodes_are_the_same_whether_all_worlds_fit_on_the_device_or_not(seed: int) -> None:
+    """With six rows, all five worlds stay on the device. With three rows, worlds are copied as they are drawn."""
+    actions = drawn_actions(6, 40)
+    resets = torch.rand(40, 6, 1, generator=torch.Generator().manual_seed(seed)) < 0.15
+    whole = eventful_rollout(make(6, seed=seed), actions, resets)
+    for first in (0, 3):
+        rows = slice(first, first + 3)
+        part = eventful_rollout(make(3, seed=seed + first), actions[:, rows], resets[:, rows])
+        for key in OBSERVED:
+            assert torch.equal(part[key], whole[key][:, rows]), key
+    assert len(whole["outcome", "world"].unique()) == 5
+
+
 @pytest.mark.slow
 def test_a_row_of_256_is_the_same_alone_for_500_steps() -> None:
     from rover_rl.sims.warp import WarpSettings

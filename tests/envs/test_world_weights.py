@@ -68,7 +68,8 @@ def test_the_world_that_was_drawn_is_the_one_that_is_simulated() -> None:
     env = make(8)
     env.set_world_weights(WEIGHTS)
     for _ in range(4):
-        assert env.worlds == [FIELDS[k] for k in draws(env, 1)[0].tolist()]
+        drawn = draws(env, 1)[0].tolist()
+        assert env.worlds == [FIELDS[k] for k in drawn]
 
 
 @pytest.mark.parametrize(

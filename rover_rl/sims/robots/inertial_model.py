@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -40,9 +41,6 @@ class InertialModel:
     hubs: np.ndarray
     box_centers: np.ndarray
     box_halves: np.ndarray
-    _tensors: dict[torch.device, tuple[Tensor, ...]] = field(
-        default_factory=dict, init=False, repr=False, compare=False
-    )
 
     def total(self, chassis_mass: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Mass properties of the whole rover.
@@ -64,16 +62,20 @@ class InertialModel:
             inertia = inertia + turn + _parallel_axis(wheel, hub - center)
         return mass, center, inertia
 
-    def _on(self, device: torch.device) -> tuple[Tensor, ...]:
-        """Returns center and inertia of the chassis, hubs and turn inertia of a wheel as tensors on a device.
+    def _on(self, device: torch.device) -> list[Tensor]:
+        """Returns the tensors of :meth:`total` on a device: chassis center and inertia, hubs, inertia of a wheel.
 
-        They are copied there once: a copy to a GPU waits for its other work.
+        They are copied once, because a copy from the host waits for the device.
         """
-        if device not in self._tensors:
+        if device not in self._copies:
             turn = np.diag((self.wheel_turn_inertia, 0.0, self.wheel_turn_inertia))
             arrays = (self.chassis_center, self.chassis_inertia, self.hubs, turn)
-            self._tensors[device] = tuple(torch.from_numpy(values).to(device) for values in arrays)
-        return self._tensors[device]
+            self._copies[device] = [torch.from_numpy(array).to(device) for array in arrays]
+        return self._copies[device]
+
+    @cached_property
+    def _copies(self) -> dict[torch.device, list[Tensor]]:
+        return {}
 
     def points(self) -> np.ndarray:
         """Sample points on the top and bottom of the boxes, at most :data:`POINT_SPACING` apart, ``[P, 3]``.

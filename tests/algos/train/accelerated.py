@@ -26,8 +26,10 @@ from rover_rl.sims.base import Dynamics
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.differential_drive import SimulatedDrive
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds import Terrain, World
+from rover_rl.sims.robots.inertial_model import read_inertial_model
+from rover_rl.sims.worlds import Terrain, World, rest_on_ground
 from rover_rl.sims.worlds.pool import WorldPool, WorldSource
+from rover_rl.sims.worlds.slot_table import TerrainTable
 from rover_rl.sims.worlds.slots import Slots, max_slots
 from tests.accelerator import Accelerator, accelerator
 from tests.algos.train.runs import FIELD, WALL
@@ -41,7 +43,7 @@ POOL = WorldPool(*(World(f"field {k}", Terrain.flat((6.0 + k, 6.0))) for k in ra
 class SlidingBackend:
     """Rovers that follow their commands exactly, without collisions, on any device.
 
-    They see how long the terrain of their world is, and can change worlds.
+    They see how long the terrain of their world is, and can change worlds. Their poses and masses are those of Warp's.
     """
 
     def make(
@@ -66,6 +68,9 @@ class SlidingSimulator:
         self.ray_angles = torch.arange(beams, device=device) * (2 * math.pi / beams)
         self._drive = SimulatedDrive(robot, 0.05, count, device)
         self._pose = torch.zeros(count, 3, device=device)
+        self._height = torch.zeros(count, 1, device=device)
+        self._robot, self._model = robot, read_inertial_model(robot)
+        self._terrains = TerrainTable(device)
         self._lengths = torch.zeros(max_slots(count), 1, device=device)
         slots = Slots(worlds)
         self.hold_worlds(dict(enumerate(slots.worlds)))
@@ -73,20 +78,23 @@ class SlidingSimulator:
 
     def hold_worlds(self, worlds: Mapping[int, World]) -> None:
         for slot, world in worlds.items():
-            self._lengths[slot] = world.bounds[0][1]
+            self._terrains[slot], self._lengths[slot] = world.terrain, world.bounds[0][1]
 
     def enter_worlds(self, slots: Tensor) -> None:
-        self._length = self._lengths[slots]
+        self._ground, self._length = self._terrains.of(slots), self._lengths[slots]
 
     def prepare_world(self, world: World) -> None: ...
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
         self._pose = torch.where(mask[:, None], poses, self._pose)
+        height = rest_on_ground(self._ground, self._robot, poses)[0][:, 2:].float()
+        self._height = torch.where(mask[:, None], height, self._height)
         self._drive.reset(mask)
         return self.state()
 
     def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
-        self._pose = self._pose + 0 * dynamics.friction[:, None]
+        mass, _, _ = self._model.total(self._model.chassis_mass * dynamics.chassis_mass.double())
+        self._height = torch.where(mask[:, None], mass[:, None].float(), self._height)
 
     def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
         self._drive.advance(commands, active)
@@ -99,7 +107,7 @@ class SlidingSimulator:
     def state(self) -> RoverState:
         x, y, yaw = self._pose.split(1, -1)
         zero = torch.zeros_like(x)
-        body = torch.cat((x, y, zero, zero, zero, (yaw / 2).sin(), (yaw / 2).cos(), zero, zero), -1)
+        body = torch.cat((x, y, self._height, zero, zero, (yaw / 2).sin(), (yaw / 2).cos(), zero, zero), -1)
         ranges = 0.4 * self._length + (3 * self.ray_angles + yaw).cos()
         return self._drive.state(body, ranges)
 
