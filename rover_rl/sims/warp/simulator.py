@@ -34,12 +34,15 @@ MIN_ROVERS_PER_THREAD = 16
 """Minimum number of rovers per CPU thread; with fewer, another thread does not pay."""
 GPU_BLOCK_SIZE = 32
 """Threads per block on a GPU: one warp, so that a few thousand rovers spread over all multiprocessors."""
+GPU_LIDAR_LANES = 8
+"""Threads that scan for one rover on a GPU: see :class:`WarpSettings`."""
 
 
 class WarpSimulator:
     """Batch of rovers simulated by Warp kernels: one for the physics of a control step and one for the lidar.
 
-    A kernel thread simulates one rover. All rovers share a launch, whatever world they are in; they do not interact.
+    A kernel thread simulates one rover; on a GPU, several threads share its scan. All rovers share a launch, whatever
+    world they are in; they do not interact.
 
     Args:
         worlds: world of each rover.
@@ -84,6 +87,7 @@ class WarpSimulator:
         self.enter_worlds(torch.tensor(slots.of_row))
         self._poses = wp.from_torch(self._buffers.poses)
         directions = np.stack((np.cos(angles), np.sin(angles)), -1)
+        self._lanes = self.settings.lidar_lanes or (GPU_LIDAR_LANES if self.device.type == "cuda" else 1)
         self._shards = self._record(wp.array(directions, dtype=wp.vec2, device=self._wp_device))
         self._pool = ThreadPoolExecutor(len(self._shards) - 1) if len(self._shards) > 1 else None
         self.reset(torch.ones(count, dtype=torch.bool, device=self.device), torch.zeros(count, 3, device=self.device))
@@ -95,7 +99,7 @@ class WarpSimulator:
     @property
     def _launch_options(self) -> dict[str, Any]:
         """Keyword arguments of every launch: the device, and the block size on a GPU."""
-        blocks = {"block_dim": GPU_BLOCK_SIZE} if self.device.type == "cuda" else {}
+        blocks = {"block_dim": self.settings.block_size or GPU_BLOCK_SIZE} if self.device.type == "cuda" else {}
         return {"device": self._wp_device, **blocks}
 
     def _record(self, beams: wp.array) -> list[_Shard]:
@@ -109,9 +113,9 @@ class WarpSimulator:
         for first, last in pairwise(ends):
             launch = {"dim": last - first, "record_cmd": True, **self._launch_options}
             dynamics = wp.launch(step_dynamics, inputs=[scenes, self._model, solver, rovers, first], **launch)
-            shards.append(
-                _Shard(dynamics, wp.launch(scan, inputs=[scenes, self._model, rovers, beams, first], **launch))
-            )
+            launch["dim"] = (last - first, self._lanes)
+            inputs = [scenes, self._model, rovers, beams, first, self._lanes]
+            shards.append(_Shard(dynamics, wp.launch(scan, inputs=inputs, **launch)))
         return shards
 
     def hold_worlds(self, worlds: Mapping[int, World]) -> None:
@@ -200,6 +204,8 @@ class WarpSimulator:
             physics: launch the physics of a control step.
             lidar: launch the lidar scan.
         """
+        if lidar and self._lanes > 1:
+            self._buffers.clear_scans()
         run = partial(_Shard.launch, physics=physics, lidar=lidar, stream=self._stream)
         others = [self._pool.submit(run, shard) for shard in self._shards[1:]] if self._pool else []
         run(self._shards[0])

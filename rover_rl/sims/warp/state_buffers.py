@@ -9,6 +9,7 @@ from rover_rl.sims.base import Dynamics
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.inertial_model import InertialModel
+from rover_rl.sims.warp.kernels.scan_plane import SECTORS
 from rover_rl.sims.warp.kernels.types import RoverArrays
 
 
@@ -47,6 +48,8 @@ class StateBuffers:
         self.base_state = self._zeros(count, 9)
         self.ranges = self._zeros(count, beams)
         self.contact = torch.zeros(count, 1, dtype=torch.bool, device=device)
+        self._visible = self._zeros(count, SECTORS)
+        self._lidar_range = robot.lidar_range
         self._wheel_torque = robot.wheel_torque
         self._mass = self._zeros(count)
         self._center = self._zeros(count, 3)
@@ -75,6 +78,7 @@ class StateBuffers:
         rovers.base_state = self._shared(self.base_state, wp.float32)
         rovers.ranges = self._shared(self.ranges, wp.float32)
         rovers.contact = self._shared(self.contact.view(count), wp.bool)
+        rovers.visible = self._shared(self._visible, wp.float32)
         self.rovers = rovers
         ones = torch.ones(count, device=device)
         self.set_dynamics(torch.ones(count, dtype=torch.bool, device=device), Dynamics(ones, ones, ones))
@@ -96,6 +100,11 @@ class StateBuffers:
         for values, new in parameters:
             rows = mask.reshape(-1, *[1] * (new.ndim - 1))
             values.copy_(torch.where(rows, new.to(values.dtype), values))
+
+    def clear_scans(self) -> None:
+        """Clears the scans of the rovers that scan, for a launch with several threads per rover."""
+        self.ranges.masked_fill_(self.scanned[:, None], torch.inf)
+        self._visible.fill_(self._lidar_range)
 
     def _zeros(self, *shape: int) -> Tensor:
         return torch.zeros(shape, device=self._device)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from rover_rl.sims.bullet.lidar import Lidar
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.inertial_model import read_inertial_model
-from rover_rl.sims.warp.kernels.lidar import scan
+from rover_rl.sims.warp.kernels.lidar import scan, scan_share
+from rover_rl.sims.warp.kernels.types import RobotModel, RoverArrays, Scene
 from rover_rl.sims.warp.scene import SceneTable, make_robot_model
 from rover_rl.sims.warp.state_buffers import StateBuffers
 from rover_rl.sims.worlds import World, get_world
@@ -34,19 +36,74 @@ def poses(world: World, count: int) -> tuple[np.ndarray, Rotation]:
     return position.astype(np.float32), leaning * Rotation.from_euler("z", yaw[:, None])
 
 
-def warp_scan(world: World, position: np.ndarray, rotation: Rotation, beams: int) -> np.ndarray:
+@wp.kernel
+def scan_in_order(
+    scenes: wp.array[Scene],
+    model: RobotModel,
+    rovers: RoverArrays,
+    beams: wp.array[wp.vec2],
+    order: wp.array[int],
+    lanes: int,
+):
+    """Scans with the lanes of a rover in a given order; on the CPU, threads run one after another."""
+    row, n = wp.tid()
+    scan_share(scenes, model, rovers, beams, row, order[n], lanes)
+
+
+def warp_scan(
+    world: World,
+    position: np.ndarray,
+    rotation: Rotation,
+    beams: int,
+    lanes: int = 1,
+    order: Sequence[int] | None = None,
+    scanned: torch.Tensor | None = None,
+) -> np.ndarray:
     """Launches the scan kernel for any poses; a simulator scans only from poses that a rover can have."""
     inertial_model = read_inertial_model(ROVER)
     model = make_robot_model(ROVER, inertial_model, "cpu")
     buffers = StateBuffers(inertial_model, ROVER, len(position), beams, torch.device("cpu"))
     buffers.base_state[:, :3] = torch.from_numpy(position)
     buffers.base_state[:, 3:7] = torch.from_numpy(rotation.as_quat())
+    if scanned is not None:
+        buffers.scanned.copy_(scanned)
     angles = np.arange(beams) * (2 * math.pi / beams)
     directions = wp.array(np.stack((np.cos(angles), np.sin(angles)), -1), dtype=wp.vec2, device="cpu")
     table = SceneTable(1, model.bounding_radius, "cpu")
     table[0] = world
-    wp.launch(scan, dim=len(position), inputs=[table.scenes, model, buffers.rovers, directions, 0], device="cpu")
+    buffers.clear_scans()
+    inputs = [table.scenes, model, buffers.rovers, directions]
+    if order is None:
+        wp.launch(scan, dim=(len(position), lanes), inputs=[*inputs, 0, lanes], device="cpu")
+    else:
+        order = wp.array(order, dtype=int, device="cpu")
+        wp.launch(scan_in_order, dim=(len(position), lanes), inputs=[*inputs, order, lanes], device="cpu")
     return buffers.ranges.numpy()
+
+
+@pytest.mark.parametrize("beams", [20, 640])
+@pytest.mark.parametrize("name", WORLDS)
+def test_ranges_do_not_depend_on_the_order_of_the_lanes(name, beams):
+    world = get_world(name)
+    position, rotation = poses(world, 128)
+    expected = warp_scan(world, position, rotation, beams, lanes=2)
+    assert np.isfinite(expected).any()
+    for lanes in (4, 32):
+        np.testing.assert_array_equal(warp_scan(world, position, rotation, beams, lanes), expected)
+        order = np.random.default_rng(lanes).permutation(lanes)
+        np.testing.assert_array_equal(warp_scan(world, position, rotation, beams, lanes, order), expected)
+    # A single lane keeps the first of two ranges that differ in the last bit.
+    np.testing.assert_allclose(warp_scan(world, position, rotation, beams), expected, rtol=5e-7)
+
+
+def test_lanes_leave_rovers_alone_that_do_not_scan():
+    world = get_world("maze")
+    position, rotation = poses(world, 8)
+    scanned = torch.arange(8) % 2 == 0
+    found = warp_scan(world, position, rotation, 32, lanes=4, scanned=scanned)
+    expected = warp_scan(world, position, rotation, 32, lanes=4)
+    np.testing.assert_array_equal(found[scanned], expected[scanned])
+    assert (found[~scanned] == 0).all()
 
 
 @pytest.mark.parametrize("name", WORLDS)

@@ -22,6 +22,8 @@ ROVER = get_robot("rover_zero")
         ({"substeps": 0}, "substeps must be at least 1, got 0"),
         ({"solver_iterations": 0}, "solver_iterations must be at least 1, got 0"),
         ({"threads": 0}, "threads must be at least 1, got 0"),
+        ({"lidar_lanes": 3}, "lidar_lanes must be 1, 2, 4, 8, 16 or 32, got 3"),
+        ({"block_size": 48}, "block_size must be a multiple of 32 from 32 to 1024, got 48"),
         ({"control_dt": 0.0}, "control_dt must be positive, got 0.0"),
         ({"stiffness": 0.0}, "stiffness must be positive, got 0.0"),
         ({"ground_friction": -0.1}, "ground_friction must not be negative, got -0.1"),
@@ -54,6 +56,20 @@ def test_results_do_not_depend_on_the_number_of_threads():
     assert rollouts[0]["next", "done"].any()
     for other in rollouts[1:]:
         assert (rollouts[0] == other).all()
+
+
+def test_several_threads_scan_for_a_rover():
+    scans = []
+    for lanes in (1, 8):
+        env = make_env(
+            backend=WarpSettings(threads=2, lidar_lanes=lanes), world_n=["inspect", "maze"], num_envs=40, seed=1
+        )
+        td = env.reset()
+        for _ in range(5):
+            td = env.step(td.set("action", torch.tensor([[0.8, 0.3]] * 40)))["next"]
+        scans.append(env.base_env.simulator.state().ranges)
+        env.close()
+    torch.testing.assert_close(*scans, rtol=5e-7, atol=0)
 
 
 def test_random_driving_stays_on_the_ground_and_out_of_obstacles():

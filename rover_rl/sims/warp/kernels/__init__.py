@@ -1,4 +1,4 @@
-"""Warp kernels: physics and lidar of one rover per thread.
+"""Warp kernels: physics and lidar of one rover per thread, or on a GPU the lidar of one rover by several threads.
 
 Kernels and functions are written in Warp's subset of Python and compiled on first launch. Every thread reads and writes
 only the rows of its own rover, so that a result depends neither on the other rovers of a batch nor on the number of
@@ -10,6 +10,7 @@ Modules:
     convex: penetration of a box or wheel into a convex obstacle.
     contacts: collision detection and the constraint rows of a contact.
     dynamics: constraint solver and time integration.
+    scan_plane: plane of a scan, and how far the lidar sees in it.
     lidar: planar lidar scan.
 
 Frames, used by all modules:

@@ -8,6 +8,10 @@ triangulated ground, and a segment is computed once for all the beams that cross
 Two culling tests save work. The kernel skips blocks of ground and obstacles that the plane passes over or under, and
 those that nearer intersections occlude in all directions.
 
+On a GPU, several threads share the blocks and obstacles of a rover: its lanes. They shorten the same beams, in any
+order. The ranges do not depend on it: the least distance remains, and a lane that knows the ranges of a while ago culls
+less, but never what shortens a beam.
+
 Frames: positions and heights are in the axes of the world frame, relative to the lidar (``ScanPlane.origin``) where
 stated; segments and beam directions are 2D points (ahead, left) in the scan plane, in the axes of the base frame with
 the origin at the lidar. Lengths in m, angles in turns of 2 pi.
@@ -18,94 +22,32 @@ from __future__ import annotations
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.warp.kernels.convex import max_separation_plane
 from rover_rl.sims.warp.kernels.ground import ground_at
+from rover_rl.sims.warp.kernels.scan_plane import (
+    ScanPlane,
+    angle_in_turns,
+    is_occluded,
+    scan_plane,
+    stretch_of,
+    update_visibility,
+)
 from rover_rl.sims.warp.kernels.types import RobotModel, RoverArrays, Scene
 
 BEAM_SLACK = 0.05
 """Tolerance of the angles of a segment's ends, in beam spacings; covers the error of :func:`angle_in_turns`."""
-SECTORS = 32
-"""Sectors of a scan for which the farthest visible range is tracked."""
-SECTOR_SLACK = 0.01
-"""Tolerance of angles in the occlusion test, in sectors."""
 NEAR_DISTANCE = 4.0
 """Distance (m) up to which obstacles are intersected without an occlusion test."""
+TIE = 0.9999997
+"""Factor of the distance of a segment below which several lanes do not compare it with the range of a beam.
+
+Lanes shorten beams in any order, and the least range must result. The comparison without a division rounds: without
+this margin, the order would decide between two ranges that differ in the last bit, as in the maze where walls meet. A
+single lane has a fixed order and needs no margin: in some 1e-5 of the readings in the maze, the last bit differs."""
 RINGS_PER_UPDATE = 4
 """Rings of ground blocks between two updates of the farthest visible ranges."""
 
 
-@wp.struct
-class ScanPlane:
-    """The plane of a scan.
-
-    ``origin`` is the lidar in the world frame; ``ahead``, ``left`` and ``normal`` are the axes of the base frame in the
-    world frame. Relative to the lidar, the plane is ``z = rise_x x + rise_y y``; its point above (x, y) lies
-    ``ahead_from_xy . (x, y)`` ahead of the lidar and ``left_from_xy . (x, y)`` to its left. ``range`` is the maximum
-    range of the lidar.
-    """
-
-    origin: wp.vec3
-    normal: wp.vec3
-    ahead: wp.vec3
-    left: wp.vec3
-    rise_x: float
-    rise_y: float
-    ahead_from_xy: wp.vec2
-    left_from_xy: wp.vec2
-    range: float
-
-
 @wp.func
-def scan_plane(position: wp.vec3, orientation: wp.quat, lidar_position: wp.vec3, max_range: float) -> ScanPlane:
-    """Scan plane of a lidar mounted at ``lidar_position`` in the base frame.
-
-    From ``n . p = 0``: ``rise_x = -n_x / n_z``, ``rise_y = -n_y / n_z``. With the axis a = (a_x, a_y, a_z) of the base
-    frame, ``a . (x, y, rise_x x + rise_y y) = (a_x + a_z rise_x) x + (a_y + a_z rise_y) y``.
-    """
-    plane = ScanPlane()
-    rotation = wp.quat_to_matrix(orientation)
-    plane.origin = position + rotation * lidar_position
-    plane.ahead = wp.vec3(rotation[0, 0], rotation[1, 0], rotation[2, 0])
-    plane.left = wp.vec3(rotation[0, 1], rotation[1, 1], rotation[2, 1])
-    plane.normal = wp.vec3(rotation[0, 2], rotation[1, 2], rotation[2, 2])
-    up = plane.normal[2]
-    # A vertical plane has no slopes: use one that is tilted by a milliradian.
-    up = wp.where(wp.abs(up) < 1.0e-3, wp.where(up < 0.0, -1.0e-3, 1.0e-3), up)
-    plane.rise_x = -plane.normal[0] / up
-    plane.rise_y = -plane.normal[1] / up
-    plane.ahead_from_xy = wp.vec2(
-        plane.ahead[0] + plane.ahead[2] * plane.rise_x, plane.ahead[1] + plane.ahead[2] * plane.rise_y
-    )
-    plane.left_from_xy = wp.vec2(
-        plane.left[0] + plane.left[2] * plane.rise_x, plane.left[1] + plane.left[2] * plane.rise_y
-    )
-    plane.range = max_range
-    return plane
-
-
-@wp.func
-def angle_in_turns(x: float, y: float) -> float:
-    """Angle of (x, y) in turns, from -0.5 to 0.5, with an error below 2e-6.
-
-    Polynomial approximation of arctan on [0, 1] (M. Abramowitz and I. Stegun, "Handbook of Mathematical Functions",
-    4.4.49), extended to all octants by symmetry.
-    """
-    smaller = wp.min(wp.abs(x), wp.abs(y))
-    larger = wp.max(wp.max(wp.abs(x), wp.abs(y)), 1.0e-12)
-    a = smaller / larger
-    s = a * a
-    angle = 0.0208351
-    angle = angle * s - 0.0851330
-    angle = angle * s + 0.1801410
-    angle = angle * s - 0.3302995
-    angle = (angle * s + 0.9998660) * a
-    if wp.abs(y) > wp.abs(x):
-        angle = 1.57079633 - angle
-    if x < 0.0:
-        angle = 3.14159265 - angle
-    return wp.where(y < 0.0, -angle, angle) * 0.15915494
-
-
-@wp.func
-def clip_beams(beams: wp.array[wp.vec2], ranges: wp.array2d[float], row: int, a: wp.vec2, b: wp.vec2):
+def clip_beams(beams: wp.array[wp.vec2], ranges: wp.array2d[float], row: int, plane: ScanPlane, a: wp.vec2, b: wp.vec2):
     """Shortens the beams that cross the segment from ``a`` to ``b``, points (ahead, left) in the scan plane.
 
     A beam of direction d meets the segment's line at the distance ``t = (a x e) / (d x e)`` with ``e = b - a`` and the
@@ -115,6 +57,7 @@ def clip_beams(beams: wp.array[wp.vec2], ranges: wp.array2d[float], row: int, a:
     count = beams.shape[0]
     along = b - a
     offset = a[0] * along[1] - a[1] * along[0]
+    least = wp.abs(offset) * plane.tie
     angle_a = angle_in_turns(a[0], a[1]) * float(count)
     angle_b = angle_in_turns(b[0], b[1]) * float(count)
     low = wp.min(angle_a, angle_b)
@@ -134,11 +77,14 @@ def clip_beams(beams: wp.array[wp.vec2], ranges: wp.array2d[float], row: int, a:
         rate = direction[0] * along[1] - direction[1] * along[0]
         # t > 0, and t < range compared without a division, as most beams end nearer already.
         if offset * rate > 0.0:
-            if wp.abs(offset) < wp.abs(rate) * ranges[row, beam]:
+            if least < wp.abs(rate) * wp.min(ranges[row, beam], plane.range):
                 side_a = direction[0] * a[1] - direction[1] * a[0]
                 side_b = direction[0] * b[1] - direction[1] * b[0]
                 if side_a * side_b <= 1.0e-9:
-                    ranges[row, beam] = offset / rate
+                    if plane.lanes == 1:
+                        ranges[row, beam] = offset / rate
+                    elif offset / rate < plane.range:
+                        wp.atomic_min(ranges, row, beam, offset / rate)
 
 
 @wp.func
@@ -200,6 +146,7 @@ def slice_triangle(
         beams,
         ranges,
         row,
+        plane,
         wp.vec2(wp.dot(plane.ahead_from_xy, p), wp.dot(plane.left_from_xy, p)),
         wp.vec2(wp.dot(plane.ahead_from_xy, q), wp.dot(plane.left_from_xy, q)),
     )
@@ -257,17 +204,19 @@ def slice_block(
         cut = some & ~every & ((1 << (last - first)) - 1)
         i = int(first)
         while cut != 0:
-            if cut & 1 == 1:
-                # Heights of the four corners above the plane.
-                here = plane_height + step * float(i - first)
-                beyond = next_height + step * float(i - first)
-                h00 = scene.heights[j, i] - here
-                h10 = scene.heights[j, i + 1] - (here + step)
-                h01 = scene.heights[j + 1, i] - beyond
-                h11 = scene.heights[j + 1, i + 1] - (beyond + step)
-                x = x_first + float(i - first) * cell
-                slice_triangle(beams, ranges, row, plane, x, y, cell, h00, h10, h01)
-                slice_triangle(beams, ranges, row, plane, x + cell, y + cell, -cell, h11, h01, h10)
+            while cut & 1 == 0:
+                cut = cut >> 1
+                i += 1
+            # Heights of the four corners above the plane.
+            here = plane_height + step * float(i - first)
+            beyond = next_height + step * float(i - first)
+            h00 = scene.heights[j, i] - here
+            h10 = scene.heights[j, i + 1] - (here + step)
+            h01 = scene.heights[j + 1, i] - beyond
+            h11 = scene.heights[j + 1, i + 1] - (beyond + step)
+            x = x_first + float(i - first) * cell
+            slice_triangle(beams, ranges, row, plane, x, y, cell, h00, h10, h01)
+            slice_triangle(beams, ranges, row, plane, x + cell, y + cell, -cell, h11, h01, h10)
             cut = cut >> 1
             i += 1
         bits = next_bits
@@ -276,104 +225,93 @@ def slice_block(
 
 
 @wp.func
-def update_visibility(ranges: wp.array2d[float], row: int, count: int, visible: wp.array[float]) -> float:
-    """Writes the farthest range of each sector of the scan to ``visible`` and returns the farthest of all, m."""
-    farthest = float(0.0)
-    for sector in range(SECTORS):
-        sector_range = float(0.0)
-        # Beams whose directions are in the sector.
-        first = (sector * count + SECTORS - 1) // SECTORS
-        last = ((sector + 1) * count + SECTORS - 1) // SECTORS - 1
-        # Groups of four shorten the chain of dependent maxima.
-        for beam in range(first, last + 1, 4):
-            one = wp.max(ranges[row, beam], ranges[row, wp.min(beam + 1, last)])
-            two = wp.max(ranges[row, wp.min(beam + 2, last)], ranges[row, wp.min(beam + 3, last)])
-            sector_range = wp.max(sector_range, wp.max(one, two))
-        visible[sector] = sector_range
-        farthest = wp.max(farthest, sector_range)
-    return farthest
+def block_in_ring(column: int, line: int, ring: int, k: int) -> wp.vec2i:
+    """Column and row of the k-th of the 8 ``ring`` blocks of a square ring, edge by edge; ring 0 is one block."""
+    edge = k // wp.max(2 * ring, 1)
+    along = k - edge * 2 * ring
+    if edge == 0:
+        return wp.vec2i(column - ring + along, line - ring)
+    if edge == 1:
+        return wp.vec2i(column + ring, line - ring + along)
+    if edge == 2:
+        return wp.vec2i(column + ring - along, line + ring)
+    return wp.vec2i(column - ring, line + ring - along)
 
 
 @wp.func
-def is_occluded(visible: wp.array[float], plane: ScanPlane, x: float, y: float, radius: float, distance: float) -> bool:
-    """Conservative occlusion test of a disk in the scan plane.
+def may_shorten(
+    scene: Scene,
+    visible: wp.array2d[float],
+    row: int,
+    plane: ScanPlane,
+    i: int,
+    j: int,
+    near: bool,
+) -> bool:
+    """Whether the ground of block (i, j) may shorten beams: it meets the scan plane and is not occluded.
 
-    The disk is occluded if every sector that it overlaps sees less far than to it. Its half-width in angle is
-    ``asin(radius / d) <= (radius / d) (pi / 2)``, or ``0.25 radius / d`` turns.
-
-    Args:
-        visible: farthest visible range of each sector, m.
-        plane: scan plane.
-        x: x of the disk's center relative to the lidar, m.
-        y: y of the disk's center relative to the lidar, m.
-        radius: radius of the disk, m.
-        distance: lower bound of the distance of its points to the lidar, m.
+    A block outside of the terrain has no ground. A ``near`` block is not tested for occlusion.
     """
-    ahead = plane.ahead_from_xy[0] * x + plane.ahead_from_xy[1] * y
-    left = plane.left_from_xy[0] * x + plane.left_from_xy[1] * y
-    middle = angle_in_turns(ahead, left) * float(SECTORS)
-    width = radius / wp.sqrt(ahead * ahead + left * left) * 0.25 * float(SECTORS) + SECTOR_SLACK
-    for k in range(int(wp.floor(middle - width)), int(wp.floor(middle + width)) + 1):
-        sector = (k + 2 * SECTORS) % SECTORS
-        if visible[sector] > distance:
-            return False
-    return True
+    if i < 0 or j < 0 or i >= scene.blocks.shape[1] or j >= scene.blocks.shape[0]:
+        return False
+    side = scene.cell * float(scene.block)
+    block = scene.blocks[j, i]
+    x = scene.origin[0] + (float(i) + 0.5) * side - plane.origin[0]
+    y = scene.origin[1] + (float(j) + 0.5) * side - plane.origin[1]
+    # Height of the scan plane at the block's middle. Within the block, the distance to the bounding planes changes by
+    # slack at most.
+    height = plane.origin[2] + plane.rise_x * x + plane.rise_y * y
+    slack = 0.5 * side * (wp.abs(block[0] - plane.rise_x) + wp.abs(block[1] - plane.rise_y))
+    if block[2] > height + slack or block[3] < height - slack:
+        return False
+    if near:
+        return True
+    off_x = wp.max(wp.abs(x) - 0.5 * side, 0.0)
+    off_y = wp.max(wp.abs(y) - 0.5 * side, 0.0)
+    distance = wp.sqrt(off_x * off_x + off_y * off_y)
+    # Half of the block's diagonal, stretched into the scan plane.
+    radius = 0.70710678 * side * stretch_of(plane)
+    return not is_occluded(visible, row, plane, x, y, radius, distance)
 
 
 @wp.func
-def slice_ground(scene: Scene, beams: wp.array[wp.vec2], ranges: wp.array2d[float], row: int, plane: ScanPlane):
-    """Shortens the beams that meet the ground.
+def slice_ground(
+    scene: Scene,
+    beams: wp.array[wp.vec2],
+    ranges: wp.array2d[float],
+    visible: wp.array2d[float],
+    row: int,
+    plane: ScanPlane,
+):
+    """Shortens the beams that meet the ground, in every ``lanes``-th block.
 
     Visits the blocks of ground in square rings around the lidar, from near to far, up to the farthest visible range.
-    Skips blocks whose bounding planes do not meet the scan plane, and blocks that are occluded.
     """
     side = scene.cell * float(scene.block)
-    # A length in the scan plane is at most this times its length seen from above.
-    stretch = 1.0 / wp.max(wp.abs(plane.normal[2]), 1.0e-3)
     column = int(wp.floor((plane.origin[0] - scene.origin[0]) / side))
     line = int(wp.floor((plane.origin[1] - scene.origin[1]) / side))
-    visible = wp.zeros(shape=(SECTORS,), dtype=float)
-    farthest = update_visibility(ranges, row, beams.shape[0], visible)
+    farthest = update_visibility(ranges, visible, row, beams.shape[0], plane)
     ring = int(0)
+    k = int(plane.lane)
     # Blocks of ring k are at least (k - 1) block sides away.
     while float(ring - 1) * side < farthest:
-        # The 8 k blocks of ring k, edge by edge; ring 0 is the block of the lidar.
-        for k in range(wp.max(8 * ring, 1)):
-            edge = k // wp.max(2 * ring, 1)
-            along = k - edge * 2 * ring
-            i = column - ring
-            j = line - ring
-            if edge == 0:
-                i = column - ring + along
-            elif edge == 1:
-                i = column + ring
-                j = line - ring + along
-            elif edge == 2:
-                i = column + ring - along
-                j = line + ring
-            else:
-                j = line + ring - along
-            if i >= 0 and j >= 0 and i < scene.blocks.shape[1] and j < scene.blocks.shape[0]:
-                block = scene.blocks[j, i]
-                x = scene.origin[0] + (float(i) + 0.5) * side - plane.origin[0]
-                y = scene.origin[1] + (float(j) + 0.5) * side - plane.origin[1]
-                # Height of the scan plane at the block's middle. Within the block, the distance to the bounding planes
-                # changes by slack at most.
-                height = plane.origin[2] + plane.rise_x * x + plane.rise_y * y
-                slack = 0.5 * side * (wp.abs(block[0] - plane.rise_x) + wp.abs(block[1] - plane.rise_y))
-                if block[2] <= height + slack and block[3] >= height - slack:
-                    off_x = wp.max(wp.abs(x) - 0.5 * side, 0.0)
-                    off_y = wp.max(wp.abs(y) - 0.5 * side, 0.0)
-                    distance = wp.sqrt(off_x * off_x + off_y * off_y)
-                    occluded = False
-                    if ring > 1:
-                        # Half of the block's diagonal, stretched into the scan plane.
-                        occluded = is_occluded(visible, plane, x, y, 0.70710678 * side * stretch, distance)
-                    if not occluded:
-                        slice_block(scene, beams, ranges, row, plane, j, i)
-        ring += 1
-        if ring % RINGS_PER_UPDATE == 0:
-            farthest = update_visibility(ranges, row, beams.shape[0], visible)
+        # Searches for the next block before it slices that, so that the threads of a GPU slice together.
+        found = wp.vec2i(-1, -1)
+        while found[0] < 0 and float(ring - 1) * side < farthest:
+            around = wp.max(8 * ring, 1)
+            while k < around:
+                block = block_in_ring(column, line, ring, k)
+                k += plane.lanes
+                if may_shorten(scene, visible, row, plane, block[0], block[1], ring < 2):
+                    found = block
+                    break
+            if found[0] < 0:
+                k -= around
+                ring += 1
+                if ring % RINGS_PER_UPDATE == 0:
+                    farthest = update_visibility(ranges, visible, row, beams.shape[0], plane)
+        if found[0] >= 0:
+            slice_block(scene, beams, ranges, row, plane, found[1], found[0])
 
 
 @wp.func
@@ -417,7 +355,7 @@ def slice_face(
         last = corner
         last_height = height
     if found == 2:
-        clip_beams(beams, ranges, row, one, two)
+        clip_beams(beams, ranges, row, plane, one, two)
 
 
 @wp.func
@@ -435,36 +373,22 @@ def slice_obstacle(
             slice_face(scene, beams, ranges, row, plane, first_face + k - start, first_vertex)
 
 
-@wp.kernel
-def scan(scenes: wp.array[Scene], model: RobotModel, rovers: RoverArrays, beams: wp.array[wp.vec2], first: int):
-    """One scan per rover that scans; thread ``t`` scans for rover ``first + t`` from the pose in ``rovers.base_state``.
-
-    Ranges are in m, ``inf`` without a return, and 0 for a lidar inside an obstacle or below the ground. ``beams`` holds
-    the unit directions (ahead, left) of the beams, equally spaced counter-clockwise from straight ahead.
-
-    Order: near obstacles, far obstacles that these do not occlude, then the ground.
-    """
-    row = first + wp.tid()
-    if not rovers.scanned[row]:
-        return
-    scene = scenes[rovers.scene[row]]
-    base = wp.vec3(rovers.base_state[row, 0], rovers.base_state[row, 1], rovers.base_state[row, 2])
-    orientation = wp.quat(
-        rovers.base_state[row, 3], rovers.base_state[row, 4], rovers.base_state[row, 5], rovers.base_state[row, 6]
-    )
-    plane = scan_plane(base, orientation, model.lidar_position, model.lidar_range)
-    count = beams.shape[0]
-    ground = ground_at(scene, plane.origin[0], plane.origin[1])
-    inside = plane.origin[2] < ground[3]
-    for beam in range(count):
-        rovers.ranges[row, beam] = plane.range
-    visible = wp.zeros(shape=(SECTORS,), dtype=float)
-    stretch = 1.0 / wp.max(wp.abs(plane.normal[2]), 1.0e-3)
+@wp.func
+def slice_obstacles(
+    scene: Scene,
+    beams: wp.array[wp.vec2],
+    ranges: wp.array2d[float],
+    visible: wp.array2d[float],
+    row: int,
+    plane: ScanPlane,
+) -> bool:
+    """Shortens the beams that meet every ``lanes``-th obstacle; returns whether the lidar is inside one of these."""
+    inside = bool(False)
     # Two passes: obstacles up to NEAR_DISTANCE, then the others, with an occlusion test against the first pass.
     for far in range(2):
         if far == 1:
-            update_visibility(rovers.ranges, row, count, visible)
-        for obstacle in range(scene.spheres.shape[0]):
+            update_visibility(ranges, visible, row, beams.shape[0], plane)
+        for obstacle in range(plane.lane, scene.spheres.shape[0], plane.lanes):
             sphere = scene.spheres[obstacle]
             offset = wp.vec3(sphere[0], sphere[1], sphere[2]) - plane.origin
             reach = plane.range + sphere[3]
@@ -476,15 +400,69 @@ def scan(scenes: wp.array[Scene], model: RobotModel, rovers: RoverArrays, beams:
                     occluded = False
                     if far == 1:
                         distance = wp.sqrt(square) - sphere[3]
-                        occluded = is_occluded(visible, plane, offset[0], offset[1], sphere[3] * stretch, distance)
+                        radius = sphere[3] * stretch_of(plane)
+                        occluded = is_occluded(visible, row, plane, offset[0], offset[1], radius, distance)
                     elif square < sphere[3] * sphere[3]:
                         if max_separation_plane(scene, obstacle, plane.origin)[3] <= 0.0:
                             inside = True
                     if not occluded:
-                        slice_obstacle(scene, beams, rovers.ranges, row, plane, obstacle)
-    slice_ground(scene, beams, rovers.ranges, row, plane)
-    for beam in range(count):
-        if inside:
-            rovers.ranges[row, beam] = 0.0
-        elif rovers.ranges[row, beam] >= plane.range:
+                        slice_obstacle(scene, beams, ranges, row, plane, obstacle)
+    return inside
+
+
+@wp.func
+def scan_share(
+    scenes: wp.array[Scene],
+    model: RobotModel,
+    rovers: RoverArrays,
+    beams: wp.array[wp.vec2],
+    row: int,
+    lane: int,
+    lanes: int,
+):
+    """Shortens the beams of one rover by the share of the world that belongs to one of its lanes.
+
+    Order: near obstacles, far obstacles that these do not occlude, then the ground.
+    """
+    base = wp.vec3(rovers.base_state[row, 0], rovers.base_state[row, 1], rovers.base_state[row, 2])
+    orientation = wp.quat(
+        rovers.base_state[row, 3], rovers.base_state[row, 4], rovers.base_state[row, 5], rovers.base_state[row, 6]
+    )
+    scene = scenes[rovers.scene[row]]
+    plane = scan_plane(base, orientation, model.lidar_position, model.lidar_range)
+    plane.lane = lane
+    plane.lanes = lanes
+    plane.tie = wp.where(lanes == 1, 1.0, TIE)
+    inside = slice_obstacles(scene, beams, rovers.ranges, rovers.visible, row, plane)
+    slice_ground(scene, beams, rovers.ranges, rovers.visible, row, plane)
+    if inside or plane.origin[2] < ground_at(scene, plane.origin[0], plane.origin[1])[3]:
+        for beam in range(beams.shape[0]):
+            wp.atomic_min(rovers.ranges, row, beam, 0.0)
+
+
+@wp.kernel
+def scan(
+    scenes: wp.array[Scene],
+    model: RobotModel,
+    rovers: RoverArrays,
+    beams: wp.array[wp.vec2],
+    first: int,
+    lanes: int,
+):
+    """One scan per rover that scans, from the pose in ``rovers.base_state``.
+
+    Thread ``(t, lane)`` is one of the ``lanes`` threads that scan for rover ``first + t``. With several, the ranges of
+    rovers that scan must be ``inf`` before the launch, and ``rovers.visible`` the maximum range: no thread may start
+    while another one still resets them.
+
+    Ranges are in m, ``inf`` without a return, and 0 for a lidar inside an obstacle or below the ground. ``beams`` holds
+    the unit directions (ahead, left) of the beams, equally spaced counter-clockwise from straight ahead.
+    """
+    t, lane = wp.tid()
+    row = first + t
+    if not rovers.scanned[row]:
+        return
+    if lanes == 1:
+        for beam in range(beams.shape[0]):
             rovers.ranges[row, beam] = wp.inf
+    scan_share(scenes, model, rovers, beams, row, lane, lanes)

@@ -126,3 +126,5 @@ class RoverArrays:
     base_state: wp.array2d[float]
     ranges: wp.array2d[float]
     contact: wp.array[wp.bool]
+    # Working memory of the scan: bounds of how far each sector sees, [N, SECTORS], m.
+    visible: wp.array2d[float]

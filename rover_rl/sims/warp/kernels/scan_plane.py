@@ -1,0 +1,157 @@
+"""The plane of a lidar scan, and how far the lidar sees in it.
+
+Frames and units are those of :mod:`rover_rl.sims.warp.kernels.lidar`.
+"""
+
+from __future__ import annotations
+
+from rover_rl.sims.native.warp import wp
+
+SECTORS = 32
+"""Sectors of a scan for which the farthest visible range is tracked."""
+SECTOR_SLACK = 0.01
+"""Tolerance of angles in the occlusion test, in sectors."""
+RANGE_SLACK = 1e-3
+"""Margin (m) of visible ranges for rounding errors: culling never changes a range, so that their order is free."""
+
+
+@wp.struct
+class ScanPlane:
+    """The plane of a scan.
+
+    ``origin`` is the lidar in the world frame; ``ahead``, ``left`` and ``normal`` are the axes of the base frame in the
+    world frame. Relative to the lidar, the plane is ``z = rise_x x + rise_y y``; its point above (x, y) lies
+    ``ahead_from_xy . (x, y)`` ahead of the lidar and ``left_from_xy . (x, y)`` to its left. ``range`` is the maximum
+    range of the lidar.
+
+    ``lanes`` is the number of threads that scan for the rover, its lanes, and ``lane`` the number of this one. A beam
+    that ends nearer than ``tie`` times the distance of a segment is not compared with it.
+    """
+
+    origin: wp.vec3
+    normal: wp.vec3
+    ahead: wp.vec3
+    left: wp.vec3
+    rise_x: float
+    rise_y: float
+    ahead_from_xy: wp.vec2
+    left_from_xy: wp.vec2
+    range: float
+    lane: int
+    lanes: int
+    tie: float
+
+
+@wp.func
+def scan_plane(position: wp.vec3, orientation: wp.quat, lidar_position: wp.vec3, max_range: float) -> ScanPlane:
+    """Scan plane of a lidar mounted at ``lidar_position`` in the base frame.
+
+    From ``n . p = 0``: ``rise_x = -n_x / n_z``, ``rise_y = -n_y / n_z``. With the axis a = (a_x, a_y, a_z) of the base
+    frame, ``a . (x, y, rise_x x + rise_y y) = (a_x + a_z rise_x) x + (a_y + a_z rise_y) y``.
+    """
+    plane = ScanPlane()
+    rotation = wp.quat_to_matrix(orientation)
+    plane.origin = position + rotation * lidar_position
+    plane.ahead = wp.vec3(rotation[0, 0], rotation[1, 0], rotation[2, 0])
+    plane.left = wp.vec3(rotation[0, 1], rotation[1, 1], rotation[2, 1])
+    plane.normal = wp.vec3(rotation[0, 2], rotation[1, 2], rotation[2, 2])
+    up = plane.normal[2]
+    # A vertical plane has no slopes: use one that is tilted by a milliradian.
+    up = wp.where(wp.abs(up) < 1.0e-3, wp.where(up < 0.0, -1.0e-3, 1.0e-3), up)
+    plane.rise_x = -plane.normal[0] / up
+    plane.rise_y = -plane.normal[1] / up
+    plane.ahead_from_xy = wp.vec2(
+        plane.ahead[0] + plane.ahead[2] * plane.rise_x, plane.ahead[1] + plane.ahead[2] * plane.rise_y
+    )
+    plane.left_from_xy = wp.vec2(
+        plane.left[0] + plane.left[2] * plane.rise_x, plane.left[1] + plane.left[2] * plane.rise_y
+    )
+    plane.range = max_range
+    return plane
+
+
+@wp.func
+def stretch_of(plane: ScanPlane) -> float:
+    """Factor that bounds a length in the scan plane by its length seen from above."""
+    return 1.0 / wp.max(wp.abs(plane.normal[2]), 1.0e-3)
+
+
+@wp.func
+def angle_in_turns(x: float, y: float) -> float:
+    """Angle of (x, y) in turns, from -0.5 to 0.5, with an error below 2e-6.
+
+    Polynomial approximation of arctan on [0, 1] (M. Abramowitz and I. Stegun, "Handbook of Mathematical Functions",
+    4.4.49), extended to all octants by symmetry.
+    """
+    smaller = wp.min(wp.abs(x), wp.abs(y))
+    larger = wp.max(wp.max(wp.abs(x), wp.abs(y)), 1.0e-12)
+    a = smaller / larger
+    s = a * a
+    angle = 0.0208351
+    angle = angle * s - 0.0851330
+    angle = angle * s + 0.1801410
+    angle = angle * s - 0.3302995
+    angle = (angle * s + 0.9998660) * a
+    if wp.abs(y) > wp.abs(x):
+        angle = 1.57079633 - angle
+    if x < 0.0:
+        angle = 3.14159265 - angle
+    return wp.where(y < 0.0, -angle, angle) * 0.15915494
+
+
+@wp.func
+def update_visibility(
+    ranges: wp.array2d[float], visible: wp.array2d[float], row: int, count: int, plane: ScanPlane
+) -> float:
+    """Bounds how far each sector of the scan sees, and returns the bound of the farthest of all, m.
+
+    A lane updates every ``lanes``-th sector. Bounds may be out of date: ranges only shrink, so that an old bound holds.
+    """
+    for sector in range(plane.lane, SECTORS, plane.lanes):
+        sector_range = float(0.0)
+        # Beams whose directions are in the sector.
+        first = (sector * count + SECTORS - 1) // SECTORS
+        last = ((sector + 1) * count + SECTORS - 1) // SECTORS - 1
+        # Groups of four shorten the chain of dependent maxima.
+        for beam in range(first, last + 1, 4):
+            one = wp.max(ranges[row, beam], ranges[row, wp.min(beam + 1, last)])
+            two = wp.max(ranges[row, wp.min(beam + 2, last)], ranges[row, wp.min(beam + 3, last)])
+            sector_range = wp.max(sector_range, wp.max(one, two))
+        visible[row, sector] = wp.min(sector_range + RANGE_SLACK, plane.range)
+    farthest = float(0.0)
+    for sector in range(SECTORS):
+        farthest = wp.max(farthest, visible[row, sector])
+    return farthest
+
+
+@wp.func
+def is_occluded(
+    visible: wp.array2d[float], row: int, plane: ScanPlane, x: float, y: float, radius: float, distance: float
+) -> bool:
+    """Conservative occlusion test of a disk in the scan plane.
+
+    The disk is occluded if every sector that it overlaps sees less far than to it. Its half-width in angle is
+    ``asin(radius / d) <= (radius / d) (pi / 2)``, or ``0.25 radius / d`` turns.
+
+    Args:
+        visible: bounds of how far each sector of each scan sees, m.
+        row: row of the rover.
+        plane: scan plane.
+        x: x of the disk's center relative to the lidar, m.
+        y: y of the disk's center relative to the lidar, m.
+        radius: radius of the disk, m.
+        distance: lower bound of the distance of its points to the lidar, m.
+    """
+    ahead = plane.ahead_from_xy[0] * x + plane.ahead_from_xy[1] * y
+    left = plane.left_from_xy[0] * x + plane.left_from_xy[1] * y
+    middle = angle_in_turns(ahead, left) * float(SECTORS)
+    share = radius / wp.sqrt(ahead * ahead + left * left)
+    if share >= 1.0:
+        # The lidar is inside of the disk, which overlaps all sectors.
+        return False
+    width = share * 0.25 * float(SECTORS) + SECTOR_SLACK
+    for k in range(int(wp.floor(middle - width)), int(wp.floor(middle + width)) + 1):
+        sector = (k + 2 * SECTORS) % SECTORS
+        if visible[row, sector] > distance:
+            return False
+    return True
