@@ -30,7 +30,7 @@ from rich.console import Group
 from benchmarks.options import Options
 from rover_rl.files import write_json
 
-SECTIONS = ("machine", "speed", "kernels", "training", "processors")
+SECTIONS = ("machine", "speed", "kernels", "training", "tuning", "processors")
 """Sections in the order in which they run: what matters most comes first."""
 
 

@@ -17,6 +17,7 @@ from benchmarks.gpu.timing import timed
 from benchmarks.options import Options
 from rover_rl import make_env
 from rover_rl.sims.native.warp import wp
+from rover_rl.sims.warp import WarpSettings
 
 DRIVEN = 40
 """Number of steps before a measurement: by then the rovers are in motion, and some episodes have ended."""
@@ -65,16 +66,25 @@ class Drive:
         rovers: number of rovers.
         beams: number of lidar beams per rover.
         device: device of the simulation.
+        settings: settings of the simulator.
 
     Attributes:
         env: environment.
         used: memory that the environment takes on the GPU, bytes; ``None`` on the CPU.
     """
 
-    def __init__(self, world: str, rovers: int, beams: int, device: torch.device) -> None:
+    def __init__(
+        self, world: str, rovers: int, beams: int, device: torch.device, settings: WarpSettings | None = None
+    ) -> None:
         before = _used(device)
         self.env = make_env(
-            world_n=world, num_envs=rovers, lidar_beams=beams, backend="warp", seed=0, length=LENGTH, device=str(device)
+            world_n=world,
+            num_envs=rovers,
+            lidar_beams=beams,
+            backend=settings or WarpSettings(),
+            seed=0,
+            length=LENGTH,
+            device=str(device),
         )
         self._actions = [self.env.action_spec.rand() for _ in range(16)]
         self._now, self._steps = self.env.reset(), 0
@@ -98,9 +108,11 @@ class Drive:
 
 
 @contextmanager
-def driving(world: str, rovers: int, beams: int, device: torch.device) -> Iterator[Drive]:
+def driving(
+    world: str, rovers: int, beams: int, device: torch.device, settings: WarpSettings | None = None
+) -> Iterator[Drive]:
     """Opens a :class:`Drive`, and gives its memory back at the end."""
-    drive = Drive(world, rovers, beams, device)
+    drive = Drive(world, rovers, beams, device, settings)
     try:
         yield drive
     finally:

@@ -49,6 +49,8 @@ def test_a_rehearsal_on_the_cpu_measures_everything(options: Options, tmp_path: 
         assert row["step_s"] > 0
     assert all(row["steps_per_s"] > 0 for row in results["training"])
     assert {row["map"] for row in results["training"]} == {True, False}
+    assert {row["lanes"] for row in results["tuning"]} == {1, 2, 4, 8, 16, 32}
+    assert all(row["physics"] > 0 and row["lidar"] > 0 for row in results["tuning"])
     assert results["processors"][0]["gpu_speedup"] > 0
     assert results["machine"]["bytes_per_s"] > 0
     assert (tmp_path / "gpu.png").stat().st_size > 1000
@@ -56,7 +58,7 @@ def test_a_rehearsal_on_the_cpu_measures_everything(options: Options, tmp_path: 
     console.print(gpu.table(results))
     told = console.file.getvalue()  # type: ignore[attr-defined]
     assert "failed" not in told
-    assert all(title in told for title in ("Machine", "Steps/s", "Kernels", "PPO", "CPU of this machine"))
+    assert all(title in told for title in ("Machine", "Steps/s", "Kernels", "PPO", "other settings", "CPU of"))
 
 
 def test_a_section_that_fails_does_not_end_the_others(options: Options, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,8 +16,8 @@ ROUGH = ("inspect", "moon", "maze")
 
 def environment(device: torch.device | str, rovers: int, **settings: Any) -> EnvBase:
     """Makes an environment in Warp, by default in the maze, with episodes of 30 steps."""
-    given = {"world_n": "maze", "seed": 7, "length": 30, **settings}
-    return make_env(backend="warp", num_envs=rovers, device=str(device), **given)
+    given = {"world_n": "maze", "seed": 7, "length": 30, "backend": "warp", **settings}
+    return make_env(num_envs=rovers, device=str(device), **given)
 
 
 def drive(env: EnvBase, steps: int) -> list[TensorDictBase]:

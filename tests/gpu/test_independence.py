@@ -10,7 +10,8 @@ from tensordict import TensorDictBase
 
 from rover_rl import Randomization
 from rover_rl.envs.seen_map.seen_map import SeenMap
-from tests.gpu.driven import drive, environment
+from rover_rl.sims.warp import WarpSettings
+from tests.gpu.driven import ROUGH, drive, environment
 
 STEPS = 70
 SEED = 7
@@ -37,6 +38,16 @@ def test_a_row_does_not_depend_on_the_size_of_the_batch(gpu: torch.device, world
     many = drive(environment(gpu, 300, world_n=world, seed=SEED), STEPS)
     few = drive(environment(gpu, 7, world_n=world, seed=SEED + 40), STEPS)
     assert_same(many, few, slice(40, 47), slice(7))
+
+
+def test_scans_do_not_depend_on_the_number_of_threads(gpu: torch.device) -> None:
+    scans = []
+    for lanes in (2, 8, 32):
+        env = environment(gpu, 192, world_n=ROUGH, backend=WarpSettings(lidar_lanes=lanes))
+        env.reset()
+        scans.append(env.base_env.rover_state.ranges.cpu())
+        env.close()
+    assert all(torch.equal(scan, scans[0]) for scan in scans[1:])
 
 
 def test_a_map_does_not_depend_on_the_size_of_the_batch(gpu: torch.device) -> None:
