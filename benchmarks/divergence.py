@@ -72,10 +72,11 @@ def times(env: RoverEnv, physics: bool, repeats: int) -> Tensor:
         return passed
 
     chosen.fill_(False)
-    # Physics moves the rover: every launch simulates a step that is one later.
-    empty = min(launch(None) for _ in range(100))
-    found = [min(launch(row) for _ in range(repeats)) - empty for row in range(len(chosen))]
-    return torch.tensor(found).clamp_min(1e-9)
+    # Physics moves the rover: every launch simulates a later step. Launches for no rover are in between, so that
+    # other load affects both alike.
+    found = [(min(launch(row) for _ in range(repeats)), launch(None)) for row in range(len(chosen))]
+    works, empty = torch.tensor(found, dtype=torch.float64).T
+    return (works - empty.min()).clamp_min(1e-9)
 
 
 def used(work: Tensor, order: Tensor) -> float:
