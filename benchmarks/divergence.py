@@ -72,7 +72,7 @@ def times(env: RoverEnv, physics: bool, repeats: int) -> Tensor:
         return passed
 
     chosen.fill_(False)
-    # Physics moves the rover: every launch simulates a later step. Launches for no rover lie between the others, so that
+    # Physics moves the rover: every launch simulates a later step. Launches for no rover are in between, so that
     # other load affects both alike.
     found = [(min(launch(row) for _ in range(repeats)), launch(None)) for row in range(len(chosen))]
     works, empty = torch.tensor(found, dtype=torch.float64).T
