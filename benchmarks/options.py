@@ -43,6 +43,8 @@ class Options:
     """Duration of each training in minutes."""
     device: str | None = None
     """Device of the benchmark ``gpu``; ``cpu`` rehearses it. Default: the GPU, if there is one."""
+    gpu_seconds: float = 0.5
+    """Approximate duration of each measurement on the GPU, s."""
     gpu_rovers: tuple[int, ...] = (1024, 4096, 16_384, 65_536, 131_072)
     """Numbers of rovers on the GPU."""
     gpu_beams: tuple[int, ...] = (128, 640)

@@ -1,10 +1,10 @@
 """Speed on a GPU: simulator, environment and training, what bounds each kernel, and the processors beside it.
 
     python -m benchmarks gpu
-    python -m benchmarks gpu --device cpu --gpu-rovers 64 256 --seconds 0.2   # a rehearsal
+    python -m benchmarks gpu --device cpu --gpu-rovers 64 256 --gpu-learners 64 --gpu-seconds 0.1   # a rehearsal
 
-Takes less than eight minutes on an H200. Writes ``gpu.json`` after each section, so that nothing is lost if the machine
-goes away, and ``gpu.png``. A section that fails is reported with its error, and the others go on.
+Meant to take less than eight minutes on an H100 or H200. Writes ``gpu.json`` after each section, so that little is lost
+if the machine goes away, and ``gpu.png``. A section that fails is reported with its error, and the others go on.
 
 - ``machine``: GPU, versions, and measured ceilings: memory bandwidth, float32 arithmetic, and the cost of a launch.
 - ``speed``: steps per second of physics, lidar and whole environment, by number of rovers, beams and worlds, and memory

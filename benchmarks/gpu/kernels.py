@@ -48,7 +48,7 @@ def measure(options: Options, device: torch.device, results: dict[str, Any]) -> 
             "scan": partial(launch, physics=False),
             "add_scans and plan_routes": map_work(drive, device),
         }
-        times = {name: timed(work, device, options.seconds, drive.step).device for name, work in works.items()}
+        times = {name: timed(work, device, options.gpu_seconds, drive.step).device for name, work in works.items()}
     found: dict[str, Any] = {"world": world, "rovers": rovers, "beams": beams, "seconds": times}
     if device.type == "cuda":
         found["resources"] = {name: _resources(kernel, results["machine"]) for name, kernel in KERNELS.items()}

@@ -57,7 +57,7 @@ def _ceilings(options: Options, device: torch.device) -> dict[str, float]:
     """Measures bytes and operations per second, and the time of a launch."""
     source = torch.rand(COPIED_BYTES[device.type] // 4, device=device)
     target = torch.empty_like(source)
-    copy = timed(partial(target.copy_, source), device, options.seconds).device
+    copy = timed(partial(target.copy_, source), device, options.gpu_seconds).device
     moved = 2 * source.numel() * source.element_size()
     side = MATRIX[device.type]
     one, other = torch.rand(2, side, side, device=device)
@@ -65,14 +65,14 @@ def _ceilings(options: Options, device: torch.device) -> dict[str, float]:
     with_tf32 = torch.backends.cuda.matmul.allow_tf32
     torch.backends.cuda.matmul.allow_tf32 = False
     try:
-        product = timed(lambda: one @ other, device, options.seconds).device
+        product = timed(lambda: one @ other, device, options.gpu_seconds).device
     finally:
         torch.backends.cuda.matmul.allow_tf32 = with_tf32
     small = torch.zeros(1, device=device)
     return {
         "bytes_per_s": moved / copy,
         "flops_per_s": 2 * side**3 / product,
-        "launch_s": timed(lambda: small.add_(1), device, options.seconds).wall,
+        "launch_s": timed(lambda: small.add_(1), device, options.gpu_seconds).wall,
     }
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
 from rover_rl.algos.evaluation.plots import BLUE, GREEN, GREY, ORANGE
 from rover_rl.files import written_whole
@@ -18,6 +19,8 @@ _SHARES = {
     "device: update": ORANGE,
     "device: idle": GREY,
 }
+_BELOW: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.15), "ncols": 4}
+"""Place of a legend below its panel."""
 
 
 def draw(results: dict[str, Any], path: Path) -> None:
@@ -53,8 +56,8 @@ def _speed(ax: Axes, rows: list[dict[str, Any]], beams: int) -> None:
         ax.plot(rovers, [row[name] for row in rows], "o-", color=color, label=name)
     ax.set(xscale="log", yscale="log", xlabel="rovers", title=f"steps/s, {beams} beams")
     ax.set_xticks(rovers, [f"{count:,}" for count in rovers])
-    ax.minorticks_off()
-    ax.legend(frameon=False)
+    ax.xaxis.set_minor_locator(NullLocator())
+    ax.legend(frameon=False, **_BELOW)
 
 
 def _training(ax: Axes, rows: list[dict[str, Any]]) -> None:
@@ -66,4 +69,4 @@ def _training(ax: Axes, rows: list[dict[str, Any]]) -> None:
         left = [before + value for before, value in zip(left, values, strict=True)]
     ax.invert_yaxis()
     ax.set(title="PPO: what the device does", xlim=(0, 1), xlabel="share of the wall-clock time")
-    ax.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
+    ax.legend(frameon=False, **_BELOW)

@@ -42,8 +42,8 @@ def _case(options: Options, device: torch.device, world: str, rovers: int, beams
         with driving(world, rovers, beams, device) as drive:
             launch, used = drive.env.base_env.simulator.launch, drive.used
             kernels = {"physics": partial(launch, lidar=False), "lidar": partial(launch, physics=False)}
-            times = {name: timed(work, device, options.seconds, drive.step) for name, work in kernels.items()}
-            step = timed(drive.step, device, options.seconds)
+            times = {name: timed(work, device, options.gpu_seconds, drive.step) for name, work in kernels.items()}
+            step = timed(drive.step, device, options.gpu_seconds)
     except (MemoryError, RuntimeError) as error:
         # The largest numbers need not fit into every GPU.
         return {**case, "error": str(error).splitlines()[0]}

@@ -31,7 +31,7 @@ def options(tmp_path: Path) -> Options:
         gpu_worlds=("maze", "maze:0-3"),
         gpu_learners=(4,),
         warp_envs=8,
-        seconds=0.01,
+        gpu_seconds=0.01,
         out=tmp_path,
     )
 
