@@ -122,7 +122,8 @@ def test_a_robot_with_unusable_scans_is_not_driven(wire, start, fault):
     with pytest.raises(RobotLostError, match=r"/scan \(scan\): its messages cannot be used"):
         drive_to(env, straight(1.0), (6.0, 0.0))
     assert set(map(repr, wire.sent.get("/cmd_vel", []))) <= {repr(Twist())}
-    assert max(robot.driven) < 0.01
+    # It may be given up before its first step.
+    assert max(robot.driven, default=0.0) < 0.01
 
 
 def test_a_lidar_with_a_narrower_view_than_the_policys_is_rejected(wire, start):
@@ -130,7 +131,7 @@ def test_a_lidar_with_a_narrower_view_than_the_policys_is_rejected(wire, start):
     env = start(robot)
     with pytest.raises(ValueError, match=r"the scan covers 18\d degrees, and the policy was trained with 360"):
         drive_to(env, straight(1.0), (6.0, 0.0))
-    assert max(robot.driven) < 0.01
+    assert max(robot.driven, default=0.0) < 0.01
 
 
 def test_a_rover_with_a_forward_lidar_does_not_back_up(wire, start):
