@@ -48,6 +48,16 @@ ENTRY = re.compile(
 )
 
 
+def resident_threads(registers: int) -> int:
+    """Returns how many threads of a kernel fit on a multiprocessor of compute capability 9.0, in blocks of one warp.
+
+    Args:
+        registers: registers of a thread.
+    """
+    per_warp = -(-registers * 32 // 256) * 256
+    return 32 * PARTITIONS * min(REGISTERS // per_warp, WARPS)
+
+
 class Resources(NamedTuple):
     """What a kernel needs: bytes of stack frame and of spilled registers, and registers, all per thread."""
 
@@ -59,8 +69,7 @@ class Resources(NamedTuple):
     @property
     def resident(self) -> int:
         """Threads on a multiprocessor, in blocks of one warp."""
-        per_warp = -(-self.registers * 32 // 256) * 256
-        return 32 * PARTITIONS * min(REGISTERS // per_warp, WARPS)
+        return resident_threads(self.registers)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ is: lanes of a warp that wait for others (divergence), too few warps on a multip
 from __future__ import annotations
 
 import shutil
+import subprocess
 from functools import partial
 from typing import Any
 
@@ -19,6 +20,7 @@ from benchmarks.gpu.counters import count
 from benchmarks.gpu.profiled import map_work
 from benchmarks.gpu.speed import driving
 from benchmarks.gpu.timing import timed
+from benchmarks.kernel_resources import resident_threads
 from benchmarks.options import Options
 from rover_rl.envs.seen_map.route_kernels import plan_routes
 from rover_rl.envs.seen_map.scan_kernels import add_scans
@@ -31,10 +33,6 @@ KERNELS = {kernel.key: kernel for kernel in (step_dynamics, scan, place, add_sca
 """Kernels of a step, of a reset and of the map, by their names."""
 ROVERS = 65_536
 """Number of rovers, at most."""
-WARP_THREADS = 32
-"""Threads of a warp, which share an instruction."""
-REGISTER_UNIT = 256
-"""Registers are given to a warp in multiples of this number (CUDA Programming Guide, compute capabilities)."""
 
 
 def measure(options: Options, device: torch.device, results: dict[str, Any]) -> dict[str, Any]:
@@ -51,34 +49,39 @@ def measure(options: Options, device: torch.device, results: dict[str, Any]) -> 
         times = {name: timed(work, device, options.gpu_seconds, drive.step).device for name, work in works.items()}
     found: dict[str, Any] = {"world": world, "rovers": rovers, "beams": beams, "seconds": times}
     if device.type == "cuda":
-        found["resources"] = {name: _resources(kernel, results["machine"]) for name, kernel in KERNELS.items()}
-        found["counters"] = _limits(count(world, rovers, beams), results["machine"]) if shutil.which("ncu") else None
+        found["resources"] = {name: _resources(kernel) for name, kernel in KERNELS.items()}
+        if shutil.which("ncu"):
+            found |= counted(world, rovers, beams, results["machine"])
     return found
 
 
-def _resources(kernel: wp.Kernel, machine: dict[str, Any]) -> dict[str, Any]:
-    """Registers and local memory of a thread, and how many threads fit on a multiprocessor."""
-    found: dict[str, Any] = wp.get_cuda_kernel_properties(kernel, block_dim=GPU_BLOCK_SIZE)
-    return found | {"resident_threads": resident_threads(found["register_count"], machine)}
-
-
-def resident_threads(registers: int, machine: dict[str, Any]) -> int:
-    """Returns how many threads of a kernel fit on a multiprocessor, by their registers.
+def counted(world: str, rovers: int, beams: int, machine: dict[str, Any]) -> dict[str, Any]:
+    """Returns ``counters``, or ``counters_error`` if Nsight Compute fails: the times measured before remain.
 
     Args:
-        registers: registers of a thread.
-        machine: ``registers`` and ``threads`` of a multiprocessor.
+        world: name of the world.
+        rovers: number of rovers.
+        beams: number of lidar beams per rover.
+        machine: measured ceilings, ``flops_per_s`` and ``bytes_per_s``.
     """
-    each = -(-registers * WARP_THREADS // REGISTER_UNIT) * REGISTER_UNIT
-    return min(machine["registers"] // each * WARP_THREADS, machine["threads"])
+    try:
+        return {"counters": _limits(count(world, rovers, beams), machine)}
+    except (RuntimeError, ValueError, KeyError, subprocess.TimeoutExpired) as error:
+        return {"counters_error": f"{type(error).__name__}: {error}"}
 
 
-def _limits(counted: list[dict[str, Any]], machine: dict[str, Any]) -> list[dict[str, Any]]:
+def _resources(kernel: wp.Kernel) -> dict[str, Any]:
+    """Registers and local memory of a thread, and how many threads fit on a multiprocessor."""
+    found: dict[str, Any] = wp.get_cuda_kernel_properties(kernel, block_dim=GPU_BLOCK_SIZE)
+    return found | {"resident_threads": resident_threads(found["register_count"])}
+
+
+def _limits(rows: list[dict[str, Any]], machine: dict[str, Any]) -> list[dict[str, Any]]:
     """Adds the shares of the time that arithmetic and device memory need at the measured ceilings."""
-    for row in counted:
+    for row in rows:
         row["arithmetic_share"] = row["flops"] / machine["flops_per_s"] / row["seconds"]
         row["memory_share"] = row["dram_bytes"] / machine["bytes_per_s"] / row["seconds"]
-    return counted
+    return rows
 
 
 def table(found: dict[str, Any]) -> Group:
@@ -87,7 +90,7 @@ def table(found: dict[str, Any]) -> Group:
     times = Table("kernels", "ms", "rovers/s", title=f"Kernels: {case}")
     for name, seconds in found["seconds"].items():
         times.add_row(name, f"{1000 * seconds:.3f}", f"{found['rovers'] / seconds:,.0f}")
-    parts = [times]
+    parts: list[Table | str] = [times]
     if found.get("resources"):
         columns = "kernel", "registers", "local memory, bytes", "threads on a multiprocessor"
         resources = Table(*columns, title="Resources of a thread")
@@ -95,8 +98,10 @@ def table(found: dict[str, Any]) -> Group:
             numbers = row["register_count"], row["local_memory_size"], row["resident_threads"]
             resources.add_row(name, *map(str, numbers))
         parts.append(resources)
-    if found.get("counters"):
+    if "counters" in found:
         parts.append(_counters_table(found["counters"]))
+    if "counters_error" in found:
+        parts.append(f"No counters. {found['counters_error']}")
     return Group(*parts)
 
 

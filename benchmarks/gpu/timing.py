@@ -21,7 +21,7 @@ class Timing:
 
     Attributes:
         wall: mean time from one call to the next, with the device kept busy.
-        device: median time between two events on the device, before and after a call. Without a GPU that of ``host``.
+        device: median time between two events on the device, before and after a call. Without a GPU, that of ``host``.
         host: median time until a call returns. If it is near ``wall``, the host does not keep up with the device.
     """
 

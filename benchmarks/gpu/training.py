@@ -16,6 +16,7 @@ from tensordict import TensorDictBase
 from torch.autograd import DeviceType
 from torch.profiler import ProfilerActivity, profile
 
+from benchmarks.gpu.kernels import KERNELS
 from benchmarks.options import Options
 from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, training_config, with_settings
 from rover_rl.algos.train.ppo import PPOLearner
@@ -23,8 +24,8 @@ from rover_rl.algos.train.run import TrainingRun, prepare
 
 BATCHES = 3
 """Number of batches before the measurement, and of measured ones."""
-SIMULATION = ("step_dynamics", "scan", "place", "add_scans", "plan_routes")
-"""Beginnings of the names of the package's kernels."""
+SIMULATION = tuple(KERNELS)
+"""Beginnings of the names of the package's kernels, as a profiler shows them."""
 MINIBATCHES = 4
 """Number of minibatches that a batch is divided into."""
 LEAST_MINIBATCH = 2048

@@ -19,7 +19,7 @@ BLOCK_SIZES = (32, 64, 128, 256)
 LANES = (1, 2, 4, 8, 16, 32)
 """Threads that scan for one rover."""
 FEW = 8
-"""The smaller number of rovers is this fraction of the larger one."""
+"""The larger number of rovers is this many times the smaller one."""
 
 
 def measure(options: Options, device: torch.device, _: dict[str, Any]) -> list[dict[str, Any]]:
