@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 
-from rover_rl.algos.config import PPOConfig, SACConfig, training_config
+from rover_rl.algos.config import PPOConfig, SACConfig, training_config, with_settings
 from rover_rl.algos.config_files import read_config
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import make_actor
@@ -44,9 +44,9 @@ def test_help_shows_units_and_defaults(capsys: pytest.CaptureFixture[str]) -> No
 def test_unknown_worlds_are_refused_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     message = failed(capsys, "train", "--world", "mars", "--runs", tmp_path)
     assert message.startswith(f"rover-rl: unknown world 'mars'; use one of {sorted(WORLDS)}")
-    # The worlds of the demo.
+    # The kinds of worlds of the demo.
     message = failed(capsys, "demo", "--world", "mars", "--runs", tmp_path)
-    assert message.startswith("rover-rl: unknown world 'mars'; use one of ['inspect', 'maze', 'moon']")
+    assert message == "rover-rl: --world takes {maze,rooms,forest}, got mars; see rover-rl demo --help\n"
 
 
 def test_checkpoints_that_are_none_are_refused_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -124,7 +124,7 @@ def test_a_malformed_command_line_is_refused_in_one_line(
         ("train --path-reward nan", "path_reward must be at least 0 and at most 1e+30, got nan"),
         ("train --world nowhere", f"unknown world 'nowhere'; use one of {sorted(WORLDS)}, 'name:seed'"),
         ("demo --minutes -1", "max_minutes must be positive and at most 1e+30, got -1.0"),
-        ("demo --count 0", "count must be at least 1 and at most 1e+12, got 0"),
+        ("demo --count 0", "count must be at least 1 and at most 1000, got 0"),
         ("demo --seconds 0", "seconds must be at least 0.05 and at most 1e+06, got 0.0"),
         ("evaluate scripted --world maze --endless --action-repeat 0", "action_repeat must be at least 1"),
     ],
@@ -387,11 +387,16 @@ def test_play_films_a_trained_policy_in_its_world_and_folder(
 
 
 @pytest.mark.slow
-def test_the_demo_trains_in_warp_and_shows_the_policy_beside_others_in_bullet(
+def test_the_demo_trains_in_warp_and_shows_the_policy_beside_planner_and_script_in_unseen_worlds_in_bullet(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rover_rl.cli.demo.FILMED", 0.2)
-    monkeypatch.setattr("rover_rl.cli.demo.SETTINGS", {"num_envs": 4, "minibatch": 32})
+    make_config = Demo._config
+    monkeypatch.setattr(
+        Demo,
+        "_config",
+        lambda demo, base: with_settings(make_config(demo, base), num_envs=4, workers=1, minibatch=32),
+    )
     filmed: list[Any] = []
 
     def recorded(policy: Any, *args: Any, **options: Any) -> Any:
@@ -399,16 +404,17 @@ def test_the_demo_trains_in_warp_and_shows_the_policy_beside_others_in_bullet(
         return film(policy, *args, **options)
 
     monkeypatch.setattr("rover_rl.algos.video.film.film", recorded)
-    short = ["--world", "inspect", "--minutes", "1e-6", "--count", "2", "--seconds", "0.5", "--runs", str(tmp_path)]
+    short = ["--minutes", "1e-6", "--count", "2", "--seconds", "0.5", "--runs", str(tmp_path)]
     assert main(["demo", *short]) == 0
-    folder = tmp_path / "ppo-inspect"
-    assert read_config(folder / "config.yaml").env.backend == "warp"
+    folder = tmp_path / "demo-maze"
+    env = read_config(folder / "config.yaml").env
+    assert (env.backend, env.world) == ("warp", "maze:0-299@0.2-0.9")
     rows = json.loads((folder / "evaluation.json").read_text())
-    assert [row["policy"] for row in rows] == ["trained", "pretrained", "scripted", "random"]
-    assert {row["env"]["backend"] for row in rows} == {"bullet"}
+    assert [row["policy"] for row in rows] == ["trained", "gridplanner", "scripted"]
+    assert {(row["env"]["backend"], row["world"]) for row in rows} == {("bullet", "maze:10000-10001")}
     starts = [[episode["shortest"] for episode in row["episodes"]] for row in rows]
     assert len(starts[0]) == 2
-    assert starts == [starts[0]] * 4
+    assert starts == [starts[0]] * 3
     (policy,) = filmed
     trained = Checkpoint.load(folder).make_actor().state_dict()
     assert all(torch.equal(value, trained[name]) for name, value in policy.state_dict().items())
@@ -419,23 +425,12 @@ def test_the_demo_trains_in_warp_and_shows_the_policy_beside_others_in_bullet(
         assert (folder / picture).stat().st_size > 1000
     # There is no terminal, so that each phase is told by lines, without a bar.
     lines = told.splitlines()
-    assert lines[0] == "Training PPO in inspect for 1e-06 minutes, after some preparation"
+    assert lines[0] == "Training PPO in generated worlds (maze) for 1e-06 minutes"
     assert any(line.startswith("training 100% after") for line in lines)
-    assert "Driving 4 policies from the same 2 starts in Bullet" in lines
+    assert "Driving 3 policies from the same starts in 2 unseen worlds" in lines
     assert lines[-1] == f"To watch more of it: rover-rl play {folder}"
     assert "\x1b" not in told
     assert "━━━━━━━━━━" not in told
-
-
-def test_the_demo_trains_in_a_maze_with_settings_of_its_own() -> None:
-    base = load_pretrained("moon-ppo").config
-    moon, maze = (Demo(world=world)._config(base) for world in ("moon", "maze:3"))
-    for config in (moon, maze):
-        config.check()
-        assert config.env.backend == "warp"
-    assert (moon.collection.path_reward, moon.network.north_up, moon.env.action.min_speed) == (0.0, False, -1.0)
-    assert (maze.collection.path_reward, maze.network.north_up, maze.env.action.min_speed) == (10.0, True, 0.0)
-    assert maze.env.world == "maze:3"
 
 
 def test_robot_and_drive_take_the_description_of_an_environment(
