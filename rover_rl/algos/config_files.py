@@ -133,7 +133,12 @@ def experiments(configs: Sequence[TrainingConfig]) -> list[str]:
     return names
 
 
-_OF_A_RUN = ("seed", "name", "runs", "backend", "device", "collector", "workers", "checkpoint_minutes", "snapshots")
+SEED_SUFFIX = "-seed"
+"""Text between the name of an experiment and the seed in the name of a run's folder."""
+_OF_A_RUN = (
+    *("seed", "name", "runs", "backend", "device", "collector", "workers"),
+    *("checkpoint_minutes", "snapshots", "logger"),
+)
 """Settings that do not change what is learned."""
 
 
