@@ -142,6 +142,16 @@ _OF_A_RUN = (
 """Settings that do not change what is learned."""
 
 
+def differing_settings(one: TrainingConfig, other: TrainingConfig) -> list[str]:
+    """Names of the settings that differ among those that change what is learned, and the seed."""
+    if one.algo != other.algo:
+        return ["algo"]
+    flat, others = (
+        {name: value for part in PARTS for name, value in plain(config)[part].items()} for config in (one, other)
+    )
+    return [name for name in flat if flat[name] != others[name] and (name == "seed" or name not in _OF_A_RUN)]
+
+
 def _flat(config: TrainingConfig) -> dict[str, Any]:
     """Settings that change what is learned, by their names alone."""
     parts = [(name, value) for part in PARTS for name, value in vars(getattr(config, part)).items()]

@@ -6,7 +6,6 @@ The algorithms are in :mod:`rover_rl.algos.train.ppo` and :mod:`rover_rl.algos.t
 
 from __future__ import annotations
 
-import re
 import secrets
 import signal
 import threading
@@ -29,7 +28,7 @@ from rover_rl.algos.train.collectors import WorkerError, collect
 from rover_rl.algos.train.curriculum import CurriculumRecord
 from rover_rl.algos.train.progress import BatchStatistics, ProgressLog, Stopwatch
 from rover_rl.algos.train.ray_cluster import connect
-from rover_rl.algos.train.run_folder import STATE, load_state, new_run_folder, save_run
+from rover_rl.algos.train.run_folder import STATE, default_name, load_state, new_run_folder, save_run
 from rover_rl.algos.train.trackers import Trackers, check_trackers
 from rover_rl.envs.devices import available_device
 from rover_rl.envs.rewards import reward_components
@@ -120,9 +119,7 @@ class TrainingRun:
         self._stopping = False
         self._curriculum = None if config.collection.curriculum == "none" else CurriculumRecord(config)
         if folder is None:
-            default = "-".join((config.algo, *config.env.world_names)).replace("*", "all")
-            default = re.sub(r"[:/\\]+", "-", default)
-            self.folder = new_run_folder(config.run.runs, config.run.name, default)
+            self.folder = new_run_folder(config.run.runs, config.run.name, default_name(config))
         else:
             self.folder = folder
             self._resume()
