@@ -27,8 +27,9 @@ from rover_rl.algos.config_files import run_config
 from rover_rl.algos.evaluation.cores import over_cores
 from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes, stored_episodes
 from rover_rl.algos.evaluation.evaluate import EndlessEvaluation, Evaluation, evaluate, evaluate_endless
-from rover_rl.algos.evaluation.plots import draw_learning_curve, draw_paths
+from rover_rl.algos.evaluation.plots import draw_paths
 from rover_rl.algos.evaluation.report import write_evaluation
+from rover_rl.algos.experiments.curves import draw_learning_curve
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.pretrained import load_pretrained, pretrained_names
 from rover_rl.algos.train import train

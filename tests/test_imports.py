@@ -36,7 +36,7 @@ LAYERS = (
     ("algos.policy", "algos.pretrained"),
     ("algos.train",),
     ("algos.evaluation",),
-    ("algos.benchmarks", "algos.deploy", "algos.video"),
+    ("algos.benchmarks", "algos.deploy", "algos.experiments", "algos.video"),
     ("algos.__init__",),
     ("cli",),
     ("__init__",),

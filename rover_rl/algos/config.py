@@ -27,6 +27,8 @@ PriorKind: TypeAlias = Literal["none", "route"]
 """Kinds of drivers that a policy starts from."""
 ExpertKind: TypeAlias = Literal["map", "route"]
 """Kinds of experts to imitate."""
+TrackerName: TypeAlias = Literal["csv", "tensorboard", "wandb", "trackio", "mlflow"]
+"""Experiment trackers that training can send its progress to."""
 UNLIMITED_STEPS = 10**9
 """Effectively unlimited step budget: the time limit ends the training."""
 _SEEDS_OF_A_RUN = 2**32
@@ -236,6 +238,8 @@ class RunConfig:
     """Minutes between two checkpoints, from which --resume continues."""
     snapshots: int = 20
     """Number of policies kept along the way, evenly spaced, to see later how fast it learned."""
+    logger: tuple[TrackerName, ...] = ()
+    """Trackers that get what progress.csv gets: csv, tensorboard, wandb, trackio, mlflow (extras of these names)."""
 
     def check(self) -> None:
         """Checks the settings.
@@ -248,6 +252,8 @@ class RunConfig:
         check_at_least(0, MAX_COUNT, snapshots=self.snapshots)
         if self.max_minutes is not None:
             _check_positive(self, "max_minutes")
+        if isinstance(self.logger, str) or not {*self.logger} <= {*(names := get_args(TrackerName))}:
+            raise ValueError(f"logger must be a tuple of some of {names}, got {self.logger!r}")
 
 
 @dataclass(frozen=True)

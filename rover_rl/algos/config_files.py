@@ -133,8 +133,23 @@ def experiments(configs: Sequence[TrainingConfig]) -> list[str]:
     return names
 
 
-_OF_A_RUN = ("seed", "name", "runs", "backend", "device", "collector", "workers", "checkpoint_minutes", "snapshots")
+SEED_SUFFIX = "-seed"
+"""Text between the name of an experiment and the seed in the name of a run's folder."""
+_OF_A_RUN = (
+    *("seed", "name", "runs", "backend", "device", "collector", "workers"),
+    *("checkpoint_minutes", "snapshots", "logger"),
+)
 """Settings that do not change what is learned."""
+
+
+def differing_settings(one: TrainingConfig, other: TrainingConfig) -> list[str]:
+    """Names of the settings that differ among those that change what is learned, and the seed."""
+    if one.algo != other.algo:
+        return ["algo"]
+    flat, others = (
+        {name: value for part in PARTS for name, value in plain(config)[part].items()} for config in (one, other)
+    )
+    return [name for name in flat if flat[name] != others[name] and (name == "seed" or name not in _OF_A_RUN)]
 
 
 def _flat(config: TrainingConfig) -> dict[str, Any]:

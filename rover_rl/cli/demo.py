@@ -115,8 +115,9 @@ class Demo:
 
     def _show(self, folder: Path, trained: Policy, evaluations: list[Evaluation]) -> None:
         """Prints the results, and draws the learning curve, the paths and a film of the trained policy."""
-        from rover_rl.algos.evaluation.plots import draw_learning_curve, draw_paths
+        from rover_rl.algos.evaluation.plots import draw_paths
         from rover_rl.algos.evaluation.report import print_table, write_evaluation
+        from rover_rl.algos.experiments.curves import draw_learning_curve
         from rover_rl.algos.video.film import film
 
         pictures = {

@@ -7,6 +7,7 @@ import re
 import sys
 
 from rover_rl.cli.benchmark import Benchmark
+from rover_rl.cli.compare import Compare
 from rover_rl.cli.demo import Demo
 from rover_rl.cli.drive import Drive
 from rover_rl.cli.evaluate import Evaluate
@@ -15,12 +16,10 @@ from rover_rl.cli.film import Film
 from rover_rl.cli.options import read_command
 from rover_rl.cli.play import Play
 from rover_rl.cli.robot import RobotCommand
-from rover_rl.cli.train import INTERRUPTED, train_defaults
+from rover_rl.cli.train import FAILED, INTERRUPTED, train_defaults
 from rover_rl.cli.worlds import Worlds
 from rover_rl.files import STANDARD_OUTPUT, errors_name
 
-FAILED = 2
-"""Exit code after an error, such as an invalid option or a missing file."""
 BROKEN_PIPE = 141
 """Exit code when the reader of the output has closed the pipe: 128 + SIGPIPE, as in a shell."""
 
@@ -29,6 +28,7 @@ _OUT_OF_MEMORY = re.compile("allocate memory|out of memory|Failed to allocate")
 
 COMMANDS = {
     "evaluate": Evaluate,
+    "compare": Compare,
     "benchmark": Benchmark,
     "play": Play,
     "film": Film,

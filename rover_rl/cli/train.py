@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -23,7 +24,7 @@ from rover_rl.algos.config import (
     default_config,
     with_settings,
 )
-from rover_rl.algos.config_files import read_config, run_config
+from rover_rl.algos.config_files import SEED_SUFFIX, read_config, run_config
 from rover_rl.cli.policies import PRETRAINED
 from rover_rl.envs.config import EnvConfig, Randomization
 from rover_rl.sims.backends import name_of
@@ -31,6 +32,8 @@ from rover_rl.sims.backends import name_of
 if TYPE_CHECKING:
     from rover_rl.algos.train.run import TrainingSummary
 
+FAILED = 2
+"""Exit code after an error, such as an invalid option or a missing file."""
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 
@@ -53,6 +56,9 @@ class Train:
     """YAML file of settings, such as a run's config.yaml, or pretrained:NAME. Other options override its settings."""
     resume: Path | None = None
     """Folder of a run to continue with its settings. Other options override them."""
+    seeds: tuple[int, ...] = ()
+    """Train once for each seed, one run after another, in folders NAME-seed0 and so on, for rover-rl compare.
+    The same command continues runs that were interrupted."""
     randomize: bool = False
     """Randomize dynamics and sensors by typical ranges (docs/warp.md). --randomization options override them."""
     env: _EnvPart = field(default_factory=EnvConfig)
@@ -72,18 +78,60 @@ class Train:
         return TrainingConfig(env, self.network, self.collection, self.algorithm, self.run)
 
     def __call__(self) -> int:
-        """Trains a policy, plots its learning curve and prints a summary."""
+        """Trains a policy for each seed, plots its learning curve and prints a summary."""
         config = self.config
         # Checks the settings before importing PyTorch, which takes seconds.
         config.check()
-        from rover_rl.algos.evaluation.plots import draw_learning_curve
-        from rover_rl.algos.train import train
+        if not self.seeds:
+            return train_one(config, self.resume, "To evaluate it: rover-rl evaluate {}")
+        if self.resume is not None:
+            raise ValueError("--resume continues one run; several --seeds are continued by the command that began them")
+        return self._train_seeds(config)
 
-        summary = train(config, self.resume)
-        print(format_summary(summary), flush=True)
-        draw_learning_curve([summary.folder], summary.folder / "learning_curve.png")
-        print(f"To evaluate it: rover-rl evaluate {summary.checkpoint}")
-        return INTERRUPTED if summary.interrupted else 0
+    def _train_seeds(self, config: TrainingConfig) -> int:
+        """Trains a policy for each seed. A run that diverges does not keep the others from being trained."""
+        from rover_rl.algos.experiments.seeds import seed_runs
+
+        runs = seed_runs(config, self.seeds)
+        failed = 0
+        for number, (run, folder) in enumerate(runs, 1):
+            print(f"Run {number} of {len(runs)}, seed {run.seed}:", flush=True)
+            try:
+                code = train_one(run, folder)
+            except FloatingPointError as error:
+                print(f"rover-rl: {error}", file=sys.stderr)
+                code, failed = 0, FAILED
+            if code:
+                print(f"Run {number} of {len(runs)} was interrupted. The same command continues it and those after it.")
+                return code
+        names = [str(Path(run.run.runs, run.run.name or "")) for run, _ in runs]
+        print(f"To evaluate them: rover-rl evaluate {' '.join(names)}")
+        print(
+            f"To compare them with others: rover-rl compare {names[0].removesuffix(f'{SEED_SUFFIX}{runs[0][0].seed}')}"
+        )
+        return failed
+
+
+def train_one(config: TrainingConfig, folder: Path | None, advice: str | None = None) -> int:
+    """Trains a policy, or continues the run in ``folder``, draws its learning curve and prints a summary.
+
+    Args:
+        config: settings of the run.
+        folder: folder of a run to continue; ``None`` starts a new run.
+        advice: text to print at the end, with ``{}`` for the path of the checkpoint.
+
+    Returns:
+        The exit code.
+    """
+    from rover_rl.algos.experiments.curves import draw_learning_curve
+    from rover_rl.algos.train import train
+
+    summary = train(config, folder)
+    print(format_summary(summary), flush=True)
+    draw_learning_curve([summary.folder], summary.folder / "learning_curve.png")
+    if advice:
+        print(advice.format(summary.checkpoint))
+    return INTERRUPTED if summary.interrupted else 0
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass
-from itertools import cycle
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,16 +20,12 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
-from matplotlib.ticker import EngFormatter, PercentFormatter
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from rover_rl.algos.config import TrainingConfig
-from rover_rl.algos.config_files import experiments, run_config
 from rover_rl.algos.evaluation.evaluate import ENDINGS, Evaluation
 from rover_rl.algos.evaluation.metrics import CONTACT, TIME_LIMIT, Trajectory
 from rover_rl.algos.evaluation.results import worst_worlds
-from rover_rl.algos.train.progress import EPISODE_STEPS, read_progress
 from rover_rl.envs import StepEvent
 from rover_rl.files import written_whole
 from rover_rl.sims.timing import CONTROL_DT
@@ -42,194 +36,12 @@ from rover_rl.sims.worlds.world import Area
 BLUE, ORANGE, GREEN, PURPLE, RED, SKY = "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9"
 GREY, GRID = "#6b7280", "#e5e7eb"
 
-Against: TypeAlias = Literal["steps", "minutes"]
-"""Quantity on the x axis of a learning curve."""
-_AXES = {"steps": "environment steps of all rovers", "minutes": "training time (min)"}
-_POINTS = 240
-"""Number of points of a learning curve."""
-_WINDOW = 1 / 12
-"""Width of the averaging window, as a fraction of the run."""
-_NARROW = 1 / 100
-"""Width of the averaging window of the faint line, as a fraction of the run."""
-_PALETTES = {"ppo": (BLUE, SKY, GREEN), "sac": (RED, ORANGE, PURPLE)}
-"""Colors of each algorithm's curves, one for each of its settings in turn."""
 
-
-def draw_learning_curve(
-    runs: Sequence[Path], path: Path, baseline: Evaluation | None = None, *, against: Against = "steps"
-) -> None:
-    """Draws success rate and goals against training steps or training time, with a row of panels for each world.
-
-    Each point is a ratio of sums over a window of a twelfth of the run, so that it does not depend on the number of
-    rows in ``progress.csv``. Runs that differ in their seed only are drawn as one curve: their mean, and the range from
-    their minimum to their maximum, up to the end of the shortest run. A single run also has a faint line with a
-    narrower window.
-
-    Args:
-        runs: folders of the runs, each with ``config.yaml`` and ``progress.csv``.
-        path: path of the figure; its suffix selects the format.
-        baseline: evaluation of a policy whose values are drawn as dashed lines in the panels of its world.
-        against: quantity on the x axis.
-
-    Raises:
-        FileNotFoundError: if a folder holds no run.
-        ValueError: if there are no runs, or if a run has no rows yet.
-    """
-    if not runs:
-        raise ValueError("name at least one run to draw")
-    groups = _group_runs([_Run.read(Path(folder)) for folder in runs], against)
-    worlds = list(dict.fromkeys(group.world for group in groups))
-    figure = Figure(figsize=(10, 0.6 + 3.7 * len(worlds)), layout="constrained")
-    for world, panels in zip(worlds, figure.subplots(len(worlds), 2, squeeze=False), strict=True):
-        here = [group for group in groups if group.world == world]
-        for ax, measure in zip(panels, ("success", "goals"), strict=True):
-            for group in here:
-                group.draw(ax, measure)
-        if baseline is not None and baseline.episodes.name == world:
-            _draw_baseline(panels, baseline)
-        _finish_curves(panels, max(group.end for group in here), against)
-        panels[0].set_title(world, loc="left", fontweight="bold")
-    handles = _curve_legend(groups, baseline)
-    # Two long labels do not fit side by side.
-    columns = 1 if max(len(str(handle.get_label())) for handle in handles) > _LONG_LABEL else 2
-    figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False)
-    with written_whole(path) as temporary:
-        figure.savefig(temporary, dpi=150)
-
-
-@dataclass(frozen=True)
-class _Run:
-    """Data of a run from ``config.yaml`` and ``progress.csv``.
-
-    Attributes:
-        config: settings of the run.
-        x: steps and minutes after each row, ``[rows]`` each, by name.
-        measures: numerators and denominators of each measure in each row, ``[rows]`` each, by name.
-    """
-
-    config: TrainingConfig
-    x: dict[str, np.ndarray]
-    measures: dict[str, tuple[np.ndarray, np.ndarray]]
-
-    @classmethod
-    def read(cls, folder: Path) -> _Run:
-        config = run_config(folder)
-        columns = {key: np.array(values) for key, values in read_progress(folder / "progress.csv").items()}
-        if not columns:
-            raise ValueError(f"{folder / 'progress.csv'} holds no rows yet")
-        full_episodes = np.diff(columns["steps"], prepend=0) / EPISODE_STEPS
-        success = columns["episodes_reached"], columns["episodes"]
-        goals = columns["goals_per_2000_steps"] * full_episodes, full_episodes
-        x = {"steps": columns["steps"], "minutes": columns["minutes"]}
-        return cls(config, x, {"success": success, "goals": goals})
-
-    def curve(self, measure: str, against: Against, at: np.ndarray, width: float) -> np.ndarray:
-        """Averages a measure over windows of ``width`` around ``at [points]``.
-
-        Windows are cut at both ends of the run. The result is nan where the denominator is 0.
-        """
-        edges = np.concatenate(([0.0], self.x[against]))
-
-        def window_sums(values: np.ndarray) -> np.ndarray:
-            total = np.concatenate(([0.0], np.cumsum(values)))
-            return np.interp(at + width / 2, edges, total) - np.interp(at - width / 2, edges, total)
-
-        numerators, denominators = self.measures[measure]
-        with np.errstate(invalid="ignore"):
-            return window_sums(numerators) / window_sums(denominators)
-
-
-@dataclass(frozen=True)
-class _Group:
-    """Runs that differ in their seed at most and are drawn as one curve.
-
-    Attributes:
-        name: name of the experiment.
-        color: color of the curve.
-        runs: runs of the group.
-        against: quantity on the x axis.
-    """
-
-    name: str
-    color: str
-    runs: list[_Run]
-    against: Against
-
-    @property
-    def world(self) -> str:
-        return ", ".join(self.runs[0].config.env.world_names)
-
-    @property
-    def end(self) -> float:
-        """End of the shortest run on the x axis."""
-        return min(run.x[self.against][-1] for run in self.runs)
-
-    @property
-    def label(self) -> str:
-        steps, minutes = (np.mean([run.x[key][-1] for run in self.runs]) for key in ("steps", "minutes"))
-        runs = "" if len(self.runs) == 1 else f"mean of {len(self.runs)} runs of "
-        return f"{self.name}: {runs}{steps:,.0f} steps in {minutes:.1f} min"
-
-    def draw(self, ax: Axes, measure: str) -> None:
-        at, width = np.linspace(0, self.end, _POINTS), self.end * _WINDOW
-        if len(self.runs) == 1:
-            fine = self.runs[0].curve(measure, self.against, at, self.end * _NARROW)
-            ax.plot(at, fine, color=self.color, alpha=0.25, linewidth=1)
-        curves = [run.curve(measure, self.against, at, width) for run in self.runs]
-        ax.fill_between(at, np.min(curves, 0), np.max(curves, 0), color=self.color, alpha=0.2, linewidth=0)
-        ax.plot(at, np.mean(curves, 0), color=self.color, linewidth=2.2)
-
-
-def _group_runs(runs: Sequence[_Run], against: Against) -> list[_Group]:
-    together: dict[str, list[_Run]] = {}
-    for name, run in zip(experiments([run.config for run in runs]), runs, strict=True):
-        together.setdefault(name, []).append(run)
-    colors = {algo: cycle(palette) for algo, palette in _PALETTES.items()}
-    return [
-        _Group(name, next(colors[together[name][0].config.algo]), together[name], against) for name in sorted(together)
-    ]
-
-
-def _finish_curves(panels: Sequence[Axes], end: float, against: Against) -> None:
-    success, goals = panels
-    success.set(ylabel="success rate (episodes with a goal)", ylim=(0, 1.02))
-    success.yaxis.set_major_formatter(PercentFormatter(1.0))
-    goals.set(ylabel="goals per 2,000 steps", ylim=(0, max(1, goals.get_ylim()[1])))
-    for ax in panels:
-        ax.set(xlabel=_AXES[against], xlim=(0, end))
-        ax.xaxis.set_major_formatter(EngFormatter(sep=""))
-        _style_axes(ax)
-
-
-def _style_axes(ax: Axes) -> None:
+def style_axes(ax: Axes) -> None:
+    """Leaves out the upper and the right side of a panel, and draws a horizontal grid."""
     ax.spines[["top", "right"]].set_visible(False)
     ax.grid(axis="y", color=GRID)
     ax.set_axisbelow(True)
-
-
-_BASELINE: dict[str, Any] = {"color": GREY, "linestyle": "--", "linewidth": 1.8}
-
-
-def _draw_baseline(panels: Sequence[Axes], baseline: Evaluation) -> None:
-    for ax, level in zip(panels, (baseline.success_rate, baseline.goals_per_2000_steps), strict=True):
-        # Drawn above the axes and not clipped, since a level of 0 is on the x axis.
-        ax.axhline(level, clip_on=False, zorder=3, **_BASELINE)
-
-
-_LONG_LABEL = 48
-"""Largest number of characters of a label in a legend with two columns."""
-
-
-def _curve_legend(groups: Sequence[_Group], baseline: Evaluation | None) -> list[Line2D | Patch]:
-    handles: list[Line2D | Patch] = [Line2D([], [], color=g.color, linewidth=2.2, label=g.label) for g in groups]
-    if any(len(group.runs) > 1 for group in groups):
-        handles.append(Patch(color=GREY, alpha=0.3, linewidth=0, label="minimum to maximum of the runs"))
-    if any(len(group.runs) == 1 for group in groups):
-        label = f"averaged over {_NARROW:.0%} of the run instead of {_WINDOW:.0%}"
-        handles.append(Line2D([], [], color=GREY, alpha=0.4, linewidth=1, label=label))
-    if baseline is not None and any(group.world == baseline.episodes.name for group in groups):
-        handles.append(Line2D([], [], label=f"{baseline.name} policy", **_BASELINE))
-    return handles
 
 
 _MAX_COLUMNS = 3
@@ -433,7 +245,7 @@ def _mark_events(panels: Sequence[Axes], seconds: np.ndarray, steps: TensorDictB
     goals, endings = seconds[outcome["goal_reached"].squeeze(-1)], np.flatnonzero(steps["done"].squeeze(-1))
     collision = outcome["collision"].squeeze(-1).numpy()
     for ax in panels:
-        _style_axes(ax)
+        style_axes(ax)
         ax.axhline(0, color=GREY, linewidth=0.8)
         ax.fill_between(seconds, 0, 1, collision, step="pre", transform=ax.get_xaxis_transform(), **_COLLISION)
         for time in goals:

@@ -1,24 +1,21 @@
-"""Training progress: statistics of each batch, the table ``progress.csv``, TensorBoard and the progress bar."""
+"""Training progress: statistics of each batch, the table ``progress.csv``, trackers and the progress bar."""
 
 from __future__ import annotations
 
 import csv
 import math
-import os
-import socket
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, suppress
-from importlib.util import find_spec
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from statistics import harmonic_mean
 from types import TracebackType
-from typing import Any
 
 import torch
 from rich.console import Console
 from tensordict import TensorDictBase
 
+from rover_rl.algos.train.trackers import Trackers
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.transforms.step_clock import NAMES
 from rover_rl.files import errors_name, written_whole
@@ -122,29 +119,40 @@ class Stopwatch:
 
 
 class ProgressLog:
-    """Writes one row per batch to ``progress.csv`` and TensorBoard, and shows recent means in a progress bar.
+    """Writes one row per batch to ``progress.csv`` and to trackers, and shows recent means in a progress bar.
 
     In a resumed run, rows after the saved state are removed, because their batches are collected again. The table keeps
     its columns: values of other names are left out, and missing ones are nan. Without a terminal, lines are printed
-    (:class:`~rover_rl.progress.ProgressDisplay`). TensorBoard events are written if the package ``tensorboard`` is
-    installed.
+    (:class:`~rover_rl.progress.ProgressDisplay`).
 
     Args:
         folder: folder of the run.
         updates: number of rows of an existing table to keep.
         steps: number of steps taken before.
         console: console to print to; ``None``: standard output.
+        open_trackers: function that opens the trackers, given one that prints a line; it is called when the log is
+            entered.
     """
 
-    def __init__(self, folder: Path, updates: int = 0, steps: int = 0, console: Console | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        updates: int = 0,
+        steps: int = 0,
+        console: Console | None = None,
+        open_trackers: Callable[[Callable[[str], None]], Trackers] | None = None,
+    ) -> None:
         self._path = folder / "progress.csv"
         self._recent: list[dict[str, float]] = []
         self._steps, self._clock = steps, time.perf_counter()
         self._columns = _keep_rows(self._path, updates)
-        self._events = _Events(folder / "tensorboard", steps if updates else None) if _HAS_TENSORBOARD else None
+        self._open_trackers = open_trackers
+        self._trackers: Trackers | None = None
         self._display = ProgressDisplay("training", keep=True, tenths=True, console=console, interval=_LINE_INTERVAL)
 
     def __enter__(self) -> ProgressLog:
+        if self._open_trackers is not None:
+            self._trackers = self._open_trackers(self.say)
         self._clock = time.perf_counter()
         self._display.__enter__()
         return self
@@ -153,10 +161,8 @@ class ProgressLog:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._display.__exit__(kind, error, trace)
-        if self._events is not None:
-            # An earlier error must not be replaced by one of closing the file.
-            with suppress(OSError) if error else nullcontext():
-                self._events.close()
+        if self._trackers is not None:
+            self._trackers.close()
 
     def add(self, row: dict[str, float]) -> None:
         """Writes a row of values by name, with at least ``steps``."""
@@ -165,8 +171,8 @@ class ProgressLog:
         self._steps, self._clock = int(row["steps"]), now
         self._recent = [*(r for r in self._recent if r["steps"] > row["steps"] - _RECENT_STEPS), row]
         self._append(row)
-        if self._events is not None:
-            self._events.add(row, self._steps)
+        if self._trackers is not None:
+            self._trackers.add(row)
 
     def show(self, share: float) -> None:
         """Shows means over the latest rows, after at least one row.
@@ -205,45 +211,6 @@ class ProgressLog:
     def _mean(self, key: str) -> float:
         values = [row[key] for row in self._recent if not math.isnan(row[key])]
         return sum(values) / len(values) if values else math.nan
-
-
-_HAS_TENSORBOARD = find_spec("tensorboard") is not None
-
-
-class _Events:
-    """Writes TensorBoard events to ``folder``. Earlier events after ``purge_step`` are hidden.
-
-    Events are written synchronously, so that errors are raised immediately. PyTorch's ``SummaryWriter`` writes in a
-    thread and raises them too late.
-    """
-
-    def __init__(self, folder: Path, purge_step: int | None) -> None:
-        from tensorboard.compat.proto.event_pb2 import Event, SessionLog
-        from tensorboard.compat.proto.summary_pb2 import Summary
-        from tensorboard.summary.writer.record_writer import RecordWriter
-
-        self._event, self._summary = Event, Summary
-        self._path = folder / f"events.out.tfevents.{time.time():.6f}.{socket.gethostname()}.{os.getpid()}"
-        folder.mkdir(parents=True, exist_ok=True)
-        self._records = RecordWriter(self._path.open("ab"))
-        self._write(file_version="brain.Event:2")
-        if purge_step is not None:
-            self._write(step=purge_step, session_log=SessionLog(status=SessionLog.START))
-
-    def add(self, row: dict[str, float], steps: int) -> None:
-        """Writes all values of a row."""
-        values = [self._summary.Value(tag=name, simple_value=value) for name, value in row.items()]
-        self._write(step=steps, summary=self._summary(value=values))
-
-    def _write(self, **entries: Any) -> None:
-        with errors_name(self._path):
-            self._records.write(self._event(wall_time=time.time(), **entries).SerializeToString())
-            self._records.flush()
-
-    def close(self) -> None:
-        """Closes the file."""
-        with errors_name(self._path):
-            self._records.close()
 
 
 def _keep_rows(path: Path, updates: int) -> list[str]:

@@ -6,11 +6,10 @@ The algorithms are in :mod:`rover_rl.algos.train.ppo` and :mod:`rover_rl.algos.t
 
 from __future__ import annotations
 
-import re
 import secrets
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -29,7 +28,8 @@ from rover_rl.algos.train.collectors import WorkerError, collect
 from rover_rl.algos.train.curriculum import CurriculumRecord
 from rover_rl.algos.train.progress import BatchStatistics, ProgressLog, Stopwatch
 from rover_rl.algos.train.ray_cluster import connect
-from rover_rl.algos.train.run_folder import STATE, load_state, new_run_folder, save_run
+from rover_rl.algos.train.run_folder import STATE, default_name, load_state, new_run_folder, save_run
+from rover_rl.algos.train.trackers import Trackers, check_trackers
 from rover_rl.envs.devices import available_device
 from rover_rl.envs.rewards import reward_components
 from rover_rl.sims.robots import get_robot
@@ -85,7 +85,7 @@ class TrainingRun:
 
     The run's folder holds ``config.yaml``, ``progress.csv`` (one row per batch), ``checkpoint.pt`` (the policy),
     ``training_state.pt`` (the state from which training continues), ``snapshots/`` (earlier policies), with a
-    curriculum ``curriculum.csv`` (the worlds that were drawn) and, if TensorBoard is installed, ``tensorboard/``. Files
+    curriculum ``curriculum.csv`` (the worlds that were drawn), and what its trackers write there. Files
     are replaced as a whole, every ``checkpoint_minutes`` and at the end. Ctrl-C and SIGTERM end the run after the
     current batch; a second one ends it immediately. A run whose weights become NaN or infinite, or whose files cannot
     be written, keeps its last checkpoint.
@@ -119,9 +119,7 @@ class TrainingRun:
         self._stopping = False
         self._curriculum = None if config.collection.curriculum == "none" else CurriculumRecord(config)
         if folder is None:
-            default = "-".join((config.algo, *config.env.world_names)).replace("*", "all")
-            default = re.sub(r"[:/\\]+", "-", default)
-            self.folder = new_run_folder(config.run.runs, config.run.name, default)
+            self.folder = new_run_folder(config.run.runs, config.run.name, default_name(config))
         else:
             self.folder = folder
             self._resume()
@@ -131,7 +129,12 @@ class TrainingRun:
         self.stopwatch = Stopwatch()
         self._last_snapshot = int(self.share * config.run.snapshots)
         self._statistics = BatchStatistics(config.collection.action_repeat, self.steps)
-        self._log = ProgressLog(self.folder, self.updates, self.steps)
+        self._log = ProgressLog(self.folder, self.updates, self.steps, open_trackers=self._open_trackers)
+
+    def _open_trackers(self, say: Callable[[str], None]) -> Trackers:
+        """Opens the trackers of a run that is not finished."""
+        names = () if self.updates and self.share >= 1 else self.config.run.logger
+        return Trackers(names, self.folder, self.config, self.steps if self.updates else None, say)
 
     def _resume(self) -> None:
         """Resumes the run in the folder. A run that was killed before its first checkpoint starts again."""
@@ -184,6 +187,8 @@ class TrainingRun:
         if threading.current_thread() is threading.main_thread():
             self._handlers = {number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)}
         self._log.__enter__()
+        # The time to open trackers, with logins and databases, is not that of training.
+        self.stopwatch = Stopwatch()
         if self._from_start:
             self._log.say(f"{self.folder} has no checkpoint yet: its training begins from the start")
         return self
@@ -308,10 +313,11 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
     Raises:
         ValueError: for an unknown world, robot or reward, a world whose seed is for evaluation, a device that does not
             exist, a curriculum without worlds to draw, or a setting out of range.
-        ImportError: if the extra of the backend or the collector is missing.
+        ImportError: if the extra of the backend, the collector or a tracker is missing.
         ConnectionError: if no Ray cluster answers.
     """
     config.check()
+    check_trackers(config.run.logger)
     env = config.env
     for world in env.worlds:
         check_world(world)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from itertools import count
 from pathlib import Path
 from typing import Any
 
 from rover_rl.algos.archives import read_archive, write_archive
+from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.policy.checkpoint import CHECKPOINT, Checkpoint
 from rover_rl.files import written_whole
 
@@ -33,6 +35,12 @@ def load_state(path: Path) -> dict[str, Any]:
     state = read_archive(path, (_FORMAT,), "training state")
     del state["format"]
     return state
+
+
+def default_name(config: TrainingConfig) -> str:
+    """Returns the default name of a run: the algorithm and the worlds, such as ``ppo-moon``."""
+    name = "-".join((config.algo, *config.env.world_names)).replace("*", "all")
+    return re.sub(r"[:/\\]+", "-", name)
 
 
 def new_run_folder(runs: str | Path, name: str | None, default: str) -> Path:

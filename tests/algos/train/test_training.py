@@ -30,7 +30,7 @@ def test_a_run_writes_settings_progress_and_policies(config: TrainingConfig, tra
     assert folder.name == f"{config.algo}-maze"
     assert (summary.steps, summary.interrupted) == (256, False)
     names = {file.name for file in folder.iterdir()}
-    assert names - {"tensorboard"} == {"config.yaml", "progress.csv", "checkpoint.pt", "training_state.pt", "snapshots"}
+    assert names == {"config.yaml", "progress.csv", "checkpoint.pt", "training_state.pt", "snapshots"}
     assert read_config(folder / "config.yaml") == with_settings(config, runs=str(folder.parent))
     columns = progress_of(folder)
     taken = config.num_envs * config.algorithm.rollout_length * config.collection.action_repeat

@@ -1,0 +1,1 @@
+"""Experiments of several training runs: seeds, comparisons and sweeps."""

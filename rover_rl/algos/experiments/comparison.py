@@ -1,0 +1,267 @@
+"""Comparison of experiments: table, JSON, CSV and learning curves.
+
+Example:
+    >>> comparison = compare(find_runs(["runs/ppo-moon", "runs/sac-moon"]))
+    >>> print_comparison(comparison)
+    >>> write_comparison(comparison, Path("runs/comparison"))
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from rover_rl.algos.evaluation.metrics import Estimate
+from rover_rl.algos.evaluation.report import write_rows
+from rover_rl.algos.experiments.curves import COMPARED, draw_learning_curve
+from rover_rl.algos.experiments.runs import Against, Experiment, Run, evaluated_success, group
+from rover_rl.algos.experiments.statistics import interquartile_mean, probability_of_improvement
+from rover_rl.files import write_json
+
+IN_TRAINING = "last twelfth of training"
+"""What success rates are of if the runs have no evaluation in common."""
+ALL_WORLDS = "all worlds"
+"""Heading of the results over several worlds."""
+_FEW = 5
+"""Number of runs below which intervals are far too narrow."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """Result of the experiments with the same settings in one world or in several.
+
+    Attributes:
+        name: name of the experiment.
+        settings: algorithm, and the settings in which experiments differ.
+        world: name of the world, or :data:`ALL_WORLDS`.
+        scores: success rates of the runs in each world, ``[runs]`` each.
+        success: their interquartile mean.
+        steps: median number of steps to the level; infinity if half of the runs do not reach it.
+        minutes: median minutes to the level.
+        reached: number of runs that reach the level.
+    """
+
+    name: str
+    settings: str
+    world: str
+    scores: list[np.ndarray]
+    success: Estimate
+    steps: float
+    minutes: float
+    reached: int
+
+    @property
+    def runs(self) -> int:
+        """Number of runs."""
+        return sum(map(len, self.scores))
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Probability that a run of one experiment is better than one of another.
+
+    Attributes:
+        world: name of the world, or :data:`ALL_WORLDS`.
+        better: name of the experiment with the larger interquartile mean.
+        other: name of the other one.
+        probability: probability of improvement.
+    """
+
+    world: str
+    better: str
+    other: str
+    probability: Estimate
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Comparison of experiments.
+
+    Attributes:
+        runs: all runs.
+        scored_by: what the success rates are of: an evaluation, or :data:`IN_TRAINING`.
+        level: success rate of ``steps`` and ``minutes``.
+        scores: success rate of each run, by its folder.
+        rows: results of the experiments in each world, then in all of them.
+        pairs: probabilities of improvement.
+    """
+
+    runs: list[Run]
+    scored_by: str
+    level: float
+    scores: dict[Path, float]
+    rows: list[Row]
+    pairs: list[Pair]
+
+
+def compare(folders: Sequence[Path], level: float = 0.9) -> Comparison:
+    """Compares runs, which are grouped by their settings without the seed.
+
+    The success rates are those of an evaluation if all runs have one in common, on the same episodes, else those of
+    the last twelfth of training.
+
+    Args:
+        folders: folders of the runs.
+        level: success rate in training for the steps and the minutes that a run takes to it.
+
+    Raises:
+        FileNotFoundError: if a folder holds no run.
+        ValueError: if there are no runs, if a run has no rows yet, or for a level that is no rate.
+    """
+    if not folders:
+        raise ValueError("name the folders of the runs to compare")
+    if not 0 < level <= 1:
+        raise ValueError(f"success must be above 0 and at most 1, got {level}")
+    runs = [Run.read(folder) for folder in folders]
+    evaluated = evaluated_success(runs)
+    scored_by, scores = evaluated or (IN_TRAINING, {run.folder: run.final_success for run in runs})
+    by_world: dict[str, list[Experiment]] = {}
+    for experiment in group(runs):
+        by_world.setdefault(experiment.world, []).append(experiment)
+    tables = [(world, [[one] for one in experiments]) for world, experiments in by_world.items()]
+    everywhere = _everywhere(by_world)
+    if everywhere and len(by_world) > 1:
+        tables.append((ALL_WORLDS, everywhere))
+    rows, pairs = [], []
+    for world, experiments in tables:
+        here = sorted((_row(world, strata, scores, level) for strata in experiments), key=_merit, reverse=True)
+        rows += here
+        pairs += [
+            Pair(world, one.name, other.name, probability_of_improvement(one.scores, other.scores))
+            for one, other in combinations(here, 2)
+        ]
+    return Comparison(runs, scored_by, level, scores, rows, pairs)
+
+
+def _merit(row: Row) -> float:
+    return -1.0 if math.isnan(row.success.value) else row.success.value
+
+
+def _everywhere(by_world: dict[str, list[Experiment]]) -> list[list[Experiment]]:
+    """Experiments with the same settings in every world, in the order of the worlds."""
+    by_settings = [{one.settings: one for one in experiments} for experiments in by_world.values()]
+    shared = [name for name in by_settings[0] if all(name in others for others in by_settings)]
+    return [[world[name] for world in by_settings] for name in shared]
+
+
+def _row(world: str, strata: Sequence[Experiment], scores: dict[Path, float], level: float) -> Row:
+    values = [np.array([scores[run.folder] for run in experiment.runs]) for experiment in strata]
+    runs = [run for experiment in strata for run in experiment.runs]
+
+    def median(against: Against) -> float:
+        times = sorted(run.first_at(level, against) for run in runs)
+        # The mean of a number and infinity would be infinity, the median of two infinities nan.
+        return float(np.median(times)) if math.isfinite(times[len(times) // 2]) else math.inf
+
+    name = strata[0].name if len(strata) == 1 else strata[0].settings
+    reached = sum(math.isfinite(run.first_at(level, "steps")) for run in runs)
+    estimate = interquartile_mean(values)
+    return Row(name, strata[0].settings, world, values, estimate, median("steps"), median("minutes"), reached)
+
+
+def print_comparison(comparison: Comparison, console: Console | None = None) -> None:
+    """Prints a table of the experiments in each world, and how probable it is that one is better than another."""
+    console = console or Console()
+    for world in dict.fromkeys(row.world for row in comparison.rows):
+        console.print(_table(world, comparison))
+        for pair in (pair for pair in comparison.pairs if pair.world == world):
+            probability = _percent(pair.probability.value) + _ends(pair.probability)
+            console.print(
+                f"A run of {pair.better} is better than one of {pair.other}: {probability}",
+                highlight=False,
+                markup=False,
+            )
+    notes = [
+        "success: interquartile mean over runs; in brackets, here and below the table: 95 % bootstrap interval",
+        f"to {comparison.level:.0%}: median of the runs, by the curve of training, if at least half of them reach it",
+    ]
+    if any(row.runs < _FEW for row in comparison.rows):
+        notes.append(f"with fewer than {_FEW} runs, intervals are too narrow")
+    console.print("; ".join(notes) + ".", style="dim", highlight=False)
+
+
+def _table(world: str, comparison: Comparison) -> Table:
+    table = Table(title=f"{escape(world)}: {escape(comparison.scored_by)}", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("experiment", overflow="fold")
+    level = f"to {comparison.level:.0%}"
+    for heading in ("runs", "success\n%", f"reach\n{level[3:]}", f"steps\n{level}", f"minutes\n{level}"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in (row for row in comparison.rows if row.world == world):
+        settings = "" if row.settings == row.name else f"\n[dim]{escape(row.settings)}[/dim]"
+        steps, minutes = (
+            format(value, form) if math.isfinite(value) else "-"
+            for value, form in ((row.steps, ",.0f"), (row.minutes, ".1f"))
+        )
+        success = _percent(row.success.value) + _ends(row.success)
+        table.add_row(escape(row.name) + settings, str(row.runs), success, str(row.reached), steps, minutes)
+    return table
+
+
+def _percent(value: float) -> str:
+    return "-" if math.isnan(value) else f"{100 * value:.1f}"
+
+
+def _ends(estimate: Estimate) -> str:
+    return "" if math.isnan(estimate.low) else f" [{100 * estimate.low:.0f}–{100 * estimate.high:.0f}]"
+
+
+def write_comparison(comparison: Comparison, folder: Path) -> None:
+    """Writes ``comparison.png``, ``comparison.csv`` (experiments), ``runs.csv`` and ``comparison.json``."""
+    draw_learning_curve([run.folder for run in comparison.runs], folder / "comparison.png", panels=COMPARED)
+    experiments = [
+        {
+            "world": row.world,
+            "experiment": row.name,
+            "settings": row.settings,
+            "runs": row.runs,
+            **_fields("success", row.success),
+            "reached": row.reached,
+            "steps": _number(row.steps),
+            "minutes": _number(row.minutes),
+        }
+        for row in comparison.rows
+    ]
+    write_rows(folder / "comparison.csv", experiments)
+    runs = [
+        {
+            "run": str(run.folder),
+            "experiment": experiment.name,
+            "world": experiment.world,
+            "seed": run.config.seed,
+            "success": _number(comparison.scores[run.folder]),
+            "final_training_success": _number(run.final_success),
+            "steps": int(run.end("steps")),
+            "minutes": run.end("minutes"),
+            "steps_to_level": _number(run.first_at(comparison.level, "steps")),
+            "minutes_to_level": _number(run.first_at(comparison.level, "minutes")),
+        }
+        for experiment in group(comparison.runs)
+        for run in experiment.runs
+    ]
+    write_rows(folder / "runs.csv", runs)
+    pairs = [
+        {"world": pair.world, "better": pair.better, "other": pair.other, **_fields("probability", pair.probability)}
+        for pair in comparison.pairs
+    ]
+    found = {"success_of": comparison.scored_by, "level": comparison.level}
+    write_json(folder / "comparison.json", {**found, "experiments": experiments, "pairs": pairs, "runs": runs})
+
+
+def _fields(name: str, estimate: Estimate) -> dict[str, Any]:
+    ends = {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}
+    return {key: _number(value) for key, value in ends.items()}
+
+
+def _number(value: float) -> float | None:
+    """A number for JSON, which knows neither nan nor infinity."""
+    return value if math.isfinite(value) else None

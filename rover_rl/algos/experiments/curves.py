@@ -1,0 +1,162 @@
+"""Learning curves of one run or of several experiments. They need no display."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import EngFormatter, PercentFormatter
+from scipy.stats import trim_mean
+
+from rover_rl.algos.evaluation.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY, style_axes
+from rover_rl.algos.evaluation.results import Evaluation
+from rover_rl.algos.experiments.runs import WINDOW, Against, Experiment, Measure, Run, group
+from rover_rl.algos.experiments.statistics import interval
+from rover_rl.files import written_whole
+
+Panels: TypeAlias = Sequence[tuple[Measure, Against]]
+"""What each column of panels shows, and against what."""
+OF_A_RUN: Panels = (("success", "steps"), ("goals", "steps"))
+"""Panels of a single run."""
+COMPARED: Panels = (("success", "steps"), ("success", "minutes"))
+"""Panels of a comparison: what was learned from the same data, and in the same time."""
+
+_AXES = {"steps": "environment steps of all rovers", "minutes": "training time (min)"}
+_POINTS = 240
+"""Number of points of a curve."""
+_NARROW = 1 / 100
+"""Width of the averaging window of the faint line, as a fraction of the run."""
+_PALETTES = {"ppo": (BLUE, SKY, GREEN, PURPLE, ORANGE, RED), "sac": (RED, ORANGE, PURPLE, GREEN, SKY, BLUE)}
+"""Colors of each algorithm's curves, one for each of its settings in turn."""
+_LINES = ("-", "--", ":", "-.")
+"""Styles of the lines, one for each turn through the colors."""
+
+
+def draw_learning_curve(
+    runs: Sequence[str | Path], path: Path, baseline: Evaluation | None = None, panels: Panels = OF_A_RUN
+) -> None:
+    """Draws success rate and goals against training steps or training time, with a row of panels for each world.
+
+    Each point is a ratio of sums over a window of a twelfth of the run, so that it does not depend on the number of
+    rows in ``progress.csv``. Runs that differ in their seed only are drawn as one curve: their interquartile mean and
+    its 95 % interval, up to the end of the shortest run. A single run also has a faint line with a narrower window.
+
+    Args:
+        runs: folders of the runs, each with ``config.yaml`` and ``progress.csv``.
+        path: path of the figure; its suffix selects the format.
+        baseline: evaluation of a policy whose values are drawn as dashed lines in the panels of its world.
+        panels: what each column of panels shows.
+
+    Raises:
+        FileNotFoundError: if a folder holds no run.
+        ValueError: if there are no runs, or if a run has no rows yet.
+    """
+    if not runs:
+        raise ValueError("name at least one run to draw")
+    curves = _curves(group([Run.read(folder) for folder in runs]))
+    worlds = list(dict.fromkeys(curve.experiment.world for curve in curves))
+    figure = Figure(figsize=(10, 0.6 + 3.7 * len(worlds)), layout="constrained")
+    for world, row in zip(worlds, figure.subplots(len(worlds), len(panels), squeeze=False), strict=True):
+        here = [curve for curve in curves if curve.experiment.world == world]
+        for ax, (measure, against) in zip(row, panels, strict=True):
+            for curve in here:
+                curve.draw(ax, measure, against)
+            _finish(ax, measure, against, max(curve.experiment.end(against) for curve in here))
+            if baseline is not None and baseline.episodes.name == world:
+                _draw_baseline(ax, measure, baseline)
+        row[0].set_title(world, loc="left", fontweight="bold")
+    handles = _legend(curves, baseline)
+    # Two long labels do not fit side by side.
+    columns = 1 if max(len(str(handle.get_label())) for handle in handles) > _LONG_LABEL else 2
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False)
+    with written_whole(path) as temporary:
+        figure.savefig(temporary, dpi=150)
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """Curve of an experiment.
+
+    Attributes:
+        experiment: runs to draw as one curve.
+        style: color and style of the line.
+    """
+
+    experiment: Experiment
+    style: dict[str, Any]
+
+    @property
+    def label(self) -> str:
+        runs, settings = self.experiment.runs, f"{self.experiment.settings} in {self.experiment.world}"
+        steps, minutes = (np.mean([run.x[key][-1] for run in runs]) for key in ("steps", "minutes"))
+        of = "" if len(runs) == 1 else f"{len(runs)} runs of "
+        name = "" if self.experiment.name == self.experiment.settings else f"{self.experiment.name}: "
+        return f"{name}{settings}, {of}{steps:,.0f} steps in {minutes:.1f} min"
+
+    def draw(self, ax: Axes, measure: Measure, against: Against) -> None:
+        runs, end = self.experiment.runs, self.experiment.end(against)
+        at = np.linspace(0, end, _POINTS)
+        curves = np.array([run.curve(measure, against, at, end * WINDOW) for run in runs])
+        if len(runs) == 1:
+            fine = runs[0].curve(measure, against, at, end * _NARROW)
+            ax.plot(at, fine, **self.style, alpha=0.25, linewidth=1)
+        else:
+            low, high = interval([curves])
+            ax.fill_between(at, low, high, color=self.style["color"], alpha=0.2, linewidth=0)
+        ax.plot(at, trim_mean(curves, 0.25), **self.style, linewidth=2.2)
+
+
+def _curves(experiments: Sequence[Experiment]) -> list[_Curve]:
+    """Gives each experiment a color, and further lines styles where the colors repeat."""
+    curves, used = [], dict.fromkeys(_PALETTES, 0)
+    for experiment in sorted(experiments, key=lambda one: (one.world, one.settings)):
+        algo = experiment.runs[0].config.algo
+        turn, color = divmod(used[algo], len(_PALETTES[algo]))
+        used[algo] += 1
+        style = {"color": _PALETTES[algo][color], "linestyle": _LINES[turn % len(_LINES)]}
+        curves.append(_Curve(experiment, style))
+    return curves
+
+
+def _finish(ax: Axes, measure: Measure, against: Against, end: float) -> None:
+    if measure == "success":
+        ax.set(ylabel="success rate (episodes with a goal)", ylim=(0, 1.02))
+        ax.yaxis.set_major_formatter(PercentFormatter(1.0))
+    else:
+        ax.set(ylabel="goals per 2,000 steps", ylim=(0, max(1, ax.get_ylim()[1])))
+    ax.set(xlabel=_AXES[against], xlim=(0, end))
+    ax.xaxis.set_major_formatter(EngFormatter(sep=""))
+    style_axes(ax)
+
+
+_BASELINE: dict[str, Any] = {"color": GREY, "linestyle": "--", "linewidth": 1.8}
+
+
+def _draw_baseline(ax: Axes, measure: Measure, baseline: Evaluation) -> None:
+    level = baseline.success_rate if measure == "success" else baseline.goals_per_2000_steps
+    # Drawn above the axes and not clipped, since a level of 0 is on the x axis.
+    ax.axhline(level, clip_on=False, zorder=3, **_BASELINE)
+
+
+_LONG_LABEL = 48
+"""Largest number of characters of a label in a legend with two columns."""
+
+
+def _legend(curves: Sequence[_Curve], baseline: Evaluation | None) -> list[Line2D | Patch]:
+    handles: list[Line2D | Patch] = [Line2D([], [], linewidth=2.2, label=one.label, **one.style) for one in curves]
+    if any(len(one.experiment.runs) > 1 for one in curves):
+        label = "lines: interquartile mean of the runs; areas: its 95 % interval"
+        handles.append(Patch(color=GREY, alpha=0.3, linewidth=0, label=label))
+    if any(len(one.experiment.runs) == 1 for one in curves):
+        label = f"averaged over {_NARROW:.0%} of the run instead of {WINDOW:.0%}"
+        handles.append(Line2D([], [], color=GREY, alpha=0.4, linewidth=1, label=label))
+    if baseline is not None and any(one.experiment.world == baseline.episodes.name for one in curves):
+        handles.append(Line2D([], [], label=f"{baseline.name} policy", **_BASELINE))
+    return handles

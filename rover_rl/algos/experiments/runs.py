@@ -1,0 +1,196 @@
+"""Records of training runs, and the experiments that they belong to.
+
+A run's record is what its folder holds: ``config.yaml``, ``progress.csv`` and, after ``rover-rl evaluate``,
+``evaluation.json``.
+
+Example:
+    >>> runs = [Run.read(folder) for folder in find_runs(["runs/ppo-moon"])]
+    >>> [len(experiment.runs) for experiment in group(runs)]
+    [3]
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from rover_rl.algos.config import TrainingConfig
+from rover_rl.algos.config_files import SEED_SUFFIX, experiments, run_config
+from rover_rl.algos.policy.checkpoint import CHECKPOINT, SETTINGS
+from rover_rl.algos.train.progress import EPISODE_STEPS, read_progress
+
+Against: TypeAlias = Literal["steps", "minutes"]
+"""Quantity that the progress of a run is measured against: environment steps of all rovers, or minutes of training."""
+Measure: TypeAlias = Literal["success", "goals"]
+"""Measure of a training run: success rate (episodes with a goal), or goals per 2,000 steps."""
+PROGRESS = "progress.csv"
+EVALUATION = "evaluation.json"
+WINDOW = 1 / 12
+"""Width of the averaging window of a curve, as a fraction of the run."""
+_POINTS = 480
+"""Number of points at which a curve is searched for a level."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """Record of a training run.
+
+    Attributes:
+        folder: folder of the run.
+        config: settings of the run.
+        x: steps and minutes after each row of the table, ``[rows]`` each, by name.
+        measures: numerators and denominators of each measure in each row, ``[rows]`` each, by name.
+    """
+
+    folder: Path
+    config: TrainingConfig
+    x: dict[str, np.ndarray]
+    measures: dict[str, tuple[np.ndarray, np.ndarray]]
+
+    @classmethod
+    def read(cls, folder: str | Path) -> Run:
+        """Reads the record of the run in ``folder``.
+
+        Raises:
+            FileNotFoundError: if there is no run.
+            ValueError: if it has no rows yet.
+        """
+        folder = Path(folder)
+        config = run_config(folder)
+        columns = {key: np.array(values) for key, values in read_progress(folder / PROGRESS).items()}
+        if not columns:
+            raise ValueError(f"{folder / PROGRESS} holds no rows yet")
+        full_episodes = np.diff(columns["steps"], prepend=0) / EPISODE_STEPS
+        success = columns["episodes_reached"], columns["episodes"]
+        goals = columns["goals_per_2000_steps"] * full_episodes, full_episodes
+        x = {"steps": columns["steps"], "minutes": columns["minutes"]}
+        return cls(folder, config, x, {"success": success, "goals": goals})
+
+    def end(self, against: Against) -> float:
+        """Steps or minutes of the whole run."""
+        return float(self.x[against][-1])
+
+    def curve(self, measure: Measure, against: Against, at: np.ndarray, width: float) -> np.ndarray:
+        """Averages a measure over windows of ``width`` around ``at [points]``.
+
+        Each point is a ratio of sums, so that it does not depend on the number of rows. Windows are cut at both ends
+        of the run. The result is nan where the denominator is 0.
+        """
+        edges = np.concatenate(([0.0], self.x[against]))
+
+        def window_sums(values: np.ndarray) -> np.ndarray:
+            total = np.concatenate(([0.0], np.cumsum(values)))
+            return np.interp(at + width / 2, edges, total) - np.interp(at - width / 2, edges, total)
+
+        numerators, denominators = self.measures[measure]
+        with np.errstate(invalid="ignore"):
+            return window_sums(numerators) / window_sums(denominators)
+
+    @property
+    def final_success(self) -> float:
+        """Success rate in the last twelfth of the run's steps; nan if no episode ended in it."""
+        end = self.end("steps")
+        width = end * WINDOW
+        return float(self.curve("success", "steps", np.array([end - width / 2]), width)[0])
+
+    def first_at(self, success: float, against: Against) -> float:
+        """Steps or minutes until the curve of the success rate first reaches a level; infinity if it does not."""
+        at = np.linspace(0, self.end(against), _POINTS)
+        reached = at[self.curve("success", against, at, self.end(against) * WINDOW) >= success]
+        return float(reached[0]) if len(reached) else float("inf")
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Runs that differ in their seed at most.
+
+    Attributes:
+        settings: algorithm, and the settings in which it differs from other experiments in the same world.
+        world: name of the world, or of several.
+        runs: runs of the experiment.
+    """
+
+    settings: str
+    world: str
+    runs: list[Run] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        """Name that the folders of the runs share before their seed; without one, the settings."""
+        names = {re.sub(rf"{SEED_SUFFIX}\d+$", "", run.folder.name) for run in self.runs}
+        shared = len(names) == 1 and {run.folder.name for run in self.runs} != names
+        return names.pop() if shared or len(self.runs) == 1 else self.settings
+
+    def end(self, against: Against) -> float:
+        """Steps or minutes of the shortest run."""
+        return min(run.end(against) for run in self.runs)
+
+
+def group(runs: Sequence[Run]) -> list[Experiment]:
+    """Groups runs by their settings without the seed, in the order of the runs."""
+    found: dict[str, Experiment] = {}
+    for name, run in zip(experiments([run.config for run in runs]), runs, strict=True):
+        world = ", ".join(run.config.env.world_names)
+        experiment = found.setdefault(name, Experiment(name.replace(f" in {world}", "", 1), world))
+        experiment.runs.append(run)
+    return list(found.values())
+
+
+def find_runs(words: Sequence[str]) -> list[Path]:
+    """Returns the folders of the runs that words name.
+
+    Args:
+        words: folders of runs, folders that hold runs, or ``runs/NAME`` for ``runs/NAME-seed0`` and so on.
+
+    Raises:
+        FileNotFoundError: if a word names no run.
+    """
+    found: dict[Path, None] = {}
+    for word in words:
+        path = Path(word)
+        named = [path] if (path / SETTINGS).is_file() else [file.parent for file in path.glob(f"*/{PROGRESS}")]
+        named = named or [*path.parent.glob(f"{path.name}{SEED_SUFFIX}*")]
+        if not named:
+            raise FileNotFoundError(f"no run at {path}, no folder with runs, and no {path}{SEED_SUFFIX}0")
+        found |= dict.fromkeys(sorted(named, key=_natural))
+    return list(found)
+
+
+def _natural(path: Path) -> list[Any]:
+    """Key that sorts ``seed10`` after ``seed9``."""
+    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]
+
+
+def evaluated_success(runs: Sequence[Run]) -> tuple[str, dict[Path, float]] | None:
+    """Success rates of the runs' policies in the same evaluation, by folder, and what it was.
+
+    Evaluations are read from ``evaluation.json`` in the folders of all runs, because ``rover-rl evaluate`` writes those
+    of several policies into the first one's. Those that are older than the run's checkpoint do not count.
+
+    Returns:
+        Description and rates; ``None`` if the runs have no evaluation in common.
+    """
+    rates: dict[str, dict[Path, float]] = {}
+    for file in (run.folder / EVALUATION for run in runs):
+        if not file.is_file():
+            continue
+        written = file.stat().st_mtime
+        for result in json.loads(file.read_text()):
+            if result.get("mode") != "one goal":
+                continue
+            title = "{count} episodes in {world}, {time_limit:g} s, {backend}".format(**result)
+            for run in runs:
+                checkpoint = run.folder / CHECKPOINT
+                if (
+                    result["policy"] == run.folder.name
+                    and checkpoint.is_file()
+                    and checkpoint.stat().st_mtime <= written
+                ):
+                    rates.setdefault(title, {})[run.folder] = result["metrics"]["success_rate"]["value"]
+    return next(((title, found) for title, found in rates.items() if len(found) == len(runs)), None)
