@@ -11,6 +11,7 @@ from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, training_conf
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least
 from rover_rl.cli.train import INTERRUPTED, format_summary
 from rover_rl.progress import ProgressDisplay
+from rover_rl.registry import perhaps
 from rover_rl.sims.timing import CONTROL_DT
 
 if TYPE_CHECKING:
@@ -77,7 +78,7 @@ class Demo:
     def _check(self) -> None:
         """Checks the options, before PyTorch is imported and a policy is trained."""
         if self.world.split(":")[0] not in WORLDS:
-            raise ValueError(f"unknown world {self.world!r}; use one of {[*WORLDS]}, or 'name:seed'")
+            raise ValueError(f"unknown world {self.world!r}{perhaps(self.world, WORLDS)}; use one of {[*WORLDS]}, or 'name:seed'")
         training_config("ppo", max_minutes=self.minutes, seed=self.seed).check()
         check_at_least(1, MAX_COUNT, count=self.count)
         check_at_least(CONTROL_DT, MAX_SECONDS, seconds=self.seconds)
