@@ -32,7 +32,11 @@ WORLDS: dict[str, Callable[..., World]] = {
 """Built-in worlds: functions from a seed and a difficulty to a world, by name."""
 
 
-_REGISTRY = Registry("world", WORLDS, also=", 'name:seed', 'name:seed@difficulty', the path of a file, or a World")
+_REGISTRY = Registry(
+    "world",
+    WORLDS,
+    also=", 'name:seed', 'name:seed@difficulty', the path of a file, a World, or 'module:attribute' of your own",
+)
 
 
 def register_world(name: str, world: World | Callable[..., World] | str) -> None:
