@@ -16,9 +16,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.cell_grid import overlap
 from rover_rl.sims.worlds.free_space import FreeSpace, free_space
-from rover_rl.sims.worlds.world import Area, World
+from rover_rl.sims.worlds.region import Area, expanded, overlap
+from rover_rl.sims.worlds.world import World
 
 MARGIN = 3.0
 """Width of the margin around the bounds of the world, m."""
@@ -40,7 +40,7 @@ def draw_world(world: World, robot: Robot, path: str | Path | None = None, ax: A
     Returns:
         The figure.
     """
-    view = overlap(_expanded(world.bounds, MARGIN), _expanded(world.terrain.extent, 0.5))
+    view = overlap(expanded(world.bounds, MARGIN), expanded(world.terrain.extent, 0.5))
     if ax is None:
         width, height = (high - low for low, high in view)
         ax = Figure(figsize=(5.2 * width / height + 1.6, 6.4), layout="constrained").add_subplot()
@@ -66,11 +66,6 @@ def draw_world(world: World, robot: Robot, path: str | Path | None = None, ax: A
     if path is not None:
         figure.savefig(path, dpi=150)
     return figure
-
-
-def _expanded(area: Area, margin: float) -> Area:
-    (x_low, x_high), (y_low, y_high) = area
-    return (x_low - margin, x_high + margin), (y_low - margin, y_high + margin)
 
 
 def draw_map(ax: Axes, world: World, area: Area | None = None) -> ScalarMappable | None:
