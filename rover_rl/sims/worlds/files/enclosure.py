@@ -39,8 +39,10 @@ LEAST_AREA = 4.0
 """Least free area of an interior, m^2."""
 LEAST_SHARE = 0.05
 """Least free area of an interior as a share of the ground around it."""
+YARD_SHARE = 0.15
+"""Least free area of a small building in a yard as a share of the yard: a smaller one is a cabin in a hall."""
 BUILDING = 20.0
-"""Free area from which an interior with a doorway counts, whatever its share, m^2."""
+"""Free area from which a building is not small, and counts whatever its share if it has a doorway, m^2."""
 MOST_OPEN = 0.35
 """Largest share of an interior's outline that is open."""
 MAIN_SHARE = 0.4
@@ -193,8 +195,9 @@ class FloorPlan:
 
         def accepted(found: _Found) -> bool:
             inner = self._clear & binary_fill_holes(found.around) & ~found.around
-            main = found.area >= MAIN_SHARE * self._size(inner)
-            return main and self._counts(found, self._size(outer.cells & found.around))
+            yard = self._size(outer.cells & found.around)
+            large = found.area >= BUILDING or found.area >= YARD_SHARE * yard
+            return large and found.area >= MAIN_SHARE * self._size(inner) and self._counts(found, yard)
 
         return self._best(covers(), accepted)
 
