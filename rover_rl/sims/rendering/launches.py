@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -18,6 +19,8 @@ MAX_THREADS = 8
 """Largest number of threads."""
 BANDS_PER_THREAD = 4
 """Number of parts of a launch per thread, as some parts of a picture take longer than others."""
+SMALL = 4096
+"""Number of elements up to which threads take longer to start than to work."""
 
 
 def launch(kernel: wp.Kernel, size: Sequence[int], inputs: Sequence[Any]) -> None:
@@ -29,12 +32,16 @@ def launch(kernel: wp.Kernel, size: Sequence[int], inputs: Sequence[Any]) -> Non
         inputs: other arguments of the kernel.
     """
     threads = min(os.cpu_count() or 1, MAX_THREADS)
-    ends = np.linspace(0, size[0], BANDS_PER_THREAD * threads + 1).astype(int).tolist()
+    count = BANDS_PER_THREAD * threads if math.prod(size) > SMALL else 1
+    ends = np.linspace(0, size[0], count + 1).astype(int).tolist()
     bands = [
         wp.launch(kernel, (last - first, *size[1:]), [first, *inputs], device=DEVICE, record_cmd=True)
         for first, last in pairwise(ends)
         if last > first
     ]
+    if count == 1:
+        bands[0].launch()
+        return
     # A new pool for each launch: threads do not survive a fork of the process.
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(wp.Launch.launch, bands))

@@ -67,7 +67,20 @@ class Renderer:
         Raises:
             ValueError: if the view is unknown.
         """
-        pinhole = _pinhole(Camera.on(position, orientation, self.sight, view), height)
+        camera = Camera.on(position, orientation, self.sight, view)
+        return self.render_from(camera, position, orientation, width, height, goal)
+
+    def render_from(
+        self,
+        camera: Camera,
+        position: Tensor,
+        orientation: Tensor,
+        width: int,
+        height: int,
+        goal: Tensor | None = None,
+    ) -> Tensor:
+        """Renders what a camera sees: see :meth:`render`. Several threads may call it."""
+        pinhole = _pinhole(camera, height)
         rover = (*position.tolist(), *orientation.tolist())
         poses = np.array((_AT_ORIGIN, rover, (*self._post_position(goal), *_AT_ORIGIN[3:])), dtype=np.float32)
         colors = wp.empty((height, width), dtype=wp.vec3, device=DEVICE)
