@@ -8,9 +8,12 @@ from torch import Tensor
 
 from rover_rl.sims.base import View
 from rover_rl.sims.native.warp import wp
-from rover_rl.sims.rendering import kernels
+from rover_rl.sims.rendering import kernels, picture_kernels
 from rover_rl.sims.rendering.camera import Camera, focal_length
-from rover_rl.sims.rendering.scene import DEVICE, RenderScene, launch
+from rover_rl.sims.rendering.launches import DEVICE, launch
+from rover_rl.sims.rendering.picture_kernels import STEP
+from rover_rl.sims.rendering.scene import RenderScene
+from rover_rl.sims.rendering.sight import Sight
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
@@ -27,6 +30,9 @@ class Renderer:
         world: world to render.
         robot: robot model.
 
+    Attributes:
+        sight: tells which points the obstacles of the world hide.
+
     Raises:
         ValueError: if the robot has a visual shape that cannot be rendered.
     """
@@ -34,6 +40,7 @@ class Renderer:
     def __init__(self, world: World, robot: Robot) -> None:
         self._world = world
         self._scene = RenderScene(world, robot)
+        self.sight = Sight(world)
 
     def render(
         self,
@@ -60,14 +67,31 @@ class Renderer:
         Raises:
             ValueError: if the view is unknown.
         """
-        pinhole = _pinhole(Camera.on(position, orientation, self._world, view), height)
+        camera = Camera.on(position, orientation, self.sight, view)
+        return self.render_from(camera, position, orientation, width, height, goal)
+
+    def render_from(
+        self,
+        camera: Camera,
+        position: Tensor,
+        orientation: Tensor,
+        width: int,
+        height: int,
+        goal: Tensor | None = None,
+    ) -> Tensor:
+        """Renders what a camera sees: see :meth:`render`. Several threads may call it."""
+        pinhole = _pinhole(camera, height)
         rover = (*position.tolist(), *orientation.tolist())
         poses = np.array((_AT_ORIGIN, rover, (*self._post_position(goal), *_AT_ORIGIN[3:])), dtype=np.float32)
         colors = wp.empty((height, width), dtype=wp.vec3, device=DEVICE)
+        # Samples surround all pixels.
+        rows, columns = ((side - 1) // STEP + 2 for side in (height, width))
+        samples = wp.empty((rows, columns), dtype=kernels.Seen, device=DEVICE)
         picture = torch.empty((height, width, 3), dtype=torch.uint8)
-        inputs = [self._scene.arrays, wp.array(poses, dtype=wp.transform, device=DEVICE), pinhole, colors]
-        launch(kernels.trace_pixels, (height, width), inputs)
-        launch(kernels.smooth_edges, (height, width), [*inputs, wp.from_torch(picture)])
+        scene = [self._scene.arrays, wp.array(poses, dtype=wp.transform, device=DEVICE), pinhole]
+        launch(picture_kernels.trace_samples, (rows, columns), [*scene, height, width, samples])
+        launch(picture_kernels.fill_pixels, (height, width), [*scene, samples, colors])
+        launch(picture_kernels.smooth_edges, (height, width), [*scene, colors, wp.from_torch(picture)])
         return picture
 
     def _post_position(self, goal: Tensor | None) -> tuple[float, ...]:
