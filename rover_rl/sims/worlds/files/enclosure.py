@@ -13,7 +13,15 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.ndimage import binary_dilation, binary_fill_holes, distance_transform_edt, find_objects, label, watershed_ift
+from scipy.ndimage import (
+    binary_dilation,
+    binary_fill_holes,
+    distance_transform_edt,
+    find_objects,
+    generate_binary_structure,
+    grey_dilation,
+    label,
+)
 
 from rover_rl.sims.worlds.clearance import clearance_on_grid
 from rover_rl.sims.worlds.region import Area, Region, expanded
@@ -126,7 +134,8 @@ class FloorPlan:
         for radius in (*reversed(DOORS), *GATES):
             parts, count = label(self._core(radius))
             near = _distance(parts == 0, self.cell)[row, column]
-            if not count or near >= max(radius, reach + self.cell):
+            # A narrow corridor is a room of its own, if a smaller disc fits into it and not through its doorways.
+            if not count or (radius in DOORS and near >= max(radius, reach + self.cell)):
                 continue
             found = self._around_core(parts, row, column)
             if found is not None:
@@ -138,16 +147,26 @@ class FloorPlan:
 
     def _around_core(self, parts: np.ndarray, row: int, column: int) -> _Found | None:
         """Returns the room of a cell, around one of the cores ``parts``; ``None`` if the cell is outside."""
-        # Rooms grow from their cores, and meet where the doorways are narrowest.
-        depth = np.where(self._free, 60_000 * (1 - self._room / (self._room.max() + 1e-9)), 65_535).astype(np.uint16)
-        rooms = watershed_ift(depth, parts.astype(np.int32))
-        number = rooms[row, column]
+        rooms = self._grown(parts)
+        number = rooms[row, column] or self._nearest(rooms, row, column)
         if np.isin(number, _at_border(parts)):
             return None
         inside = (rooms == number) & self._clear
         groups, _ = label(inside)
         mine = groups == self._nearest(groups, row, column)
-        return _Found(mine, self._free & (rooms != number), self._size(mine))
+        return _Found(mine, (rooms > 0) & (rooms != number), self._size(mine))
+
+    def _grown(self, parts: np.ndarray) -> np.ndarray:
+        """Returns the rooms that grow from cores, widest ground first, and so meet where doorways are narrowest."""
+        rooms, cross = parts.copy(), generate_binary_structure(2, 1)
+        for least in np.arange(self._room[parts > 0].min(), PASSAGE - self.cell, -self.cell):
+            allowed = self._free & (self._room >= max(least, PASSAGE))
+            while True:
+                new = allowed & (rooms == 0) & binary_dilation(rooms > 0)
+                if not new.any():
+                    break
+                rooms[new] = grey_dilation(rooms, footprint=cross)[new]
+        return rooms
 
     def _nearest(self, numbers: np.ndarray, row: int, column: int) -> int:
         """Returns the number other than 0 that is nearest to a cell."""
