@@ -39,6 +39,8 @@ class Renderer:
 
     def __init__(self, world: World, robot: Robot) -> None:
         self._world = world
+        # Here, as it must not happen in two threads at a time.
+        wp.load_module(picture_kernels, device=DEVICE)
         self._scene = RenderScene(world, robot)
         self.sight = Sight(world)
 
