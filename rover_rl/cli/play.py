@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 FOLDER = Path("runs/play")
 """Folder of the films of policies that have no folder of their own."""
-SIZE = {"width": 400, "height": 300}
+WIDTH, HEIGHT = 400, 300
 """Size of the films, pixels."""
 
 
@@ -62,7 +62,7 @@ class Play:
         from rover_rl.algos.video.film import film_recording
 
         path, drive = Path(self.policy).with_suffix(".gif"), recording_of_log(Path(self.policy), world=self.world)
-        film_recording(drive.last(self.seconds), path, **SIZE)
+        film_recording(drive.last(self.seconds), path, width=WIDTH, height=HEIGHT)
         return path, drive
 
     def _film_policy(self) -> tuple[Path, Recording]:
@@ -71,7 +71,9 @@ class Play:
         policy = resolve_policy(self.policy, () if self.world is None else (self.world,))
         world = policy.worlds[0] if policy.worlds else "moon"
         path = (policy.folder or FOLDER) / f"{policy.name}-{Path(world).name}.gif".replace(":", "-")
-        drive = film_to_goal(policy.module, path, world=world, seconds=self.seconds, seed=self.seed, **SIZE)
+        drive = film_to_goal(
+            policy.module, path, world=world, seconds=self.seconds, seed=self.seed, width=WIDTH, height=HEIGHT
+        )
         if drive.ending != "goal":
             print(f"From none of {CANDIDATES} starts, a goal was reached within {self.seconds:g} s: this is the first")
         return path, drive
@@ -80,9 +82,9 @@ class Play:
 def _compile_renderer() -> None:
     """Compiles the kernels of the renderer, or loads them from the cache of an earlier film."""
     from rover_rl.sims.native.warp import wp
-    from rover_rl.sims.rendering import light_kernels, picture_kernels
+    from rover_rl.sims.rendering.kernels import light, pictures
 
-    for module in (picture_kernels, light_kernels):
+    for module in (pictures, light):
         wp.load_module(module, device="cpu")
 
 
