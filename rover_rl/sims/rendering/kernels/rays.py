@@ -7,7 +7,8 @@ The scene consists of bodies, each a triangle mesh with a pose: body 0 is the sc
 body 1 the rover, in its base frame, body 2 the post of the goal. To intersect a ray with a body, the kernels transform
 the ray to the frame of the body. Vertices and triangles of all bodies are numbered consecutively.
 
-Lengths in m. Colors are intensities, proportional to light; :func:`~rover_rl.sims.rendering.kernels.pictures.displayed` converts them.
+Lengths in m. Colors are intensities, proportional to light; :func:`~rover_rl.sims.rendering.kernels.pictures.displayed`
+converts them.
 """
 
 from __future__ import annotations
