@@ -19,8 +19,8 @@ from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 from torch import Tensor
 
-from rover_rl.algos.video.recording import Moment, Recording
 from rover_rl.algos.evaluation.plots import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, draw_pale_map
+from rover_rl.algos.video.recording import Moment, Recording
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.rendering.camera import Camera
 from rover_rl.sims.rendering.renderer import Renderer

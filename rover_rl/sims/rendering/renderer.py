@@ -8,10 +8,10 @@ from torch import Tensor
 
 from rover_rl.sims.base import View
 from rover_rl.sims.native.warp import wp
-from rover_rl.sims.rendering import kernels, picture_kernels
 from rover_rl.sims.rendering.camera import Camera, focal_length
+from rover_rl.sims.rendering.kernels import pictures, rays
+from rover_rl.sims.rendering.kernels.pictures import STEP
 from rover_rl.sims.rendering.launches import DEVICE, launch
-from rover_rl.sims.rendering.picture_kernels import STEP
 from rover_rl.sims.rendering.scene import RenderScene
 from rover_rl.sims.rendering.sight import Sight
 from rover_rl.sims.robots import Robot
@@ -39,6 +39,8 @@ class Renderer:
 
     def __init__(self, world: World, robot: Robot) -> None:
         self._world = world
+        # Here, as it must not happen in two threads at a time.
+        wp.load_module(pictures, device=DEVICE)
         self._scene = RenderScene(world, robot)
         self.sight = Sight(world)
 
@@ -86,12 +88,12 @@ class Renderer:
         colors = wp.empty((height, width), dtype=wp.vec3, device=DEVICE)
         # Samples surround all pixels.
         rows, columns = ((side - 1) // STEP + 2 for side in (height, width))
-        samples = wp.empty((rows, columns), dtype=kernels.Seen, device=DEVICE)
+        samples = wp.empty((rows, columns), dtype=rays.Seen, device=DEVICE)
         picture = torch.empty((height, width, 3), dtype=torch.uint8)
         scene = [self._scene.arrays, wp.array(poses, dtype=wp.transform, device=DEVICE), pinhole]
-        launch(picture_kernels.trace_samples, (rows, columns), [*scene, height, width, samples])
-        launch(picture_kernels.fill_pixels, (height, width), [*scene, samples, colors])
-        launch(picture_kernels.smooth_edges, (height, width), [*scene, colors, wp.from_torch(picture)])
+        launch(pictures.trace_samples, (rows, columns), [*scene, height, width, samples])
+        launch(pictures.fill_pixels, (height, width), [*scene, samples, colors])
+        launch(pictures.smooth_edges, (height, width), [*scene, colors, wp.from_torch(picture)])
         return picture
 
     def _post_position(self, goal: Tensor | None) -> tuple[float, ...]:
@@ -102,11 +104,11 @@ class Renderer:
         return *at.tolist(), self._world.height_at(at).item()
 
 
-def _pinhole(camera: Camera, height: int) -> kernels.Pinhole:
+def _pinhole(camera: Camera, height: int) -> rays.Pinhole:
     """Converts a camera for images of the given height in pixels."""
     right, down, forward = camera.axes
     focal = focal_length(height)
-    pinhole = kernels.Pinhole()
+    pinhole = rays.Pinhole()
     pinhole.eye, pinhole.forward = wp.vec3(*camera.eye.tolist()), wp.vec3(*forward.tolist())
     pinhole.right, pinhole.down = wp.vec3(*(right / focal).tolist()), wp.vec3(*(down / focal).tolist())
     return pinhole

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.native.warp import wp
-from rover_rl.sims.rendering import kernels, light_kernels
+from rover_rl.sims.rendering.kernels import light, rays
 from rover_rl.sims.rendering.launches import DEVICE, array, launch
 from rover_rl.sims.rendering.robot_surface import robot_surface
 from rover_rl.sims.rendering.surfaces import Surface, ground_surface, obstacles_surface, post_surface
@@ -44,13 +44,13 @@ class RenderScene:
         bodies = [scenery, robot_surface(robot), post_surface()]
         # The arrays hold no reference to the meshes.
         self._meshes = [_mesh(body) for body in bodies]
-        self.arrays = arrays = kernels.Scene()
+        self.arrays = arrays = rays.Scene()
         arrays.meshes = array([mesh.id for mesh in self._meshes], wp.uint64)
         arrays.radii = array([np.linalg.norm(body.vertices, axis=1).max() for body in bodies], float)
         arrays.first_triangles = array(np.cumsum([0, *(len(body.faces) for body in bodies[:-1])]), int)
         heights = world.terrain.heights
         arrays.level = torch.cat((heights[0], heights[-1], heights[:, 0], heights[:, -1])).mean().item()
-        low, high = bodies[kernels.ROVER].vertices.min(0), bodies[kernels.ROVER].vertices.max(0)
+        low, high = bodies[rays.ROVER].vertices.min(0), bodies[rays.ROVER].vertices.max(0)
         arrays.rover_center, arrays.rover_half = wp.vec3(*((low + high) / 2)), wp.vec3(*((high - low) / 2))
         joined = Surface.join(bodies)
         is_ground = np.arange(len(joined.faces)) < len(ground.faces)
@@ -64,9 +64,9 @@ class RenderScene:
         sunshine = np.full(len(joined.vertices), 0.5)
         sunshine[: len(ground.vertices)] = _sunshine(self._meshes[0], ground)
         arrays.sunshine = array(sunshine, float)
-        side = kernels.NOISE_CELLS * kernels.NOISE_SAMPLES
+        side = rays.NOISE_CELLS * rays.NOISE_SAMPLES
         arrays.noise = wp.empty((side, side), dtype=float, device=DEVICE)
-        launch(light_kernels.find_noise, (side, side), [arrays.noise])
+        launch(light.find_noise, (side, side), [arrays.noise])
 
 
 def _mesh(surface: Surface) -> wp.Mesh:
@@ -82,7 +82,7 @@ def _openness(mesh: wp.Mesh, surface: Surface, reach: float) -> np.ndarray:
     directions = array(np.stack((radius * np.cos(turn), radius * np.sin(turn), height), -1), wp.vec3)
     openness = wp.empty(len(surface.vertices), dtype=float, device=DEVICE)
     inputs = [mesh.id, mesh.points, array(surface.normals, wp.vec3), directions, reach, openness]
-    launch(light_kernels.find_openness, (len(surface.vertices),), inputs)
+    launch(light.find_openness, (len(surface.vertices),), inputs)
     return openness.numpy()
 
 
@@ -90,7 +90,7 @@ def _sunshine(mesh: wp.Mesh, ground: Surface) -> np.ndarray:
     """Computes the light of the sun on each vertex of the ground: 1, 0 for shadow, or 0.5 near borders, ``[V]``."""
     sunshine = torch.empty(len(ground.vertices))
     inputs = [mesh.id, mesh.points, array(ground.normals, wp.vec3), wp.from_torch(sunshine)]
-    launch(light_kernels.find_sunshine, sunshine.shape, inputs)
+    launch(light.find_sunshine, sunshine.shape, inputs)
     corners = torch.from_numpy(ground.faces)
     low = high = sunshine
     for _ in range(SHADOW_RINGS):

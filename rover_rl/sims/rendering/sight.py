@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.native.warp import wp
-from rover_rl.sims.rendering import light_kernels
+from rover_rl.sims.rendering.kernels import light
 from rover_rl.sims.rendering.launches import array, launch
 from rover_rl.sims.worlds import World
 
@@ -36,5 +36,5 @@ class Sight:
         if self._mesh is not None and hidden.numel():
             ends = [array(part.reshape(-1, 3).numpy(), wp.vec3) for part in (eye, points)]
             flags = wp.from_torch(hidden.view(-1))
-            launch(light_kernels.find_hidden, flags.shape, [self._mesh.id, *ends, FREE_FRACTION, flags])
+            launch(light.find_hidden, flags.shape, [self._mesh.id, *ends, FREE_FRACTION, flags])
         return hidden.bool()

@@ -10,7 +10,7 @@ A pixel depends on few pixels near it, so that a picture is the same with any nu
 from __future__ import annotations
 
 from rover_rl.sims.native.warp import wp
-from rover_rl.sims.rendering.kernels import (
+from rover_rl.sims.rendering.kernels.rays import (
     FAR,
     ROVER,
     SUN_DIRECTION,

@@ -1,13 +1,14 @@
 """Warp functions of the renderer: what a ray from the camera sees.
 
-The kernels of :mod:`~rover_rl.sims.rendering.picture_kernels` run for each picture, those of
-:mod:`~rover_rl.sims.rendering.light_kernels` once per scene.
+The kernels of :mod:`~rover_rl.sims.rendering.kernels.pictures` run for each picture, those of
+:mod:`~rover_rl.sims.rendering.kernels.light` once per scene.
 
 The scene consists of bodies, each a triangle mesh with a pose: body 0 is the scenery, whose pose is the world frame,
 body 1 the rover, in its base frame, body 2 the post of the goal. To intersect a ray with a body, the kernels transform
 the ray to the frame of the body. Vertices and triangles of all bodies are numbered consecutively.
 
-Lengths in m. Colors are intensities, proportional to light; :func:`~rover_rl.sims.rendering.picture_kernels.displayed` converts them.
+Lengths in m. Colors are intensities, proportional to light; :func:`~rover_rl.sims.rendering.kernels.pictures.displayed`
+converts them.
 """
 
 from __future__ import annotations

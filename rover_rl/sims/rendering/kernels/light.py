@@ -7,7 +7,7 @@ the vertices that lie in the shadow of the scenery, so that most pixels need no 
 from __future__ import annotations
 
 from rover_rl.sims.native.warp import wp
-from rover_rl.sims.rendering.kernels import FAR, NOISE_CELLS, NOISE_SAMPLES, OFFSET, SUN_DIRECTION
+from rover_rl.sims.rendering.kernels.rays import FAR, NOISE_CELLS, NOISE_SAMPLES, OFFSET, SUN_DIRECTION
 
 
 @wp.kernel
