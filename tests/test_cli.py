@@ -55,7 +55,10 @@ def test_checkpoints_that_are_none_are_refused_in_one_line(capsys: pytest.Captur
     assert "no checkpoint of rover_rl" in failed(capsys, "evaluate", tmp_path / "foreign.pt")
 
 
-COMMANDS = ["train", "evaluate", "benchmark", "play", "film", "worlds", "demo", "robot", "drive", "export"]
+COMMANDS = [
+    *("train", "sweep", "evaluate", "compare", "benchmark", "play", "film", "worlds", "demo", "robot", "drive"),
+    "export",
+]
 NAMES = f"use one of {COMMANDS}; see rover-rl --help"
 
 

@@ -15,7 +15,7 @@ from docutils.parsers.rst import directives
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from rover_rl.cli.main import COMMANDS, main
+from rover_rl.cli.main import commands, main
 
 COLUMNS = "110"
 """Width of the terminal in which the help is printed: a wider one has two columns of options."""
@@ -82,7 +82,8 @@ def list_commands(app: Sphinx, document: str, source: list[str]) -> None:
     for command in all_commands():
         summary = read_help(command)[1][0].split(". ")[0].rstrip(".")
         rows.append(f"| [`rover-rl {command}`](#rover-rl-{command.replace(' ', '-')}) | {summary} |")
-        sections.append(f"## rover-rl {command}\n\n```{{eval-rst}}\n.. command-help:: {command}\n```\n")
+        beside = "   :beside: train\n" if command == "sweep" else ""
+        sections.append(f"## rover-rl {command}\n\n```{{eval-rst}}\n.. command-help:: {command}\n{beside}```\n")
         if command == "train":
             sections.append(SAC)
     source[0] = source[0].replace(MARKER, "\n".join(["| command | what it does |", "|---|---|", *rows, "", *sections]))
@@ -90,14 +91,12 @@ def list_commands(app: Sphinx, document: str, source: list[str]) -> None:
 
 def all_commands() -> list[str]:
     """Returns all commands, with the subcommands of those that have no options of their own."""
-    commands = []
-    for command in ("train", *COMMANDS):
+    names = []
+    for command in commands():
         usage, _, boxes = read_help(command)
         subcommands = re.search(r"{([a-z,-]+)}$", usage)
-        commands += (
-            [f"{command} {name}" for name in subcommands[1].split(",")] if subcommands and not boxes else [command]
-        )
-    return commands
+        names += [f"{command} {name}" for name in subcommands[1].split(",")] if subcommands and not boxes else [command]
+    return names
 
 
 def read_help(command: str) -> tuple[str, list[str], dict[str, list[tuple[str, list[str]]]]]:

@@ -33,7 +33,7 @@ _POINTS = 240
 """Number of points of a curve."""
 _NARROW = 1 / 100
 """Width of the averaging window of the faint line, as a fraction of the run."""
-_PALETTES = {"ppo": (BLUE, SKY, GREEN, PURPLE, ORANGE, RED), "sac": (RED, ORANGE, PURPLE, GREEN, SKY, BLUE)}
+_PALETTES = {"ppo": (BLUE, GREEN, SKY, PURPLE, ORANGE, RED), "sac": (RED, ORANGE, PURPLE, SKY, GREEN, BLUE)}
 """Colors of each algorithm's curves, one for each of its settings in turn."""
 _LINES = ("-", "--", ":", "-.")
 """Styles of the lines, one for each turn through the colors."""
@@ -132,7 +132,8 @@ def _finish(ax: Axes, measure: Measure, against: Against, end: float) -> None:
     else:
         ax.set(ylabel="goals per 2,000 steps", ylim=(0, max(1, ax.get_ylim()[1])))
     ax.set(xlabel=_AXES[against], xlim=(0, end))
-    ax.xaxis.set_major_formatter(EngFormatter(sep=""))
+    if against == "steps":
+        ax.xaxis.set_major_formatter(EngFormatter(sep=""))
     style_axes(ax)
 
 
