@@ -72,7 +72,10 @@ def _run(config: TrainingConfig, space: list[Setting], options: SweepCommand) ->
 
     folder = Path(config.run.runs, config.run.name or f"sweep-{default_name(config)}")
     sweep = Sweep(config, space, folder, options.episodes)
-    complete = sweep.run(options.trials, lambda text: print(text, flush=True))
+    try:
+        complete = sweep.run(options.trials, lambda text: print(text, flush=True))
+    except KeyboardInterrupt:
+        complete = False
     if sweep.finished:
         print_trials(sweep)
         write_trials(sweep, folder / "trials.csv")

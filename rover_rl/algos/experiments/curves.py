@@ -87,18 +87,21 @@ class _Curve:
     Attributes:
         experiment: runs to draw as one curve.
         style: color and style of the line.
+        named: whether the label has the name of the experiment, which distinguishes it from others.
     """
 
     experiment: Experiment
     style: dict[str, Any]
+    named: bool
 
     @property
     def label(self) -> str:
-        runs, settings = self.experiment.runs, f"{self.experiment.settings} in {self.experiment.world}"
+        experiment, runs = self.experiment, self.experiment.runs
         steps, minutes = (np.mean([run.x[key][-1] for run in runs]) for key in ("steps", "minutes"))
         of = "" if len(runs) == 1 else f"{len(runs)} runs of "
-        name = "" if self.experiment.name == self.experiment.settings else f"{self.experiment.name}: "
-        return f"{name}{settings}, {of}{steps:,.0f} steps in {minutes:.1f} min"
+        named = self.named and experiment.name != experiment.settings
+        name = f"{experiment.name} ({experiment.title})" if named else experiment.title
+        return f"{name}: {of}{steps:,.0f} steps in {minutes:.1f} min"
 
     def draw(self, ax: Axes, measure: Measure, against: Against) -> None:
         runs, end = self.experiment.runs, self.experiment.end(against)
@@ -121,7 +124,7 @@ def _curves(experiments: Sequence[Experiment]) -> list[_Curve]:
         turn, color = divmod(used[algo], len(_PALETTES[algo]))
         used[algo] += 1
         style = {"color": _PALETTES[algo][color], "linestyle": _LINES[turn % len(_LINES)]}
-        curves.append(_Curve(experiment, style))
+        curves.append(_Curve(experiment, style, len(experiments) > 1))
     return curves
 
 
