@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rover_rl.algos.policy.names import BASELINES, make_baseline
+from rover_rl.algos.policy.names import BASELINES, PRETRAINED, load_policy, make_baseline
 
 if TYPE_CHECKING:
     from rover_rl.algos.config import TrainingConfig
     from rover_rl.algos.evaluation.evaluate import Policy
     from rover_rl.algos.policy.checkpoint import Checkpoint
 
-PRETRAINED = "pretrained:"
-"""Prefix of the names of pretrained policies."""
 ONNX = ".onnx"
 """Suffix of exported ONNX policies."""
 RANDOM = "random"
@@ -91,13 +89,8 @@ def load_checkpoint(word: str) -> tuple[Checkpoint, str]:
         FileNotFoundError: if the checkpoint does not exist.
         ValueError: if there is no such pretrained policy, or the file holds no checkpoint.
     """
-    from rover_rl.algos.policy.checkpoint import Checkpoint
-    from rover_rl.algos.pretrained import load_pretrained
-
-    if word.startswith(PRETRAINED):
-        name = word.removeprefix(PRETRAINED)
-        return load_pretrained(name), name
-    return Checkpoint.load(word), _folder(word).resolve().name
+    name = word.removeprefix(PRETRAINED) if word.startswith(PRETRAINED) else _folder(word).resolve().name
+    return load_policy(word), name
 
 
 def _unseen(config: TrainingConfig) -> tuple[str, ...]:
