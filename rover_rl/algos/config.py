@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Literal, TypeAlias, get_args
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_ROVERS, check_at_least, check_positive, check_seed
 from rover_rl.envs.config import DEFAULT_PHYSICS, OBSERVATION_KEYS, EnvConfig
-from rover_rl.sims.backends import name_of, resolve_backend
+from rover_rl.sims.backends import BackendLike, name_of, resolve_backend
 
 CollectorName: TypeAlias = Literal["auto", "process", "processes", "ray"]
 """Kinds of collectors."""
@@ -134,6 +134,9 @@ class AlgorithmConfig:
     """Number of decisions of each rover between two updates."""
     minibatch: int = 256
     """Number of decisions in a gradient step."""
+    critic_warmup: float = 0.0
+    """Fraction of training in which only the critic learns, from the start.
+    It keeps a policy that is trained further from following a critic that knows nothing yet."""
     gamma: float = 0.96
     """Discount factor per decision."""
     learning_rate: float = 1e-3
@@ -155,7 +158,7 @@ class AlgorithmConfig:
         """
         _check_counts(self, "rollout_length", "minibatch")
         _check_positive(self, "learning_rate", "reward_scale", "max_grad_norm")
-        _check_fractions(self, "gamma")
+        _check_fractions(self, "gamma", "critic_warmup")
 
 
 @dataclass(frozen=True)
@@ -167,6 +170,8 @@ class PPOConfig(AlgorithmConfig):
 
     rollout_length: int = 16
     """Number of decisions of each rover between two updates."""
+    minibatch: int = 1024
+    """Number of decisions in a gradient step."""
     epochs: int = 10
     """Number of passes over the decisions in an update."""
     lmbda: float = 0.95
@@ -226,7 +231,7 @@ class SACConfig(AlgorithmConfig):
 class RunConfig:
     """Settings of the run: its length, its folder and what it saves."""
 
-    total_steps: int = 600_000
+    total_steps: int = 3_000_000
     """Number of steps to train for, all rovers together. A step is 50 ms; a decision counts as action_repeat steps."""
     max_minutes: float | None = None
     """Time limit in minutes, if it comes before total_steps."""
@@ -240,6 +245,9 @@ class RunConfig:
     """Number of policies kept along the way, evenly spaced, to see later how fast it learned."""
     logger: tuple[TrackerName, ...] = ()
     """Trackers that get what progress.csv gets: csv, tensorboard, wandb, trackio, mlflow (extras of these names)."""
+    started_from: str | None = None
+    """Policy that the training starts from: pretrained:NAME, folder of a run, or checkpoint.
+    Default: a new policy."""
 
     def check(self) -> None:
         """Checks the settings.
@@ -263,7 +271,9 @@ class TrainingConfig:
     The same ``env.seed`` gives the same policy to the last bit with one worker, unless ``max_minutes`` ends the run.
     """
 
-    env: EnvConfig = field(default_factory=lambda: EnvConfig(world="moon", num_envs=64, length=600, seed=0))
+    env: EnvConfig = field(
+        default_factory=lambda: EnvConfig(world="moon", backend="warp", num_envs=512, length=600, seed=0)
+    )
     """Environment to train in."""
     network: NetworkConfig = field(default_factory=NetworkConfig)
     """Settings of the networks."""
@@ -428,14 +438,22 @@ PARTS: dict[str, type] = {
 """Parts of :class:`TrainingConfig`, by name."""
 
 
-def default_config(algo: str) -> TrainingConfig:
-    """The default settings of an algorithm.
+_PPO_ELSEWHERE = {"num_envs": 64, "minibatch": 256, "total_steps": 600_000}
+"""Default settings of PPO in other simulators than Warp, which simulates many rovers at little more cost than few."""
+_SAC = {"num_envs": 64, "total_steps": 400_000}
+"""Default settings of SAC, whose gradient steps take most of the time in any simulator."""
+
+
+def default_config(algo: str, backend: BackendLike = "warp") -> TrainingConfig:
+    """The default settings of an algorithm in a simulator.
 
     Args:
         algo: ``"ppo"`` or ``"sac"``.
+        backend: simulator. Warp has more rovers than others, and PPO in it larger batches and more steps.
     """
-    run = RunConfig(total_steps=400_000) if algo == "sac" else RunConfig()
-    return TrainingConfig(algorithm=ALGORITHMS[algo](), run=run)
+    in_warp = (backend if isinstance(backend, str) else name_of(backend)) == "warp"
+    settings = _SAC if algo == "sac" else {} if in_warp else _PPO_ELSEWHERE
+    return with_settings(TrainingConfig(algorithm=ALGORITHMS[algo]()), backend=backend, **settings)
 
 
 def training_config(algo: str, **settings: Any) -> TrainingConfig:
@@ -444,13 +462,14 @@ def training_config(algo: str, **settings: Any) -> TrainingConfig:
     Args:
         algo: ``"ppo"`` or ``"sac"``.
         **settings: fields of the parts of :class:`TrainingConfig`, for example ``world``, ``hidden`` or ``workers``.
+            The others are those of :func:`default_config`.
 
     Raises:
         ValueError: for an unknown algorithm or setting.
     """
     if algo not in ALGORITHMS:
         raise ValueError(f"algo must be one of {sorted(ALGORITHMS)}, got {algo!r}")
-    return with_settings(default_config(algo), **settings)
+    return with_settings(default_config(algo, settings.get("backend", "warp")), **settings)
 
 
 def with_settings(config: TrainingConfig, **settings: Any) -> TrainingConfig:

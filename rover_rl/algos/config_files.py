@@ -30,7 +30,7 @@ def config_from(data: Any, source: str) -> TrainingConfig:
     """Settings from plain data; what it does not name has its default.
 
     Settings may stand in their parts, as ``plain`` gives them, or without parts, also by the names that they had
-    before there were parts: see ``rover_rl.algos.flat_config``.
+    before there were parts: see ``rover_rl.algos.flat_config``. The sessions of a run are not settings.
 
     Args:
         data: a dictionary.
@@ -42,7 +42,7 @@ def config_from(data: Any, source: str) -> TrainingConfig:
     if not isinstance(data, dict) or data.get("algo") not in list(ALGORITHMS):
         raise ValueError(f"{source} must name an algo, one of {sorted(ALGORITHMS)}")
     algo = data["algo"]
-    parts = {key: value for key, value in data.items() if key != "algo"}
+    parts = {key: value for key, value in data.items() if key not in ("algo", _SESSIONS)}
     if not set(parts) & set(PARTS):
         homes = part_of(algo)
         parts, unknown = in_parts(parts, homes)
@@ -50,7 +50,7 @@ def config_from(data: Any, source: str) -> TrainingConfig:
             raise ValueError(f"{source} has settings that {algo} does not know: {unknown}; use some of {sorted(homes)}")
     if unknown := sorted(set(parts) - set(PARTS), key=str):
         raise ValueError(f"{source} has parts that do not exist: {unknown}; use some of {[*PARTS]}")
-    default = default_config(algo)
+    default = default_config(algo, _backend_name(parts.get("env")))
     read: dict[str, Any] = {}
     for part, given in parts.items():
         place = f"{part} in {source}"
@@ -63,10 +63,27 @@ def config_from(data: Any, source: str) -> TrainingConfig:
     return replace(default, **read)
 
 
-def write_config(path: Path, config: TrainingConfig) -> None:
-    """Writes settings as YAML."""
+def _backend_name(env: Any) -> str:
+    """Name of the backend in the plain data of an environment; that of the default if there is none."""
+    named = env.get("backend") if isinstance(env, dict) else None
+    named = next(iter(named), None) if isinstance(named, dict) else named
+    return named if isinstance(named, str) else default_config("ppo").env.backend
+
+
+_SESSIONS = "sessions"
+"""Name of the list of sessions in a run's settings."""
+
+
+def write_config(path: Path, config: TrainingConfig, sessions: Sequence[dict[str, Any]] = ()) -> None:
+    """Writes settings as YAML, with the sessions of a run that changed some, if there are any."""
+    data = plain(config) | ({_SESSIONS: [*sessions]} if sessions else {})
     with written_whole(path) as temporary:
-        write_through(temporary, yaml.safe_dump(plain(config), sort_keys=False).encode())
+        write_through(temporary, yaml.safe_dump(data, sort_keys=False).encode())
+
+
+def read_sessions(path: Path) -> list[dict[str, Any]]:
+    """Reads the sessions of a run that changed its settings from its ``config.yaml``."""
+    return read_yaml(path).get(_SESSIONS, [])
 
 
 def read_yaml(path: str | Path) -> Any:

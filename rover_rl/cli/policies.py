@@ -7,7 +7,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rover_rl.algos.policy.names import BASELINES, make_baseline
+from rover_rl.algos.policy.names import BASELINES, PRETRAINED, load_policy, make_baseline
 from rover_rl.registry import perhaps
 
 if TYPE_CHECKING:
@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from rover_rl.algos.evaluation.evaluate import Policy
     from rover_rl.algos.policy.checkpoint import Checkpoint
 
-PRETRAINED = "pretrained:"
-"""Prefix of the names of pretrained policies."""
 ONNX = ".onnx"
 """Suffix of exported ONNX policies."""
 LOG = ".jsonl"
@@ -95,18 +93,16 @@ def load_checkpoint(word: str) -> tuple[Checkpoint, str]:
         FileNotFoundError: if the checkpoint does not exist.
         ValueError: if there is no such pretrained policy, or the file holds no checkpoint.
     """
-    from rover_rl.algos.policy.checkpoint import Checkpoint
-    from rover_rl.algos.pretrained import load_pretrained, pretrained_names
+    from rover_rl.algos.pretrained import pretrained_names
 
     if word.startswith(PRETRAINED):
-        name = word.removeprefix(PRETRAINED)
-        return load_pretrained(name), name
+        return load_policy(word), word.removeprefix(PRETRAINED)
     if not Path(word).exists():
         # The name of a pretrained policy, with a typing error or without its prefix.
         names = get_close_matches(word.rpartition(":")[2], pretrained_names(), n=1)
         similar = f", perhaps {PRETRAINED + names[0]!r}" if names else perhaps(word, [*BASELINES, RANDOM])
         raise FileNotFoundError(f"no checkpoint at {word}{similar}")
-    return Checkpoint.load(word), _folder(word).resolve().name
+    return load_policy(word), _folder(word).resolve().name
 
 
 def _unseen(config: TrainingConfig) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
@@ -25,7 +25,7 @@ from rover_rl.algos.config import (
     with_settings,
 )
 from rover_rl.algos.config_files import SEED_SUFFIX, read_config, run_config
-from rover_rl.cli.policies import PRETRAINED
+from rover_rl.algos.policy.names import PRETRAINED, load_policy
 from rover_rl.envs.config import EnvConfig, Randomization
 from rover_rl.sims.backends import name_of
 
@@ -43,6 +43,15 @@ _EnvPart: TypeAlias = Annotated[EnvConfig, _Flat]
 
 
 @dataclass(frozen=True)
+class RunOptions(RunConfig):
+    """Settings of the run, with the policy that it starts from as --from."""
+
+    started_from: Annotated[str | None, tyro.conf.arg(name="from")] = None
+    """Policy to train further, in a new run: pretrained:NAME, folder of a run, or checkpoint. Other options override
+    the settings of its training (docs/fine_tuning.md)."""
+
+
+@dataclass(frozen=True)
 class Train:
     """Train a policy with PPO or SAC. The options below are those of the selected algorithm.
 
@@ -55,7 +64,7 @@ class Train:
     config_file: Annotated[Path | None, tyro.conf.arg(name="config")] = None
     """YAML file of settings, such as a run's config.yaml, or pretrained:NAME. Other options override its settings."""
     resume: Path | None = None
-    """Folder of a run to continue with its settings. Other options override them."""
+    """Folder of a run to continue. Options may change its length, learning rate, what it saves and what computes."""
     seeds: tuple[int, ...] = ()
     """Train once for each seed, one run after another, in folders NAME-seed0 and so on, for rover-rl compare.
     The same command continues runs that were interrupted."""
@@ -65,7 +74,7 @@ class Train:
     network: Annotated[NetworkConfig, _Flat] = field(default_factory=NetworkConfig)
     collection: Annotated[CollectionConfig, _Flat] = field(default_factory=CollectionConfig)
     algorithm: Annotated[AlgorithmConfig, _Flat] = field(default_factory=PPOConfig)
-    run: Annotated[RunConfig, _Flat] = field(default_factory=RunConfig)
+    run: Annotated[RunOptions, _Flat] = field(default_factory=RunOptions)
     backend_settings: tyro.conf.Suppress[Any] = None
     """Settings of the backend that a file provides. The command line has no options for them."""
 
@@ -75,7 +84,7 @@ class Train:
         env = self.env
         if self.backend_settings is not None and env.backend == name_of(self.backend_settings):
             env = replace(env, backend=self.backend_settings)
-        return TrainingConfig(env, self.network, self.collection, self.algorithm, self.run)
+        return TrainingConfig(env, self.network, self.collection, self.algorithm, RunConfig(**vars(self.run)))
 
     def __call__(self) -> int:
         """Trains a policy for each seed, plots its learning curve and prints a summary."""
@@ -157,17 +166,14 @@ def train_defaults(args: Sequence[str]) -> Train:
         ValueError: if the settings cannot be read, or belong to another algorithm.
     """
     given = _early_options(args)
-    if given.config is not None and given.resume is not None:
-        raise ValueError("--config starts a new run, and --resume continues one: give one of them")
-    if given.config is not None:
-        config = _read_settings(given.config)
-    else:
-        config = run_config(given.resume) if given.resume else default_config(_algorithm_or_default(given.algo))
+    if sum(source is not None for source in (given.config, given.resume, given.source)) > 1:
+        raise ValueError("--config and --from start a new run, and --resume continues one: give one of them")
+    config = _starting_settings(given)
     if given.algo in ALGORITHMS and given.algo != config.algo:
         raise ValueError(f"the settings are those of {config.algo}, and --algo is {given.algo}")
     if given.randomize:
         config = with_settings(config, randomization=Randomization.typical())
-    parts = {part: getattr(config, part) for part in PARTS}
+    parts = {part: getattr(config, part) for part in PARTS} | {"run": RunOptions(**vars(config.run))}
     settings = None
     if not isinstance(config.env.backend, str):
         settings = config.env.backend
@@ -179,25 +185,35 @@ def train_defaults(args: Sequence[str]) -> Train:
 def _early_options(args: Sequence[str]) -> argparse.Namespace:
     """Parses the options that determine the defaults of the others."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    for option in ("--algo", "--config", "--resume"):
+    for option in ("--algo", "--config", "--resume", "--backend", "--total-steps"):
         parser.add_argument(option, nargs="?")
+    parser.add_argument("--from", dest="source", nargs="?")
+    parser.add_argument("--world", nargs="*")
     parser.add_argument("--randomize", action="store_true")
     return parser.parse_known_args(args[1:] if args[:1] == ["train"] else [])[0]
 
 
-def _algorithm_or_default(algo: str | None) -> str:
-    return algo if algo in ALGORITHMS else PPOConfig.name
+def _starting_settings(given: argparse.Namespace) -> TrainingConfig:
+    """Returns the settings that the other options override."""
+    if given.config is not None:
+        return _read_settings(given.config)
+    if given.resume is not None:
+        return run_config(given.resume)
+    if given.source is not None:
+        from rover_rl.algos.train.fine_tuning import fine_tuning_config
+
+        # These determine other defaults. Their values are parsed with the other options.
+        steering: dict[str, Any] = {"world": tuple(given.world)} if given.world else {}
+        return fine_tuning_config(given.source, **steering, **({"total_steps": 1} if given.total_steps else {}))
+    return default_config(given.algo if given.algo in ALGORITHMS else PPOConfig.name, given.backend or "warp")
 
 
 def _read_settings(source: str) -> TrainingConfig:
     """Reads settings from a YAML file or from a pretrained policy."""
     if not source.startswith(PRETRAINED):
         return read_config(source)
-    from rover_rl.algos.pretrained import load_pretrained
-
-    config = load_pretrained(source.removeprefix(PRETRAINED)).config
-    defaults = {item.name: item.default for item in fields(RunConfig)}
-    return with_settings(config, runs=defaults["runs"], name=None)
+    config = load_policy(source).config
+    return with_settings(config, runs=RunConfig.runs, name=None)
 
 
 def format_summary(summary: TrainingSummary) -> str:

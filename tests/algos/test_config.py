@@ -67,7 +67,7 @@ def test_a_gpu_needs_warp_and_one_worker() -> None:
         assert config.on_gpu
     assert not PPO.on_gpu
     for wrong in (
-        training_config("ppo", device="cuda"),
+        training_config("ppo", backend="bullet", device="cuda"),
         training_config("ppo", backend="warp", device="cuda", workers=2),
     ):
         with pytest.raises(ValueError, match=r"device='cuda' needs backend='warp' and workers=1"):

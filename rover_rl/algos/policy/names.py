@@ -1,4 +1,4 @@
-"""Baseline policies by name. Does not import PyTorch.
+"""Policies by name. Does not import PyTorch until a policy is loaded.
 
 The command line, its help and its error messages read this table: a new baseline is a line in :data:`BASELINES`.
 """
@@ -11,9 +11,12 @@ from typing import TYPE_CHECKING
 from rover_rl.registry import perhaps
 
 if TYPE_CHECKING:
+    from rover_rl.algos.policy.checkpoint import Checkpoint
     from rover_rl.algos.policy.runner import Policy
     from rover_rl.envs.config import RobotLike
 
+PRETRAINED = "pretrained:"
+"""Prefix of the names of pretrained policies."""
 BASELINES = {
     "scripted": "rover_rl.algos.policy.baselines:ScriptedPolicy",
     "dwa": "rover_rl.algos.policy.dwa:DynamicWindowPolicy",
@@ -38,3 +41,19 @@ def make_baseline(name: str, robot: RobotLike | None = None) -> Policy:
     module, _, attribute = BASELINES[name].partition(":")
     policy_class = getattr(import_module(module), attribute)
     return policy_class() if robot is None else policy_class(robot)
+
+
+def load_policy(name: str) -> Checkpoint:
+    """Loads the checkpoint of a trained policy.
+
+    Args:
+        name: ``pretrained:NAME``, folder of a run, or checkpoint file.
+
+    Raises:
+        FileNotFoundError: if the checkpoint does not exist.
+        ValueError: if there is no such pretrained policy, or the file holds no checkpoint.
+    """
+    from rover_rl.algos.policy.checkpoint import Checkpoint
+    from rover_rl.algos.pretrained import load_pretrained
+
+    return load_pretrained(name.removeprefix(PRETRAINED)) if name.startswith(PRETRAINED) else Checkpoint.load(name)

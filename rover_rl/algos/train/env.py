@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-import torch
-from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.data import TensorSpec, Unbounded
-from torchrl.envs import EnvBase, RewardSum, StepCounter, Transform
+from torchrl.envs import EnvBase, RewardSum, StepCounter
 
 from rover_rl.algos.config import TrainingConfig, usable_cores
 from rover_rl.algos.policy.recurrent import memory_transforms
+from rover_rl.algos.train.attempts import AttemptCounter, SpreadEnds
 from rover_rl.algos.train.curriculum import Curriculum
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.make import add_reward
@@ -66,10 +64,10 @@ def make_training_env(
         share, temperature = settings.curriculum_share, settings.curriculum_temperature
         env = env.append_transform(Curriculum(rovers, share, temperature, estimates, per_batch))
     env = env.append_transform(RewardSum(["reward"], ["episode_reward"]))
-    env = env.append_transform(GoalCounter())
     env = env.append_transform(StepCounter())
-    longest = -(-env_config.length // action_repeat)
-    env = env.append_transform(SpreadEnds(longest))
+    ends = SpreadEnds(-(-env_config.length // action_repeat))
+    env = env.append_transform(ends)
+    env = env.append_transform(AttemptCounter(ends, action_repeat, env_config.length))
     for transform in memory_transforms(config.network.memory, config.network.memory_size):
         env = env.append_transform(transform)
     return env.append_transform(StepClock(rovers.simulator, worker, per_batch))
@@ -96,53 +94,3 @@ def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> Env
 def _threads(config: TrainingConfig) -> int:
     """Returns the number of CPU threads of one worker."""
     return max(1, usable_cores() // config.workers)
-
-
-class GoalCounter(Transform):
-    """Adds ``episode_goals``: number of goals reached in the episode so far, int64 ``[N, 1]``.
-
-    Append it after :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat`.
-    """
-
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        goals = tensordict["episode_goals"] + next_tensordict["outcome", "goals"]
-        return next_tensordict.set("episode_goals", goals)
-
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return tensordict_reset.set("episode_goals", torch.zeros_like(tensordict_reset["outcome", "goals"]))
-
-    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
-        """Adds the spec of ``episode_goals``."""
-        steps = observation_spec["outcome", "steps"]
-        observation_spec["episode_goals"] = Unbounded(shape=steps.shape, dtype=torch.int64, device=steps.device)
-        return observation_spec
-
-
-class SpreadEnds(Transform):
-    """Truncates the first episode of each row after a random number of decisions, and later ones after ``longest``.
-
-    Equals TorchRL's ``RandomTruncationTransform``, to the last bit, without asking at resets whether a row is reset:
-    the host would wait for a GPU. Append it after ``StepCounter``.
-
-    Args:
-        longest: largest number of decisions of an episode. The first lengths are drawn from 1 to ``longest``.
-    """
-
-    def __init__(self, longest: int) -> None:
-        super().__init__()
-        self._longest = longest
-        self._lengths: Tensor | None = None
-
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        over = next_tensordict["step_count"] >= self._lengths
-        for key in ("truncated", "done"):
-            next_tensordict.set(key, next_tensordict[key] | over)
-        return next_tensordict
-
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        done, mask = tensordict_reset["done"], tensordict.get("_reset", None)
-        if self._lengths is None:
-            self._lengths = torch.randint(1, self._longest + 1, done.shape, device=done.device)
-        elif mask is not None:
-            self._lengths = torch.where(mask, self._longest, self._lengths)
-        return tensordict_reset

@@ -133,6 +133,8 @@ class PPOLearner:
             # DAgger (Ross et al., 2011): the policy drives, and the expert labels the visited states with its actions.
             decisions["action"] = self._inside_bounds(self._expert(batch))
             gradient_step = self._imitation_step
+        elif share < self._settings.critic_warmup:
+            gradient_step = self._critic_step
         steps = []
         for part in self._minibatches(decisions):
             with stopwatch("gradient steps"):
@@ -179,6 +181,12 @@ class PPOLearner:
         with set_recurrent_mode(True):
             losses["loss_objective"] = -self.actor.get_dist(decisions).log_prob(decisions["action"]).mean()
         self._optimizer_step(losses["loss_objective"] + losses["loss_critic"])
+        return torch.stack([losses[key].detach() for key in LOGGED])
+
+    def _critic_step(self, decisions: TensorDictBase) -> Tensor:
+        """Takes a gradient step of the critic alone."""
+        losses = self._loss(decisions)
+        self._optimizer_step(losses["loss_critic"])
         return torch.stack([losses[key].detach() for key in LOGGED])
 
     def _inside_bounds(self, action: Tensor) -> Tensor:

@@ -32,8 +32,9 @@ _RECENT_STEPS = 80_000
 class BatchStatistics:
     """Computes statistics of consecutive batches of decisions.
 
-    The success rate of training, ``episodes_reached / episodes``, is the fraction of completed episodes in which at
-    least one goal was reached. It is measured with exploration and with the time limit of training.
+    The success rate of training, ``attempts_reached / attempts``, estimates that of an evaluation: each attempt to reach
+    a goal succeeds or fails (:class:`~rover_rl.algos.train.attempts.AttemptCounter`). It is measured with exploration
+    and with the decisions of training.
 
     Args:
         repeat: number of steps per decision. A decision in which the episode ends counts in full, so that the number
@@ -53,12 +54,15 @@ class BatchStatistics:
         after = batch["next"]
         outcome, ended = after["outcome"], after["done"]
         taken = batch.numel() * self._repeat
+        reached, failed = (int(after["attempts", key].sum()) for key in ("reached", "failed"))
         self.steps += taken
         return {
             "steps": self.steps,
             "goals_per_2000_steps": int(outcome["goals"].sum()) * EPISODE_STEPS / taken,
             "episodes": int(ended.sum()),
-            "episodes_reached": int((after["episode_goals"][ended] > 0).sum()),
+            "attempts": reached + failed,
+            "attempts_reached": reached,
+            "success_rate": reached / (reached + failed) if reached + failed else math.nan,
             "episode_steps": outcome["steps"][ended].float().mean().item(),
             "episode_return": after["episode_reward"][ended].mean().item(),
         }
@@ -205,8 +209,8 @@ class ProgressLog:
             writer.writerow({key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()})
 
     def _success_rate(self) -> float:
-        episodes = sum(row["episodes"] for row in self._recent)
-        return sum(row["episodes_reached"] for row in self._recent) / episodes if episodes else math.nan
+        attempts = sum(row["attempts"] for row in self._recent)
+        return sum(row["attempts_reached"] for row in self._recent) / attempts if attempts else math.nan
 
     def _mean(self, key: str) -> float:
         values = [row[key] for row in self._recent if not math.isnan(row[key])]

@@ -22,12 +22,13 @@ from torchrl.modules import ProbabilisticActor
 
 from rover_rl.algos.archives import first_not_finite
 from rover_rl.algos.config import TrainingConfig, default_workers, with_settings
-from rover_rl.algos.config_files import write_config
 from rover_rl.algos.policy.checkpoint import CHECKPOINT, SETTINGS, Checkpoint
 from rover_rl.algos.train.collectors import WorkerError, collect
 from rover_rl.algos.train.curriculum import CurriculumRecord
+from rover_rl.algos.train.fine_tuning import load_source
 from rover_rl.algos.train.progress import BatchStatistics, ProgressLog, Stopwatch
 from rover_rl.algos.train.ray_cluster import connect
+from rover_rl.algos.train.resuming import RunRecord
 from rover_rl.algos.train.run_folder import STATE, default_name, load_state, new_run_folder, save_run
 from rover_rl.algos.train.trackers import Trackers, check_trackers
 from rover_rl.envs.devices import available_device
@@ -83,12 +84,12 @@ class TrainingSummary:
 class TrainingRun:
     """Context manager of a new or resumed training run.
 
-    The run's folder holds ``config.yaml``, ``progress.csv`` (one row per batch), ``checkpoint.pt`` (the policy),
-    ``training_state.pt`` (the state from which training continues), ``snapshots/`` (earlier policies), with a
-    curriculum ``curriculum.csv`` (the worlds that were drawn), and what its trackers write there. Files
-    are replaced as a whole, every ``checkpoint_minutes`` and at the end. Ctrl-C and SIGTERM end the run after the
-    current batch; a second one ends it immediately. A run whose weights become NaN or infinite, or whose files cannot
-    be written, keeps its last checkpoint.
+    The run's folder holds ``config.yaml`` (settings, and sessions that changed some), ``progress.csv`` (one row per
+    batch), ``checkpoint.pt`` (the policy), ``training_state.pt`` (the state from which training continues),
+    ``snapshots/`` (earlier policies), with a curriculum ``curriculum.csv`` (the worlds that were drawn), and what its
+    trackers write there. Files are replaced as a whole, every ``checkpoint_minutes`` and at the end. Ctrl-C and SIGTERM
+    end the run after the current batch; a second one ends it immediately. A run whose weights become NaN or infinite,
+    or whose files cannot be written, keeps its last checkpoint.
 
     Args:
         config: settings of the training run.
@@ -96,7 +97,8 @@ class TrainingRun:
         folder: folder of a run to continue; ``None`` starts a new run.
 
     Raises:
-        ValueError: for an unknown world, a setting out of range, or a training state that does not fit.
+        ValueError: for an unknown world, a setting out of range, a training state that does not fit, a setting that
+            may not change when a run is continued, or a policy to start from that does not fit.
         FileExistsError: if a run of that name exists.
         FloatingPointError: if training has diverged, by the context or by :meth:`record`.
         OSError: if a file cannot be written.
@@ -118,13 +120,19 @@ class TrainingRun:
         self._saved_steps: int | None = None
         self._stopping = False
         self._curriculum = None if config.collection.curriculum == "none" else CurriculumRecord(config)
-        if folder is None:
-            self.folder = new_run_folder(config.run.runs, config.run.name, default_name(config))
-        else:
+        record = None if folder is None else RunRecord.of(folder, config)
+        if folder is not None:
             self.folder = folder
             self._resume()
+        if self._saved_steps is None and (source := load_source(config)) is not None:
+            learner.actor.load_state_dict(source.actor)
+        if folder is None:
+            self.folder = new_run_folder(config.run.runs, config.run.name, default_name(config))
+        self._record = record or RunRecord(self.folder / SETTINGS, config)
         self._from_start = folder is not None and self._saved_steps is None
-        write_config(self.folder / SETTINGS, config)
+        self._steps_before = self.steps
+        if self._saved_steps is None:
+            self._record.begin()
         self._updates_before = self.updates
         self.stopwatch = Stopwatch()
         self._last_snapshot = int(self.share * config.run.snapshots)
@@ -155,7 +163,7 @@ class TrainingRun:
             if self._curriculum and "curriculum" in state:
                 self._curriculum.load_state_dict(state["curriculum"])
             torch.set_rng_state(state["random"])
-            if self.config.on_gpu:
+            if self.config.on_gpu and "random_on_gpu" in state:
                 torch.cuda.set_rng_state(state["random_on_gpu"], self.config.device)
         except (RuntimeError, ValueError, KeyError, TypeError) as error:
             raise ValueError("the run's training state does not fit its settings") from error
@@ -191,6 +199,8 @@ class TrainingRun:
         self.stopwatch = Stopwatch()
         if self._from_start:
             self._log.say(f"{self.folder} has no checkpoint yet: its training begins from the start")
+        if self._record.changed:
+            self._log.say(f"{self.folder} continues after {self.steps:,} steps with {self._record}")
         return self
 
     def __exit__(
@@ -278,6 +288,7 @@ class TrainingRun:
         if self._curriculum:
             state["curriculum"] = self._curriculum.state_dict()
         save_run(self.folder, self._checkpoint(), state)
+        self._record.trained(self._steps_before)
         if self._curriculum:
             self._curriculum.write(self.folder)
         self._saved_steps = self.steps

@@ -124,13 +124,14 @@ class SACLearner:
         learning_rate = set_learning_rate(self._optimizer, self.config, share)
         count, self._gradient_steps_due = int(self._gradient_steps_due), self._gradient_steps_due % 1
         with stopwatch("gradient steps"):
-            steps = [self._gradient_step(self._replay_buffer.sample()) for _ in range(count)]
+            critic_alone = share < self._settings.critic_warmup
+            steps = [self._gradient_step(self._replay_buffer.sample(), critic_alone) for _ in range(count)]
             # Includes the time until the GPU has finished.
             means = torch.stack(steps).mean(0).tolist() if steps else [math.nan] * len(LOGGED)
         return {"gradient_steps": count, "learning_rate": learning_rate, **dict(zip(LOGGED, means, strict=True))}
 
-    def _gradient_step(self, decisions: TensorDictBase) -> Tensor:
-        """Takes a gradient step and returns the logged values."""
+    def _gradient_step(self, decisions: TensorDictBase, critic_alone: bool = False) -> Tensor:
+        """Takes a gradient step, of all networks or of the critics alone, and returns the logged values."""
         if self._settings.mirror_augmentation:
             decisions = mirrored(decisions, torch.rand(len(decisions), device=self.config.device) < 0.5)
         # Encodes the observations once for all networks.
@@ -138,7 +139,8 @@ class SACLearner:
             observation["features"] = self._encoder(*(observation[key] for key in self._encoder.keys))
         losses = self._loss(decisions)
         self._optimizer.zero_grad()
-        (losses["loss_actor"] + losses["loss_qvalue"] + losses["loss_alpha"]).backward()
+        rest = 0.0 if critic_alone else losses["loss_actor"] + losses["loss_alpha"]
+        (losses["loss_qvalue"] + rest).backward()
         self._optimizer.step()
         self._target_update.step()
         return torch.stack([losses[key].detach() for key in LOGGED])

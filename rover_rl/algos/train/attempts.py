@@ -1,0 +1,111 @@
+"""Attempts to reach a goal in training, counted so that their success rate is that of an evaluation."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.envs import Transform
+
+from rover_rl.envs.task import StepEvent
+from rover_rl.sims.timing import CONTROL_DT
+
+TIME_LIMIT = round(60 / CONTROL_DT)
+"""Number of steps in which an attempt succeeds: 60 s, as in an evaluation."""
+_KEY = "attempts"
+_ENTRIES = ("begun", "reached", "failed")
+
+
+class SpreadEnds(Transform):
+    """Truncates the first episode of each row after a random number of decisions, and later ones after ``longest``.
+
+    Equals TorchRL's ``RandomTruncationTransform``, to the last bit, without asking at resets whether a row is reset:
+    the host would wait for a GPU. Append it after ``StepCounter``.
+
+    Args:
+        longest: largest number of decisions of an episode. The first lengths are drawn from 1 to ``longest``.
+
+    Attributes:
+        lengths: number of decisions after which the current episode of each row is truncated, int64 ``[N, 1]``.
+    """
+
+    lengths: Tensor
+
+    def __init__(self, longest: int) -> None:
+        super().__init__()
+        self._longest = longest
+        self._drawn = False
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        over = next_tensordict["step_count"] >= self.lengths
+        for key in ("truncated", "done"):
+            next_tensordict.set(key, next_tensordict[key] | over)
+        return next_tensordict
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        done, mask = tensordict_reset["done"], tensordict.get("_reset", None)
+        if not self._drawn:
+            self.lengths = torch.randint(1, self._longest + 1, done.shape, device=done.device)
+            self._drawn = True
+        elif mask is not None:
+            self.lengths = torch.where(mask, self._longest, self.lengths)
+        return tensordict_reset
+
+
+class AttemptCounter(Transform):
+    """Counts the attempts to reach a goal that succeed and fail.
+
+    An attempt lasts from the setting of a goal to its end: it succeeds if the goal is reached within 60 s, and fails if
+    the episode ends before. That is how an evaluation counts. Episodes of training have a time limit, which would cut
+    many attempts off. So an attempt counts only if there is enough time when it begins: 60 s, or half of the longest
+    episode if that is less. Whether it counts does not depend on how it ends, so that the rate is not biased. It is a
+    little too low where many goals take longer than the time that is left.
+
+    It adds the nested entry ``attempts``, each int64 ``[N, 1]``: ``begun``, the number of steps of the episode before
+    the current attempt, ``reached`` and ``failed``, the numbers of attempts that succeeded and failed in this step.
+
+    Append it after :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat` and the transform that truncates.
+
+    Args:
+        ends: transform that truncates the episodes.
+        action_repeat: number of steps of a decision.
+        length: number of steps of the longest episode.
+    """
+
+    def __init__(self, ends: SpreadEnds, action_repeat: int, length: int) -> None:
+        super().__init__()
+        self._ends, self._action_repeat = [ends], action_repeat
+        self._least = min(TIME_LIMIT, length // 2)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        outcome, begun = next_tensordict["outcome"], tensordict[_KEY, "begun"]
+        steps, goals = outcome["steps"], outcome["goals"]
+        in_time, counts = steps - begun <= TIME_LIMIT, self._counts(begun)
+        late = (goals > 0) & ~in_time & counts
+        begun = torch.where(goals > 0, steps, begun)
+        # With end_on_goal, a goal ends the episode, too.
+        ended = next_tensordict["done"] & ~(next_tensordict["terminated"] & (outcome["phase"] >= StepEvent.GOAL))
+        failed = late | (ended & self._counts(begun))
+        return _with_entries(next_tensordict, begun, goals * (in_time & counts), failed.long())
+
+    def _counts(self, begun: Tensor) -> Tensor:
+        """Returns which attempts that began after these numbers of steps of the episode count, bool ``[N, 1]``."""
+        return self._ends[0].lengths * self._action_repeat - begun >= self._least
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        zeros = torch.zeros_like(tensordict_reset["outcome", "steps"])
+        return _with_entries(tensordict_reset, zeros, zeros.clone(), zeros.clone())
+
+    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
+        """Adds ``attempts``."""
+        steps = observation_spec["outcome", "steps"]
+        leaf = Unbounded(shape=steps.shape, dtype=torch.int64, device=steps.device)
+        observation_spec[_KEY] = Composite({name: leaf.clone() for name in _ENTRIES}, shape=observation_spec.shape)
+        return observation_spec
+
+
+def _with_entries(tensordict: TensorDictBase, *values: Tensor) -> TensorDictBase:
+    for name, value in zip(_ENTRIES, values, strict=True):
+        tensordict.set((_KEY, name), value)
+    return tensordict
