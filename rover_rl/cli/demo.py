@@ -78,7 +78,9 @@ class Demo:
     def _check(self) -> None:
         """Checks the options, before PyTorch is imported and a policy is trained."""
         if self.world.split(":")[0] not in WORLDS:
-            raise ValueError(f"unknown world {self.world!r}{perhaps(self.world, WORLDS)}; use one of {[*WORLDS]}, or 'name:seed'")
+            raise ValueError(
+                f"unknown world {self.world!r}{perhaps(self.world, WORLDS)}; use one of {[*WORLDS]}, or 'name:seed'"
+            )
         training_config("ppo", max_minutes=self.minutes, seed=self.seed).check()
         check_at_least(1, MAX_COUNT, count=self.count)
         check_at_least(CONTROL_DT, MAX_SECONDS, seconds=self.seconds)

@@ -16,7 +16,7 @@ from rover_rl.cli.policies import ONE_POLICY, resolve_policy
 class Film:
     """Film a policy: one rover from behind with its lidar beams, or many rovers from above."""
 
-    policy: Annotated[tyro.conf.Positional[str], tyro.conf.arg(help=ONE_POLICY)]
+    policy: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="POLICY", help=ONE_POLICY)]
     out: Path = Path("film.mp4")
     """File to write: .mp4 (needs the extra video) or .gif."""
     view: Literal["chase", "top"] = "chase"

@@ -25,7 +25,9 @@ class Play:
     ``rover-rl film`` has more options.
     """
 
-    policy: Annotated[tyro.conf.Positional[str], tyro.conf.arg(help=ONE_POLICY)] = "pretrained:anywhere"
+    policy: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="POLICY", help=ONE_POLICY)] = (
+        "pretrained:anywhere"
+    )
     world: str | None = None
     """World to drive in. Default: the one that the policy was trained in, or moon.
     After training in a range, it is one that was not in it."""
