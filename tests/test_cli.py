@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 import pytest
 import torch
 
+import rover_rl
 from rover_rl.algos.config import PPOConfig, SACConfig, training_config, with_settings
 from rover_rl.algos.config_files import read_config
 from rover_rl.algos.policy.checkpoint import Checkpoint
@@ -18,7 +20,11 @@ from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.algos.video.film import film
 from rover_rl.cli import main
 from rover_rl.cli.demo import Demo
+from rover_rl.cli.help import GROUPS
+from rover_rl.cli.main import COMMANDS as COMMANDS_BUT_TRAIN
+from rover_rl.cli.parsing import read_help
 from rover_rl.cli.policies import NO_POLICY, ONE_POLICY
+from rover_rl.cli.train import train_defaults
 from rover_rl.sims.worlds import WORLDS
 from tests.full_disk import largest_file
 
@@ -32,13 +38,71 @@ def failed(capsys: pytest.CaptureFixture[str], *args: object) -> str:
     return captured.err
 
 
-def test_help_shows_units_and_defaults(capsys: pytest.CaptureFixture[str]) -> None:
+HELPED = [
+    "",
+    *("train", "train --algo sac", "evaluate", "benchmark", "benchmark barn", "benchmark jaxnav", "play", "film"),
+    *("worlds", "worlds import", "worlds show", "demo", "robot", "drive", "export"),
+]
+
+
+def help_of(capsys: pytest.CaptureFixture[str], command: str) -> str:
     with pytest.raises(SystemExit) as stop:
-        main(["train", "--help"])
+        main([*command.split(), "--help"])
     assert stop.value.code == 0
-    text = capsys.readouterr().out
-    for expected in ("--world", "--num-envs", "default: 64", "--max-minutes", "Number of steps to train for"):
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", HELPED)
+def test_help_has_whole_words_at_any_width_on_a_terminal_and_elsewhere(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    words = []
+    for width, terminal in ((80, False), (120, False), (80, True), (120, True)):
+        monkeypatch.setenv("COLUMNS", str(width))
+        monkeypatch.setenv("FORCE_COLOR", "1" if terminal else "")
+        text = help_of(capsys, command)
+        assert ("\x1b" in text) == terminal
+        text = re.sub(r"\x1b\[[0-9;]*m", "", text)
+        assert max(map(len, text.splitlines())) <= width
+        assert not re.search(r"[`…]|\{None\}|\(default: \)|default: None", text)
+        words.append(text.split())
+    assert words == [words[0]] * 4
+
+
+def test_help_shows_common_options_first_then_groups(capsys: pytest.CaptureFixture[str]) -> None:
+    text = help_of(capsys, "train")
+    titles = re.findall(r"^[A-Z][^\n.]*\n(?=  --)", text, re.MULTILINE)
+    assert [title.strip() for title in titles[:6]] == [
+        *("Common options", "Environment", "Network", "Data collection", "Algorithm", "Run"),
+    ]
+    options = re.findall(r"^  (--[\w.-]+)", text, re.MULTILINE)
+    assert options[:4] == ["--world", "--algo", "--max-minutes", "--total-steps"]
+    assert len(options) == len({*options})
+    for expected in (
+        "(default: 64)",
+        "Number of steps to train for",
+        "Gains of the heading PID",
+        "Usage: rover-rl train",
+    ):
         assert expected in text
+
+
+@pytest.mark.parametrize("command", [*GROUPS])
+def test_groups_of_help_name_options_that_exist(command: str) -> None:
+    named = {f"--{word}" for words in GROUPS[command].values() for word in words.split()}
+    for algo in ("ppo", "sac"):
+        commands = {"train": train_defaults(["train", "--algo", algo]), **COMMANDS_BUT_TRAIN}
+        for option in read_help(commands, command).options:
+            # Nested settings, such as --lidar.points, have groups of their own.
+            named -= {*option.names, *(name.partition(".")[0] for name in option.names)}
+    assert not named
+
+
+def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["--version"])
+    assert stop.value.code == 0
+    assert capsys.readouterr().out == f"rover-rl {rover_rl.__version__}\n"
 
 
 def test_unknown_worlds_are_refused_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -66,7 +130,12 @@ NAMES = f"use one of {COMMANDS}; see rover-rl --help"
     ("line", "expected"),
     [
         ("", f"a command is missing; {NAMES}"),
-        ("trian --seed 1", f"unknown command 'trian'; {NAMES}"),
+        ("trian --seed 1", f"unknown command 'trian', perhaps 'train'; {NAMES}"),
+        (
+            "worlds impor x",
+            "unknown command 'worlds impor', perhaps 'import'; use one of ['list', 'import', 'show']; see",
+        ),
+        ("benchmark", "benchmark needs a command; use one of ['barn', 'jaxnav']; see rover-rl benchmark --help"),
         ("--seed 1 train", f"options come after a command, and --seed stands before any; {NAMES}"),
         ("train --sped 3", "unknown option --sped, perhaps --seed; see rover-rl train --help"),
         ("film x --sped=3", "unknown option --sped, perhaps --speed; see rover-rl film --help"),
@@ -77,20 +146,20 @@ NAMES = f"use one of {COMMANDS}; see rover-rl --help"
         ("train --max-st 1", "unknown option --max-st, perhaps --max-std; see rover-rl train --help"),
         ("train more", "unexpected argument 'more'; see rover-rl train --help"),
         ("export one two", "unexpected argument 'two'; see rover-rl export --help"),
-        ("train --seed abc", "--seed takes {None}|INT, got abc; see rover-rl train --help"),
-        ("train --seed=1.5", "--seed takes {None}|INT, got 1.5; see rover-rl train --help"),
+        ("train --seed abc", "--seed takes INT, got abc; see rover-rl train --help"),
+        ("train --seed=1.5", "--seed takes INT, got 1.5; see rover-rl train --help"),
         ("train --learning_rate fast", "--learning-rate takes FLOAT, got fast; see rover-rl train --help"),
-        ("train --seed", "--seed takes {None}|INT, got nothing; see rover-rl train --help"),
-        ("train --seed --epochs 1", "--seed takes {None}|INT, got nothing; see rover-rl train --help"),
-        ("train --resume", "--resume takes {None}|PATH, got nothing; see rover-rl train --help"),
-        ("train --workers two", "--workers takes {None}|INT, got two; see rover-rl train --help"),
-        ("train --hidden 8 x", "--hidden takes [INT [INT ...]], got 8 x; see rover-rl train --help"),
+        ("train --seed", "--seed takes INT, got nothing; see rover-rl train --help"),
+        ("train --seed --epochs 1", "--seed takes INT, got nothing; see rover-rl train --help"),
+        ("train --resume", "--resume takes PATH, got nothing; see rover-rl train --help"),
+        ("train --workers two", "--workers takes INT, got two; see rover-rl train --help"),
+        ("train --hidden 8 x", "--hidden takes INT ..., got 8 x; see rover-rl train --help"),
         ("train --algo dqn", "--algo takes {ppo,sac}, got dqn; see rover-rl train --help"),
         ("film x --view side", "--view takes {chase,top}, got side; see rover-rl film --help"),
-        ("drive x --goal 1", "--goal takes [FLOAT FLOAT [FLOAT FLOAT ...]], got 1; see rover-rl drive --help"),
+        ("drive x --goal 1", "--goal takes FLOAT FLOAT ..., got 1; see rover-rl drive --help"),
         ("worlds --out", "--out takes PATH, got nothing; see rover-rl worlds --help"),
         ("demo --minutes soon", "--minutes takes FLOAT, got soon; see rover-rl demo --help"),
-        ("evaluate x --count 1.5", "--count takes {None}|INT, got 1.5; see rover-rl evaluate --help"),
+        ("evaluate x --count 1.5", "--count takes INT, got 1.5; see rover-rl evaluate --help"),
         (
             "film",
             f"film needs: {ONE_POLICY.removesuffix('.')}; see rover-rl",
@@ -320,9 +389,7 @@ def written(folder: Path, text: str) -> Path:
 def test_help_shows_the_settings_of_the_algorithm(
     capsys: pytest.CaptureFixture[str], algo: str, own: str, other: str
 ) -> None:
-    with pytest.raises(SystemExit):
-        main(["train", "--algo", algo, "--help"])
-    text = capsys.readouterr().out
+    text = help_of(capsys, f"train --algo {algo}")
     assert own in text
     assert other not in text
 

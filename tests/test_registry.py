@@ -135,11 +135,18 @@ def test_a_registered_part_whose_module_is_missing_is_not_its_own_suggestion() -
 
 @pytest.mark.parametrize(
     ("name", "suggestion"),
-    [("mooon", "moon"), ("mazes", "maze"), ("maze:abc", "maze"), ("rover_rl.registry.Registry", "rover_rl.registry:Registry")],
+    [
+        ("mooon", "moon"),
+        ("mazes", "maze"),
+        ("maze:abc", "maze"),
+        ("rover_rl.registry.Registry", "rover_rl.registry:Registry"),
+    ],
 )
 def test_a_similar_name_is_suggested(name: str, suggestion: str) -> None:
     registry = Registry("part", {"moon": PART, "maze": PART})
-    with pytest.raises(ValueError, match=rf"^unknown part '{name}', perhaps '{suggestion}'; use one of \['maze', 'moon'\]"):
+    with pytest.raises(
+        ValueError, match=rf"^unknown part '{name}', perhaps '{suggestion}'; use one of \['maze', 'moon'\]"
+    ):
         registry.find(name)
 
 
@@ -192,7 +199,9 @@ def test_entry_points_of_installed_packages_are_found(
     registry = Registry("part", {"built-in": PART})
     assert registry.names() == ["built-in", "theirs"]
     assert registry.find("theirs") == "installed"
-    with pytest.raises(ValueError, match=r"^unknown part 'other', perhaps 'theirs'; use one of \['built-in', 'theirs'\]"):
+    with pytest.raises(
+        ValueError, match=r"^unknown part 'other', perhaps 'theirs'; use one of \['built-in', 'theirs'\]"
+    ):
         registry.find("other")
 
 

@@ -28,7 +28,8 @@ class Evaluate:
     """
 
     policies: Annotated[
-        tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(help=f"{SEVERAL_POLICIES} Also drive logs ({LOG}).")
+        tyro.conf.Positional[tuple[str, ...]],
+        tyro.conf.arg(metavar="POLICY ...", help=f"{SEVERAL_POLICIES} Also drive logs ({LOG})."),
     ]
     world: tuple[str, ...] = ()
     """Worlds to drive in, or ranges of worlds such as maze:10000-10063. Seeds from 10000 up are for evaluation.

@@ -29,7 +29,8 @@ class Film:
     """
 
     policy: Annotated[
-        tyro.conf.Positional[str], tyro.conf.arg(help=f"{ONE_POLICY} Or a log of rover-rl drive ({LOG}).")
+        tyro.conf.Positional[str],
+        tyro.conf.arg(metavar="POLICY", help=f"{ONE_POLICY} Or a log of rover-rl drive ({LOG})."),
     ]
     out: Path = Path("film.mp4")
     """File to write: .mp4 (needs the extra video) or .gif."""

@@ -32,7 +32,8 @@ class Play:
     """
 
     policy: Annotated[
-        tyro.conf.Positional[str], tyro.conf.arg(help=f"{ONE_POLICY} Or a log of rover-rl drive ({LOG}).")
+        tyro.conf.Positional[str],
+        tyro.conf.arg(metavar="POLICY", help=f"{ONE_POLICY} Or a log of rover-rl drive ({LOG})."),
     ] = "pretrained:anywhere"
     world: str | None = None
     """World to drive in. Default: the one that the policy was trained in, or moon.
