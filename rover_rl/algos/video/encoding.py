@@ -65,7 +65,7 @@ def _write_gif(path: Path, pictures: Iterable[np.ndarray], fps: int) -> None:
     images = []
     for frame in frames:
         red, green, blue = np.moveaxis(frame >> (8 - _BITS), -1, 0).astype(np.int32)
-        images.append(Image.fromarray(index_of[(red << 2 * _BITS) | (green << _BITS) | blue], "P"))
+        images.append(Image.fromarray(index_of[(red << 2 * _BITS) | (green << _BITS) | blue]))
         images[-1].putpalette(palette.getpalette() or ())
     images[0].save(path, save_all=True, append_images=images[1:], duration=1000 / fps, loop=0)
 

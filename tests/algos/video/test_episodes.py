@@ -28,7 +28,7 @@ from rover_rl.envs import EnvConfig, Randomization, RoverEnv
 from rover_rl.sims.worlds import Terrain, box
 
 SMALL = {"width": 64, "height": 48, "fps": 2}
-SECONDS = 4.0
+SECONDS = 5.0
 
 
 def evaluated(folder: Path, env: EnvConfig | None = None) -> Evaluation:
@@ -42,11 +42,11 @@ def evaluated(folder: Path, env: EnvConfig | None = None) -> Evaluation:
 
 @pytest.mark.parametrize("randomized", [False, True])
 def test_an_episode_is_driven_as_in_the_evaluation(randomized: bool, tmp_path: Path) -> None:
-    env = replace(environment_for(None, None), randomization=Randomization(lidar_noise=0.05)) if randomized else None
+    env = replace(environment_for(None, None), randomization=Randomization(range_noise=0.05)) if randomized else None
     before = evaluated(tmp_path, env)
     stored = read_evaluation(tmp_path, "scripted")
     assert stored.endings == before.endings
-    assert len(set(stored.endings)) > 1
+    assert {"goal", "time limit"} <= set(stored.endings)
     for episode in (0, 9):
         episodes = stored.to_drive(episode)
         _, (drive,) = record_episodes(
@@ -81,6 +81,7 @@ def test_the_command_films_an_episode_or_those_that_failed(tmp_path: Path, capsy
     assert f"{len(failed)} of 10 episodes do not reach their goal\n" in told
     assert sorted(path.name for path in tmp_path.glob("film-*.gif")) == sorted(f"film-{one}.gif" for one in failed[:2])
     assert f"Not filmed: {failed[2]} ({before.endings[failed[2]]})" in told
+    assert len(failed) < 10
 
 
 def _durations(picture: Image.Image) -> list[float]:
@@ -110,7 +111,7 @@ def test_an_episode_that_was_not_evaluated_is_one_of_its_world(
         ("film scripted --episode 10 --evaluation . --out x.gif", "episode must be between 0 and 9, got 10"),
         ("film random --episode 1 --evaluation . --out x.gif", "has no evaluation of random; it has scripted"),
         ("film scripted --episode 1 --evaluation x.json --out x.gif", "x.json: No such file"),
-        ("film scripted --episode 1 --evaluation other.json --out x.gif", "is no evaluation of rover-rl evaluate"),
+        ("film scripted --episode 1 --evaluation other.json --out x.gif", "other.json is no evaluation of rover-rl evaluate"),
         ("film none.jsonl --out x.gif", "none.jsonl: No such file"),
     ],
 )
@@ -123,7 +124,7 @@ def test_a_wrong_request_is_one_sentence(
         episode = {"start": [0, 0, 0], "goal": [1, 1], "shortest": 2, "ending": "goal", "seconds": 1}
         rest = {"action_repeat": 1, "time_limit": 60, "env": None, "episodes": [episode] * 10}
         (tmp_path / "evaluation.json").write_text(json.dumps([entry | rest]))
-    (tmp_path / "other.json").write_text("{}")
+    (tmp_path / "other.json").write_text("{\"mode\": 1}")
     assert main(given.split()) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "x.gif").exists()
@@ -162,7 +163,7 @@ def test_a_drive_of_a_log_is_filmed_with_its_readings(log: Path, capsys: pytest.
     assert drive.world.name == "none"
     first, last = (drive.moments[step].rover for step in (0, -1))
     assert first.linear_velocity == 0
-    assert last.linear_velocity == pytest.approx(last.position[0, :2].sub(first.position[0, :2]).norm() / 0.6, rel=1)
+    assert 0.5 < last.linear_velocity.item() < 1.1
     beams = first.ranges[0].isfinite()
     assert 10 < beams.sum() < len(beams)
     hits = (first.ranges[0] * (drive.ray_angles + 0.5).cos() + 0.174 * math.cos(0.5))[beams]
