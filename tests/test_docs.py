@@ -24,7 +24,8 @@ import tyro
 
 from rover_rl.algos.config import training_config
 from rover_rl.algos.config_files import write_config
-from rover_rl.cli.main import commands as registered, main
+from rover_rl.cli.main import commands as all_commands
+from rover_rl.cli.main import main
 from rover_rl.cli.options import read_command
 from tests.pages import NEEDS, ROOT, anchors, blocks, broken_tables, inline, name_of, pages, tokens
 
@@ -188,14 +189,14 @@ def options_of(command: str) -> set[str]:
 @pytest.mark.parametrize("args", commands("rover-rl", mentioned=False))
 @pytest.mark.usefixtures("runs", "capsys")
 def test_commands_are_understood(args: list[str]) -> None:
-    assert callable(read_command(commands(args), args))
+    assert callable(read_command(all_commands(args), args))
 
 
 @pytest.mark.parametrize("args", commands("rover-rl", scripted=False))
 def test_mentioned_commands_and_their_options_exist(args: list[str]) -> None:
     if args[0] in ("COMMAND", "--help"):
         return
-    assert args[0] in registered()
+    assert args[0] in all_commands()
     assert {word.split("=")[0] for word in args if word.startswith("--")} <= options_of(args[0])
 
 
@@ -203,7 +204,7 @@ def test_wrong_commands_are_found() -> None:
     _, *args = next(scripted_commands("```bash\nrover-rl train --word moon  # a typing error\n```"))
     assert args == ["train", "--word", "moon"]
     with pytest.raises(ValueError, match="unknown option --word"):
-        read_command(commands(args), args)
+        read_command(all_commands(args), args)
 
 
 @pytest.mark.parametrize("args", commands("make"))
@@ -312,7 +313,7 @@ def test_the_command_line_reference_has_every_option(capsys: pytest.CaptureFixtu
     pytest.importorskip("sphinx")
     help_ = load(ROOT / "docs" / "_extensions" / "command_help.py")
     documented = help_.all_commands()
-    assert {command.split()[0] for command in documented} == {*registered()}
+    assert {command.split()[0] for command in documented} == {*all_commands()}
     for command in ("train --algo sac", *documented):
         found = help_.command_help(command)
         assert found.description

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -68,9 +69,9 @@ def draw_learning_curve(
         for ax, (measure, against) in zip(row, panels, strict=True):
             for curve in here:
                 curve.draw(ax, measure, against)
-            _finish(ax, measure, against, max(curve.experiment.end(against) for curve in here))
             if baseline is not None and baseline.episodes.name == world:
                 _draw_baseline(ax, measure, baseline)
+            _finish(ax, measure, against, max(curve.experiment.end(against) for curve in here))
         row[0].set_title(world, loc="left", fontweight="bold")
     handles = _legend(curves, baseline)
     # Two long labels do not fit side by side.
@@ -101,7 +102,7 @@ class _Curve:
         of = "" if len(runs) == 1 else f"{len(runs)} runs of "
         named = self.named and experiment.name != experiment.settings
         name = f"{experiment.name} ({experiment.title})" if named else experiment.title
-        return f"{name}: {of}{steps:,.0f} steps in {minutes:.1f} min"
+        return fill(f"{name}: {of}{steps:,.0f} steps in {minutes:.1f} min", _LABEL)
 
     def draw(self, ax: Axes, measure: Measure, against: Against) -> None:
         runs, end = self.experiment.runs, self.experiment.end(against)
@@ -149,6 +150,8 @@ def _draw_baseline(ax: Axes, measure: Measure, baseline: Evaluation) -> None:
     ax.axhline(level, clip_on=False, zorder=3, **_BASELINE)
 
 
+_LABEL = 96
+"""Largest number of characters in a line of the legend."""
 _LONG_LABEL = 48
 """Largest number of characters of a label in a legend with two columns."""
 

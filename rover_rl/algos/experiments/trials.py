@@ -73,19 +73,24 @@ def draw_trials(sweep: Sweep, path: Path) -> None:
         for place, trial in reversed([*enumerate(trials)]):
             drawn, rate = trial.params[setting.name], trial.value or 0.0
             ends = [[rate - trial.user_attrs["low"]], [trial.user_attrs["high"] - rate]]
-            x = order.index(drawn) if order else setting.value(drawn)
+            # Trials with the same choice stand side by side.
+            side = 0.5 * (trial.number + 0.5) / len(trials) - 0.25
+            x = order.index(drawn) + side if order else setting.value(drawn)
             color = BLUE if place else ORANGE
-            ax.errorbar(x, rate, ends, fmt="o", color=color, elinewidth=0.8, label=None if place else "best trial")
+            label = None if place else f"best trial: {trial.number}"
+            ax.errorbar(x, rate, ends, fmt="o", color=color, elinewidth=0.8, clip_on=False, label=label)
         if order:
             ax.set_xticks(range(len(order)), order)
             ax.set_xlim(-0.5, len(order) - 0.5)
-        elif isinstance(setting, Interval) and setting.log:
-            ax.set_xscale("log")
+        elif isinstance(setting, Interval):
+            # Trials at the ends are not cut.
+            ax.set(xscale="log" if setting.log else "linear", xlim=(setting.low, setting.high))
+            ax.margins(x=0.05)
         ax.set(xlabel=setting.name, ylim=(0, 1.02))
         ax.yaxis.set_major_formatter(PercentFormatter(1.0))
         style_axes(ax)
     figure.axes[0].set_ylabel("success rate")
-    figure.axes[0].legend(frameon=False, loc="lower left")
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", frameon=False)
     for ax in figure.axes[len(sweep.space) :]:
         ax.remove()
     with written_whole(path) as temporary:

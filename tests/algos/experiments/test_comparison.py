@@ -80,7 +80,7 @@ def test_tables_fit_80_columns_and_cut_no_number(tmp_path: Path) -> None:
     text = printed(compare(find_runs([str(tmp_path)])))
     assert max(map(len, text.splitlines())) <= 80
     assert "a-rather-long-name-of-an-experiment" in text
-    for expected in ("94.8 [", "150,000", "46.2", "better than one of other: 100 %", "too narrow"):
+    for expected in ("93.6 [93–95]", "150,000", "47.3", "better than one of other: 100 %", "too narrow"):
         assert expected in " ".join(text.split())
 
 

@@ -134,7 +134,7 @@ def test_trials_are_shown(tmp_path: Path, fakes: Fakes) -> None:
     assert len(lines) == 5
     draw_trials(sweep, tmp_path / "trials.svg")
     drawn = (tmp_path / "trials.svg").read_text()
-    for name in ("learning_rate", "gamma", "hidden", "best trial"):
+    for name in ("learning_rate", "gamma", "hidden", f"best trial: {sweep.finished[0].number}"):
         assert f"<!-- {name} -->" in drawn
 
 
