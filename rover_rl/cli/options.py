@@ -7,11 +7,11 @@ import re
 from collections.abc import Iterable, Sequence
 from contextlib import redirect_stderr
 from difflib import get_close_matches
+from importlib.metadata import version
 from typing import Any
 
 from rich.console import Console
 
-from rover_rl import __version__
 from rover_rl.cli.help import print_help
 from rover_rl.cli.parsing import PROGRAM, SUBCOMMANDS, Option, parse, read_help
 from rover_rl.registry import perhaps
@@ -32,7 +32,7 @@ def read_command(commands: dict[str, Any], args: Sequence[str]) -> Any:
     """
     name = args[0] if args else ""
     if name == "--version":
-        print(f"{PROGRAM} {__version__}")
+        print(f"{PROGRAM} {version(PROGRAM)}")
         raise SystemExit(0)
     if name not in commands and name not in _HELP and not name.startswith("--tyro-"):
         raise ValueError(f"{_unknown_command(name, commands)} use one of {[*commands]}{_hint()}")
