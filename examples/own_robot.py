@@ -24,7 +24,12 @@ from rover_rl.sims.robots import Robot, get_robot
 # in xacro is expanded first (``xacro robot.urdf.xacro > robot.urdf``).
 
 RADIUS, WIDTH = 0.1, 0.05
-HUBS = {"front_left": (0.13, 0.19), "rear_left": (-0.13, 0.19), "front_right": (0.13, -0.19), "rear_right": (-0.13, -0.19)}
+HUBS = {
+    "front_left": (0.13, 0.19),
+    "rear_left": (-0.13, 0.19),
+    "front_right": (0.13, -0.19),
+    "rear_right": (-0.13, -0.19),
+}
 CHASSIS = '<origin xyz="0 0 0.17"/><geometry><box size="0.42 0.3 0.16"/></geometry>'
 WHEEL = f'<origin rpy="1.5707963267948966 0 0"/><geometry><cylinder radius="{RADIUS}" length="{WIDTH}"/></geometry>'
 wheels = "".join(
