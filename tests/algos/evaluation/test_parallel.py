@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import multiprocessing
 import os
+import pickle
 import signal
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,6 +19,7 @@ from tensordict import TensorDictBase
 
 from rover_rl import World
 from rover_rl.algos.evaluation import parallel
+from rover_rl.algos.evaluation.by_value import dumps, loads
 from rover_rl.algos.evaluation.cores import over_cores
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import EndlessEvaluation, Evaluation, Policy, evaluate, evaluate_endless
@@ -122,6 +128,14 @@ def killed(_: Any) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+def crashed(_: Any) -> None:
+    os._exit(3)
+
+
+def without_descriptors(_: Any) -> None:
+    raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+
 def call(function: Any) -> Any:
     return function(None)
 
@@ -143,11 +157,56 @@ def test_an_error_in_a_process_is_raised_as_it_is_and_ends_the_others() -> None:
 
 def test_a_killed_process_is_reported_in_words_and_ends_the_others() -> None:
     before = other_processes()
-    with pytest.raises(ChildProcessError, match="^a worker process has ended, perhaps because the memory is full$"):
+    with pytest.raises(ChildProcessError, match=r"ended by signal 9 \(Killed\), perhaps because the memory"):
         over_cores(call, [endless, killed], "working", workers=2)
     for process in other_processes() - before:
         process.join(60)
         assert process.exitcode is not None
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [(crashed, "a worker process has ended with exit code 3$"), (without_descriptors, "Too many")],
+)
+def test_the_message_names_the_true_cause(function: Any, message: str) -> None:
+    with pytest.raises(OSError, match=message):
+        over_cores(call, [endless, function], "working", workers=2)
+
+
+MANY_UNDER_A_LIMIT = """
+import resource
+from dataclasses import replace
+from rover_rl import World
+from rover_rl.algos.evaluation.episodes import draw_episodes
+from rover_rl.algos.evaluation.parallel import GoalRequest, evaluate_all
+from rover_rl.envs import EnvConfig
+from rover_rl.sims.worlds import Terrain
+
+if __name__ == "__main__":
+    resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
+    worlds = [World(f"field {number}", Terrain.flat((6.0, 6.0))) for number in range(40)]
+    episodes = draw_episodes(worlds, 4, min_path=1.0)
+    (result,) = evaluate_all([GoalRequest(None, episodes, {"seconds": 0.1, "env": EnvConfig(backend="warp")})], 2)
+    print(len(result.trajectories), {len(t.position) for t in result.trajectories}, result.episodes.world_name(159))
+"""
+
+
+def test_more_episodes_and_worlds_than_file_descriptors(tmp_path: Path) -> None:
+    """Tensors must not cross processes with a file descriptor each."""
+    script = tmp_path / "many.py"
+    script.write_text(MANY_UNDER_A_LIMIT)
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "160 {3} field 39"
+
+
+def test_worlds_cross_once_and_slices_without_the_rest() -> None:
+    world, whole = FIELD, torch.arange(100_000.0)
+    sent = dumps({"worlds": [world, world], "part": whole[10:12], "none": None})
+    assert len(sent) < len(pickle.dumps(world)) + 2000
+    one, two = loads(sent), loads(dumps(world))
+    assert one["worlds"][0] is one["worlds"][1] is two
+    assert one["part"].tolist() == [10.0, 11.0]
 
 
 def test_invalid_requests_raise_before_a_process_starts(
