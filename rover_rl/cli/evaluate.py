@@ -27,7 +27,7 @@ LOG = ".jsonl"
 class Evaluate:
     """Evaluate policies side by side on fixed start-goal pairs.
 
-    Writes evaluation.json, evaluation.csv and plots of the paths.
+    Writes evaluation.json, evaluation.csv (a row for each episode), evaluation-summary.csv and plots of the paths.
     """
 
     policies: Annotated[
@@ -55,6 +55,9 @@ class Evaluate:
     """In endless mode, end an episode after a long collision, as in the contract. The original never does."""
     workers: int | None = None
     """Number of processes. The results do not depend on it. Default: the number of CPU cores."""
+    columns: tuple[str, ...] = ()
+    """Columns of the table: all, or names such as success SPL jerk. The files have all. Default: success, clean, SPL,
+    time, touched and the endings that occur."""
     out: Path | None = None
     """Folder to write to. Default: the folder of the first checkpoint, or runs/evaluation."""
 
@@ -62,8 +65,9 @@ class Evaluate:
         """Evaluates the policies, and prints a table and the paths of the results."""
         from rover_rl.algos.deploy.drive_log import read_drives
         from rover_rl.algos.evaluation.plots import draw_paths
-        from rover_rl.algos.evaluation.report import print_table, write_evaluation
+        from rover_rl.algos.evaluation.report import choose_columns, print_table, write_evaluation
 
+        choose_columns(self.columns)
         logs = {Path(word): read_drives(Path(word)) for word in self.policies if word.endswith(LOG)}
         policies = self._policies()
         backends = self._backends(policies)
@@ -84,9 +88,10 @@ class Evaluate:
                 draw_paths(shown, picture)
         finally:
             # Prints the results even if a file could not be written.
-            print_table(results, groups=dict(zip(trained, experiments([*trained.values()]), strict=True)))
+            groups = dict(zip(trained, experiments([*trained.values()]), strict=True))
+            print_table(results, groups=groups, columns=self.columns)
         by_world = ", evaluation-worlds.csv" if any(episodes.several_worlds for episodes in sets.values()) else ""
-        print(f"Results: {out / 'evaluation.json'}, evaluation.csv{by_world}")
+        print(f"Results: {out / 'evaluation.json'}, evaluation.csv, evaluation-summary.csv{by_world}")
         print("Paths driven: " + ", ".join(str(picture) for picture in pictures))
         return 0
 

@@ -66,20 +66,25 @@ class Metric:
     unit: str = ""
 
 
+CONTACT_MEANING = "A contact: the body within 1 cm of an obstacle. What is lower than the wheel hubs, such as rubble, counts as ground."
+"""Addition to a legend with one of :data:`CONTACT_METRICS`."""
+CONTACT_METRICS = ("contact_free_success_rate", "body_contacts", "body_contact_share")
+"""Metrics that count contacts of the body."""
+
 METRICS = {
-    "success_rate": Metric("SR", "episodes that reach their goal", "%"),
-    "contact_free_success_rate": Metric("clean", "episodes that reach their goal without a contact of the body", "%"),
+    "success_rate": Metric("success", "episodes that reach their goal", "%"),
+    "contact_free_success_rate": Metric("clean", "episodes that reach their goal without a contact", "%"),
     "spl": Metric("SPL", "success weighted by path length"),
-    "mean_time_to_traverse": Metric("MTT", "mean time to a reached goal", "s"),
+    "mean_time_to_traverse": Metric("time", "mean time to a reached goal", "s"),
     "traverse_rate": Metric("TR", "shortest-path length to reached goals per second of driving", "m/s"),
     "goals_per_episode": Metric("goals", "goals reached per episode"),
-    "seconds_per_goal": Metric("time", "driving time per goal reached", "s"),
+    "seconds_per_goal": Metric("time per goal", "driving time per goal reached", "s"),
     "episode_seconds": Metric("episode", "mean duration of an episode", "s"),
     "ended_early": Metric("early", "episodes that end before the time limit", "%"),
     "velocity_over_rough_terrain": Metric("VORT", "mean speed on ground with a tilt of 10 degrees or more", "m/s"),
     "collisions": Metric("TC", "collisions per episode"),
-    "body_contacts": Metric("touches", "contacts of the body with obstacles per episode"),
-    "body_contact_share": Metric("touched", "episodes in which the body touches an obstacle", "%"),
+    "body_contacts": Metric("touches", "contacts per episode"),
+    "body_contact_share": Metric("touched", "episodes with a contact", "%"),
     "turns_per_goal": Metric("turns", "full turns per goal reached"),
     "standstill": Metric("still", "time spent slower than 0.05 m/s", "%"),
     "command_reversals": Metric("reversals", "changes of the commanded turning direction per second", "1/s"),

@@ -7,10 +7,8 @@ import multiprocessing
 import os
 import pickle
 import signal
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import pytest
@@ -173,31 +171,25 @@ def test_the_message_names_the_true_cause(function: Any, message: str) -> None:
         over_cores(call, [endless, function], "working", workers=2)
 
 
-MANY_UNDER_A_LIMIT = """
-import resource
-from dataclasses import replace
-from rover_rl import World
-from rover_rl.algos.evaluation.episodes import draw_episodes
-from rover_rl.algos.evaluation.parallel import GoalRequest, evaluate_all
-from rover_rl.envs import EnvConfig
-from rover_rl.sims.worlds import Terrain
-
-if __name__ == "__main__":
-    resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
-    worlds = [World(f"field {number}", Terrain.flat((6.0, 6.0))) for number in range(40)]
-    episodes = draw_episodes(worlds, 4, min_path=1.0)
-    (result,) = evaluate_all([GoalRequest(None, episodes, {"seconds": 0.1, "env": EnvConfig(backend="warp")})], 2)
-    print(len(result.trajectories), {len(t.position) for t in result.trajectories}, result.episodes.world_name(159))
-"""
+def tensors(world: World, count: int) -> list[Any]:
+    return [world, *(torch.zeros(2) for _ in range(count))]
 
 
-def test_more_episodes_and_worlds_than_file_descriptors(tmp_path: Path) -> None:
-    """Tensors must not cross processes with a file descriptor each."""
-    script = tmp_path / "many.py"
-    script.write_text(MANY_UNDER_A_LIMIT)
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1] == "160 {3} field 39"
+def test_more_tensors_cross_than_there_are_file_descriptors() -> None:
+    resource = pytest.importorskip("resource")
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    limit = max(map(int, os.listdir("/dev/fd"))) + 32
+    worlds = [World(f"field {number}", Terrain.flat((6.0, 6.0))) for number in range(limit)]
+    resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
+    try:
+        episodes = draw_episodes(worlds, 1, min_path=1.0, workers=2)
+        (results,) = evaluate_all([GoalRequest(None, episodes.first(40), {"seconds": 0.05})], workers=2)
+        one, two = over_cores(partial(tensors, count=limit), worlds[:2], "working", workers=2)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert len(results.trajectories) == 40
+    assert len(one) == len(two) == limit + 1
+    assert [one[0].name, two[0].name] == ["field 0", "field 1"]
 
 
 def test_worlds_cross_once_and_slices_without_the_rest() -> None:
