@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class Evaluate:
     """Evaluate policies side by side on fixed start-goal pairs.
 
-    Writes evaluation.json, evaluation.csv and plots of the paths.
+    Writes evaluation.json, evaluation.csv (a row for each episode), evaluation-summary.csv and plots of the paths.
     """
 
     policies: Annotated[
@@ -56,6 +56,9 @@ class Evaluate:
     Default: success, clean, SPL, time, touched, and the endings that occur."""
     workers: int | None = None
     """Number of processes. The results do not depend on it. Default: the number of CPU cores."""
+    columns: tuple[str, ...] = ()
+    """Columns of the table: all, or names such as success SPL jerk. The files have all. Default: success, clean, SPL,
+    time, touched and the endings that occur."""
     out: Path | None = None
     """Folder to write to. Default: the folder of the first checkpoint, or runs/evaluation."""
 
