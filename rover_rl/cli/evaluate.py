@@ -56,9 +56,6 @@ class Evaluate:
     Default: success, clean, SPL, time, touched, and the endings that occur."""
     workers: int | None = None
     """Number of processes. The results do not depend on it. Default: the number of CPU cores."""
-    columns: tuple[str, ...] = ()
-    """Columns of the table: all, or names such as success SPL jerk. The files have all. Default: success, clean, SPL,
-    time, touched and the endings that occur."""
     out: Path | None = None
     """Folder to write to. Default: the folder of the first checkpoint, or runs/evaluation."""
 

@@ -66,11 +66,6 @@ class Metric:
     unit: str = ""
 
 
-CONTACT_MEANING = "A contact: the body within 1 cm of an obstacle. What is lower than the wheel hubs, such as rubble, counts as ground."
-"""Addition to a legend with one of :data:`CONTACT_METRICS`."""
-CONTACT_METRICS = ("contact_free_success_rate", "body_contacts", "body_contact_share")
-"""Metrics that count contacts of the body."""
-
 METRICS = {
     "success_rate": Metric("success", "episodes that reach their goal", "%"),
     "contact_free_success_rate": Metric("clean", "episodes that reach their goal without touching an obstacle", "%"),

@@ -17,10 +17,11 @@ from typing import Any
 import torch
 from rich.console import Console
 from rich.markup import escape
+from rich.table import Table
 
 from rover_rl.algos.evaluation.comparison import Disagreement, backends_of, disagreements_of, find_disagreements
 from rover_rl.algos.evaluation.evaluate import EndlessEvaluation, Evaluation
-from rover_rl.algos.evaluation.metrics import CONTACT_MEANING, CONTACT_METRICS, METRICS, Estimate
+from rover_rl.algos.evaluation.metrics import METRICS, Estimate
 from rover_rl.algos.evaluation.results import worst_worlds
 from rover_rl.algos.evaluation.tables import Column, fitting_tables
 from rover_rl.files import write_json, written_whole
@@ -35,34 +36,12 @@ DEFAULT_COLUMNS = (
     "seconds_per_goal",
     "ended_early",
     "body_contact_share",
-    *(key for key in METRICS if key.startswith("ending_")),
 )
 """Metrics that have a column by default, beside the endings that occur."""
 ALL_COLUMNS = "all"
 """In place of the names of columns: all metrics."""
 LISTED = 20
 """Largest number of printed episodes on which backends disagree."""
-
-
-def choose_columns(names: Sequence[str]) -> tuple[str, ...]:
-    """Returns the metrics that :func:`print_table` shows, by their names in :data:`METRICS`.
-
-    Args:
-        names: names or headings of metrics; ``["all"]`` for all, none for :data:`DEFAULT_COLUMNS`.
-
-    Raises:
-        ValueError: for a name that is none of them.
-    """
-    if not names:
-        return DEFAULT_COLUMNS
-    if list(names) == ["all"]:
-        return tuple(METRICS)
-    known = {metric.heading: key for key, metric in METRICS.items()} | {key: key for key in METRICS}
-    for name in names:
-        if name not in known:
-            headings = ", ".join(repr(m.heading) if " " in m.heading else m.heading for m in METRICS.values())
-            raise ValueError(f"--columns takes all, or some of {headings}, got {name!r}")
-    return tuple(dict.fromkeys(known[name] for name in names))
 
 
 def print_table(
@@ -103,7 +82,7 @@ def print_table(
         shown |= dict.fromkeys(keys)
     for evaluation in evaluations:
         if isinstance(evaluation, Evaluation) and evaluation.episodes.several_worlds:
-            console.print(_worst_worlds(evaluation), highlight=False)
+            console.print(_worst_worlds(evaluation), highlight=False, soft_wrap=True)
     if (disagreements := find_disagreements(evaluations)) is not None:
         _print_disagreements(disagreements, console)
     console.print(_legend(list(shown), evaluations, groups), style="dim", highlight=False)
@@ -144,8 +123,6 @@ def _worst_worlds(evaluation: Evaluation) -> str:
 _ENDING = "ending_"
 """First part of the names of metrics that are shares of endings."""
 
-    def below(evaluation: Evaluation | EndlessEvaluation) -> tuple[str, ...]:
-        return (*([evaluation.world_name] if ranges else []), *([evaluation.backend] if backends else []))
 
 @dataclass(frozen=True)
 class _Row:
@@ -218,8 +195,6 @@ def _disagreement_tables(disagreements: Sequence[Disagreement], console: Console
 
 def _is_shown(key: str, evaluations: Sequence[Evaluation | EndlessEvaluation]) -> bool:
     """Whether a metric has a column: false for undefined metrics and for endings that do not occur."""
-    if key not in evaluations[0].metrics:
-        return False
     values = [evaluation.metrics[key].value for evaluation in evaluations]
     return any(value > 0 for value in values) or not (key.startswith(_ENDING) or all(map(math.isnan, values)))
 

@@ -187,25 +187,6 @@ class Evaluation:
             "time_limit": self.seconds,
         }
 
-    def rows(self) -> list[dict[str, Any]]:
-        """Returns each episode as flat, plain data, for a table with a row for each."""
-        episodes = self.episodes
-        poses = zip(episodes.start.tolist(), episodes.goal.tolist(), episodes.shortest.tolist(), strict=True)
-        return [
-            {
-                **_head(self, number),
-                "world": episodes.world_name(number),
-                **dict(zip(("start_x", "start_y", "start_yaw", "goal_x", "goal_y"), (*start, *goal), strict=True)),
-                "shortest": shortest,
-                "length": self.trajectories[number].length,
-                **_episode(self.trajectories[number]),
-                "success": self.trajectories[number].ending == "goal",
-                "contacts": count_runs(self.contacts[number]),
-                "collisions": count_runs(self.trajectories[number].collision),
-            }
-            for number, (start, goal, shortest) in enumerate(poses)
-        ]
-
     def to_json(self) -> dict[str, Any]:
         """Returns all results except the trajectories as plain data."""
         episodes = self.episodes
@@ -279,22 +260,6 @@ class EndlessEvaluation:
             "time_limit": self.length * self.trajectories[0].dt,
             "jam": self.jam,
         }
-
-    def rows(self) -> list[dict[str, Any]]:
-        """Returns each episode as flat, plain data, for a table with a row for each."""
-        touched = find_body_contacts(self.trajectories, self.world, get_robot(self.env.robot))
-        return [
-            {
-                **_head(self, number),
-                "world": self.world_name,
-                "goals": int(trajectory.goal.sum()),
-                "length": trajectory.length,
-                **_episode(trajectory),
-                "contacts": count_runs(flags),
-                "collisions": count_runs(trajectory.collision),
-            }
-            for number, (trajectory, flags) in enumerate(zip(self.trajectories, touched, strict=True))
-        ]
 
     def to_json(self) -> dict[str, Any]:
         """Returns all results except the trajectories as plain data."""
