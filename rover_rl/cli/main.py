@@ -18,6 +18,7 @@ from rover_rl.cli.robot import RobotCommand
 from rover_rl.cli.train import INTERRUPTED, train_defaults
 from rover_rl.cli.worlds import Worlds
 from rover_rl.files import STANDARD_OUTPUT, errors_name
+from rover_rl.option_names import options_of_command
 
 FAILED = 2
 """Exit code after an error, such as an invalid option or a missing file."""
@@ -53,7 +54,8 @@ def main(args: list[str] | None = None) -> int:
         sys.path.insert(0, os.getcwd())
     try:
         try:
-            return read_command({"train": train_defaults(args), **COMMANDS}, args)()
+            with options_of_command("rover-rl worlds import "):
+                return read_command({"train": train_defaults(args), **COMMANDS}, args)()
         finally:
             _flush()
     except BrokenPipeError:
