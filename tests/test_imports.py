@@ -16,7 +16,7 @@ MAX_LINES = 500
 VAGUE_NAMES = {"utils.py", "helpers.py", "common.py"}
 
 LAYERS = (
-    ("checks", "files", "plain", "progress", "registry", "tensordicts"),
+    ("checks", "files", "option_names", "plain", "progress", "registry", "tensordicts"),
     (
         "sims.base",
         "sims.connection",
