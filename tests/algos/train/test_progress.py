@@ -41,7 +41,13 @@ def test_what_happened_in_a_batch_is_counted() -> None:
     assert math.isnan(row["episode_return"])
 
 
-MEASURED = {"goals_per_2000_steps": 1.5, "episodes": 2, "attempts": 2, "attempts_reached": 1, "episode_return": math.nan}
+MEASURED = {
+    "goals_per_2000_steps": 1.5,
+    "episodes": 2,
+    "attempts": 2,
+    "attempts_reached": 1,
+    "episode_return": math.nan,
+}
 
 
 def test_rows_are_appended_and_read_back(tmp_path: Path) -> None:

@@ -23,8 +23,8 @@ from rover_rl import RoverEnv
 from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.policy.distributions import BoundedTanhNormal
 from rover_rl.algos.policy.recurrent import GRU, MemoryPrimer, memory_transforms, state_keys
-from rover_rl.algos.train.collectors import collect
 from rover_rl.algos.train.attempts import SpreadEnds
+from rover_rl.algos.train.collectors import collect
 from rover_rl.algos.train.env import make_training_env
 from rover_rl.algos.train.run import prepare
 from tests.algos.train import memories
