@@ -20,9 +20,8 @@ from PIL import Image
 
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import WORLDS, World, free_space, get_world
-from rover_rl.sims.worlds.cell_grid import overlap
 from rover_rl.sims.worlds.draw import FREE, GOAL, draw_map
-from rover_rl.sims.worlds.world import Area
+from rover_rl.sims.worlds.region import Area, expanded, overlap
 
 FOLDER = Path(__file__).parent / "images"
 SEEDS, DIFFICULTIES = (1, 2), (0, 0.5, 1)
@@ -44,13 +43,8 @@ def draw(name: str) -> Path:
 
 def _view(world: World) -> Area:
     """Returns the area to show: the floor around the task area, and a margin."""
-    shown = overlap(_expanded(world.spawn_range, AROUND), overlap(world.bounds, world.terrain.extent))
-    return _expanded(shown, MARGIN)
-
-
-def _expanded(area: Area, margin: float) -> Area:
-    (left, right), (bottom, top) = area
-    return (left - margin, right + margin), (bottom - margin, top + margin)
+    shown = overlap(expanded(world.spawn_range, AROUND), overlap(world.bounds, world.terrain.extent))
+    return expanded(shown, MARGIN)
 
 
 def _draw_layout(ax: Axes, name: str) -> None:

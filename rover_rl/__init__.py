@@ -40,13 +40,25 @@ __version__ = "0.1.0"
 
 ENV_ID = "rover_rl/Rover-v0"
 """Gymnasium ID of the environment."""
+LEARNING_ENV_ID = "rover_rl/Rover5Hz-v0"
+"""Gymnasium ID of the environment with settings for the algorithms of other libraries: an action every 0.2 s, one
+vector of scaled observations, a scaled reward, ``truncated`` at the time limit, and Warp."""
+_LEARNING_DEFAULTS = {
+    "action_repeat": 4,
+    "reward_scale": 0.05,
+    "scale_observations": True,
+    "time_limit": "truncated",
+    "backend": "warp",
+}
 
 if ENV_ID not in gymnasium.registry:
-    gymnasium.register(
-        id=ENV_ID,
-        entry_point="rover_rl.envs.gym:RoverEnv",
-        vector_entry_point="rover_rl.envs.gym:make_vector_env",
-    )
+    for id_, defaults in ((ENV_ID, {}), (LEARNING_ENV_ID, _LEARNING_DEFAULTS)):
+        gymnasium.register(
+            id=id_,
+            entry_point="rover_rl.envs.gym:RoverEnv",
+            vector_entry_point="rover_rl.envs.gym:make_vector_env",
+            kwargs=defaults,
+        )
 
 _HOMES = {
     "rover_rl.envs": (
@@ -71,6 +83,7 @@ _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "ENV_ID",
+    "LEARNING_ENV_ID",
     "ActionConfig",
     "EnvConfig",
     "GymVectorWrapper",

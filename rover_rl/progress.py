@@ -22,6 +22,9 @@ Item = TypeVar("Item")
 LINE_INTERVAL = 4.0
 """Longest time between two lines if the output is not a terminal, s."""
 
+_SPEED_PERIOD = 600.0
+"""Recent time from which the remaining time is estimated, s. Some operations advance only every minute."""
+
 _redirected: ContextVar[Callable[[float], None] | None] = ContextVar("redirected", default=None)
 """Function that receives the progress of all displays instead of the console."""
 
@@ -67,6 +70,7 @@ class ProgressDisplay:
             console=console,
             transient=not keep,
             disable=self._lines or self._redirect is not None,
+            speed_estimate_period=_SPEED_PERIOD,
         )
         # Without a total, the bar pulses.
         self._task = self._bar.add_task(description, total=None, status="")
@@ -134,7 +138,14 @@ class ProgressDisplay:
     def _print_line(self) -> None:
         share = "" if self._fraction is None else f" {self._fraction:4.0%}"
         status = f": {self._status}" if self._status else ""
-        self.say(f"{self._description}{share} after {time.monotonic() - self._started:.0f} s{status}")
+        self.say(f"{self._description}{share} after {time.monotonic() - self._started:.0f} s{self._left()}{status}")
+
+    def _left(self) -> str:
+        """Returns the end of a line about the remaining time, if it can be estimated."""
+        seconds = self._bar.tasks[0].time_remaining
+        if not seconds:
+            return ""
+        return f", about {seconds:.0f} s left" if seconds < 120 else f", about {seconds / 60:.0f} min left"
 
     def _print_regularly(self) -> None:
         """Prints a line whenever nothing was printed for ``interval``."""

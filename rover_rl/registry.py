@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from difflib import get_close_matches
 from importlib import import_module
 from importlib.metadata import entry_points
+from importlib.util import find_spec
 from inspect import signature
 from types import ModuleType
 from typing import Any
@@ -73,7 +75,7 @@ class Registry:
         if is_path(name):
             self._check_not_standard_library(name, name.split(":")[0])
             return self._import(name, name)
-        raise ValueError(self._unknown(name))
+        raise ValueError(self._unknown(name, name))
 
     def call(self, name: str, factory: Callable[..., Any], *arguments: Any) -> Any:
         """Calls the function or class that makes a part.
@@ -92,8 +94,12 @@ class Registry:
             raise ValueError(f"{self._kind} {name!r} is called with {len(arguments)} arguments: {error}") from error
         return factory(*arguments)
 
-    def _unknown(self, name: str) -> str:
-        return f"unknown {self._kind} {name!r}; use one of {self.names()}{self._also}"
+    def _unknown(self, name: str, path: str) -> str:
+        """Returns the message about a name, whose part would be at ``path``, ``"module:attribute"``."""
+        known = self.names()
+        named = is_path(path) and path.split(":")[0] not in known
+        advice = (_module_advice(path) if named else perhaps(name, known)) or _module_advice(path)
+        return f"unknown {self._kind} {name!r}{advice}; use one of {known}{self._also}"
 
     def _entry_points(self) -> Any:
         return entry_points(group=f"rover_rl.{self._kind}s")
@@ -104,7 +110,7 @@ class Registry:
             part: Any = import_module(module)
         except ImportError as error:
             if isinstance(error, ModuleNotFoundError) and error.name == module.split(".")[0]:
-                raise ValueError(self._unknown(name)) from error
+                raise ValueError(self._unknown(name, path)) from error
             raise ValueError(f"{self._kind} {name!r} cannot be imported: {error}") from error
         for step in attribute.split("."):
             # What a module imports is not its own: "my_package.files:os.abort" must not be called either.
@@ -118,6 +124,28 @@ class Registry:
         # Names also come from checkpoints of other users, which must not call functions such as "os:abort".
         if module.split(".")[0] in sys.stdlib_module_names:
             raise ValueError(f"{self._kind} {name!r} is in Python's standard library, which has no {self._kind}s")
+
+
+def perhaps(name: str, known: Iterable[str]) -> str:
+    """Returns the end of a message about an unknown name: the most similar known name, or nothing.
+
+    Example:
+        >>> perhaps("mooon", ["maze", "moon"])
+        ", perhaps 'moon'"
+    """
+    similar = get_close_matches(name, [*known], n=1)
+    return f", perhaps {similar[0]!r}" if similar else ""
+
+
+def _module_advice(name: str) -> str:
+    """Returns what is wrong with a name of the form ``module:attribute``, or ``module.attribute``."""
+    module, _, attribute = name.replace(":", ".").rpartition(".")
+    if not is_path(f"{module}:{attribute}"):
+        return ""
+    top = module.split(".")[0]
+    if top not in sys.modules and find_spec(top) is None:
+        return f": there is no module {top!r}"
+    return "" if is_path(name) else f", perhaps '{module}:{attribute}'"
 
 
 def is_path(name: str) -> bool:

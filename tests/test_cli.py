@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import warnings
@@ -11,7 +12,8 @@ from typing import Any
 import pytest
 import torch
 
-from rover_rl.algos.config import PPOConfig, SACConfig, training_config
+import rover_rl
+from rover_rl.algos.config import PPOConfig, SACConfig, training_config, with_settings
 from rover_rl.algos.config_files import read_config
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import make_actor
@@ -19,7 +21,11 @@ from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.algos.video.film import film
 from rover_rl.cli import main
 from rover_rl.cli.demo import Demo
+from rover_rl.cli.help import GROUPS
+from rover_rl.cli.main import COMMANDS as COMMANDS_BUT_TRAIN
+from rover_rl.cli.parsing import read_help
 from rover_rl.cli.policies import NO_POLICY, ONE_POLICY
+from rover_rl.cli.train import train_defaults
 from rover_rl.sims.worlds import WORLDS
 from tests.full_disk import largest_file
 
@@ -33,21 +39,79 @@ def failed(capsys: pytest.CaptureFixture[str], *args: object) -> str:
     return captured.err
 
 
-def test_help_shows_units_and_defaults(capsys: pytest.CaptureFixture[str]) -> None:
+HELPED = [
+    "",
+    *("train", "train --algo sac", "evaluate", "benchmark", "benchmark barn", "benchmark jaxnav", "play", "film"),
+    *("worlds", "worlds import", "worlds show", "demo", "robot", "drive", "export"),
+]
+
+
+def help_of(capsys: pytest.CaptureFixture[str], command: str) -> str:
     with pytest.raises(SystemExit) as stop:
-        main(["train", "--help"])
+        main([*command.split(), "--help"])
     assert stop.value.code == 0
-    text = capsys.readouterr().out
-    for expected in ("--world", "--num-envs", "default: 512", "--max-minutes", "Number of steps to train for"):
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", HELPED)
+def test_help_has_whole_words_at_any_width_on_a_terminal_and_elsewhere(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    words = []
+    for width, terminal in ((80, False), (120, False), (80, True), (120, True)):
+        monkeypatch.setenv("COLUMNS", str(width))
+        monkeypatch.setenv("FORCE_COLOR", "1" if terminal else "")
+        text = help_of(capsys, command)
+        assert ("\x1b" in text) == terminal
+        text = re.sub(r"\x1b\[[0-9;]*m", "", text)
+        assert max(map(len, text.splitlines())) <= width
+        assert not re.search(r"[`…]|\{None\}|\(default: \)|default: None", text)
+        words.append(text.split())
+    assert words == [words[0]] * 4
+
+
+def test_help_shows_common_options_first_then_groups(capsys: pytest.CaptureFixture[str]) -> None:
+    text = help_of(capsys, "train")
+    titles = re.findall(r"^[A-Z][^\n.]*\n(?=  --)", text, re.MULTILINE)
+    assert [title.strip() for title in titles[:6]] == [
+        *("Common options", "Environment", "Network", "Data collection", "Algorithm", "Run"),
+    ]
+    options = re.findall(r"^  (--[\w.-]+)", text, re.MULTILINE)
+    assert options[:4] == ["--world", "--algo", "--max-minutes", "--total-steps"]
+    assert len(options) == len({*options})
+    for expected in (
+        "(default: 512)",
+        "Number of steps to train for",
+        "Gains of the heading PID",
+        "Usage: rover-rl train",
+    ):
         assert expected in text
+
+
+@pytest.mark.parametrize("command", [*GROUPS])
+def test_groups_of_help_name_options_that_exist(command: str) -> None:
+    named = {f"--{word}" for words in GROUPS[command].values() for word in words.split()}
+    for algo in ("ppo", "sac"):
+        commands = {"train": train_defaults(["train", "--algo", algo]), **COMMANDS_BUT_TRAIN}
+        for option in read_help(commands, command).options:
+            # Nested settings, such as --lidar.points, have groups of their own.
+            named -= {*option.names, *(name.partition(".")[0] for name in option.names)}
+    assert not named
+
+
+def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["--version"])
+    assert stop.value.code == 0
+    assert capsys.readouterr().out == f"rover-rl {rover_rl.__version__}\n"
 
 
 def test_unknown_worlds_are_refused_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     message = failed(capsys, "train", "--world", "mars", "--runs", tmp_path)
     assert message.startswith(f"rover-rl: unknown world 'mars'; use one of {sorted(WORLDS)}")
-    # The worlds of the demo.
+    # The kinds of worlds of the demo.
     message = failed(capsys, "demo", "--world", "mars", "--runs", tmp_path)
-    assert message.startswith("rover-rl: unknown world 'mars'; use one of ['inspect', 'maze', 'moon']")
+    assert message == "rover-rl: --world takes {maze,rooms,forest}, got mars; see rover-rl demo --help\n"
 
 
 def test_checkpoints_that_are_none_are_refused_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -56,7 +120,10 @@ def test_checkpoints_that_are_none_are_refused_in_one_line(capsys: pytest.Captur
     assert "no checkpoint of rover_rl" in failed(capsys, "evaluate", tmp_path / "foreign.pt")
 
 
-COMMANDS = ["train", "evaluate", "benchmark", "play", "film", "worlds", "demo", "robot", "drive", "export"]
+COMMANDS = [
+    *("train", "sweep", "evaluate", "compare", "benchmark", "play", "film", "worlds", "demo", "robot", "drive"),
+    "export",
+]
 NAMES = f"use one of {COMMANDS}; see rover-rl --help"
 
 
@@ -64,7 +131,12 @@ NAMES = f"use one of {COMMANDS}; see rover-rl --help"
     ("line", "expected"),
     [
         ("", f"a command is missing; {NAMES}"),
-        ("trian --seed 1", f"unknown command 'trian'; {NAMES}"),
+        ("trian --seed 1", f"unknown command 'trian', perhaps 'train'; {NAMES}"),
+        (
+            "worlds impor x",
+            "unknown command 'worlds impor', perhaps 'import'; use one of ['list', 'import', 'show']; see",
+        ),
+        ("benchmark", "benchmark needs a command; use one of ['barn', 'jaxnav']; see rover-rl benchmark --help"),
         ("--seed 1 train", f"options come after a command, and --seed stands before any; {NAMES}"),
         ("train --sped 3", "unknown option --sped, perhaps --seed; see rover-rl train --help"),
         ("film x --sped=3", "unknown option --sped, perhaps --speed; see rover-rl film --help"),
@@ -75,20 +147,20 @@ NAMES = f"use one of {COMMANDS}; see rover-rl --help"
         ("train --max-st 1", "unknown option --max-st, perhaps --max-std; see rover-rl train --help"),
         ("train more", "unexpected argument 'more'; see rover-rl train --help"),
         ("export one two", "unexpected argument 'two'; see rover-rl export --help"),
-        ("train --seed abc", "--seed takes {None}|INT, got abc; see rover-rl train --help"),
-        ("train --seed=1.5", "--seed takes {None}|INT, got 1.5; see rover-rl train --help"),
+        ("train --seed abc", "--seed takes INT, got abc; see rover-rl train --help"),
+        ("train --seed=1.5", "--seed takes INT, got 1.5; see rover-rl train --help"),
         ("train --learning_rate fast", "--learning-rate takes FLOAT, got fast; see rover-rl train --help"),
-        ("train --seed", "--seed takes {None}|INT, got nothing; see rover-rl train --help"),
-        ("train --seed --epochs 1", "--seed takes {None}|INT, got nothing; see rover-rl train --help"),
-        ("train --resume", "--resume takes {None}|PATH, got nothing; see rover-rl train --help"),
-        ("train --workers two", "--workers takes {None}|INT, got two; see rover-rl train --help"),
-        ("train --hidden 8 x", "--hidden takes [INT [INT ...]], got 8 x; see rover-rl train --help"),
+        ("train --seed", "--seed takes INT, got nothing; see rover-rl train --help"),
+        ("train --seed --epochs 1", "--seed takes INT, got nothing; see rover-rl train --help"),
+        ("train --resume", "--resume takes PATH, got nothing; see rover-rl train --help"),
+        ("train --workers two", "--workers takes INT, got two; see rover-rl train --help"),
+        ("train --hidden 8 x", "--hidden takes INT ..., got 8 x; see rover-rl train --help"),
         ("train --algo dqn", "--algo takes {ppo,sac}, got dqn; see rover-rl train --help"),
         ("film x --view side", "--view takes {chase,top}, got side; see rover-rl film --help"),
-        ("drive x --goal 1", "--goal takes [FLOAT FLOAT [FLOAT FLOAT ...]], got 1; see rover-rl drive --help"),
+        ("drive x --goal 1", "--goal takes FLOAT FLOAT ..., got 1; see rover-rl drive --help"),
         ("worlds --out", "--out takes PATH, got nothing; see rover-rl worlds --help"),
         ("demo --minutes soon", "--minutes takes FLOAT, got soon; see rover-rl demo --help"),
-        ("evaluate x --count 1.5", "--count takes {None}|INT, got 1.5; see rover-rl evaluate --help"),
+        ("evaluate x --count 1.5", "--count takes INT, got 1.5; see rover-rl evaluate --help"),
         (
             "film",
             f"film needs: {ONE_POLICY.removesuffix('.')}; see rover-rl",
@@ -125,7 +197,7 @@ def test_a_malformed_command_line_is_refused_in_one_line(
         ("train --path-reward nan", "path_reward must be at least 0 and at most 1e+30, got nan"),
         ("train --world nowhere", f"unknown world 'nowhere'; use one of {sorted(WORLDS)}, 'name:seed'"),
         ("demo --minutes -1", "max_minutes must be positive and at most 1e+30, got -1.0"),
-        ("demo --count 0", "count must be at least 1 and at most 1e+12, got 0"),
+        ("demo --count 0", "count must be at least 1 and at most 1000, got 0"),
         ("demo --seconds 0", "seconds must be at least 0.05 and at most 1e+06, got 0.0"),
         ("evaluate scripted --world maze --endless --action-repeat 0", "action_repeat must be at least 1"),
     ],
@@ -358,9 +430,7 @@ def written(folder: Path, text: str) -> Path:
 def test_help_shows_the_settings_of_the_algorithm(
     capsys: pytest.CaptureFixture[str], algo: str, own: str, other: str
 ) -> None:
-    with pytest.raises(SystemExit):
-        main(["train", "--algo", algo, "--help"])
-    text = capsys.readouterr().out
+    text = help_of(capsys, f"train --algo {algo}")
     assert own in text
     assert other not in text
 
@@ -403,8 +473,9 @@ def test_play_films_a_policy_and_opens_the_film_on_a_display(
     assert main(given) == 0
     film = Path("runs/play/scripted-maze.gif")
     told = capsys.readouterr().out
-    assert told.startswith("Filming 0.1 s of scripted\n")
-    assert f"Film: {film}\n" in told
+    assert told.startswith("Filming scripted\n")
+    assert "From none of 8 starts, a goal was reached within 0.1 s: this is the first" in told
+    assert f"Film: {film}: time limit after 0.1 s\n" in told
     assert film.stat().st_size > 1000
     assert opened == []
     monkeypatch.setenv("DISPLAY", ":0")
@@ -421,18 +492,23 @@ def test_play_films_a_trained_policy_in_its_world_and_folder(
     Checkpoint(config=config, steps=0, actor=make_actor(hidden=(8,)).state_dict()).save(tmp_path / "checkpoint.pt")
     assert main(["play", str(tmp_path), "--seconds", "0.1"]) == 0
     film = tmp_path / f"{tmp_path.name}-maze-3.gif"
-    assert f"Film: {film}\n" in capsys.readouterr().out
+    assert f"Film: {film}: " in capsys.readouterr().out
     assert film.is_file()
     assert main(["play", str(tmp_path / "nothing")]) == 2
     assert "no checkpoint at" in capsys.readouterr().err
 
 
 @pytest.mark.slow
-def test_the_demo_trains_in_warp_and_shows_the_policy_beside_others_in_bullet(
+def test_the_demo_trains_in_warp_and_shows_the_policy_beside_planner_and_script_in_unseen_worlds_in_bullet(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rover_rl.cli.demo.FILMED", 0.2)
-    monkeypatch.setattr("rover_rl.cli.demo.SETTINGS", {"num_envs": 4, "minibatch": 32})
+    make_config = Demo._config
+    monkeypatch.setattr(
+        Demo,
+        "_config",
+        lambda demo, base: with_settings(make_config(demo, base), num_envs=4, workers=1, minibatch=32),
+    )
     filmed: list[Any] = []
 
     def recorded(policy: Any, *args: Any, **options: Any) -> Any:
@@ -440,16 +516,17 @@ def test_the_demo_trains_in_warp_and_shows_the_policy_beside_others_in_bullet(
         return film(policy, *args, **options)
 
     monkeypatch.setattr("rover_rl.algos.video.film.film", recorded)
-    short = ["--world", "inspect", "--minutes", "1e-6", "--count", "2", "--seconds", "0.5", "--runs", str(tmp_path)]
+    short = ["--minutes", "1e-6", "--count", "2", "--seconds", "0.5", "--runs", str(tmp_path)]
     assert main(["demo", *short]) == 0
-    folder = tmp_path / "ppo-inspect"
-    assert read_config(folder / "config.yaml").env.backend == "warp"
+    folder = tmp_path / "demo-maze"
+    env = read_config(folder / "config.yaml").env
+    assert (env.backend, env.world) == ("warp", "maze:0-299@0.2-0.9")
     rows = json.loads((folder / "evaluation.json").read_text())
-    assert [row["policy"] for row in rows] == ["trained", "pretrained", "scripted", "random"]
-    assert {row["env"]["backend"] for row in rows} == {"bullet"}
+    assert [row["policy"] for row in rows] == ["trained", "gridplanner", "scripted"]
+    assert {(row["env"]["backend"], row["world"]) for row in rows} == {("bullet", "maze:10000-10001")}
     starts = [[episode["shortest"] for episode in row["episodes"]] for row in rows]
     assert len(starts[0]) == 2
-    assert starts == [starts[0]] * 4
+    assert starts == [starts[0]] * 3
     (policy,) = filmed
     trained = Checkpoint.load(folder).make_actor().state_dict()
     assert all(torch.equal(value, trained[name]) for name, value in policy.state_dict().items())
@@ -460,23 +537,12 @@ def test_the_demo_trains_in_warp_and_shows_the_policy_beside_others_in_bullet(
         assert (folder / picture).stat().st_size > 1000
     # There is no terminal, so that each phase is told by lines, without a bar.
     lines = told.splitlines()
-    assert lines[0] == "Training PPO in inspect for 1e-06 minutes, after some preparation"
+    assert lines[0] == "Training PPO in generated worlds (maze) for 1e-06 minutes"
     assert any(line.startswith("training 100% after") for line in lines)
-    assert "Driving 4 policies from the same 2 starts in Bullet" in lines
+    assert "Driving 3 policies from the same starts in 2 unseen worlds" in lines
     assert lines[-1] == f"To watch more of it: rover-rl play {folder}"
     assert "\x1b" not in told
     assert "━━━━━━━━━━" not in told
-
-
-def test_the_demo_trains_in_a_maze_with_settings_of_its_own() -> None:
-    base = load_pretrained("moon-ppo").config
-    moon, maze = (Demo(world=world)._config(base) for world in ("moon", "maze:3"))
-    for config in (moon, maze):
-        config.check()
-        assert config.env.backend == "warp"
-    assert (moon.collection.path_reward, moon.network.north_up, moon.env.action.min_speed) == (0.0, False, -1.0)
-    assert (maze.collection.path_reward, maze.network.north_up, maze.env.action.min_speed) == (10.0, True, 0.0)
-    assert maze.env.world == "maze:3"
 
 
 def test_robot_and_drive_take_the_description_of_an_environment(

@@ -25,9 +25,9 @@ import tyro
 from rover_rl.algos.config import training_config
 from rover_rl.algos.config_files import write_config
 from rover_rl.algos.pretrained import load_pretrained
-from rover_rl.cli.main import COMMANDS, main
+from rover_rl.cli.main import commands as all_commands
+from rover_rl.cli.main import main
 from rover_rl.cli.options import read_command
-from rover_rl.cli.train import train_defaults
 from tests.pages import NEEDS, ROOT, anchors, blocks, broken_tables, inline, name_of, pages, tokens
 
 ALL = pytest.mark.parametrize("page", [pytest.param(page, id=name_of(page)) for page in pages()])
@@ -191,14 +191,14 @@ def options_of(command: str) -> set[str]:
 @pytest.mark.parametrize("args", commands("rover-rl", mentioned=False))
 @pytest.mark.usefixtures("runs", "capsys")
 def test_commands_are_understood(args: list[str]) -> None:
-    assert callable(read_command({"train": train_defaults(args), **COMMANDS}, args))
+    assert callable(read_command(all_commands(args), args))
 
 
 @pytest.mark.parametrize("args", commands("rover-rl", scripted=False))
 def test_mentioned_commands_and_their_options_exist(args: list[str]) -> None:
     if args[0] in ("COMMAND", "--help"):
         return
-    assert args[0] in ("train", *COMMANDS)
+    assert args[0] in all_commands()
     assert {word.split("=")[0] for word in args if word.startswith("--")} <= options_of(args[0])
 
 
@@ -206,7 +206,7 @@ def test_wrong_commands_are_found() -> None:
     _, *args = next(scripted_commands("```bash\nrover-rl train --word moon  # a typing error\n```"))
     assert args == ["train", "--word", "moon"]
     with pytest.raises(ValueError, match="unknown option --word"):
-        read_command({"train": train_defaults(args), **COMMANDS}, args)
+        read_command(all_commands(args), args)
 
 
 @pytest.mark.parametrize("args", commands("make"))
@@ -311,19 +311,20 @@ def test_the_readme_names_make_demo_and_make_test() -> None:
     assert "make test" in (ROOT / "README.md").read_text()
 
 
-def test_the_command_line_reference_has_every_option() -> None:
+def test_the_command_line_reference_has_every_option(capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("sphinx")
     help_ = load(ROOT / "docs" / "_extensions" / "command_help.py")
-    commands = help_.all_commands()
-    assert {command.split()[0] for command in commands} == {"train", *COMMANDS}
-    for command in ("train --algo sac", *commands):
-        usage, description, groups = help_.read_help(command)
-        assert usage.startswith(f"rover-rl {command.split()[0]}")
-        assert description
-        listed = {head.split()[0].rstrip(",") for options in groups.values() for head, text in options if text}
-        printed = re.findall(r"^  (--[a-z][\w.-]*)", help_.help_text(command), re.MULTILINE)
-        assert len(printed) > 1
-        assert set(printed) - {"--help"} <= listed
+    documented = help_.all_commands()
+    assert {command.split()[0] for command in documented} == {*all_commands()}
+    for command in ("train --algo sac", *documented):
+        found = help_.command_help(command)
+        assert found.description
+        listed = {name for options in help_.grouped(found).values() for option in options for name in option.names}
+        with pytest.raises(SystemExit):
+            main([*command.split(), "--help"])
+        printed = re.findall(r"^  (--[a-z][\w.-]*)", capsys.readouterr().out, re.MULTILINE)
+        assert printed
+        assert {*printed} <= listed
 
 
 def test_every_example_has_a_place_in_the_gallery() -> None:

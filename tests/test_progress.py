@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import sys
 import threading
 import time
@@ -71,7 +72,19 @@ def test_tenths_are_lines_of_their_own() -> None:
             display.update(fraction, f"at {fraction}")
     lines = output.getvalue().splitlines()
     assert [line.split()[1] for line in lines] == ["10%", "31%", "100%"]
-    assert [line.split("s: ")[1] for line in lines] == ["at 0.1", "at 0.31", "at 1.0"]
+    assert [line.split(": ")[1] for line in lines] == ["at 0.1", "at 0.31", "at 1.0"]
+
+
+def test_lines_tell_the_remaining_time_at_the_latest_speed() -> None:
+    output = Watched()
+    with display_on(output, tenths=True) as display:
+        # The first half is from an earlier run.
+        for fraction in (0.5, 0.501, 0.6, 1.0):
+            display.update(fraction)
+            time.sleep(0.02)
+    lines = output.getvalue().splitlines()
+    assert re.fullmatch(r"working  60% after 0 s, about \d+ s left", lines[1])
+    assert lines[2] == "working 100% after 0 s"
 
 
 @pytest.mark.parametrize("terminal", [False, True])

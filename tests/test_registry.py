@@ -121,9 +121,33 @@ def test_registered_and_built_in_import_paths_are_imported_on_first_use(module: 
     assert (registry.find("built-in"), registry.find("mine")) == (1, 2)
 
 
-def test_a_missing_module_raises_as_an_unknown_name() -> None:
-    with pytest.raises(ValueError, match=r"^unknown part 'registry_no_such_module:part'; use one of \['a'\]"):
-        Registry("part", {"a": PART}).find("registry_no_such_module:part")
+@pytest.mark.parametrize("name", ["registry_gone:part", "registry_gone.parts:part", "registry_gone.part"])
+def test_a_missing_module_is_named(name: str) -> None:
+    registry = Registry("part", {"a": PART})
+    with pytest.raises(ValueError, match=f"^unknown part '{name}': there is no module 'registry_gone'; use one of"):
+        registry.find(name)
+
+
+def test_a_registered_part_whose_module_is_missing_is_not_its_own_suggestion() -> None:
+    with pytest.raises(ValueError, match="^unknown part 'mine': there is no module 'registry_gone'; use one of"):
+        Registry("part", {"mine": "registry_gone:part"}).find("mine")
+
+
+@pytest.mark.parametrize(
+    ("name", "suggestion"),
+    [
+        ("mooon", "moon"),
+        ("mazes", "maze"),
+        ("maze:abc", "maze"),
+        ("rover_rl.registry.Registry", "rover_rl.registry:Registry"),
+    ],
+)
+def test_a_similar_name_is_suggested(name: str, suggestion: str) -> None:
+    registry = Registry("part", {"moon": PART, "maze": PART})
+    with pytest.raises(
+        ValueError, match=rf"^unknown part '{name}', perhaps '{suggestion}'; use one of \['maze', 'moon'\]"
+    ):
+        registry.find(name)
 
 
 def test_a_missing_attribute_raises(module: ModuleWriter) -> None:
@@ -175,7 +199,9 @@ def test_entry_points_of_installed_packages_are_found(
     registry = Registry("part", {"built-in": PART})
     assert registry.names() == ["built-in", "theirs"]
     assert registry.find("theirs") == "installed"
-    with pytest.raises(ValueError, match=r"^unknown part 'other'; use one of \['built-in', 'theirs'\]"):
+    with pytest.raises(
+        ValueError, match=r"^unknown part 'other', perhaps 'theirs'; use one of \['built-in', 'theirs'\]"
+    ):
         registry.find("other")
 
 

@@ -23,7 +23,9 @@ _Environment = Annotated[EnvOptions, tyro.conf.arg(name="")]
 class BarnBenchmark:
     """Run policies in the worlds of BARN: 300 fields of cylinders, 10 m to the goal, 100 s, any contact fails."""
 
-    policies: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(help=SEVERAL_POLICIES)]
+    policies: Annotated[
+        tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="POLICY ...", help=SEVERAL_POLICIES)
+    ]
     data: Path
     """Folder of the public repository Daffan/the-barn-challenge, or of its worlds; or an .npz file of worlds."""
     worlds: str = "test"
@@ -68,7 +70,9 @@ class BarnBenchmark:
 class JaxNavBenchmark:
     """Run policies in levels of JaxNav: small mazes of cells of 1 m, any contact fails."""
 
-    policies: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(help=SEVERAL_POLICIES)]
+    policies: Annotated[
+        tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="POLICY ...", help=SEVERAL_POLICIES)
+    ]
     data: Path
     """File of levels: .npz with map_data, start_xy, start_theta, goal_xy and geodesic8."""
     runs: int = 4

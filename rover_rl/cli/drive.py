@@ -46,7 +46,7 @@ class Drive:
     drives in a direction that no lidar beam covers.
     """
 
-    policy: Annotated[tyro.conf.Positional[str], tyro.conf.arg(help=LIVE_POLICY)]
+    policy: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="POLICY", help=LIVE_POLICY)]
     goal: tuple[tuple[float, float], ...] = ()
     """Goals to drive to, in order: x y (m)."""
     goals: Path | None = None
@@ -90,7 +90,8 @@ class Drive:
     stamped: bool = False
     """Send TwistStamped instead of Twist."""
     lidar_yaw: float = Ros2Settings.lidar_yaw
-    """Direction of the lidar's zero angle, rad: pi is backward, as in the original environment; 0 is forward."""
+    """Direction in which the lidar's zero angle points, rad. The default, pi, is backward: the original rover's lidar
+    is mounted turned by 180 degrees, so that its first beam, at -pi, points forward. Most others face forward: 0."""
     transport: TransportName = Ros2Settings.transport
     """ROS 2 transport: dds needs no ROS installation, rclpy uses the ROS that is sourced."""
     seed: int = 0

@@ -11,16 +11,13 @@ import tyro
 
 from rover_rl.algos.config_files import experiments
 from rover_rl.cli.environment import AnyBackendEnvOptions
-from rover_rl.cli.policies import NO_POLICY, SEVERAL_POLICIES, ResolvedPolicy, resolve_policy
+from rover_rl.cli.policies import LOG, NO_POLICY, SEVERAL_POLICIES, ResolvedPolicy, resolve_policy
 from rover_rl.sims.robots import get_robot
 
 if TYPE_CHECKING:
     from rover_rl.algos.evaluation.episodes import EpisodeSet
     from rover_rl.algos.evaluation.parallel import EndlessRequest, GoalRequest
     from rover_rl.algos.evaluation.results import EndlessEvaluation, Evaluation
-
-LOG = ".jsonl"
-"""Suffix of the logs of ``rover-rl drive``."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +28,8 @@ class Evaluate:
     """
 
     policies: Annotated[
-        tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(help=f"{SEVERAL_POLICIES} Also drive logs ({LOG}).")
+        tyro.conf.Positional[tuple[str, ...]],
+        tyro.conf.arg(metavar="POLICY ...", help=f"{SEVERAL_POLICIES} Also drive logs ({LOG})."),
     ]
     world: tuple[str, ...] = ()
     """Worlds to drive in, or ranges of worlds such as maze:10000-10063. Seeds from 10000 up are for evaluation.

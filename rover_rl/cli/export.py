@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -17,7 +17,7 @@ class Export:
     policy reads the route on a map of what the lidar has seen. The map and the planner are part of the file then.
     """
 
-    policy: tyro.conf.Positional[str]
+    policy: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="POLICY")]
     """Policy: folder of a run, checkpoint file, or pretrained:NAME."""
     format: Literal["onnx", "torch"] = "onnx"
     """File format: onnx (needs the extra onnx), or torch (a torch.export program)."""

@@ -2,31 +2,56 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from rover_rl.cli.environment import EnvOptions
-from rover_rl.cli.policies import ONE_POLICY, resolve_policy
+from rover_rl.cli.policies import LOG, ONE_POLICY, ResolvedPolicy, resolve_policy
+
+if TYPE_CHECKING:
+    from rover_rl.algos.evaluation.stored import StoredEvaluation
+    from rover_rl.algos.video.recording import Recording
+
+FILMED = 20.0
+"""Default duration of a film in endless mode, s."""
 
 
 @dataclass(frozen=True)
 class Film:
-    """Film a policy: one rover from behind with its lidar beams, or many rovers from above."""
+    """Film a policy, an episode of its evaluation, its failures, or a drive of a log.
 
-    policy: Annotated[tyro.conf.Positional[str], tyro.conf.arg(help=ONE_POLICY)]
+    One rover from behind with its lidar beams, or many rovers from above. Without --episode and --failures, the rovers
+    drive from goal to goal.
+    """
+
+    policy: Annotated[
+        tyro.conf.Positional[str],
+        tyro.conf.arg(metavar="POLICY", help=f"{ONE_POLICY} Or a log of rover-rl drive ({LOG})."),
+    ]
     out: Path = Path("film.mp4")
     """File to write: .mp4 (needs the extra video) or .gif."""
+    episode: int | None = None
+    """Episode to film, from 0: of the policy's evaluation, else of the episodes of --world. Of a log: the drive in it;
+    default: the last one."""
+    failures: bool = False
+    """Film the episodes of the policy's evaluation that do not reach their goal, each in a file with its number."""
+    count: int = 4
+    """Largest number of films with --failures."""
+    evaluation: Path | None = None
+    """evaluation.json, or its folder. Default: the one in the folder of the run."""
     view: Literal["chase", "top"] = "chase"
     """Camera: chase follows the first rover, top shows all rovers from above."""
     world: str | None = None
-    """World to drive in. Default: the one that the policy was trained in, or maze."""
-    seconds: float = 20.0
-    """Duration of the drive, s."""
-    seed: int = 0
-    """Seed of starts and goals."""
+    """World to drive in. Default: that of the episode, the one that the policy was trained in, or maze.
+    For a log: the world that it names; none shows the lidar readings on flat ground."""
+    seconds: float | None = None
+    """Duration of the film, s: 20 by default, and the end of an episode or a log, of which all is shown by default."""
+    seed: int | None = None
+    """Seed of starts and goals. Default: 0; with --episode the stored starts and goals."""
     rovers: int | None = None
     """Number of rovers. Default: 1 for chase, 16 for top."""
     width: int = 640
@@ -42,7 +67,104 @@ class Film:
     environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
 
     def __call__(self) -> int:
-        """Films the policy and prints the path of the video."""
+        """Films, and prints the path of each video and what it shows."""
+        self._check()
+        if self.policy.endswith(LOG):
+            from rover_rl.algos.video.drive_log import recording_of_log
+
+            self._film(recording_of_log(Path(self.policy), self.episode, self.world), self.out, f"of {self.policy}")
+        elif self.episode is not None or self.failures:
+            self._film_episodes()
+        else:
+            self._film_endless()
+        return 0
+
+    def _check(self) -> None:
+        """Checks the settings before the imports and the drive, which take seconds.
+
+        Raises:
+            ValueError: for a number out of range, or options that exclude each other.
+        """
+        from rover_rl.algos.video.film import check_film
+        from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least, check_positive
+
+        check_film(self.out, self.view, self.width, self.height, self.fps, self.speed)
+        check_at_least(1, MAX_COUNT, count=self.count)
+        if self.seconds is not None:
+            check_positive(MAX_SECONDS, seconds=self.seconds)
+        single = self.episode is not None or self.failures or self.policy.endswith(LOG)
+        for name, given in {"--rovers": self.rovers, "--rewards": self.rewards}.items():
+            if single and given is not None:
+                raise ValueError(f"{name} belongs to films without --episode, --failures and logs")
+        if self.episode is not None and self.failures:
+            raise ValueError("give --episode or --failures, not both")
+        if self.failures and self.policy.endswith(LOG):
+            raise ValueError("--failures reads an evaluation; name a drive of a log with --episode")
+
+    def _film(self, recording: Recording, out: Path, of: str) -> None:
+        """Films a drive, and says which one and how it ended."""
+        from rover_rl.algos.video.film import film_recording
+
+        shown = recording if self.seconds is None else recording.last(self.seconds)
+        film_recording(shown, out, view=self.view, width=self.width, height=self.height, fps=self.fps, speed=self.speed)
+        where = f" in {recording.world.name}" if recording.world.name != "none" else ""
+        print(f"Film: {out}: episode {recording.episode} {of}{where}, {how_it_ended(recording)}", flush=True)
+
+    def _film_episodes(self) -> None:
+        """Films one episode, or those that failed."""
+        worlds = () if self.world is None else (self.world,)
+        policy = resolve_policy(self.policy, worlds, self.environment.robot)
+        stored = self._stored(policy)
+        if stored is None:
+            self._film_undriven(policy)
+            return
+        drive = _driver(policy, stored)
+        of = f"of {stored.policy}'s evaluation"
+        if not self.failures:
+            assert self.episode is not None
+            self._film(drive(self.episode), self.out, of)
+            return
+        failed = stored.failures
+        print(f"{len(failed)} of {len(stored.endings)} episodes do not reach their goal", flush=True)
+        for episode in failed[: self.count]:
+            self._film(drive(episode), self.out.with_stem(f"{self.out.stem}-{episode}"), of)
+        if left := failed[self.count :]:
+            print(f"Not filmed: {', '.join(f'{one} ({stored.endings[one]})' for one in left)}; see --count, --episode")
+
+    def _stored(self, policy: ResolvedPolicy) -> StoredEvaluation | None:
+        """Returns the evaluation of the policy, ``None`` if there is none and the episodes of a world are filmed.
+
+        Raises:
+            ValueError: if there is none, and failures are to be filmed.
+        """
+        from rover_rl.algos.evaluation.stored import FILE, read_evaluation
+
+        path = self.evaluation or policy.folder
+        if path is not None and (self.evaluation or (path / FILE).is_file()):
+            return read_evaluation(path, policy.name, self.world, self.environment.backend)
+        if self.failures:
+            raise ValueError(f"no evaluation of {self.policy} to take failures from: rover-rl evaluate {self.policy}")
+        return None
+
+    def _film_undriven(self, policy: ResolvedPolicy) -> None:
+        """Films an episode of a world, with the policy's usual time limit."""
+        from rover_rl.algos.evaluation.episodes import choose_episodes
+        from rover_rl.algos.video.recording import record_episodes
+        from rover_rl.sims.worlds.pool import WorldPool
+
+        assert self.episode is not None
+        world = policy.worlds[0] if policy.worlds else "maze"
+        env = self.environment.description(policy.module)
+        count = None if len(WorldPool(world)) > 1 else max(self.episode, 0) + 1
+        episodes = choose_episodes(world, count, self.seed, robot=env.robot)
+        if not 0 <= self.episode < len(episodes):
+            raise ValueError(f"episode must be between 0 and {len(episodes) - 1}, got {self.episode}")
+        chosen = episodes.part(self.episode, self.episode + 1)
+        _, (drive,) = record_episodes(policy.module, chosen, seconds=60.0, name=policy.name, env=env)
+        self._film(drive, self.out, f"of the episodes for {world}")
+
+    def _film_endless(self) -> None:
+        """Films rovers that drive from goal to goal."""
         from rover_rl.algos.evaluation.plots import draw_reward_components
         from rover_rl.algos.video.film import film
 
@@ -52,8 +174,8 @@ class Film:
             self.out,
             world=policy.worlds[0] if policy.worlds else "maze",
             view=self.view,
-            seconds=self.seconds,
-            seed=self.seed,
+            seconds=FILMED if self.seconds is None else self.seconds,
+            seed=self.seed or 0,
             rows={"chase": 1, "top": 16}[self.view] if self.rovers is None else self.rovers,
             width=self.width,
             height=self.height,
@@ -65,4 +187,28 @@ class Film:
         if self.rewards is not None:
             draw_reward_components(rollout, self.rewards)
             print(f"Rewards: {self.rewards}")
-        return 0
+
+
+def _driver(policy: ResolvedPolicy, stored: StoredEvaluation) -> Callable[[int], Recording]:
+    """Returns a function that drives an episode of an evaluation again."""
+    from rover_rl.algos.video.recording import record_episodes
+
+    def drive(episode: int) -> Recording:
+        episodes = stored.to_drive(episode)
+        options: dict[str, Any] = {"action_repeat": stored.action_repeat, "seconds": stored.seconds, "env": stored.env}
+        wanted = [episode - episodes.offset]
+        _, (driven,) = record_episodes(policy.module, episodes, name=f"episode {episode}", wanted=wanted, **options)
+        before = stored.endings[episode], stored.durations[episode]
+        if (driven.ending, round(driven.seconds, 3)) != before:
+            print(
+                f"Episode {episode} ended otherwise in the evaluation: {before[0]} after {before[1]:.1f} s", flush=True
+            )
+        return driven
+
+    return drive
+
+
+def how_it_ended(recording: Recording) -> str:
+    """Returns how a drive ended and when."""
+    ending = "goal reached" if recording.ending == "goal" else recording.ending
+    return f"{ending} after {recording.seconds:.1f} s"

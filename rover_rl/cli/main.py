@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import re
 import sys
+from collections.abc import Sequence
+from typing import Any
 
 from rover_rl.cli.benchmark import Benchmark
 from rover_rl.cli.compare import Compare
@@ -16,6 +18,7 @@ from rover_rl.cli.film import Film
 from rover_rl.cli.options import read_command
 from rover_rl.cli.play import Play
 from rover_rl.cli.robot import RobotCommand
+from rover_rl.cli.sweep import sweep_defaults
 from rover_rl.cli.train import FAILED, INTERRUPTED, train_defaults
 from rover_rl.cli.worlds import Worlds
 from rover_rl.files import STANDARD_OUTPUT, errors_name
@@ -38,7 +41,20 @@ COMMANDS = {
     "drive": Drive,
     "export": Export,
 }
-"""Commands by name, without ``train``, whose options depend on the algorithm."""
+"""Commands by name, without those whose options depend on the algorithm."""
+
+
+def commands(args: Sequence[str] = ()) -> dict[str, Any]:
+    """Returns all commands by name.
+
+    Args:
+        args: arguments of the command line, on which the options of training depend.
+
+    Raises:
+        FileNotFoundError: if a file or a run that they name does not exist.
+        ValueError: if its settings cannot be read.
+    """
+    return {"train": train_defaults(args), "sweep": sweep_defaults(args), **COMMANDS}
 
 
 def main(args: list[str] | None = None) -> int:
@@ -53,7 +69,7 @@ def main(args: list[str] | None = None) -> int:
         sys.path.insert(0, os.getcwd())
     try:
         try:
-            return read_command({"train": train_defaults(args), **COMMANDS}, args)()
+            return read_command(commands(args), args)()
         finally:
             _flush()
     except BrokenPipeError:

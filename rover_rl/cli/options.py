@@ -1,22 +1,27 @@
-"""Command-line parsing with tyro, with each error reported in one sentence."""
+"""Command-line parsing, with each error reported in one sentence."""
 
 from __future__ import annotations
 
 import io
 import re
-from collections.abc import Sequence
-from contextlib import redirect_stderr, redirect_stdout
+from collections.abc import Iterable, Sequence
+from contextlib import redirect_stderr
 from difflib import get_close_matches
-from typing import Annotated, Any, Union
+from importlib.metadata import version
+from typing import Any
 
-import tyro
+from rich.console import Console
 
-_PROGRAM = "rover-rl"
-_DESCRIPTION = "Train, evaluate and drive rovers that navigate to goals."
+from rover_rl.cli.help import print_help
+from rover_rl.cli.parsing import PROGRAM, SUBCOMMANDS, Option, parse, read_help
+from rover_rl.registry import perhaps
+
+_HELP = {"-h", "--help"}
+"""Options that print the help."""
 
 
 def read_command(commands: dict[str, Any], args: Sequence[str]) -> Any:
-    """Parses a command and its options; ``--help`` prints the help and exits.
+    """Parses a command and its options; ``--help`` and ``--version`` print and exit.
 
     Args:
         commands: dataclasses of the commands by name, or instances that hold defaults.
@@ -26,82 +31,83 @@ def read_command(commands: dict[str, Any], args: Sequence[str]) -> Any:
         ValueError: for an unknown command or option, or an invalid value. The message is one sentence.
     """
     name = args[0] if args else ""
-    if name not in commands and name not in ("-h", "--help") and not name.startswith("--tyro-"):
-        raise ValueError(f"{_unknown_command(name)} use one of {[*commands]}{_hint()}")
+    if name == "--version":
+        print(f"{PROGRAM} {version(PROGRAM)}")
+        raise SystemExit(0)
+    if name not in commands and name not in _HELP and not name.startswith("--tyro-"):
+        raise ValueError(f"{_unknown_command(name, commands)} use one of {[*commands]}{_hint()}")
+    if not _HELP.isdisjoint(args):
+        console = Console()
+        # Rich would exit when a pipe is closed.
+        with console.capture() as text:
+            print_help(commands, _command(commands, args), console)
+        print(text.get(), end="")
+        raise SystemExit(0)
     errors = io.StringIO()
     try:
         with redirect_stderr(errors):
-            command, unknown = _parse(commands, args)
+            command, unknown = parse(commands, args)
     except SystemExit as stop:
         if not stop.code:
             raise
-        name, help_text = _subcommand(commands, args)
-        raise ValueError(_error_sentence(_plain(errors.getvalue()), help_text, args[1:]) + _hint(name)) from None
+        name = _command(commands, args)
+        options = _known_options(commands, name, args)
+        error = re.sub(r"\x1b\[[0-9;]*m|^[│|╭+╰] ?| ?[│|╮+╯]$", "", errors.getvalue(), flags=re.MULTILINE)
+        raise ValueError(_error_sentence(error, options, args[1:]) + _hint(name)) from None
     if unknown:
-        name, help_text = _subcommand(commands, args)
-        raise ValueError(_unknown_option(unknown, help_text) + _hint(name))
+        name = _command(commands, args)
+        raise ValueError(_unknown_option(unknown, _known_options(commands, name, args)) + _hint(name))
     return command
 
 
-def _parse(commands: dict[str, Any], args: Sequence[str]) -> tuple[Any, list[str]]:
-    kinds = [
-        Annotated[kind, tyro.conf.subcommand(name)]
-        if isinstance(kind, type)
-        else Annotated[type(kind), tyro.conf.subcommand(name, default=kind)]
-        for name, kind in commands.items()
-    ]
-    # A union that is built at run time cannot be type-checked.
-    command: Any = Union[tuple(kinds)]  # noqa: UP007
-    return tyro.cli(command, args=args, prog=_PROGRAM, description=_DESCRIPTION, return_unknown_args=True)
+def _command(commands: dict[str, Any], args: Sequence[str]) -> str:
+    """Returns the name of the command on the command line, or of its subcommand, as ``benchmark barn``."""
+    name = args[0]
+    if name in _HELP:
+        return ""
+    subcommands = [option.head for option in read_help(commands, name).boxes.get(SUBCOMMANDS, ())]
+    return " ".join([name, *[word for word in args[1:] if word in subcommands][:1]])
 
 
-def _subcommand(commands: dict[str, Any], args: Sequence[str]) -> tuple[str, str]:
-    """Returns the name and the help of the command on the command line, or of its subcommand, as ``benchmark barn``."""
-    help_text = _help(commands, args[0])
-    choices = re.match(r"usage: .*\{([a-z,-]+)\}", help_text)
-    if choices and len(args) > 1 and args[1] in choices[1].split(","):
-        name = f"{args[0]} {args[1]}"
-        return name, _help(commands, name)
-    return args[0], help_text
+def _known_options(commands: dict[str, Any], name: str, args: Sequence[str]) -> list[Option]:
+    """Returns the options of the command ``name``.
 
-
-def _help(commands: dict[str, Any], name: str) -> str:
-    text = io.StringIO()
-    try:
-        with redirect_stdout(text):
-            _parse(commands, [*name.split(), "--help"])
-    except SystemExit:
-        pass
-    return _plain(text.getvalue())
-
-
-def _plain(text: str) -> str:
-    """Removes colors and the sides of boxes from a text."""
-    return re.sub(r"\x1b\[[0-9;]*m|^[│|╭+╰] ?| ?[│|╮+╯]$", "", text, flags=re.MULTILINE)
+    Raises:
+        ValueError: if its subcommand is unknown or missing.
+    """
+    found = read_help(commands, name)
+    subcommands = [option.head for option in found.boxes.get(SUBCOMMANDS, ())]
+    given = next((word for word in args[1:2] if not word.startswith("-")), "")
+    if subcommands and given:
+        similar = perhaps(given, subcommands)
+        raise ValueError(f"unknown command '{name} {given}'{similar}; use one of {subcommands}{_hint(name)}")
+    if subcommands and not found.options:
+        raise ValueError(f"{name} needs a command; use one of {subcommands}{_hint(name)}")
+    return found.options
 
 
 def _hint(name: str = "") -> str:
-    return f"; see {' '.join(filter(None, (_PROGRAM, name, '--help')))}"
+    return f"; see {' '.join(filter(None, (PROGRAM, name, '--help')))}"
 
 
-def _unknown_command(name: str) -> str:
+def _unknown_command(name: str, commands: Iterable[str]) -> str:
     if not name:
         return "a command is missing;"
     if name.startswith("-"):
         return f"options come after a command, and {name} stands before any;"
-    return f"unknown command {name!r};"
+    return f"unknown command {name!r}{perhaps(name, commands)};"
 
 
-def _unknown_option(unknown: Sequence[str], help_text: str) -> str:
+def _unknown_option(unknown: Sequence[str], known: Sequence[Option]) -> str:
     """Returns the message for arguments that a command does not take, with the most similar option."""
     options = [argument.split("=")[0] for argument in unknown if argument.startswith("-")]
     if not options:
         return f"unexpected argument {unknown[0]!r}"
-    similar = get_close_matches(options[0], re.findall(r"--[a-z](?:[a-z.-]*[a-z])?", help_text), n=1)
+    similar = get_close_matches(options[0], [name for option in known for name in option.names], n=1)
     return f"unknown option {options[0]}" + (f", perhaps {similar[0]}" if similar else "")
 
 
-def _error_sentence(tyro_error: str, help_text: str, args: Sequence[str]) -> str:
+def _error_sentence(tyro_error: str, known: Sequence[Option], args: Sequence[str]) -> str:
     """Condenses an error of tyro into a sentence.
 
     The sentence names the option, the expected and the given value. If tyro names no such option, it is the first
@@ -110,12 +116,10 @@ def _error_sentence(tyro_error: str, help_text: str, args: Sequence[str]) -> str
     _, *paragraphs = re.split(r"[─-]{3,}", tyro_error)
     paragraph = " ".join((paragraphs[0] if paragraphs else tyro_error).split())
     given = _values(args)
+    takes = {name: option.takes for option in known for name in option.names}
     for option in re.findall(r"--[\w.-]*\w", paragraph):
-        # An option with another name: "--episodes INT, --count INT".
-        takes = rf"^ {{0,4}}(?:--\S+ \S+, )?{re.escape(option)} ([\[{{A-Z].*?)(?:, --|\s{{2,}}|$)"
-        expected = re.search(takes, help_text, re.MULTILINE)
-        if option in given and expected:
-            return f"{option} takes {expected[1]}, got {' '.join(given[option]) or 'nothing'}"
+        if option in given and takes.get(option):
+            return f"{option} takes {takes[option]}, got {' '.join(given[option]) or 'nothing'}"
     # An error of a dataclass: "Error parsing __tyro-dummy-inner__.env.task: ..." becomes "task: ...".
     paragraph = re.sub(r"^Error parsing \S*?([\w-]+): ", r"\1: ", paragraph).removeprefix("__tyro-dummy-inner__: ")
     missing = r"^Missing from \S+ ([\w -]+): (?:(--[\w-]+) )?\S+ (.*?)( \(required\))?$"

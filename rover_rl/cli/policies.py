@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rover_rl.algos.policy.names import BASELINES, PRETRAINED, load_policy, make_baseline
+from rover_rl.registry import perhaps
 
 if TYPE_CHECKING:
     from rover_rl.algos.config import TrainingConfig
@@ -15,12 +17,16 @@ if TYPE_CHECKING:
 
 ONNX = ".onnx"
 """Suffix of exported ONNX policies."""
+LOG = ".jsonl"
+"""Suffix of the logs of ``rover-rl drive``."""
+SB3 = ".zip"
+"""Suffix of policies that Stable-Baselines3 saved."""
 RANDOM = "random"
 """Name of the policy that acts at random."""
 _NAMES = f"pretrained:NAME, {', '.join(BASELINES)} or {RANDOM}"
-ONE_POLICY = f"Folder of a run, checkpoint file, ONNX file, {_NAMES}."
+ONE_POLICY = f"Folder of a run, checkpoint, ONNX file, .zip of Stable-Baselines3, {_NAMES}."
 """Help of an argument that names a policy."""
-SEVERAL_POLICIES = f"Policies: run folders, checkpoints, ONNX files, {_NAMES}."
+SEVERAL_POLICIES = f"Policies: run folders, checkpoints, ONNX files, .zip of Stable-Baselines3, {_NAMES}."
 """Help of an argument that names several policies."""
 LIVE_POLICY = (
     f"Policy: folder of a run, checkpoint file, ONNX file, pretrained:NAME, or a baseline: {', '.join(BASELINES)}."
@@ -54,7 +60,7 @@ def resolve_policy(word: str, worlds: tuple[str, ...], robot: str | None = None)
 
     Args:
         word: ``random``, name of a baseline (:data:`rover_rl.algos.policy.names.BASELINES`), ``pretrained:NAME``, or
-            the path of a run's folder, checkpoint or ONNX file.
+            the path of a run's folder, checkpoint, ONNX file or file of Stable-Baselines3.
         worlds: worlds to drive in; if empty, the ones that the policy was trained in. For a range of seeds, it is one
             world that was not in the training.
         robot: robot of a baseline; ``None``: the default robot.
@@ -72,6 +78,10 @@ def resolve_policy(word: str, worlds: tuple[str, ...], robot: str | None = None)
 
         policy = OnnxPolicy(Path(word))
         return ResolvedPolicy(Path(word).stem, policy, worlds or _unseen(policy.config), config=policy.config)
+    if word.endswith(SB3):
+        from rover_rl.algos.policy.sb3_policy import SB3Policy
+
+        return ResolvedPolicy(Path(word).stem, SB3Policy(Path(word)), worlds)
     checkpoint, name = load_checkpoint(word)
     return ResolvedPolicy(
         name=name,
@@ -89,8 +99,16 @@ def load_checkpoint(word: str) -> tuple[Checkpoint, str]:
         FileNotFoundError: if the checkpoint does not exist.
         ValueError: if there is no such pretrained policy, or the file holds no checkpoint.
     """
-    name = word.removeprefix(PRETRAINED) if word.startswith(PRETRAINED) else _folder(word).resolve().name
-    return load_policy(word), name
+    from rover_rl.algos.pretrained import pretrained_names
+
+    if word.startswith(PRETRAINED):
+        return load_policy(word), word.removeprefix(PRETRAINED)
+    if not Path(word).exists():
+        # The name of a pretrained policy, with a typing error or without its prefix.
+        names = get_close_matches(word.rpartition(":")[2], pretrained_names(), n=1)
+        similar = f", perhaps {PRETRAINED + names[0]!r}" if names else perhaps(word, [*BASELINES, RANDOM])
+        raise FileNotFoundError(f"no checkpoint at {word}{similar}")
+    return load_policy(word), _folder(word).resolve().name
 
 
 def _unseen(config: TrainingConfig) -> tuple[str, ...]:

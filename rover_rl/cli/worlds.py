@@ -26,7 +26,7 @@ class ImportWorld:
     (.tif, .png, .npy), or a ROS map (.yaml). docs/world_files.md describes the options.
     """
 
-    file: tyro.conf.Positional[Path]
+    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
     """File to import."""
     out: Path | None = None
     """World file to write, whose name ends in .world.npz. Default: FILE's name with this ending, in this folder."""
@@ -90,7 +90,7 @@ class ImportWorld:
 class ShowWorld:
     """Draw a world: ground, obstacles, free space, and a start and a goal with the shortest path."""
 
-    file: tyro.conf.Positional[str]
+    file: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="WORLD")]
     """World to draw: a file, a name, or module:attribute."""
     out: Path | None = None
     """Picture to write. Default: the world's name with .png, in this folder."""

@@ -282,7 +282,7 @@ class EnvConfig:
     your own, named as ``module:attribute``.
 
     Raises:
-        ValueError: if ``outcome_from`` is unknown.
+        ValueError: if ``outcome_from`` is unknown, or a part has another type.
     """
 
     world: WorldLike = "inspect"
@@ -330,6 +330,12 @@ class EnvConfig:
     """Device of the tensors: cpu, cuda or cuda:1."""
 
     def __post_init__(self) -> None:
+        for name, kind in _PARTS.items():
+            if not isinstance(value := getattr(self, name), kind):
+                raise ValueError(f"{name} must be a {kind.__name__}, got {type(value).__name__} {value!r}"[:200])
+        # A World and a WorldPool, which are not imported here, as they import PyTorch, have one of these.
+        if not (isinstance(self.world, Sequence) or hasattr(self.world, "terrain") or hasattr(self.world, "entries")):
+            raise ValueError(f"world must be a name, a World, or a list of them, got {self.world!r}")
         if self.outcome_from not in get_args(OutcomeSource):
             raise ValueError(f"outcome_from must be one of {get_args(OutcomeSource)}, got {self.outcome_from!r}")
         if isinstance(self.reward, RewardConfig):
@@ -370,6 +376,18 @@ class EnvConfig:
             "camera_topic": self.connection.camera_topic,
             "connection_check_timeout": self.connection.timeout,
         }
+
+
+_PARTS: dict[str, type] = {
+    "lidar": LidarConfig,
+    "action": ActionConfig,
+    "task": TaskConfig,
+    "contract_reward": RewardConfig,
+    "heading_gains": HeadingGains,
+    "randomization": Randomization,
+    "connection": Connection,
+}
+"""Types of the parts of :class:`EnvConfig`."""
 
 
 def require_match(made_for: EnvConfig, env: EnvConfig) -> None:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 
-from rover_rl.envs.config import EnvConfig, RewardLike
+from rover_rl.envs.arguments import SIGNATURE, EnvSettings, config_from
+from rover_rl.envs.config import EnvConfig, RewardConfig, RewardLike
 from rover_rl.envs.rewards import TotalReward, reward_components
 from rover_rl.envs.rover import RoverEnv
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 
 class RewardedEnv(TransformedEnv):
@@ -35,37 +40,53 @@ class RewardedEnv(TransformedEnv):
     rand_action = EnvBase.rand_action
 
 
-def make_env(*args: Any, reward: RewardLike = "contract", **kwargs: Any) -> EnvBase:
+def make_env(
+    *args: Any,
+    reward: RewardLike = "contract",
+    contract_reward: RewardConfig | None = None,
+    **settings: Unpack[EnvSettings],
+) -> EnvBase:
     """Creates a :class:`RoverEnv` with a reward, by default the contract's.
 
     Args:
-        *args: an :class:`~rover_rl.envs.config.EnvConfig` and nothing else, or arguments of :class:`RoverEnv`.
+        *args: an :class:`~rover_rl.envs.config.EnvConfig` and nothing else, or the contract's arguments.
         reward: ``"contract"``; ``"task"`` (1 per goal); name or ``"module:attribute"`` of your own reward; a
             :class:`~rover_rl.envs.config.RewardConfig`; a :class:`~rover_rl.envs.rewards.RewardComponent`; or a
             sequence of these, for example ``[*contract_reward(), TiltPenalty()]``.
-        **kwargs: keyword arguments of :class:`RoverEnv`.
+        contract_reward: parameters of the contract's reward.
+        **settings: arguments of :class:`RoverEnv`, under the contract's names or those of ``EnvConfig``:
+            ``lidar_points=16`` or ``lidar=LidarConfig(points=16)``.
 
     Raises:
         ValueError: if the reward is unknown, or :class:`RoverEnv` raises it.
-        TypeError: if there are further arguments besides an ``EnvConfig``.
+        TypeError: if there are further arguments besides an ``EnvConfig``, or an argument is unknown or given by both
+            of its names.
 
     Example:
-        >>> env = make_env(world_n="maze", num_envs=4, seed=0)
+        >>> env = make_env(world="maze", num_envs=4, seed=0, lidar=LidarConfig(points=16))
         >>> env.rollout(5)["next", "reward_components", "progress"].shape
         torch.Size([4, 5, 1])
     """
     if args and isinstance(args[0], EnvConfig):
-        if len(args) > 1 or kwargs or reward != "contract":
+        if len(args) > 1 or settings or reward != "contract" or contract_reward is not None:
             raise TypeError("make_env takes an EnvConfig alone; use dataclasses.replace(config, ...) to change it")
-        return _make(args[0])
+        config = args[0]
+    else:
+        config = config_from("make_env", args, settings)
+        config = replace(config, reward=reward, contract_reward=contract_reward or config.contract_reward)
     # Raises an error for an unknown reward before the simulator is built.
-    reward_components(reward)
-    return add_reward(RoverEnv(*args, **kwargs), reward)
-
-
-def _make(config: EnvConfig) -> EnvBase:
     reward_components(config.reward, config.contract_reward)
     return add_reward(RoverEnv(**config.arguments()), config.reward, config)
+
+
+def _signature() -> inspect.Signature:
+    """Returns the arguments of :class:`RoverEnv`, followed by the reward's."""
+    own = inspect.signature(make_env)
+    rewards = [parameter for parameter in own.parameters.values() if parameter.kind is parameter.KEYWORD_ONLY]
+    return own.replace(parameters=[*SIGNATURE.parameters.values(), *rewards])
+
+
+make_env.__signature__ = _signature()  # type: ignore[attr-defined]
 
 
 def add_reward(env: EnvBase, reward: RewardLike = "contract", config: EnvConfig | None = None) -> EnvBase:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import inspect
 import secrets
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -15,16 +14,8 @@ from torchrl.envs import EnvBase
 
 from rover_rl.checks import MAX_COUNT, MAX_ROVERS, check_seed
 from rover_rl.envs import specs
-from rover_rl.envs.config import (
-    DEFAULT_PHYSICS,
-    ActionConfig,
-    EnvConfig,
-    HeadingGains,
-    LidarConfig,
-    OutcomeSource,
-    Randomization,
-    TaskConfig,
-)
+from rover_rl.envs.arguments import SIGNATURE, EnvSettings, config_from
+from rover_rl.envs.config import DEFAULT_PHYSICS, EnvConfig, Randomization, TaskConfig
 from rover_rl.envs.control import HeadingController
 from rover_rl.envs.devices import available_device
 from rover_rl.envs.inputs import checked_action, checked_place
@@ -38,13 +29,16 @@ from rover_rl.envs.rng import episode_keys, row_keys
 from rover_rl.envs.row_worlds import RowWorlds
 from rover_rl.envs.sensing import LidarPooling, check_period, scanning
 from rover_rl.envs.task import TaskState, target_info
-from rover_rl.sims import BackendLike, Connection, RoverState, Simulator, make_simulator
+from rover_rl.sims import Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.base import View, WorldChanger
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World, free_space
-from rover_rl.sims.worlds.pool import WorldPool, WorldSource
+from rover_rl.sims.worlds.pool import WorldPool
 from rover_rl.tensordicts import unchecked_tensordict
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 
 class RoverEnv(EnvBase):
@@ -98,6 +92,8 @@ class RoverEnv(EnvBase):
         outcome_from: state that events, rewards and metrics are computed from: the simulator's ``"truth"`` or the
             ``"sensors"``. They differ if ``randomization`` adds sensor noise.
         privileged: whether to add the nested observation ``privileged``, see :mod:`rover_rl.envs.privileged`.
+        world, lidar, connection: names of :class:`EnvConfig` for ``world_n``, for the four settings of the lidar, and
+            for topics and timeout, in place of these.
 
     Attributes:
         config: description of the environment.
@@ -107,6 +103,7 @@ class RoverEnv(EnvBase):
     Raises:
         ValueError: if the world, backend or robot is unknown, the device is not available, there are fewer beams than
             points, a number is out of range, or the task needs contacts that the backend does not report.
+        TypeError: if an argument is unknown, or given by both of its names.
 
     Example:
         >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0)
@@ -116,58 +113,8 @@ class RoverEnv(EnvBase):
 
     batch_locked = True
 
-    def __init__(
-        self,
-        size: tuple[int, int] = (64, 64),
-        length: int = 2000,
-        scan_topic: str = "/scan",
-        imu_topic: str = "/imu/data",
-        cmd_vel_topic: str = "/cmd_vel",
-        camera_topic: str = "/camera/image_raw",
-        world_n: WorldSource = "inspect",
-        connection_check_timeout: float = 30,
-        lidar_points: int = 32,
-        max_lidar_range: float = 12.0,
-        *,
-        num_envs: int | None = 1,
-        backend: BackendLike = "bullet",
-        physics: str | None = None,
-        robot: str | Robot = "rover_zero",
-        lidar_beams: int = 128,
-        lidar_period: int = 1,
-        seed: int | None = None,
-        device: torch.device | str | None = None,
-        end_on_goal: bool = False,
-        task: TaskConfig | None = None,
-        heading_gains: HeadingGains | None = None,
-        randomization: Randomization | None = None,
-        action: ActionConfig | None = None,
-        outcome_from: OutcomeSource = "truth",
-        privileged: bool = False,
-    ) -> None:
-        self._init_config(
-            EnvConfig(
-                world=world_n,
-                robot=robot,
-                lidar=LidarConfig(lidar_points, lidar_beams, max_lidar_range, lidar_period),
-                action=action or ActionConfig(),
-                task=task or TaskConfig(),
-                reward="task",
-                heading_gains=heading_gains or HeadingGains(),
-                randomization=randomization or Randomization(),
-                outcome_from=outcome_from,
-                privileged=privileged,
-                backend=backend,
-                physics=physics or DEFAULT_PHYSICS,
-                connection=Connection(scan_topic, imu_topic, cmd_vel_topic, camera_topic, connection_check_timeout),
-                length=length,
-                end_on_goal=end_on_goal,
-                size=size,
-                num_envs=num_envs,
-                seed=seed,
-                device=None if device is None else str(device),
-            )
-        )
+    def __init__(self, *args: Any, **settings: Unpack[EnvSettings]) -> None:
+        self._init_config(replace(config_from("RoverEnv", args, settings), reward="task"))
 
     def _init_config(self, config: EnvConfig) -> None:
         num_envs = 1 if config.num_envs is None else config.num_envs
@@ -484,8 +431,8 @@ class RoverEnv(EnvBase):
             raise RuntimeError(f"{what} needs a running episode; call reset() first")
 
 
-# The metaclass of EnvBase hides the arguments from help() and editors. This restores them.
-RoverEnv.__signature__ = inspect.Signature([*inspect.signature(RoverEnv.__init__).parameters.values()][1:])
+# The metaclass of EnvBase hides the arguments from help() and editors.
+RoverEnv.__signature__ = SIGNATURE
 
 
 def _prepare(robot: Robot, simulator: WorldChanger, world: World) -> None:

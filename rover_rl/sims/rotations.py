@@ -48,6 +48,20 @@ def _euler_forms(device: torch.device, dtype: torch.dtype) -> Tensor:
     return torch.stack(forms).reshape(5, 16).to(device, dtype)
 
 
+def euler_to_matrix(angles: Tensor) -> Tensor:
+    """Converts roll, pitch and yaw ``[N, 3]`` ('sxyz', rad) to rotation matrices ``[N, 3, 3]``.
+
+    The columns point forward, left and up.
+    """
+    (cr, cp, cy), (sr, sp, sy) = angles.cos().unbind(-1), angles.sin().unbind(-1)
+    rows = (
+        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+        (-sp, cp * sr, cp * cr),
+    )
+    return torch.stack([torch.stack(row, -1) for row in rows], -2)
+
+
 def matrix_to_quaternion(matrix: Tensor) -> Tensor:
     """Returns unit quaternions ``[..., 4]`` (w >= 0) of rotation matrices ``[..., 3, 3]``."""
     m = matrix

@@ -63,5 +63,5 @@ def test_the_one_for_all_reaches_goals_in_mazes_that_it_has_not_seen() -> None:
 
 
 def test_a_name_that_is_none_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"no pretrained policy 'mars-ppo'; use one of \["):
+    with pytest.raises(ValueError, match=r"no pretrained policy 'mars-ppo', perhaps 'moon-ppo'; use one of \["):
         load_pretrained("mars-ppo")

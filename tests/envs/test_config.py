@@ -1,9 +1,10 @@
 from __future__ import annotations
 
+import inspect
 import pickle
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import pytest
@@ -19,6 +20,7 @@ from rover_rl.envs import ActionConfig, EnvConfig, HeadingGains, LidarConfig, Ra
 from rover_rl.envs.config import env_from_plain, plain_env, require_match
 from rover_rl.envs.rewards import GoalReward
 from rover_rl.sims.bullet import BulletSettings
+from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import get_world
 
@@ -67,6 +69,61 @@ def test_make_env_of_a_description_and_of_arguments_are_the_same() -> None:
     argued = make_env(world_n="maze", num_envs=3, seed=5, lidar_points=16, length=7)
     assert (drive_at_random(described) == drive_at_random(argued)).all()
     assert described.config == argued.config == config
+
+
+def test_names_of_the_contract_and_of_the_description_are_the_same() -> None:
+    connection, task = Connection("/front/scan", timeout=3.0), TaskConfig(success_distance=0.7)
+    new = make_env(world="maze", lidar=LidarConfig(16, 64, 9.0, 2), connection=connection, task=task, num_envs=2)
+    old = make_env(
+        world_n="maze",
+        lidar_points=16,
+        lidar_beams=64,
+        max_lidar_range=9.0,
+        lidar_period=2,
+        scan_topic="/front/scan",
+        connection_check_timeout=3.0,
+        task=task,
+        num_envs=2,
+    )
+    assert new.config == old.config
+    assert RoverEnv(world="maze", lidar=LidarConfig(points=8)).config.lidar.points == 8
+
+
+def test_the_signature_shows_every_name_once() -> None:
+    shown = inspect.signature(make_env).parameters
+    assert {item.name for item in fields(EnvConfig)} <= shown.keys()
+    assert all(name in str(inspect.signature(RoverEnv)) for name in ("world_n: 'WorldLike' = 'inspect'", "lidar: "))
+    assert (shown["lidar_points"].default, shown["length"].default, shown["lidar"].default) == (32, 2000, None)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"world": "maze", "world_n": "moon"}, "^make_env: world and world_n set the same: give one of them$"),
+        ({"lidar": LidarConfig(), "lidar_points": 16}, "^make_env: lidar and lidar_points set the same: give one of"),
+        ({"wrld": "maze"}, "^make_env: got an unexpected keyword argument 'wrld', perhaps 'world'$"),
+    ],
+)
+def test_arguments_that_do_not_go_together_are_refused_in_one_sentence(settings: Any, message: str) -> None:
+    with pytest.raises(TypeError, match=message):
+        make_env(**settings)
+
+
+@pytest.mark.parametrize(
+    "part", ["lidar", "action", "task", "contract_reward", "heading_gains", "randomization", "connection"]
+)
+@pytest.mark.parametrize("value", [[1, 2], "fast", None, {"points": 3}])
+def test_parts_of_another_type_are_refused_in_one_sentence(part: str, value: Any) -> None:
+    kind = type(getattr(EnvConfig(), part)).__name__
+    with pytest.raises(ValueError, match=f"^{part} must be a {kind}, got {type(value).__name__} "):
+        EnvConfig(**{part: value})
+
+
+def test_worlds_and_robots_of_another_type_are_refused_in_one_sentence() -> None:
+    with pytest.raises(ValueError, match="^world must be a name, a World, or a list of them, got 3$"):
+        EnvConfig(world=3)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="^robot must be a name or a Robot, got int 3$"):
+        get_robot(3)  # type: ignore[arg-type]
 
 
 def test_every_environment_knows_its_description() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -28,6 +29,8 @@ from rover_rl.sims.worlds.shortest_paths import shortest_paths
 
 FORMAT = "rover_rl drive, version 1"
 """Name of the file format."""
+BEAMS = 180
+"""Largest number of lidar readings in each line of a log."""
 
 
 class DriveLog:
@@ -98,8 +101,12 @@ class DriveLog:
         self._file.write(json.dumps(entry) + "\n")
 
 
-def _pose(rover: RoverState) -> dict[str, list[float]]:
-    return {"position": _rounded(rover.position[0]), "angles": _rounded(quaternion_to_euler(rover.orientation)[0])}
+def _pose(rover: RoverState) -> dict[str, list[float] | list[float | None]]:
+    """Pose and lidar scan of a rover. At most :data:`BEAMS` readings are kept, to the centimeter; no return is null."""
+    step = -(-rover.ranges.shape[1] // BEAMS)
+    ranges = [round(value, 2) if math.isfinite(value) else None for value in rover.ranges[0, ::step].tolist()]
+    angles = _rounded(quaternion_to_euler(rover.orientation)[0])
+    return {"position": _rounded(rover.position[0]), "angles": angles, "ranges": ranges}
 
 
 def _rounded(values: Tensor) -> list[float]:
@@ -116,14 +123,9 @@ def read_drives(path: Path) -> list[Evaluation]:
         FileNotFoundError: if there is no such file.
         ValueError: if the file is no log of drives, or no drive in it has ended.
     """
-    entries = _entries(path)
-    if not entries or entries[0].get("format") != FORMAT:
-        raise ValueError(f"{path} is no log of drives")
-    groups: dict[tuple[str, str, str, float], list[_Drive]] = {}
-    for drive in _drives(entries):
+    groups: dict[tuple[str, str, str, float], list[LoggedDrive]] = {}
+    for drive in logged_drives(path):
         groups.setdefault((drive.world, drive.policy, drive.robot, drive.seconds), []).append(drive)
-    if not groups:
-        raise ValueError(f"no drive in {path} has ended")
     return [
         Evaluation(
             policy,
@@ -135,6 +137,22 @@ def read_drives(path: Path) -> list[Evaluation]:
         )
         for (world, policy, robot, seconds), drives in groups.items()
     ]
+
+
+def logged_drives(path: Path) -> list[LoggedDrive]:
+    """Reads the drives of a log that have ended.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if the file is no log of drives, or no drive in it has ended.
+    """
+    entries = _entries(path)
+    if not entries or entries[0].get("format") != FORMAT:
+        raise ValueError(f"{path} is no log of drives")
+    drives = list(_drives(entries))
+    if not drives:
+        raise ValueError(f"no drive in {path} has ended")
+    return drives
 
 
 def _entries(path: Path) -> list[dict[str, Any]]:
@@ -151,8 +169,8 @@ def _entries(path: Path) -> list[dict[str, Any]]:
 
 
 @dataclass
-class _Drive:
-    """One drive of a log, with the poses at the start and after each step."""
+class LoggedDrive:
+    """One drive of a log, with the poses and scans at the start and after each step. Old logs hold no scans."""
 
     world: str
     policy: str
@@ -161,6 +179,7 @@ class _Drive:
     goal: list[float]
     position: list[list[float]]
     angles: list[list[float]]
+    ranges: list[list[float | None]]
     time: list[float] = field(default_factory=lambda: [0.0])
     collision: list[bool] = field(default_factory=list)
     reached: list[bool] = field(default_factory=list)
@@ -169,10 +188,8 @@ class _Drive:
 
     def trajectory(self) -> Trajectory:
         """Resamples the drive to 20 Hz. Late and missing steps are filled with the nearest pose."""
-        times = torch.tensor(self.time)
-        steps = max(1, round(self.time[-1] / CONTROL_DT))
-        grid = CONTROL_DT * torch.arange(steps + 1)
-        nearest = (times[None] - grid[:, None]).abs().argmin(-1)
+        times, nearest = torch.tensor(self.time), self._nearest()
+        steps = len(nearest) - 1
         step_of = (times[1:] / CONTROL_DT).round().long().clamp(1, steps) - 1
         return Trajectory(
             position=torch.tensor(self.position)[nearest],
@@ -183,6 +200,19 @@ class _Drive:
             reversals=count_reversals(self.turns),
         )
 
+    def scans(self) -> Tensor:
+        """Resamples the lidar readings like :meth:`trajectory`: ``[T + 1, beams]``, m, ``inf`` without a return."""
+        rows = [[math.inf if reading is None else reading for reading in self.ranges[k]] for k in self._nearest()]
+        beams = max(map(len, rows))
+        # A line without a scan has no returns.
+        return torch.tensor([row or [math.inf] * beams for row in rows])
+
+    def _nearest(self) -> Tensor:
+        """Index of the pose nearest to each step of 20 Hz, int64 ``[T + 1]``."""
+        steps = max(1, round(self.time[-1] / CONTROL_DT))
+        grid = CONTROL_DT * torch.arange(steps + 1)
+        return (torch.tensor(self.time)[None] - grid[:, None]).abs().argmin(-1)
+
 
 def _any_in(step_of: Tensor, events: list[bool], steps: int) -> Tensor:
     """Returns in which of ``steps`` resampled steps an event happened, bool ``[steps]``."""
@@ -191,17 +221,19 @@ def _any_in(step_of: Tensor, events: list[bool], steps: int) -> Tensor:
     return happened
 
 
-def _drives(entries: list[dict[str, Any]]) -> Iterator[_Drive]:
+def _drives(entries: list[dict[str, Any]]) -> Iterator[LoggedDrive]:
     """Yields the drives that have ended."""
     header: tuple[str, str, str, float] = ("", "", "", 0.0)
-    drive: _Drive | None = None
+    drive: LoggedDrive | None = None
     for entry in entries:
         if entry.get("format") == FORMAT:
             # Logs of version 0.1 do not name the robot.
             robot = entry.get("robot", EnvConfig.robot)
             header, drive = (entry["world"], entry["policy"], robot, entry["seconds"]), None
         elif "goal" in entry:
-            drive = _Drive(*header, entry["goal"], [entry["position"]], [entry["angles"]])
+            drive = LoggedDrive(
+                *header, entry["goal"], [entry["position"]], [entry["angles"]], [entry.get("ranges", [])]
+            )
         elif drive is not None and "ending" in entry:
             drive.ending = entry["ending"]
             yield drive
@@ -209,13 +241,14 @@ def _drives(entries: list[dict[str, Any]]) -> Iterator[_Drive]:
         elif drive is not None:
             drive.position.append(entry["position"])
             drive.angles.append(entry["angles"])
+            drive.ranges.append(entry.get("ranges", []))
             drive.time.append(drive.time[-1] + entry["dt"])
             drive.collision.append(entry["collision"])
             drive.reached.append(entry["reached"])
             drive.turns.append(entry["command"][1] if "command" in entry else 0.0)
 
 
-def _episodes(world_name: str, robot: str, drives: list[_Drive]) -> EpisodeSet:
+def _episodes(world_name: str, robot: str, drives: list[LoggedDrive]) -> EpisodeSet:
     """Returns the starts and goals of the drives as a set of episodes."""
     world = get_world(world_name)
     start = torch.tensor([[*drive.position[0][:2], drive.angles[0][2]] for drive in drives])

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.footprint import footprint
+from rover_rl.sims.rotations import euler_to_matrix
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.free_space import distance_to_polygon
 from rover_rl.sims.worlds.obstacles import Obstacle, groups_of
@@ -43,7 +44,7 @@ def is_touching(position: Tensor, angles: Tensor, world: World, robot: Robot) ->
         normals, offsets = obstacle.planes.to(position).split((3, 1), -1)
         near = _near(position[:, :2], obstacle, reach) & ~touched
         for poses in near.nonzero().squeeze(-1).split(_CHUNK):
-            points = position[poses, None] + outline @ _rotation(angles[poses]).mT
+            points = position[poses, None] + outline @ euler_to_matrix(angles[poses]).mT
             touched[poses] = ((points @ normals.T + offsets.T).amax(-1) <= TOUCH).any(-1)
     return touched
 
@@ -78,14 +79,3 @@ def _outline(robot: Robot) -> Tensor:
     sides = torch.cartesian_prod(x, torch.tensor((right, left)))
     ends = torch.cartesian_prod(torch.tensor((back, front)), y)
     return torch.nn.functional.pad(torch.cat((sides, ends)), (0, 1), value=height)
-
-
-def _rotation(angles: Tensor) -> Tensor:
-    """Rotation matrices ``[P, 3, 3]`` (columns: forward, left, up) from roll, pitch and yaw ``[P, 3]`` ('sxyz')."""
-    (cr, cp, cy), (sr, sp, sy) = angles.cos().unbind(-1), angles.sin().unbind(-1)
-    rows = (
-        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
-        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
-        (-sp, cp * sr, cp * cr),
-    )
-    return torch.stack([torch.stack(row, -1) for row in rows], -2)

@@ -9,10 +9,11 @@ Example:
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from itertools import pairwise
+from typing import TypeAlias
 
 import torch
 from tensordict import TensorDictBase
@@ -54,6 +55,8 @@ ENDINGS = {
     StepEvent.GOAL: "goal",
 }
 """Endings of an episode before its time limit, by the event of its last step."""
+Watcher: TypeAlias = Callable[[RoverEnv, Tensor, Tensor], None]
+"""Function that watches an evaluation: see :func:`evaluate`."""
 _MIN_ROWS = 32
 """Smallest number of rows that a policy is called with: matrix products of few rows round differently."""
 
@@ -67,6 +70,7 @@ def evaluate(
     seconds: float = 60.0,
     rows: int = 32,
     env: EnvConfig | None = None,
+    watch: Watcher | None = None,
 ) -> Evaluation:
     """Evaluates a policy on episodes with one goal each and a time limit.
 
@@ -87,6 +91,8 @@ def evaluate(
         env: environment to drive in, of which robot, lidar, action, task, heading PID, randomization and simulator
             are used; ``None``: the environment that the policy was made for, in Bullet and without randomization, else
             the defaults.
+        watch: function that is called at the start and after each step of the episodes, with the environment, the
+            index of each rover's episode, int64 ``[N]``, and the rovers that it concerns, bool ``[N]``.
 
     Raises:
         ValueError: for a number out of range, or a policy that was made for another environment.
@@ -98,7 +104,7 @@ def evaluate(
     policy = policy or RandomPolicy(episodes.seed)
 
     def drive(part: EpisodeSet) -> list[Trajectory]:
-        return _drive_episodes(policy, part, env_config, action_repeat, seconds, name)
+        return _drive_episodes(policy, part, env_config, action_repeat, seconds, name, watch)
 
     driven = over_cores(drive, _with_few_worlds(episodes, rows), name, workers=1)
     env_config = replace(env_config, world=episodes.name, seed=episodes.seed)
@@ -117,7 +123,13 @@ def _with_few_worlds(episodes: EpisodeSet, rows: int) -> list[EpisodeSet]:
 
 
 def _drive_episodes(
-    policy: Policy, episodes: EpisodeSet, env: EnvConfig, action_repeat: int, seconds: float, name: str
+    policy: Policy,
+    episodes: EpisodeSet,
+    env: EnvConfig,
+    action_repeat: int,
+    seconds: float,
+    name: str,
+    watch: Watcher | None,
 ) -> list[Trajectory]:
     """Drives episodes with as many rovers as ``env`` has. Their number is at least that of the worlds."""
     schedule = _Schedule(episodes.world_index.tolist(), min(env.num_envs or 1, len(episodes)))
@@ -131,7 +143,7 @@ def _drive_episodes(
     rovers = RoverEnv(**env.arguments())
     rovers.length = max(1, round(seconds / rovers.control_dt))
     places = {"start": episodes.start, "goal": episodes.goal}
-    return _drive(rovers, policy, action_repeat, name, schedule, places, episodes.offset)
+    return _drive(rovers, policy, action_repeat, name, schedule, places, episodes.offset, watch)
 
 
 def evaluate_endless(
@@ -223,6 +235,7 @@ def _drive(
     schedule: _Schedule,
     places: Mapping[str, Tensor] | None = None,
     offset: int = 0,
+    watch: Watcher | None = None,
 ) -> list[Trajectory]:
     """Drives episodes and closes the environment. A rover takes the next episode when its own has ended.
 
@@ -234,10 +247,11 @@ def _drive(
         schedule: episodes of each rover.
         places: ``start [count, 3]`` and ``goal [count, 2]`` of every episode; ``None``: the environment draws them.
         offset: index of the first episode, for policies that read ``episode``.
+        watch: see :func:`evaluate`.
     """
     places = places or {}
     runner = PolicyRunner(policy, action_repeat, _MIN_ROWS, env)
-    recorder = _Recorder(schedule.count, env.length, env.control_dt)
+    recorder = _Recorder(schedule.count, env.length, env.control_dt, watch)
     episode = torch.tensor(schedule.first)
     driving = torch.ones(env.num_envs, dtype=torch.bool)
 
@@ -308,10 +322,11 @@ class _Recorder:
         count: number of episodes.
         length: number of steps of the longest episode.
         dt: duration of a step, s.
+        watch: function that is called for each step: see :func:`evaluate`.
     """
 
-    def __init__(self, count: int, length: int, dt: float) -> None:
-        self._dt = dt
+    def __init__(self, count: int, length: int, dt: float, watch: Watcher | None = None) -> None:
+        self._dt, self._watch = dt, watch
         # Position (3), angles (3), collision, goal.
         self._records = torch.zeros(count, length + 1, 8)
         self._steps = torch.zeros(count, dtype=torch.int64)
@@ -332,6 +347,8 @@ class _Recorder:
         steps = outcome["steps"].squeeze(-1)
         self._records[episode[rows], steps[rows]] = record[rows]
         self._steps[episode[rows]] = steps[rows]
+        if self._watch is not None:
+            self._watch(env, episode, rows)
 
     def end(self, tensordict: TensorDictBase, episode: int) -> None:
         """Records the ending of an episode from the observation after its last step."""

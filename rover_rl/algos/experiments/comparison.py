@@ -175,15 +175,15 @@ def print_comparison(comparison: Comparison, console: Console | None = None) -> 
     for world in dict.fromkeys(row.world for row in comparison.rows):
         console.print(_table(world, comparison))
         for pair in (pair for pair in comparison.pairs if pair.world == world):
-            probability = _percent(pair.probability.value) + _ends(pair.probability)
+            probability = f"{100 * pair.probability.value:.0f} %{_ends(pair.probability)}"
             console.print(
-                f"A run of {pair.better} is better than one of {pair.other}: {probability}",
+                f"Probability that a run of {pair.better} is better than one of {pair.other}: {probability}",
                 highlight=False,
                 markup=False,
             )
     notes = [
-        "success: interquartile mean over runs; in brackets, here and below the table: 95 % bootstrap interval",
-        f"to {comparison.level:.0%}: median of the runs, by the curve of training, if at least half of them reach it",
+        "success: interquartile mean of the runs; brackets: 95 % bootstrap interval over runs",
+        f"to {comparison.level:.0%}: median of the runs, in training",
     ]
     if any(row.runs < _FEW for row in comparison.rows):
         notes.append(f"with fewer than {_FEW} runs, intervals are too narrow")
@@ -200,7 +200,7 @@ def _table(world: str, comparison: Comparison) -> Table:
         settings = "" if row.settings == row.name else f"\n[dim]{escape(row.settings)}[/dim]"
         steps, minutes = (
             format(value, form) if math.isfinite(value) else "-"
-            for value, form in ((row.steps, ",.0f"), (row.minutes, ".1f"))
+            for value, form in ((float(f"{row.steps:.2g}"), ",.0f"), (row.minutes, ".1f"))
         )
         success = _percent(row.success.value) + _ends(row.success)
         table.add_row(escape(row.name) + settings, str(row.runs), success, str(row.reached), steps, minutes)

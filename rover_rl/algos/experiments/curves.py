@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -33,7 +34,7 @@ _POINTS = 240
 """Number of points of a curve."""
 _NARROW = 1 / 100
 """Width of the averaging window of the faint line, as a fraction of the run."""
-_PALETTES = {"ppo": (BLUE, SKY, GREEN, PURPLE, ORANGE, RED), "sac": (RED, ORANGE, PURPLE, GREEN, SKY, BLUE)}
+_PALETTES = {"ppo": (BLUE, GREEN, SKY, PURPLE, ORANGE, RED), "sac": (RED, ORANGE, PURPLE, SKY, GREEN, BLUE)}
 """Colors of each algorithm's curves, one for each of its settings in turn."""
 _LINES = ("-", "--", ":", "-.")
 """Styles of the lines, one for each turn through the colors."""
@@ -68,9 +69,9 @@ def draw_learning_curve(
         for ax, (measure, against) in zip(row, panels, strict=True):
             for curve in here:
                 curve.draw(ax, measure, against)
-            _finish(ax, measure, against, max(curve.experiment.end(against) for curve in here))
             if baseline is not None and baseline.episodes.name == world:
                 _draw_baseline(ax, measure, baseline)
+            _finish(ax, measure, against, max(curve.experiment.end(against) for curve in here))
         row[0].set_title(world, loc="left", fontweight="bold")
     handles = _legend(curves, baseline)
     # Two long labels do not fit side by side.
@@ -87,18 +88,21 @@ class _Curve:
     Attributes:
         experiment: runs to draw as one curve.
         style: color and style of the line.
+        named: whether the label has the name of the experiment, which distinguishes it from others.
     """
 
     experiment: Experiment
     style: dict[str, Any]
+    named: bool
 
     @property
     def label(self) -> str:
-        runs, settings = self.experiment.runs, f"{self.experiment.settings} in {self.experiment.world}"
+        experiment, runs = self.experiment, self.experiment.runs
         steps, minutes = (np.mean([run.x[key][-1] for run in runs]) for key in ("steps", "minutes"))
         of = "" if len(runs) == 1 else f"{len(runs)} runs of "
-        name = "" if self.experiment.name == self.experiment.settings else f"{self.experiment.name}: "
-        return f"{name}{settings}, {of}{steps:,.0f} steps in {minutes:.1f} min"
+        named = self.named and experiment.name != experiment.settings
+        name = f"{experiment.name} ({experiment.title})" if named else experiment.title
+        return fill(f"{name}: {of}{steps:,.0f} steps in {minutes:.1f} min", _LABEL)
 
     def draw(self, ax: Axes, measure: Measure, against: Against) -> None:
         runs, end = self.experiment.runs, self.experiment.end(against)
@@ -121,7 +125,7 @@ def _curves(experiments: Sequence[Experiment]) -> list[_Curve]:
         turn, color = divmod(used[algo], len(_PALETTES[algo]))
         used[algo] += 1
         style = {"color": _PALETTES[algo][color], "linestyle": _LINES[turn % len(_LINES)]}
-        curves.append(_Curve(experiment, style))
+        curves.append(_Curve(experiment, style, len(experiments) > 1))
     return curves
 
 
@@ -132,7 +136,8 @@ def _finish(ax: Axes, measure: Measure, against: Against, end: float) -> None:
     else:
         ax.set(ylabel="goals per 2,000 steps", ylim=(0, max(1, ax.get_ylim()[1])))
     ax.set(xlabel=_AXES[against], xlim=(0, end))
-    ax.xaxis.set_major_formatter(EngFormatter(sep=""))
+    if against == "steps":
+        ax.xaxis.set_major_formatter(EngFormatter(sep=""))
     style_axes(ax)
 
 
@@ -145,6 +150,8 @@ def _draw_baseline(ax: Axes, measure: Measure, baseline: Evaluation) -> None:
     ax.axhline(level, clip_on=False, zorder=3, **_BASELINE)
 
 
+_LABEL = 96
+"""Largest number of characters in a line of the legend."""
 _LONG_LABEL = 48
 """Largest number of characters of a label in a legend with two columns."""
 

@@ -111,14 +111,19 @@ class Experiment:
     """Runs that differ in their seed at most.
 
     Attributes:
-        settings: algorithm, and the settings in which it differs from other experiments in the same world.
+        title: algorithm, world, and the settings in which it differs from other experiments of both.
         world: name of the world, or of several.
         runs: runs of the experiment.
     """
 
-    settings: str
+    title: str
     world: str
     runs: list[Run] = field(default_factory=list)
+
+    @property
+    def settings(self) -> str:
+        """Title without the world, the same for experiments with the same settings in several worlds."""
+        return self.title.replace(f" in {self.world}", "", 1)
 
     @property
     def name(self) -> str:
@@ -137,8 +142,7 @@ def group(runs: Sequence[Run]) -> list[Experiment]:
     found: dict[str, Experiment] = {}
     for name, run in zip(experiments([run.config for run in runs]), runs, strict=True):
         world = ", ".join(run.config.env.world_names)
-        experiment = found.setdefault(name, Experiment(name.replace(f" in {world}", "", 1), world))
-        experiment.runs.append(run)
+        found.setdefault(name, Experiment(name, world)).runs.append(run)
     return list(found.values())
 
 

@@ -1,8 +1,8 @@
 """Statistics of few training runs: interquartile mean and probability of improvement, with bootstrap intervals.
 
 They are those of Agarwal et al., "Deep Reinforcement Learning at the Edge of the Statistical Precipice" (2021,
-arXiv:2108.13264). The runs of one experiment in several worlds are strata: runs are resampled within each world. With few runs, percentile
-intervals are too narrow: those of three runs reach at most from the worst to the best of them.
+arXiv:2108.13264). The runs of one experiment in several worlds are strata: runs are resampled within each world. With
+few runs, percentile intervals are too narrow: those of three runs reach at most from the worst to the best of them.
 """
 
 from __future__ import annotations

@@ -8,6 +8,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from rover_rl.registry import perhaps
+
 if TYPE_CHECKING:
     from rover_rl.algos.policy.checkpoint import Checkpoint
     from rover_rl.algos.policy.runner import Policy
@@ -35,7 +37,7 @@ def make_baseline(name: str, robot: RobotLike | None = None) -> Policy:
         ValueError: if the name or the robot is unknown.
     """
     if name not in BASELINES:
-        raise ValueError(f"unknown baseline {name!r}; use one of {[*BASELINES]}")
+        raise ValueError(f"unknown baseline {name!r}{perhaps(name, BASELINES)}; use one of {[*BASELINES]}")
     module, _, attribute = BASELINES[name].partition(":")
     policy_class = getattr(import_module(module), attribute)
     return policy_class() if robot is None else policy_class(robot)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.registry import perhaps
 
 FOLDER = Path(__file__).parent
 """Folder with a checkpoint and a model card of each policy, such as ``anywhere.pt`` and ``anywhere.md``."""
@@ -27,6 +28,7 @@ def load_pretrained(name: str) -> Checkpoint:
     Example:
         >>> actor = load_pretrained("moon-sac").make_actor()
     """
-    if name not in pretrained_names():
-        raise ValueError(f"there is no pretrained policy {name!r}; use one of {pretrained_names()}")
+    known = pretrained_names()
+    if name not in known:
+        raise ValueError(f"there is no pretrained policy {name!r}{perhaps(name, known)}; use one of {known}")
     return Checkpoint.load(FOLDER / f"{name}.pt")

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -21,9 +20,10 @@ from matplotlib.patheffects import withStroke
 from torch import Tensor
 
 from rover_rl.algos.evaluation.plots import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, draw_pale_map
-from rover_rl.envs import RoverEnv
+from rover_rl.algos.video.recording import Moment, Recording
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.rendering.camera import Camera
+from rover_rl.sims.rendering.renderer import Renderer
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.worlds import World
@@ -35,29 +35,6 @@ _BEAM = "#ffd400"
 """Color of lidar beams."""
 _EVENT_SECONDS = 1.5
 """Duration for which an event is shown, s."""
-
-
-@dataclass(frozen=True)
-class Moment:
-    """State of ``N`` rovers in one frame of a video.
-
-    Attributes:
-        seconds: time since the start of the video, s.
-        rover: states of the rovers, ``[N]``.
-        goal: current goal of each rover, ``[N, 2]``, m.
-        goals: number of goals that each rover has reached, int64 ``[N]``.
-        episodes: number of episodes that each rover has started, int64 ``[N]``.
-        endings: endings of all episodes so far, such as ``"jammed"`` and ``"flipped"``.
-        event: last event of the first rover, and its time, s.
-    """
-
-    seconds: float
-    rover: RoverState
-    goal: Tensor
-    goals: Tensor
-    episodes: Tensor
-    endings: Sequence[str]
-    event: tuple[str, float]
 
 
 class _FrameFigure:
@@ -85,8 +62,14 @@ class _FrameFigure:
         self.ax.add_patch(self._band)
         self._background = None
 
-    def picture(self, caption: Sequence[str], event: str = "") -> np.ndarray:
-        """Draws a frame with a caption at the bottom and ``event`` at the top, uint8 ``[height, width, 3]``."""
+    def picture(self, caption: Sequence[str], event: str = "", backdrop: np.ndarray | None = None) -> np.ndarray:
+        """Draws a frame, uint8 ``[height, width, 3]``.
+
+        Args:
+            caption: parts of the caption at the bottom.
+            event: text at the top.
+            backdrop: picture below everything, uint8 ``[height, width, 3]``; ``None``: what the axes hold.
+        """
         above = [*self.artists, self._band, *self._caption, self._event]
         if self._background is None:
             for artist in above:
@@ -96,36 +79,62 @@ class _FrameFigure:
         for text, part in zip(self._caption, caption, strict=True):
             text.set_text(part)
         self._event.set_text(event)
-        self._canvas.restore_region(self._background)
+        if backdrop is None:
+            self._canvas.restore_region(self._background)
+        else:
+            np.asarray(self._canvas.buffer_rgba())[..., :3] = backdrop
         for artist in above:
             self.ax.draw_artist(artist)
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
+
+
+class Rendered(NamedTuple):
+    """Rendered picture of a rover, and where its lidar beams are in it.
+
+    Attributes:
+        image: picture, uint8 ``[height, width, 3]``.
+        beams: pixels along each beam, ``[beams, points, 2]``; NaN behind the camera.
+        seen: whether each of these points is visible, bool ``[beams, points]``.
+    """
+
+    image: np.ndarray
+    beams: Tensor
+    seen: Tensor
 
 
 class ChaseView:
     """View of the first rover from behind, with the lidar beams that hit something.
 
     Args:
-        env: environment to render.
+        recording: drive to show.
         width, height: size of the frames, pixels.
     """
 
-    def __init__(self, env: RoverEnv, width: int, height: int) -> None:
-        self._env, self._size = env, (width, height)
+    def __init__(self, recording: Recording, width: int, height: int) -> None:
+        self._recording, self._size = recording, (width, height)
+        self._renderer = Renderer(recording.world, recording.robot)
         self._figure = _FrameFigure(width, height, (0.03, 0.22, 0.48, 0.8))
         ax = self._figure.ax
         ax.set(xlim=(0, width), ylim=(height, 0))
-        self._image = ax.imshow(np.zeros((height, width, 3), np.uint8), extent=(0, width, height, 0), aspect="auto")
-        self._beams = LineCollection([], colors=_BEAM, linewidths=0.7)
-        ax.add_collection(self._beams)
+        self._beams, self._hidden_beams = (
+            ax.plot([], [], color=_BEAM, linewidth=0.7, alpha=alpha)[0] for alpha in (0.5, 0.1)
+        )
         self._hits = ax.scatter([], [], s=5, color=_BEAM, edgecolor="black", linewidth=0.3)
-        self._figure.artists += [self._image, self._beams, self._hits]
+        self._figure.artists += [self._hidden_beams, self._beams, self._hits]
 
-    def picture(self, moment: Moment) -> np.ndarray:
-        """Draws a frame, uint8 ``[height, width, 3]``."""
+    def render(self, moment: Moment) -> Rendered:
+        """Renders the rover in its world. Several threads may call it."""
+        rover, renderer = moment.rover[0], self._renderer
+        pose = rover.position.double(), rover.orientation.double()
+        camera = Camera.on(*pose, renderer.sight, "chase")
+        image = renderer.render_from(camera, *pose, *self._size, moment.goal[0]).numpy()
+        start, hits = lidar_hits(rover, self._recording.robot, self._recording.ray_angles)
+        return Rendered(image, *camera.see(_points(start, hits), *self._size))
+
+    def picture(self, moment: Moment, rendered: Rendered) -> np.ndarray:
+        """Draws a frame over what :meth:`render` returned, uint8 ``[height, width, 3]``."""
         rover = moment.rover[0]
-        self._image.set_data(self._env.render(0, "chase", *self._size).numpy())
-        self._draw_beams(rover)
+        self._draw_beams(rendered)
         away = moment.goal[0] - rover.position[:2]
         bearing = math.atan2(away[1], away[0]) - quaternion_to_euler(rover.orientation)[2].item()
         arrow = _ARROWS[round(bearing / (math.pi / 4)) % 8]
@@ -136,16 +145,16 @@ class ChaseView:
             f"goals: {moment.goals[0]}",
         )
         event, since = moment.event
-        return self._figure.picture(caption, event if moment.seconds < since + _EVENT_SECONDS else "")
+        return self._figure.picture(caption, event if moment.seconds < since + _EVENT_SECONDS else "", rendered.image)
 
-    def _draw_beams(self, rover: RoverState) -> None:
+    def _draw_beams(self, rendered: Rendered) -> None:
         """Draws the lidar beams. Parts behind obstacles are faint."""
-        camera = Camera.on(rover.position, rover.orientation, self._env.worlds[0], "chase")
-        start, hits = lidar_hits(rover, self._env.robot, self._env.simulator.ray_angles)
-        pixels, seen = camera.see(_points(start, hits), *self._size)
-        self._beams.set_segments(list(torch.stack((pixels[:, :-1], pixels[:, 1:]), 2).flatten(0, 1).numpy()))
-        shown = (seen[:, :-1] & seen[:, 1:]).flatten().numpy()
-        self._beams.set_color(list(np.where(shown[:, None], to_rgba(_BEAM, 0.5), to_rgba(_BEAM, 0.1))))
+        pixels, seen = rendered.beams, rendered.seen
+        shown = seen[:, :-1] & seen[:, 1:]
+        # Lines break at points that are not a number.
+        segments = torch.stack((pixels[:, :-1], pixels[:, 1:], torch.full_like(pixels[:, 1:], math.nan)), 2)
+        for line, drawn in ((self._beams, shown), (self._hidden_beams, ~shown)):
+            line.set_data(*segments[drawn].reshape(-1, 2).T.numpy())
         self._hits.set_offsets(pixels[:, -1][seen[:, -1]].numpy())
 
 
@@ -184,20 +193,21 @@ class TopView:
     """View of all rovers from above with their trails and goals, and the lidar beams of the first rover.
 
     Args:
-        env: environment of the rovers, all in one world.
+        recording: drive to show, of rovers that are all in one world.
         width, height: size of the frames, pixels.
     """
 
-    def __init__(self, env: RoverEnv, width: int, height: int) -> None:
-        self._env = env
+    def __init__(self, recording: Recording, width: int, height: int) -> None:
+        self._recording = recording
+        world, count = recording.world, len(recording.moments[0].goal)
         self._figure = _FrameFigure(width, height, (0.03, 0.18, 0.4))
         ax = self._figure.ax
-        draw_pale_map(ax, env.worlds[0], _area(env.worlds[0], width / height))
-        self._colors = np.array([to_rgba(_COLORS[row % len(_COLORS)]) for row in range(env.num_envs)])
+        draw_pale_map(ax, world, _area(world, width / height))
+        self._colors = np.array([to_rgba(_COLORS[row % len(_COLORS)]) for row in range(count)])
         self._beams = LineCollection([], colors=_COLORS[0], linewidths=0.5, alpha=0.4)
         self._hits = ax.scatter([], [], s=3, color=_COLORS[0])
         self._trails = LineCollection([], linewidths=1.8)
-        places = np.zeros(env.num_envs)
+        places = np.zeros(count)
         self._goals = ax.scatter(places, places, s=70, marker="*", color=self._colors, edgecolor="black", linewidth=0.6)
         self._rovers = PolyCollection([], facecolors=self._colors, edgecolors="black", linewidths=0.8)
         for collection in (self._beams, self._trails, self._rovers):
@@ -205,12 +215,15 @@ class TopView:
         self._figure.artists += [self._beams, self._hits, self._trails, self._goals, self._rovers]
         self._past: list[Moment] = []
 
-    def picture(self, moment: Moment) -> np.ndarray:
+    def render(self, moment: Moment) -> None:
+        """Renders nothing: the map is drawn once."""
+
+    def picture(self, moment: Moment, rendered: None = None) -> np.ndarray:
         """Draws a frame, uint8 ``[height, width, 3]``."""
-        rover, env = moment.rover, self._env
+        rover, recording = moment.rover, self._recording
         self._past = [*(past for past in self._past if past.seconds > moment.seconds - _TRAIL_SECONDS), moment]
         self._draw_trails()
-        start, hits = lidar_hits(rover[0], env.robot, env.simulator.ray_angles)
+        start, hits = lidar_hits(rover[0], recording.robot, recording.ray_angles)
         self._beams.set_segments(torch.stack((start.expand_as(hits), hits), 1)[..., :2].tolist())
         self._hits.set_offsets(hits[:, :2].numpy())
         self._goals.set_offsets(moment.goal.numpy())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import inspect
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -16,19 +16,15 @@ from rover_rl.checks import check_seed
 from rover_rl.envs.rewards import RewardConfig
 from rover_rl.envs.rover import RoverEnv as BatchedRoverEnv
 from rover_rl.envs.wrappers.gym_vector import GymVectorWrapper, make_vector_env
-from rover_rl.envs.wrappers.numpy_batch import (
-    NumpyBatch,
-    Observation,
-    Reward,
-    TimeLimit,
-    base_env,
-    frames_per_second,
-    row_of,
-)
+from rover_rl.envs.wrappers.learning_options import LearningOptions, Reward, base_env, learning_transforms, pop_options
+from rover_rl.envs.wrappers.numpy_batch import NumpyBatch, Observation, TimeLimit, row_of
 from rover_rl.envs.wrappers.original_names import OriginalNames
 from rover_rl.envs.wrappers.window import Window
 from rover_rl.sims.base import View
 from rover_rl.sims.timing import CONTROL_DT
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["GymVectorWrapper", "GymWrapper", "RoverEnv", "make_vector_env"]
 
@@ -52,6 +48,8 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         render_mode: ``None``; ``"rgb_array"``: :meth:`render` returns an image; or ``"human"``: each reset and step
             shows an image in a window, in real time (requires the extra ``human``).
         camera: camera position: behind the rover (``"chase"``) or above it (``"top"``).
+        **options: ``action_repeat``, ``reward_scale`` and ``scale_observations``, with which algorithms learn at their
+            default settings: see :class:`~rover_rl.envs.wrappers.learning_options.LearningOptions`.
 
     Raises:
         TypeError: if ``env`` has another type.
@@ -78,6 +76,7 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         time_limit: TimeLimit = "terminated",
         render_mode: str | None = None,
         camera: View = "chase",
+        **options: Unpack[LearningOptions],
     ) -> None:
         rovers = base_env(env).num_envs
         if rovers != 1:
@@ -86,10 +85,12 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         if render_mode not in modes:
             raise ValueError(f"render_mode must be one of {modes}, got {render_mode!r}")
         human = render_mode == "human"
-        self.metadata = {**self.metadata, "render_fps": frames_per_second(env)}
-        self._window = Window("rover_rl", self.metadata["render_fps"]) if human else None
         batch_mode = "rgb_array" if human else render_mode
-        self._batch = NumpyBatch(env, reward=reward, time_limit=time_limit, render_mode=batch_mode, camera=camera)
+        self._batch = NumpyBatch(
+            env, reward=reward, time_limit=time_limit, render_mode=batch_mode, camera=camera, options=options
+        )
+        self.metadata = {**self.metadata, "render_fps": self._batch.frames_per_second}
+        self._window = Window("rover_rl", self.metadata["render_fps"]) if human else None
         self.observation_space = self._batch.observation_space
         self.action_space = self._batch.action_space
         self.render_mode = render_mode
@@ -139,7 +140,7 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         return row_of(observation, 0), {}
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Takes one step of 0.05 s.
+        """Takes one step: 0.05 s, or ``action_repeat`` times as long.
 
         Args:
             action: forward speed (m/s) and heading offset (rad), ``[2]``. Clipped to the action space.
@@ -185,7 +186,7 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
 
     def get_target_info(self) -> NDArray[np.float32]:
         """Returns distance (m) and angle relative to the heading (rad) of the goal, ``[2]``."""
-        return self.get_observation()["target"]
+        return self._batch.entry("target")[0]
 
     def task_reward(self) -> float:
         """Returns the reward of the last step, or 0 before the first step of an episode."""
@@ -272,7 +273,8 @@ class RoverEnv(GymWrapper):
     Args:
         *args: positional arguments of :class:`rover_rl.RoverEnv`: the contract's ten.
         reward, time_limit, render_mode, camera: see :class:`GymWrapper`.
-        **kwargs: keyword arguments of :class:`rover_rl.RoverEnv` except ``num_envs``.
+        **kwargs: ``action_repeat``, ``reward_scale`` and ``scale_observations`` of :class:`GymWrapper`, and keyword
+            arguments of :class:`rover_rl.RoverEnv` except ``num_envs``.
 
     Example:
         >>> env = RoverEnv(world_n="maze", length=500)
@@ -292,8 +294,9 @@ class RoverEnv(GymWrapper):
     ) -> None:
         if "num_envs" in kwargs:
             raise TypeError("this class is for one rover and takes no num_envs; use GymVectorWrapper for a batch")
+        options = pop_options(kwargs)
         env = BatchedRoverEnv(*args, **kwargs)
-        super().__init__(env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera)
+        super().__init__(env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera, **options)
 
 
 def _signature() -> inspect.Signature:
@@ -302,7 +305,9 @@ def _signature() -> inspect.Signature:
     own = inspect.signature(RoverEnv.__init__).parameters
     forwarded = [parameter for name, parameter in batched.items() if name != "num_envs"]
     added = [parameter for parameter in own.values() if parameter.kind is parameter.KEYWORD_ONLY]
-    return inspect.Signature([*forwarded, *added])
+    options = [*inspect.signature(learning_transforms).parameters.values()][1:]
+    options = [parameter.replace(kind=parameter.KEYWORD_ONLY) for parameter in options]
+    return inspect.Signature([*forwarded, *added, *options])
 
 
 RoverEnv.__signature__ = _signature()  # type: ignore[attr-defined]

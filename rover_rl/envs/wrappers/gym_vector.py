@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
@@ -13,17 +13,12 @@ from torchrl.envs import EnvBase
 
 from rover_rl.checks import check_seed
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.wrappers.numpy_batch import (
-    Mask,
-    NumpyBatch,
-    Observation,
-    Reward,
-    Step,
-    TimeLimit,
-    frames_per_second,
-    row_of,
-)
+from rover_rl.envs.wrappers.learning_options import LearningOptions, Reward, pop_options
+from rover_rl.envs.wrappers.numpy_batch import Mask, NumpyBatch, Observation, Step, TimeLimit, row_of
 from rover_rl.sims.base import View
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 VectorStep = tuple[Observation, NDArray[np.float64], Mask, Mask, dict[str, Any]]
 
@@ -37,7 +32,7 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
 
     Args:
         env: ``RoverEnv``, or a ``TransformedEnv`` of one, for example from :func:`rover_rl.make_env`.
-        reward, time_limit, render_mode, camera: see :class:`~rover_rl.envs.wrappers.gym.GymWrapper`.
+        reward, time_limit, render_mode, camera, **options: see :class:`~rover_rl.envs.wrappers.gym.GymWrapper`.
         autoreset_mode: time at which rows whose episode ended are reset, as defined by Gymnasium: in the next step,
             which ignores their action (``NEXT_STEP``); in the same step, with ``final_obs`` and ``final_info`` in
             ``infos`` (``SAME_STEP``); or by ``reset(options={"reset_mask": ...})`` (``DISABLED``).
@@ -59,9 +54,12 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
         camera: View = "chase",
+        **options: Unpack[LearningOptions],
     ) -> None:
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self._batch = NumpyBatch(env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera)
+        self._batch = NumpyBatch(
+            env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera, options=options
+        )
         self.num_envs = self._batch.num_envs
         self.single_observation_space = self._batch.observation_space
         self.single_action_space = self._batch.action_space
@@ -70,7 +68,7 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
         self.render_mode = render_mode
         self.metadata = {
             "render_modes": ["rgb_array"],
-            "render_fps": frames_per_second(env),
+            "render_fps": self._batch.frames_per_second,
             "autoreset_mode": self.autoreset_mode,
         }
         self._ended = np.zeros(self.num_envs, np.bool_)
@@ -107,7 +105,7 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
         return observation, {}
 
     def step(self, actions: ArrayLike) -> VectorStep:
-        """Takes one step of 0.05 s in every row.
+        """Takes one step in every row: 0.05 s, or ``action_repeat`` times as long.
 
         Args:
             actions: forward speed (m/s) and heading offset (rad), ``[N, 2]``. Clipped to the action space.
@@ -181,9 +179,10 @@ def make_vector_env(num_envs: int = 1, **kwargs: Any) -> GymVectorWrapper:
         num_envs: number of rovers.
         **kwargs: arguments of :class:`rover_rl.RoverEnv` and of :class:`GymVectorWrapper`.
     """
-    options = ("reward", "time_limit", "autoreset_mode", "render_mode", "camera")
-    wrapper = {key: kwargs.pop(key) for key in options if key in kwargs}
-    return GymVectorWrapper(RoverEnv(num_envs=num_envs, **kwargs), **wrapper)
+    options = pop_options(kwargs)
+    names = ("reward", "time_limit", "autoreset_mode", "render_mode", "camera")
+    wrapper = {key: kwargs.pop(key) for key in names if key in kwargs}
+    return GymVectorWrapper(RoverEnv(num_envs=num_envs, **kwargs), **wrapper, **options)
 
 
 def _first_seed(seed: int | Sequence[int | None] | None, num_envs: int) -> int | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -13,19 +13,18 @@ from numpy.typing import ArrayLike, NDArray
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
-from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs import EnvBase
 
 from rover_rl.checks import check_seed
-from rover_rl.envs.make import add_reward
-from rover_rl.envs.rewards import RewardComponent, RewardConfig
-from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.rows import in_rows
 from rover_rl.envs.task import EVENTS
+from rover_rl.envs.transforms.encoded_observation import EncodedObservation
+from rover_rl.envs.wrappers.learning_options import LearningOptions, Reward, base_env, steps_per_action, with_options
 from rover_rl.sims.base import View
 
-Observation: TypeAlias = dict[str, NDArray[np.float32]]
+Observation: TypeAlias = Any
+"""A dictionary of arrays by entry, or one array if observations are scaled. All arrays are float32."""
 Mask: TypeAlias = NDArray[np.bool_]
-Reward: TypeAlias = str | RewardConfig | Sequence[RewardComponent]
 TimeLimit: TypeAlias = Literal["terminated", "truncated"]
 
 KEYS = ("lidar", "pose", "imu", "target", "velocities")
@@ -65,9 +64,10 @@ class NumpyBatch:
         time_limit: signal at the end of an episode's length.
         render_mode: ``None`` or ``"rgb_array"``.
         camera: camera position.
+        options: see :class:`~rover_rl.envs.wrappers.learning_options.LearningOptions`.
 
     Attributes:
-        env: environment with its reward.
+        env: environment with its reward and the transforms of the options.
         base_env: ``RoverEnv`` under the transforms.
         num_envs: number of rovers.
         observation_space, action_space: spaces of one row, after the transforms.
@@ -87,14 +87,16 @@ class NumpyBatch:
         time_limit: TimeLimit = "terminated",
         render_mode: str | None = None,
         camera: View = "chase",
+        options: LearningOptions | None = None,
     ) -> None:
         _require_one_of("time_limit", time_limit, get_args(TimeLimit))
         _require_one_of("render_mode", render_mode, (None, "rgb_array"))
         _require_one_of("camera", camera, get_args(View))
         self.base_env = base_env(env)
-        self.env, self.reward_config = _with_reward(env, reward)
+        self.env, self.reward_config = with_options(env, reward, options or {})
+        self._flat = bool(options and options.get("scale_observations"))
         self.num_envs: int = self.base_env.num_envs
-        self.observation_space = _observation_space(self.env)
+        self.observation_space = _observation_space(self.env, self._flat)
         self.action_space = _box(self.env.action_spec_unbatched)
         self.render_mode = render_mode
         self._camera = camera
@@ -104,14 +106,22 @@ class NumpyBatch:
         self._seeded_at = np.zeros(self.num_envs, np.int64)
 
     @property
+    def frames_per_second(self) -> int:
+        """Frame rate of a video with one image per step."""
+        return max(1, round(1 / (self.base_env.control_dt * steps_per_action(self.env))))
+
+    @property
     def total_steps(self) -> NDArray[np.int64]:
         """Number of steps of each row since it was last seeded, int64 ``[N]``."""
         return _flat(self._started("total_steps")["outcome", "total_steps"]) - self._seeded_at
 
     def observation(self) -> Observation:
-        """Returns the current observation, ``[N, k]`` per entry."""
-        rows = in_rows(self._started("the observation"))
-        return {key: rows.get(key).numpy(force=True).copy() for key in KEYS}
+        """Returns the current observation, ``[N, k]`` per entry, or ``[N, n]`` if observations are scaled."""
+        return self.entry(EncodedObservation.KEY) if self._flat else {key: self.entry(key) for key in KEYS}
+
+    def entry(self, key: str) -> NDArray[np.float32]:
+        """Returns one entry of the current observation, ``[N, k]``."""
+        return in_rows(self._started("the observation")).get(key).numpy(force=True).copy()
 
     def reset(
         self,
@@ -188,7 +198,7 @@ class NumpyBatch:
         outcome = result.get("outcome")
         reward = np.where(active, _flat(result.get("reward")).astype(np.float64), 0.0)
         events = {event: _flat(outcome.get(event)) & active for event in EVENTS}
-        self._goals += events["goal_reached"]
+        self._goals += _flat(outcome.get("goals")) * active if "goals" in outcome else events["goal_reached"]
         terminated = _flat(result.get("terminated")) & active
         truncated = _flat(result.get("truncated")) & active
         if self._time_limit == "terminated":
@@ -217,41 +227,16 @@ class NumpyBatch:
         return torch.tensor(rows, device=self.env.device).reshape(*self.env.batch_size, 1)
 
 
-def base_env(env: EnvBase) -> RoverEnv:
-    """Returns the :class:`RoverEnv` under the transforms of ``env``.
-
-    Raises:
-        TypeError: if there is none.
-    """
-    inner = env
-    while isinstance(inner, TransformedEnv):
-        inner = inner.base_env
-    if not isinstance(inner, RoverEnv):
-        raise TypeError(f"a rover_rl.RoverEnv, or a TransformedEnv of one, is needed; got {type(env).__name__}")
-    return inner
-
-
-def frames_per_second(env: EnvBase) -> int:
-    """Returns the frame rate of a video with one image per step."""
-    return round(1 / base_env(env).control_dt)
-
-
 def row_of(observation: Observation, row: int) -> Observation:
     """Returns a copy of one row of an observation."""
+    if isinstance(observation, np.ndarray):
+        return observation[row].copy()
     return {key: value[row].copy() for key, value in observation.items()}
 
 
-def _with_reward(env: EnvBase, reward: Reward | None) -> tuple[EnvBase, RewardConfig | None]:
-    if isinstance(env, TransformedEnv):
-        if reward is not None:
-            raise ValueError("a TransformedEnv has its reward already: leave out reward=, or give the bare RoverEnv")
-        return env, None
-    reward = "contract" if reward is None else reward
-    config = RewardConfig() if isinstance(reward, str) and reward == "contract" else reward
-    return add_reward(env, reward), config if isinstance(config, RewardConfig) else None
-
-
-def _observation_space(env: EnvBase) -> spaces.Dict:
+def _observation_space(env: EnvBase, flat: bool) -> spaces.Space[Any]:
+    if flat:
+        return _box(env.observation_spec_unbatched[EncodedObservation.KEY])
     missing = [key for key in KEYS if key not in env.observation_spec]
     if missing:
         raise ValueError(f"the observation lacks {missing}, which a transform has removed; {list(KEYS)} are needed")

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from torchrl.envs import EnvBase
 
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.wrappers.numpy_batch import NumpyBatch, Observation, Reward, TimeLimit, frames_per_second, row_of
+from rover_rl.envs.wrappers.learning_options import LearningOptions, Reward
+from rover_rl.envs.wrappers.numpy_batch import NumpyBatch, Observation, TimeLimit, row_of
 from rover_rl.sims.base import View
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
@@ -27,7 +31,7 @@ class SB3VecEnv(VecEnv):
 
     Args:
         env: ``RoverEnv``, or a ``TransformedEnv`` of one, for example from :func:`rover_rl.make_env`.
-        reward, render_mode, camera: see :class:`~rover_rl.envs.wrappers.gym.GymWrapper`.
+        reward, render_mode, camera, **options: see :class:`~rover_rl.envs.wrappers.gym.GymWrapper`.
         time_limit: signal at the end of an episode's length: ``"truncated"``, so that algorithms bootstrap the value
             there, or ``"terminated"`` as in the contract.
 
@@ -48,11 +52,14 @@ class SB3VecEnv(VecEnv):
         time_limit: TimeLimit = "truncated",
         render_mode: str | None = None,
         camera: View = "chase",
+        **options: Unpack[LearningOptions],
     ) -> None:
-        self._batch = NumpyBatch(env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera)
+        self._batch = NumpyBatch(
+            env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera, options=options
+        )
         self._actions: np.ndarray | None = None
         super().__init__(self._batch.num_envs, self._batch.observation_space, self._batch.action_space)
-        self.metadata["render_fps"] = frames_per_second(env)
+        self.metadata["render_fps"] = self._batch.frames_per_second
 
     @property
     def base_env(self) -> RoverEnv:
@@ -81,7 +88,11 @@ class SB3VecEnv(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> tuple[Observation, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Takes one step of 0.05 s. Returns observations, rewards, dones and infos."""
+        """Takes one step: 0.05 s, or ``action_repeat`` times as long.
+
+        Returns:
+            Observations, rewards, dones and infos.
+        """
         if self._actions is None:
             raise RuntimeError("step_wait() needs actions; call step_async() first")
         step = self._batch.step(self._actions)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from rover_rl.registry import perhaps
 from rover_rl.sims.timing import CONTROL_DT
 
 
@@ -70,7 +71,7 @@ class BulletSettings:
             ValueError: if the name is unknown.
         """
         if name not in PRESETS:
-            raise ValueError(f"unknown physics {name!r}; use one of {list(PRESETS)}")
+            raise ValueError(f"unknown physics {name!r}{perhaps(name, PRESETS)}; use one of {list(PRESETS)}")
         return PRESETS[name]
 
 

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.base import View
+from rover_rl.sims.rendering.sight import Sight
 from rover_rl.sims.rotations import quaternion_to_euler
-from rover_rl.sims.worlds import World
 
 FIELD_OF_VIEW = 60.0
 """Vertical field of view, degrees."""
@@ -24,8 +24,6 @@ _ELEVATIONS = torch.linspace(math.radians(30.5), math.radians(85), 20, dtype=tor
 """Elevation angles of the chase view, rad. The camera uses the first at which no obstacle hides the rover."""
 _BODY_POINTS = torch.tensor([(x, y, 0.1) for x in (-0.25, 0.25) for y in (-0.25, 0.25)], dtype=torch.float64)
 """Points of the rover that must be visible, relative to its origin, m."""
-_VISIBLE_FRACTION = 0.98
-"""Fraction of the line of sight that must be free, less than 1 because a point may lie on an obstacle."""
 
 
 @dataclass(frozen=True)
@@ -36,16 +34,16 @@ class Camera:
         eye: position of the camera, m.
         target: point at the center of the image, m.
         up: direction that points up in the image.
-        world: world whose obstacles hide points.
+        sight: tells which points obstacles hide.
     """
 
     eye: Tensor
     target: Tensor
     up: Tensor
-    world: World
+    sight: Sight
 
     @classmethod
-    def on(cls, position: Tensor, orientation: Tensor, world: World, view: View) -> Camera:
+    def on(cls, position: Tensor, orientation: Tensor, sight: Sight, view: View) -> Camera:
         """Creates the camera behind (``"chase"``) or above (``"top"``) a rover.
 
         The chase camera moves up when an obstacle hides the rover.
@@ -53,7 +51,7 @@ class Camera:
         Args:
             position: position of the rover, ``[3]``, m.
             orientation: orientation of the rover, unit quaternion (x, y, z, w), ``[4]``.
-            world: world of the rover.
+            sight: tells which points the obstacles of the world hide.
             view: ``"chase"`` or ``"top"``.
 
         Raises:
@@ -63,15 +61,15 @@ class Camera:
         up = torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
         if view == "top":
             north = torch.tensor((0.0, 1.0, 0.0), dtype=torch.float64)
-            return cls(position + _TOP_HEIGHT * up, position, north, world)
+            return cls(position + _TOP_HEIGHT * up, position, north, sight)
         if view != "chase":
             raise ValueError(f"unknown view {view!r}; use 'chase' or 'top'")
         yaw = quaternion_to_euler(orientation)[2].item()
         ahead = torch.tensor((math.cos(yaw), math.sin(yaw), 0.0), dtype=torch.float64)
         eyes = position + _CHASE_DISTANCE * (_ELEVATIONS.sin()[:, None] * up - _ELEVATIONS.cos()[:, None] * ahead)
-        hidden = _hidden(world, eyes[:, None], position + _BODY_POINTS).any(-1)
+        hidden = sight.hidden(eyes[:, None], position + _BODY_POINTS).any(-1)
         first = int((~hidden).long().argmax()) if not hidden.all() else -1
-        return cls(eyes[first], position + 0.8 * ahead + 0.15 * up, up, world)
+        return cls(eyes[first], position + 0.8 * ahead + 0.15 * up, up, sight)
 
     @property
     def axes(self) -> Tensor:
@@ -95,27 +93,10 @@ class Camera:
         points = points.double()
         offset, depth = ((points - self.eye) @ self.axes.T).split((2, 1), -1)
         depth = depth.masked_fill(depth < NEAR, math.nan)
-        visible = (depth.squeeze(-1) > 0) & ~_hidden(self.world, self.eye, points)
+        visible = (depth.squeeze(-1) > 0) & ~self.sight.hidden(self.eye, points)
         return torch.tensor((width / 2, height / 2)) + focal_length(height) * offset / depth, visible
 
 
 def focal_length(height: int) -> float:
     """Returns the focal length (pixels) of images of the given height (pixels)."""
     return height / 2 / math.tan(math.radians(FIELD_OF_VIEW / 2))
-
-
-def _hidden(world: World, eye: Tensor, points: Tensor) -> Tensor:
-    """Returns whether an obstacle lies between ``eye [..., 3]`` and ``points [..., 3]``: bool ``[...]``."""
-    eye, sight = torch.broadcast_tensors(eye, points - eye)
-    hidden = torch.zeros(sight.shape[:-1], dtype=torch.bool)
-    for obstacle in world.obstacles:
-        normals, offsets = obstacle.planes.to(sight).split((3, 1), -1)
-        # Adding 0 turns -0 into 0: for a line parallel to a face, the quotient below must be inf on the inner side of
-        # the face and -inf on the outer side.
-        approach = sight @ normals.T + 0.0
-        # Fractions of the line of sight at which it crosses the plane of each face, inward or outward.
-        crossing = -(eye @ normals.T + offsets.squeeze(-1)) / approach
-        enter = crossing.masked_fill(approach >= 0, -math.inf).amax(-1)
-        leave = crossing.masked_fill(approach < 0, math.inf).amin(-1)
-        hidden |= enter.clamp(min=0) < leave.clamp(max=_VISIBLE_FRACTION)
-    return hidden

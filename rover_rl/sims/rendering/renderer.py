@@ -8,9 +8,12 @@ from torch import Tensor
 
 from rover_rl.sims.base import View
 from rover_rl.sims.native.warp import wp
-from rover_rl.sims.rendering import kernels
 from rover_rl.sims.rendering.camera import Camera, focal_length
-from rover_rl.sims.rendering.scene import DEVICE, RenderScene, launch
+from rover_rl.sims.rendering.kernels import pictures, rays
+from rover_rl.sims.rendering.kernels.pictures import STEP
+from rover_rl.sims.rendering.launches import DEVICE, launch
+from rover_rl.sims.rendering.scene import RenderScene
+from rover_rl.sims.rendering.sight import Sight
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
@@ -27,13 +30,19 @@ class Renderer:
         world: world to render.
         robot: robot model.
 
+    Attributes:
+        sight: tells which points the obstacles of the world hide.
+
     Raises:
         ValueError: if the robot has a visual shape that cannot be rendered.
     """
 
     def __init__(self, world: World, robot: Robot) -> None:
         self._world = world
+        # Here, as it must not happen in two threads at a time.
+        wp.load_module(pictures, device=DEVICE)
         self._scene = RenderScene(world, robot)
+        self.sight = Sight(world)
 
     def render(
         self,
@@ -60,14 +69,31 @@ class Renderer:
         Raises:
             ValueError: if the view is unknown.
         """
-        pinhole = _pinhole(Camera.on(position, orientation, self._world, view), height)
+        camera = Camera.on(position, orientation, self.sight, view)
+        return self.render_from(camera, position, orientation, width, height, goal)
+
+    def render_from(
+        self,
+        camera: Camera,
+        position: Tensor,
+        orientation: Tensor,
+        width: int,
+        height: int,
+        goal: Tensor | None = None,
+    ) -> Tensor:
+        """Renders what a camera sees: see :meth:`render`. Several threads may call it."""
+        pinhole = _pinhole(camera, height)
         rover = (*position.tolist(), *orientation.tolist())
         poses = np.array((_AT_ORIGIN, rover, (*self._post_position(goal), *_AT_ORIGIN[3:])), dtype=np.float32)
         colors = wp.empty((height, width), dtype=wp.vec3, device=DEVICE)
+        # Samples surround all pixels.
+        rows, columns = ((side - 1) // STEP + 2 for side in (height, width))
+        samples = wp.empty((rows, columns), dtype=rays.Seen, device=DEVICE)
         picture = torch.empty((height, width, 3), dtype=torch.uint8)
-        inputs = [self._scene.arrays, wp.array(poses, dtype=wp.transform, device=DEVICE), pinhole, colors]
-        launch(kernels.trace_pixels, (height, width), inputs)
-        launch(kernels.smooth_edges, (height, width), [*inputs, wp.from_torch(picture)])
+        scene = [self._scene.arrays, wp.array(poses, dtype=wp.transform, device=DEVICE), pinhole]
+        launch(pictures.trace_samples, (rows, columns), [*scene, height, width, samples])
+        launch(pictures.fill_pixels, (height, width), [*scene, samples, colors])
+        launch(pictures.smooth_edges, (height, width), [*scene, colors, wp.from_torch(picture)])
         return picture
 
     def _post_position(self, goal: Tensor | None) -> tuple[float, ...]:
@@ -78,11 +104,11 @@ class Renderer:
         return *at.tolist(), self._world.height_at(at).item()
 
 
-def _pinhole(camera: Camera, height: int) -> kernels.Pinhole:
+def _pinhole(camera: Camera, height: int) -> rays.Pinhole:
     """Converts a camera for images of the given height in pixels."""
     right, down, forward = camera.axes
     focal = focal_length(height)
-    pinhole = kernels.Pinhole()
+    pinhole = rays.Pinhole()
     pinhole.eye, pinhole.forward = wp.vec3(*camera.eye.tolist()), wp.vec3(*forward.tolist())
     pinhole.right, pinhole.down = wp.vec3(*(right / focal).tolist()), wp.vec3(*(down / focal).tolist())
     return pinhole

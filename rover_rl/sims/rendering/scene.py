@@ -3,29 +3,19 @@
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from rover_rl.sims.native.warp import wp
-from rover_rl.sims.rendering import kernels
+from rover_rl.sims.rendering.kernels import light, rays
+from rover_rl.sims.rendering.launches import DEVICE, array, launch
 from rover_rl.sims.rendering.robot_surface import robot_surface
 from rover_rl.sims.rendering.surfaces import Surface, ground_surface, obstacles_surface, post_surface
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
-DEVICE = "cpu"
-"""Device of the renderer, the same on every machine, so that pictures are the same too."""
-MAX_THREADS = 8
-"""Largest number of threads."""
-BANDS_PER_THREAD = 4
-"""Number of parts of a launch per thread, as some parts of a picture take longer than others."""
 OPENNESS_RAYS = 16
 """Number of rays of each vertex that tell how much of the sky it sees."""
 SCENERY_REACH, BODY_REACH = 1.2, 0.25
@@ -54,54 +44,33 @@ class RenderScene:
         bodies = [scenery, robot_surface(robot), post_surface()]
         # The arrays hold no reference to the meshes.
         self._meshes = [_mesh(body) for body in bodies]
-        self.arrays = arrays = kernels.Scene()
-        arrays.meshes = _array([mesh.id for mesh in self._meshes], wp.uint64)
-        arrays.radii = _array([np.linalg.norm(body.vertices, axis=1).max() for body in bodies], float)
-        arrays.first_triangles = _array(np.cumsum([0, *(len(body.faces) for body in bodies[:-1])]), int)
+        self.arrays = arrays = rays.Scene()
+        arrays.meshes = array([mesh.id for mesh in self._meshes], wp.uint64)
+        arrays.radii = array([np.linalg.norm(body.vertices, axis=1).max() for body in bodies], float)
+        arrays.first_triangles = array(np.cumsum([0, *(len(body.faces) for body in bodies[:-1])]), int)
         heights = world.terrain.heights
         arrays.level = torch.cat((heights[0], heights[-1], heights[:, 0], heights[:, -1])).mean().item()
-        low, high = bodies[kernels.ROVER].vertices.min(0), bodies[kernels.ROVER].vertices.max(0)
+        low, high = bodies[rays.ROVER].vertices.min(0), bodies[rays.ROVER].vertices.max(0)
         arrays.rover_center, arrays.rover_half = wp.vec3(*((low + high) / 2)), wp.vec3(*((high - low) / 2))
         joined = Surface.join(bodies)
         is_ground = np.arange(len(joined.faces)) < len(ground.faces)
-        arrays.triangles = _array(joined.faces, int)
+        arrays.triangles = array(joined.faces, int)
         # Squares turn displayed colors into intensities.
-        arrays.colors = _array(np.column_stack((joined.colors**2, is_ground)), wp.vec4)
-        arrays.normals = _array(joined.normals, wp.vec3)
+        arrays.colors = array(np.column_stack((joined.colors**2, is_ground)), wp.vec4)
+        arrays.normals = array(joined.normals, wp.vec3)
         reaches = [SCENERY_REACH, *(BODY_REACH for _ in bodies[1:])]
         openness = [_openness(*each) for each in zip(self._meshes, bodies, reaches, strict=True)]
-        arrays.openness = _array(np.concatenate(openness), float)
+        arrays.openness = array(np.concatenate(openness), float)
         sunshine = np.full(len(joined.vertices), 0.5)
         sunshine[: len(ground.vertices)] = _sunshine(self._meshes[0], ground)
-        arrays.sunshine = _array(sunshine, float)
-
-
-def launch(kernel: wp.Kernel, size: Sequence[int], inputs: Sequence[Any]) -> None:
-    """Launches a kernel whose first argument is the first row, on several threads, and waits for it.
-
-    Args:
-        kernel: kernel to launch.
-        size: number of rows, and of elements along further axes.
-        inputs: other arguments of the kernel.
-    """
-    threads = min(os.cpu_count() or 1, MAX_THREADS)
-    ends = np.linspace(0, size[0], BANDS_PER_THREAD * threads + 1).astype(int).tolist()
-    bands = [
-        wp.launch(kernel, (last - first, *size[1:]), [first, *inputs], device=DEVICE, record_cmd=True)
-        for first, last in pairwise(ends)
-        if last > first
-    ]
-    # A new pool for each launch: threads do not survive a fork of the process.
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(wp.Launch.launch, bands))
-
-
-def _array(values: Any, dtype: Any) -> wp.array:
-    return wp.array(np.asarray(values), dtype=dtype, device=DEVICE)
+        arrays.sunshine = array(sunshine, float)
+        side = rays.NOISE_CELLS * rays.NOISE_SAMPLES
+        arrays.noise = wp.empty((side, side), dtype=float, device=DEVICE)
+        launch(light.find_noise, (side, side), [arrays.noise])
 
 
 def _mesh(surface: Surface) -> wp.Mesh:
-    return wp.Mesh(_array(surface.vertices, wp.vec3), _array(surface.faces.flatten(), int))
+    return wp.Mesh(array(surface.vertices, wp.vec3), array(surface.faces.flatten(), int))
 
 
 def _openness(mesh: wp.Mesh, surface: Surface, reach: float) -> np.ndarray:
@@ -110,18 +79,18 @@ def _openness(mesh: wp.Mesh, surface: Surface, reach: float) -> np.ndarray:
     k = np.arange(OPENNESS_RAYS) + 0.5
     height, turn = 1 - 2 * k / OPENNESS_RAYS, math.pi * (1 + math.sqrt(5)) * k
     radius = np.sqrt(1 - height**2)
-    directions = _array(np.stack((radius * np.cos(turn), radius * np.sin(turn), height), -1), wp.vec3)
+    directions = array(np.stack((radius * np.cos(turn), radius * np.sin(turn), height), -1), wp.vec3)
     openness = wp.empty(len(surface.vertices), dtype=float, device=DEVICE)
-    inputs = [mesh.id, mesh.points, _array(surface.normals, wp.vec3), directions, reach, openness]
-    launch(kernels.find_openness, (len(surface.vertices),), inputs)
+    inputs = [mesh.id, mesh.points, array(surface.normals, wp.vec3), directions, reach, openness]
+    launch(light.find_openness, (len(surface.vertices),), inputs)
     return openness.numpy()
 
 
 def _sunshine(mesh: wp.Mesh, ground: Surface) -> np.ndarray:
     """Computes the light of the sun on each vertex of the ground: 1, 0 for shadow, or 0.5 near borders, ``[V]``."""
     sunshine = torch.empty(len(ground.vertices))
-    inputs = [mesh.id, mesh.points, _array(ground.normals, wp.vec3), wp.from_torch(sunshine)]
-    launch(kernels.find_sunshine, sunshine.shape, inputs)
+    inputs = [mesh.id, mesh.points, array(ground.normals, wp.vec3), wp.from_torch(sunshine)]
+    launch(light.find_sunshine, sunshine.shape, inputs)
     corners = torch.from_numpy(ground.faces)
     low = high = sunshine
     for _ in range(SHADOW_RINGS):

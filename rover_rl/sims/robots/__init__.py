@@ -45,6 +45,8 @@ def get_robot(robot: str | Robot) -> Robot:
     """
     if isinstance(robot, Robot):
         return robot
+    if not isinstance(robot, str):
+        raise ValueError(f"robot must be a name or a Robot, got {type(robot).__name__} {robot!r}"[:200])
     part = _REGISTRY.find(robot)
     part = _REGISTRY.call(robot, part) if callable(part) else part
     if not isinstance(part, Robot):

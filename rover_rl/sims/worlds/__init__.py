@@ -17,6 +17,7 @@ from rover_rl.sims.worlds.layout_cache import stored_layout
 from rover_rl.sims.worlds.names import WorldName, WorldRange
 from rover_rl.sims.worlds.obstacles import Obstacle, boulder, box, boxes, cylinder, cylinders
 from rover_rl.sims.worlds.placement import rest_on_ground
+from rover_rl.sims.worlds.region import Region
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
 
@@ -32,7 +33,11 @@ WORLDS: dict[str, Callable[..., World]] = {
 """Built-in worlds: functions from a seed and a difficulty to a world, by name."""
 
 
-_REGISTRY = Registry("world", WORLDS, also=", 'name:seed', 'name:seed@difficulty', the path of a file, or a World")
+_REGISTRY = Registry(
+    "world",
+    WORLDS,
+    also=", 'name:seed', 'name:seed@difficulty', the path of a file, a World, or 'module:attribute' of your own",
+)
 
 
 def register_world(name: str, world: World | Callable[..., World] | str) -> None:
@@ -126,6 +131,7 @@ __all__ = [
     "Actor",
     "FreeSpace",
     "Obstacle",
+    "Region",
     "Terrain",
     "World",
     "WorldName",

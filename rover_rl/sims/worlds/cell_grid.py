@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.worlds.world import Area
+from rover_rl.sims.worlds.region import Area, Region
 
 CELL = 0.1
 """Side length of a cell, m."""
@@ -69,17 +70,19 @@ class CellGrid:
         in_y = (self.y - half >= y_low) & (self.y + half <= y_high)
         return in_y[:, None] & in_x
 
+    def within_region(self, region: Region) -> np.ndarray:
+        """Returns which cells lie in a region, by nine points of each: bool ``[rows, columns]``."""
+        inside = np.ones(self.shape, dtype=bool)
+        for dx, dy in product((0, 1, -1), repeat=2):
+            x, y = (torch.from_numpy(axis + d * (self.cell / 2 - 1e-6)) for axis, d in ((self.x, dx), (self.y, dy)))
+            inside &= region.contains(torch.stack(torch.meshgrid(x, y, indexing="xy"), -1)).numpy()
+        return inside
+
     def distance_to_border(self) -> np.ndarray:
         """Returns the distance of the centers from the border of the area: float64 ``[rows, columns]``, m."""
         (x_low, x_high), (y_low, y_high) = self.area
         in_x, in_y = np.minimum(self.x - x_low, x_high - self.x), np.minimum(self.y - y_low, y_high - self.y)
         return np.minimum(in_y[:, None], in_x)
-
-
-def overlap(a: Area, b: Area) -> Area:
-    """Returns the intersection of two areas, which is empty (low >= high) if they are disjoint."""
-    x, y = ((max(p[0], q[0]), min(p[1], q[1])) for p, q in zip(a, b, strict=True))
-    return x, y
 
 
 def ring(count: int, start: float = 0.0) -> Tensor:

@@ -10,22 +10,29 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import LightSource, LinearSegmentedColormap, ListedColormap, Normalize, to_rgba
+from matplotlib.colors import LightSource, LinearSegmentedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
+from scipy.ndimage import label
 
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.cell_grid import overlap
-from rover_rl.sims.worlds.free_space import FreeSpace, free_space
-from rover_rl.sims.worlds.world import Area, World
+from rover_rl.sims.worlds.free_space import free_space
+from rover_rl.sims.worlds.region import Area, Region, expanded, overlap
+from rover_rl.sims.worlds.world import World
 
 MARGIN = 3.0
 """Width of the margin around the bounds of the world, m."""
 GROUND = LinearSegmentedColormap.from_list("ground", ["#4d4038", "#86694f", "#b8946a", "#d9c094", "#f1e6cb"])
 LEVEL = "#e6dcc3"
 OBSTACLE, OBSTACLE_EDGE = "#39424e", "#161a20"
-FREE, SPAWN, GOAL, BOUNDS = "#2a9d8f", "#1d4ed8", "#f97316", "#b91c1c"
+FREE, CUT_OFF, SPAWN, GOAL, BOUNDS = "#2a9d8f", "#86198f", "#1d4ed8", "#f97316", "#b91c1c"
+USED, UNUSED = 0.5, 0.16
+"""Opacity of the free ground with and without starts and goals."""
+LEGEND_WIDTH = 7.2
+"""Least width of a figure, so that the legend fits, inches."""
+DASHES = (0, (3, 3))
+"""Line of the goal area, so that both outlines are visible where they coincide."""
 
 
 def draw_world(world: World, robot: Robot, path: str | Path | None = None, ax: Axes | None = None) -> Figure:
@@ -40,37 +47,23 @@ def draw_world(world: World, robot: Robot, path: str | Path | None = None, ax: A
     Returns:
         The figure.
     """
-    view = overlap(_expanded(world.bounds, MARGIN), _expanded(world.terrain.extent, 0.5))
+    view = overlap(expanded(world.bounds, MARGIN), expanded(world.terrain.extent, 0.5))
     if ax is None:
         width, height = (high - low for low, high in view)
-        ax = Figure(figsize=(5.2 * width / height + 1.6, 6.4), layout="constrained").add_subplot()
+        ax = Figure(figsize=(max(LEGEND_WIDTH, 5.2 * width / height + 1.6), 7.0), layout="constrained").add_subplot()
     figure: Any = ax.figure
     colors = draw_map(ax, world, view)
     if colors is not None:
         figure.colorbar(colors, ax=ax, label="elevation (m)", shrink=0.75, pad=0.02, extend="both")
-    _draw_free_space(ax, free_space(world, robot))
+    _draw_free_space(ax, world, robot)
     _outline(ax, world.bounds, edgecolor=BOUNDS, linestyle=(0, (6, 4)), linewidth=1.4)
-    _outline(ax, world.spawn_range, edgecolor=SPAWN, linewidth=2.2)
-    # Dashed, so that both outlines are visible where they coincide.
-    _outline(ax, world.goal_range, edgecolor=GOAL, linestyle=(0, (3, 3)), linewidth=2.2)
+    _draw_area(ax, world.spawn_range, world.spawn_region, SPAWN, "solid")
+    _draw_area(ax, world.goal_range, world.goal_region, GOAL, DASHES)
     ax.set_title(f"{world.name}: where {robot.name} can drive")
-    ax.legend(
-        handles=_legend(world, view),
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.09),
-        ncols=3,
-        frameon=False,
-        handlelength=1.8,
-        columnspacing=1.4,
-    )
+    add_legend(ax, _legend(world, view))
     if path is not None:
         figure.savefig(path, dpi=150)
     return figure
-
-
-def _expanded(area: Area, margin: float) -> Area:
-    (x_low, x_high), (y_low, y_high) = area
-    return (x_low - margin, x_high + margin), (y_low - margin, y_high + margin)
 
 
 def draw_map(ax: Axes, world: World, area: Area | None = None) -> ScalarMappable | None:
@@ -114,14 +107,48 @@ def _draw_ground(ax: Axes, world: World, area: Area) -> ScalarMappable:
     return ScalarMappable(norm, GROUND)
 
 
-def _draw_free_space(ax: Axes, free: FreeSpace) -> None:
-    rows, columns = free.passable.shape
-    left, bottom = (center - free.cell / 2 for center in free.origin)
-    extent = (left, left + columns * free.cell, bottom, bottom + rows * free.cell)
+def _draw_free_space(ax: Axes, world: World, robot: Robot) -> None:
+    """Draws which free ground has starts or goals, which the rover can only drive over, and which it cannot reach."""
+    free = free_space(world, robot)
     passable = free.passable.numpy()
-    tint = ListedColormap([FREE])
-    ax.imshow(np.ma.masked_equal(passable, False), tint, alpha=0.12, origin="lower", extent=extent, zorder=1)
-    ax.contour(passable, levels=[0.5], colors=FREE, linewidths=0.8, origin="lower", extent=extent, zorder=2)
+    used = np.zeros_like(passable)
+    for cells in (free.spawn_cells, free.goal_cells):
+        column, row = ((cells - torch.tensor(free.origin)) / free.cell).round().long().unbind(-1)
+        used[row, column] = True
+    parts, _ = label(passable, np.ones((3, 3)))
+    reached = np.isin(parts, np.unique(parts[used & passable]))
+    colors = np.zeros((*passable.shape, 4))
+    colors[passable] = to_rgba(CUT_OFF, 2 * UNUSED)
+    colors[reached] = to_rgba(FREE, UNUSED)
+    colors[used] = to_rgba(FREE, USED)
+    extent = _extent(free.origin, free.cell, passable)
+    ax.imshow(colors, origin="lower", extent=extent, interpolation="nearest", zorder=1)
+    ax.contour(reached, levels=[0.5], colors=FREE, linewidths=0.8, origin="lower", extent=extent, zorder=2)
+
+
+def _extent(center: tuple[float, float], cell: float, cells: np.ndarray) -> tuple[float, float, float, float]:
+    """Returns left, right, bottom and top of a grid of cells, of which the first has its center at ``center``, m."""
+    (left, bottom), (rows, columns) = (middle - cell / 2 for middle in center), cells.shape
+    return left, left + columns * cell, bottom, bottom + rows * cell
+
+
+def _draw_area(ax: Axes, area: Area, region: Region | None, color: str, line: Any) -> None:
+    """Outlines an area, or the region in it."""
+    if region is None:
+        _outline(ax, area, edgecolor=color, linestyle=line, linewidth=2.2)
+        return
+    mask = np.pad(region.mask.numpy(), 1)
+    corner = tuple(end - region.cell / 2 for end in region.origin)
+    ax.contour(
+        mask,
+        levels=[0.5],
+        colors=color,
+        linestyles=[line],
+        linewidths=2.2,
+        origin="lower",
+        extent=_extent(corner, region.cell, mask),
+        zorder=4,
+    )
 
 
 def _outline(ax: Axes, area: Area, **style: Any) -> None:
@@ -129,12 +156,27 @@ def _outline(ax: Axes, area: Area, **style: Any) -> None:
     ax.add_patch(Rectangle((x, y), right - x, top - y, fill=False, zorder=4, **style))
 
 
+def add_legend(ax: Axes, handles: list[Patch | Line2D]) -> None:
+    """Puts a legend below a map, in the place of the one that it has."""
+    ax.legend(
+        handles=handles,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.09),
+        ncols=3,
+        frameon=False,
+        handlelength=1.8,
+        columnspacing=1.4,
+    )
+
+
 def _legend(world: World, view: Area) -> list[Patch | Line2D]:
     visible = overlap(world.bounds, view) == world.bounds
     return [
+        Patch(facecolor=to_rgba(FREE, USED), edgecolor=FREE, label="free: starts, goals"),
+        Patch(facecolor=to_rgba(FREE, UNUSED), edgecolor=FREE, label="free: only driven over"),
+        Patch(facecolor=to_rgba(CUT_OFF, 2 * UNUSED), label="free, but out of reach"),
         Patch(facecolor=OBSTACLE, edgecolor=OBSTACLE_EDGE, label="obstacle"),
-        Patch(facecolor=to_rgba(FREE, 0.2), edgecolor=FREE, label="free"),
-        Line2D([], [], color=SPAWN, linewidth=2.2, label="spawn area"),
+        Line2D([], [], color=SPAWN, linewidth=2.2, label="start area"),
         Line2D([], [], color=GOAL, linewidth=2.2, linestyle=(0, (2, 1)), label="goal area"),
         Line2D([], [], color=BOUNDS, linestyle="--", label="bounds" if visible else "bounds (beyond the map)"),
     ]

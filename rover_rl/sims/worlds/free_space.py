@@ -14,7 +14,7 @@ from torch import Tensor
 
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.cell_distance import distance_to_cells
-from rover_rl.sims.worlds.cell_grid import CellGrid, overlap, ring
+from rover_rl.sims.worlds.cell_grid import CellGrid, ring
 from rover_rl.sims.worlds.clearance import clearance_on_grid
 from rover_rl.sims.worlds.free_space_cache import load_free_space, store_free_space
 from rover_rl.sims.worlds.ground_limits import (
@@ -35,6 +35,7 @@ from rover_rl.sims.worlds.passages import (
     headings_of_bins,
     orientations_of_bins,
 )
+from rover_rl.sims.worlds.region import overlap
 from rover_rl.sims.worlds.world import World
 
 HEADINGS = 64
@@ -140,7 +141,10 @@ def _compute(world: World, robot: Robot) -> FreeSpace:
     grid = CellGrid(overlap(world.bounds, world.terrain.extent))
     clearance = clearance_on_grid(world, grid.x, grid.y, robot.radius + LIDAR_CLEARANCES[0] + EXTRA_CLEARANCE)
     room, gentle = clearance.numpy(), _gentle(world, robot, grid)
-    areas = [grid.within(area) for area in (world.spawn_range, world.goal_range)]
+    areas = [
+        grid.within(area) if region is None else grid.within(area) & grid.within_region(region)
+        for area, region in ((world.spawn_range, world.spawn_region), (world.goal_range, world.goal_region))
+    ]
     roomy, reach = _find_roomy(robot, grid, room, gentle, robot.radius + grid.half_diagonal, areas)
     poses = np.full(grid.shape, ALL_ORIENTATIONS, dtype=np.uint32)
     if not all((reach.roomy & area).any() for area in areas):

@@ -13,7 +13,8 @@ from torch import Tensor
 from rover_rl.sims import robots
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.cache import code_key, content_key, load_arrays, store_arrays
-from rover_rl.sims.worlds.cell_grid import CellGrid, overlap
+from rover_rl.sims.worlds.cell_grid import CellGrid
+from rover_rl.sims.worlds.region import overlap
 from rover_rl.sims.worlds.world import World
 from rover_rl.sims.worlds.world_key import world_key
 

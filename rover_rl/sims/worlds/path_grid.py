@@ -13,12 +13,13 @@ from torch import Tensor
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.cell_distance import distance_to_cells
-from rover_rl.sims.worlds.cell_grid import CellGrid, overlap
+from rover_rl.sims.worlds.cell_grid import CellGrid
 from rover_rl.sims.worlds.free_space import FreeSpace, free_space
 from rover_rl.sims.worlds.grid_kernels import BUCKETS, find_steps, spread_costs
 from rover_rl.sims.worlds.ground_limits import MAX_SLOPE, slopes_on_grid
 from rover_rl.sims.worlds.passages import orientation_of
 from rover_rl.sims.worlds.path_steps import LONGEST, STEPS, TURNED_STEPS
+from rover_rl.sims.worlds.region import overlap
 from rover_rl.sims.worlds.world import World
 
 CAUTION_DISTANCE = 0.35

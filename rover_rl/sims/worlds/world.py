@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
 from rover_rl.sims.worlds.actor import Actor
 from rover_rl.sims.worlds.obstacles import Obstacle
+from rover_rl.sims.worlds.region import Area, Range, Region, expanded, overlap
 from rover_rl.sims.worlds.terrain import Terrain
 
-Range: TypeAlias = tuple[float, float]
-Area: TypeAlias = tuple[Range, Range]
+__all__ = ["Area", "Range", "World", "Worlds"]
 
 
 class Worlds(Protocol):
@@ -37,17 +37,22 @@ class World:
             simulator.
         terrain: ground of the world.
         obstacles: static convex solids on the ground.
-        spawn_range: area in which episodes start. ``None`` is the terrain less 1 m on every side.
-        goal_range: area of the goals. ``None`` is ``spawn_range``.
+        spawn_range: area in which episodes start. ``None`` is that of ``spawn_region``, or without one the terrain
+            less 1 m on every side.
+        goal_range: area of the goals. ``None`` is that of ``goal_region``, or without one ``spawn_range``.
         bounds: area whose exit ends the episode (``out_of_bounds``). ``None`` is the extent of the terrain.
         spawn_height: height at which a live simulator drops the rover, as the original environment does, m.
         spawn_height_areas: ``(area, height)`` pairs with other drop heights. The first area that contains a point
             applies.
         actors: moving figures of an imported world. Simulators do not move them.
         notes: what an importer has to say about the world, such as the error of the ground.
+        spawn_region: part of ``spawn_range`` in which episodes start, such as the rooms of a building. ``None``
+            is all of it.
+        goal_region: part of ``goal_range`` that may contain goals. ``None`` is ``spawn_region`` if there is no
+            ``goal_range`` either, and otherwise all of ``goal_range``.
 
     Raises:
-        ValueError: if the ends of an area are not in order, or the spawn or goal area exceeds ``bounds``.
+        ValueError: if the ends of an area are not in order, the spawn or goal area exceeds ``bounds``.
 
     Example:
         >>> import numpy as np
@@ -69,14 +74,13 @@ class World:
     spawn_height_areas: tuple[tuple[Area, float], ...] = ()
     actors: tuple[Actor, ...] = ()
     notes: tuple[str, ...] = ()
+    spawn_region: Region | None = None
+    goal_region: Region | None = None
 
     def __post_init__(self) -> None:
-        (x_low, x_high), (y_low, y_high) = self.terrain.extent
-        spawn = self.spawn_range or ((x_low + 1, x_high - 1), (y_low + 1, y_high - 1))
         object.__setattr__(self, "obstacles", tuple(self.obstacles))
-        object.__setattr__(self, "spawn_range", spawn)
-        object.__setattr__(self, "goal_range", self.goal_range or spawn)
         object.__setattr__(self, "bounds", self.bounds or self.terrain.extent)
+        self._complete_areas()
         for field in ("bounds", "spawn_range", "goal_range"):
             area = getattr(self, field)
             message = f"{field} of world {self.name!r} must"
@@ -84,6 +88,18 @@ class World:
                 raise ValueError(f"{message} be ((x_low, x_high), (y_low, y_high)), got {area}")
             if any(a[0] < b[0] or a[1] > b[1] for a, b in zip(area, self.bounds, strict=True)):
                 raise ValueError(f"{message} lie in its bounds {self.bounds}, got {area}")
+
+    def _complete_areas(self) -> None:
+        """Fills in the areas that were not given."""
+        spawn, goal = self.spawn_region, self.goal_region
+        if goal is None and self.goal_range is None:
+            goal = spawn
+        spawn_range = (
+            self.spawn_range or (spawn and overlap(spawn.bounds, self.bounds)) or expanded(self.terrain.extent, -1)
+        )
+        goal_range = self.goal_range or (goal and overlap(goal.bounds, self.bounds)) or spawn_range
+        for name, value in (("goal_region", goal), ("spawn_range", spawn_range), ("goal_range", goal_range)):
+            object.__setattr__(self, name, value)
 
     @classmethod
     def from_file(cls, path: str | Path, **options: Any) -> World:

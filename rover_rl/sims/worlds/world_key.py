@@ -25,6 +25,11 @@ def _content(world: World) -> Iterator[bytes | str]:
     terrain = world.terrain
     yield repr((terrain.cell, terrain.origin, world.bounds, world.spawn_range, world.goal_range))
     tensors = [terrain.heights]
+    for name in ("spawn_region", "goal_region"):
+        region = getattr(world, name)
+        if region is not None:
+            yield repr((name, region.cell, region.origin))
+            tensors.append(region.mask)
     for solids in groups_of(world.obstacles):
         tensors += [solids.vertices, solids.planes, solids.faces]
     for tensor in tensors:

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import csv
-import itertools
 from pathlib import Path
 
 import numpy as np
@@ -11,79 +9,19 @@ from matplotlib.image import imread
 from tensordict import TensorDict
 
 from rover_rl import World
-from rover_rl.algos.config import TrainingConfig, training_config
-from rover_rl.algos.config_files import write_config
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import ENDINGS, Evaluation
 from rover_rl.algos.evaluation.metrics import TIME_LIMIT, Trajectory
-from rover_rl.algos.evaluation.plots import draw_learning_curve, draw_paths, draw_reward_components
+from rover_rl.algos.evaluation.plots import draw_paths, draw_reward_components
 from rover_rl.sims.worlds import Terrain, box
 
 FIELD = World("field", Terrain.flat((12.0, 12.0)), [box((2.0, 2.0, 0.5), (1.0, 1.0, 1.0))])
-
-
-def write_run(folder: Path, config: TrainingConfig, rows: int = 40, parts: int = 1, episodes: int = 6) -> Path:
-    """Writes the files of a run of ``rows`` batches, each as ``parts`` rows of ``progress.csv``."""
-    write_config(folder / "config.yaml", config)
-    with (folder / "progress.csv").open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(("minutes", "steps", "goals_per_2000_steps", "attempts", "attempts_reached"))
-        for row, part in itertools.product(range(rows), range(1, parts + 1)):
-            done = row + part / parts
-            goals, reached = row % 7, episodes * row / rows / parts
-            writer.writerow((done / 10, done * 4096, goals, episodes / parts, reached))
-    return folder
 
 
 def texts(path: Path) -> str:
     """The text of an SVG file, which contains each label as a comment."""
     assert path.suffix == ".svg"
     return path.read_text()
-
-
-def test_a_learning_curve_does_not_depend_on_the_number_of_rows(tmp_path: Path) -> None:
-    pictures = []
-    for parts in (1, 50):
-        run = write_run(tmp_path / str(parts), training_config("ppo", world="moon"), parts=parts)
-        draw_learning_curve([run], run / "curve.png")
-        pictures.append(imread(run / "curve.png"))
-    assert pictures[0][..., :3].std() > 0.05
-    np.testing.assert_allclose(*pictures, atol=0.01)
-
-
-def test_runs_of_an_algorithm_in_a_world_are_one_curve(tmp_path: Path) -> None:
-    runs = [
-        write_run(tmp_path / f"{algo}-{world}-{seed}", training_config(algo, world=world, seed=seed), rows=20 + seed)
-        for algo, world, seed in itertools.product(("ppo", "sac"), ("maze", "moon"), range(2))
-    ]
-    draw_learning_curve([*runs[:4], runs[4]], tmp_path / "curve.svg", against="minutes")
-    text = texts(tmp_path / "curve.svg")
-    assert "<!-- PPO in maze: mean of 2 runs of 83,968 steps in 2.0 min -->" in text
-    assert "<!-- PPO in moon: mean of 2 runs of 83,968 steps in 2.0 min -->" in text
-    assert "<!-- SAC in maze: 81,920 steps in 2.0 min -->" in text
-    assert text.count("<!-- training time (min) -->") == 4
-    assert text.count("<!-- minimum to maximum of the runs -->") == 1
-
-
-def test_a_baseline_is_drawn_in_its_world(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "run", training_config("ppo", world="field"))
-    draw_learning_curve([run], tmp_path / "without.svg")
-    draw_learning_curve([run], tmp_path / "with.svg", driven("scripted", ["goal"]))
-    assert "scripted policy" in texts(tmp_path / "with.svg")
-    assert "policy" not in texts(tmp_path / "without.svg")
-    elsewhere = write_run(tmp_path / "elsewhere", training_config("ppo", world="moon"))
-    draw_learning_curve([elsewhere], tmp_path / "elsewhere.svg", driven("scripted", ["goal"]))
-    assert "policy" not in texts(tmp_path / "elsewhere.svg")
-
-
-def test_runs_that_cannot_be_drawn_raise(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="at least one run"):
-        draw_learning_curve([], tmp_path / "curve.png")
-    with pytest.raises(FileNotFoundError, match="no settings"):
-        draw_learning_curve([tmp_path], tmp_path / "curve.png")
-    with pytest.raises(ValueError, match="no rows yet"):
-        draw_learning_curve([write_run(tmp_path / "run", training_config("ppo"), rows=0)], tmp_path / "curve.png")
-    assert not (tmp_path / "curve.png").exists()
 
 
 def driven(name: str, endings: list[str], speed: float = 1.0) -> Evaluation:

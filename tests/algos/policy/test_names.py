@@ -37,7 +37,7 @@ def test_help_errors_and_docs_name_it(name: str, capsys: pytest.CaptureFixture[s
 
 
 def test_unknown_baselines_and_robots_are_refused() -> None:
-    with pytest.raises(ValueError, match="unknown baseline 'dwb'; use one of"):
+    with pytest.raises(ValueError, match="unknown baseline 'dwb', perhaps 'dwa'; use one of"):
         make_baseline("dwb")
     with pytest.raises(ValueError, match="unknown robot 'tank'"):
         make_baseline("dwa", "tank")

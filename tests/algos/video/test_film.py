@@ -16,6 +16,7 @@ from rover_rl.algos.video.film import film
 from rover_rl.algos.video.views import lidar_hits
 from rover_rl.cli.film import Film
 from rover_rl.sims.rendering.camera import Camera
+from rover_rl.sims.rendering.sight import Sight
 from rover_rl.sims.worlds import Terrain, box
 from tests.algos.policy.memories import CountingPolicy
 
@@ -31,7 +32,7 @@ def straight(td: TensorDictBase) -> TensorDictBase:
 
 def chase(env: RoverEnv) -> Camera:
     rover = env.rover_state[0]
-    return Camera.on(rover.position, rover.orientation, env.worlds[0], "chase")
+    return Camera.on(rover.position, rover.orientation, Sight(env.worlds[0]), "chase")
 
 
 @pytest.mark.parametrize("yaw", [0.0, 2.0])

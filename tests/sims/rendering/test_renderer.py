@@ -11,10 +11,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from rover_rl.sims.rendering import scene
+from rover_rl.sims.rendering import launches
 from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.rendering.camera import Camera
 from rover_rl.sims.rendering.scenery import SUN
+from rover_rl.sims.rendering.sight import Sight
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.rotations import quaternion_product
 from rover_rl.sims.worlds import Terrain, World, box
@@ -60,7 +61,7 @@ def is_blue(image: Tensor) -> Tensor:
 def pixels_of(points: Tensor, at: Tensor, view, size, world: World = FLAT) -> Tensor:
     """Columns and rows of the pixels that the camera assigns to points, int64 ``[..., 2]``."""
     position, orientation = at.split((3, 4))
-    pixels, seen = Camera.on(position, orientation, world, view).see(points, *size)
+    pixels, seen = Camera.on(position, orientation, Sight(world), view).see(points, *size)
     assert seen.all()
     return pixels.floor().long()
 
@@ -78,6 +79,12 @@ def test_the_rover_is_seen_where_it_is(view):
 def test_the_goal_is_seen_only_if_there_is_one(view):
     assert is_green(render(view=view, goal=(2.0, 0.0), size=(320, 240))).sum() > 10
     assert is_green(render(view=view, size=(320, 240))).sum() == 0
+
+
+def test_a_post_thinner_than_the_distance_between_rays_is_never_lost():
+    # At 10 m, it is less than two pixels wide, and one pixel in four has a ray of its own.
+    for shift in range(6):
+        assert is_green(render(goal=(10.0, 0.05 * shift))).sum() > 5
 
 
 def test_an_obstacle_hides_the_goal():
@@ -191,8 +198,8 @@ def test_the_same_pose_gives_the_same_bytes_with_any_number_of_threads(monkeypat
     at, goal = pose(0.5, 0.5, 0.01, 0.05, 0.1, 0.8), torch.tensor((2.0, 2.0))
     images = []
     for threads in (1, 1, 5):
-        monkeypatch.setattr(scene, "MAX_THREADS", threads)
-        monkeypatch.setattr(scene.os, "cpu_count", lambda: 8)
+        monkeypatch.setattr(launches, "MAX_THREADS", threads)
+        monkeypatch.setattr(launches.os, "cpu_count", lambda: 8)
         images.append(RendererCache(ROVER).render(FLAT, at, "chase", 97, 71, goal))
     assert torch.equal(images[0], images[1])
     assert torch.equal(images[0], images[2])

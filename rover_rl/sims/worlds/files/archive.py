@@ -17,17 +17,21 @@ from rover_rl.sims.worlds.actor import Actor
 from rover_rl.sims.worlds.files.assemble import WorldParts
 from rover_rl.sims.worlds.files.suffixes import ARCHIVE_SUFFIX
 from rover_rl.sims.worlds.obstacles import Obstacle
+from rover_rl.sims.worlds.region import Region
 from rover_rl.sims.worlds.terrain import Terrain
 
 if TYPE_CHECKING:
     from rover_rl.sims.worlds.world import World
 
 FORMAT = "rover_rl world"
-VERSION = 1
+VERSIONS = (1, 2)
+"""Versions of the format. The second one has regions, and is written only for a world that has some."""
 MAX_BYTES = 512 * 2**20
 """Largest size of the arrays of a file."""
 ARRAYS = {"about": (1, "u1"), "heights": (2, "<f4"), "vertices": (2, "<f8"), "ends": (1, "<i8")}
 """Number of dimensions and type of each array: JSON text as bytes, the terrain, and the obstacles' vertices."""
+REGIONS = ("spawn_region", "goal_region")
+"""Regions, each an array of bytes with the cells of the mask, 0 or 1."""
 
 
 def write_archive(world: World, path: Path) -> None:
@@ -39,9 +43,10 @@ def write_archive(world: World, path: Path) -> None:
     """
     if not path.name.endswith(ARCHIVE_SUFFIX):
         raise ValueError(f"the name of a world file must end in {ARCHIVE_SUFFIX}, got {path.name!r}")
+    regions = {name: region for name in REGIONS if (region := getattr(world, name)) is not None}
     about = {
         "format": FORMAT,
-        "version": VERSION,
+        "version": VERSIONS[bool(regions)],
         "name": world.name,
         "cell": world.terrain.cell,
         "origin": world.terrain.origin,
@@ -52,6 +57,7 @@ def write_archive(world: World, path: Path) -> None:
         "spawn_height_areas": world.spawn_height_areas,
         "actors": [asdict(actor) for actor in world.actors],
         "notes": world.notes,
+        "regions": {name: (region.cell, region.origin) for name, region in regions.items()},
     }
     vertices = [obstacle.vertices.numpy() for obstacle in world.obstacles]
     arrays = {
@@ -59,6 +65,7 @@ def write_archive(world: World, path: Path) -> None:
         "heights": world.terrain.heights.numpy().astype("<f4"),
         "vertices": np.concatenate([np.empty((0, 3)), *vertices]).astype("<f8"),
         "ends": np.cumsum([len(points) for points in vertices], dtype="<i8"),
+        **{name: region.mask.numpy().astype("u1") for name, region in regions.items()},
     }
     with written_whole(path) as temporary, errors_name(path, temporary), temporary.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
@@ -77,8 +84,8 @@ def read_archive(path: Path) -> WorldParts:
         version = about["version"] if about["format"] == FORMAT else None
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"{path} is no world file: its description cannot be read") from error
-    if version != VERSION:
-        raise ValueError(f"{path} is a world file of version {version}; this version of rover_rl reads {VERSION}")
+    if version not in VERSIONS:
+        raise ValueError(f"{path} is a world file of version {version}; this version of rover_rl reads 1 and 2")
     try:
         return _parts(about, arrays)
     except (KeyError, TypeError, ValueError) as error:
@@ -103,7 +110,13 @@ def _parts(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> WorldParts:
         spawn_height_areas=tuple((_area(area), float(height)) for area, height in about["spawn_height_areas"]),
         actors=tuple(_actor(actor) for actor in about["actors"]),
         notes=tuple(str(note) for note in about["notes"]),
+        **{name: _region(place, arrays[name]) for name, place in about.get("regions", {}).items() if name in REGIONS},
     )
+
+
+def _region(place: Any, mask: np.ndarray) -> Region:
+    cell, origin = place
+    return Region(torch.from_numpy(mask > 0), float(cell), _pair(origin))
 
 
 def _pair(values: Any) -> tuple[float, float]:
@@ -140,7 +153,8 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
                 raise ValueError(f"{path} is no world file: it has no {missing[0]}")
             if sum(info.file_size for info in names.values()) > MAX_BYTES:
                 raise ValueError(f"{path} unpacks to more than {MAX_BYTES >> 20} MB, which is more than a world has")
-            return {name: _read_array(path, archive, names[f"{name}.npy"]) for name in ARRAYS}
+            given = [*ARRAYS, *(name for name in REGIONS if f"{name}.npy" in names)]
+            return {name: _read_array(path, archive, names[f"{name}.npy"]) for name in given}
     except FileNotFoundError:
         raise
     except ValueError as error:
@@ -155,7 +169,7 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
 def _read_array(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
     """Reads one array. Its header must say what the file holds, before any memory is taken for it."""
     name = info.filename.removesuffix(".npy")
-    dimensions, kind = ARRAYS[name]
+    dimensions, kind = ARRAYS.get(name, (2, "u1"))
     with archive.open(info) as file:
         version = np.lib.format.read_magic(file)
         read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -18,10 +17,8 @@ from rover_rl.sims.worlds.files.hulls import obstacles_of
 from rover_rl.sims.worlds.files.options import ImportOptions
 from rover_rl.sims.worlds.files.terrain import Ground, make_terrain
 from rover_rl.sims.worlds.obstacles import Obstacle
+from rover_rl.sims.worlds.region import Area, Region
 from rover_rl.sims.worlds.terrain import Terrain
-
-if TYPE_CHECKING:
-    from rover_rl.sims.worlds.world import Area
 
 MAX_PIECES = 50_000
 """Largest number of connected pieces of a world."""
@@ -45,6 +42,8 @@ class WorldParts:
     spawn_height_areas: tuple[tuple[Area, float], ...] = ()
     actors: tuple[Actor, ...] = ()
     notes: tuple[str, ...] = ()
+    spawn_region: Region | None = None
+    goal_region: Region | None = None
 
 
 def assemble(contents: Contents, options: ImportOptions) -> WorldParts:
@@ -75,15 +74,13 @@ def assemble(contents: Contents, options: ImportOptions) -> WorldParts:
     terrain, about = make_terrain(ground, around, options.cell)
     obstacles, buried = _obstacles(others, terrain, options)
     notes += about + ([f"obstacles: {buried} pieces below the ground were left out"] if buried else [])
-    areas = find_areas(terrain, obstacles, options, _limits(around, ground, terrain))
-    notes += [areas.note] if areas.note else []
+    areas, about = find_areas(terrain, obstacles, options, _limits(around, ground, terrain))
+    notes += about
     return WorldParts(
         name=options.name or contents.name,
         terrain=terrain,
         obstacles=tuple(obstacles),
-        spawn_range=areas.spawn_range,
-        goal_range=areas.goal_range,
-        bounds=areas.bounds,
+        **vars(areas),
         actors=tuple(contents.actors),
         notes=(*contents.left_out, *notes),
     )
@@ -92,9 +89,10 @@ def assemble(contents: Contents, options: ImportOptions) -> WorldParts:
 def _around(pieces: list[Piece], ground: Ground, options: ImportOptions) -> np.ndarray:
     """Returns the points around which a plane is laid out: ``[P, 2]``, m."""
     points = [piece.vertices[:, :2] for piece in pieces]
-    for area in (options.spawn_range, options.goal_range, options.bounds):
-        if area is not None:
-            points.append(np.array(area).T)
+    for place in (options.spawn_range, options.goal_range, options.bounds):
+        if place is not None:
+            numbers = np.array(place)
+            points.append(numbers.T if numbers.shape == (2, 2) else numbers.reshape(-1, 2))
     if not points and not ground.grids and not ground.surfaces:
         for plane in ground.planes:
             half = np.minimum(np.array(plane.size), EMPTY_SIDE) / 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -66,24 +67,22 @@ def read_map(path: Path, options: ImportOptions) -> WorldParts:
     check_triangles(12 * len(rectangles))
     obstacles = [_wall(settings, rectangle, options.wall_height) for rectangle in rectangles]
     known = states == 0 if options.unknown == "open" else states != OCCUPIED
-    centers = _centers(settings, known)
+    centers = _points(settings, np.argwhere(known)[:, ::-1] + 0.5)
     level = Plane(np.zeros(3), np.array((0.0, 0.0, 1.0)), (0.0, 0.0))
     corners = _points(settings, np.array([(0, 0), (columns, 0), (0, rows), (columns, rows)], dtype=float))
     terrain, _ = make_terrain(Ground([level], [], []), corners, None)
     low, high = centers.min(0) - settings.resolution / 2, centers.max(0) + settings.resolution / 2
     limits = (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
-    areas = find_areas(terrain, obstacles, options, limits, centers)
+    areas, about = find_areas(terrain, obstacles, options, limits, partial(_lookup, settings, known | walls))
     share = float((states == UNKNOWN).mean())
     unknown = [f"map: {100 * share:.0f} % of the cells are unknown, taken as {options.unknown}"] if share else []
-    notes = [*renamed, f"map: {int(walls.sum()):,} wall cells in {len(rectangles):,} boxes", *unknown, areas.note]
+    notes = [*renamed, f"map: {int(walls.sum()):,} wall cells in {len(rectangles):,} boxes", *unknown, *about]
     return WorldParts(
         name=options.name or path.stem,
         terrain=terrain,
         obstacles=tuple(obstacles),
-        spawn_range=areas.spawn_range,
-        goal_range=areas.goal_range,
-        bounds=areas.bounds,
-        notes=tuple(filter(None, notes)),
+        **vars(areas),
+        notes=tuple(notes),
     )
 
 
@@ -168,9 +167,14 @@ def _points(settings: _Map, cells: np.ndarray) -> np.ndarray:
     return settings.resolution * cells @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
 
 
-def _centers(settings: _Map, cells: np.ndarray) -> np.ndarray:
-    rows, columns = np.nonzero(cells)
-    return _points(settings, np.stack((columns, rows), -1) + 0.5)
+def _lookup(settings: _Map, cells: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Returns the values of the cells at positions ``[..., 2]`` (m), true outside of the map: bool ``[...]``."""
+    x, y, yaw = settings.origin
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    index = np.floor((points - (x, y)) @ np.array([[cos, -sin], [sin, cos]]) / settings.resolution).astype(int)
+    inside = ((index >= 0) & (index < cells.shape[::-1])).all(-1)
+    column, row = np.moveaxis(np.where(inside[..., None], index, 0), -1, 0)
+    return ~inside | cells[row, column]
 
 
 def _wall(settings: _Map, rectangle: tuple[int, int, int, int], height: float):

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, TypeAlias, Union, get_args
 
-if TYPE_CHECKING:
-    from rover_rl.sims.worlds.world import Area
+import numpy as np
+
+from rover_rl.sims.worlds.region import Area
 
 MAX_SIZE = 10_000.0
 """Largest distance of anything in an imported world from the origin, m."""
@@ -15,6 +16,7 @@ MAX_SIZE = 10_000.0
 Missing = Literal["error", "skip"]
 Unknown = Literal["open", "wall", "free"]
 Up = Literal["auto", "x", "y", "z"]
+Place: TypeAlias = Union[Area, tuple[float, float], list[tuple[float, float]]]  # noqa: UP007
 
 
 @dataclass(frozen=True)
@@ -23,8 +25,10 @@ class ImportOptions:
 
     Args:
         name: name of the world. ``None``: that in the file, else the file's name.
-        spawn_range: area in which episodes start, ``((x_low, x_high), (y_low, y_high))``, m. ``None``: automatic.
-        goal_range: area of the goals. ``None``: ``spawn_range``.
+        spawn_range: area in which episodes start: a rectangle ``((x_low, x_high), (y_low, y_high))``, the corners
+            ``[(x, y), ...]`` of a polygon, or a point ``(x, y)``, which stands for the room around it up to the
+            doorways, m. ``None``: automatic.
+        goal_range: area of the goals, in the same forms. ``None``: ``spawn_range``.
         bounds: area whose exit ends the episode. ``None``: automatic.
         cell: spacing of the ground's grid, m. ``None``: that of the elevation data, or for meshes the coarsest of 0.1,
             0.05 and 0.025 m whose error is at most 1 cm for 99 % of the ground.
@@ -47,8 +51,8 @@ class ImportOptions:
     """
 
     name: str | None = None
-    spawn_range: Area | None = None
-    goal_range: Area | None = None
+    spawn_range: Place | None = None
+    goal_range: Place | None = None
     bounds: Area | None = None
     cell: float | None = None
     missing: Missing = "error"
@@ -79,9 +83,9 @@ class ImportOptions:
             value = getattr(self, name)
             if value is not None and not low <= _number(name, value) <= high:
                 raise ValueError(f"{name} must be from {low:g} to {high:g}, got {value}")
-        for name in ("spawn_range", "goal_range", "bounds"):
+        for name, read in (("spawn_range", _place), ("goal_range", _place), ("bounds", _area)):
             if getattr(self, name) is not None:
-                object.__setattr__(self, name, _area(name, getattr(self, name)))
+                object.__setattr__(self, name, read(name, getattr(self, name)))
         paths = (self.model_paths,) if isinstance(self.model_paths, str) else self.model_paths
         object.__setattr__(self, "model_paths", tuple(str(path) for path in paths))
 
@@ -102,6 +106,26 @@ def _number(name: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError(f"{name} must be a number, got {value!r}")
     return float(value)
+
+
+def _place(name: str, place: Any) -> Place:
+    """Returns a rectangle, a polygon of at least three corners, or a point."""
+    try:
+        numbers = np.array(place, dtype=float)
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if numbers.shape == (2, 2):
+        return _area(name, place)
+    if numbers.shape != (2,) and (numbers.ndim != 2 or numbers.shape[1] != 2 or len(numbers) < 3):
+        raise ValueError(
+            f"{name} must be a rectangle ((x_low, x_high), (y_low, y_high)), a polygon [(x, y), ...] or a point "
+            f"(x, y), got {place}"
+        )
+    if not (np.abs(numbers) <= MAX_SIZE).all():
+        raise ValueError(f"{name} must lie within {MAX_SIZE:g} m, got {place}")
+    if numbers.ndim == 1:
+        return float(numbers[0]), float(numbers[1])
+    return [(float(x), float(y)) for x, y in numbers]
 
 
 def _area(name: str, area: Any) -> Area:

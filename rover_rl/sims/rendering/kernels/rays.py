@@ -1,19 +1,14 @@
-"""Warp kernels of the renderer: a ray tracer with one thread per pixel.
+"""Warp functions of the renderer: what a ray from the camera sees.
 
-A picture takes two passes. :func:`trace_pixels` shades the center of each pixel. :func:`smooth_edges` shades four more
-points of each pixel that differs from a neighbor, so that edges of things and of shadows are smooth.
-
-Two kernels run once per scene. :func:`find_openness` computes how much of the sky each vertex sees, which darkens
-corners; :func:`find_sunshine` finds the vertices that lie in the shadow of the scenery, so that most pixels need no
-shadow ray.
-
-A pixel depends on no other pixel but its four neighbors, so that a picture is the same with any number of threads.
+The kernels of :mod:`~rover_rl.sims.rendering.kernels.pictures` run for each picture, those of
+:mod:`~rover_rl.sims.rendering.kernels.light` once per scene.
 
 The scene consists of bodies, each a triangle mesh with a pose: body 0 is the scenery, whose pose is the world frame,
 body 1 the rover, in its base frame, body 2 the post of the goal. To intersect a ray with a body, the kernels transform
 the ray to the frame of the body. Vertices and triangles of all bodies are numbered consecutively.
 
-Lengths in m. Colors are intensities, proportional to light; :func:`displayed` converts them.
+Lengths in m. Colors are intensities, proportional to light; :func:`~rover_rl.sims.rendering.kernels.pictures.displayed`
+converts them.
 """
 
 from __future__ import annotations
@@ -54,8 +49,14 @@ LINE_WIDTH = 0.02
 """Width of the lines of the grid on the ground, m."""
 LINE_SHADE = 0.22
 """Share of the light that lines absorb."""
-EDGE_CONTRAST = 0.08
-"""Difference of displayed colors, 0 to 1, above which a pixel lies on an edge."""
+NOISE_CELLS = 64
+"""Number of cells of the noise on the ground along each axis, after which it repeats."""
+NOISE_SAMPLES = 8
+"""Number of stored values of the noise per cell and axis."""
+SKY = 0
+"""Surface of rays that meet nothing."""
+GROUND_SURFACE = 1
+"""Surface of the terrain and of the plane around it. That of other triangles is their body + 2."""
 
 
 @wp.struct
@@ -79,6 +80,8 @@ class Scene:
     # Box around the rover in its base frame: center and half side lengths.
     rover_center: wp.vec3
     rover_half: wp.vec3
+    # Periodic noise, -1 to 1.
+    noise: wp.array2d[float]
 
 
 @wp.struct
@@ -101,6 +104,18 @@ class Hit:
     u: float
     v: float
     normal: wp.vec3
+
+
+@wp.struct
+class Seen:
+    """What a ray from the camera sees: a surface, at the distance 1 / ``nearness``."""
+
+    surface: int
+    nearness: float
+    # Width of a pixel on the surface.
+    width: float
+    # Color times light, without the pattern of the ground and without haze.
+    color: wp.vec3
 
 
 @wp.func
@@ -196,20 +211,40 @@ def line_coverage(x: float, width: float) -> float:
 
 
 @wp.func
-def ground_pattern(x: float, y: float, width: float) -> float:
+def noise_at(noise: wp.array2d[float], x: float, y: float) -> float:
+    """Noise at a point, in cells, interpolated between its stored values."""
+    u = float(NOISE_SAMPLES) * x
+    v = float(NOISE_SAMPLES) * y
+    column = int(wp.floor(u))
+    row = int(wp.floor(v))
+    u -= float(column)
+    v -= float(row)
+    last = NOISE_CELLS * NOISE_SAMPLES - 1
+    # The number of values is a power of two.
+    left = column & last
+    right = (column + 1) & last
+    low = row & last
+    high = (row + 1) & last
+    return wp.lerp(
+        wp.lerp(noise[low, left], noise[low, right], u), wp.lerp(noise[high, left], noise[high, right], u), v
+    )
+
+
+@wp.func
+def ground_pattern(noise: wp.array2d[float], x: float, y: float, width: float) -> float:
     """Brightness of the ground: patches, grain near the camera, and a grid, which show how the rover moves.
 
     Args:
+        noise: stored noise.
         x: coordinate in the world frame, m.
         y: coordinate in the world frame, m.
         width: width of the pixel on the ground, m.
     """
-    seed = wp.uint32(7)
-    at = wp.vec2(x, y)
-    brightness = 1.0 + 0.12 * wp.noise(seed, 0.4 * at)
+    brightness = 1.0 + 0.12 * noise_at(noise, 0.4 * x, 0.4 * y)
     detail = 1.0 - 20.0 * width
     if detail > 0.0:
-        brightness += detail * (0.08 * wp.noise(seed, 4.0 * at) + 0.06 * wp.noise(seed, 19.0 * at))
+        grain = 0.08 * noise_at(noise, 4.0 * x, 4.0 * y) + 0.06 * noise_at(noise, 19.0 * x, 19.0 * y)
+        brightness += detail * grain
     lines = wp.max(line_coverage(x, width), line_coverage(y, width))
     return brightness * (1.0 - LINE_SHADE * lines)
 
@@ -227,14 +262,13 @@ def rover_openness(scene: Scene, pose: wp.transform, point: wp.vec3) -> float:
 
 
 @wp.func
-def shade(
+def look(
     scene: Scene, poses: wp.array[wp.transform], start: wp.vec3, direction: wp.vec3, sun: wp.vec3, spread: float
-) -> wp.vec3:
-    """Color that a ray from the camera sees.
+) -> Seen:
+    """What a ray from the camera sees.
 
     The light on a surface of normal n is ``max(n . s, 0) sunlight + openness ambient(n)`` with the direction s to the
-    sun (Lambert's law) and the ambient light of a sky above a bright ground. Haze hides the share
-    ``1 - exp(-(t / t_haze)^2)`` at the distance t.
+    sun (Lambert's law) and the ambient light of a sky above a bright ground.
 
     Args:
         scene: scene.
@@ -244,19 +278,20 @@ def shade(
         sun: direction to the visible point of the sun.
         spread: width of a pixel at distance 1.
     """
+    seen = Seen()
     hit = closest_hit(scene, poses, start, direction)
-    haze = sky_color(direction)
     # Around the terrain, the ground is a plane.
     normal = wp.vec3(0.0, 0.0, 1.0)
     flat = normal
     openness = float(1.0)
     sunshine = float(1.0)
     color = GROUND_COLOR
-    is_ground = hit.body < 0
-    if is_ground:
+    seen.surface = GROUND_SURFACE
+    if hit.body < 0:
         hit.distance = (scene.level - start[2]) / direction[2]
         if hit.distance <= 0.0 or direction[2] == 0.0:
-            return haze
+            seen.surface = SKY
+            return seen
     else:
         a = scene.triangles[hit.triangle, 0]
         b = scene.triangles[hit.triangle, 1]
@@ -271,128 +306,36 @@ def shade(
         sunshine = (scene.sunshine[a] + scene.sunshine[b] + scene.sunshine[c]) / 3.0
         paint = scene.colors[hit.triangle]
         color = wp.vec3(paint[0], paint[1], paint[2])
-        is_ground = paint[3] == 1.0
+        if paint[3] != 1.0:
+            seen.surface = hit.body + 2
     point = start + hit.distance * direction + OFFSET * flat
     if hit.body != ROVER:
         openness *= rover_openness(scene, poses[ROVER], point)
-    if is_ground:
-        # A pixel is longer on ground that is seen at a flat angle.
-        width = spread * hit.distance / wp.max(-wp.dot(direction, flat), 0.05)
-        color *= ground_pattern(point[0], point[1], width)
     light = openness * wp.lerp(GROUNDLIGHT, SKYLIGHT, 0.5 + 0.5 * normal[2])
     facing = wp.dot(normal, SUN_DIRECTION)
     if facing > 0.0 and wp.dot(flat, SUN_DIRECTION) > 0.0:
         if is_lit(scene, poses, point, sun, sunshine):
             light += facing * SUNLIGHT
-    depth = hit.distance / HAZE_DISTANCE
-    return wp.lerp(haze, wp.cw_mul(color, light), wp.exp(-depth * depth))
+    seen.nearness = 1.0 / hit.distance
+    # A pixel is longer on ground that is seen at a flat angle.
+    seen.width = spread * hit.distance / wp.max(-wp.dot(direction, flat), 0.05)
+    seen.color = wp.cw_mul(color, light)
+    return seen
 
 
 @wp.func
-def color_at(
-    scene: Scene, poses: wp.array[wp.transform], view: Pinhole, right: float, down: float, sun: wp.vec3
-) -> wp.vec3:
-    """Color at a point of the picture, in pixels from its center."""
-    ray = wp.normalize(view.forward + right * view.right + down * view.down)
-    return shade(scene, poses, view.eye, ray, sun, wp.length(view.right))
+def shade(scene: Scene, seen: Seen, start: wp.vec3, direction: wp.vec3) -> wp.vec3:
+    """Color of what a ray sees, with the pattern of the ground and haze.
 
-
-@wp.func
-def displayed(color: wp.vec3) -> wp.vec3:
-    """Value of a screen, 0 to 1, that shows a color: gamma correction with an exponent of 2."""
-    return wp.vec3(
-        wp.sqrt(wp.clamp(color[0], 0.0, 1.0)),
-        wp.sqrt(wp.clamp(color[1], 0.0, 1.0)),
-        wp.sqrt(wp.clamp(color[2], 0.0, 1.0)),
-    )
-
-
-@wp.func
-def contrast(colors: wp.array2d[wp.vec3], color: wp.vec3, row: int, column: int) -> float:
-    """Largest difference of a color from that of a pixel, 0 outside of the picture."""
-    if row < 0 or column < 0 or row >= colors.shape[0] or column >= colors.shape[1]:
-        return 0.0
-    return wp.max(wp.abs(colors[row, column] - color))
-
-
-@wp.kernel
-def trace_pixels(first: int, scene: Scene, poses: wp.array[wp.transform], view: Pinhole, colors: wp.array2d[wp.vec3]):
-    """Writes the displayed color of the center of each pixel, beginning with row ``first``."""
-    row, column = wp.tid()
-    row += first
-    right = float(column) + 0.5 - 0.5 * float(colors.shape[1])
-    down = float(row) + 0.5 - 0.5 * float(colors.shape[0])
-    colors[row, column] = displayed(color_at(scene, poses, view, right, down, SUN_DIRECTION))
-
-
-@wp.kernel
-def smooth_edges(
-    first: int,
-    scene: Scene,
-    poses: wp.array[wp.transform],
-    view: Pinhole,
-    colors: wp.array2d[wp.vec3],
-    picture: wp.array3d[wp.uint8],
-):
-    """Writes the picture, ``[height, width, 3]``, beginning with row ``first``.
-
-    A pixel on an edge is the mean of four points on a rotated grid. Each sees another point of the sun.
+    Haze hides the share ``1 - exp(-(t / t_haze)^2)`` at the distance t.
     """
-    row, column = wp.tid()
-    row += first
-    color = colors[row, column]
-    vertical = wp.max(contrast(colors, color, row - 1, column), contrast(colors, color, row + 1, column))
-    horizontal = wp.max(contrast(colors, color, row, column - 1), contrast(colors, color, row, column + 1))
-    if wp.max(vertical, horizontal) > EDGE_CONTRAST:
-        right = float(column) + 0.5 - 0.5 * float(colors.shape[1])
-        down = float(row) + 0.5 - 0.5 * float(colors.shape[0])
-        # Offset from the center of the pixel; every turn by 90 degrees gives the next point.
-        u = float(0.125)
-        v = float(0.375)
-        total = wp.vec3()
-        for _point in range(4):
-            sun = SUN_DIRECTION + SUN_SIZE * (u * SUN_RIGHT + v * SUN_UP)
-            total += color_at(scene, poses, view, right + u, down + v, sun)
-            turned = -v
-            v = u
-            u = turned
-        color = displayed(0.25 * total)
-    for channel in range(3):
-        picture[row, column, channel] = wp.uint8(255.0 * color[channel] + 0.5)
-
-
-@wp.kernel
-def find_openness(
-    first: int,
-    mesh: wp.uint64,
-    vertices: wp.array[wp.vec3],
-    normals: wp.array[wp.vec3],
-    directions: wp.array[wp.vec3],
-    reach: float,
-    openness: wp.array[float],
-):
-    """Writes the visible share of the sky for each vertex of a mesh, beginning with vertex ``first``.
-
-    Ambient occlusion: the mean over rays of ``min(t / reach, 1)``, where t is the distance to the first triangle. A
-    sum of the normal and a point on the unit sphere (``directions``) gives rays in proportion to the cosine of their
-    angle to the normal, as they contribute to the light.
-    """
-    vertex = first + wp.tid()
-    normal = normals[vertex]
-    start = vertices[vertex] + 10.0 * OFFSET * normal
-    total = float(0.0)
-    for k in range(directions.shape[0]):
-        query = wp.mesh_query_ray(mesh, start, wp.normalize(normal + directions[k]), reach)
-        # A vertex inside of a body, which sees back sides, is hidden. It counts half, as its triangle may reach out.
-        total += wp.where(query.result, wp.where(query.sign > 0.0, query.t / reach, 0.5), 1.0)
-    openness[vertex] = total / float(directions.shape[0])
-
-
-@wp.kernel
-def find_sunshine(
-    first: int, mesh: wp.uint64, vertices: wp.array[wp.vec3], normals: wp.array[wp.vec3], sunshine: wp.array[float]
-):
-    """Writes whether the sun reaches each vertex of a mesh, 0 or 1, beginning with vertex ``first``."""
-    vertex = first + wp.tid()
-    start = vertices[vertex] + 10.0 * OFFSET * normals[vertex]
-    sunshine[vertex] = wp.where(wp.mesh_query_ray_anyhit(mesh, start, SUN_DIRECTION, FAR), 0.0, 1.0)
+    haze = sky_color(direction)
+    if seen.surface == SKY:
+        return haze
+    color = seen.color
+    distance = 1.0 / seen.nearness
+    if seen.surface == GROUND_SURFACE:
+        point = start + distance * direction
+        color *= ground_pattern(scene.noise, point[0], point[1], seen.width)
+    depth = distance / HAZE_DISTANCE
+    return wp.lerp(haze, color, wp.exp(-depth * depth))

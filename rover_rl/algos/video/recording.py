@@ -1,0 +1,216 @@
+"""Recorded drives, which films show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from rover_rl.algos.evaluation.episodes import EpisodeSet
+from rover_rl.algos.evaluation.evaluate import ENDINGS, Policy, environment_for, evaluate
+from rover_rl.algos.evaluation.parallel import ROWS
+from rover_rl.algos.evaluation.results import Evaluation
+from rover_rl.algos.policy.baselines import RandomPolicy
+from rover_rl.algos.policy.networks import single_threaded
+from rover_rl.algos.policy.runner import PolicyRunner
+from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
+from rover_rl.envs.make import add_reward
+from rover_rl.envs.rewards import reward_components
+from rover_rl.progress import ProgressDisplay
+from rover_rl.sims.base import RoverState
+from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.worlds import World
+
+
+@dataclass(frozen=True)
+class Moment:
+    """State of ``N`` rovers in one frame of a video.
+
+    Attributes:
+        seconds: time since the start of the video, s.
+        rover: states of the rovers, ``[N]``.
+        goal: current goal of each rover, ``[N, 2]``, m.
+        goals: number of goals that each rover has reached, int64 ``[N]``.
+        episodes: number of episodes that each rover has started, int64 ``[N]``.
+        endings: endings of all episodes so far, such as ``"jammed"`` and ``"flipped"``.
+        event: last event of the first rover, and its time, s.
+    """
+
+    seconds: float
+    rover: RoverState
+    goal: Tensor
+    goals: Tensor
+    episodes: Tensor
+    endings: Sequence[str] = ()
+    event: tuple[str, float] = ("", 0.0)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recorded drive.
+
+    Attributes:
+        moments: states at the start and after each step.
+        world: world of all rovers.
+        robot: robot model.
+        ray_angles: direction of each lidar beam in the rover's frame, ``[beams]``, rad.
+        dt: duration of a step, s.
+        ending: how the episode ended; empty in endless mode.
+        episode: index of the episode in its set.
+        steps: steps of the first rover with their rewards; empty for single episodes.
+    """
+
+    moments: list[Moment]
+    world: World
+    robot: Robot
+    ray_angles: Tensor
+    dt: float
+    ending: str = ""
+    episode: int = 0
+    steps: list[TensorDict] = field(default_factory=list)
+
+    @property
+    def seconds(self) -> float:
+        """Duration of the drive, s."""
+        return (len(self.moments) - 1) * self.dt
+
+    def last(self, seconds: float) -> Recording:
+        """Returns the end of the drive, of the given duration (s) or all of a shorter drive."""
+        return replace(self, moments=self.moments[-1 - max(1, round(seconds / self.dt)) :])
+
+
+@torch.no_grad()
+@single_threaded()
+def record_endless(
+    policy: Policy | None, world: str | World, *, seconds: float, rows: int, seed: int, env: EnvConfig | None
+) -> Recording:
+    """Drives in endless mode: a reached goal is followed by a new goal, an ended episode by a new start.
+
+    Args:
+        policy: policy that drives; ``None`` acts at random.
+        world: world to drive in.
+        seconds: duration of the drive, s.
+        rows: number of rovers.
+        seed: seed of starts and goals.
+        env: environment to drive in, as for :func:`~rover_rl.algos.evaluation.evaluate.evaluate`.
+
+    Raises:
+        ValueError: for an unknown world, or a policy that was made for another environment.
+    """
+    config = environment_for(policy, env)
+    config = replace(config, world=world, num_envs=rows, end_on_goal=False, seed=seed)
+    reward_components(config.reward, config.contract_reward)
+    rovers = RoverEnv(**config.arguments())
+    steps = max(1, round(seconds / rovers.control_dt))
+    rovers.length = steps + 1
+    rewarded = add_reward(rovers, config.reward, config)
+    runner = PolicyRunner(policy or RandomPolicy(seed), env=rovers)
+    driven: list[TensorDict] = []
+    goals = episodes = torch.zeros(rows, dtype=torch.int64)
+    endings: list[str] = []
+    event = "", 0.0
+    with closing(rewarded), set_exploration_type(ExplorationType.DETERMINISTIC), ProgressDisplay("driving") as display:
+        tensordict = rewarded.reset()
+        moments = [Moment(0.0, rovers.rover_state, rovers.goal, goals, episodes)]
+        for _ in display.track(range(steps), steps):
+            step, tensordict = rewarded.step_and_maybe_reset(tensordict.set("action", runner(tensordict)))
+            driven.append(step[0])
+            outcome, done = step["next", "outcome"], step["next", "done"].squeeze(-1)
+            runner.reset(done)
+            reached = outcome["goal_reached"].squeeze(-1)
+            goals, episodes = goals + reached, episodes + done
+            ended = [ENDINGS[StepEvent(phase)] for phase in outcome["phase"].squeeze(-1)[done].tolist()]
+            endings = endings + ended
+            seconds = len(driven) * rovers.control_dt
+            if done[0] or reached[0]:
+                event = f"{ended[0]}: new start" if done[0] else "goal reached", seconds
+            moments.append(Moment(seconds, rovers.rover_state, rovers.goal, goals, episodes, endings, event))
+        angles = rovers.simulator.ray_angles.cpu()
+        return Recording(moments, rovers.worlds[0], rovers.robot, angles, rovers.control_dt, steps=driven)
+
+
+def record_episodes(
+    policy: Policy | None,
+    episodes: EpisodeSet,
+    *,
+    seconds: float,
+    name: str | None = None,
+    action_repeat: int | None = None,
+    env: EnvConfig | None = None,
+    wanted: Sequence[int] | None = None,
+) -> tuple[Evaluation, list[Recording]]:
+    """Evaluates a policy and records its drives.
+
+    Args:
+        policy: policy that drives; ``None`` acts at random.
+        episodes: episodes to drive.
+        seconds: time limit of each episode, s.
+        name: name of the policy.
+        action_repeat: number of steps that each action is held for.
+        env: environment to drive in.
+        wanted: indices of the episodes to record; ``None``: all.
+
+    Returns:
+        The evaluation, and the recordings of the wanted episodes.
+
+    Raises:
+        ValueError: as :func:`~rover_rl.algos.evaluation.evaluate.evaluate`.
+    """
+    wanted = range(len(episodes)) if wanted is None else wanted
+    states: dict[int, list[RoverState]] = {index: [] for index in wanted}
+    angles, dt = torch.zeros(0), 0.0
+
+    def watch(rovers: RoverEnv, episode: Tensor, rows: Tensor) -> None:
+        nonlocal angles, dt
+        angles, dt = rovers.simulator.ray_angles.cpu(), rovers.control_dt
+        for row in rows.nonzero().squeeze(-1).tolist():
+            if (index := int(episode[row])) in states:
+                states[index].append(rovers.rover_state[row : row + 1].cpu())
+
+    evaluation = evaluate(
+        policy,
+        episodes,
+        name=name,
+        action_repeat=action_repeat,
+        seconds=seconds,
+        # As in an evaluation: a randomized drive depends on its row.
+        rows=len(episodes) if episodes.several_worlds else ROWS,
+        env=env,
+        watch=watch,
+    )
+    robot = get_robot(evaluation.env.robot)
+    return evaluation, [
+        Recording(
+            moments_of(states[index], episodes.goal[index : index + 1], dt, evaluation.endings[index]),
+            episodes.worlds[index],
+            robot,
+            angles,
+            dt,
+            evaluation.endings[index],
+            episodes.offset + index,
+        )
+        for index in wanted
+    ]
+
+
+def moments_of(states: Sequence[RoverState], goal: Tensor, dt: float, ending: str) -> list[Moment]:
+    """Returns the moments of an episode of one rover.
+
+    Args:
+        states: states at the start and after each step, ``[1]`` each.
+        goal: goal ``[1, 2]``, m.
+        dt: duration of a step, s.
+        ending: how the episode ended.
+    """
+    none, one = torch.zeros(1, dtype=torch.int64), torch.ones(1, dtype=torch.int64)
+    moments = [Moment(step * dt, rover, goal, none, none) for step, rover in enumerate(states)]
+    reached, end = ending == "goal", moments[-1].seconds
+    event = "goal reached" if reached else ending, end
+    endings = () if reached else (ending,)
+    moments[-1] = replace(moments[-1], goals=one if reached else none, endings=endings, event=event)
+    return moments

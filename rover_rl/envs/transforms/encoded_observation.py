@@ -1,0 +1,47 @@
+"""``EncodedObservation``: transform that adds the observation as one vector, scaled for networks."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.data import TensorSpec, Unbounded
+from torchrl.envs.transforms import Transform
+
+from rover_rl.envs.encoding import ObservationEncoder
+
+
+class EncodedObservation(Transform):
+    """Adds ``observation``, float32 ``[N, n]``: the features of an encoder, about [-1, 1] each.
+
+    Programs that expect one vector under TorchRL's usual name run with it, and networks learn from it without
+    statistics of the observations.
+
+    Args:
+        encoder: encoder of the observation; ``None``: an encoder of the default entries, which leave out the pose.
+
+    Example:
+        >>> env = make_env(world_n="maze", num_envs=4).append_transform(EncodedObservation())
+        >>> env.rollout(3)["observation"].shape
+        torch.Size([4, 3, 41])
+    """
+
+    KEY = "observation"
+    """Name of the vector."""
+
+    def __init__(self, encoder: ObservationEncoder | None = None) -> None:
+        super().__init__()
+        self.encoder = encoder or ObservationEncoder()
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        with torch.no_grad():
+            features = self.encoder(*(next_tensordict.get(key) for key in self.encoder.keys))
+        return next_tensordict.set(self.KEY, features)
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return self._call(tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
+        """Adds ``observation``."""
+        shape = (*observation_spec.shape, self.encoder.features)
+        observation_spec[self.KEY] = Unbounded(shape=shape, dtype=torch.float32, device=observation_spec.device)
+        return observation_spec

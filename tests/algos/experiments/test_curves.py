@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from matplotlib.image import imread
+
+from rover_rl import World
+from rover_rl.algos.config import training_config
+from rover_rl.algos.evaluation.episodes import EpisodeSet
+from rover_rl.algos.evaluation.evaluate import Evaluation
+from rover_rl.algos.evaluation.metrics import Trajectory
+from rover_rl.algos.experiments.curves import COMPARED, draw_learning_curve
+from rover_rl.sims.worlds import Terrain
+from tests.algos.experiments.records import write_run
+
+
+def texts(path: Path) -> str:
+    """The text of an SVG file, which contains each label as a comment."""
+    assert path.suffix == ".svg"
+    return path.read_text()
+
+
+def scripted() -> Evaluation:
+    """An evaluation of one episode."""
+    world = World("field", Terrain.flat((12.0, 12.0)))
+    episodes = EpisodeSet("field", world, 0, torch.zeros(1, 3), torch.ones(1, 2), torch.ones(1))
+    none = torch.zeros(1, dtype=torch.bool)
+    driven = Trajectory(torch.zeros(2, 3), torch.zeros(2, 3), none, none, "goal")
+    return Evaluation("scripted", episodes, 1, 60.0, [driven])
+
+
+def test_a_learning_curve_does_not_depend_on_the_number_of_rows(tmp_path: Path) -> None:
+    pictures = []
+    for parts in (1, 50):
+        run = write_run(tmp_path / str(parts), training_config("ppo", world="moon"), parts=parts)
+        draw_learning_curve([run], run / "curve.png")
+        pictures.append(imread(run / "curve.png"))
+    assert pictures[0][..., :3].std() > 0.05
+    np.testing.assert_allclose(*pictures, atol=0.01)
+
+
+def test_runs_of_an_algorithm_in_a_world_are_one_curve(tmp_path: Path) -> None:
+    runs = [
+        write_run(tmp_path / f"{algo}-{world}-{seed}", training_config(algo, world=world, seed=seed), rows=20 + seed)
+        for algo, world, seed in itertools.product(("ppo", "sac"), ("maze", "moon"), range(2))
+    ]
+    draw_learning_curve([*runs[:4], runs[4]], tmp_path / "curve.svg", panels=COMPARED)
+    text = texts(tmp_path / "curve.svg")
+    assert "<!-- PPO in maze: 2 runs of 83,968 steps in 2.0 min -->" in text
+    assert "<!-- PPO in moon: 2 runs of 83,968 steps in 2.0 min -->" in text
+    assert "<!-- sac-maze-0 (SAC in maze): 81,920 steps in 2.0 min -->" in text
+    assert text.count("<!-- training time (min) -->") == 2
+    assert text.count("<!-- lines: interquartile mean of the runs; areas: its 95 % interval -->") == 1
+
+
+def test_a_baseline_is_drawn_in_its_world(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", training_config("ppo", world="field"))
+    draw_learning_curve([run], tmp_path / "without.svg")
+    draw_learning_curve([run], tmp_path / "with.svg", scripted())
+    assert "scripted policy" in texts(tmp_path / "with.svg")
+    assert "policy" not in texts(tmp_path / "without.svg")
+    elsewhere = write_run(tmp_path / "elsewhere", training_config("ppo", world="moon"))
+    draw_learning_curve([elsewhere], tmp_path / "elsewhere.svg", scripted())
+    assert "policy" not in texts(tmp_path / "elsewhere.svg")
+
+
+def test_runs_that_cannot_be_drawn_raise(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="at least one run"):
+        draw_learning_curve([], tmp_path / "curve.png")
+    with pytest.raises(FileNotFoundError, match="no settings"):
+        draw_learning_curve([tmp_path], tmp_path / "curve.png")
+    with pytest.raises(ValueError, match="no rows yet"):
+        draw_learning_curve([write_run(tmp_path / "run", training_config("ppo"), rows=0)], tmp_path / "curve.png")
+    assert not (tmp_path / "curve.png").exists()

@@ -1,0 +1,156 @@
+"""Policies from files of Stable-Baselines3 act as in Stable-Baselines3, and reading them executes nothing."""
+
+from __future__ import annotations
+
+import base64
+import json
+import pickle
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+pytest.importorskip("stable_baselines3")
+
+import stable_baselines3 as sb3
+
+from rover_rl import RoverEnv
+from rover_rl.algos.evaluation.episodes import draw_episodes
+from rover_rl.algos.evaluation.evaluate import evaluate
+from rover_rl.algos.policy.sb3_policy import SB3Policy
+from rover_rl.cli.policies import resolve_policy
+from rover_rl.envs.sb3 import SB3VecEnv
+
+ON_POLICY = {"n_steps": 4}
+OFF_POLICY = {"learning_starts": 4, "buffer_size": 100, "batch_size": 8}
+CASES = {
+    "PPO": (sb3.PPO, {**ON_POLICY, "batch_size": 8, "n_epochs": 2}, {"net_arch": [8], "activation_fn": torch.nn.ELU}),
+    "PPO-vector": (sb3.PPO, {**ON_POLICY, "batch_size": 8, "n_epochs": 1}, {"net_arch": {"pi": [8, 4], "vf": [4]}}),
+    "A2C-sde": (sb3.A2C, {**ON_POLICY, "use_sde": True}, None),
+    "SAC": (sb3.SAC, OFF_POLICY, {"net_arch": [8, 8]}),
+    "SAC-vector": (sb3.SAC, {**OFF_POLICY, "use_sde": True}, {"net_arch": {"pi": [8], "qf": [4]}}),
+    "TD3": (sb3.TD3, OFF_POLICY, {"net_arch": [8]}),
+}
+
+
+def make(lidar_points: int = 12, **options) -> SB3VecEnv:
+    return SB3VecEnv(RoverEnv(world_n="maze", num_envs=2, lidar_points=lidar_points, seed=0), **options)
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory):
+    """A function that trains for a few steps and saves the model. Each model is made once."""
+    folder, models = tmp_path_factory.mktemp("sb3"), {}
+
+    def save(case: str):
+        if case not in models:
+            algorithm, settings, policy = CASES[case]
+            vector = case.endswith("vector")
+            envs = make(scale_observations=vector)
+            name = "MlpPolicy" if vector else "MultiInputPolicy"
+            model = algorithm(name, envs, policy_kwargs=policy, device="cpu", seed=0, **settings)
+            model.learn(16)
+            model.save(folder / case)
+            models[case] = folder / f"{case}.zip", model, envs
+        return models[case]
+
+    return save
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_it_acts_as_in_stable_baselines3(saved, case) -> None:
+    path, model, envs = saved(case)
+    policy = resolve_policy(str(path), ()).module
+    assert policy.made_for.lidar.points == 12
+    env = RoverEnv(world_n="maze", num_envs=2, lidar_points=12, seed=5)
+    envs.seed(5)
+    observation, now = envs.reset(), env.reset()
+    for _ in range(4):
+        expected, _ = model.predict(observation, deterministic=True)
+        action = policy(now)["action"]
+        np.testing.assert_allclose(action.numpy(), expected, rtol=0, atol=1e-6)
+        observation, now = envs.step(expected)[0], env.step(now.set("action", torch.from_numpy(expected)))["next"]
+
+
+def test_it_is_evaluated_beside_others_also_in_other_processes(saved) -> None:
+    path, *_ = saved("PPO")
+    policy = pickle.loads(pickle.dumps(SB3Policy(path)))
+    evaluation = evaluate(policy, draw_episodes("maze", 2, seed=1), seconds=1.0, rows=2)
+    assert evaluation.env.lidar.points == 12
+    assert len(evaluation.trajectories) == 2
+
+
+def changed(path: Path, out: Path, change) -> Path:
+    """Copies a file with other contents."""
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(out, "w") as new:
+        for name in old.namelist():
+            new.writestr(name, change(name, old.read(name)))
+    return out
+
+
+class Bomb:
+    def __reduce__(self):
+        return open, ("executed", "w")
+
+
+def test_nothing_in_the_file_is_executed(saved, tmp_path, monkeypatch) -> None:
+    path, *_ = saved("PPO")
+    monkeypatch.chdir(tmp_path)
+    bomb = base64.b64encode(pickle.dumps(Bomb())).decode()
+
+    def in_data(name: str, content: bytes) -> bytes:
+        if name != "data":
+            return content
+        settings = json.loads(content)
+        for value in settings.values():
+            if isinstance(value, dict) and ":serialized:" in value:
+                value[":serialized:"] = bomb
+        return json.dumps(settings).encode()
+
+    SB3Policy(changed(path, tmp_path / "data.zip", in_data))
+    weights = tmp_path / "weights.pth"
+    torch.save({"log_std": Bomb()}, weights)
+    bad = changed(path, tmp_path / "weights.zip", lambda n, c: weights.read_bytes() if n == "policy.pth" else c)
+    with pytest.raises(ValueError, match="is damaged, or no policy of Stable-Baselines3"):
+        SB3Policy(bad)
+    assert not (tmp_path / "executed").exists()
+
+
+def in_settings(**changes):
+    def change(name: str, content: bytes) -> bytes:
+        return json.dumps({**json.loads(content), **changes}).encode() if name == "data" else content
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"policy_class": {"__module__": "sb3_contrib.common.recurrent.policies"}},
+            "recurrent.policies; PPO, A2C, SAC, TD3 and TQC without memory are supported",
+        ),
+        (
+            {"policy_kwargs": {"features_extractor_class": "<class 'a.B'>"}},
+            "a policy with features_extractor_class cannot be",
+        ),
+        ({"policy_kwargs": {"activation_fn": "<class 'a.B'>"}}, "activation_fn must be one of PyTorch's"),
+        ({"policy_kwargs": {"net_arch": [5]}}, r"the weights do not fit net_arch=\[5\]"),
+        ({"observation_space": {"_shape": [4]}}, "other observations than those of rover_rl"),
+        ({"action_space": {"low": "[0.]", "high": "[1.]"}}, "other actions than those of rover_rl"),
+    ],
+)
+def test_other_policies_are_refused(saved, tmp_path, changes, message) -> None:
+    path, *_ = saved("PPO")
+    with pytest.raises(ValueError, match=message):
+        SB3Policy(changed(path, tmp_path / "other.zip", in_settings(**changes)))
+
+
+def test_other_files_are_refused(tmp_path) -> None:
+    with pytest.raises(FileNotFoundError, match="no policy at"):
+        SB3Policy(tmp_path / "none.zip")
+    (tmp_path / "text.zip").write_text("text")
+    with pytest.raises(ValueError, match="is damaged, or no policy of Stable-Baselines3"):
+        SB3Policy(tmp_path / "text.zip")

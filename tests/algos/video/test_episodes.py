@@ -1,0 +1,185 @@
+"""Films of episodes of an evaluation, of failures and of logs."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from PIL import Image
+
+from rover_rl import World
+from rover_rl.algos.deploy.drive_log import DriveLog
+from rover_rl.algos.evaluation.episodes import stored_episodes
+from rover_rl.algos.evaluation.evaluate import environment_for, evaluate
+from rover_rl.algos.evaluation.report import write_evaluation
+from rover_rl.algos.evaluation.results import Evaluation
+from rover_rl.algos.evaluation.stored import read_evaluation
+from rover_rl.algos.policy.baselines import ScriptedPolicy
+from rover_rl.algos.video.drive_log import recording_of_log
+from rover_rl.algos.video.film import film_to_goal
+from rover_rl.algos.video.recording import record_episodes
+from rover_rl.cli.film import Film
+from rover_rl.cli.main import main
+from rover_rl.envs import EnvConfig, Randomization, RoverEnv
+from rover_rl.sims.worlds import Terrain, box
+
+SMALL = {"width": 64, "height": 48, "fps": 2}
+SECONDS = 5.0
+
+
+def evaluated(folder: Path, env: EnvConfig | None = None) -> Evaluation:
+    """Drives ten episodes in the maze and writes the results to a folder."""
+    evaluation = evaluate(
+        ScriptedPolicy(), stored_episodes("maze").first(10), name="scripted", seconds=SECONDS, rows=8, env=env
+    )
+    write_evaluation(folder / "evaluation.json", [evaluation])
+    return evaluation
+
+
+@pytest.mark.parametrize("randomized", [False, True])
+def test_an_episode_is_driven_as_in_the_evaluation(randomized: bool, tmp_path: Path) -> None:
+    env = replace(environment_for(None, None), randomization=Randomization(range_noise=0.05)) if randomized else None
+    before = evaluated(tmp_path, env)
+    stored = read_evaluation(tmp_path, "scripted")
+    assert stored.endings == before.endings
+    assert {"goal", "time limit"} <= set(stored.endings)
+    for episode in (0, 9):
+        episodes = stored.to_drive(episode)
+        _, (drive,) = record_episodes(
+            ScriptedPolicy(),
+            episodes,
+            seconds=stored.seconds,
+            action_repeat=stored.action_repeat,
+            env=stored.env,
+            wanted=[episode - episodes.offset],
+        )
+        positions = torch.cat([moment.rover.position for moment in drive.moments])
+        assert torch.equal(positions, before.trajectories[episode].position)
+        assert drive.ending == before.endings[episode]
+        assert round(drive.seconds, 3) == stored.durations[episode]
+        assert drive.moments[-1].event[0] == {"goal": "goal reached"}.get(drive.ending, drive.ending)
+
+
+def test_the_command_films_an_episode_or_those_that_failed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = evaluated(tmp_path)
+    failed = [episode for episode, ending in enumerate(before.endings) if ending != "goal"]
+    ending, seconds = before.endings[3], before.trajectories[3].seconds
+    out = tmp_path / "film.gif"
+    assert Film("scripted", out=out, episode=3, evaluation=tmp_path, view="top", **SMALL)() == 0
+    ended = "goal reached" if ending == "goal" else ending
+    told = capsys.readouterr().out
+    assert told == f"Film: {out}: episode 3 of scripted's evaluation in maze, {ended} after {seconds:.1f} s\n"
+    with Image.open(out) as picture:
+        # The last picture is shown for a second.
+        assert sum(_durations(picture)) == pytest.approx(1000 * (round(2 * seconds) / 2 + 1))
+    assert Film("scripted", out=out, failures=True, count=2, evaluation=tmp_path, seconds=1.0, **SMALL)() == 0
+    told = capsys.readouterr().out
+    assert f"{len(failed)} of 10 episodes do not reach their goal\n" in told
+    assert sorted(path.name for path in tmp_path.glob("film-*.gif")) == sorted(f"film-{one}.gif" for one in failed[:2])
+    assert f"Not filmed: {failed[2]} ({before.endings[failed[2]]})" in told
+    assert len(failed) < 10
+
+
+def _durations(picture: Image.Image) -> list[float]:
+    """Duration of each frame, ms. Equal frames are stored as one."""
+    durations = []
+    for frame in range(picture.n_frames):  # type: ignore[attr-defined]
+        picture.seek(frame)
+        durations.append(picture.info["duration"])
+    return durations
+
+
+def test_an_episode_that_was_not_evaluated_is_one_of_its_world(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "film.gif"
+    assert Film("scripted", out=out, episode=7, world="maze", seconds=0.5, **SMALL)() == 0
+    assert f"Film: {out}: episode 7 of the episodes for maze in maze, " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("film scripted --failures --out x.gif", "no evaluation of scripted to take failures from"),
+        ("film scripted --failures --episode 1 --out x.gif", "give --episode or --failures, not both"),
+        ("film scripted --episode 1 --rovers 2 --out x.gif", "--rovers belongs to films without --episode"),
+        ("film scripted --episode 300 --world maze:10000-10003 --out x.gif", "episode must be between 0 and 15"),
+        ("film scripted --episode 10 --evaluation . --out x.gif", "episode must be between 0 and 9, got 10"),
+        ("film random --episode 1 --evaluation . --out x.gif", "has no evaluation of random; it has scripted"),
+        ("film scripted --episode 1 --evaluation x.json --out x.gif", "x.json: No such file"),
+        ("film scripted --episode 1 --evaluation other.json --out x.gif", "other.json is no evaluation of rover-rl evaluate"),
+        ("film none.jsonl --out x.gif", "none.jsonl: No such file"),
+    ],
+)
+def test_a_wrong_request_is_one_sentence(
+    given: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if "--evaluation ." in given:
+        entry = {"policy": "scripted", "mode": "one goal", "backend": "bullet", "world": "maze", "seed": 0}
+        episode = {"start": [0, 0, 0], "goal": [1, 1], "shortest": 2, "ending": "goal", "seconds": 1}
+        rest = {"action_repeat": 1, "time_limit": 60, "env": None, "episodes": [episode] * 10}
+        (tmp_path / "evaluation.json").write_text(json.dumps([entry | rest]))
+    (tmp_path / "other.json").write_text("{\"mode\": 1}")
+    assert main(given.split()) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "x.gif").exists()
+
+
+def test_the_film_shows_a_drive_that_reaches_its_goal(tmp_path: Path) -> None:
+    # None of the shortest paths takes less than two seconds, and some take less than six.
+    reaches = film_to_goal(ScriptedPolicy(), tmp_path / "film.gif", world="moon", seconds=6.0, width=64, height=48)
+    assert reaches.ending == "goal"
+    last = reaches.moments[-1]
+    assert (last.rover.position[0, :2] - last.goal[0]).norm() < 0.5
+    assert (last.goals.item(), last.event[0]) == (1, "goal reached")
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """Log of two drives past a wall, in a world that cannot be loaded."""
+    world = World("wall", Terrain.flat((12.0, 12.0)), [box((2.0, 0.0, 0.5), (0.4, 4.0, 1.0))])
+    path = tmp_path / "drive.jsonl"
+    env = RoverEnv(world_n=world, seed=0)
+    with DriveLog(path, "my_lab", "scripted", 60.0) as written:
+        for goal in ((1.0, 3.0), (-1.0, 3.0)):
+            td = env.reset(start=torch.tensor([[0.0, 0.0, 0.5]]), goal=torch.tensor([goal]))
+            written.begin(env.rover_state, goal)
+            for _ in range(12):
+                td = env.step(td.set("action", torch.tensor([[1.0, 0.0]])))["next"]
+                written.add(env.rover_state, td["outcome"], (1.0, 0.0), 0.01)
+            written.end("obstacle too near")
+    env.close()
+    return path
+
+
+def test_a_drive_of_a_log_is_filmed_with_its_readings(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    drive = recording_of_log(log)
+    assert (drive.episode, drive.ending, len(drive.moments)) == (1, "obstacle too near", 13)
+    assert drive.world.name == "none"
+    first, last = (drive.moments[step].rover for step in (0, -1))
+    assert first.linear_velocity == 0
+    assert 0.5 < last.linear_velocity.item() < 1.1
+    beams = first.ranges[0].isfinite()
+    assert 10 < beams.sum() < len(beams)
+    hits = (first.ranges[0] * (drive.ray_angles + 0.5).cos() + 0.174 * math.cos(0.5))[beams]
+    torch.testing.assert_close(hits, torch.full_like(hits, 1.8), atol=0.05, rtol=0)
+    assert recording_of_log(log, 0, "maze").world.name == "maze"
+    out = log.with_name("log.gif")
+    assert Film(str(log), out=out, episode=0, **SMALL)() == 0
+    told = capsys.readouterr().out
+    assert told == f"Film: {out}: episode 0 of {log}, obstacle too near after 0.6 s\n"
+    assert main(["play", str(log), "--no-show"]) == 0
+    assert f"Film: {log.with_suffix('.gif')}: obstacle too near after 0.6 s\n" in capsys.readouterr().out
+    assert main(["film", str(log), "--episode", "2", "--out", "x.gif"]) == 2
+    assert "has 2 drives: --episode must be at most 1, got 2" in capsys.readouterr().err
+
+
+def test_a_log_without_readings_is_filmed_too(log: Path) -> None:
+    lines = [json.loads(line) for line in log.read_text().splitlines() if line]
+    log.write_text("\n".join(json.dumps({key: line[key] for key in line if key != "ranges"}) for line in lines))
+    assert Film(str(log), out=log.with_name("log.gif"), **SMALL)() == 0
