@@ -17,7 +17,7 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.sharedctypes import SynchronizedArray
 from typing import TypeVar
 
-from rover_rl.algos.config import usable_cores
+from rover_rl.algos.workers import usable_cores
 from rover_rl.progress import ProgressDisplay, redirected_progress
 
 Item = TypeVar("Item")
