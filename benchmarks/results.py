@@ -140,7 +140,7 @@ def _steps_to_enough(folder: Path, episodes: EpisodeSet, drive: Callable[..., Ev
         snapshot = Checkpoint.load(path)
         rows = [row for row, steps in enumerate(progress["steps"]) if before < steps <= snapshot.steps]
         before = snapshot.steps
-        ended, reached = (sum(progress[key][row] for row in rows) for key in ("episodes", "episodes_reached"))
+        ended, reached = (sum(progress[key][row] for row in rows) for key in ("attempts", "attempts_reached"))
         if reached >= ended / 2 and drive(snapshot.make_actor(), episodes).success_rate >= SUCCESS_THRESHOLD:
             return snapshot.steps
     return None

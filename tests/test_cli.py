@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +80,7 @@ def test_help_shows_common_options_first_then_groups(capsys: pytest.CaptureFixtu
     assert options[:4] == ["--world", "--algo", "--max-minutes", "--total-steps"]
     assert len(options) == len({*options})
     for expected in (
-        "(default: 64)",
+        "(default: 512)",
         "Number of steps to train for",
         "Gains of the heading PID",
         "Usage: rover-rl train",
@@ -329,6 +330,9 @@ def test_train_go_on_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path:
 
     assert main(["train", "--resume", str(folder), "--total-steps", "128"]) == 0
     assert "after 128 steps" in capsys.readouterr().out
+    message = failed(capsys, "train", "--resume", folder, "--world", "moon")
+    assert f"{folder} is trained with world='maze'" in message
+    assert f"use --from {folder}" in message
 
     out = tmp_path / "results"
     options = ["--count", "2", "--seconds", "1"]
@@ -367,16 +371,53 @@ def test_settings_come_from_a_file_and_options_go_first(capsys: pytest.CaptureFi
 
 
 def test_settings_can_be_those_of_a_pretrained_policy(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    given = ["--config", "pretrained:moon-ppo", "--world", "maze", "--max-minutes", "1e-6"]
+    given = ["--config", "pretrained:anywhere", "--world", "maze", "--max-minutes", "1e-6"]
+    given += ["--curriculum", "none", "--collector", "process"]
     assert main(["train", *given, "--runs", str(tmp_path), *SIZE]) == 0
-    config, pretrained = read_config(tmp_path / "ppo-maze" / "config.yaml"), load_pretrained("moon-ppo").config
+    config, pretrained = read_config(tmp_path / "ppo-maze" / "config.yaml"), load_pretrained("anywhere").config
     assert (config.env.world, config.env.backend) == ("maze", "warp")
     # A setting that is neither given nor a default.
     assert isinstance(config.algorithm, PPOConfig)
     assert isinstance(pretrained.algorithm, PPOConfig)
     assert config.algorithm.minibatch == pretrained.algorithm.minibatch != PPOConfig().minibatch
+    assert config.run.started_from is None
     capsys.readouterr()
     assert "no pretrained policy 'mars-ppo'" in failed(capsys, "train", "--config", "pretrained:mars-ppo")
+
+
+def test_a_policy_is_trained_further_in_another_world(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    given = ["--from", "pretrained:moon-ppo", "--world", "maze", "--total-steps", "64", "--num-envs", "4"]
+    assert main(["train", *given, "--rollout-length", "4", "--runs", str(tmp_path), "--name", "run"]) == 0
+    config, source = read_config(tmp_path / "run" / "config.yaml"), load_pretrained("moon-ppo").config
+    assert (config.run.started_from, config.env.world, config.network) == (
+        "pretrained:moon-ppo",
+        "maze",
+        source.network,
+    )
+    assert config.algorithm.learning_rate < source.algorithm.learning_rate
+    assert (config.run.total_steps, config.run.max_minutes) == (64, None)
+    capsys.readouterr()
+    given = ["train", "--from", tmp_path / "run", "--runs", tmp_path / "more"]
+    assert "hidden=(128, 128) of the policy" in failed(capsys, *given, "--hidden", "8")
+    assert "the policy was made for lidar points 32" in failed(capsys, *given, "--lidar.points", "16")
+    assert "give one of them" in failed(capsys, *given, "--resume", tmp_path / "run")
+    assert "no checkpoint at" in failed(capsys, "train", "--from", tmp_path / "nothing")
+    assert not (tmp_path / "more").exists()
+
+
+def test_a_reward_without_goals_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "rewards.py").write_text(
+        "from rover_rl import RewardComponent\n\n\nclass TiltPenalty(RewardComponent):\n    name = 'tilt'\n\n"
+        "    def value(self, outcome, observation):\n"
+        "        return -0.1 * observation['imu'][:, :2].abs().sum(-1, keepdim=True)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    given = ["train", "--world", "maze", "--runs", str(tmp_path), *SIZE, "--reward"]
+    with pytest.warns(UserWarning, match=r"no component of reward='rewards:TiltPenalty' pays for a goal"):
+        assert main([*given, "rewards:TiltPenalty"]) == 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        assert main([*given, "contract", "rewards:TiltPenalty"]) == 0
 
 
 def written(folder: Path, text: str) -> Path:

@@ -24,6 +24,7 @@ import tyro
 
 from rover_rl.algos.config import training_config
 from rover_rl.algos.config_files import write_config
+from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.cli.main import commands as all_commands
 from rover_rl.cli.main import main
 from rover_rl.cli.options import read_command
@@ -171,6 +172,7 @@ def commands(*start: str, mentioned: bool = True, scripted: bool = True) -> list
 def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The current folder, with the run that the pages resume and repeat."""
     write_config(tmp_path / "runs/ppo-moon/config.yaml", training_config("ppo", world="moon"))
+    load_pretrained("moon-ppo").save(tmp_path / "runs/ppo-moon/checkpoint.pt")
     monkeypatch.chdir(tmp_path)
 
 

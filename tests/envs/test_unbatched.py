@@ -11,7 +11,7 @@ from torchrl.envs import Compose, InitTracker, RewardSum, StepCounter, Transform
 from torchrl.envs.utils import check_env_specs
 
 from rover_rl import GymVectorWrapper, GymWrapper, RewardComponent, RoverEnv, contract_reward, make_env
-from rover_rl.algos.train.env import GoalCounter
+from rover_rl.algos.train.attempts import AttemptCounter, SpreadEnds
 from rover_rl.envs import Randomization
 from rover_rl.envs.config import ActionConfig
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
@@ -121,10 +121,11 @@ def test_it_takes_the_transforms_of_the_package(nested):
         bare = env.base_env
         transforms = [
             ActionRepeat(4),
-            GoalCounter(),
             PathReward(bare, 1.0),
             RewardSum(),
             StepCounter(),
+            ends := SpreadEnds(50),
+            AttemptCounter(ends, 4, 200),
             InitTracker(),
             StepClock(bare.simulator),
         ]

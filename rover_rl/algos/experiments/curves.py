@@ -131,7 +131,7 @@ def _curves(experiments: Sequence[Experiment]) -> list[_Curve]:
 
 def _finish(ax: Axes, measure: Measure, against: Against, end: float) -> None:
     if measure == "success":
-        ax.set(ylabel="success rate (episodes with a goal)", ylim=(0, 1.02))
+        ax.set(ylabel="success rate (attempts at a goal)", ylim=(0, 1.02))
         ax.yaxis.set_major_formatter(PercentFormatter(1.0))
     else:
         ax.set(ylabel="goals per 2,000 steps", ylim=(0, max(1, ax.get_ylim()[1])))

@@ -28,7 +28,7 @@ from rover_rl.algos.train.progress import EPISODE_STEPS, read_progress
 Against: TypeAlias = Literal["steps", "minutes"]
 """Quantity that the progress of a run is measured against: environment steps of all rovers, or minutes of training."""
 Measure: TypeAlias = Literal["success", "goals"]
-"""Measure of a training run: success rate (episodes with a goal), or goals per 2,000 steps."""
+"""Measure of a training run: success rate (attempts to reach a goal), or goals per 2,000 steps."""
 PROGRESS = "progress.csv"
 EVALUATION = "evaluation.json"
 WINDOW = 1 / 12
@@ -67,7 +67,7 @@ class Run:
         if not columns:
             raise ValueError(f"{folder / PROGRESS} holds no rows yet")
         full_episodes = np.diff(columns["steps"], prepend=0) / EPISODE_STEPS
-        success = columns["episodes_reached"], columns["episodes"]
+        success = columns["attempts_reached"], columns["attempts"]
         goals = columns["goals_per_2000_steps"] * full_episodes, full_episodes
         x = {"steps": columns["steps"], "minutes": columns["minutes"]}
         return cls(folder, config, x, {"success": success, "goals": goals})

@@ -3,7 +3,7 @@
 Example:
     >>> config = fine_tuning_config("pretrained:moon-ppo", world="maze", max_minutes=5)
     >>> config.run.started_from, config.algorithm.minibatch, config.env.world
-    ('pretrained:moon-ppo', 1024, 'maze')
+    ('pretrained:moon-ppo', 512, 'maze')
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ random generator; with a fixed number of gradient steps per epoch it skips every
 logs are means over the last epoch only.
 
 Example:
-    >>> summary = train_ppo(PPOConfig(max_minutes=5))
+    >>> summary = train_ppo(training_config("ppo", max_minutes=5))
     >>> summary.checkpoint
     PosixPath('runs/ppo-moon/checkpoint.pt')
 """

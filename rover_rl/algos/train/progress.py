@@ -32,9 +32,9 @@ _RECENT_STEPS = 80_000
 class BatchStatistics:
     """Computes statistics of consecutive batches of decisions.
 
-    The success rate of training, ``attempts_reached / attempts``, estimates that of an evaluation: each attempt to reach
-    a goal succeeds or fails (:class:`~rover_rl.algos.train.attempts.AttemptCounter`). It is measured with exploration
-    and with the decisions of training.
+    The success rate of training, ``attempts_reached / attempts``, estimates that of an evaluation: each attempt to
+    reach a goal succeeds or fails (:class:`~rover_rl.algos.train.attempts.AttemptCounter`). It is measured with
+    exploration and with the decisions of training.
 
     Args:
         repeat: number of steps per decision. A decision in which the episode ends counts in full, so that the number

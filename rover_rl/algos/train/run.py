@@ -9,6 +9,7 @@ from __future__ import annotations
 import secrets
 import signal
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +34,7 @@ from rover_rl.algos.train.run_folder import STATE, default_name, load_state, new
 from rover_rl.algos.train.trackers import Trackers, check_trackers
 from rover_rl.algos.workers import default_workers
 from rover_rl.envs.devices import available_device
+from rover_rl.envs.goal_pay import pays_for_goals
 from rover_rl.envs.rewards import reward_components
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import World
@@ -338,7 +340,12 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
             f"curriculum chooses among the worlds of a range, as in 'maze:*', or of a WorldPool, got {env.world!r}"
         )
     get_robot(env.robot)
-    reward_components(env.reward, env.contract_reward)
+    if not pays_for_goals(reward_components(env.reward, env.contract_reward), env):
+        warnings.warn(
+            f"no component of reward={env.reward!r} pays for a goal, so that the policy need not learn to reach one; "
+            "add it to the contract's, which does: --reward contract ..., or reward=[*contract_reward(), ...]",
+            stacklevel=3,
+        )
     available_device(config.device)
     if env.seed is None:
         config = with_settings(config, seed=secrets.randbits(31))

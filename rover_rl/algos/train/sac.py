@@ -13,7 +13,7 @@ is killed between its two renames leaves no checkpoint. ``init_random_frames`` c
 in the collector. For stopping and resuming see :mod:`rover_rl.algos.train.ppo`.
 
 Example:
-    >>> summary = train_sac(SACConfig(max_minutes=10))
+    >>> summary = train_sac(training_config("sac", max_minutes=10))
     >>> summary.checkpoint
     PosixPath('runs/sac-moon/checkpoint.pt')
 """

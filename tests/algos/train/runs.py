@@ -17,6 +17,7 @@ from rover_rl.sims.worlds import Terrain, World, box
 PPO = training_config(
     "ppo",
     world="maze",
+    backend="bullet",
     total_steps=256,
     num_envs=4,
     workers=1,
@@ -29,6 +30,7 @@ PPO = training_config(
 SAC = training_config(
     "sac",
     world="maze",
+    backend="bullet",
     total_steps=256,
     num_envs=4,
     workers=1,

@@ -17,18 +17,20 @@ def test_what_happened_in_a_batch_is_counted() -> None:
     statistics = BatchStatistics(repeat=4, steps=100)
     done = torch.tensor([[False, True, False], [True, False, True]])[..., None]
     sums = torch.tensor([[0.0, 200.0, 0.0], [0.0, 0.0, 100.0]])[..., None]
-    goals = torch.tensor([[0, 2, 0], [0, 0, 1]])[..., None]
     outcome = {
         "goals": torch.tensor([[1, 1, 0], [0, 0, 1]])[..., None],
         "steps": torch.tensor([[4, 8, 4], [40, 4, 6]])[..., None],
     }
-    after = {"outcome": outcome, "done": done, "episode_reward": sums - 3, "episode_goals": goals}
+    attempts = {"reached": outcome["goals"], "failed": torch.tensor([[0, 0, 0], [1, 0, 0]])[..., None]}
+    after = {"outcome": outcome, "done": done, "episode_reward": sums - 3, "attempts": attempts}
     row = statistics(TensorDict({"next": after}, batch_size=(2, 3)))
     assert row == {
         "steps": 124,
         "goals_per_2000_steps": 3 * 2000 / 24,
         "episodes": 3,
-        "episodes_reached": 2,
+        "attempts": 4,
+        "attempts_reached": 3,
+        "success_rate": 0.75,
         "episode_steps": 18,
         "episode_return": 97,
     }
@@ -39,7 +41,13 @@ def test_what_happened_in_a_batch_is_counted() -> None:
     assert math.isnan(row["episode_return"])
 
 
-MEASURED = {"goals_per_2000_steps": 1.5, "episodes": 2, "episodes_reached": 1, "episode_return": math.nan}
+MEASURED = {
+    "goals_per_2000_steps": 1.5,
+    "episodes": 2,
+    "attempts": 2,
+    "attempts_reached": 1,
+    "episode_return": math.nan,
+}
 
 
 def test_rows_are_appended_and_read_back(tmp_path: Path) -> None:

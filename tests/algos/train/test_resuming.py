@@ -16,6 +16,7 @@ import pytest
 import torch
 
 from rover_rl.algos.config import TrainingConfig, with_settings
+from rover_rl.algos.config_files import read_config, read_sessions
 from rover_rl.algos.evaluation.evaluate import draw_episodes, evaluate
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.train import train
@@ -83,8 +84,29 @@ def test_a_full_replay_buffer_continues_at_the_same_place(trained: Trained) -> N
 
 def test_a_state_of_other_settings_raises(own_run: OwnRun, tmp_path: Path) -> None:
     folder = own_run(PPO)
-    with pytest.raises(ValueError, match="training state does not fit its settings"):
-        train(with_settings(PPO, runs=str(tmp_path), hidden=(8,)), folder)
+    written = (folder / "config.yaml").read_text()
+    with pytest.raises(ValueError, match=r"trained with world='maze', hidden=\[16\], and a run that"):
+        train(with_settings(PPO, runs=str(tmp_path), hidden=(8,), world="moon"), folder)
+    assert (folder / "config.yaml").read_text() == written
+
+
+def test_the_record_lists_sessions_with_other_settings_once_they_have_trained(
+    own_run: OwnRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = own_run(PPO)
+    path = folder / "config.yaml"
+    written = path.read_text()
+    # Its budget is used: nothing is trained with the new learning rate.
+    train(with_settings(PPO, runs=str(tmp_path), learning_rate=1e-5), folder)
+    assert path.read_text() == written
+    longer = with_settings(PPO, runs=str(tmp_path), learning_rate=1e-5, total_steps=320)
+    assert train(longer, folder).steps == 320
+    assert read_config(path) == longer
+    expected = [{"from_step": 256, "changed": {"learning_rate": 1e-5, "total_steps": 320}}]
+    assert read_sessions(path) == expected
+    assert "continues after 256 steps with" in capsys.readouterr().out
+    train(with_settings(longer, total_steps=384), folder)
+    assert [session["from_step"] for session in read_sessions(path)] == [256, 320]
 
 
 def test_a_run_killed_before_its_first_checkpoint_starts_over(

@@ -23,8 +23,9 @@ from rover_rl import RoverEnv
 from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.policy.distributions import BoundedTanhNormal
 from rover_rl.algos.policy.recurrent import GRU, MemoryPrimer, memory_transforms, state_keys
+from rover_rl.algos.train.attempts import SpreadEnds
 from rover_rl.algos.train.collectors import collect
-from rover_rl.algos.train.env import SpreadEnds, make_training_env
+from rover_rl.algos.train.env import make_training_env
 from rover_rl.algos.train.run import prepare
 from tests.algos.train import memories
 from tests.algos.train.runs import FIELD, LEARNABLE, LEARNERS, SAC
