@@ -66,6 +66,7 @@ GROUPS: dict[str, dict[str, str]] = {
     },
 }
 """Options of the groups in the help of each command, by title. The first group that names an option has it."""
+GROUPS["sweep"] = GROUPS["train"] | {COMMON: f"vary trials episodes {GROUPS['train'][COMMON]}"}
 
 
 def print_help(commands: dict[str, Any], name: str, console: Console) -> None:

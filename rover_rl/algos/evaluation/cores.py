@@ -18,8 +18,8 @@ from multiprocessing.process import BaseProcess
 from multiprocessing.sharedctypes import SynchronizedArray
 from typing import TypeVar
 
-from rover_rl.algos.config import usable_cores
 from rover_rl.algos.evaluation.by_value import PickledLater, dumps, loads
+from rover_rl.algos.workers import usable_cores
 from rover_rl.progress import ProgressDisplay, redirected_progress
 
 Item = TypeVar("Item")
