@@ -518,6 +518,21 @@ def test_robot_and_drive_take_the_description_of_an_environment(
     assert "there is no setting sped" in failed(capsys, "robot", "--env", written(tmp_path, "sped: 3"))
 
 
+def test_drive_refuses_other_worlds_for_a_policy_that_knows_one_map_and_goals_outside_of_it(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    for folder, north_up in (("knows", True), ("free", False)):
+        config = training_config("ppo", world="maze:3", hidden=(8,), north_up=north_up, mirror_augmentation=False)
+        actor = make_actor(hidden=(8,), north_up=north_up).state_dict()
+        (tmp_path / folder).mkdir()
+        Checkpoint(config=config, steps=0, actor=actor).save(tmp_path / folder / "checkpoint.pt")
+    elsewhere = ["--world", "moon", "--goal", "1", "1", "--goal", "99", "0"]
+    known, outside = "recognizes the places of maze:3, where it was trained, and --world is moon", "the goal 99 0 is"
+    assert known in failed(capsys, "drive", tmp_path / "knows", *elsewhere)
+    assert outside in failed(capsys, "drive", tmp_path / "knows", *elsewhere, "--allow-other-world")
+    assert outside in failed(capsys, "drive", tmp_path / "free", *elsewhere)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
