@@ -15,7 +15,7 @@ import rover_rl
 from rover_rl.algos.config import PPOConfig, SACConfig, training_config
 from rover_rl.algos.config_files import read_config
 from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.algos.policy.networks import make_actor
+from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.algos.video.film import film
 from rover_rl.cli import main
@@ -523,7 +523,7 @@ def test_drive_refuses_other_worlds_for_a_policy_that_knows_one_map_and_goals_ou
 ) -> None:
     for folder, north_up in (("knows", True), ("free", False)):
         config = training_config("ppo", world="maze:3", hidden=(8,), north_up=north_up, mirror_augmentation=False)
-        actor = make_actor(hidden=(8,), north_up=north_up).state_dict()
+        actor = make_actor(ObservationEncoder(north_up=north_up), hidden=(8,)).state_dict()
         (tmp_path / folder).mkdir()
         Checkpoint(config=config, steps=0, actor=actor).save(tmp_path / folder / "checkpoint.pt")
     elsewhere = ["--world", "moon", "--goal", "1", "1", "--goal", "99", "0"]

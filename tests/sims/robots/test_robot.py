@@ -68,7 +68,7 @@ def test_each_side_must_have_separate_wheels(wheels):
         ({"radius": 0.2}, r"^radius of robot 'rover_zero' is 0.2 m, and its body and wheels reach 0.267 m .* 0.349 m"),
         (
             {"lidar_position": (0.6, 0.0, 0.3)},
-            r"is at x = 0.6, y = 0 m, 0.336 m outside of its body and outside of its",
+            r"is at x = 0.6, y = 0 m, 0.337 m outside of its body and outside of its",
         ),
         ({"lidar_position": (0.1, 0.0, -0.1)}, r"^the lidar of robot 'rover_zero' is at z = -0.1 m; it must be above"),
         (
