@@ -111,7 +111,7 @@ def test_an_episode_that_was_not_evaluated_is_one_of_its_world(
         ("film scripted --episode 10 --evaluation . --out x.gif", "episode must be between 0 and 9, got 10"),
         ("film random --episode 1 --evaluation . --out x.gif", "has no evaluation of random; it has scripted"),
         ("film scripted --episode 1 --evaluation x.json --out x.gif", "x.json: No such file"),
-        ("film scripted --episode 1 --evaluation other.json --out x.gif", "other.json is no evaluation of rover-rl evaluate"),
+        ("film scripted --episode 1 --evaluation other.json --out x.gif", "other.json is no evaluation"),
         ("film none.jsonl --out x.gif", "none.jsonl: No such file"),
     ],
 )
@@ -124,7 +124,7 @@ def test_a_wrong_request_is_one_sentence(
         episode = {"start": [0, 0, 0], "goal": [1, 1], "shortest": 2, "ending": "goal", "seconds": 1}
         rest = {"action_repeat": 1, "time_limit": 60, "env": None, "episodes": [episode] * 10}
         (tmp_path / "evaluation.json").write_text(json.dumps([entry | rest]))
-    (tmp_path / "other.json").write_text("{\"mode\": 1}")
+    (tmp_path / "other.json").write_text('{"mode": 1}')
     assert main(given.split()) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "x.gif").exists()
