@@ -111,10 +111,7 @@ def test_an_episode_that_was_not_evaluated_is_one_of_its_world(
         ("film scripted --episode 10 --evaluation . --out x.gif", "episode must be between 0 and 9, got 10"),
         ("film random --episode 1 --evaluation . --out x.gif", "has no evaluation of random; it has scripted"),
         ("film scripted --episode 1 --evaluation x.json --out x.gif", "x.json: No such file"),
-        (
-            "film scripted --episode 1 --evaluation other.json --out x.gif",
-            "other.json is no evaluation of rover-rl evaluate",
-        ),
+        ("film scripted --episode 1 --evaluation other.json --out x.gif", "other.json is no evaluation"),
         ("film none.jsonl --out x.gif", "none.jsonl: No such file"),
     ],
 )
