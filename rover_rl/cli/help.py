@@ -32,7 +32,8 @@ def _names(*kinds: type) -> str:
 _ENVIRONMENT = "env robot backend physics"
 GROUPS: dict[str, dict[str, str]] = {
     "train": {
-        COMMON: "world algo max-minutes total-steps seed name backend num-envs robot reward randomize config from resume",
+        COMMON: "world algo max-minutes total-steps seed name backend num-envs robot reward randomize "
+        "config from resume",
         "Environment": _names(EnvConfig),
         "Network": _names(NetworkConfig),
         "Data collection": _names(CollectionConfig),
