@@ -38,7 +38,7 @@ GROUPS: dict[str, dict[str, str]] = {
         "Network": _names(NetworkConfig),
         "Data collection": _names(CollectionConfig),
         "Algorithm": _names(*ALGORITHMS.values()),
-        "Run": _names(RunConfig),
+        "Run": _names(RunConfig).replace("started-from", "from"),
     },
     "evaluate": {COMMON: "world count seed seconds backend workers out", "Environment": _ENVIRONMENT},
     "benchmark barn": {COMMON: "data worlds", "Environment": _ENVIRONMENT},
