@@ -32,12 +32,13 @@ def _names(*kinds: type) -> str:
 _ENVIRONMENT = "env robot backend physics"
 GROUPS: dict[str, dict[str, str]] = {
     "train": {
-        COMMON: "world algo max-minutes total-steps seed name backend num-envs robot reward randomize config from resume",
+        COMMON: "world algo max-minutes total-steps seed name backend num-envs robot reward randomize "
+        "config from resume",
         "Environment": _names(EnvConfig),
         "Network": _names(NetworkConfig),
         "Data collection": _names(CollectionConfig),
         "Algorithm": _names(*ALGORITHMS.values()),
-        "Run": _names(RunConfig),
+        "Run": _names(RunConfig).replace("started-from", "from"),
     },
     "evaluate": {COMMON: "world count seed seconds backend workers out", "Environment": _ENVIRONMENT},
     "benchmark barn": {COMMON: "data worlds", "Environment": _ENVIRONMENT},

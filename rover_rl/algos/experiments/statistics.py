@@ -32,7 +32,7 @@ def interquartile_mean(strata: Sequence[np.ndarray]) -> Estimate:
         strata: values of the runs in each world, ``[runs]`` each.
 
     Example:
-        >>> interquartile_mean([np.array([0.1, 0.8, 0.9, 0.9])]).value
+        >>> round(interquartile_mean([np.array([0.1, 0.8, 0.9, 0.9])]).value, 3)
         0.85
     """
     low, high = interval(strata)
