@@ -261,7 +261,12 @@ def test_train_go_on_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path:
     out = tmp_path / "results"
     options = ["--count", "2", "--seconds", "1"]
     assert main(["evaluate", str(folder), "scripted", *options, "--out", str(out)]) == 0
-    assert {file.name for file in out.iterdir()} == {"evaluation.csv", "evaluation.json", "paths.png"}
+    assert {file.name for file in out.iterdir()} == {
+        "evaluation.csv",
+        "evaluation.json",
+        "evaluation-summary.csv",
+        "paths.png",
+    }
     assert "scripted" in capsys.readouterr().out
 
 

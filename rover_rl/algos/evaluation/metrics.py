@@ -66,7 +66,9 @@ class Metric:
     unit: str = ""
 
 
-CONTACT_MEANING = "A contact: the body within 1 cm of an obstacle. What is lower than the wheel hubs, such as rubble, counts as ground."
+CONTACT_MEANING = (
+    "A contact: the body within 1 cm of an obstacle. What is lower than the wheel hubs, such as rubble, is ground."
+)
 """Addition to a legend with one of :data:`CONTACT_METRICS`."""
 CONTACT_METRICS = ("contact_free_success_rate", "body_contacts", "body_contact_share")
 """Metrics that count contacts of the body."""

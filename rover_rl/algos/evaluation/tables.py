@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from textwrap import wrap
 
 from rich.box import SIMPLE_HEAD
 from rich.cells import cell_len
@@ -14,7 +15,10 @@ from rich.text import Text
 
 _LABEL = 16
 """Width to which the names of the rows are folded if a table is too wide."""
-_DIM = "dim"
+_GAPS = (2, 1)
+"""Spaces between columns: the first number with which a table fits."""
+_INDENT = "  "
+"""Indentation of what is below a name."""
 
 
 @dataclass(frozen=True)
@@ -54,25 +58,28 @@ def print_columns(
     """
     console.print()
     console.print(Text(title, "italic"))
-    gap = 2
-    for gap in (2, 1):
-        label = min(_longest(names), console.width - sum(gap + column.width for column in columns))
-        if label >= _LABEL or label >= _longest(names):
+    names = [[name, *(_INDENT + line for line in below)] for name, *below in names]
+    longest = max((cell_len(line) for lines in names for line in lines), default=0)
+    for gap in _GAPS:
+        label = min(longest, console.width - sum(gap + column.width for column in columns))
+        if label >= min(longest, _LABEL):
             break
     else:
-        label = _LABEL
-    folded = [[fold(line, label) for line in lines] for lines in names]
-    label = max(cell_len(part) for lines in [[corner.split()], *folded] for line in lines for part in line)
+        label, gap = min(longest, _LABEL), max(_GAPS)
+    folded = [[part for line in lines for part in fold(line, label)] for lines in names]
+    label = max(cell_len(part) for part in (corner, *(part for lines in folded for part in lines)))
     for several in _packed(columns, console.width - label, gap):
-        table = Table(box=SIMPLE_HEAD, padding=0, show_edge=False, pad_edge=False)
-        table.add_column("\n".join(corner.split()), no_wrap=True, min_width=label)
+        table = Table(box=SIMPLE_HEAD, padding=(0, 0, 0, gap - 1), show_edge=False, pad_edge=False)
+        table.add_column(corner, no_wrap=True, min_width=label, vertical="top")
         for column in several:
-            heading = "\n".join((*column.heading.split(), column.unit))
+            heading = "\n".join((*wrap(column.heading, column.width), column.unit))
             justify = "left" if column.left else "right"
-            table.add_column(Text(heading), justify=justify, no_wrap=True, min_width=column.width + gap - 1)
-        for row, (name, *below) in enumerate(folded):
-            first = Text("\n".join(name)).append("".join(f"\n{part}" for line in below for part in line), _DIM)
-            table.add_row(first, *(_text(column.cells[row]) for column in several))
+            table.add_column(Text(heading), justify=justify, no_wrap=True, min_width=column.width)
+        for row, (lines, (name, *_)) in enumerate(zip(folded, names, strict=True)):
+            table.add_row(
+                _text(lines, bright=len(fold(name, label))),
+                *(_text(column.cells[row].split("\n"), bright=1) for column in several),
+            )
         table.width = label + sum(gap + column.width for column in several)
         console.print(table, crop=False, highlight=False)
 
@@ -84,16 +91,13 @@ def fold(name: str, width: int) -> list[str]:
         >>> fold("my-long-run-name-with-seed-12", 16)
         ['my-long-run-', 'name-with-', 'seed-12']
     """
-    lines = [""]
-    for part in re.findall(r"[^-_/:, ]*[-_/:, ]*", name):
-        if lines[-1] and cell_len(lines[-1] + part.rstrip()) > width:
-            lines.append("")
+    indent = name[: len(name) - len(name.lstrip())]
+    lines = [indent]
+    for part in re.findall(r"[^-_/:, ]*[-_/:, ]*", name.lstrip()):
+        if lines[-1].strip() and cell_len(lines[-1] + part.rstrip()) > width:
+            lines.append(indent)
         lines[-1] += part
     return [line.rstrip() for line in lines]
-
-
-def _longest(names: Sequence[Sequence[str]]) -> int:
-    return max((cell_len(line) for lines in names for line in lines), default=0)
 
 
 def _packed(columns: Sequence[Column], width: int, gap: int) -> list[list[Column]]:
@@ -107,6 +111,6 @@ def _packed(columns: Sequence[Column], width: int, gap: int) -> list[list[Column
     return groups
 
 
-def _text(cell: str) -> Text:
-    first, *below = cell.split("\n")
-    return Text(first).append("".join(f"\n{line}" for line in below), _DIM)
+def _text(lines: Sequence[str], bright: int) -> Text:
+    """Lines of a cell, dim except for the first ``bright`` ones."""
+    return Text("\n").join(Text(line, "dim" if number >= bright else "") for number, line in enumerate(lines))

@@ -330,6 +330,18 @@ def test_results_and_pictures(driven: Evaluation, tmp_path: Path) -> None:
 
     with (tmp_path / "evaluation.csv").open() as file:
         rows = list(csv.DictReader(file))
+    assert [(row["policy"], row["mode"], row["episode"]) for row in rows] == [
+        *(("straight", "one goal", str(number)) for number in range(3)),
+        *(("random", "one goal", str(number)) for number in range(3)),
+        *(("policy", "endless", str(number)) for number in range(2)),
+    ]
+    for row, episode in zip(rows, written[0]["episodes"], strict=False):
+        assert [float(row[key]) for key in ("start_x", "start_y", "start_yaw")] == episode["start"]
+        assert (float(row["goal_x"]), float(row["seconds"])) == (episode["goal"][0], episode["seconds"])
+        assert (row["ending"], row["success"], row["contacts"]) == (episode["ending"], "True", "0")
+
+    with (tmp_path / "evaluation-summary.csv").open() as file:
+        rows = list(csv.DictReader(file))
     assert [row["policy"] for row in rows] == ["straight", "random", "policy"]
     for row, entry in zip(rows, written, strict=True):
         for key, estimate in entry["metrics"].items():
@@ -348,14 +360,15 @@ def test_the_table_has_a_row_a_policy_and_one_for_all_seeds(driven: Evaluation) 
     text = printed.getvalue()
     assert "nan" not in text
     assert text.count("3 episodes in field: one goal within 60 s") == 1
-    row = next(line for line in text.splitlines() if line.startswith(" straight"))
+    row = next(line for line in text.splitlines() if line.startswith("straight"))
     assert "100.0" in row
     assert f"{driven.metrics['spl'].value:.2f}" in row
     assert "44–100" in text
     assert "both of them" in text
     assert "± 0.0" in text
     assert "jammed" not in text
-    assert "VORT:" in text
+    assert "VORT" not in text
+    assert "success: episodes that reach their goal" in text
 
 
 # --- the command
@@ -397,7 +410,7 @@ def test_the_command_drives_in_several_worlds(tmp_path: Path) -> None:
         ("scripted", "maze", 5),
         ("scripted", "maze:7", 5),
     ]
-    names = {"evaluation.json", "evaluation.csv", "paths-maze.png", "paths-maze-7.png"}
+    names = {"evaluation.json", "evaluation.csv", "evaluation-summary.csv", "paths-maze.png", "paths-maze-7.png"}
     assert {file.name for file in tmp_path.iterdir()} == names
 
 
