@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+import warnings
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -20,7 +21,7 @@ from rover_rl.envs.control import HeadingController
 from rover_rl.envs.devices import available_device
 from rover_rl.envs.inputs import checked_action, checked_place
 from rover_rl.envs.navigation import Navigation
-from rover_rl.envs.observation import Observer, observation_bounds
+from rover_rl.envs.observation import Observer, clipped_pose, observation_bounds
 from rover_rl.envs.perception import Perception, StepState
 from rover_rl.envs.placement import Placement
 from rover_rl.envs.privileged import PrivilegedObservation
@@ -133,6 +134,9 @@ class RoverEnv(EnvBase):
         self.robot = get_robot(config.robot)
         first_keys = episode_keys(row_keys(seed, num_envs, self._tensor_device), 1)
         self._row_worlds = RowWorlds(config.world, first_keys)
+        for world in dict.fromkeys(self._row_worlds.worlds):
+            for sentence in clipped_pose(world):
+                warnings.warn(sentence, stacklevel=2)
         self.lidar = LidarPooling(config.lidar.beams, config.lidar.points, config.lidar.max_range, self._tensor_device)
         self._make_simulator = partial(
             make_simulator,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -174,3 +175,15 @@ def test_rovers_stand_still_and_clear_of_obstacles_after_a_reset(world):
         assert not td["done"].any()
         assert not td["outcome", "collision"].any()
     assert (td["pose"] - before).norm(dim=-1).max() < 0.02
+
+
+def test_a_world_in_which_pose_is_clipped_is_told():
+    far = World("far", Terrain.flat((90, 20)), spawn_range=((-3, 3), (-3, 3)))
+    with pytest.warns(
+        UserWarning, match="'far' reaches 45 m from the origin, and .* clipped at 30 m"
+    ):
+        RoverEnv(world_n=far).close()
+    near = World("near", far.terrain, spawn_range=far.spawn_range, bounds=((-30, 30), (-10, 10)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        RoverEnv(world_n=near).close()

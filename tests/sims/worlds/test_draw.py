@@ -22,9 +22,11 @@ def test_draw_world_saves_an_image(name, tmp_path):
     assert name in ax.get_title()
     labels = [text.get_text() for text in ax.get_legend().get_texts()]
     assert [label.split(" (")[0] for label in labels] == [
+        "free: starts, goals",
+        "free: only driven over",
+        "free, but out of reach",
         "obstacle",
-        "free",
-        "spawn area",
+        "start area",
         "goal area",
         "bounds",
     ]

@@ -9,8 +9,10 @@ import pytest
 import torch
 
 from rover_rl.cli.main import main
+from rover_rl.progress import redirected_progress
 from rover_rl.sims.worlds import Actor, Terrain, World, box, cylinder, get_world
 from tests.extras import needs_worlds
+from tests.sims.worlds.files.test_areas import building, rectangle
 from tests.sims.worlds.files.test_maps import write_map
 
 ACTOR = Actor("walker", (0.0, 2.5), ((0.0,) * 6, (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)), False, 1.0, False)
@@ -99,3 +101,32 @@ def test_errors_are_one_line_with_exit_code_2(tmp_path: Path, capsys: pytest.Cap
         assert error.count("\n") == 1
     assert main(["evaluate", "scripted", "--world", str(tmp_path / "bad.sdf")]) == 2
     assert "is not valid XML" in capsys.readouterr().err
+
+
+@needs_worlds
+def test_messages_name_options_as_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plane = "<collision name='c'><geometry><plane><size>9 9</size></plane></geometry></collision>"
+    model = f"<model name='m'><static>1</static><link name='l'>{plane}</link></model>"
+    path = tmp_path / "cave.sdf"
+    path.write_text(
+        f"<sdf version='1.9'><world name='w'>{model}<include><uri>model://bat</uri></include></world></sdf>"
+    )
+    command = ["worlds", "import", str(path), "--out", str(tmp_path / "cave.world.npz")]
+    assert main(command) == 2
+    assert "with --model-paths, download them, or leave them out with --missing skip" in capsys.readouterr().err
+    assert main(["evaluate", "scripted", "--world", str(path)]) == 2
+    assert "leave them out with rover-rl worlds import --missing skip" in capsys.readouterr().err
+    assert main([*command, "--missing", "skip"]) == 0
+    assert "left out, as --missing skip says: model://bat is not found" in capsys.readouterr().out
+    with pytest.raises(ValueError, match='with model_paths, download them, or leave them out with missing="skip"'):
+        World.from_file(path)
+    assert main([*command, "--missing", "skip", "--spawn", "1", "2", "3"]) == 2
+    assert "--spawn takes 2 numbers" in capsys.readouterr().err
+
+
+@needs_worlds
+def test_an_import_shows_its_progress(tmp_path: Path) -> None:
+    shares: list[float] = []
+    with redirected_progress(shares.append):
+        building(tmp_path, *rectangle(0, 0, 8, 6))
+    assert shares == [0.0, 0.25, 0.5, 0.75]

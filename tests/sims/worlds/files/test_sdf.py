@@ -320,3 +320,47 @@ def test_merged_includes_share_their_frames(tmp_path):
         + link(POST, "0 2 0 0 0 0", "own", "relative_to='inner'")
     )
     assert inside(world_of(tmp_path, body), (3.0, 2.0, 1.0)) == [True]
+
+
+@pytest.mark.parametrize("uri", ["model://gone/meshes/post.stl", "file:///home/other/ws/src/pkg/meshes/post.stl"])
+@pytest.mark.parametrize("place", ["beside", "option"])
+def test_meshes_are_found_by_their_name(tmp_path, uri, place):
+    home, elsewhere = tmp_path / "worlds", tmp_path / "elsewhere"
+    folder = (home if place == "beside" else elsewhere) / "package" / "meshes"
+    folder.mkdir(parents=True)
+    home.mkdir(exist_ok=True)
+    trimesh.creation.box((0.2, 0.2, 4)).export(folder / "post.stl")
+    # A file of the same name whose folders are other ones is not taken.
+    (folder.parent / "old").mkdir()
+    trimesh.creation.box((2, 2, 4)).export(folder.parent / "old" / "post.stl")
+    world = world_of(home, model(link(f"<mesh><uri>{uri}</uri></mesh>")), model_paths=[str(elsewhere)])
+    assert inside(world, (0.0, 0.0, 1.0), (0.5, 0.5, 1.0)) == [True, False]
+    assert any(f"{uri} is taken from" in note for note in world.notes)
+
+
+def test_models_are_found_by_their_name(tmp_path):
+    included(tmp_path / "deep" / "down", model(link(POST)))
+    world = world_of(tmp_path, "<include><uri>file:///opt/other/models/post</uri></include>")
+    assert inside(world, (0.0, 0.0, 1.0)) == [True]
+
+
+def test_a_world_called_default_has_the_name_of_its_file(tmp_path):
+    (tmp_path / "yard.sdf").write_text(
+        f"<sdf version='1.9'><world name='default'>{PLANE.format(size='9 9')}</world></sdf>"
+    )
+    assert World.from_file(tmp_path / "yard.sdf").name == "yard"
+
+
+def test_movers_that_stand_still_are_told(tmp_path):
+    plugins = (
+        "<plugin filename='gz-sim-velocity-control-system' name='gz::sim::systems::VelocityControl'/>"
+        "<plugin filename='libcamera.so' name='camera'/>"
+    )
+    body = model(link(POST), "cart", plugins) + model(link(POST, "3 0 0 0 0 0"), "crate")
+    body += "<actor name='walker'><script/></actor>"
+    with pytest.warns(UserWarning, match="stand still"):
+        world = world_of(tmp_path, body)
+    told = " ".join(world.notes)
+    assert "models that plugins move in Gazebo stand still: cart (VelocityControl)" in told
+    assert "actors do not move, and sensors do not see them: walker" in told
+    assert "crate" not in told
