@@ -19,7 +19,8 @@ import numpy as np
 from rover_rl import World
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import environment_for, evaluate
-from rover_rl.algos.policy.names import find_policy
+from rover_rl.algos.policy.names import make_baseline
+from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds.draw import draw_map, draw_world
 
@@ -60,11 +61,11 @@ plt.show()
 # -------
 # Both policies get the same starts and goals, in the simulator Warp.
 
-EPISODES = 8
+EPISODES = 6
 episodes = draw_episodes(world, EPISODES, min_path=4.0)
 results = []
-for name in ("pretrained:anywhere", "gridplanner"):
-    policy = find_policy(name)
+policies = {"anywhere": load_pretrained("anywhere").make_actor(), "gridplanner": make_baseline("gridplanner")}
+for name, policy in policies.items():
     env = replace(environment_for(policy, None), backend="warp")
     results.append(evaluate(policy, episodes, name=name, env=env))
 

@@ -8,6 +8,7 @@ scratch, looks at it, and compares how it and the package's rover turn and drive
 
 from __future__ import annotations
 
+import math
 import tempfile
 from pathlib import Path
 
@@ -84,17 +85,33 @@ scout = Robot(
 # %%
 # How it drives
 # -------------
-# Both robots turn towards 90 degrees to the left and drive at full speed. ``env.base_env`` is the ``RoverEnv``.
+# Both robots drive ahead, with the heading held 30 degrees to the left of the current one. The package's rover turns more
+# slowly: it slips, and its drive assumes a track of 0.24 m, as that of the original environment does.
 
-STEPS = 100  # of 0.05 s
-figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained", width_ratios=(1, 1.25))
+STEPS = 60  # of 0.05 s
+START, GOAL = torch.tensor([[0.0, 0.0, 0.0]]), torch.tensor([[3.5, 3.5]])
+figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.4), layout="constrained", width_ratios=(1, 1.2))
 for robot in (scout, get_robot("rover_zero")):
-    env = make_env(world_n="inspect", robot=robot, num_envs=1, seed=0, backend="warp")
-    env.reset(start=torch.tensor([[-2.0, -2.0, 0.0]]), goal=torch.tensor([[3.0, 3.0]]))
+    env = make_env(world_n="ramps@0", robot=robot, num_envs=1, seed=0, backend="warp")
+    env.reset(start=START, goal=GOAL)
     if robot is scout:
         right.imshow(env.base_env.render(view="chase", width=640, height=480).numpy())
-    yaws, action = [], torch.tensor([[1.0, 0.0]])
-    for _ in range(STEPS):
-        yaw = env.base_env.rover_state.yaw if hasattr(env.base_env.rover_state, "yaw") else None
-        yaws.append(yaw)
+        right.set_axis_off()
+    turn = torch.tensor([[1.0, math.radians(30)]])
+    state = env.reset(start=START, goal=GOAL)
+    drive = env.rollout(STEPS, lambda td: td.set("action", turn), auto_reset=False, tensordict=state)
+    path = drive["pose"][0, :, :2]
+    yaw_rate = torch.diff(drive["imu"][0, :, 2]).remainder(2 * math.pi).median().item() / env.base_env.control_dt
+    print(f"{robot.name}: {drive['velocities'][0, -1, 0]:.2f} m/s, turns at {math.degrees(yaw_rate):.0f} degrees per second")
+    left.plot(*path.T, ".-", label=robot.name)
     env.close()
+left.set(title="paths of three seconds", xlabel="x (m)", ylabel="y (m)", aspect="equal")
+left.legend()
+plt.show()
+
+# %%
+# In training
+# -----------
+# ``make_env(robot=scout)`` takes the object. On the command line, a module that defines it has a name:
+# ``rover-rl train --world moon --robot my_package:scout``. The checkpoint holds it, and a policy for another robot is
+# refused.

@@ -6,7 +6,7 @@ SAC of Stable-Baselines3 learns on a batch of rovers. All rovers form one ``VecE
 this process. The extra ``sb3`` installs Stable-Baselines3.
 """
 
-# sphinx_gallery_thumbnail_path = 'images/against_sb3.png'
+# sphinx_gallery_thumbnail_path = 'images/generator_moon.png'
 from __future__ import annotations
 
 import numpy as np

@@ -16,7 +16,7 @@ import rover_rl
 from rover_rl.algos.config import PPOConfig, SACConfig, training_config, with_settings
 from rover_rl.algos.config_files import read_config
 from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.algos.policy.networks import make_actor
+from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.algos.video.film import film
 from rover_rl.cli import main
@@ -337,7 +337,12 @@ def test_train_go_on_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path:
     out = tmp_path / "results"
     options = ["--count", "2", "--seconds", "1"]
     assert main(["evaluate", str(folder), "scripted", *options, "--out", str(out)]) == 0
-    assert {file.name for file in out.iterdir()} == {"evaluation.csv", "evaluation.json", "paths.png"}
+    assert {file.name for file in out.iterdir()} == {
+        "evaluation.csv",
+        "evaluation-summary.csv",
+        "evaluation.json",
+        "paths.png",
+    }
     assert "scripted" in capsys.readouterr().out
 
 
@@ -556,6 +561,21 @@ def test_robot_and_drive_take_the_description_of_an_environment(
     message = failed(capsys, *driven, "--env", tmp_path / "forward.yaml")
     assert "the policy was made for actions" in message
     assert "there is no setting sped" in failed(capsys, "robot", "--env", written(tmp_path, "sped: 3"))
+
+
+def test_drive_refuses_other_worlds_for_a_policy_that_knows_one_map_and_goals_outside_of_it(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    for folder, north_up in (("knows", True), ("free", False)):
+        config = training_config("ppo", world="maze:3", hidden=(8,), north_up=north_up, mirror_augmentation=False)
+        actor = make_actor(ObservationEncoder(north_up=north_up), hidden=(8,)).state_dict()
+        (tmp_path / folder).mkdir()
+        Checkpoint(config=config, steps=0, actor=actor).save(tmp_path / folder / "checkpoint.pt")
+    elsewhere = ["--world", "moon", "--goal", "1", "1", "--goal", "99", "0"]
+    known, outside = "recognizes the places of maze:3, where it was trained, and --world is moon", "the goal 99 0 is"
+    assert known in failed(capsys, "drive", tmp_path / "knows", *elsewhere)
+    assert outside in failed(capsys, "drive", tmp_path / "knows", *elsewhere, "--allow-other-world")
+    assert outside in failed(capsys, "drive", tmp_path / "free", *elsewhere)
 
 
 @pytest.mark.parametrize(

@@ -67,6 +67,28 @@ def test_own_world(run):
     assert names["figures"] == 2
 
 
+def test_import_map(run):
+    pytest.importorskip("PIL")
+    output, names = run("import_map.py", EPISODES=1)
+    assert "16 boxes" in output
+    assert "anywhere: 1 of 1 goals" in output
+    assert names["figures"] == 2
+
+
+def test_own_robot(run):
+    output, names = run("own_robot.py", STEPS=20)
+    assert re.search(r"^scout: 1\.00 m/s", output, re.MULTILINE)
+    assert names["figures"] == 1
+
+
+def test_deploy_policy(run):
+    pytest.importorskip("onnxruntime")
+    output, names = run("deploy_policy.py", STEPS=20)
+    assert "state" not in names["names"]
+    assert "m from the goal after 1.0 s" in output
+    assert names["figures"] == 1
+
+
 def test_own_reward(run):
     _, names = run("own_reward.py", STEPS=60)
     assert names["totals"]["tilt"] < 0 < names["totals"]["progress"]

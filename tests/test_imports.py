@@ -16,7 +16,7 @@ MAX_LINES = 500
 VAGUE_NAMES = {"utils.py", "helpers.py", "common.py"}
 
 LAYERS = (
-    ("checks", "files", "plain", "progress", "registry", "tensordicts"),
+    ("checks", "files", "option_names", "plain", "progress", "registry", "tensordicts"),
     (
         "sims.base",
         "sims.connection",
@@ -32,7 +32,7 @@ LAYERS = (
     ("sims.backends",),
     ("sims.__init__",),
     ("envs",),
-    ("algos.archives", "algos.config", "algos.config_files", "algos.flat_config"),
+    ("algos.archives", "algos.config", "algos.config_files", "algos.flat_config", "algos.workers"),
     ("algos.policy", "algos.pretrained"),
     ("algos.train",),
     ("algos.evaluation",),

@@ -11,8 +11,11 @@ ORDER = (
     "gymnasium_drive.py",
     "lidar_scan.py",
     "own_world.py",
+    "import_map.py",
+    "own_robot.py",
     "own_reward.py",
     "evaluate_policies.py",
+    "deploy_policy.py",
     "torchrl_ppo.py",
     "sb3_sac.py",
 )

@@ -8,11 +8,11 @@ Example:
 
 from __future__ import annotations
 
-import os
 import re
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Literal, TypeAlias, get_args
 
+from rover_rl.algos.workers import default_workers
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_ROVERS, check_at_least, check_positive, check_seed
 from rover_rl.envs.config import DEFAULT_PHYSICS, OBSERVATION_KEYS, EnvConfig
 from rover_rl.sims.backends import BackendLike, name_of, resolve_backend
@@ -492,19 +492,3 @@ def part_of(algo: str) -> dict[str, str]:
     """The part that each setting belongs to, by the setting's name."""
     kinds = PARTS | {"algorithm": ALGORITHMS[algo]}
     return {item.name: part for part, kind in kinds.items() for item in fields(kind)}
-
-
-def default_workers(num_envs: int, cores: int | None = None) -> int:
-    """Default number of workers: one per core, or the largest number below that divides ``num_envs``.
-
-    Args:
-        num_envs: number of rovers.
-        cores: number of cores; ``None``: those of this machine that this process may use.
-    """
-    most = max(1, min(usable_cores() if cores is None else cores, num_envs))
-    return next(workers for workers in range(most, 0, -1) if num_envs % workers == 0)
-
-
-def usable_cores() -> int:
-    """Number of cores of this machine that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -21,11 +21,12 @@ from rover_rl.cli.environment import read_env
 from rover_rl.cli.policies import LIVE_POLICY
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2.settings import Command, PoseSource, Ros2Settings, TransportName
+from rover_rl.sims.worlds.names import WorldRange
 
 if TYPE_CHECKING:
     from rover_rl.algos.deploy.driving import Moment
     from rover_rl.cli.policies import ResolvedPolicy
-    from rover_rl.envs import RoverEnv
+    from rover_rl.envs.config import EnvConfig
 
 GOAL_NOT_REACHED = 1
 """Exit code if a goal was not reached."""
@@ -75,6 +76,8 @@ class Drive:
     """Largest yaw acceleration, rad/s^2. Default: that of the robot (Rover Zero: 4)."""
     allow_unseen: bool = False
     """Accept a lidar with a smaller field of view than in training."""
+    allow_other_world: bool = False
+    """Accept a policy that recognizes the places of another world, by the pose or with north_up."""
     pose: PoseSource = "pose_array"
     """Source of the pose: message type of the pose topic, or wheels for the wheel odometry (docs/ros2.md)."""
     pose_topic: str = Ros2Settings.pose_topic
@@ -115,15 +118,17 @@ class Drive:
             from rover_rl.algos.deploy.driving import drive_to
             from rover_rl.algos.evaluation.metrics import RESTARTED
             from rover_rl.algos.policy.runner import PolicyRunner
+            from rover_rl.envs import RoverEnv
             from rover_rl.sims.ros2.watchdog import Watchdog
 
             policy = self._policy()
             assert policy.module is not None
             goals, settings = self._goals(policy.worlds[0]), self._settings()
+            described = self._description(policy, settings)
             watchdog = (
                 None if self.dry_run else stack.enter_context(Watchdog(self.cmd_vel_topic, settings, SENSOR_TIMEOUT))
             )
-            env = self._env(policy, settings)
+            env = RoverEnv(**described.arguments())
             stack.callback(env.close)
             runner = PolicyRunner(policy.module, env=env)
             log = stack.enter_context(DriveLog(self.log, policy.worlds[0], policy.name, self.seconds, env.robot.name))
@@ -186,7 +191,20 @@ class Drive:
             raise ValueError(
                 f"{self.policy} cannot drive a live rover; say which --world it is in, or name a checkpoint"
             )
+        self._check_world(policy)
         return policy
+
+    def _check_world(self, policy: ResolvedPolicy) -> None:
+        """Checks that a policy that has learned one map by heart is in this map."""
+        if policy.config is None or self.allow_other_world:
+            return
+        trained, network = policy.config.env.world_names, policy.config.network
+        reads_place = "pose" in network.observation or network.north_up
+        if reads_place and policy.worlds[0] not in trained and not any(map(WorldRange.parse, trained)):
+            raise ValueError(
+                f"{self.policy} recognizes the places of {', '.join(trained)}, where it was trained, and --world is "
+                f"{policy.worlds[0]}; use another policy, or --allow-other-world"
+            )
 
     def _settings(self) -> Ros2Settings:
         """Returns the settings of the connection to the rover."""
@@ -206,10 +224,14 @@ class Drive:
             step_timeout=SENSOR_TIMEOUT,
         )
 
-    def _env(self, policy: ResolvedPolicy, settings: Ros2Settings) -> RoverEnv:
-        """Makes the environment of the live rover, without a limit on the steps of an episode."""
+    def _description(self, policy: ResolvedPolicy, settings: Ros2Settings) -> EnvConfig:
+        """Describes the environment of the live rover, without a limit on the steps of an episode.
+
+        Raises:
+            ValueError: if the policy was made for another robot, lidar or action.
+        """
         from rover_rl.algos.evaluation.evaluate import environment_for
-        from rover_rl.envs import Randomization, RoverEnv
+        from rover_rl.envs import Randomization
 
         made_for = environment_for(policy.module, None if self.env is None else read_env(self.env))
         described = replace(
@@ -223,13 +245,13 @@ class Drive:
             end_on_goal=True,
             seed=self.seed,
         )
-        return RoverEnv(**environment_for(policy.module, described).arguments())
+        return environment_for(policy.module, described)
 
     def _goals(self, world: str) -> list[tuple[float, float]]:
         """Returns all goals: those of the command line, of the file, and the random ones.
 
         Raises:
-            ValueError: if there is no goal, or the file is malformed.
+            ValueError: if there is no goal, one is outside of the world's bounds, or the file is malformed.
         """
         goals = list(self.goal)
         if self.goals is not None:
@@ -245,6 +267,15 @@ class Drive:
             goals += [(x, y) for x, y in draw_episodes(world, self.random, self.seed).goal.tolist()]
         if not goals or not all(math.isfinite(number) for goal in goals for number in goal):
             raise ValueError(f"{self.goals} must have at least one goal, with finite coordinates")
+        from rover_rl.sims.worlds import get_world
+
+        (left, right), (bottom, top) = get_world(world).bounds
+        for x, y in goals:
+            if not (left <= x <= right and bottom <= y <= top):
+                raise ValueError(
+                    f"the goal {x:g} {y:g} is outside of the bounds of {world}: x from {left:g} to {right:g} m, "
+                    f"y from {bottom:g} to {top:g} m; name the --world that the rover is in"
+                )
         return goals
 
 

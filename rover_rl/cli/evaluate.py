@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class Evaluate:
     """Evaluate policies side by side on fixed start-goal pairs.
 
-    Writes evaluation.json, evaluation.csv and plots of the paths.
+    Writes evaluation.json, evaluation.csv (a row for each episode), evaluation-summary.csv and plots of the paths.
     """
 
     policies: Annotated[
@@ -51,6 +51,9 @@ class Evaluate:
     """Also evaluate in endless mode: 32 episodes of 2,000 steps, as in the original environment."""
     jam: bool = True
     """In endless mode, end an episode after a long collision, as in the contract. The original never does."""
+    columns: tuple[str, ...] = ()
+    """Columns of the table: all, or names of metrics such as spl jerk (docs/evaluation.md).
+    Default: success, clean, SPL, time, touched, and the endings that occur."""
     workers: int | None = None
     """Number of processes. The results do not depend on it. Default: the number of CPU cores."""
     out: Path | None = None
@@ -60,8 +63,9 @@ class Evaluate:
         """Evaluates the policies, and prints a table and the paths of the results."""
         from rover_rl.algos.deploy.drive_log import read_drives
         from rover_rl.algos.evaluation.plots import draw_paths
-        from rover_rl.algos.evaluation.report import print_table, write_evaluation
+        from rover_rl.algos.evaluation.report import check_columns, print_table, write_evaluation
 
+        check_columns(self.columns)
         logs = {Path(word): read_drives(Path(word)) for word in self.policies if word.endswith(LOG)}
         policies = self._policies()
         backends = self._backends(policies)
@@ -82,9 +86,10 @@ class Evaluate:
                 draw_paths(shown, picture)
         finally:
             # Prints the results even if a file could not be written.
-            print_table(results, groups=dict(zip(trained, experiments([*trained.values()]), strict=True)))
+            groups = dict(zip(trained, experiments([*trained.values()]), strict=True))
+            print_table(results, groups=groups, columns=self.columns)
         by_world = ", evaluation-worlds.csv" if any(episodes.several_worlds for episodes in sets.values()) else ""
-        print(f"Results: {out / 'evaluation.json'}, evaluation.csv{by_world}")
+        print(f"Results: {out / 'evaluation.json'}, evaluation.csv (episodes), evaluation-summary.csv{by_world}")
         print("Paths driven: " + ", ".join(str(picture) for picture in pictures))
         return 0
 

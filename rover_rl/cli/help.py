@@ -61,12 +61,13 @@ GROUPS: dict[str, dict[str, str]] = {
     },
     "drive": {
         COMMON: "goal goals random world seconds dry-run log seed",
-        "Safety": "clearance wait max-speed max-yaw-rate max-acceleration max-yaw-acceleration allow-unseen",
-        "What the policy was made for": "env robot",
+        "Safety": "clearance wait max-speed max-yaw-rate max-acceleration max-yaw-acceleration",
+        "What the policy was made for": "env robot allow-unseen allow-other-world",
         "ROS 2": "pose pose-topic odometry-topic scan-topic imu-topic cmd-vel-topic stamped lidar-yaw transport",
     },
 }
 """Options of the groups in the help of each command, by title. The first group that names an option has it."""
+GROUPS["sweep"] = GROUPS["train"] | {COMMON: f"vary trials episodes {GROUPS['train'][COMMON]}"}
 
 
 def print_help(commands: dict[str, Any], name: str, console: Console) -> None:

@@ -22,6 +22,7 @@ from rover_rl.cli.sweep import sweep_defaults
 from rover_rl.cli.train import FAILED, INTERRUPTED, train_defaults
 from rover_rl.cli.worlds import Worlds
 from rover_rl.files import STANDARD_OUTPUT, errors_name
+from rover_rl.option_names import options_of_command
 
 BROKEN_PIPE = 141
 """Exit code when the reader of the output has closed the pipe: 128 + SIGPIPE, as in a shell."""
@@ -69,7 +70,8 @@ def main(args: list[str] | None = None) -> int:
         sys.path.insert(0, os.getcwd())
     try:
         try:
-            return read_command(commands(args), args)()
+            with options_of_command("rover-rl worlds import "):
+                return read_command(commands(args), args)()
         finally:
             _flush()
     except BrokenPipeError:

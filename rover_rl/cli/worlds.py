@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union
 import tyro
 
 from rover_rl.checks import check_seed
+from rover_rl.option_names import options_of_command
 
 if TYPE_CHECKING:
     from rover_rl.sims.worlds import World
 
 Corners: TypeAlias = tuple[float, float, float, float]
+Place: TypeAlias = tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -32,10 +34,11 @@ class ImportWorld:
     """World file to write, whose name ends in .world.npz. Default: FILE's name with this ending, in this folder."""
     name: str | None = None
     """Name of the world. Default: that in the file, else the file's name."""
-    spawn: Corners | None = None
-    """Area in which episodes start: x_low x_high y_low y_high, m. Default: automatic."""
-    goal: Corners | None = None
-    """Area of the goals: x_low x_high y_low y_high, m. Default: the spawn area."""
+    spawn: Place | None = None
+    """Area in which episodes start: x y, a point in a room; x_low x_high y_low y_high, a rectangle; or x y of three or
+    more corners, a polygon, m. Default: automatic."""
+    goal: Place | None = None
+    """Area of the goals, in the same forms. Default: the spawn area."""
     bounds: Corners | None = None
     """Area whose exit ends the episode: x_low x_high y_low y_high, m. Default: automatic."""
     cell: float | None = None
@@ -68,7 +71,7 @@ class ImportWorld:
         from rover_rl.sims.worlds import World
 
         out = self.out or Path(f"{self.file.name.partition('.')[0]}.world.npz")
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), options_of_command(""):
             # The notes of the world say the same.
             warnings.simplefilter("ignore", UserWarning)
             world = World.from_file(self.file, **self._options())
@@ -81,7 +84,7 @@ class ImportWorld:
         areas = {"spawn": "spawn_range", "goal": "goal_range", "bounds": "bounds"}
         own = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in ("file", "out")}
         return {
-            areas.get(name, name): (value[:2], value[2:]) if name in areas and value is not None else value
+            areas.get(name, name): _place(name, value) if name in areas and value is not None else value
             for name, value in own.items()
         }
 
@@ -157,6 +160,14 @@ class Worlds:
         return 0
 
 
+def _place(name: str, numbers: Place) -> Any:
+    """Returns a point, a rectangle or a polygon from the numbers on the command line."""
+    if len(numbers) < 2 or len(numbers) % 2:
+        raise ValueError(f"--{name} takes 2 numbers (a point), 4 (a rectangle) or an even number from 6 (a polygon)")
+    pairs = [*zip(numbers[::2], numbers[1::2], strict=True)]
+    return pairs[0] if len(pairs) == 1 else pairs
+
+
 def _file_name(world: str) -> str:
     """Returns the name of a picture for a world: its name, or the file's without its ending."""
     return Path(world).name.removesuffix(".npz").replace(":", "-")
@@ -164,6 +175,8 @@ def _file_name(world: str) -> str:
 
 def _description(world: World) -> str:
     """Returns lines about a world: its size, and what the importer has to say."""
+    from rover_rl.envs.observation import clipped_pose
+
     terrain = world.terrain
     (x_low, x_high), (y_low, y_high) = world.bounds
     lowest, highest = (float(end) for end in terrain.heights.aminmax())
@@ -172,6 +185,8 @@ def _description(world: World) -> str:
         f"  ground: {lowest:.2f} to {highest:.2f} m high, cell {terrain.cell:.3g} m",
         f"  bounds: x {x_low:.1f} to {x_high:.1f} m, y {y_low:.1f} to {y_high:.1f} m",
     ]
-    for name, ((left, right), (bottom, top)) in (("start", world.spawn_range), ("goal", world.goal_range)):
-        lines.append(f"  {name} area: x {left:.1f} to {right:.1f} m, y {bottom:.1f} to {top:.1f} m")
-    return "\n".join([*lines, *(f"  {note}" for note in world.notes)])
+    areas = (("start", world.spawn_range, world.spawn_region), ("goal", world.goal_range, world.goal_region))
+    for name, ((left, right), (bottom, top)), region in areas:
+        part = f", of which {region.area:.0f} m^2" if region else ""
+        lines.append(f"  {name} area: x {left:.1f} to {right:.1f} m, y {bottom:.1f} to {top:.1f} m{part}")
+    return "\n".join([*lines, *(f"  {note}" for note in (*world.notes, *clipped_pose(world)))])

@@ -12,6 +12,8 @@ from torch import Tensor
 from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.perception import Perception
 from rover_rl.envs.specs import Bounds
+from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds.region import overlap
 
 
 class Entry(NamedTuple):
@@ -38,15 +40,15 @@ def _velocities(sensed: Perception, target: Tensor) -> Tensor:
     return torch.cat((sensed.rover.linear_velocity, sensed.rover.angular_velocity), -1)
 
 
+_POSE = Bounds((-30.0, -30.0, -10.0), (30.0, 30.0, 10.0))
+
 ENTRIES: dict[str, Entry] = {
     "lidar": Entry(
         lambda lidar: Bounds((0.0,) * lidar.points, (lidar.max_range,) * lidar.points),
         lambda sensed, target: sensed.readings,
         clip=False,
     ),
-    "pose": Entry(
-        lambda lidar: Bounds((-30.0, -30.0, -10.0), (30.0, 30.0, 10.0)), lambda sensed, target: sensed.rover.position
-    ),
+    "pose": Entry(lambda lidar: _POSE, lambda sensed, target: sensed.rover.position),
     "imu": Entry(lambda lidar: Bounds((-math.pi,) * 3, (math.pi,) * 3), _imu, clip=False),
     "target": Entry(lambda lidar: Bounds((0.0, -math.pi), (100.0, math.pi)), lambda sensed, target: target),
     "velocities": Entry(lambda lidar: Bounds((-10.0, -10.0), (10.0, 10.0)), _velocities),
@@ -57,6 +59,23 @@ ENTRIES: dict[str, Entry] = {
 def observation_bounds(lidar: LidarConfig) -> dict[str, Bounds]:
     """Bounds of each entry of the observation."""
     return {key: entry.bounds(lidar) for key, entry in ENTRIES.items()}
+
+
+def clipped_pose(world: World) -> list[str]:
+    """Returns a sentence about a world in which ``pose`` is clipped; an empty list for another world.
+
+    ``pose`` is clipped where the rover may drive and is farther from the origin than its bounds.
+    """
+    (x_low, y_low, _), (x_high, y_high, _) = _POSE.low, _POSE.high
+    driven = overlap(world.bounds, world.terrain.extent)
+    if overlap(driven, ((x_low, x_high), (y_low, y_high))) == driven:
+        return []
+    reach = max(abs(end) for axis in driven for end in axis)
+    return [
+        f"pose: {world.name!r} reaches {reach:.0f} m from the origin, and the observation `pose` is clipped at "
+        f"{x_high:.0f} m: set closer bounds, move the world to the origin, or train without `pose` "
+        "(`target` stays exact)"
+    ]
 
 
 class Observer:

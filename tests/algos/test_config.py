@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from rover_rl.algos.config import TrainingConfig, default_workers, training_config, with_settings
+from rover_rl.algos.config import TrainingConfig, training_config, with_settings
+from rover_rl.algos.workers import default_workers
 
 PPO, SAC = training_config("ppo"), training_config("sac")
 

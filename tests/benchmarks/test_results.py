@@ -21,7 +21,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     config = with_settings(
         pretrained.config, world="inspect", backend="bullet", num_envs=4, rollout_length=4, hidden=(8,)
     )
-    for module in ("rover_rl.algos.config", "rover_rl.algos.evaluation.cores"):
+    for module in ("rover_rl.algos.workers", "rover_rl.algos.evaluation.cores"):
         monkeypatch.setattr(f"{module}.usable_cores", lambda: 1)
     monkeypatch.setattr(results, "load_pretrained", lambda name: replace(pretrained, config=config))
     monkeypatch.setattr(results, "evaluate_endless", partial(evaluate_endless, steps=20))

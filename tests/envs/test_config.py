@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
@@ -48,6 +48,7 @@ configs = st.builds(
 )
 
 
+@settings(deadline=None)
 @given(configs)
 def test_a_description_comes_back_from_yaml_and_from_pickle(config: EnvConfig) -> None:
     assert env_from_plain(yaml.safe_load(yaml.safe_dump(plain_env(config))), "text") == config
@@ -97,16 +98,16 @@ def test_the_signature_shows_every_name_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "message"),
+    ("arguments", "message"),
     [
         ({"world": "maze", "world_n": "moon"}, "^make_env: world and world_n set the same: give one of them$"),
         ({"lidar": LidarConfig(), "lidar_points": 16}, "^make_env: lidar and lidar_points set the same: give one of"),
         ({"wrld": "maze"}, "^make_env: got an unexpected keyword argument 'wrld', perhaps 'world'$"),
     ],
 )
-def test_arguments_that_do_not_go_together_are_refused_in_one_sentence(settings: Any, message: str) -> None:
+def test_arguments_that_do_not_go_together_are_refused_in_one_sentence(arguments: Any, message: str) -> None:
     with pytest.raises(TypeError, match=message):
-        make_env(**settings)
+        make_env(**arguments)
 
 
 @pytest.mark.parametrize(

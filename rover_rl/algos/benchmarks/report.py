@@ -7,16 +7,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from rover_rl.algos.benchmarks.suite import JITTER, Result
 from rover_rl.algos.evaluation.metrics import Estimate
 from rover_rl.algos.evaluation.plots import draw_panels
 from rover_rl.algos.evaluation.report import write_rows
 from rover_rl.algos.evaluation.results import plain_env_or_none
+from rover_rl.algos.evaluation.tables import Column, fitting_tables
 from rover_rl.files import write_json
 
 WORST_RUNS = 6
@@ -31,22 +30,18 @@ def print_results(results: Sequence[Result], console: Console | None = None) -> 
         console: console to print to; ``None``: standard output.
     """
     console = console or Console()
-    if not console.is_terminal:
-        console.width = max(console.width, 120)
     suite = results[0].suite
-    table = Table(title=suite.title, box=SIMPLE_HEAD)
-    table.add_column("policy", overflow="fold")
-    for heading, unit in suite.columns.values():
-        table.add_column(f"{heading}\n{unit}", justify="right")
-    for result in results:
-        cells = (_cell(result.metrics[key], unit) for key, (_, unit) in suite.columns.items())
-        table.add_row(escape(result.name), *cells)
-    console.print(table)
+    columns = [
+        Column(heading, unit, [_cell(result.metrics[key], unit) for result in results])
+        for key, (heading, unit) in suite.columns.items()
+    ]
+    for table in fitting_tables(suite.title, [result.name for result in results], columns, console):
+        console.print(table)
     told = dict.fromkeys(line for result in results for line in suite.differences(result.evaluation.env))
     console.print("What differs from the original benchmark:")
     for line in told:
         console.print(f"- {escape(line)}", highlight=False, soft_wrap=True)
-    console.print("Below each value: 95 % confidence interval.", style="dim")
+    console.print("Below a value: 95 % confidence interval.", style="dim")
 
 
 def _cell(estimate: Estimate, unit: str) -> str:
@@ -55,7 +50,7 @@ def _cell(estimate: Estimate, unit: str) -> str:
         return "-"
     factor, digits = (100, 1) if unit == "%" else (1, 1 if unit else 3)
     value, low, high = (f"{factor * number:.{digits}f}" for number in (estimate.value, estimate.low, estimate.high))
-    return value if math.isnan(estimate.low) else f"{value}\n[dim]{low}–{high}[/dim]"
+    return value if math.isnan(estimate.low) else f"{value}\n{low}–{high}"
 
 
 def write_results(path: Path, results: Sequence[Result]) -> None:

@@ -14,10 +14,12 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.process import BaseProcess
 from multiprocessing.sharedctypes import SynchronizedArray
 from typing import TypeVar
 
-from rover_rl.algos.config import usable_cores
+from rover_rl.algos.evaluation.by_value import PickledLater, dumps, loads
+from rover_rl.algos.workers import usable_cores
 from rover_rl.progress import ProgressDisplay, redirected_progress
 
 Item = TypeVar("Item")
@@ -32,7 +34,8 @@ def over_cores(
 ) -> list[Result]:
     """Applies ``work`` to each item, with one process per CPU core, and returns the results in order.
 
-    Displays the progress of all items together. Ctrl-C and errors end all processes.
+    Displays the progress of all items together. Ctrl-C and errors end all processes. Items and results are sent by
+    value (:mod:`~rover_rl.algos.evaluation.by_value`).
 
     Args:
         work: module-level function, or a ``partial`` of one. Its standard output is discarded.
@@ -41,7 +44,7 @@ def over_cores(
         workers: largest number of processes; ``None``: the number of cores. 1 works in this process.
 
     Raises:
-        ChildProcessError: if a process has ended, for example because the memory is full.
+        ChildProcessError: if a process has ended. The message tells its exit code or signal.
     """
     workers = min(usable_cores() if workers is None else workers, len(items))
     with ProgressDisplay(description) as display:
@@ -65,28 +68,43 @@ def _in_processes(
     fractions = context.Array("d", len(items))
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(workers, context, _start_worker, (fractions,))
-    futures: list[Future[Result]] = []
+    futures: list[Future[bytes]] = []
+    processes: set[BaseProcess] = set()
     try:
-        futures += [pool.submit(_apply, work, item, number) for number, item in enumerate(items)]
-        processes = set(multiprocessing.active_children()) - others
+        for number, item in enumerate(items):
+            # Python's type hints do not know that PickledLater arrives as bytes.
+            futures.append(pool.submit(_apply, PickledLater((work, item)), number))  # type: ignore[arg-type]
+        processes |= set(multiprocessing.active_children()) - others
         while True:
             done, pending = wait(futures, _POLL_INTERVAL, FIRST_EXCEPTION)
             failed = next((error for error in map(Future.exception, done) if error), None)
             if failed:
                 raise failed
             if not pending:
-                return [future.result() for future in futures]
+                return [loads(future.result()) for future in futures]
             # The pool may notice the end of a process only after the next result of another one.
             if any(process.exitcode is not None for process in processes):
-                raise BrokenProcessPool
+                raise BrokenProcessPool("it has ended")
             display.update(sum(fractions[:]) / len(items))
     except BrokenProcessPool as error:
-        raise ChildProcessError("a worker process has ended, perhaps because the memory is full") from error
+        raise ChildProcessError(_how_ended(processes, error)) from error
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
         if not all(future.done() for future in futures):
             for process in set(multiprocessing.active_children()) - others:
                 process.terminate()
+
+
+def _how_ended(processes: set[BaseProcess], error: BrokenProcessPool) -> str:
+    """Returns in words how a worker process has ended. The pool then ends the others with SIGTERM."""
+    codes = {process.exitcode for process in processes} - {None, 0, -signal.SIGTERM}
+    if not codes:
+        return f"a worker process has failed: {str(error.__cause__ or error).strip().splitlines()[-1]}"
+    code = codes.pop() or 0
+    if code > 0:
+        return f"a worker process has ended with exit code {code}"
+    reason = ", perhaps because the memory is full" if code == -signal.SIGKILL else ""
+    return f"a worker process has been ended by signal {-code} ({signal.strsignal(-code)}){reason}"
 
 
 def _context() -> multiprocessing.context.BaseContext:
@@ -120,8 +138,9 @@ def _exit_with_parent() -> None:
     os._exit(1)
 
 
-def _apply(work: Callable[[Item], Result], item: Item, number: int) -> Result:
-    """Applies ``work`` to an item in a worker process."""
+def _apply(work_and_item: bytes, number: int) -> bytes:
+    """Applies ``work`` to an item in a worker process. Both, and the result, are pickled by :func:`dumps`."""
+    work, item = loads(work_and_item)
 
     def report(fraction: float) -> None:
         _fractions[number] = fraction
@@ -129,4 +148,4 @@ def _apply(work: Callable[[Item], Result], item: Item, number: int) -> Result:
     with redirected_progress(report):
         result = work(item)
     report(1.0)
-    return result
+    return dumps(result)

@@ -134,9 +134,10 @@ class EpisodeSet:
         return replace(self, **{key: getattr(self, key)[chosen] for key in keys})
 
     def with_used_worlds(self) -> EpisodeSet:
-        """Returns the same episodes with a pool of only the worlds that they are in."""
+        """Returns the same episodes with a pool of only the worlds that they are in, for another process."""
         used, index = self.world_index.unique(return_inverse=True)
-        return replace(self, pool=WorldPool(*map(self.pool.source, used.tolist())), world_index=index)
+        sources = (portable(self.pool.source(number)) for number in used.tolist())
+        return replace(self, pool=WorldPool(*sources), world_index=index)
 
 
 def draw_episodes(

@@ -67,24 +67,28 @@ class Metric:
 
 
 METRICS = {
-    "success_rate": Metric("SR", "episodes that reach their goal", "%"),
-    "contact_free_success_rate": Metric("clean", "episodes that reach their goal without a contact of the body", "%"),
+    "success_rate": Metric("success", "episodes that reach their goal", "%"),
+    "contact_free_success_rate": Metric("clean", "episodes that reach their goal without touching an obstacle", "%"),
     "spl": Metric("SPL", "success weighted by path length"),
-    "mean_time_to_traverse": Metric("MTT", "mean time to a reached goal", "s"),
-    "traverse_rate": Metric("TR", "shortest-path length to reached goals per second of driving", "m/s"),
+    "mean_time_to_traverse": Metric("time", "mean time to a reached goal", "s"),
     "goals_per_episode": Metric("goals", "goals reached per episode"),
-    "seconds_per_goal": Metric("time", "driving time per goal reached", "s"),
-    "episode_seconds": Metric("episode", "mean duration of an episode", "s"),
+    "seconds_per_goal": Metric("per goal", "driving time per goal reached", "s"),
     "ended_early": Metric("early", "episodes that end before the time limit", "%"),
-    "velocity_over_rough_terrain": Metric("VORT", "mean speed on ground with a tilt of 10 degrees or more", "m/s"),
-    "collisions": Metric("TC", "collisions per episode"),
+    "body_contact_share": Metric(
+        "touched", "episodes in which the body touches an obstacle, other than rubble lower than the wheel hubs", "%"
+    ),
+    **{f"ending_{kind.replace(' ', '_')}": Metric(kind, unit="%") for kind in (TIME_LIMIT, *EARLY_ENDINGS)},
+    "traverse_rate": Metric("traverse rate", "shortest-path length to reached goals per second of driving", "m/s"),
+    "episode_seconds": Metric("duration", "mean duration of an episode", "s"),
+    "velocity_over_rough_terrain": Metric(
+        "speed on rough", "mean speed on ground with a tilt of 10 degrees or more", "m/s"
+    ),
+    "collisions": Metric("collisions", "collisions per episode, as the task defines them"),
     "body_contacts": Metric("touches", "contacts of the body with obstacles per episode"),
-    "body_contact_share": Metric("touched", "episodes in which the body touches an obstacle", "%"),
     "turns_per_goal": Metric("turns", "full turns per goal reached"),
     "standstill": Metric("still", "time spent slower than 0.05 m/s", "%"),
     "command_reversals": Metric("reversals", "changes of the commanded turning direction per second", "1/s"),
     "jerk": Metric("jerk", "root mean square jerk of the driven speed", "m/s^3"),
-    **{f"ending_{kind.replace(' ', '_')}": Metric(kind, unit="%") for kind in (TIME_LIMIT, *EARLY_ENDINGS)},
 }
 """All metrics by name, in the order in which tables show them."""
 
@@ -435,20 +439,24 @@ def goal_metrics(
     }
 
 
-def endless_metrics(trajectories: Sequence[Trajectory], world: World, *, robot: Robot) -> dict[str, Estimate]:
+def endless_metrics(
+    trajectories: Sequence[Trajectory], world: World, *, robot: Robot, contacts: Sequence[Tensor] | None = None
+) -> dict[str, Estimate]:
     """Computes the metrics of endless episodes, by name.
 
     Args:
         trajectories: recorded episodes.
         world: world of the episodes.
         robot: robot of the episodes, whose outline gives the body contacts.
+        contacts: flags of :func:`find_body_contacts`, if they have been computed.
     """
+    contacts = find_body_contacts(trajectories, world, robot) if contacts is None else contacts
     return {
         "goals_per_episode": goals_per_episode(trajectories),
         "seconds_per_goal": seconds_per_goal(trajectories),
         "episode_seconds": episode_seconds(trajectories),
         "ended_early": ending_share(trajectories, *EARLY_ENDINGS),
-        **_common_metrics(trajectories, find_body_contacts(trajectories, world, robot)),
+        **_common_metrics(trajectories, contacts),
     }
 
 

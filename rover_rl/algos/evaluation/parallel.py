@@ -7,14 +7,12 @@ Example:
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Any, TypeAlias
 
 from rover_rl.algos.evaluation.cores import over_cores
-from rover_rl.algos.evaluation.episodes import DEFAULT_SEED, EpisodeSet, portable
+from rover_rl.algos.evaluation.episodes import DEFAULT_SEED, EpisodeSet
 from rover_rl.algos.evaluation.evaluate import (
     EndlessEvaluation,
     Evaluation,
@@ -26,7 +24,6 @@ from rover_rl.algos.evaluation.evaluate import (
 )
 from rover_rl.checks import MAX_COUNT, check_at_least
 from rover_rl.sims.worlds import World, get_world
-from rover_rl.sims.worlds.pool import WorldPool
 
 EPISODES_PER_PART = 32
 """Number of episodes that one process evaluates at a time. It does not depend on the number of cores, so that the
@@ -71,9 +68,9 @@ class GoalRequest:
         return BATCHED_PER_PART if batched else EPISODES_PER_PART
 
     def run(self) -> Evaluation:
-        """Evaluates the policy in this process."""
+        """Evaluates the policy in this process. The result has no episodes: :meth:`merge` adds them."""
         rows = self.count if self.episodes.several_worlds else ROWS
-        return evaluate(self.policy, self.episodes, rows=rows, **self.options)
+        return replace(evaluate(self.policy, self.episodes, rows=rows, **self.options), episodes=None)  # type: ignore[arg-type]
 
     def merge(self, parts: Sequence[Any]) -> Evaluation:
         """Joins the results of :meth:`parts`."""
@@ -147,11 +144,12 @@ def evaluate_all(requests: Sequence[Request], workers: int | None = None) -> lis
     if sum(request.count for request in requests) < SMALL or any(_on_gpu(request.options) for request in requests):
         workers = 1
     parts = [request.parts() for request in requests]
-    tasks: list[_Task] = [(part, None) for several in parts for part in several]
-    if workers != 1:
-        tasks = [_with_pickled_worlds(request) for request, _ in tasks]
-    results = iter(over_cores(_run, tasks, "evaluating", workers))
+    results = iter(over_cores(_run, [part for several in parts for part in several], "evaluating", workers))
     return [request.merge([next(results) for _ in several]) for request, several in zip(requests, parts, strict=True)]
+
+
+def _run(request: Request) -> Evaluation | EndlessEvaluation:
+    return request.run()
 
 
 def _check(request: Request) -> None:
@@ -167,45 +165,3 @@ def _check(request: Request) -> None:
 def _on_gpu(options: dict[str, Any]) -> bool:
     env = options.get("env")
     return env is not None and env.device not in (None, "cpu")
-
-
-_Task: TypeAlias = tuple[Request, tuple[str | bytes, ...] | None]
-"""A request, and the names or pickles of its worlds unless the request holds the worlds."""
-_STAND_IN = WorldPool("inspect")
-"""Pool of a request whose worlds are apart from it."""
-
-
-def _with_pickled_worlds(request: Request) -> _Task:
-    """Replaces worlds that have no name in another process by their pickles.
-
-    All parts of an evaluation then share their worlds in each process, and what is computed once per world, such as its
-    free space, is computed once per process.
-    """
-    if not isinstance(request, GoalRequest):
-        return request, None
-    pool = request.episodes.pool
-    worlds = (portable(pool.source(index)) for index in range(len(pool)))
-    packed = tuple(world if isinstance(world, str) else _pickled(world) for world in worlds)
-    return replace(request, episodes=replace(request.episodes, pool=_STAND_IN)), packed
-
-
-_KEPT = 64
-"""Number of pickled and of unpickled worlds that a process keeps."""
-
-
-@lru_cache(maxsize=_KEPT)
-def _pickled(world: World) -> bytes:
-    return pickle.dumps(world)
-
-
-@lru_cache(maxsize=_KEPT)
-def _unpickled(world: bytes) -> World:
-    return pickle.loads(world)
-
-
-def _run(task: _Task) -> Evaluation | EndlessEvaluation:
-    request, packed = task
-    if isinstance(request, GoalRequest) and packed is not None:
-        pool = WorldPool(*(world if isinstance(world, str) else _unpickled(world) for world in packed))
-        request = replace(request, episodes=replace(request.episodes, pool=pool))
-    return request.run()

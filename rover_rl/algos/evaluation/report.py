@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -23,9 +23,11 @@ from rover_rl.algos.evaluation.comparison import Disagreement, backends_of, disa
 from rover_rl.algos.evaluation.evaluate import EndlessEvaluation, Evaluation
 from rover_rl.algos.evaluation.metrics import METRICS, Estimate
 from rover_rl.algos.evaluation.results import worst_worlds
+from rover_rl.algos.evaluation.tables import Column, fitting_tables
 from rover_rl.files import write_json, written_whole
+from rover_rl.registry import perhaps
 
-COMPARED = (
+DEFAULT_COLUMNS = (
     "success_rate",
     "contact_free_success_rate",
     "spl",
@@ -33,10 +35,11 @@ COMPARED = (
     "goals_per_episode",
     "seconds_per_goal",
     "ended_early",
-    "collisions",
     "body_contact_share",
 )
-"""Metrics with a column for each backend in a table of several backends."""
+"""Metrics that have a column by default, beside the endings that occur."""
+ALL_COLUMNS = "all"
+"""In place of the names of columns: all metrics."""
 LISTED = 20
 """Largest number of printed episodes on which backends disagree."""
 
@@ -45,37 +48,67 @@ def print_table(
     evaluations: Sequence[Evaluation | EndlessEvaluation],
     console: Console | None = None,
     groups: Mapping[str, str] | None = None,
+    columns: Sequence[str] = (),
 ) -> None:
     """Prints a table of policies for each world and mode, with 95 % confidence intervals below the values.
 
-    Ranges of worlds share a table, in which each has a row. Below, the worlds with the lowest success rates.
-
-    Policies in several backends have a row with a group of columns for each backend, with fewer metrics. Below, the
-    first 20 episodes that reach their goal in one backend and not in another.
+    Columns that do not fit into the width of the terminal go into a further table. Without a terminal, the width is
+    that of the environment variable ``COLUMNS``, else 80. Below, for ranges of worlds, the worlds with the lowest
+    success rates, and for policies in several backends, the first 20 episodes that reach their goal in one backend and
+    not in another. A last paragraph explains the columns.
 
     Args:
         evaluations: evaluations to print, of any worlds and modes.
         console: console to print to; ``None``: standard output.
         groups: group name of each policy that belongs to a group, by the policy's name. Each group of several policies,
             such as those that differ in their seed only, has a row with its mean and standard deviation.
+        columns: metrics to show, as for :func:`check_columns`; empty: success, contacts, SPL, time and endings.
+
+    Raises:
+        ValueError: for an unknown column.
     """
     console = console or Console()
-    if not console.is_terminal:
-        console.width = max(console.width, 140)
-    measured: set[str] = set()
+    chosen, groups = check_columns(columns), groups or {}
+    shown: dict[str, None] = {}
     for title in dict.fromkeys(evaluation.title for evaluation in evaluations):
         together = [evaluation for evaluation in evaluations if evaluation.title == title]
-        console.print(_table(title, together, groups or {}))
-        measured.update(key for key in together[0].metrics if key in COMPARED or not backends_of(together))
+        keys = [key for key in chosen if key in together[0].metrics and _is_shown(key, together)]
+        rows = [*_rows(together), *_group_rows(together, groups)]
+        shown_columns = [
+            Column(METRICS[key].heading, METRICS[key].unit, [row.cells[key] for row in rows]) for key in keys
+        ]
+        for table in fitting_tables(title, [row.name for row in rows], shown_columns, console):
+            console.print(table)
+        shown |= dict.fromkeys(keys)
     for evaluation in evaluations:
         if isinstance(evaluation, Evaluation) and evaluation.episodes.several_worlds:
             console.print(_worst_worlds(evaluation), highlight=False, soft_wrap=True)
     if (disagreements := find_disagreements(evaluations)) is not None:
         _print_disagreements(disagreements, console)
-    legend = dict.fromkeys(
-        f"{metric.heading}: {metric.meaning}" for key, metric in METRICS.items() if key in measured and metric.meaning
-    )
-    console.print("; ".join(legend) + ". Below each value: 95 % confidence interval.", style="dim")
+    console.print(_legend(list(shown), evaluations, groups), style="dim", highlight=False)
+
+
+def check_columns(names: Sequence[str]) -> list[str]:
+    """Returns the metrics that names of columns stand for, in the order of the table.
+
+    Args:
+        names: names of metrics, such as ``spl``, or headings, such as ``SPL``; ``all``; empty: the default columns.
+
+    Raises:
+        ValueError: for an unknown name.
+    """
+    if ALL_COLUMNS in names:
+        return [*METRICS]
+    if not names:
+        return [key for key in METRICS if key in DEFAULT_COLUMNS or key.startswith(_ENDING)]
+    known = {metric.heading: key for key, metric in METRICS.items()} | {key: key for key in METRICS}
+    for name in names:
+        if name not in known:
+            raise ValueError(
+                f"unknown column {name!r}{perhaps(name, known)}; use {ALL_COLUMNS} or some of {[*METRICS]}"
+            )
+    chosen = {known[name] for name in names}
+    return [key for key in METRICS if key in chosen]
 
 
 def _worst_worlds(evaluation: Evaluation) -> str:
@@ -87,54 +120,51 @@ def _worst_worlds(evaluation: Evaluation) -> str:
     return f"Lowest success rates of {policy}: {escape(named)}" if named else f"{policy}: all episodes reach their goal"
 
 
-def _table(title: str, evaluations: Sequence[Evaluation | EndlessEvaluation], groups: Mapping[str, str]) -> Table:
-    """Table with a row for each policy and for each group of policies, and a group of columns for each backend."""
-    backends = backends_of(evaluations)
-    shown = [key for key in METRICS if key in evaluations[0].metrics and _is_shown(key, evaluations)]
-    if backends:
-        shown = [key for key in shown if key in COMPARED]
-    table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    ranges = any(isinstance(one, Evaluation) and one.episodes.several_worlds for one in evaluations)
-    table.add_column("policy\n[dim]worlds[/dim]" if ranges else "policy", overflow="fold")
-    columns: Sequence[str | None] = backends or [None]
-    for backend in columns:
-        for key in shown:
-            above = "" if backend is None else f"{escape(backend) if key == shown[0] else ''}\n"
-            table.add_column(f"{above}{METRICS[key].heading}\n{METRICS[key].unit}", justify="right", overflow="fold")
-    for (name, world), line in _lines(evaluations, bool(backends)):
-        cells = (
-            _cell(key, line[column].metrics[key]) if column in line else "-" for column in columns for key in shown
-        )
-        table.add_row(escape(name) + (f"\n[dim]{escape(world)}[/dim]" if ranges else ""), *cells)
-    places = dict.fromkeys((groups[one.name], one.world_name) for one in evaluations if one.name in groups)
-    for group, world in places:
-        members = [one for one in evaluations if (groups.get(one.name), one.world_name) == (group, world)]
-        parts = [[one for one in members if backend in (None, one.backend)] for backend in columns]
-        count = max(map(len, parts))
-        if count > 1:
-            cells = (_mean_cell(key, [one.metrics[key].value for one in part]) for part in parts for key in shown)
-            note = f"{count} policies" + (f", {world}" if ranges else "")
-            table.add_row(f"{escape(group)}\n[dim]{escape(note)}[/dim]", *cells)
-    return table
+_ENDING = "ending_"
+"""First part of the names of metrics that are shares of endings."""
 
 
-def _lines(
-    evaluations: Sequence[Evaluation | EndlessEvaluation], together: bool
-) -> list[tuple[tuple[str, str], dict[str | None, Evaluation | EndlessEvaluation]]]:
-    """Lines of a table: names of policy and world, and its evaluation in each backend.
+@dataclass(frozen=True)
+class _Row:
+    """Row of a table: a name, with a note in its second line, and the cell of each metric."""
 
-    Unless ``together``, there is one evaluation without a key. Further evaluations of the same policy in the same world
-    and backend get further lines.
-    """
-    lines: list[tuple[tuple[str, str], dict[str | None, Evaluation | EndlessEvaluation]]] = []
-    for evaluation in evaluations:
-        column, names = evaluation.backend if together else None, (evaluation.name, evaluation.world_name)
-        free = (line for key, line in lines if key == names and column not in line)
-        if (line := next(free, None)) is None:
-            lines.append((names, {column: evaluation}))
-        else:
-            line[column] = evaluation
-    return lines
+    name: str
+    cells: Mapping[str, str]
+
+
+def _rows(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> Iterator[_Row]:
+    """Yields a row for each evaluation. With several backends, those of a policy stand below one another."""
+    several = bool(backends_of(evaluations))
+    order = [*dict.fromkeys(evaluation.name for evaluation in evaluations)]
+    for one in sorted(evaluations, key=lambda one: order.index(one.name)):
+        cells = {key: _cell(key, estimate) for key, estimate in one.metrics.items()}
+        yield _Row(f"{one.name}\n{one.backend}" if several else one.name, cells)
+
+
+def _group_rows(evaluations: Sequence[Evaluation | EndlessEvaluation], groups: Mapping[str, str]) -> Iterator[_Row]:
+    """Yields a row for each group of several policies, in each backend, with means and standard deviations."""
+    several = bool(backends_of(evaluations))
+    places = dict.fromkeys((groups[one.name], one.backend) for one in evaluations if one.name in groups)
+    for group, backend in places:
+        members = [one for one in evaluations if (groups.get(one.name), one.backend) == (group, backend)]
+        if len(members) > 1:
+            cells = {key: _mean_cell(key, [one.metrics[key].value for one in members]) for key in members[0].metrics}
+            yield _Row(f"{group}\n{len(members)} policies{f', {backend}' if several else ''}", cells)
+
+
+def _legend(
+    shown: Sequence[str], evaluations: Sequence[Evaluation | EndlessEvaluation], groups: Mapping[str, str]
+) -> str:
+    """Returns what explains the columns and the second lines of the tables, and nothing else."""
+    said = [f"{METRICS[key].heading}: {METRICS[key].meaning}" for key in shown if METRICS[key].meaning]
+    endings = [METRICS[key].heading for key in shown if key.startswith(_ENDING)]
+    said += [f"{', '.join(endings)}: episodes that end so"] if endings else []
+    below = []
+    if any(not math.isnan(one.metrics[key].low) for one in evaluations for key in shown if key in one.metrics):
+        below.append("95 % confidence interval")
+    if any(True for _ in _group_rows(evaluations, groups)):
+        below.append("± standard deviation of several policies")
+    return "; ".join(said) + (f". Below a value: {', '.join(below)}." if below else ".")
 
 
 def _print_disagreements(disagreements: Sequence[Disagreement], console: Console) -> None:
@@ -142,45 +172,48 @@ def _print_disagreements(disagreements: Sequence[Disagreement], console: Console
     if not disagreements:
         console.print("The backends agree on which episodes reach their goal.")
         return
-    console.print(_disagreement_table(disagreements[:LISTED]))
+    for table in _disagreement_tables(disagreements[:LISTED], console):
+        console.print(table)
     if len(disagreements) > LISTED:
         console.print(f"{len(disagreements) - LISTED} more such episodes: see evaluation.json.")
 
 
-def _disagreement_table(disagreements: Sequence[Disagreement]) -> Table:
-    backends = dict.fromkeys(backend for one in disagreements for backend in one.endings)
+def _disagreement_tables(disagreements: Sequence[Disagreement], console: Console) -> list[Table]:
+    def numbers(values: Sequence[float]) -> str:
+        return ", ".join(f"{value:.2f}" for value in values)
+
+    columns = [
+        Column("episode", "", [str(one.episode) for one in disagreements]),
+        Column("start", "x, y, yaw", [numbers(one.start) for one in disagreements]),
+        Column("goal", "x, y", [numbers(one.goal) for one in disagreements]),
+    ]
+    for backend in dict.fromkeys(backend for one in disagreements for backend in one.endings):
+        columns.append(Column(backend, "", [one.endings.get(backend, "-") for one in disagreements]))
     title = "Episodes that reach their goal in one backend and not in another"
-    table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for heading in ("policy", "world", "episode", "start\nx, y, yaw", "goal\nx, y", *backends):
-        table.add_column(escape(heading), overflow="fold")
-    for one in disagreements:
-        start, goal = (", ".join(f"{number:.2f}" for number in numbers) for numbers in (one.start, one.goal))
-        endings = (one.endings.get(backend, "-") for backend in backends)
-        table.add_row(escape(one.policy), escape(one.world), str(one.episode), start, goal, *endings)
-    return table
+    return fitting_tables(title, [f"{one.policy}\n{one.world}" for one in disagreements], columns, console)
 
 
 def _is_shown(key: str, evaluations: Sequence[Evaluation | EndlessEvaluation]) -> bool:
     """Whether a metric has a column: false for undefined metrics and for endings that do not occur."""
     values = [evaluation.metrics[key].value for evaluation in evaluations]
-    return any(value > 0 for value in values) or not (key.startswith("ending_") or all(map(math.isnan, values)))
+    return any(value > 0 for value in values) or not (key.startswith(_ENDING) or all(map(math.isnan, values)))
 
 
 def _cell(key: str, estimate: Estimate) -> str:
-    """Formats a value and, below it, its confidence interval."""
+    """Formats a value and, below it, its confidence interval. Endings have none, as there are many of them."""
     if math.isnan(estimate.value):
         return "-"
-    if math.isnan(estimate.low):
+    if math.isnan(estimate.low) or key.startswith(_ENDING):
         return _formatted(key, estimate.value)
     ends = (estimate.low, estimate.high)
     low, high = (f"{100 * end:.0f}" if METRICS[key].unit == "%" else _formatted(key, end) for end in ends)
-    return f"{_formatted(key, estimate.value)}\n[dim]{low}–{high}[/dim]"
+    return f"{_formatted(key, estimate.value)}\n{low}–{high}"
 
 
 def _mean_cell(key: str, values: Sequence[float]) -> str:
     """Formats the mean of several policies and, below it, their standard deviation; ``-`` if a value is undefined."""
     mean, deviation = torch.tensor(values).mean().item(), torch.tensor(values).std().item()
-    return "-" if math.isnan(mean) else f"{_formatted(key, mean)}\n[dim]± {_formatted(key, deviation)}[/dim]"
+    return "-" if math.isnan(mean) else f"{_formatted(key, mean)}\n± {_formatted(key, deviation)}"
 
 
 def _formatted(key: str, value: float) -> str:
@@ -192,15 +225,16 @@ def _formatted(key: str, value: float) -> str:
 
 
 def write_evaluation(path: Path, evaluations: Sequence[Evaluation | EndlessEvaluation]) -> None:
-    """Writes evaluations as a JSON file with every episode, and as a CSV file with one row per evaluation.
+    """Writes evaluations as a JSON file with everything, and as CSV files.
 
-    Evaluations in several worlds also have a CSV file with one row per world, whose name ends in ``-worlds.csv``.
+    ``evaluation.csv`` has a row for each episode, ``evaluation-summary.csv`` a row for each evaluation with all
+    metrics and their intervals, and with several worlds, ``evaluation-worlds.csv`` a row for each world.
 
     Evaluations of a policy in several backends also list ``disagreements``: the episodes that reach their goal in one
-    backend and not in another. The CSV file has their indices.
+    backend and not in another. The summary has their indices.
 
     Args:
-        path: path of the JSON file; the CSV file has the same name with the suffix ``.csv``.
+        path: path of the JSON file, such as ``evaluation.json``, from which the CSV files have their names.
         evaluations: evaluations to write, of any worlds and modes.
     """
     disagreements = [disagreements_of(evaluation, evaluations) for evaluation in evaluations]
@@ -209,6 +243,7 @@ def write_evaluation(path: Path, evaluations: Sequence[Evaluation | EndlessEvalu
         for evaluation, found in zip(evaluations, disagreements, strict=True)
     ]
     write_json(path, results)
+    write_rows(path.with_suffix(".csv"), [row for one in evaluations for row in one.episode_rows()])
     rows: list[dict[str, Any]] = []
     for evaluation, found in zip(evaluations, disagreements, strict=True):
         row = evaluation.summary()
@@ -217,7 +252,7 @@ def write_evaluation(path: Path, evaluations: Sequence[Evaluation | EndlessEvalu
         for key, estimate in evaluation.metrics.items():
             row |= {key: estimate.value, f"{key}_low": estimate.low, f"{key}_high": estimate.high}
         rows.append(row)
-    write_rows(path.with_suffix(".csv"), rows)
+    write_rows(path.with_name(f"{path.stem}-summary.csv"), rows)
     by_world = [
         {"policy": one.name, "backend": one.backend, "worlds": one.world_name, **world}
         for one in evaluations

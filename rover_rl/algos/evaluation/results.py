@@ -120,6 +120,23 @@ class Evaluation:
             "mean_time_to_traverse": round(sum(seconds) / len(seconds), 3) if seconds else None,
         }
 
+    def episode_rows(self) -> list[dict[str, Any]]:
+        """Returns a row of plain values for each episode, as in ``evaluation.csv``."""
+        episodes = self.episodes
+        columns = (episodes.start.tolist(), episodes.goal.tolist(), episodes.shortest.tolist())
+        rows = zip(*columns, self.trajectories, self.contacts, strict=True)
+        return [
+            {
+                **_identity(self, number, episodes.world_name(number)),
+                **dict(zip(("start_x", "start_y", "start_yaw"), start, strict=True)),
+                **dict(zip(("goal_x", "goal_y"), goal, strict=True)),
+                "shortest": shortest,
+                "length": t.length,
+                **_episode(t, touched),
+            }
+            for number, (start, goal, shortest, t, touched) in enumerate(rows)
+        ]
+
     def select(self, indices: Sequence[int]) -> Evaluation:
         """Returns the results of the episodes with the given indices."""
         trajectories = [self.trajectories[index] for index in indices]
@@ -151,10 +168,10 @@ class Evaluation:
         """Title of a table with these results."""
         episodes, limit = self.episodes, f"one goal within {self.seconds:g} s"
         if not episodes.several_worlds:
-            return f"{len(episodes)} episodes in {episodes.name}: {limit}"
+            return f"{_episodes(len(episodes))} in {episodes.name}: {limit}"
         counts = {world["count"] for world in self.by_world}
-        each = f"{counts.pop()} episodes in each" if len(counts) == 1 else f"{len(episodes)} episodes"
-        return f"{each} of {len(self.by_world)} worlds: {limit}"
+        each = f"{_episodes(counts.pop())} in each" if len(counts) == 1 else _episodes(len(episodes))
+        return f"{each} of {len(self.by_world)} worlds, {episodes.name}: {limit}"
 
     def summary(self) -> dict[str, Any]:
         """Returns policy, backend, world and counts as plain data."""
@@ -174,10 +191,10 @@ class Evaluation:
         """Returns all results except the trajectories as plain data."""
         episodes = self.episodes
         columns = (episodes.start.tolist(), episodes.goal.tolist(), episodes.shortest.tolist())
-        rows = zip(*columns, self.trajectories, strict=True)
+        rows = zip(*columns, self.trajectories, self.contacts, strict=True)
         results = [
-            {"start": start, "goal": goal, "shortest": shortest, "length": t.length, **_episode(t)}
-            for start, goal, shortest, t in rows
+            {"start": start, "goal": goal, "shortest": shortest, "length": t.length, **_episode(t, touched)}
+            for start, goal, shortest, t, touched in rows
         ]
         if not episodes.several_worlds:
             return {**_results(self), "episodes": results}
@@ -220,14 +237,15 @@ class EndlessEvaluation:
     @cached_property
     def metrics(self) -> dict[str, Estimate]:
         """Metrics, by name: see :mod:`rover_rl.algos.evaluation.metrics`."""
-        return endless_metrics(self.trajectories, self.world, robot=get_robot(self.env.robot))
+        robot = get_robot(self.env.robot)
+        return endless_metrics(self.trajectories, self.world, robot=robot, contacts=self.contacts)
 
     @property
     def title(self) -> str:
         """Title of a table with these results."""
         count, limit = len(self.trajectories), f"{self.length:,} steps"
         jam = "" if self.jam else ", without the jam ending"
-        return f"{count} episodes in {self.world_name}: endless goals, {limit} each{jam}"
+        return f"{_episodes(count)} in {self.world_name}: endless goals, {limit} each{jam}"
 
     def summary(self) -> dict[str, Any]:
         """Returns policy, backend, world and counts as plain data."""
@@ -245,8 +263,21 @@ class EndlessEvaluation:
 
     def to_json(self) -> dict[str, Any]:
         """Returns all results except the trajectories as plain data."""
-        episodes = [{"goals": int(t.goal.sum()), **_episode(t)} for t in self.trajectories]
-        return {**_results(self), "episodes": episodes}
+        return {**_results(self), "episodes": self._episodes}
+
+    @cached_property
+    def contacts(self) -> list[Tensor]:
+        """Whether the body touches an obstacle at the start and after each step: bool ``[T + 1]`` each."""
+        return find_body_contacts(self.trajectories, self.world, get_robot(self.env.robot))
+
+    @property
+    def _episodes(self) -> list[dict[str, Any]]:
+        both = zip(self.trajectories, self.contacts, strict=True)
+        return [{"goals": int(t.goal.sum()), **_episode(t, touched)} for t, touched in both]
+
+    def episode_rows(self) -> list[dict[str, Any]]:
+        """Returns a row of plain values for each episode, as in ``evaluation.csv``."""
+        return [{**_identity(self, number, self.world_name), **row} for number, row in enumerate(self._episodes)]
 
 
 def worst_worlds(evaluations: Sequence[Evaluation], count: int = WORST) -> list[int]:
@@ -306,6 +337,24 @@ def plain_env_or_none(env: EnvConfig) -> dict[str, Any] | None:
         return None
 
 
-def _episode(trajectory: Trajectory) -> dict[str, Any]:
-    """Returns the ending and the duration of an episode as plain data."""
-    return {"ending": trajectory.ending, "seconds": round(trajectory.seconds, 3)}
+def _identity(evaluation: Evaluation | EndlessEvaluation, episode: int, world: str) -> dict[str, Any]:
+    """Returns what a row of an episode begins with."""
+    summary = evaluation.summary()
+    return {key: summary[key] for key in ("policy", "backend", "mode", "seed", "action_repeat")} | {
+        "world": world,
+        "episode": episode,
+    }
+
+
+def _episode(trajectory: Trajectory, touched: Tensor) -> dict[str, Any]:
+    """Returns ending, duration and events of an episode as plain data."""
+    return {
+        "ending": trajectory.ending,
+        "seconds": round(trajectory.seconds, 3),
+        "contacts": count_runs(touched),
+        "collisions": count_runs(trajectory.collision),
+    }
+
+
+def _episodes(count: int) -> str:
+    return f"{count} episode{'' if count == 1 else 's'}"

@@ -20,6 +20,7 @@ from typing import TypeAlias
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
+from torch.multiprocessing import get_sharing_strategy, set_sharing_strategy
 from torchrl.collectors import BaseCollector, Collector
 from torchrl.envs import EnvBase
 from torchrl.modules import ProbabilisticActor
@@ -32,6 +33,10 @@ Estimates: TypeAlias = Mapping[str, Tensor]
 """State of the estimates of a curriculum."""
 _LAST_LINES = 60
 """Number of lines of a failed worker's output that are reported."""
+_FILES = 512
+"""Number of files that a process may have open besides those of its workers."""
+_FILES_OF_A_WORKER = 128
+"""Number of tensors that a worker shares: about 80, more with histories and maps."""
 _POLL_INTERVAL = 1.0
 """Time between two checks of whether the workers are alive, s."""
 _RAY_TIMEOUT = 10.0
@@ -84,7 +89,7 @@ def _in_this_process(
 def _in_processes(
     config: TrainingConfig, actor: ProbabilisticActor, frames: int, session: int, estimates: Estimates | None
 ) -> Iterator[Iterator[TensorDictBase]]:
-    with TemporaryDirectory(prefix="rover_rl-") as folder:
+    with _enough_files(config.workers), TemporaryDirectory(prefix="rover_rl-") as folder:
         logs = [Path(folder) / f"worker-{worker}" for worker in range(config.workers)]
         collector = Collector(
             [partial(_make_worker_env, config, worker, session, estimates, log) for worker, log in enumerate(logs)],
@@ -102,6 +107,31 @@ def _in_processes(
             yield _watched(collector, logs)
         finally:
             collector.shutdown(raise_on_error=False)
+
+
+@contextmanager
+def _enough_files(workers: int) -> Iterator[None]:
+    """Lets this process open as many files as it may, since shared tensors take a file descriptor each.
+
+    If these are too few, tensors are shared by name instead (``file_system``, PyTorch's default on macOS).
+    """
+    before = get_sharing_strategy()
+    try:
+        import resource
+    except ImportError:  # Windows has no such limit.
+        yield
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    needed = _FILES + _FILES_OF_A_WORKER * workers
+    if soft < needed:
+        most = needed if hard == resource.RLIM_INFINITY else min(needed, hard)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
+        if most < needed:
+            set_sharing_strategy("file_system")
+    try:
+        yield
+    finally:
+        set_sharing_strategy(before)
 
 
 def _watched(collector: BaseCollector, logs: list[Path]) -> Iterator[TensorDictBase]:

@@ -8,10 +8,11 @@ from dataclasses import replace
 from torch import Tensor
 from torchrl.envs import EnvBase, RewardSum, StepCounter
 
-from rover_rl.algos.config import TrainingConfig, usable_cores
+from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.policy.recurrent import memory_transforms
 from rover_rl.algos.train.attempts import AttemptCounter, SpreadEnds
 from rover_rl.algos.train.curriculum import Curriculum
+from rover_rl.algos.workers import usable_cores
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import reward_components

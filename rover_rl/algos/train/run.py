@@ -22,7 +22,7 @@ from torch import Tensor
 from torchrl.modules import ProbabilisticActor
 
 from rover_rl.algos.archives import first_not_finite
-from rover_rl.algos.config import TrainingConfig, default_workers, with_settings
+from rover_rl.algos.config import TrainingConfig, with_settings
 from rover_rl.algos.policy.checkpoint import CHECKPOINT, SETTINGS, Checkpoint
 from rover_rl.algos.train.collectors import WorkerError, collect
 from rover_rl.algos.train.curriculum import CurriculumRecord
@@ -32,6 +32,7 @@ from rover_rl.algos.train.ray_cluster import connect
 from rover_rl.algos.train.resuming import RunRecord
 from rover_rl.algos.train.run_folder import STATE, default_name, load_state, new_run_folder, save_run
 from rover_rl.algos.train.trackers import Trackers, check_trackers
+from rover_rl.algos.workers import default_workers
 from rover_rl.envs.devices import available_device
 from rover_rl.envs.goal_pay import pays_for_goals
 from rover_rl.envs.rewards import reward_components

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from rover_rl.sims.robots.description import Description, Frame, Shape
-from rover_rl.sims.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from rover_rl.sims.robots.robot import Robot
 
 
 class Footprint(NamedTuple):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rover_rl.sims.robots.consistency import check_consistency
+from rover_rl.sims.robots.plausibility import check_plausibility
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,9 @@ class Robot:
 
     Raises:
         ValueError: if a length, limit or torque is not positive, a position is not finite, the wheels do not match
-            their positions or are on the wrong side, or the parameters contradict the URDF
-            (:mod:`rover_rl.sims.robots.consistency`).
+            their positions or are on the wrong side, the parameters contradict the URDF
+            (:mod:`rover_rl.sims.robots.consistency`), or the robot cannot drive
+            (:mod:`rover_rl.sims.robots.plausibility`, which also warns of what is unusual).
         FileNotFoundError: if ``urdf`` does not exist.
     """
 
@@ -84,6 +86,7 @@ class Robot:
         if not self.urdf.is_file():
             raise FileNotFoundError(f"no description of robot {self.name!r} at {self.urdf}")
         check_consistency(self)
+        check_plausibility(self)
 
     def _check_positions(self) -> None:
         names = (*self.left_wheels, *self.right_wheels)

@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from rover_rl.sims.worlds.ground_limits import ground_extremes
-from rover_rl.sims.worlds.obstacles import Solids, groups_of
-from rover_rl.sims.worlds.world import World
+from rover_rl.sims.worlds.obstacles import Obstacle, Solids, groups_of
+from rover_rl.sims.worlds.terrain import Terrain
+
+if TYPE_CHECKING:
+    from rover_rl.sims.worlds.world import World
 
 NEAR_GROUND = 0.5
 """Maximum height above and depth below the ground at which obstacles count, m."""
 
 
-def clearance_on_grid(world: World, xs: np.ndarray, ys: np.ndarray, limit: float) -> Tensor:
+class Site(NamedTuple):
+    """Ground with obstacles: what a world is before it has areas."""
+
+    terrain: Terrain
+    obstacles: Sequence[Obstacle]
+
+
+def clearance_on_grid(world: World | Site, xs: np.ndarray, ys: np.ndarray, limit: float) -> Tensor:
     """Returns the horizontal distance from the points of a grid to the nearest obstacle near the ground.
 
     Args:
@@ -44,7 +57,7 @@ def clearance_on_grid(world: World, xs: np.ndarray, ys: np.ndarray, limit: float
     return clearance
 
 
-def _is_near_ground(world: World, solids: Solids) -> np.ndarray:
+def _is_near_ground(world: World | Site, solids: Solids) -> np.ndarray:
     """Returns whether a part of each solid may be at a rover's height, conservatively by its bounding box: ``[N]``."""
     low, high = solids.vertices.numpy().min(1), solids.vertices.numpy().max(1)
     if world.terrain.is_flat:

@@ -47,7 +47,7 @@ def draw_world(world: World, robot: Robot, path: str | Path | None = None, ax: A
     Returns:
         The figure.
     """
-    view = overlap(expanded(world.bounds, MARGIN), expanded(world.terrain.extent, 0.5))
+    view = _view(world)
     if ax is None:
         width, height = (high - low for low, high in view)
         ax = Figure(figsize=(max(LEGEND_WIDTH, 5.2 * width / height + 1.6), 7.0), layout="constrained").add_subplot()
@@ -60,10 +60,15 @@ def draw_world(world: World, robot: Robot, path: str | Path | None = None, ax: A
     _draw_area(ax, world.spawn_range, world.spawn_region, SPAWN, "solid")
     _draw_area(ax, world.goal_range, world.goal_region, GOAL, DASHES)
     ax.set_title(f"{world.name}: where {robot.name} can drive")
-    add_legend(ax, _legend(world, view))
+    add_legend(ax, map_legend(world))
     if path is not None:
         figure.savefig(path, dpi=150)
     return figure
+
+
+def _view(world: World) -> Area:
+    """Returns the area that a map shows."""
+    return overlap(expanded(world.bounds, MARGIN), expanded(world.terrain.extent, 0.5))
 
 
 def draw_map(ax: Axes, world: World, area: Area | None = None) -> ScalarMappable | None:
@@ -138,7 +143,8 @@ def _draw_area(ax: Axes, area: Area, region: Region | None, color: str, line: An
         _outline(ax, area, edgecolor=color, linestyle=line, linewidth=2.2)
         return
     mask = np.pad(region.mask.numpy(), 1)
-    corner = tuple(end - region.cell / 2 for end in region.origin)
+    x, y = region.origin
+    corner = x - region.cell / 2, y - region.cell / 2
     ax.contour(
         mask,
         levels=[0.5],
@@ -169,8 +175,9 @@ def add_legend(ax: Axes, handles: list[Patch | Line2D]) -> None:
     )
 
 
-def _legend(world: World, view: Area) -> list[Patch | Line2D]:
-    visible = overlap(world.bounds, view) == world.bounds
+def map_legend(world: World) -> list[Patch | Line2D]:
+    """Returns the entries of the legend of a map by :func:`draw_world`."""
+    visible = overlap(world.bounds, _view(world)) == world.bounds
     return [
         Patch(facecolor=to_rgba(FREE, USED), edgecolor=FREE, label="free: starts, goals"),
         Patch(facecolor=to_rgba(FREE, UNUSED), edgecolor=FREE, label="free: only driven over"),

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from matplotlib.lines import Line2D
 
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.draw import GOAL, OBSTACLE_EDGE, SPAWN, add_legend, draw_world
+from rover_rl.sims.worlds.draw import GOAL, OBSTACLE_EDGE, SPAWN, add_legend, draw_world, map_legend
 from rover_rl.sims.worlds.free_space import FreeSpace, free_space
 from rover_rl.sims.worlds.path_grid import PathGrid
 from rover_rl.sims.worlds.shortest_paths import shortest_paths
@@ -48,13 +49,19 @@ def draw_task(world: World, robot: Robot, seed: int, path: str | Path) -> float:
     way = _descend(space, field, start.numpy())
     ax.plot(*way.T, color="white", linewidth=4.5, zorder=5)
     ax.plot(*way.T, color=OBSTACLE_EDGE, linewidth=2.2, zorder=6)
-    marks = {"marker": "o", "markeredgecolor": "white", "markersize": 15, "linestyle": "none", "zorder": 7}
+    marks: dict[str, Any] = {
+        "marker": "o",
+        "markeredgecolor": "white",
+        "markersize": 15,
+        "linestyle": "none",
+        "zorder": 7,
+    }
     places = [
         *ax.plot(*start.tolist(), color=SPAWN, label="start", **marks),
         *ax.plot(*goal.tolist(), color=GOAL, label="goal", **(marks | {"marker": "*"})),
     ]
     path_line = Line2D([], [], color=OBSTACLE_EDGE, linewidth=2.2, label="shortest path, with clearance")
-    add_legend(ax, [*ax.get_legend().legend_handles, *places, path_line])
+    add_legend(ax, [*map_legend(world), *places, path_line])
     figure.savefig(path, dpi=150)
     return float(shortest_paths(world, robot, start[None], goal[None])[0])
 

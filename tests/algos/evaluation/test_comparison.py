@@ -85,35 +85,32 @@ def test_only_the_same_policy_on_the_same_episodes_is_compared(firm: Evaluation)
         assert find_disagreements([firm, other]) is None
 
 
-def test_the_table_has_a_group_of_columns_for_each_backend(firm: Evaluation) -> None:
+def test_the_table_has_a_row_for_each_backend(firm: Evaluation) -> None:
     lines = printed(firm, copied(firm, "warp", [1])).splitlines()
-    backends = next(line for line in lines if "bullet" in line)
-    headings = lines[lines.index(backends) + 1]
-    assert backends.split() == ["bullet", "warp"]
-    assert headings.split().count("SR") == headings.split().count("SPL") == 2
-    (row,) = (line for line in lines if line.startswith(" straight") and "100.0" in line)
-    assert row.split()[1] == "100.0"
-    assert "66.7" in row.split()
-    (disagreement,) = (line for line in lines if "time limit" in line)
-    assert disagreement.split()[:3] == ["straight", "field", "1"]
+    rows = [number for number, line in enumerate(lines) if line.startswith(" straight") and "field" not in line]
+    assert [lines[row].split()[1] for row in rows[:2]] == ["100.0", "66.7"]
+    assert [lines[row + 1].split()[0] for row in rows[:2]] == ["bullet", "warp"]
+    (disagreement,) = (number for number, line in enumerate(lines) if line.startswith(" straight") and "goal " in line)
+    assert disagreement not in rows[:2]
+    assert lines[disagreement].split()[:2] == ["straight", "1"]
+    assert lines[disagreement + 1].split() == ["field"]
 
 
 def test_groups_of_policies_have_their_mean_in_each_backend(firm: Evaluation) -> None:
     missed = copied(firm, "warp", [0, 1, 2])
     several = [firm, missed, replace(firm, name="again"), replace(missed, name="again")]
-    text = printed(*several, groups={"straight": "both", "again": "both"})
-    row = next(line for line in text.splitlines() if line.startswith(" both")).split()
-    assert row[1] == "100.0"
-    assert "0.0" in row
-    assert "2 policies" in text
+    lines = printed(*several, groups={"straight": "both", "again": "both"}).splitlines()
+    rows = [number for number, line in enumerate(lines) if line.startswith(" both")]
+    assert [lines[row].split()[1] for row in rows] == ["100.0", "0.0"]
+    for row, backend in zip(rows, ("bullet", "warp"), strict=True):
+        assert lines[row + 1].startswith(f" 2 policies, {backend}")
 
 
 def test_no_evaluation_is_left_out_of_the_table(firm: Evaluation) -> None:
     again = replace(copied(firm, "bullet", [0, 1, 2]), action_repeat=2)
     text = printed(firm, again, copied(firm, "warp", []))
     rows = [line for line in text.splitlines() if line.startswith(" straight")]
-    assert [row.split()[1] for row in rows] == ["100.0", "0.0"]
-    assert rows[1].split()[-1] == "-"
+    assert [row.split()[1] for row in rows] == ["100.0", "0.0", "100.0"]
 
 
 def test_agreement_is_stated(firm: Evaluation) -> None:
@@ -129,7 +126,7 @@ def test_the_list_on_the_screen_is_short_and_that_in_the_files_complete(firm: Ev
     reached = replace(firm, episodes=many, trajectories=firm.trajectories[:1] * count)
     missed = copied(reached, "warp", list(range(count)))
     text = printed(reached, missed)
-    assert text.count("time limit") == LISTED
+    assert sum("time limit" in line for line in text.splitlines()) == LISTED + 1  # and the legend
     assert "3 more such episodes" in text
     write_evaluation(tmp_path / "evaluation.json", [reached, missed, replace(reached, name="alone")])
     written = json.loads((tmp_path / "evaluation.json").read_text())
@@ -138,7 +135,7 @@ def test_the_list_on_the_screen_is_short_and_that_in_the_files_complete(firm: Ev
     last = written[0]["disagreements"][-1]
     assert last["episode"] == count - 1
     assert last["endings"] == {"bullet": "goal", "warp": "time limit"}
-    with (tmp_path / "evaluation.csv").open() as file:
+    with (tmp_path / "evaluation-summary.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [row["backend"] for row in rows] == ["bullet", "warp", "bullet"]
     assert rows[1]["disagreements"].split() == [str(number) for number in range(count)]
@@ -168,7 +165,12 @@ def test_backends_drive_the_same_episodes(capsys: pytest.CaptureFixture[str], tm
 
 def test_one_backend_has_the_usual_table_and_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert run(tmp_path, "--backend", SLIPPERY, "--count", "1", "--seconds", "0.5") == 0
-    assert {path.name for path in tmp_path.iterdir()} == {"evaluation.json", "evaluation.csv", "paths.png"}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "evaluation.json",
+        "evaluation.csv",
+        "evaluation-summary.csv",
+        "paths.png",
+    }
     (entry,) = json.loads((tmp_path / "evaluation.json").read_text())
     assert entry["backend"] == SLIPPERY
     assert "in one backend" not in (text := capsys.readouterr().out)

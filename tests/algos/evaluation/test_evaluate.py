@@ -299,7 +299,13 @@ def test_goals_keep_coming() -> None:
     assert endless.metrics["goals_per_episode"].value == sum(goals) / 2
     assert endless.metrics["seconds_per_goal"].value == pytest.approx(60 / sum(goals))
     assert endless.metrics["ended_early"].value == 0
-    assert endless.to_json()["episodes"][0] == {"goals": goals[0], "ending": "time limit", "seconds": 30.0}
+    assert endless.to_json()["episodes"][0] == {
+        "goals": goals[0],
+        "ending": "time limit",
+        "seconds": 30.0,
+        "contacts": 0,
+        "collisions": 0,
+    }
 
 
 def test_without_the_jam_ending_a_collision_goes_on() -> None:
@@ -330,6 +336,19 @@ def test_results_and_pictures(driven: Evaluation, tmp_path: Path) -> None:
 
     with (tmp_path / "evaluation.csv").open() as file:
         rows = list(csv.DictReader(file))
+    assert [(row["policy"], row["episode"]) for row in rows[:4]] == [
+        *(("straight", str(n)) for n in range(3)),
+        ("random", "0"),
+    ]
+    for row, episode in zip(rows, written[0]["episodes"], strict=False):
+        assert [float(row[key]) for key in ("start_x", "start_y", "start_yaw")] == episode["start"]
+        assert (row["ending"], row["contacts"]) == ("goal", "0")
+        assert float(row["seconds"]) == episode["seconds"]
+    assert len(rows) == sum(entry["count"] for entry in written)
+    assert rows[-1]["goals"] == str(written[-1]["episodes"][-1]["goals"])
+
+    with (tmp_path / "evaluation-summary.csv").open() as file:
+        rows = list(csv.DictReader(file))
     assert [row["policy"] for row in rows] == ["straight", "random", "policy"]
     for row, entry in zip(rows, written, strict=True):
         for key, estimate in entry["metrics"].items():
@@ -355,7 +374,7 @@ def test_the_table_has_a_row_a_policy_and_one_for_all_seeds(driven: Evaluation) 
     assert "both of them" in text
     assert "± 0.0" in text
     assert "jammed" not in text
-    assert "VORT:" in text
+    assert "turns:" not in text
 
 
 # --- the command
@@ -397,7 +416,7 @@ def test_the_command_drives_in_several_worlds(tmp_path: Path) -> None:
         ("scripted", "maze", 5),
         ("scripted", "maze:7", 5),
     ]
-    names = {"evaluation.json", "evaluation.csv", "paths-maze.png", "paths-maze-7.png"}
+    names = {"evaluation.json", "evaluation.csv", "evaluation-summary.csv", "paths-maze.png", "paths-maze-7.png"}
     assert {file.name for file in tmp_path.iterdir()} == names
 
 

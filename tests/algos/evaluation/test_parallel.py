@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import multiprocessing
 import os
+import pickle
 import signal
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import pytest
@@ -14,6 +17,7 @@ from tensordict import TensorDictBase
 
 from rover_rl import World
 from rover_rl.algos.evaluation import parallel
+from rover_rl.algos.evaluation.by_value import dumps, loads
 from rover_rl.algos.evaluation.cores import over_cores
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import EndlessEvaluation, Evaluation, Policy, evaluate, evaluate_endless
@@ -122,6 +126,14 @@ def killed(_: Any) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+def crashed(_: Any) -> None:
+    os._exit(3)
+
+
+def without_descriptors(_: Any) -> None:
+    raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+
 def call(function: Any) -> Any:
     return function(None)
 
@@ -143,11 +155,50 @@ def test_an_error_in_a_process_is_raised_as_it_is_and_ends_the_others() -> None:
 
 def test_a_killed_process_is_reported_in_words_and_ends_the_others() -> None:
     before = other_processes()
-    with pytest.raises(ChildProcessError, match="^a worker process has ended, perhaps because the memory is full$"):
+    with pytest.raises(ChildProcessError, match=r"ended by signal 9 \(Killed\), perhaps because the memory"):
         over_cores(call, [endless, killed], "working", workers=2)
     for process in other_processes() - before:
         process.join(60)
         assert process.exitcode is not None
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [(crashed, "a worker process has ended with exit code 3$"), (without_descriptors, "Too many")],
+)
+def test_the_message_names_the_true_cause(function: Any, message: str) -> None:
+    with pytest.raises(OSError, match=message):
+        over_cores(call, [endless, function], "working", workers=2)
+
+
+def tensors(world: World, count: int) -> list[Any]:
+    return [world, *(torch.zeros(2) for _ in range(count))]
+
+
+def test_more_tensors_cross_than_there_are_file_descriptors() -> None:
+    resource = pytest.importorskip("resource")
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    limit = max(map(int, os.listdir("/dev/fd"))) + 32
+    worlds = [World(f"field {number}", Terrain.flat((6.0, 6.0))) for number in range(limit)]
+    resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
+    try:
+        episodes = draw_episodes(worlds, 1, min_path=1.0, workers=2)
+        (results,) = evaluate_all([GoalRequest(None, episodes.first(40), {"seconds": 0.05})], workers=2)
+        one, two = over_cores(partial(tensors, count=limit), worlds[:2], "working", workers=2)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert len(results.trajectories) == 40
+    assert len(one) == len(two) == limit + 1
+    assert [one[0].name, two[0].name] == ["field 0", "field 1"]
+
+
+def test_worlds_cross_once_and_slices_without_the_rest() -> None:
+    world, whole = FIELD, torch.arange(100_000.0)
+    sent = dumps({"worlds": [world, world], "part": whole[10:12], "none": None})
+    assert len(sent) < len(pickle.dumps(world)) + 2000
+    one, two = loads(sent), loads(dumps(world))
+    assert one["worlds"][0] is one["worlds"][1] is two
+    assert one["part"].tolist() == [10.0, 11.0]
 
 
 def test_invalid_requests_raise_before_a_process_starts(

@@ -20,7 +20,7 @@ def write_run(
     write_config(folder / "config.yaml", config)
     with (folder / "progress.csv").open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(("minutes", "steps", "goals_per_2000_steps", "episodes", "episodes_reached"))
+        writer.writerow(("minutes", "steps", "goals_per_2000_steps", "attempts", "attempts_reached"))
         for row, part in itertools.product(range(rows), range(1, parts + 1)):
             done = row + part / parts
             goals, reached = row % 7, best * episodes * row / rows / parts

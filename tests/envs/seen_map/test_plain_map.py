@@ -164,4 +164,4 @@ def test_rows_are_independent() -> None:
 
 def test_a_lidar_far_from_the_center_is_refused() -> None:
     with pytest.raises(ValueError, match=r"at most 0\.45 m"):
-        PlainSeenMap(LIDAR, replace(ROBOT, lidar_position=(0.0, math.pi, 0.3)))
+        PlainSeenMap(LIDAR, replace(ROBOT, lidar_position=(0.0, math.pi, 0.3), radius=4.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from math import inf, nan
 
@@ -59,3 +60,43 @@ def test_each_side_must_have_separate_wheels(wheels):
         ValueError, match="must have at least one wheel on each side and name each wheel once, got left_"
     ):
         replace(ROVER, **wheels)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"radius": 0.2}, r"^radius of robot 'rover_zero' is 0.2 m, and its body and wheels reach 0.267 m .* 0.349 m"),
+        (
+            {"lidar_position": (0.6, 0.0, 0.3)},
+            r"is at x = 0.6, y = 0 m, 0.337 m outside of its body and outside of its",
+        ),
+        ({"lidar_position": (0.1, 0.0, -0.1)}, r"^the lidar of robot 'rover_zero' is at z = -0.1 m; it must be above"),
+        (
+            {"wheel_torque": 0.1},
+            r"push with 3.28 N \(4 x 0.1 N m on a radius of 0.122 m\), and it has .* kg: it cannot",
+        ),
+    ],
+)
+def test_a_robot_that_cannot_drive_is_refused_with_numbers(changes, message):
+    with pytest.raises(ValueError, match=message) as error:
+        replace(ROVER, **changes)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"radius": 0.3}, r"radius of robot 'rover_zero' is 0.3 m, and its corners are 0.349 m from the origin"),
+        ({"lidar_position": (0.3, 0.0, 0.3)}, r"0.0365 m outside of its body: check lidar_position"),
+        ({"wheel_torque": 0.5}, r"push with 16.4 N .* it cannot climb a slope of more than \d+ degrees"),
+    ],
+)
+def test_an_unusual_robot_is_warned_of_with_numbers(changes, message):
+    with pytest.warns(UserWarning, match=message):
+        replace(ROVER, **changes)
+
+
+def test_a_usual_robot_is_not_warned_of():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        replace(ROVER, radius=0.5, wheel_torque=3.0)

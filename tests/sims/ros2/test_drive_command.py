@@ -197,6 +197,10 @@ def test_drive_without_a_robot_reports_an_error(tmp_path, domain):
         (("random", "--world", "maze", "--goal", "1", "1"), "cannot drive a live rover"),
         (("scripted", "--world", "maze"), "say where to"),
         (("scripted", "--world", "maze", "--goal", "nan", "1"), "--goal must be finite numbers, got nan 1"),
+        (
+            ("scripted", "--world", "maze", "--goal", "1", "1", "--goal", "40", "0"),
+            "the goal 40 0 is outside of the bounds of maze: x from -30 to 30 m, y from -30 to 30 m; name the --world",
+        ),
         (("scripted", *FAR, "--clearance", "-1"), "clearance must be at least 0 and at most 1e+30, got -1.0"),
         (("scripted", *FAR, "--wait", "nan"), "wait must be at least 0 and at most 1e+06, got nan"),
         (("scripted", "--random", "-1"), "random must be at least 0 and at most 1e+12, got -1"),

@@ -11,13 +11,13 @@ import numpy as np
 import torch
 from scipy.ndimage import label
 
-from rover_rl.sims.worlds.clearance import clearance_on_grid
+from rover_rl.option_names import written
+from rover_rl.sims.worlds.clearance import Site, clearance_on_grid
 from rover_rl.sims.worlds.files.enclosure import CLEARANCE, Enclosure, FloorPlan, grid_axes
 from rover_rl.sims.worlds.files.options import ImportOptions
 from rover_rl.sims.worlds.obstacles import Obstacle
 from rover_rl.sims.worlds.region import Area, Region, expanded, overlap, union
 from rover_rl.sims.worlds.terrain import Terrain
-from rover_rl.sims.worlds.world import World
 
 MAX_SLOPE = math.radians(25)
 """Largest slope on which a rover starts, rad."""
@@ -83,12 +83,12 @@ class _Finder:
         known: Callable[[np.ndarray], np.ndarray] | None,
     ) -> None:
         self._terrain, self._options, self._limits, self._known = terrain, options, limits, known
-        self._world = World("areas", terrain, obstacles)
+        self._site = Site(terrain, obstacles)
         self._notes: list[str] = []
 
     @cached_property
     def _plan(self) -> FloorPlan:
-        return FloorPlan(self._world, self._known)
+        return FloorPlan(self._site, self._known)
 
     def areas(self) -> tuple[Areas, list[str]]:
         """Returns the areas and the notes."""
@@ -121,7 +121,7 @@ class _Finder:
 
     def _automatic(self) -> tuple[tuple[Area, Region | None], Area, str]:
         """Returns the automatic spawn area with its region, an area that the bounds cover, and a note."""
-        found = self._plan.interior() if self._world.obstacles else None
+        found = self._plan.interior() if self._site.obstacles else None
         if found is not None:
             area = found.region.bounds
             where = ", in the middle of an enclosed yard" if found.in_yard else ""
@@ -133,7 +133,7 @@ class _Finder:
     def _open(self) -> tuple[Area, Area]:
         """Returns the spawn area and the bounds of a world without an enclosure."""
         bounds = overlap(self._limits, self._terrain.extent)
-        box = expanded(self._plan.box, 2 * MARGIN) if self._world.obstacles else bounds
+        box = expanded(self._plan.box, 2 * MARGIN) if self._site.obstacles else bounds
         within = overlap(_shrunk(bounds, MARGIN), box)
         if any(high <= low for low, high in within):
             within = _shrunk(bounds, MARGIN)
@@ -156,19 +156,16 @@ class _Finder:
         """Returns an area and its region, after checking that a rover finds a place in it."""
         terrain = self._terrain
         common = overlap(area, terrain.extent)
+        none = f"the world has no free ground in {written(name)} {_text(area)}:"
         if any(high - low < 2 * CLEARANCE for low, high in common):
-            raise ValueError(
-                f"the world has no free ground in {name} {_text(area)}: its ground is {_text(terrain.extent)}"
-            )
+            raise ValueError(f"{none} its ground is {_text(terrain.extent)}")
         x, y = grid_axes(common)
         centers = torch.from_numpy(np.stack(np.meshgrid(x, y), -1))
-        free = centers[clearance_on_grid(self._world, x, y, 2 * CLEARANCE) >= CLEARANCE]
+        free = centers[clearance_on_grid(self._site, x, y, 2 * CLEARANCE) >= CLEARANCE]
         if region is not None:
             free = free[region.contains(free)]
         if not bool((terrain.normal_at(free)[..., 2] >= math.cos(MAX_SLOPE)).any()):
-            raise ValueError(
-                f"the world has no free ground in {name} {_text(area)}: it is covered by obstacles or too steep"
-            )
+            raise ValueError(f"{none} it is covered by obstacles or too steep")
         return area, region
 
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from rover_rl.option_names import written
+from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.worlds.actor import Actor
 from rover_rl.sims.worlds.files.areas import find_areas
 from rover_rl.sims.worlds.files.components import split
@@ -46,8 +48,13 @@ class WorldParts:
     goal_region: Region | None = None
 
 
-def assemble(contents: Contents, options: ImportOptions) -> WorldParts:
+def assemble(contents: Contents, options: ImportOptions, display: ProgressDisplay) -> WorldParts:
     """Turns the contents of a file into the parts of a world.
+
+    Args:
+        contents: what a reader found in the file.
+        options: options of the import.
+        display: shows how many obstacles are done.
 
     Raises:
         ValueError: if there is nothing in the file, no free ground, or more than the simulators take.
@@ -72,7 +79,7 @@ def assemble(contents: Contents, options: ImportOptions) -> WorldParts:
     ground = Ground(planes, contents.grids, surfaces)
     around = _around(others, ground, options)
     terrain, about = make_terrain(ground, around, options.cell)
-    obstacles, buried = _obstacles(others, terrain, options)
+    obstacles, buried = _obstacles(others, terrain, options, display)
     notes += about + ([f"obstacles: {buried} pieces below the ground were left out"] if buried else [])
     areas, about = find_areas(terrain, obstacles, options, _limits(around, ground, terrain))
     notes += about
@@ -110,11 +117,14 @@ def _limits(around: np.ndarray, ground: Ground, terrain: Terrain) -> Area:
     return (max(float(x_low), left), min(float(x_high), right)), (max(float(y_low), bottom), min(float(y_high), top))
 
 
-def _obstacles(pieces: list[Piece], terrain: Terrain, options: ImportOptions) -> tuple[list[Obstacle], int]:
+def _obstacles(
+    pieces: list[Piece], terrain: Terrain, options: ImportOptions, display: ProgressDisplay
+) -> tuple[list[Obstacle], int]:
     """Returns the obstacles, and the number of pieces that were left out because they are below the ground."""
     obstacles: list[Obstacle] = []
     buried = triangles = 0
-    for piece in pieces:
+    for number, piece in enumerate(pieces):
+        display.update(number / len(pieces), f"obstacle {number + 1:,} of {len(pieces):,}: {piece.name}")
         points = torch.from_numpy(np.concatenate((piece.vertices, piece.vertices.mean(0, keepdims=True))))
         if bool((points[:, 2] < terrain.height_at(points[:, :2])).all()):
             buried += 1
@@ -135,5 +145,5 @@ def check_triangles(triangles: int) -> None:
     if triangles > MAX_TRIANGLES:
         raise ValueError(
             f"the obstacles have more than {MAX_TRIANGLES:,} triangles, which the simulators do not take; simplify the "
-            "meshes, or accept a larger obstacle_error"
+            f"meshes, or accept a larger {written('obstacle_error')}"
         )

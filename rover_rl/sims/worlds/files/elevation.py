@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rover_rl.option_names import written
 from rover_rl.sims.worlds.files.contents import Contents, Grid
 from rover_rl.sims.worlds.files.images import read_elevations
 from rover_rl.sims.worlds.files.options import MAX_SIZE, ImportOptions
@@ -28,9 +29,11 @@ def read_elevation(path: Path, options: ImportOptions) -> Contents:
     found = read_elevations(path)
     cell = (options.pixel, options.pixel) if options.pixel else found.cell
     if cell is None:
-        raise ValueError(f"{path.name} does not say how large it is; give pixel, the size of a pixel in meters")
+        pixel = written("pixel")
+        raise ValueError(f"{path.name} does not say how large it is; give {pixel}, the size of a pixel in meters")
     if found.white != 1.0 and options.height is None:
-        raise ValueError(f"{path.name} does not say how high it is; give height, the elevation of white in meters")
+        height = written("height")
+        raise ValueError(f"{path.name} does not say how high it is; give {height}, the elevation of white in meters")
     contents = Contents(path.name.partition(".")[0])
     values = found.values[::-1] / found.white * (1.0 if options.height is None else options.height)
     rows, columns = values.shape
@@ -38,7 +41,7 @@ def read_elevation(path: Path, options: ImportOptions) -> Contents:
     if max(width, depth, np.nanmax(np.abs(values))) > MAX_SIZE:
         raise ValueError(
             f"{path.name} spans {width:.3g} x {depth:.3g} m with heights up to {np.nanmax(np.abs(values)):.3g} m; at "
-            f"most {MAX_SIZE:g} m are supported, so check pixel and height"
+            f"most {MAX_SIZE:g} m are supported, so check {written('pixel')} and {written('height')}"
         )
     origin = (-width / 2, -depth / 2)
     if found.corner is not None and not options.pixel:

@@ -23,9 +23,8 @@ from scipy.ndimage import (
     label,
 )
 
-from rover_rl.sims.worlds.clearance import clearance_on_grid
+from rover_rl.sims.worlds.clearance import Site, clearance_on_grid
 from rover_rl.sims.worlds.region import Area, Region, expanded
-from rover_rl.sims.worlds.world import World
 
 CELL = 0.1
 """Smallest side length of a cell, m."""
@@ -60,7 +59,7 @@ YARD_WIDTH = 1.25
 
 
 class Enclosure(NamedTuple):
-    """An enclosed part of a world.
+    """An enclosed part of a site.
 
     Attributes:
         region: its ground, up to the obstacles.
@@ -85,12 +84,12 @@ class FloorPlan:
     """Distances to the obstacles of a world on a grid, from which interiors and rooms are found.
 
     Args:
-        world: world with the obstacles.
+        site: ground with the obstacles.
         known: function of points ``[..., 2]`` (m) that returns which of them a map knows. ``None``: all.
     """
 
-    def __init__(self, world: World, known: Callable[[np.ndarray], np.ndarray] | None = None) -> None:
-        outlines = [obstacle.footprint.numpy() for obstacle in world.obstacles] or [np.array(world.terrain.extent).T]
+    def __init__(self, site: Site, known: Callable[[np.ndarray], np.ndarray] | None = None) -> None:
+        outlines = [obstacle.footprint.numpy() for obstacle in site.obstacles] or [np.array(site.terrain.extent).T]
         low, high = np.concatenate(outlines).min(0), np.concatenate(outlines).max(0)
         self.box: Area = (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
         # Around everything, there is room for the largest disc.
@@ -98,10 +97,10 @@ class FloorPlan:
         self.x, self.y = grid_axes(area)
         self.cell = float(self.x[1] - self.x[0])
         self.origin = float(self.x[0]) - self.cell / 2, float(self.y[0]) - self.cell / 2
-        self._room = clearance_on_grid(world, self.x, self.y, GATES[-1] + self.cell).numpy()
+        self._room = clearance_on_grid(site, self.x, self.y, GATES[-1] + self.cell).numpy()
         centers = np.stack(np.meshgrid(self.x, self.y), -1)
         self._known = np.ones(self._room.shape, dtype=bool) if known is None else known(centers)
-        (left, right), (bottom, top) = world.terrain.extent
+        (left, right), (bottom, top) = site.terrain.extent
         on_ground = (centers >= (left, bottom)).all(-1) & (centers <= (right, top)).all(-1)
         # A wall that is thinner than a cell blocks a path of cells with common sides.
         self._free = (self._room > 0.51 * self.cell) & self._known & on_ground

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from pathlib import Path
+from functools import cached_property
+from itertools import takewhile
+from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
 
 MODEL_PATH_VARIABLES = ("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL_PATH")
 """Environment variables with folders of models, as Gazebo reads them."""
+
+MAX_SEARCHED = 50_000
+"""Largest number of files and folders among which a name is searched."""
 
 
 class OutsideError(ValueError):
@@ -24,9 +29,13 @@ class Locator:
     Args:
         file: the world file.
         model_paths: folders of models.
+
+    Attributes:
+        elsewhere: what was found by its name alone, one sentence each.
     """
 
     def __init__(self, file: Path, model_paths: Sequence[str] = ()) -> None:
+        self.elsewhere: list[str] = []
         folder = Path(os.path.abspath(file)).parent
         given = [Path(path) for path in model_paths]
         for variable in MODEL_PATH_VARIABLES:
@@ -39,6 +48,9 @@ class Locator:
     def find(self, uri: str, folder: Path) -> Path | None:
         """Returns the file or folder that a URI names.
 
+        What is not where the URI says, such as a file of another machine, is searched by its name in the folder of the
+        world and the folders of models, and what is in them.
+
         Args:
             uri: ``model://NAME/path``, ``package://NAME/path``, ``file://path``, or a path relative to ``folder``.
             folder: folder of the file that holds the URI.
@@ -47,7 +59,8 @@ class Locator:
             The path. ``None`` if there is no such file.
 
         Raises:
-            OutsideError: if the URI is on the network or outside of the folders that may be read.
+            OutsideError: if the URI is on the network, or outside of the folders that may be read and not found by its
+                name either.
         """
         uri = unquote(uri.strip())
         scheme, _, rest = uri.rpartition("://")
@@ -63,10 +76,43 @@ class Locator:
         else:
             leaves = not self._allows(_joined(folder, rest))
             folders = [folder, *self._searched]
-        if leaves:
-            raise OutsideError(f"{uri} leaves the folder of the world")
-        found = (_joined(place, rest) for place in folders if rest)
-        return next((path for path in found if self._allows(path) and path.exists()), None)
+        places = () if leaves else (_joined(place, rest) for place in folders if rest)
+        found = next((path for path in places if self._allows(path) and path.exists()), None)
+        if found is None:
+            found = self._by_name(uri, PurePosixPath(rest.replace("\\", "/")))
+        if found is None and leaves:
+            raise OutsideError(f"{uri} leaves the folder of the world, and no file of its name is in it")
+        return found
+
+    def _by_name(self, uri: str, wanted: PurePosixPath) -> Path | None:
+        """Returns the file or model of the same name whose path ends most like the one that is wanted."""
+        ends = wanted.parts[::-1]
+
+        def alike(path: Path) -> int:
+            return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(path.parts[::-1], ends, strict=False)))
+
+        candidates = self._names.get(wanted.name, ()) if wanted.name not in ("", "..") else ()
+        found = max(candidates, key=alike, default=None)
+        if found is not None:
+            self.elsewhere.append(f"{uri} is taken from {found}")
+        return found
+
+    @cached_property
+    def _names(self) -> dict[str, list[Path]]:
+        """Files, and folders of models, in the searched folders by name."""
+        names: dict[str, list[Path]] = {}
+        seen = 0
+        for top in dict.fromkeys(self._searched):
+            for place, folders, files in os.walk(top):
+                folders[:] = sorted(name for name in folders if not name.startswith("."))
+                seen += len(files) + len(folders)
+                if seen > MAX_SEARCHED:
+                    return names
+                if {"model.config", "model.sdf"} & {*files}:
+                    names.setdefault(Path(place).name, []).append(Path(place))
+                for name in sorted(files):
+                    names.setdefault(name, []).append(Path(place) / name)
+        return names
 
     def _allows(self, path: Path) -> bool:
         return any(path.is_relative_to(folder) for folder in self._allowed)

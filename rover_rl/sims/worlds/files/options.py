@@ -8,6 +8,7 @@ from typing import Any, Literal, TypeAlias, Union, get_args
 
 import numpy as np
 
+from rover_rl.option_names import written
 from rover_rl.sims.worlds.region import Area
 
 MAX_SIZE = 10_000.0
@@ -70,7 +71,7 @@ class ImportOptions:
     def __post_init__(self) -> None:
         for name, allowed in (("missing", Missing), ("unknown", Unknown), ("up", Up)):
             if getattr(self, name) not in get_args(allowed):
-                raise ValueError(f"{name} must be one of {[*get_args(allowed)]}, got {getattr(self, name)!r}")
+                raise ValueError(f"{written(name)} must be one of {[*get_args(allowed)]}, got {getattr(self, name)!r}")
         ranges = {
             "cell": (0.005, 100.0),
             "scale": (1e-6, 1e6),
@@ -82,7 +83,7 @@ class ImportOptions:
         for name, (low, high) in ranges.items():
             value = getattr(self, name)
             if value is not None and not low <= _number(name, value) <= high:
-                raise ValueError(f"{name} must be from {low:g} to {high:g}, got {value}")
+                raise ValueError(f"{written(name)} must be from {low:g} to {high:g}, got {value}")
         for name, read in (("spawn_range", _place), ("goal_range", _place), ("bounds", _area)):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, read(name, getattr(self, name)))
@@ -118,11 +119,11 @@ def _place(name: str, place: Any) -> Place:
         return _area(name, place)
     if numbers.shape != (2,) and (numbers.ndim != 2 or numbers.shape[1] != 2 or len(numbers) < 3):
         raise ValueError(
-            f"{name} must be a rectangle ((x_low, x_high), (y_low, y_high)), a polygon [(x, y), ...] or a point "
-            f"(x, y), got {place}"
+            f"{written(name)} must be a rectangle ((x_low, x_high), (y_low, y_high)), a polygon [(x, y), ...] or a "
+            f"point (x, y), got {place}"
         )
     if not (np.abs(numbers) <= MAX_SIZE).all():
-        raise ValueError(f"{name} must lie within {MAX_SIZE:g} m, got {place}")
+        raise ValueError(f"{written(name)} must lie within {MAX_SIZE:g} m, got {place}")
     if numbers.ndim == 1:
         return float(numbers[0]), float(numbers[1])
     return [(float(x), float(y)) for x, y in numbers]
@@ -135,5 +136,6 @@ def _area(name: str, area: Any) -> Area:
     except (TypeError, ValueError):
         ends = (math.nan,) * 4
     if not (-MAX_SIZE <= ends[0] < ends[1] <= MAX_SIZE and -MAX_SIZE <= ends[2] < ends[3] <= MAX_SIZE):
-        raise ValueError(f"{name} must be ((x_low, x_high), (y_low, y_high)) within {MAX_SIZE:g} m, got {area}")
+        form = "((x_low, x_high), (y_low, y_high))"
+        raise ValueError(f"{written(name)} must be {form} within {MAX_SIZE:g} m, got {area}")
     return (ends[0], ends[1]), (ends[2], ends[3])

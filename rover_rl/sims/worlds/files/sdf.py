@@ -9,6 +9,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from rover_rl.option_names import written
 from rover_rl.sims.worlds.actor import Actor
 from rover_rl.sims.worlds.files.contents import Contents, listed
 from rover_rl.sims.worlds.files.frames import MODEL, Scope, is_static, model_frames, movable_joints, pose_of, to_pose
@@ -19,6 +20,10 @@ from rover_rl.sims.worlds.files.xml_tree import is_true, numbers, read_xml, text
 
 MAX_MODELS = 3_000
 """Largest number of models of a world, includes counted each time."""
+MOVING = re.compile(
+    "velocity|joint(?!.?state)|traject|drive|mov(?:e|ing)|actor|animat|convey|patrol|elevator|steer", re.I
+)
+"""What is in the name of a plugin that moves its model: VelocityControl, JointController, TrajectoryFollower."""
 MAX_NESTING = 20
 """Largest number of includes and models within one another."""
 
@@ -33,18 +38,23 @@ def read_sdf(path: Path, options: ImportOptions) -> Contents:
     """
     root = _root(path)
     world = root.find("world")
-    contents = Contents(path.name.partition(".")[0] if world is None else world.get("name") or path.stem)
-    reader = _Reader(contents, Locator(path, options.model_paths), options)
+    own, given = path.name.partition(".")[0], "" if world is None else world.get("name", "")
+    # Gazebo's own template is called "default", and so are most worlds that were saved from it.
+    contents = Contents(own if given in ("", "default") else given)
+    locator = Locator(path, options.model_paths)
+    reader = _Reader(contents, locator, options)
     top = root if world is None else world
     reader.read(top, path)
     missing = list(dict.fromkeys(reader.missing + reader.shapes.missing))
     if missing and options.missing == "error":
         raise ValueError(
-            f"{path} needs what is not here: {listed(missing, 50)}; give model_paths, download the models, or "
-            'leave them out with missing="skip"'
+            f"{path} needs what is not here: {listed(missing, 50)}; name their folders with {written('model_paths')}, "
+            f"download them, or leave them out with {written('missing', 'skip')}"
         )
-    contents.left_out += [f"left out, as missing='skip' says: {listed(missing, 50)}"] if missing else []
+    contents.left_out += [f"left out, as {written('missing', 'skip')} says: {listed(missing, 50)}"] if missing else []
     contents.left_out += reader.told()
+    if locator.elsewhere:
+        contents.notes.append(f"files found by their names: {listed(locator.elsewhere)}")
     return contents
 
 
@@ -90,6 +100,7 @@ class _Reader:
         self.shapes = ShapeReader(contents, locator)
         self.missing: list[str] = []
         self._moving: list[str] = []
+        self._driven: list[str] = []
         self._jointed: list[str] = []
         self._shown: list[str] = []
         self._models = 0
@@ -110,6 +121,12 @@ class _Reader:
         told = []
         if self._moving:
             told.append(f"models that are not static do not move: {listed(self._moving)}")
+        if self._driven:
+            told.append(f"models that plugins move in Gazebo stand still: {listed(self._driven)}")
+        if self._contents.actors:
+            told.append(
+                f"actors do not move, and sensors do not see them: {listed(a.name for a in self._contents.actors)}"
+            )
         if self._jointed:
             told.append(f"models that are not static and have joints are left out: {listed(self._jointed)}")
         if self._shown:
@@ -176,6 +193,9 @@ class _Reader:
             raise ValueError(f"the world has more than {MAX_MODELS:,} models")
         if place.depth > MAX_NESTING:
             raise ValueError(f"{place.file} has models within one another more than {MAX_NESTING} deep")
+        movers = [name for plugin in element.findall("plugin") if (name := _mover(plugin))]
+        if movers:
+            self._driven.append(f"{place.name} ({', '.join(movers)})")
         if not place.static and not is_static(element):
             if movable_joints(element):
                 self._jointed.append(place.name)
@@ -226,8 +246,6 @@ class _Reader:
         try:
             path = self._locator.find(uri, place.file.parent)
         except OutsideError as error:
-            if "leaves" in str(error):
-                raise
             self.missing.append(str(error))
             return None
         if path is not None and path.is_dir():
@@ -241,6 +259,13 @@ class _Reader:
             self._roots[path] = _root(path)
         found = [child for child in self._roots[path] if child.tag in ("model", "actor")]
         return (found[0], path, include) if found else None
+
+
+def _mover(plugin: Element) -> str:
+    """Returns the name of a plugin that moves its model, empty for another plugin."""
+    name = plugin.get("name", "") or plugin.get("filename", "")
+    moves = any(MOVING.search(text) for text in (name, plugin.get("filename", "")))
+    return name.rpartition("::")[2] if moves else ""
 
 
 def _static_of(include: Element, model: Element) -> bool:

@@ -280,7 +280,7 @@ CASES: dict[str, Case] = {
     "missing array": (archive(heights=None), "has no heights"),
     "pickled array": (archive(heights=np.array([[None]], dtype=object)), "is no world file"),
     "other format": (archive(format="x"), "is a world file of version None"),
-    "newer": (archive(version=2), "is a world file of version 2; this version of rover_rl reads 1"),
+    "newer": (archive(version=3), "is a world file of version 3; this version of rover_rl reads 1 and 2"),
     "nan in heights": (archive(heights=np.full((3, 3), np.nan, dtype="<f4")), "heights must be finite"),
     "ends": (archive(ends=np.array([5], dtype="<i8")), "obstacles do not match their vertices"),
     "no cell": (archive(cell=None), "is a damaged world file"),
