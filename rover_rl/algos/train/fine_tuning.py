@@ -3,7 +3,7 @@
 Example:
     >>> config = fine_tuning_config("pretrained:moon-ppo", world="maze", max_minutes=5)
     >>> config.run.started_from, config.algorithm.minibatch, config.env.world
-    ('pretrained:moon-ppo', 512, 'maze')
+    ('pretrained:moon-ppo', 256, 'maze')
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from rover_rl.sims.worlds.pool import draws_worlds
 
 MINUTES = 2.0
 """Default duration of fine-tuning, minutes."""
-_RATE = 0.3
+_RATE = 0.5
 """Default learning rate, as a fraction of that of the policy's training."""
 _WARMUP = 0.15
 """Default fraction of the training in which only the critic learns. Checkpoints hold no critic: a new one begins."""
-_ROVERS = 256
+_ROVERS = 128
 """Default for the largest number of rovers: few of them give many updates in a short time."""
 _ALPHA = 0.01
 """Default weight of the entropy in SAC at the start, about that at the end of a training."""
