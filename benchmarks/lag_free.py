@@ -28,6 +28,8 @@ from rover_rl.algos.evaluation.body_contacts import is_touching
 from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.algos.evaluation.evaluate import environment_for, evaluate
 from rover_rl.algos.evaluation.metrics import count_reversals
+from rover_rl.algos.policy.names import BASELINES, make_baseline
+from rover_rl.algos.policy.runner import Policy
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.envs.config import HeadingGains
 from rover_rl.files import write_json
@@ -154,8 +156,9 @@ class LagFreeRovers:
 class Options:
     """Measure command reversals without and with the command limits."""
 
-    policies: tuple[str, ...] = ("anywhere", "moon-ppo", "moon-sac")
-    """Names of pretrained policies. Each drives in the first world with stored episodes that it was trained for."""
+    policies: tuple[str, ...] = ("anywhere", "gridplanner", "moon-ppo", "moon-sac")
+    """Pretrained policies and baselines. A pretrained one drives in the first world with stored episodes that it was
+    trained for, a baseline in the maze."""
     count: int = 64
     """Number of stored episodes."""
     seconds: float = 60.0
@@ -166,8 +169,12 @@ class Options:
 
 def measure(policy: str, count: int, seconds: float) -> dict[str, dict[str, float]]:
     """Evaluates a policy on the same episodes without and with the limits."""
-    checkpoint = load_pretrained(policy)
-    actor, (world, *_) = checkpoint.make_actor(), stored_worlds(checkpoint.env)
+    actor: Policy
+    if policy in BASELINES:
+        actor, world = make_baseline(policy), "maze"
+    else:
+        checkpoint = load_pretrained(policy)
+        actor, (world, *_) = checkpoint.make_actor(), stored_worlds(checkpoint.env)
     results = {}
     for name, limited in (("without limits", False), ("with limits", True)):
         settings = LagFree(limited)
