@@ -42,54 +42,58 @@ class Options:
     program: Annotated[tyro.conf.Positional[str], tyro.conf.arg(help="Program and its arguments, in quotes.")]
     seconds: float = 180.0
     """Duration of the training, seconds of the processor. It begins with the first step."""
-    last: float = 0.2
-    """Part of the duration, at its end, in which attempts are counted."""
+    reports: int = 6
+    """Number of reports. Each tells the success since the one before."""
 
 
 @dataclass
 class Meter:
-    """Counts steps and attempts of an environment.
+    """Counts steps and attempts of all environments of a program, and reports them.
 
     Attributes:
-        options: duration of the training.
+        options: duration of the training, and number of reports.
         started: processor time of the first step, s; 0 before it.
         steps: number of simulated steps of all rovers.
-        attempts, successes: number of ended attempts in the last part of the duration.
+        reported: number of reports.
+        attempts, successes: number of attempts that ended since the last report.
     """
 
     options: Options
     started: float = 0.0
     steps: int = 0
+    reported: int = 0
     attempts: int = 0
     successes: int = 0
     _ages: dict[int, Tensor] = field(default_factory=dict)
 
     def add(self, env: RoverEnv, before: TensorDictBase, after: TensorDictBase) -> None:
-        """Counts a step of an environment. Other environments, such as those of evaluations, count too."""
+        """Counts a step of an environment. Reports if it is time, and stops the program at the end."""
+        goal, terminated, truncated = (
+            after.get(key).reshape(-1) for key in (("outcome", "goal_reached"), "terminated", "truncated")
+        )
+        active = torch.ones_like(goal) if (given := before.get("_step", None)) is None else given.reshape(-1)
+        age = self._ages.get(id(env), torch.zeros_like(goal, dtype=torch.int64)) + active
+        over = active & (goal | terminated | (age >= ATTEMPT))
+        self._ages[id(env)] = age.masked_fill(over | (active & truncated), 0)
+        self.attempts += int(over.sum())
+        self.successes += int((over & goal).sum())
+        self.steps += int(active.sum())
         now = time.process_time()
         self.started = self.started or now
-        if now - self.started > self.options.seconds:
-            raise TimeIsUp
-        goal, ended = (after.get(key).reshape(-1) for key in (("outcome", "goal_reached"), "terminated"))
-        active = before.get("_step", None)
-        active = torch.ones_like(goal) if active is None else active.reshape(-1)
-        age = (self._ages.get(id(env), torch.zeros_like(goal, dtype=torch.int64)) + active) * 1
-        over = active & (goal | ended | (age >= ATTEMPT))
-        if now - self.started > (1 - self.options.last) * self.options.seconds:
-            self.attempts += int(over.sum())
-            self.successes += int((over & goal).sum())
-        reset = over | (active & after.get("truncated").reshape(-1))
-        self._ages[id(env)] = age.masked_fill(reset, 0)
-        self.steps += int(active.sum())
+        if now - self.started >= (self.reported + 1) * self.options.seconds / self.options.reports:
+            self.report(now - self.started)
+            if self.reported == self.options.reports:
+                raise TimeIsUp
 
-    def summary(self) -> str:
-        """Returns the results as a sentence."""
-        seconds = time.process_time() - self.started
+    def report(self, seconds: float) -> None:
+        """Prints the speed from the beginning, and the success since the last report."""
         share = f"{100 * self.successes / self.attempts:.0f} %" if self.attempts else "none"
-        return (
-            f"{self.steps / 1e6:.2f} M steps in {seconds:.0f} s: {self.steps / seconds:,.0f} steps/s; "
-            f"{share} of the last {self.attempts} attempts reached the goal"
+        print(
+            f"{seconds:.0f} s: {self.steps / 1e6:.2f} M steps, {self.steps / seconds:,.0f} steps/s, "
+            f"{share} of {self.attempts} attempts reached the goal",
+            flush=True,
         )
+        self.reported, self.attempts, self.successes = self.reported + 1, 0, 0
 
 
 def run(options: Options) -> Meter:
@@ -115,4 +119,4 @@ def run(options: Options) -> Meter:
 
 
 if __name__ == "__main__":
-    print(run(tyro.cli(Options, description=__doc__)).summary())
+    run(tyro.cli(Options, description=__doc__))

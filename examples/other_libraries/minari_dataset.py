@@ -1,4 +1,4 @@
-"""A data set of the planner ``gridplanner`` for Minari, for imitation and offline learning: ``pip install "minari[create,hdf5]"``."""
+"""A data set of the planner ``gridplanner`` for Minari. It needs ``minari`` with its extras ``create`` and ``hdf5``."""
 
 import gymnasium
 import minari
