@@ -43,16 +43,17 @@ ENV_ID = "rover_rl/Rover-v0"
 LEARNING_ENV_ID = "rover_rl/Rover5Hz-v0"
 """Gymnasium ID of the environment with settings for the algorithms of other libraries: an action every 0.2 s, one
 vector of scaled observations, a scaled reward, ``truncated`` at the time limit, and Warp."""
-_LEARNING_DEFAULTS = {
+LEARNING_DEFAULTS: dict[str, Any] = {
     "action_repeat": 4,
     "reward_scale": 0.05,
     "scale_observations": True,
     "time_limit": "truncated",
     "backend": "warp",
 }
+"""Arguments that this ID stands for."""
 
 if ENV_ID not in gymnasium.registry:
-    for id_, defaults in ((ENV_ID, {}), (LEARNING_ENV_ID, _LEARNING_DEFAULTS)):
+    for id_, defaults in ((ENV_ID, {}), (LEARNING_ENV_ID, LEARNING_DEFAULTS)):
         gymnasium.register(
             id=id_,
             entry_point="rover_rl.envs.gym:RoverEnv",
@@ -83,6 +84,7 @@ _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "ENV_ID",
+    "LEARNING_DEFAULTS",
     "LEARNING_ENV_ID",
     "ActionConfig",
     "EnvConfig",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import re
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -113,3 +115,22 @@ def test_sb3_sac(run):
     pytest.importorskip("stable_baselines3")
     output, _ = run("sb3_sac.py", STEPS=64, ROVERS=2, EPISODE=20)
     assert "of 2 rovers reached a goal" in output
+
+
+@pytest.mark.parametrize(
+    "path", [pytest.param(path, id=path.name) for path in sorted((EXAMPLES / "other_libraries").glob("*.py"))]
+)
+def test_programs_for_other_libraries_use_what_exists(path):
+    """Their libraries are not installed here: what they import from this package exists, and a page shows them."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    ours = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module.startswith("rover_rl")]
+    assert ours or "import rover_rl" in ast.unparse(tree)
+    for node in ours:
+        if node.module != "rover_rl.envs.wrappers.rsl_rl":
+            module = import_module(node.module)
+            assert all(hasattr(module, alias.name) for alias in node.names)
+    attributes = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute)]
+    for node in attributes:
+        if ast.unparse(node.value) == "rover_rl":
+            assert hasattr(import_module("rover_rl"), node.attr)
+    assert path.name in (EXAMPLES.parent / "docs" / "other_libraries.md").read_text(encoding="utf-8")

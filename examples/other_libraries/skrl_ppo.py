@@ -1,0 +1,46 @@
+"""PPO of skrl on a batch of rovers: ``pip install skrl``."""
+
+import gymnasium
+import torch
+from skrl.envs.wrappers.torch import wrap_env
+from skrl.utils import set_seed
+from skrl.utils.runner.torch import Runner
+
+import rover_rl  # registers the environment
+
+DECISIONS = 500_000  # of all rovers together, each of 4 steps
+ROVERS = 256
+
+torch.set_num_threads(1)  # small networks do not gain from more threads
+set_seed(0)
+envs = wrap_env(
+    gymnasium.make_vec(
+        rover_rl.LEARNING_ENV_ID,
+        num_envs=ROVERS,
+        vectorization_mode="vector_entry_point",
+        autoreset_mode="SameStep",
+        world_n="inspect",
+        seed=0,
+    )
+)
+network = [{"name": "net", "input": "OBSERVATIONS", "layers": [128, 128], "activations": "elu"}]
+policy = {"class": "GaussianMixin", "network": network, "output": "ACTIONS", "initial_log_std": 0.0}
+value = {"class": "DeterministicMixin", "network": network, "output": "ONE"}
+settings = {
+    "models": {"separate": True, "policy": {**policy, "clip_actions": True}, "value": value},
+    "memory": {"class": "RandomMemory", "memory_size": -1},
+    "agent": {
+        "class": "PPO",
+        "rollouts": 32,
+        "mini_batches": 4,
+        "learning_rate": 3e-4,
+        "time_limit_bootstrap": True,
+        "experiment": {"directory": "runs/skrl", "write_interval": 100, "checkpoint_interval": 0},
+    },
+    "trainer": {"class": "SequentialTrainer", "timesteps": DECISIONS // ROVERS, "headless": True},
+    "seed": 0,
+}
+runner = Runner(envs, settings)
+runner.run()
+runner.agent.save("skrl_ppo.pt")
+envs.close()
