@@ -18,7 +18,7 @@ from rover_rl.algos.config_files import read_config
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
 from rover_rl.algos.pretrained import load_pretrained
-from rover_rl.algos.video.film import film
+from rover_rl.algos.video.film import film_to_goal
 from rover_rl.cli import main
 from rover_rl.cli.demo import Demo
 from rover_rl.cli.help import GROUPS
@@ -518,9 +518,9 @@ def test_the_demo_trains_in_warp_and_shows_the_policy_beside_planner_and_script_
 
     def recorded(policy: Any, *args: Any, **options: Any) -> Any:
         filmed.append(policy)
-        return film(policy, *args, **options)
+        return film_to_goal(policy, *args, **options)
 
-    monkeypatch.setattr("rover_rl.algos.video.film.film", recorded)
+    monkeypatch.setattr("rover_rl.algos.video.film.film_to_goal", recorded)
     short = ["--minutes", "1e-6", "--count", "2", "--seconds", "0.5", "--runs", str(tmp_path)]
     assert main(["demo", *short]) == 0
     folder = tmp_path / "demo-maze"

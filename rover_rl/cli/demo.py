@@ -24,8 +24,8 @@ FIRST_UNSEEN = 10_000
 """Seed of the first world to evaluate in. Seeds from here up are never trained in."""
 MAX_WORLDS = 1_000
 """Largest number of worlds to evaluate in."""
-FILMED = 12.0
-"""Longest duration of the drive that is filmed, s."""
+FILMED = 20.0
+"""Longest duration of the drive to a goal that is filmed, s."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Demo:
         from rover_rl.algos.evaluation.plots import draw_paths
         from rover_rl.algos.evaluation.report import print_table, write_evaluation
         from rover_rl.algos.experiments.curves import draw_learning_curve
-        from rover_rl.algos.video.film import film
+        from rover_rl.algos.video.film import film_to_goal
 
         pictures = {
             "Learning curve": folder / "learning_curve.png",
@@ -131,7 +131,7 @@ class Demo:
             draw_learning_curve([folder], curve, evaluations[-1])
             draw_paths(evaluations, paths)
         print_table(evaluations)
-        film(
+        film_to_goal(
             trained, moving, world=f"{self.world}:{FIRST_UNSEEN}", seconds=FILMED, seed=self.seed, width=480, height=360
         )
         print("\n".join(f"{what}: {path}" for what, path in pictures.items()))
