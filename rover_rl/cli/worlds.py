@@ -35,8 +35,7 @@ class ImportWorld:
     name: str | None = None
     """Name of the world. Default: that in the file, else the file's name."""
     spawn: Place | None = None
-    """Area in which episodes start: x y, a point in a room; x_low x_high y_low y_high, a rectangle; or x y of three or
-    more corners, a polygon, m. Default: automatic."""
+    """Area of starts: x y (the room there), x_low x_high y_low y_high, or corners of a polygon, m. Default: found."""
     goal: Place | None = None
     """Area of the goals, in the same forms. Default: the spawn area."""
     bounds: Corners | None = None
