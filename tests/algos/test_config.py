@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from rover_rl.algos.config import TrainingConfig, training_config, with_settings
 from rover_rl.algos.workers import default_workers
+from rover_rl.sims.warp.settings import WarpSettings
 
 PPO, SAC = training_config("ppo"), training_config("sac")
 
@@ -44,6 +47,25 @@ def test_settings_are_put_into_their_parts() -> None:
     assert (config.algo, config.env.world, config.network.hidden) == ("sac", "maze", (8,))
     assert (config.collection.workers, config.algorithm.tau, config.run.max_minutes) == (2, 0.1, 5)
     assert with_settings(config, tau=SAC.algorithm.tau).algorithm == SAC.algorithm
+
+
+@pytest.mark.parametrize(
+    ("algo", "given", "expected"),
+    [
+        ("ppo", {}, ("warp", 512, 1024, 3_000_000)),
+        ("ppo", {"backend": "bullet"}, ("bullet", 64, 256, 600_000)),
+        ("ppo", {"backend": WarpSettings(), "num_envs": 8}, (WarpSettings(), 8, 1024, 3_000_000)),
+        ("ppo", {"backend": "mujoco", "minibatch": 32}, ("mujoco", 64, 32, 600_000)),
+        ("sac", {}, ("warp", 64, 256, 400_000)),
+        ("sac", {"backend": "bullet"}, ("bullet", 64, 256, 400_000)),
+    ],
+)
+def test_training_is_in_warp_and_other_simulators_have_fewer_rovers(
+    algo: str, given: dict[str, Any], expected: tuple[Any, ...]
+) -> None:
+    config = training_config(algo, **given)
+    assert (config.env.backend, config.num_envs, config.algorithm.minibatch, config.run.total_steps) == expected
+    assert TrainingConfig() == PPO
 
 
 def test_unknown_algorithms_and_settings_raise() -> None:

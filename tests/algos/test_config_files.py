@@ -33,6 +33,12 @@ def test_missing_settings_have_their_defaults(text: str, tmp_path: Path) -> None
     assert read_config(tmp_path / "mine.yaml") == training_config("sac", world="moon", gamma=1.0)
 
 
+def test_files_that_name_a_simulator_have_its_defaults(tmp_path: Path) -> None:
+    for text in ("algo: ppo\nbackend: bullet\n", "algo: ppo\nenv: {backend: bullet}\n"):
+        (tmp_path / "mine.yaml").write_text(text)
+        assert read_config(tmp_path / "mine.yaml") == training_config("ppo", backend="bullet")
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
