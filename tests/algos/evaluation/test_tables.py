@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from functools import lru_cache
 
 import pytest
 import torch
@@ -41,6 +42,7 @@ def drive(ending: str, steps: int) -> Trajectory:
     return Trajectory(path, torch.zeros(steps + 1, 3), none, none, ending)
 
 
+@lru_cache
 def evaluation(name: str, place: str, backend: str = "warp", endings: tuple[str, ...] = ENDINGS) -> Evaluation:
     start, index = torch.zeros(COUNT, 3), torch.arange(COUNT) % 2
     episodes = EpisodeSet(place, POOL, 0, start, torch.ones(COUNT, 2), torch.full((COUNT,), 0.9), world_index=index)
