@@ -133,6 +133,7 @@ class Evaluation:
                 "shortest": shortest,
                 "length": t.length,
                 **_episode(t, touched),
+                "success": t.ending == "goal",
             }
             for number, (start, goal, shortest, t, touched) in enumerate(rows)
         ]
