@@ -527,7 +527,7 @@ def test_the_demo_trains_in_warp_and_shows_the_policy_beside_planner_and_script_
     env = read_config(folder / "config.yaml").env
     assert (env.backend, env.world) == ("warp", "maze:0-299@0.2-0.9")
     rows = json.loads((folder / "evaluation.json").read_text())
-    assert [row["policy"] for row in rows] == ["trained", "gridplanner", "scripted"]
+    assert [row["policy"] for row in rows] == ["demo-maze", "gridplanner", "scripted"]
     assert {(row["env"]["backend"], row["world"]) for row in rows} == {("bullet", "maze:10000-10001")}
     starts = [[episode["shortest"] for episode in row["episodes"]] for row in rows]
     assert len(starts[0]) == 2

@@ -102,7 +102,7 @@ class Demo:
         from rover_rl.algos.policy.names import make_baseline
 
         trained = Checkpoint.load(folder).make_actor()
-        policies = {"trained": trained, **{name: make_baseline(name) for name in ("gridplanner", "scripted")}}
+        policies = {folder.name: trained, **{name: make_baseline(name) for name in ("gridplanner", "scripted")}}
         print(f"Driving {len(policies)} policies from the same starts in {self.count} unseen worlds", flush=True)
         episodes = choose_episodes(self.unseen, 1, workers=None)
         evaluations = evaluate_all(
