@@ -179,9 +179,7 @@ def test_rovers_stand_still_and_clear_of_obstacles_after_a_reset(world):
 
 def test_a_world_in_which_pose_is_clipped_is_told():
     far = World("far", Terrain.flat((90, 20)), spawn_range=((-3, 3), (-3, 3)))
-    with pytest.warns(
-        UserWarning, match="'far' reaches 45 m from the origin, and .* clipped at 30 m"
-    ):
+    with pytest.warns(UserWarning, match="'far' reaches 45 m from the origin, and .* clipped at 30 m"):
         RoverEnv(world_n=far).close()
     near = World("near", far.terrain, spawn_range=far.spawn_range, bounds=((-30, 30), (-10, 10)))
     with warnings.catch_warnings():

@@ -226,7 +226,7 @@ def _distribution(setting: Setting) -> Any:
     from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
     if isinstance(setting, Interval):
-        kind = IntDistribution if setting.whole else FloatDistribution
+        kind: Any = IntDistribution if setting.whole else FloatDistribution
         return kind(setting.low, setting.high, log=setting.log)
     return CategoricalDistribution([*setting.values])
 

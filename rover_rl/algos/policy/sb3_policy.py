@@ -153,7 +153,9 @@ def _observation(
     if entries and {key for key, _, _ in entries} <= set(bounds) and any(key == "lidar" for key, _, _ in entries):
         sizes = {key: int(size) for key, _, size in entries}
         high = next(float(numbers.split(", ")[-1]) for key, numbers, _ in entries if key == "lidar")
-        boxes = {key: spaces.Box(-np.inf, np.inf, (size,), np.float32) for key, size in sizes.items()}
+        boxes: dict[str, spaces.Space[Any]] = {
+            key: spaces.Box(-np.inf, np.inf, (size,), np.float32) for key, size in sizes.items()
+        }
         lidar = LidarConfig(points=sizes["lidar"], max_range=high)
         return lidar, spaces.Dict(boxes), lambda now: {key: now[key].numpy(force=True) for key in sizes}
     size = next(iter(space.get("_shape") or ()), 0)
