@@ -82,7 +82,7 @@ nitpick_ignore = [
     ("py:class", name)
     for name in (
         *("Area", "AutoresetMode", "EnvBase", "Missing", "Path", "Reward", "TimeLimit", "Transform", "Unknown", "Up"),
-        *("Bounded", "CurriculumKind", "MemoryKind", "View", "WorldSource"),
+        *("Bounded", "CurriculumKind", "LearningOptions", "MemoryKind", "Unpack", "View", "WorldSource"),
     )
 ]
 autodoc_type_aliases = {

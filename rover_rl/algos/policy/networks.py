@@ -233,7 +233,7 @@ def make_action_critic(
     """Creates an action-value function from ``features [..., n]`` and action to ``state_action_value [..., 1]``.
 
     Args:
-        features: number n of features of an :class:`ObservationEncoder`.
+        features: number n of features of an :class:`~rover_rl.envs.encoding.ObservationEncoder`.
         hidden: number of units of each hidden layer.
         action: bounds of the action; ``None``: the contract's.
         device: device of the network; ``None``: the CPU.

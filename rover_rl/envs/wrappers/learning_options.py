@@ -21,7 +21,7 @@ Reward: TypeAlias = str | RewardConfig | Sequence[RewardComponent]
 
 
 class LearningOptions(TypedDict, total=False):
-    """Options with which algorithms learn at their default settings. By default, all of them are off.
+    """Options for the algorithms of other libraries. By default, all of them are off.
 
     Attributes:
         action_repeat: number of steps of 0.05 s that each action is held for. The reward is their sum. Exploration
