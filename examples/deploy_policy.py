@@ -45,8 +45,8 @@ for entry in (*session.get_inputs(), *session.get_outputs()):
 # %%
 # The loop of a robot
 # -------------------
-# ``read`` and ``send`` are what a robot's drivers do: the latest sensor values, and a command. The heading offset of the
-# action goes through a PID controller, which is part of the environment here and of ``rover-rl drive`` on a robot.
+# ``read`` and ``send`` are what a robot's drivers do: the latest sensor values, and a command. The heading offset of
+# the action goes through a PID controller, which is part of the environment here and of ``rover-rl drive`` on a robot.
 
 STEPS = 200  # of 0.05 s
 env = make_env(world_n="moon", num_envs=1, seed=0, backend="warp", end_on_goal=True)
@@ -67,14 +67,14 @@ def send(action: np.ndarray) -> bool:
 
 names = [entry.name for entry in session.get_inputs()]
 driven = [read("pose")[0, :2]]
-for step in range(1, STEPS + 1):
+for _ in range(STEPS):
     (action,) = session.run(["action"], {name: read(name) for name in names})
     ended = send(action)
     driven.append(read("pose")[0, :2])
     if ended:
         break
 distance = read("target")[0, 0]
-print(f"{distance:.2f} m from the goal after {step * 0.05:.1f} s")
+print(f"{distance:.2f} m from the goal after {(len(driven) - 1) * 0.05:.1f} s")
 env.close()
 
 figure, axes = plt.subplots(figsize=(6, 5.6), layout="constrained")

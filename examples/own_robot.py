@@ -14,6 +14,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import torch
+from tensordict import TensorDictBase
 
 from rover_rl import make_env
 from rover_rl.sims.robots import Robot, get_robot
@@ -85,11 +86,17 @@ scout = Robot(
 # %%
 # How it drives
 # -------------
-# Both robots drive ahead, with the heading held 30 degrees to the left of the current one. The package's rover turns more
-# slowly: it slips, and its drive assumes a track of 0.24 m, as that of the original environment does.
+# Both robots drive ahead, with the heading held 30 degrees to the left of the current one. The package's rover turns
+# more slowly: it slips, and its drive assumes a track of 0.24 m, as that of the original environment does.
 
 STEPS = 60  # of 0.05 s
 START, GOAL = torch.tensor([[0.0, 0.0, 0.0]]), torch.tensor([[3.5, 3.5]])
+
+
+def turn_left(td: TensorDictBase) -> TensorDictBase:
+    return td.set("action", torch.tensor([[1.0, math.radians(30)]]))
+
+
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.4), layout="constrained", width_ratios=(1, 1.2))
 for robot in (scout, get_robot("rover_zero")):
     env = make_env(world_n="ramps@0", robot=robot, num_envs=1, seed=0, backend="warp")
@@ -97,12 +104,12 @@ for robot in (scout, get_robot("rover_zero")):
     if robot is scout:
         right.imshow(env.base_env.render(view="chase", width=640, height=480).numpy())
         right.set_axis_off()
-    turn = torch.tensor([[1.0, math.radians(30)]])
     state = env.reset(start=START, goal=GOAL)
-    drive = env.rollout(STEPS, lambda td: td.set("action", turn), auto_reset=False, tensordict=state)
+    drive = env.rollout(STEPS, turn_left, auto_reset=False, tensordict=state)
     path = drive["pose"][0, :, :2]
     yaw_rate = torch.diff(drive["imu"][0, :, 2]).remainder(2 * math.pi).median().item() / env.base_env.control_dt
-    print(f"{robot.name}: {drive['velocities'][0, -1, 0]:.2f} m/s, turns at {math.degrees(yaw_rate):.0f} degrees per second")
+    speed = drive["velocities"][0, -1, 0]
+    print(f"{robot.name}: {speed:.2f} m/s, turns at {math.degrees(yaw_rate):.0f} degrees per second")
     left.plot(*path.T, ".-", label=robot.name)
     env.close()
 left.set(title="paths of three seconds", xlabel="x (m)", ylabel="y (m)", aspect="equal")

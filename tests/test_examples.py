@@ -84,7 +84,7 @@ def test_own_robot(run):
 def test_deploy_policy(run):
     pytest.importorskip("onnxruntime")
     output, names = run("deploy_policy.py", STEPS=20)
-    assert "state" not in names["names"]
+    assert names["names"] == ["lidar", "imu", "target", "velocities"]
     assert "m from the goal after 1.0 s" in output
     assert names["figures"] == 1
 
