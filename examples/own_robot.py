@@ -93,8 +93,8 @@ STEPS = 60  # of 0.05 s
 START, GOAL = torch.tensor([[0.0, 0.0, 0.0]]), torch.tensor([[3.5, 3.5]])
 
 
-def turn_left(observation: TensorDictBase) -> TensorDictBase:
-    return observation.set("action", torch.tensor([[1.0, math.radians(30)]]))
+def turn_left(td: TensorDictBase) -> TensorDictBase:
+    return td.set("action", torch.tensor([[1.0, math.radians(30)]]))
 
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.4), layout="constrained", width_ratios=(1, 1.2))
