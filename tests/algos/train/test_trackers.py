@@ -43,7 +43,7 @@ def test_events_after_the_state_that_is_gone_on_from_are_hidden(tmp_path: Path) 
 
 def test_a_run_has_the_record_of_each_tracker(tmp_path: Path) -> None:
     pytest.importorskip("tensorboard")
-    config = with_settings(PPO, logger=("csv", "tensorboard"), total_steps=64, runs=str(tmp_path))
+    config = with_settings(PPO, world="inspect", logger=("csv", "tensorboard"), total_steps=64, runs=str(tmp_path))
     summary = train(config)
     rows = (summary.folder / "progress.csv").read_text().count("\n") - 1
     assert (summary.folder / "csv" / "scalars" / "loss_critic.csv").read_text().count("\n") == rows
