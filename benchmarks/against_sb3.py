@@ -108,6 +108,8 @@ class Options:
         """Settings of all trainings: the algorithm's defaults, and a time limit."""
         return training_config(
             self.algo,
+            # Both programs simulate in Bullet.
+            backend="bullet",
             world=self.world,
             total_steps=UNLIMITED_STEPS,
             max_minutes=self.minutes,

@@ -83,6 +83,8 @@ nitpick_ignore = [
     for name in (
         *("Area", "AutoresetMode", "EnvBase", "Missing", "Path", "Reward", "TimeLimit", "Transform", "Unknown", "Up"),
         *("Bounded", "CurriculumKind", "LearningOptions", "MemoryKind", "Unpack", "View", "WorldSource"),
+        *("FrozenTrial", "Setting", "SpreadEnds", "rover_rl.algos.video.recording.Moment"),
+        *(f"rover_rl.algos.experiments.{name}" for name in ("runs.Run", "comparison.Row", "comparison.Pair")),
     )
 ]
 autodoc_type_aliases = {

@@ -11,6 +11,8 @@ import rover_rl
 
 PUBLIC_NAMES = {
     "ENV_ID",
+    "LEARNING_DEFAULTS",
+    "LEARNING_ENV_ID",
     "ActionConfig",
     "EnvConfig",
     "GymVectorWrapper",

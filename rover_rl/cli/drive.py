@@ -21,7 +21,6 @@ from rover_rl.cli.environment import read_env
 from rover_rl.cli.policies import LIVE_POLICY
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2.settings import Command, PoseSource, Ros2Settings, TransportName
-from rover_rl.sims.worlds.names import WorldRange
 
 if TYPE_CHECKING:
     from rover_rl.algos.deploy.driving import Moment
@@ -200,6 +199,8 @@ class Drive:
             return
         trained, network = policy.config.env.world_names, policy.config.network
         reads_place = "pose" in network.observation or network.north_up
+        from rover_rl.sims.worlds.names import WorldRange
+
         if reads_place and policy.worlds[0] not in trained and not any(map(WorldRange.parse, trained)):
             raise ValueError(
                 f"{self.policy} recognizes the places of {', '.join(trained)}, where it was trained, and --world is "

@@ -126,7 +126,7 @@ def config_from(what: str, args: Sequence[Any], settings: Mapping[str, Any]) -> 
             raise TypeError(f"{what}: {field} and {name} set the same: give one of them{advice}")
         nested.setdefault(field, {})[part] = given[name]
     default = EnvConfig()
-    changes = {name: value for name, value in own.items() if value is not None or name in _NONE_IS_A_VALUE}
+    changes = {name: value for name, value in own.items() if value is not None or name not in _NONE_IS_THE_DEFAULT}
     changes |= {
         field: parts[""] if "" in parts else replace(getattr(default, field), **parts)
         for field, parts in nested.items()
@@ -136,4 +136,9 @@ def config_from(what: str, args: Sequence[Any], settings: Mapping[str, Any]) -> 
     return EnvConfig(**changes)
 
 
-_NONE_IS_A_VALUE = {"num_envs", "seed", "device"}
+_NONE_IS_THE_DEFAULT = {name for name, hint in EnvSettings.__annotations__.items() if "None" in _text(hint)} - {
+    "num_envs",
+    "seed",
+    "device",
+}
+"""Arguments for which ``None`` is the contract's value."""

@@ -50,6 +50,7 @@ FLAT = {
 """Settings as version 0.1 wrote them."""
 TODAY = training_config(
     "ppo",
+    backend="bullet",
     world="maze",
     hidden=(8,),
     rollout_length=8,
@@ -98,7 +99,9 @@ def test_randomize_is_the_typical_randomization(value: bool) -> None:
 
 
 def test_the_backend_ray_is_a_collector() -> None:
-    assert config_from({"algo": "ppo", "backend": "ray"}, "text") == training_config("ppo", collector="ray")
+    assert config_from({"algo": "ppo", "backend": "ray"}, "text") == training_config(
+        "ppo", collector="ray", backend="bullet"
+    )
 
 
 def test_the_cpu_is_the_default_device() -> None:

@@ -18,6 +18,7 @@ import torch
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from rover_rl.algos.evaluation.comparison import Disagreement, backends_of, disagreements_of, find_disagreements
 from rover_rl.algos.evaluation.evaluate import EndlessEvaluation, Evaluation
@@ -62,7 +63,7 @@ def print_table(
         console: console to print to; ``None``: standard output.
         groups: group name of each policy that belongs to a group, by the policy's name. Each group of several policies,
             such as those that differ in their seed only, has a row with its mean and standard deviation.
-        columns: metrics to show, as for :func:`check_columns`; empty: success, contacts, SPL, time and endings.
+        columns: metrics to show, as for ``check_columns``; empty: success, contacts, SPL, time and endings.
 
     Raises:
         ValueError: for an unknown column.
@@ -178,7 +179,7 @@ def _print_disagreements(disagreements: Sequence[Disagreement], console: Console
         console.print(f"{len(disagreements) - LISTED} more such episodes: see evaluation.json.")
 
 
-def _disagreement_tables(disagreements: Sequence[Disagreement], console: Console) -> list[Table]:
+def _disagreement_tables(disagreements: Sequence[Disagreement], console: Console) -> list[Table | Text]:
     def numbers(values: Sequence[float]) -> str:
         return ", ".join(f"{value:.2f}" for value in values)
 

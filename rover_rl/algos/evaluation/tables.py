@@ -16,6 +16,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 NAME_WIDTH = 30
 """Width up to which names of policies stay in one line if there is room, characters."""
@@ -42,24 +43,24 @@ class Column:
     cells: Sequence[str]
 
 
-def fitting_tables(title: str, names: Sequence[str], columns: Sequence[Column], console: Console) -> list[Table]:
-    """Returns tables with a row for each name, which together have all columns, and none wider than the console.
+def fitting_tables(title: str, names: Sequence[str], columns: Sequence[Column], console: Console) -> list[Table | Text]:
+    """Returns a title, and tables that together have all columns, none of them wider than the console.
 
     Names that are too long continue in the next line, after a separator such as ``-``. Headings of several words have a
     line for each. Nothing else is broken or cut.
 
     Args:
-        title: title of the first table.
+        title: what stands above the tables.
         names: names of the rows. Lines after the first, such as a backend, are dimmed.
         columns: columns beside the names.
         console: console whose width the tables have at most.
     """
-    tables: list[Table] = []
+    tables: list[Table | Text] = [Text(title, "bold")]
     rest = [*columns]
-    while rest or not tables:
+    while rest or len(tables) == 1:
         count = max(1, next((n for n in range(len(rest), 0, -1) if _fits(names, rest[:n], console)), 0))
         width = max(_name_width(names, rest[:count], console), LEAST_NAME_WIDTH)
-        tables.append(_table(None if tables else title, names, rest[:count], width))
+        tables.append(_table(names, rest[:count], width))
         rest = rest[count:]
     return tables
 
@@ -72,13 +73,13 @@ def _fits(names: Sequence[str], columns: Sequence[Column], console: Console) -> 
 def _name_width(names: Sequence[str], columns: Sequence[Column], console: Console) -> int:
     """Returns the width that the columns leave for the names, at most what the names need."""
     longest = max(len(line) for name in names for line in name.splitlines())
-    without = _table(None, [""] * len(names), columns, 0)
+    without = _table([""] * len(names), columns, 0)
     needed = console.measure(without, options=console.options.update(width=_UNLIMITED)).maximum - len("policy")
     return min(max(longest, len("policy")), NAME_WIDTH, console.width - needed)
 
 
-def _table(title: str | None, names: Sequence[str], columns: Sequence[Column], name_width: int) -> Table:
-    table = Table(title=title and escape(title), box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+def _table(names: Sequence[str], columns: Sequence[Column], name_width: int) -> Table:
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     table.add_column("policy", no_wrap=True)
     for column in columns:
         heading = "\n".join(line for word in column.heading.split() for line in folded(word, _HEADING_WIDTH))

@@ -89,7 +89,7 @@ class Comparison:
 
     Attributes:
         runs: all runs.
-        scored_by: what the success rates are of: an evaluation, or :data:`IN_TRAINING`.
+        scored_by: what the success rates are of: an evaluation, or the last twelfth of training.
         level: success rate of ``steps`` and ``minutes``.
         scores: success rate of each run, by its folder.
         rows: results of the experiments in each world, then in all of them.

@@ -31,7 +31,7 @@ class Trackers:
     than its record, which ``progress.csv`` holds anyway.
 
     Args:
-        names: names of the trackers: see :data:`~rover_rl.algos.config.TrackerName`.
+        names: names of the trackers: see ``rover_rl.algos.config.TrackerName``.
         folder: folder of the run. Weights & Biases, TensorBoard and CSV files are in it, the database of MLflow is
             beside it, and Trackio has a folder of its own (environment variable ``TRACKIO_DIR``).
         config: settings of the run, which the trackers that have a place for them show.

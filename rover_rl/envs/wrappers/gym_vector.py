@@ -32,7 +32,8 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
 
     Args:
         env: ``RoverEnv``, or a ``TransformedEnv`` of one, for example from :func:`rover_rl.make_env`.
-        reward, time_limit, render_mode, camera, **options: see :class:`~rover_rl.envs.wrappers.gym.GymWrapper`.
+        reward, time_limit, render_mode, camera: see :class:`~rover_rl.envs.wrappers.gym.GymWrapper`.
+        **options: see :class:`~rover_rl.envs.wrappers.gym.GymWrapper`.
         autoreset_mode: time at which rows whose episode ended are reset, as defined by Gymnasium: in the next step,
             which ignores their action (``NEXT_STEP``); in the same step, with ``final_obs`` and ``final_info`` in
             ``infos`` (``SAME_STEP``); or by ``reset(options={"reset_mask": ...})`` (``DISABLED``).

@@ -31,7 +31,8 @@ class SB3VecEnv(VecEnv):
 
     Args:
         env: ``RoverEnv``, or a ``TransformedEnv`` of one, for example from :func:`rover_rl.make_env`.
-        reward, render_mode, camera, **options: see :class:`~rover_rl.envs.wrappers.gym.GymWrapper`.
+        reward, render_mode, camera: see :class:`~rover_rl.envs.wrappers.gym.GymWrapper`.
+        **options: see :class:`~rover_rl.envs.wrappers.gym.GymWrapper`.
         time_limit: signal at the end of an episode's length: ``"truncated"``, so that algorithms bootstrap the value
             there, or ``"terminated"`` as in the contract.
 

@@ -186,7 +186,7 @@ def test_wrong_levels_are_refused_in_a_sentence(
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        ("benchmark", "Expected one of {barn, jaxnav}; see rover-rl benchmark --help"),
+        ("benchmark", "benchmark needs a command; use one of ['barn', 'jaxnav']; see rover-rl benchmark --help"),
         ("benchmark barn scripted", "benchmark barn needs --data: Folder of the public repository"),
         ("benchmark barn --data x --rnus 3", "unknown option --rnus, perhaps --runs; see rover-rl benchmark barn"),
         ("benchmark barn --data x --runs few", "--runs takes INT, got few; see rover-rl benchmark barn --help"),

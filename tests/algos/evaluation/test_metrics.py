@@ -278,7 +278,7 @@ def test_the_outline_is_that_of_the_robot(tmp_path: Path) -> None:
     wall = World("wall", Terrain.flat((12.0, 12.0)), [box((1.5, 0.0, 0.5), (1.0, 4.0, 1.0))])
     urdf = tmp_path / "longer.urdf"
     urdf.write_text(ROVER.urdf.read_text().replace('"0.40 0.26 0.14"', '"0.74 0.26 0.14"'))
-    longer = replace(ROVER, urdf=urdf)
+    longer = replace(ROVER, urdf=urdf, radius=0.5)
     assert not find_body_contacts([at(0.7)], wall, ROVER)[0].any()
     assert find_body_contacts([at(0.7)], wall, longer)[0].all()
     trajectories = [at(0.7), at(0.7)]

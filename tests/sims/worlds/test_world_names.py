@@ -43,7 +43,7 @@ def test_a_malformed_difficulty_raises(level):
 
 
 def test_the_seed_stays_before_the_difficulty():
-    with pytest.raises(ValueError, match="^unknown world 'maze:x'; use one of"):
+    with pytest.raises(ValueError, match="^unknown world 'maze:x', perhaps 'maze'; use one of"):
         get_world("maze:x@0.5")
     with pytest.raises(ValueError, match="must be a number from 0 to 1, got '0.5:7'$"):
         get_world("maze@0.5:7")
