@@ -130,9 +130,7 @@ class Demo:
             draw_learning_curve([folder], curve, evaluations[-1])
             draw_paths(evaluations, paths)
         print_table(evaluations)
-        film_to_goal(
-            trained, moving, world=f"{self.world}:{FIRST_UNSEEN}", seconds=FILMED, seed=self.seed, width=480, height=360
-        )
+        film_to_goal(trained, moving, world=f"{self.world}:{FIRST_UNSEEN}", seconds=FILMED, seed=self.seed)
         print("\n".join(f"{what}: {path}" for what, path in pictures.items()))
         print(f"To watch more of it: rover-rl play {folder}")
 

@@ -54,9 +54,9 @@ class Film:
     """Seed of starts and goals. Default: 0; with --episode the stored starts and goals."""
     rovers: int | None = None
     """Number of rovers. Default: 1 for chase, 16 for top."""
-    width: int = 640
+    width: int = 480
     """Width of the video, pixels."""
-    height: int = 480
+    height: int = 360
     """Height of the video, pixels."""
     fps: int | None = None
     """Frames per second. Default: 20 for .mp4, 10 for .gif."""

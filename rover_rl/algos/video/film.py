@@ -43,8 +43,8 @@ def film(
     seconds: float = 20.0,
     seed: int = 0,
     rows: int = 1,
-    width: int = 640,
-    height: int = 480,
+    width: int = 480,
+    height: int = 360,
     fps: int | None = None,
     speed: float = 1.0,
     env: EnvConfig | None = None,
@@ -87,8 +87,8 @@ def film_to_goal(
     world: str = "maze",
     seconds: float = 20.0,
     seed: int | None = None,
-    width: int = 640,
-    height: int = 480,
+    width: int = 480,
+    height: int = 360,
     env: EnvConfig | None = None,
 ) -> Recording:
     """Films a drive that reaches its goal: the first of several, driven at the same time from different starts.
@@ -126,8 +126,8 @@ def film_recording(
     path: Path,
     *,
     view: View = "chase",
-    width: int = 640,
-    height: int = 480,
+    width: int = 480,
+    height: int = 360,
     fps: int | None = None,
     speed: float = 1.0,
 ) -> None:

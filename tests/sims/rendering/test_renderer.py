@@ -82,7 +82,7 @@ def test_the_goal_is_seen_only_if_there_is_one(view):
 
 
 def test_a_post_thinner_than_the_distance_between_rays_is_never_lost():
-    # At 10 m, it is less than two pixels wide, and one pixel in four has a ray of its own.
+    # At 10 m, it is less than two pixels wide, and one pixel in nine has a ray of its own.
     for shift in range(6):
         assert is_green(render(goal=(10.0, 0.05 * shift))).sum() > 5
 

@@ -1,6 +1,6 @@
 """Warp kernels that trace a picture in three passes.
 
-:func:`trace_samples` traces a ray for one pixel in four. :func:`fill_pixels` interpolates the others where the samples
+:func:`trace_samples` traces a ray for one pixel in nine. :func:`fill_pixels` interpolates the others where the samples
 around them see the same smooth surface, and traces their own rays elsewhere. :func:`smooth_edges` traces four more rays
 for each pixel that differs from a neighbor, so that edges of things and of shadows are smooth.
 
@@ -28,7 +28,7 @@ from rover_rl.sims.rendering.kernels.rays import (
 
 EDGE_CONTRAST = 0.08
 """Difference of displayed colors, 0 to 1, above which a pixel lies on an edge."""
-STEP = 2
+STEP = 3
 """Distance between samples, pixels."""
 SMOOTH_LIGHT = 0.05
 """Largest difference of the colors of samples between which pixels are interpolated."""
@@ -76,7 +76,7 @@ def trace_samples(
     width: int,
     samples: wp.array2d[Seen],
 ):
-    """Writes what is seen at the center of one pixel in four, beginning with row ``first`` of the samples."""
+    """Writes what is seen at the center of one pixel in nine, beginning with row ``first`` of the samples."""
     row, column = wp.tid()
     row += first
     ray = ray_to(view, from_center(STEP * column, width), from_center(STEP * row, height))
