@@ -104,6 +104,12 @@ def test_evaluate_policies(run):
     assert names["figures"] == 1
 
 
+def test_fine_tuning(run):
+    output, names = run("fine_tuning.py", EPISODES=2, STEPS=2_000)
+    assert "fine-tuned: " in output
+    assert names["figures"] == 1
+
+
 def test_torchrl_ppo(run):
     output, names = run("torchrl_ppo.py", STEPS=256, ROVERS=2)
     assert len(output.splitlines()) == 2

@@ -15,6 +15,7 @@ ORDER = (
     "own_robot.py",
     "own_reward.py",
     "evaluate_policies.py",
+    "fine_tuning.py",
     "deploy_policy.py",
     "torchrl_ppo.py",
     "sb3_sac.py",

@@ -42,7 +42,7 @@ class Demo:
     """Duration of training, minutes."""
     seed: int = 0
     """Seed of the training run."""
-    count: int = 40
+    count: int = 32
     """Number of unseen worlds to evaluate in, with one start and goal each."""
     seconds: float = 30.0
     """Time limit of each evaluation episode, s."""
