@@ -33,7 +33,7 @@ from tests.pages import NEEDS, ROOT, anchors, blocks, broken_tables, inline, nam
 ALL = pytest.mark.parametrize("page", [pytest.param(page, id=name_of(page)) for page in pages()])
 WITH_PYTHON = [page for page in pages() if blocks(page.read_text(encoding="utf-8"), "python")]
 SCRIPTS = [
-    pytest.param(block.code, id=f"{name_of(page)}:{block.line}")
+    block.code
     for page in WITH_PYTHON
     for block in blocks(page.read_text(encoding="utf-8"), "python")
     if "__main__" in block.code
@@ -130,14 +130,13 @@ def test_python_blocks_run(page: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("code", SCRIPTS)
-def test_python_blocks_that_start_processes_run(code: str, tmp_path: Path) -> None:
+def test_python_blocks_that_start_processes_run(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
-    script.write_text(code)
+    script.write_text("\n".join(SCRIPTS))
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, script], env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
-    assert "(" in done.stdout
+    assert done.stdout.count("(") >= len(SCRIPTS)
 
 
 # Commands
