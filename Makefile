@@ -22,9 +22,9 @@ venv: $(STAMP) ## install everything into .venv (the other targets do so when it
 demo: $(STAMP) ## watch a trained rover drive
 	$(BIN)/rover-rl demo $(ARGS)
 
-# One thread a worker: the workers share the cores already.
+# One thread a worker: the workers share the cores already. As many open files as Ubuntu allows by default.
 test: $(STAMP) ## run the tests
-	OMP_NUM_THREADS=$${OMP_NUM_THREADS:-1} $(BIN)/python -m pytest -n 2 $(ARGS)
+	ulimit -S -n 1024 && OMP_NUM_THREADS=$${OMP_NUM_THREADS:-1} $(BIN)/python -m pytest -n 2 $(ARGS)
 
 lint: $(STAMP) ## check style, format and types
 	$(BIN)/ruff check

@@ -1,14 +1,24 @@
-"""All tests of a run share a cache on disk, which is empty at first."""
+"""All tests of a run share a cache on disk, which is empty at first; those that register parts forget them."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import tempfile
+from importlib import import_module
 
 import pytest
 
 _FOLDER = pytest.StashKey[str]()
+_REGISTRIES = ("sims.backends", "sims.robots", "sims.worlds", "envs.rewards")
+
+
+@pytest.fixture
+def own_registries(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forgets the parts that a test registers: other tests compare the lists of names."""
+    for module in _REGISTRIES:
+        registry = import_module(f"rover_rl.{module}")._REGISTRY
+        monkeypatch.setattr(registry, "_parts", dict(registry._parts))
 
 
 def pytest_configure(config: pytest.Config) -> None:

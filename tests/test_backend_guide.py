@@ -12,13 +12,12 @@ from torchrl.envs.utils import check_env_specs
 from rover_rl import RoverEnv, make_env
 from rover_rl.cli import main
 from rover_rl.envs.randomization import Randomization
-from rover_rl.sims import RoverState, Simulator, backends, make_simulator
+from rover_rl.sims import RoverState, Simulator, make_simulator
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, World, box, get_world
 from tests.pages import ROOT, blocks
 
 BACKEND, *_ = blocks((ROOT / "docs" / "backends.md").read_text(), "python")
-MAX_LINES = 80
 
 ROVER = get_robot("rover_zero")
 MOUNT = ROVER.lidar_position[0]
@@ -28,12 +27,10 @@ FIELDS = ("position", "orientation", "linear_velocity", "angular_velocity", "ran
 
 
 @pytest.fixture
-def my_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+def my_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own_registries: None) -> str:
     """Name of a module that consists of the page's backend."""
     (tmp_path / "guide_backend.py").write_text(BACKEND.code)
     monkeypatch.syspath_prepend(tmp_path)
-    # Other tests compare the list of registered names.
-    monkeypatch.setattr(backends._REGISTRY, "_parts", dict(backends._REGISTRY._parts))
     return "guide_backend"
 
 
@@ -62,8 +59,7 @@ def rows_differ(a: RoverState, b: RoverState, row: int, other: int | None = None
     return [name for name in FIELDS if not torch.equal(getattr(a, name)[row], getattr(b, name)[other])]
 
 
-def test_the_backend_fits_on_a_page_and_builds_an_environment(backend):
-    assert len(BACKEND.code.splitlines()) <= MAX_LINES
+def test_the_backend_builds_an_environment(backend):
     env = make_env(world_n="maze", num_envs=16, backend=backend)
     assert env.base_env.simulator.num_envs == 16
     assert env.rollout(2).shape == (16, 2)

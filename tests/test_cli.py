@@ -57,7 +57,7 @@ def test_help_has_whole_words_at_any_width_on_a_terminal_and_elsewhere(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
     words = []
-    for width, terminal in ((80, False), (120, False), (80, True), (120, True)):
+    for width, terminal in ((80, False), (120, True)):
         monkeypatch.setenv("COLUMNS", str(width))
         monkeypatch.setenv("FORCE_COLOR", "1" if terminal else "")
         text = help_of(capsys, command)
@@ -66,7 +66,7 @@ def test_help_has_whole_words_at_any_width_on_a_terminal_and_elsewhere(
         assert max(map(len, text.splitlines())) <= width
         assert not re.search(r"[`…]|\{None\}|\(default: \)|default: None", text)
         words.append(text.split())
-    assert words == [words[0]] * 4
+    assert words[0] == words[1]
 
 
 def test_help_shows_common_options_first_then_groups(capsys: pytest.CaptureFixture[str]) -> None:
@@ -164,17 +164,7 @@ NAMES = f"use one of {COMMANDS}; see rover-rl --help"
             f"film needs: {ONE_POLICY.removesuffix('.')}",
         ),
         ("evaluate", NO_POLICY),
-    ],
-)
-def test_a_malformed_command_line_is_refused_in_one_line(
-    capsys: pytest.CaptureFixture[str], line: str, expected: str
-) -> None:
-    assert failed(capsys, *line.split()).startswith(f"rover-rl: {expected}")
-
-
-@pytest.mark.parametrize(
-    ("line", "expected"),
-    [
+        # Numbers and worlds out of range.
         ("train --seed -1", "seed must be a whole number from 0 to "),
         ("evaluate scripted --world maze --seed 99999999999999999999", "seed must be a whole number from 0 to "),
         ("film scripted --seed -1 --out film.gif", "seed must be a whole number from 0 to "),
@@ -200,7 +190,7 @@ def test_a_malformed_command_line_is_refused_in_one_line(
         ("evaluate scripted --world maze --endless --action-repeat 0", "action_repeat must be at least 1"),
     ],
 )
-def test_numbers_and_worlds_out_of_range_are_refused_in_one_line(
+def test_a_wrong_command_line_is_refused_in_one_line(
     capsys: pytest.CaptureFixture[str], line: str, expected: str
 ) -> None:
     assert failed(capsys, *line.split()).startswith(f"rover-rl: {expected}")

@@ -33,7 +33,7 @@ from tests.pages import NEEDS, ROOT, anchors, blocks, broken_tables, inline, nam
 ALL = pytest.mark.parametrize("page", [pytest.param(page, id=name_of(page)) for page in pages()])
 WITH_PYTHON = [page for page in pages() if blocks(page.read_text(encoding="utf-8"), "python")]
 SCRIPTS = [
-    pytest.param(block.code, id=f"{name_of(page)}:{block.line}")
+    block.code
     for page in WITH_PYTHON
     for block in blocks(page.read_text(encoding="utf-8"), "python")
     if "__main__" in block.code
@@ -57,22 +57,6 @@ def load(path: Path) -> ModuleType:
 @ALL
 def test_tables_are_tables(page: Path) -> None:
     assert broken_tables(page.read_text(encoding="utf-8")) == []
-
-
-@pytest.mark.parametrize(
-    ("table", "problems"),
-    [
-        ("| a | b |\n|---|---|\n| 1 | 2 |", 0),
-        ("| a | b |\n|---|---|\n| 1 | `2 \\| 3` |", 0),
-        ("```text\n| no table\n```", 0),
-        ("| a | b |\n|---|---|\n| 1 | 2 |\n\n| 3 | 4 |", 1),  # cut in half by a blank line
-        ("| a | b |\n|---|---|\n| 1 |", 1),
-        ("| a | b |\n|---|---|\n| 1 | 2 | 3 |", 1),
-        ("| a | b |\n|---|\n| 1 | 2 |", 3),  # a line of dashes for one column
-    ],
-)
-def test_broken_tables_are_found(table: str, problems: int) -> None:
-    assert len(broken_tables(table)) == problems
 
 
 # Figures
@@ -99,20 +83,6 @@ def test_tables_with_anywhere_show_the_planner_beside_it(page: Path) -> None:
     assert without_planner(page.read_text(encoding="utf-8")) == []
 
 
-@pytest.mark.parametrize(
-    ("table", "count"),
-    [
-        ("| policy | success |\n|---|---|\n| anywhere | 99.2 % |", 1),
-        ("| | pretrained:anywhere | scripted |\n|---|---|---|\n| maze | 99.2 % | 84.4 % |", 1),
-        ("| policy | success |\n|---|---|\n| anywhere | 99.2 % |\n| gridplanner | 99.6 % |", 0),
-        ("| policy | made for |\n|---|---|\n| anywhere | any world |", 0),
-        ("| policy | success |\n|---|---|\n| moon-ppo | 97.3 % |", 0),
-    ],
-)
-def test_tables_without_the_planner_are_found(table: str, count: int) -> None:
-    assert len(without_planner(table)) == count
-
-
 OUTDATED = re.compile(r"measured (?:when|before)|stronger than\s+set|before \S+ friction was", re.IGNORECASE)
 
 
@@ -130,14 +100,6 @@ def test_every_picture_of_the_pages_is_shown() -> None:
 
 
 # Python
-
-
-@pytest.fixture
-def own_registries(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Forgets the parts that a page registers: other tests compare the lists of names."""
-    for module in ("rover_rl.sims.backends", "rover_rl.sims.robots", "rover_rl.sims.worlds", "rover_rl.envs.rewards"):
-        registry = import_module(module)._REGISTRY
-        monkeypatch.setattr(registry, "_parts", dict(registry._parts))
 
 
 def shortened(code: str) -> str:
@@ -168,14 +130,13 @@ def test_python_blocks_run(page: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("code", SCRIPTS)
-def test_python_blocks_that_start_processes_run(code: str, tmp_path: Path) -> None:
+def test_python_blocks_that_start_processes_run(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
-    script.write_text(code)
+    script.write_text("\n".join(SCRIPTS))
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, script], env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
-    assert "(" in done.stdout
+    assert done.stdout.count("(") >= len(SCRIPTS)
 
 
 # Commands
@@ -222,12 +183,13 @@ def commands(*start: str, mentioned: bool = True, scripted: bool = True) -> list
     return [pytest.param(rest, id=key) for key, rest in found.items()]
 
 
-@pytest.fixture
-def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The current folder, with the run that the pages resume and repeat."""
-    write_config(tmp_path / "runs/ppo-moon/config.yaml", training_config("ppo", world="moon"))
-    load_pretrained("moon-ppo").save(tmp_path / "runs/ppo-moon/checkpoint.pt")
-    monkeypatch.chdir(tmp_path)
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the run that the pages resume and repeat."""
+    folder = tmp_path_factory.mktemp("pages")
+    write_config(folder / "runs/ppo-moon/config.yaml", training_config("ppo", world="moon"))
+    load_pretrained("moon-ppo").save(folder / "runs/ppo-moon/checkpoint.pt")
+    return folder
 
 
 @cache
@@ -243,8 +205,9 @@ def options_of(command: str) -> set[str]:
 
 
 @pytest.mark.parametrize("args", commands("rover-rl", mentioned=False))
-@pytest.mark.usefixtures("runs", "capsys")
-def test_commands_are_understood(args: list[str]) -> None:
+@pytest.mark.usefixtures("capsys")
+def test_commands_are_understood(args: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
     assert callable(read_command(all_commands(args), args))
 
 
@@ -254,13 +217,6 @@ def test_mentioned_commands_and_their_options_exist(args: list[str]) -> None:
         return
     assert args[0] in all_commands()
     assert {word.split("=")[0] for word in args if word.startswith("--")} <= options_of(args[0])
-
-
-def test_wrong_commands_are_found() -> None:
-    _, *args = next(scripted_commands("```bash\nrover-rl train --word moon  # a typing error\n```"))
-    assert args == ["train", "--word", "moon"]
-    with pytest.raises(ValueError, match="unknown option --word"):
-        read_command(all_commands(args), args)
 
 
 @pytest.mark.parametrize("args", commands("make"))
@@ -333,16 +289,6 @@ def broken_links(page: Path) -> list[str]:
 @ALL
 def test_links_resolve(page: Path) -> None:
     assert broken_links(page) == []
-
-
-def test_broken_links_are_found(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    (tmp_path / "other.md").write_text("# A heading, with `code`\n")
-    good = '[a](other.md) [b](other.md#a-heading-with-code) [c](#here) [d](https://example.org) <img src="other.md">'
-    page.write_text(
-        f"# Here\n\n{good}\n\n[e](gone.md) [f](other.md#gone) ![g](gone.png) <a href='x' href=\"gone\">h</a>\n"
-    )
-    assert sorted(broken_links(page)) == ["gone", "gone.md", "gone.png", "other.md#gone"]
 
 
 def test_the_built_site_is_checked_too(tmp_path: Path) -> None:

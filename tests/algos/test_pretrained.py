@@ -44,7 +44,7 @@ def test_it_reaches_its_goals(name: str) -> None:
     checkpoint = load_pretrained(name)
     env = checkpoint.env
     assert f"{env.world}-{checkpoint.algorithm}" == name
-    episodes = stored_episodes(env.world).first(24)
+    episodes = stored_episodes(env.world).first(12)
     result = evaluate(checkpoint.make_actor(), episodes, name=name, seconds=40, rows=12)
     assert result.success_rate >= FLOOR[env.world]
 
@@ -52,7 +52,7 @@ def test_it_reaches_its_goals(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("world", FLOOR)
 def test_the_one_for_all_reaches_its_goals_in_each_world(world: str) -> None:
-    actor, episodes = load_pretrained(ANYWHERE).make_actor(), stored_episodes(world).first(24)
+    actor, episodes = load_pretrained(ANYWHERE).make_actor(), stored_episodes(world).first(12)
     assert evaluate(actor, episodes, name=ANYWHERE, seconds=40, rows=12).success_rate >= FLOOR[world]
 
 

@@ -27,31 +27,9 @@ from tests.fork_server import fork_server, quick_workers
 
 Bench = Callable[..., dict[str, Any]]
 SMALL = [
-    "--num-envs",
-    "1",
-    "2",
-    "--beams",
-    "32",
-    "--rovers",
-    "2",
-    "--workers",
-    "2",
-    "--processes",
-    "2",
-    "--warp-rovers",
-    "16",
-    "--warp-envs",
-    "16",
-    "--endurance",
-    "2000",
-    "--seconds",
-    "0.05",
-    "--rounds",
-    "1",
-    "--minutes",
-    "0.005",
-    "--world",
-    "maze",
+    *("--num-envs", "1", "2", "--beams", "32", "--rovers", "2", "--workers", "2", "--processes", "2"),
+    *("--warp-rovers", "16", "--warp-envs", "16", "--endurance", "2000"),
+    *("--seconds", "0.05", "--rounds", "1", "--minutes", "0.005", "--world", "maze"),
 ]
 
 

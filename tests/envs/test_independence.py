@@ -50,15 +50,14 @@ SETTINGS = {"lidar_beams": 32, "length": 100}
 @pytest.mark.parametrize(
     ("backend", "world", "batches"),
     [
-        # One step of 256 rovers in Bullet takes a tenth of a second: they are compared over one episode and the
-        # beginning of the next, and the batch of 16 over ten episodes.
-        ("bullet", "maze", [(16, 5, 400), (256, 200, 110)]),
+        # The large batch is compared over one episode and the beginning of the next: in Bullet, its steps take long.
+        ("bullet", "maze", [(16, 5, 210), (64, 50, 110)]),
         ("bullet", "moon", [(16, 15, 150)]),
         ("bullet", "inspect", [(16, 0, 150)]),
-        ("warp", "maze", [(256, 200, 400)]),
+        ("warp", "maze", [(256, 200, 110)]),
         ("warp", "moon", [(16, 15, 150)]),
         ("warp", "inspect", [(33, 0, 150)]),
-        pytest.param("mujoco", "maze", [(16, 5, 250)], marks=needs_mujoco),
+        pytest.param("mujoco", "maze", [(16, 5, 210)], marks=needs_mujoco),
         pytest.param("mujoco", "moon", [(16, 15, 150)], marks=needs_mujoco),
     ],
 )
@@ -93,25 +92,3 @@ def test_a_rover_is_the_same_after_fifty_resets_of_itself_and_others(world, back
         td = env.step(td.set("action", env.action_spec.rand()))["next"]
     env.set_seed(3)
     assert_same(trajectory(env, 120, 2, row_actions), expected)
-
-
-def test_another_seed_gives_another_trajectory():
-    env = make_env(world_n="maze", num_envs=2, seed=3, lidar_beams=32)
-    first = env.reset()["pose"].clone()
-    env.set_seed(4)
-    second = env.reset()["pose"]
-    assert not torch.equal(first, second)
-    assert torch.equal(first[1], second[0])
-
-
-def test_partial_resets_leave_other_rows_unchanged():
-    env = make_env(world_n="maze", num_envs=4, seed=0, lidar_beams=32)
-    td = env.rollout(5, break_when_any_done=False)[:, -1]["next"].exclude("reward", "reward_components")
-    before = td.clone()
-    reset = torch.tensor([[False], [True], [False], [False]])
-    after = env.reset(td.set("_reset", reset))
-    keep = ~reset.squeeze(-1)
-    for key in ("lidar", "pose", "imu", "target", "velocities"):
-        assert torch.equal(after[key][keep], before[key][keep])
-    assert not torch.equal(after["pose"][1], before["pose"][1])
-    assert after["outcome", "steps"].squeeze(-1).tolist() == [5, 0, 5, 5]

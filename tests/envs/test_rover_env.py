@@ -110,7 +110,7 @@ def test_the_global_random_generators_are_not_used(env):
         ({"length": 0}, "length must be a whole number of at least 1 and at most 1000000000000, got 0"),
         ({"lidar_beams": 16}, "lidar_beams must be at least lidar_points, got 16 beams for 32 points"),
         ({"lidar_points": 0}, "lidar_points must be at least 1, got 0"),
-        ({"max_lidar_range": -1.0}, "max_lidar_range must be a positive number"),
+        ({"max_lidar_range": 0.0}, "max_lidar_range must be a positive number"),
         ({"world_n": ["maze", "moon"]}, "between 1 and num_envs=1 worlds, got 2"),
         ({"world_n": []}, "between 1 and num_envs=1 worlds, got 0"),
     ],

@@ -52,7 +52,7 @@ def rollout(env, steps: int = 12):
 # Specs
 
 
-@pytest.mark.parametrize("num_envs", [1, 7, 64])
+@pytest.mark.parametrize("num_envs", [1, 7])
 @pytest.mark.parametrize("world", ["inspect", "moon", "maze"])
 def test_the_environment_matches_its_specs(world, num_envs):
     with_contracts_reward = make_env(world_n=world, num_envs=num_envs, seed=0, lidar_beams=32)
@@ -199,11 +199,6 @@ def test_components_are_0_outside_of_their_events():
 def test_add_reward_adds_a_reward_to_an_existing_environment():
     env = add_reward(RoverEnv(world_n="maze", seed=0, lidar_beams=32), [ProgressReward(), TurnPenalty()])
     assert set(rollout(env)["reward_components"].keys()) == {"progress", "turn"}
-
-
-def test_an_unknown_reward_raises_and_says_what_is_allowed():
-    with pytest.raises(ValueError, match="'contract', 'task'"):
-        rovers(reward="dense")
 
 
 def test_a_total_without_components_raises():

@@ -109,16 +109,16 @@ def test_episodes_are_the_same_whether_all_worlds_fit_on_the_device_or_not(seed:
 
 
 @pytest.mark.slow
-def test_a_row_of_256_is_the_same_alone_for_500_steps() -> None:
+def test_a_row_of_64_is_the_same_alone_for_300_steps() -> None:
     from rover_rl.sims.warp import WarpSettings
 
-    actions = drawn_actions(256, 500)
-    settings = {"world_n": "maze:*", "length": 260}
-    batch = rollout(make(256, seed=3, backend=WarpSettings(threads=2), **settings), 500, actions)
-    alone = rollout(make(1, seed=3 + 200, backend=WarpSettings(threads=1), **settings), 500, actions[:, 200:201])
+    actions = drawn_actions(64, 300)
+    settings = {"world_n": "maze:*", "length": 160}
+    batch = rollout(make(64, seed=3, backend=WarpSettings(threads=2), **settings), 300, actions)
+    alone = rollout(make(1, seed=3 + 50, backend=WarpSettings(threads=1), **settings), 300, actions[:, 50:51])
     for key in OBSERVED:
-        assert torch.equal(alone[key][:, 0], batch[key][:, 200]), key
-    assert len(batch["outcome", "world"].unique()) > 256
+        assert torch.equal(alone[key][:, 0], batch[key][:, 50]), key
+    assert len(batch["outcome", "world"].unique()) > 64
 
 
 def test_a_row_is_the_same_after_its_pool_has_changed() -> None:

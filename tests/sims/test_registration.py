@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from rover_rl import RoverEnv, make_env
-from rover_rl.sims import Backend, Simulator, backend_names, backends, make_simulator, register_backend
+from rover_rl.sims import Backend, Simulator, backend_names, make_simulator, register_backend
 from rover_rl.sims.bullet import BulletSettings
 from rover_rl.sims.bullet.simulator import BulletSimulator
 from rover_rl.sims.robots import get_robot
@@ -23,11 +23,7 @@ MAKE = re.escape("make(worlds=, robot=, lidar_beams=, connection=, device=)")
 WANTED = rf"backend must be one of \[.*\], settings of one, or an object with a method {MAKE} that returns a Simulator"
 """Patterns of the error messages."""
 
-
-@pytest.fixture(autouse=True)
-def temporary_registry(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Removes registrations after each test, because other tests compare the list of names."""
-    monkeypatch.setattr(backends._REGISTRY, "_parts", dict(backends._REGISTRY._parts))
+pytestmark = pytest.mark.usefixtures("own_registries")
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from tensordict import TensorDictBase
 
 from rover_rl.algos.benchmarks.barn import TEST_WORLDS, Barn, read_barn
 from rover_rl.algos.benchmarks.suite import Course, run_suite
@@ -17,14 +16,9 @@ from rover_rl.algos.evaluation.metrics import Trajectory
 from rover_rl.envs import EnvConfig
 from rover_rl.sims.robots import get_robot
 from tests.algos.benchmarks.mini import CENTERS, write_barn_file, write_barn_folder
+from tests.algos.drivers import straight
 
 WARP = EnvConfig(backend="warp")
-
-
-def straight(td: TensorDictBase) -> TensorDictBase:
-    """Drives at the goal, whatever is in the way."""
-    angle = td["target"][..., 1:]
-    return td.set("action", torch.cat((angle.cos().clamp(min=0), angle), -1))
 
 
 @pytest.fixture(scope="module")

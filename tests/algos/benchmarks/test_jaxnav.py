@@ -14,7 +14,6 @@ import pytest
 import torch
 from matplotlib.image import imread
 from rich.console import Console
-from tensordict import TensorDictBase
 
 from rover_rl.algos.benchmarks.jaxnav import JaxNav, read_jaxnav
 from rover_rl.algos.benchmarks.report import print_results
@@ -26,13 +25,10 @@ from rover_rl.cli import main
 from rover_rl.envs import EnvConfig
 from rover_rl.sims.robots import get_robot
 from tests.algos.benchmarks.mini import levels, write_levels
+from tests.algos.drivers import standing
 from tests.fork_server import fork_server
 
 WARP = EnvConfig(backend="warp")
-
-
-def standing(td: TensorDictBase) -> TensorDictBase:
-    return td.set("action", torch.zeros(len(td), 2))
 
 
 @pytest.fixture
@@ -186,7 +182,6 @@ def test_wrong_levels_are_refused_in_a_sentence(
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        ("benchmark", "benchmark needs a command; use one of ['barn', 'jaxnav']; see rover-rl benchmark --help"),
         ("benchmark barn scripted", "benchmark barn needs --data: Folder of the public repository"),
         ("benchmark barn --data x --rnus 3", "unknown option --rnus, perhaps --runs; see rover-rl benchmark barn"),
         ("benchmark barn --data x --runs few", "--runs takes INT, got few; see rover-rl benchmark barn --help"),

@@ -41,6 +41,19 @@ def onnx_file(tmp_path_factory) -> Path:
     return path
 
 
+@pytest.fixture(scope="module")
+def program_file(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("program") / "moon.pt2"
+    assert export(POLICY, path, "torch") <= exporting.TOLERANCE
+    return path
+
+
+@pytest.fixture
+def few_checks(monkeypatch) -> None:
+    """Exported policies are compared on 100 observations: other tests compare them on all."""
+    monkeypatch.setattr(exporting, "CHECKED", 100)
+
+
 def expected(observations: dict[str, torch.Tensor]) -> torch.Tensor:
     return POLICY.make_actor()(TensorDict(observations, batch_size=[len(observations["lidar"])]))["loc"]
 
@@ -67,10 +80,8 @@ def test_an_onnx_policy_drives_as_the_original(onnx_file):
     assert ours.endings == theirs.endings == ["goal", "goal"]
 
 
-def test_a_program_acts_as_the_original(tmp_path):
-    path = tmp_path / "moon.pt2"
-    assert export(POLICY, path, "torch") <= exporting.TOLERANCE
-    act = program_function(path)
+def test_a_program_acts_as_the_original(program_file):
+    act = program_function(program_file)
     observation = random_observations(POLICY, 1)
     loc = expected(observation)
     torch.testing.assert_close(act(observation), torch.tensor([[1.0, torch.pi]]) * torch.tanh(loc))
@@ -79,10 +90,8 @@ def test_a_program_acts_as_the_original(tmp_path):
         act(observation)
 
 
-def test_a_damaged_program_is_refused(tmp_path):
-    path = tmp_path / "moon.pt2"
-    export(POLICY, path, "torch")
-    data = path.read_bytes()
+def test_a_damaged_program_is_refused(program_file, tmp_path):
+    data, path = program_file.read_bytes(), tmp_path / "moon.pt2"
     for damaged in (b"", b"no program", data[: len(data) // 2], flipped(data, 8 * 5000)):
         path.write_bytes(damaged)
         with pytest.raises(ValueError, match=r"moon\.pt2 is damaged, or was not written by rover-rl export"):
@@ -90,6 +99,7 @@ def test_a_damaged_program_is_refused(tmp_path):
 
 
 @needs_onnx
+@pytest.mark.usefixtures("few_checks")
 def test_a_policy_that_would_act_otherwise_is_not_written(tmp_path, monkeypatch):
     monkeypatch.setattr(exporting, "TOLERANCE", -1.0)
     with pytest.raises(RuntimeError, match="acts otherwise"):
@@ -165,6 +175,7 @@ def test_settings_travel_with_the_file(onnx_file):
 
 
 @needs_onnx
+@pytest.mark.usefixtures("few_checks")
 def test_the_task_travels_with_the_file(checkpoint, tmp_path):
     task = TaskConfig(collision_from="contact", collision_window=0)
     config = with_settings(checkpoint.config, task=task, contract_reward=RewardConfig(clearance_penalty=-0.1))
@@ -175,11 +186,12 @@ def test_the_task_travels_with_the_file(checkpoint, tmp_path):
 
 
 @needs_onnx
+@pytest.mark.usefixtures("few_checks")
 def test_the_command_exports_and_evaluates(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["export", "pretrained:moon-sac"]) == 0
     assert "moon-sac.onnx: acts as pretrained:moon-sac does" in capsys.readouterr().out
-    assert main(["evaluate", "moon-sac.onnx", "--count", "2", "--out", str(tmp_path)]) == 0
+    assert main(["evaluate", "moon-sac.onnx", "--count", "2", "--seconds", "1", "--out", str(tmp_path)]) == 0
     assert [entry["policy"] for entry in json.loads((tmp_path / "evaluation.json").read_text())] == ["moon-sac"]
 
 
@@ -201,6 +213,7 @@ def test_a_policy_that_turns_to_the_north_and_drives_forward_only_drives_as_the_
 
 
 @needs_onnx
+@pytest.mark.usefixtures("few_checks")
 def test_commands_take_policies_with_memory(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine").mkdir()

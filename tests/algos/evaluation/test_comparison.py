@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 import torch
 from rich.console import Console
-from tensordict import TensorDictBase
 
 from rover_rl import World
 from rover_rl.algos.evaluation.comparison import find_disagreements
@@ -21,17 +20,12 @@ from rover_rl.algos.evaluation.report import LISTED, print_table, write_evaluati
 from rover_rl.cli import main
 from rover_rl.envs import EnvConfig
 from rover_rl.sims.worlds import Terrain
+from tests.algos.drivers import straight
 from tests.algos.evaluation.slippery import Slippery
 
 FIELD = World("field", Terrain.flat((12.0, 12.0)))
 EPISODES = draw_episodes(FIELD, count=3, seed=1)
 SLIPPERY = "tests.algos.evaluation.slippery:Slippery"
-
-
-def straight(td: TensorDictBase) -> TensorDictBase:
-    """Drives at the goal, slowly while it is not ahead."""
-    angle = td["target"][..., 1:]
-    return td.set("action", torch.cat((angle.cos().clamp(min=0), angle), -1))
 
 
 @pytest.fixture(scope="module")

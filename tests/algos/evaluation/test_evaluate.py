@@ -30,26 +30,13 @@ from rover_rl.envs.config import ActionConfig, HeadingGains, LidarConfig, Random
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, box
+from tests.algos.drivers import ahead, standing, straight
 from tests.algos.policy.memories import CountingPolicy, recurrent_checkpoint
 
 FIELD = World("field", Terrain.flat((12.0, 12.0)))
 EPISODES = draw_episodes(FIELD, count=3, seed=1)
 MANY = draw_episodes(FIELD, count=9, seed=1)
 OTHER_ROBOT = replace(get_robot("rover_zero"), name="other")
-
-
-def straight(td: TensorDictBase) -> TensorDictBase:
-    """Drives at the goal, slowly while it is not ahead."""
-    angle = td["target"][..., 1:]
-    return td.set("action", torch.cat((angle.cos().clamp(min=0), angle), -1))
-
-
-def standing(td: TensorDictBase) -> TensorDictBase:
-    return td.set("action", torch.zeros(len(td), 2))
-
-
-def ahead(td: TensorDictBase) -> TensorDictBase:
-    return td.set("action", torch.tensor([[1.0, 0.0]]).expand(len(td), 2))
 
 
 @pytest.fixture(scope="module")

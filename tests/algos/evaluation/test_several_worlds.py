@@ -13,7 +13,6 @@ import pytest
 import torch
 from matplotlib.image import imread
 from rich.console import Console
-from tensordict import TensorDictBase
 
 from rover_rl import World
 from rover_rl.algos.evaluation.episodes import EpisodeSet, choose_episodes, draw_episodes
@@ -30,6 +29,7 @@ from rover_rl.envs.config import Randomization
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, box, get_world
 from rover_rl.sims.worlds.pool import WorldPool
+from tests.algos.drivers import ahead
 from tests.fork_server import fork_server
 
 ROBOT = get_robot("rover_zero")
@@ -38,10 +38,6 @@ WALL = World("wall", Terrain.flat((9.0, 9.0)), [box((0.0, 0.0, 0.5), (0.4, 4.0, 
 CRATES = World("crates", Terrain.flat((9.0, 9.0)), [box((2.0, y, 0.5), (0.5, 0.5, 1.0)) for y in (-2.0, 0.0, 2.0)])
 POOL = WorldPool(FIELD, WALL, CRATES)
 EPISODES = draw_episodes(POOL, 3, seed=1)
-
-
-def forward(td: TensorDictBase) -> TensorDictBase:
-    return td.set("action", torch.tensor([[1.0, 0.0]]).expand(len(td), 2))
 
 
 def assert_same(ours: Evaluation, theirs: Evaluation) -> None:
@@ -112,15 +108,15 @@ def test_results_are_those_of_each_world_alone_for_any_number_of_rows(backend: s
 def test_the_order_of_the_episodes_does_not_matter() -> None:
     order = [8, 0, 4, 1, 7, 3, 2, 6, 5]
     env = EnvConfig(backend="warp")
-    mixed = evaluate(forward, EPISODES.select(order), seconds=0.4, rows=4, env=env)
-    assert_same(mixed, evaluate(forward, EPISODES, seconds=0.4, env=env).select(order))
+    mixed = evaluate(ahead, EPISODES.select(order), seconds=0.4, rows=4, env=env)
+    assert_same(mixed, evaluate(ahead, EPISODES, seconds=0.4, env=env).select(order))
 
 
 def test_rovers_meet_the_obstacles_of_their_own_world() -> None:
     start, goal = torch.tensor([[-1.5, 0.0, 0.0]] * 2), torch.tensor([[1.5, 0.0]] * 2)
     index = torch.tensor([0, 1])
     episodes = EpisodeSet("two", WorldPool(FIELD, WALL), 0, start, goal, torch.tensor([2.5, 5.0]), world_index=index)
-    driven = evaluate(forward, episodes, seconds=6, env=EnvConfig(backend="warp"))
+    driven = evaluate(ahead, episodes, seconds=6, env=EnvConfig(backend="warp"))
     assert driven.endings == ["goal", "jammed"]
     assert [bool(flags.any()) for flags in driven.contacts] == [False, True]
     assert driven.metrics["contact_free_success_rate"].value == 0.5

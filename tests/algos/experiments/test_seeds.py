@@ -8,9 +8,10 @@ from rover_rl.algos.config import training_config, with_settings
 from rover_rl.algos.experiments.seeds import seed_runs
 from rover_rl.cli import main
 from tests.algos.experiments.records import write_run
+from tests.algos.train.runs import FIELD
 
 TINY = [
-    *("--world", "inspect", "--backend", "warp", "--num-envs", "4", "--hidden", "8"),
+    *("--world", FIELD, "--backend", "warp", "--num-envs", "4", "--hidden", "8"),
     *("--rollout-length", "4", "--minibatch", "8", "--epochs", "1"),
 ]
 """Options of a training that takes no time."""

@@ -10,6 +10,7 @@ from rich.console import Console
 
 from rover_rl.algos.config import TrainingConfig, with_settings
 from rover_rl.algos.evaluation.episodes import draw_episodes
+from rover_rl.algos.evaluation.parallel import GoalRequest
 from rover_rl.algos.experiments import sweep as sweeps
 from rover_rl.algos.experiments.space import read_space
 from rover_rl.algos.experiments.sweep import Sweep, validation_episodes
@@ -146,8 +147,12 @@ def test_trials_are_evaluated_in_episodes_of_their_own() -> None:
     assert [world.split("@")[0] for world in map(mazes.world_name, range(3))] == ["maze:9984", "maze:9985", "maze:9986"]
 
 
-def test_one_command_sweeps_two_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_command_sweeps_two_settings(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("optuna")
+    # Its policies have hardly been trained, and would drive until the time limit.
+    monkeypatch.setattr(sweeps, "GoalRequest", lambda *args: GoalRequest(*args[:2], {**args[2], "seconds": 1.0}))
     line = ["sweep", "--vary", *VARY, "--trials", "2", "--episodes", "2", *TINY, "--total-steps", "64"]
     assert main([*line, "--runs", str(tmp_path), "--name", "mine"]) == 0
     output = capsys.readouterr().out

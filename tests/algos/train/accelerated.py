@@ -14,6 +14,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl import make_env
 from rover_rl.algos.config import TrainingConfig, training_config, with_settings
+from rover_rl.algos.evaluation.by_value import dumps
 from rover_rl.algos.train.collectors import collect
 from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.progress import Stopwatch
@@ -129,8 +130,11 @@ COLLECTED = {
 """Trainings whose actors collect batches."""
 
 
-def on_both() -> dict[str, Any]:
-    """Observations, batches and updates on the CPU and on an accelerator, and the operations that wait for it."""
+def on_both() -> bytes:
+    """Observations, batches and updates on the CPU and on an accelerator, and the operations that wait for it.
+
+    They are pickled by value, because PyTorch's own pickles would need thousands of open files.
+    """
     with accelerator() as on:
         there, looks = _stepped(on)
         found: dict[str, Any] = {"steps": (there, _stepped(None)[0]), "looks": looks}
@@ -140,7 +144,7 @@ def on_both() -> dict[str, Any]:
             found[name] = _learned(on, config), _learned(None, config)
         for name, config in COLLECTED.items():
             found[f"batches of {name}"] = _collected(on, config), _collected(None, config)[0]
-    return found
+    return dumps(found)
 
 
 def _stepped(on: Accelerator | None) -> tuple[list[dict[str, Tensor]], list[str]]:

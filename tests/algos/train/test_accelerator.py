@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import torch
 
+from rover_rl.algos.evaluation.by_value import loads
 from tests.algos.train.accelerated import COLLECTED, LEARNERS, on_both
 from tests.fork_server import fork_server
 
@@ -19,7 +20,7 @@ from tests.fork_server import fork_server
 def found() -> dict[str, Any]:
     # In a separate process, because such a device cannot be removed from PyTorch.
     with ProcessPoolExecutor(1, fork_server()) as pool:
-        return pool.submit(on_both).result()
+        return loads(pool.submit(on_both).result())
 
 
 @pytest.mark.parametrize("part", ["steps", "changes"])

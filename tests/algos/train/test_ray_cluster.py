@@ -13,14 +13,14 @@ from typing import Any
 import psutil
 import pytest
 
-from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, with_settings
+from rover_rl.algos.config import UNLIMITED_STEPS, with_settings
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.train import train
 from rover_rl.algos.train.collectors import WorkerError
 from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.run_folder import load_state
 from tests.algos.train import runs
-from tests.algos.train.memories import GRU, check_states, joined, kept_batches
+from tests.algos.train.memories import check_states, joined, kept_batches
 from tests.algos.train.runs import progress_of
 
 PPO = with_settings(runs.PPO, collector="ray", workers=None)
@@ -64,18 +64,16 @@ def test_sac_learns_from_one_worker_while_the_other_collects(cluster: None, tmp_
 
 
 @pytest.mark.slow
-def test_remote_workers_carry_the_memory(cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_remote_workers_carry_the_memory_and_have_a_curriculum_of_their_own(
+    cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     collected = kept_batches(monkeypatch)
-    train(with_settings(GRU, collector="ray", workers=None, total_steps=384, runs=str(tmp_path)))
+    memory = {"memory": "gru", "memory_size": 8, "rollout_length": 8, "minibatch": 16}
+    config = with_settings(runs.LEARNABLE, **memory, collector="ray", workers=2, total_steps=384, runs=str(tmp_path))
+    folder = train(config).folder
     assert len(collected) == 3
     check_states(joined(collected), "gru")
-
-
-@pytest.mark.slow
-def test_remote_workers_have_a_curriculum_of_their_own(cluster: None, tmp_path: Path) -> None:
-    config = with_settings(runs.LEARNABLE, collector="ray", workers=2, total_steps=256, runs=str(tmp_path))
-    folder = train(config).folder
-    assert train(with_settings(config, total_steps=384), folder).steps == 384
+    assert train(with_settings(config, total_steps=512), folder).steps == 512
     record = (folder / "curriculum.csv").read_text().splitlines()
     assert sum(int(row.split(",")[1]) for row in record[1:]) >= 8
 
@@ -135,10 +133,9 @@ def test_a_run_in_warp_ends_resumably_if_a_worker_was_killed_a_while_ago(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("config", [PPO, SAC], ids=["ppo", "sac"])
-def test_more_workers_than_processors_raise(cluster: None, config: TrainingConfig, tmp_path: Path) -> None:
+def test_more_workers_than_processors_raise(cluster: None, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="workers=4 need a processor each, and the Ray cluster has 2"):
-        train(with_settings(config, workers=4, runs=str(tmp_path)))
+        train(with_settings(PPO, workers=4, runs=str(tmp_path)))
     assert not list(tmp_path.iterdir())
 
 

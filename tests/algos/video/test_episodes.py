@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
@@ -31,13 +32,17 @@ SMALL = {"width": 64, "height": 48, "fps": 2}
 SECONDS = 5.0
 
 
+@lru_cache
+def driven(env: EnvConfig | None) -> Evaluation:
+    """Drives ten episodes in the maze."""
+    episodes = stored_episodes("maze").first(10)
+    return evaluate(ScriptedPolicy(), episodes, name="scripted", seconds=SECONDS, rows=8, env=env)
+
+
 def evaluated(folder: Path, env: EnvConfig | None = None) -> Evaluation:
-    """Drives ten episodes in the maze and writes the results to a folder."""
-    evaluation = evaluate(
-        ScriptedPolicy(), stored_episodes("maze").first(10), name="scripted", seconds=SECONDS, rows=8, env=env
-    )
-    write_evaluation(folder / "evaluation.json", [evaluation])
-    return evaluation
+    """Writes their results to a folder."""
+    write_evaluation(folder / "evaluation.json", [driven(env)])
+    return driven(env)
 
 
 @pytest.mark.parametrize("randomized", [False, True])

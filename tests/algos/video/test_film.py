@@ -18,16 +18,11 @@ from rover_rl.cli.film import Film
 from rover_rl.sims.rendering.camera import Camera
 from rover_rl.sims.rendering.sight import Sight
 from rover_rl.sims.worlds import Terrain, box
+from tests.algos.drivers import straight
 from tests.algos.policy.memories import CountingPolicy
 
 FIELD = World("field", Terrain.flat((12.0, 12.0)))
 WALL = World("wall", Terrain.flat((12.0, 12.0)), [box((2.0, 0.0, 0.5), (0.4, 4.0, 1.0))])
-
-
-def straight(td: TensorDictBase) -> TensorDictBase:
-    """Drives at the goal, slowly while it is not ahead."""
-    angle = td["target"][..., 1:]
-    return td.set("action", torch.cat((angle.cos().clamp(min=0), angle), -1))
 
 
 def chase(env: RoverEnv) -> Camera:

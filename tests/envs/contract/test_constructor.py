@@ -9,7 +9,6 @@ import pytest
 
 from rover_rl import RewardConfig, RoverEnv, TaskConfig
 from rover_rl.envs.control import HeadingGains
-from tests.envs.contract.scripted_env import flat_world
 
 
 def test_the_constructor_takes_the_contracts_ten_arguments_in_order_with_their_defaults():
@@ -88,20 +87,3 @@ def test_configurations_are_frozen():
         for field in fields(config):
             with pytest.raises(AttributeError):
                 setattr(config, field.name, 1)
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"world_n": "mars"}, "inspect.*maze.*moon"),
-        ({"backend": "gazebo"}, "bullet"),
-        ({"num_envs": 0}, "num_envs"),
-        ({"length": 0}, "length"),
-        ({"lidar_points": 0}, "lidar_points"),
-        ({"lidar_beams": 31}, "lidar_beams"),
-        ({"max_lidar_range": 0.0}, "max_lidar_range"),
-    ],
-)
-def test_a_setting_out_of_its_range_raises_and_says_what_is_allowed(settings, message):
-    with pytest.raises(ValueError, match=message):
-        RoverEnv(**{"world_n": flat_world(), **settings})

@@ -6,7 +6,6 @@ import math
 
 import pytest
 import torch
-from tensordict import TensorDict
 
 from rover_rl import TaskConfig
 from rover_rl.envs.task import EVENTS, StepEvent
@@ -61,9 +60,3 @@ def test_a_start_or_goal_of_the_wrong_shape_or_not_finite_raises():
         env.reset(goal=torch.zeros(2, 2))
     with pytest.raises(ValueError, match="start must be finite"):
         env.reset(start=torch.tensor([[0.0, 0.0, math.nan]]))
-
-
-def test_a_step_before_the_first_reset_raises():
-    env = scripted([Moment()], reward="task")
-    with pytest.raises(RuntimeError, match=r"reset\(\)"):
-        env.step(TensorDict(action=torch.zeros(1, 2), batch_size=[1]))

@@ -60,21 +60,11 @@ def assert_same(a, b):
 
 
 def test_the_constructor_is_the_contracts():
-    parameters = list(inspect.signature(RoverEnv).parameters.values())
-    assert [(p.name, p.default) for p in parameters[:10]] == [
-        ("size", (64, 64)),
-        ("length", 2000),
-        ("scan_topic", "/scan"),
-        ("imu_topic", "/imu/data"),
-        ("cmd_vel_topic", "/cmd_vel"),
-        ("camera_topic", "/camera/image_raw"),
-        ("world_n", "inspect"),
-        ("connection_check_timeout", 30),
-        ("lidar_points", 32),
-        ("max_lidar_range", 12.0),
-    ]
-    assert all(p.kind is p.POSITIONAL_OR_KEYWORD for p in parameters[:10])
-    assert all(p.kind is p.KEYWORD_ONLY for p in parameters[10:])
+    """The arguments of the batched environment are those of the contract: see contract/test_constructor.py."""
+    ours, batched = (list(inspect.signature(each).parameters.values())[:10] for each in (RoverEnv, BatchedRoverEnv))
+    assert [(p.name, p.default, p.kind) for p in ours] == [(p.name, p.default, p.kind) for p in batched]
+    others = list(inspect.signature(RoverEnv).parameters.values())[10:]
+    assert all(p.kind is p.KEYWORD_ONLY for p in others)
 
 
 def test_the_spaces_are_the_contracts(shared):

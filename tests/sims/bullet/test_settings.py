@@ -61,12 +61,12 @@ def test_accurate_has_a_smaller_error_than_fast() -> None:
     x = torch.arange(81) * 0.25 - 10
     world = World("slope", Terrain((0.15 * x).expand(81, -1), 0.25))
     random = torch.Generator().manual_seed(0)
-    starts = torch.rand(24, 3, generator=random) * torch.tensor((8, 8, 2 * math.pi)) - torch.tensor((4, 4, 0))
-    commands = torch.rand(24, 2, generator=random) * torch.tensor((1.6, 3.0)) - torch.tensor((0.6, 1.5))
+    starts = torch.rand(12, 3, generator=random) * torch.tensor((8, 8, 2 * math.pi)) - torch.tensor((4, 4, 0))
+    commands = torch.rand(12, 2, generator=random) * torch.tensor((1.6, 3.0)) - torch.tensor((0.6, 1.5))
 
     def final_positions(settings: BulletSettings) -> torch.Tensor:
-        simulator = make_simulator(settings, worlds=[world] * 24, robot=get_robot("rover_zero"), lidar_beams=1)
-        simulator.reset(torch.ones(24, dtype=torch.bool), starts)
+        simulator = make_simulator(settings, worlds=[world] * 12, robot=get_robot("rover_zero"), lidar_beams=1)
+        simulator.reset(torch.ones(12, dtype=torch.bool), starts)
         states = [simulator.step(commands) for _ in range(40)]
         simulator.close()
         return states[-1].position

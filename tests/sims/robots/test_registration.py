@@ -6,17 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from rover_rl.sims import robots
 from rover_rl.sims.robots import get_robot, register_robot, robot_names
 
 ROVER = get_robot("rover_zero")
 SLOW_ROVER = replace(ROVER, name="slow", max_speed=0.2)
 
-
-@pytest.fixture(autouse=True)
-def temporary_registry(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Removes registrations after each test, because other tests compare the list of names."""
-    monkeypatch.setattr(robots._REGISTRY, "_parts", dict(robots._REGISTRY._parts))
+pytestmark = pytest.mark.usefixtures("own_registries")
 
 
 def test_a_registered_robot():

@@ -9,16 +9,11 @@ import pytest
 import torch
 
 from rover_rl import Terrain, World, register_world
-from rover_rl.sims import worlds
 from rover_rl.sims.worlds import WORLDS, WorldName, get_world, layout_cache
 from rover_rl.sims.worlds.layout_cache import stored_layout
 from rover_rl.sims.worlds.obstacles import groups_of
 
-
-@pytest.fixture(autouse=True)
-def temporary_registry(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Removes registrations after each test, because other tests compare the list of names."""
-    monkeypatch.setattr(worlds._REGISTRY, "_parts", dict(worlds._REGISTRY._parts))
+pytestmark = pytest.mark.usefixtures("own_registries")
 
 
 @pytest.fixture(autouse=True)
@@ -77,15 +72,13 @@ def test_a_damaged_file_is_replaced(folder: Path) -> None:
     assert_equal(world, stored_layout(WorldName("maze", 3), never))
 
 
-def test_only_built_in_worlds_are_stored(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_built_in_worlds_are_stored(folder: Path) -> None:
     made: list[int] = []
 
     def canyon(seed: int) -> World:
         made.append(seed)
         return World("canyon", Terrain.flat((8, 8)))
 
-    # The registry forgets the world after the test.
-    monkeypatch.setattr(worlds._REGISTRY, "_parts", dict(worlds._REGISTRY._parts))
     register_world("stored-canyon", canyon)
     get_world("stored-canyon:1")
     assert made == [1]

@@ -6,14 +6,9 @@ import sys
 
 import pytest
 
-from rover_rl.sims import worlds
 from rover_rl.sims.worlds import Terrain, World, get_world, register_world, world_names
 
-
-@pytest.fixture(autouse=True)
-def temporary_registry(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Removes registrations after each test, because other tests compare the list of names."""
-    monkeypatch.setattr(worlds._REGISTRY, "_parts", dict(worlds._REGISTRY._parts))
+pytestmark = pytest.mark.usefixtures("own_registries")
 
 
 def make_world(seed: int) -> World:

@@ -5,14 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
-from rover_rl.sims import worlds
 from rover_rl.sims.worlds import WORLDS, Terrain, World, WorldName, get_world, register_world
 
-
-@pytest.fixture(autouse=True)
-def temporary_registry(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Removes registrations after each test, because other tests compare the list of names."""
-    monkeypatch.setattr(worlds._REGISTRY, "_parts", dict(worlds._REGISTRY._parts))
+pytestmark = pytest.mark.usefixtures("own_registries")
 
 
 @pytest.mark.parametrize(
