@@ -34,7 +34,7 @@ episodes = choose_episodes("maze", EPISODES)
 def success(policy, name):
     env = replace(environment_for(policy, None), backend="warp")
     evaluation = evaluate(policy, episodes, name=name, env=env)
-    print(f"{name}: {sum(ending == "goal" for ending in evaluation.endings)} of {EPISODES} goals")
+    print(f"{name}: {int(evaluation.reached.sum())} of {EPISODES} goals")
     return evaluation
 
 

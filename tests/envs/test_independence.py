@@ -47,6 +47,7 @@ SEED = 240
 SETTINGS = {"lidar_beams": 32, "length": 100}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("backend", "world", "batches"),
     [

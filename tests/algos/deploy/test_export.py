@@ -185,6 +185,7 @@ def test_the_task_travels_with_the_file(checkpoint, tmp_path):
     assert policy.made_for == config.env
 
 
+@pytest.mark.slow
 @needs_onnx
 @pytest.mark.usefixtures("few_checks")
 def test_the_command_exports_and_evaluates(tmp_path, monkeypatch, capsys):
@@ -212,6 +213,7 @@ def test_a_policy_that_turns_to_the_north_and_drives_forward_only_drives_as_the_
         torch.testing.assert_close(one.position, other.position, atol=1e-3, rtol=0)
 
 
+@pytest.mark.slow
 @needs_onnx
 @pytest.mark.usefixtures("few_checks")
 def test_commands_take_policies_with_memory(tmp_path, monkeypatch, capsys):
@@ -255,6 +257,7 @@ def test_a_program_with_memory_acts_as_the_original_over_an_episode(memory, tmp_
 SIZES = {"gru": 12, "lstm": 24}
 
 
+@pytest.mark.slow
 @needs_onnx
 @pytest.mark.parametrize("memory", ["gru", "lstm"])
 def test_an_onnx_policy_with_memory_drives_as_the_original(memory, tmp_path):

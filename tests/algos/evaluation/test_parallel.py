@@ -57,6 +57,7 @@ def assert_same(ours: Evaluation | EndlessEvaluation, theirs: Evaluation | Endle
             assert torch.equal(getattr(one, key), getattr(other, key))
 
 
+@pytest.mark.slow
 def test_results_in_two_processes_are_those_of_one_evaluation_after_another(checkpoint: Checkpoint) -> None:
     requests: list[Request] = []
     expected: list[Evaluation | EndlessEvaluation] = []
@@ -76,6 +77,7 @@ def test_results_in_two_processes_are_those_of_one_evaluation_after_another(chec
     assert torch.equal(torch.random.get_rng_state(), before)
 
 
+@pytest.mark.slow
 def test_results_in_a_randomized_environment_do_not_depend_on_the_number_of_processes(checkpoint: Checkpoint) -> None:
     env = EnvConfig(randomization=Randomization.typical())
     requests: list[Request] = []

@@ -51,6 +51,7 @@ def test_seeds_are_checked() -> None:
         seed_runs(training_config("ppo"), [-1])
 
 
+@pytest.mark.slow
 def test_one_command_trains_all_seeds_and_one_compares_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = ["train", *TINY, "--total-steps", "192", "--logger", "csv", "--runs", str(tmp_path), "--name", "mine"]
     assert main([*line, "--seeds", "0", "1"]) == 0

@@ -147,6 +147,7 @@ def test_trials_are_evaluated_in_episodes_of_their_own() -> None:
     assert [world.split("@")[0] for world in map(mazes.world_name, range(3))] == ["maze:9984", "maze:9985", "maze:9986"]
 
 
+@pytest.mark.slow
 def test_one_command_sweeps_two_settings(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -15,6 +15,8 @@ from rover_rl.algos.evaluation.by_value import loads
 from tests.algos.train.accelerated import COLLECTED, LEARNERS, on_both
 from tests.fork_server import fork_server
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def found() -> dict[str, Any]:

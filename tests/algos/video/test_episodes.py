@@ -69,6 +69,7 @@ def test_an_episode_is_driven_as_in_the_evaluation(randomized: bool, tmp_path: P
         assert drive.moments[-1].event[0] == {"goal": "goal reached"}.get(drive.ending, drive.ending)
 
 
+@pytest.mark.slow
 def test_the_command_films_an_episode_or_those_that_failed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = evaluated(tmp_path)
     failed = [episode for episode, ending in enumerate(before.endings) if ending != "goal"]

@@ -72,6 +72,7 @@ def test_several_threads_scan_for_a_rover():
     torch.testing.assert_close(*scans, rtol=5e-7, atol=0)
 
 
+@pytest.mark.slow
 def test_random_driving_stays_on_the_ground_and_out_of_obstacles():
     """Rovers are not launched, do not sink in or become NaN; wheels penetrate obstacles by at most 1 cm."""
     for name in ("inspect", "moon", "maze"):
