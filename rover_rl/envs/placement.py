@@ -9,9 +9,10 @@ import torch
 from torch import Tensor
 
 from rover_rl.envs.rng import random_bits, to_index, to_unit
+from rover_rl.sims.free_space import free_space
+from rover_rl.sims.free_space.space import HEADINGS
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds import World, free_space
-from rover_rl.sims.worlds.free_space import HEADINGS
+from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.slot_table import SlotTable
 
 _START, _GOAL = 0, 1

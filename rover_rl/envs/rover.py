@@ -32,9 +32,10 @@ from rover_rl.envs.sensing import LidarPooling, check_period, scanning
 from rover_rl.envs.task import TaskState, target_info
 from rover_rl.sims import Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.base import View, WorldChanger
+from rover_rl.sims.free_space import free_space
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.timing import CONTROL_DT
-from rover_rl.sims.worlds import World, free_space
+from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.pool import WorldPool
 from rover_rl.tensordicts import unchecked_tensordict
 

@@ -31,10 +31,10 @@ from rover_rl.envs.placement import Placement
 from rover_rl.envs.rng import episode_keys, row_keys
 from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay
+from rover_rl.sims.free_space.shortest_paths import shortest_paths
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.worlds import WORLDS, World, WorldName, get_world
 from rover_rl.sims.worlds.pool import WorldPool, WorldSource
-from rover_rl.sims.worlds.shortest_paths import shortest_paths
 
 DEFAULT_SEED = 20_000
 """Seed of the stored episodes."""
@@ -65,7 +65,7 @@ class EpisodeSet:
         start: start poses, float32 ``[count, 3]`` (x, y in m, yaw in rad).
         goal: goals, float32 ``[count, 2]``, m.
         shortest: lengths of the shortest paths from the starts to the edges of the goal discs, float32 ``[count]``, m;
-            see :func:`~rover_rl.sims.worlds.shortest_paths.shortest_paths`.
+            see :func:`~rover_rl.sims.free_space.shortest_paths.shortest_paths`.
         offset: index of the first episode in the set that this is a part of.
         world_index: index of each episode's world in the pool, int64 ``[count]``. By default, it is 0.
     """

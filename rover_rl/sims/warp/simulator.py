@@ -15,6 +15,7 @@ from torch import Tensor
 
 from rover_rl.sims.base import Dynamics, RoverState, View
 from rover_rl.sims.differential_drive import SimulatedDrive
+from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.robots import Robot
@@ -26,7 +27,7 @@ from rover_rl.sims.warp.kernels.types import Solver
 from rover_rl.sims.warp.scene import SceneTable, make_robot_model
 from rover_rl.sims.warp.settings import WarpSettings
 from rover_rl.sims.warp.state_buffers import StateBuffers
-from rover_rl.sims.worlds import World, rest_on_ground
+from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.slot_table import TerrainTable
 from rover_rl.sims.worlds.slots import Slots, max_slots
 

@@ -25,9 +25,10 @@ from rover_rl.sims import RoverState
 from rover_rl.sims.base import Dynamics
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.differential_drive import SimulatedDrive
+from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.inertial_model import read_inertial_model
-from rover_rl.sims.worlds import Terrain, World, rest_on_ground
+from rover_rl.sims.worlds import Terrain, World
 from rover_rl.sims.worlds.pool import WorldPool, WorldSource
 from rover_rl.sims.worlds.slot_table import TerrainTable
 from rover_rl.sims.worlds.slots import Slots, max_slots

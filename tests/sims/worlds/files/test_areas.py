@@ -12,8 +12,9 @@ from matplotlib.path import Path as Outline
 
 from rover_rl.envs.placement import Placement
 from rover_rl.envs.rng import episode_keys, row_keys
+from rover_rl.sims.free_space import free_space
 from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import World, free_space
+from rover_rl.sims.worlds import World
 from tests.extras import needs_worlds
 from tests.sims.worlds.files.test_maps import write_map
 
