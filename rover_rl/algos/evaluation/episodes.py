@@ -35,6 +35,7 @@ from rover_rl.sims.free_space.shortest_paths import shortest_paths
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.worlds import WORLDS, World, WorldName, get_world
 from rover_rl.sims.worlds.pool import WorldPool, WorldSource
+from rover_rl.sims.worlds.table import WorldTable
 
 DEFAULT_SEED = 20_000
 """Seed of the stored episodes."""
@@ -219,7 +220,7 @@ def _draw_in(
 def _draw(world: World, robot: Robot, count: int, seed: int) -> tuple[Tensor, Tensor]:
     """Starts ``[count, 3]`` and goals ``[count, 2]`` of the first episodes of environments seeded ``seed`` and up."""
     device = torch.device("cpu")
-    placement = Placement({0: world}, torch.zeros(count, dtype=torch.int64), robot, TaskConfig().min_goal_distance)
+    placement = Placement(WorldTable([world] * count), robot, TaskConfig().min_goal_distance)
     keys = episode_keys(row_keys(seed, count, device), torch.ones(count, 1, dtype=torch.int64))
     start = placement.draw_start(keys)
     return start, placement.draw_goal(keys, torch.zeros_like(keys), start[:, :2])
