@@ -98,7 +98,7 @@ class WorldTable(Sequence[World]):
             Slot of each world, int64.
 
         Raises:
-            ValueError: if there are more worlds than :attr:`capacity`.
+            ValueError: if there are more worlds than slots, ``capacity``.
         """
         return self.slots.new_tensor([self._enter(world) for world in worlds])
 
