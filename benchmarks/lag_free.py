@@ -36,11 +36,12 @@ from rover_rl.files import write_json
 from rover_rl.sims.base import Dynamics, RoverState
 from rover_rl.sims.bullet.lidar import Lidar
 from rover_rl.sims.connection import Connection
+from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.native.bullet import pybullet
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2.limits import CommandLimiter, CommandLimits
 from rover_rl.sims.rotations import matrix_to_quaternion, quaternion_to_euler
-from rover_rl.sims.worlds import World, rest_on_ground
+from rover_rl.sims.worlds import World
 
 DT = 0.05
 """Control step, s."""

@@ -18,9 +18,10 @@ from gymnasium import spaces
 from rover_rl.sims.bullet.geometry import friction_scales
 from rover_rl.sims.bullet.physics import connect, load_rover, load_world
 from rover_rl.sims.bullet.settings import BulletSettings
+from rover_rl.sims.free_space import free_space, rest_on_ground
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.rotations import matrix_to_quaternion
-from rover_rl.sims.worlds import free_space, get_world, rest_on_ground
+from rover_rl.sims.worlds import get_world
 
 _RAYS, _ROVER, _STATIC = 1, 2, 4
 """Collision groups. Bullet assigns rays to the first."""

@@ -28,10 +28,11 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 from rover_rl import RoverEnv, make_env
+from rover_rl.sims.free_space import free_space
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.warp import WarpSettings
 from rover_rl.sims.warp.scene import SceneTable
-from rover_rl.sims.worlds import _make_world, free_space, get_world
+from rover_rl.sims.worlds import _make_world, get_world
 from rover_rl.sims.worlds.pool import WorldPool
 
 

@@ -18,9 +18,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from PIL import Image
 
+from rover_rl.sims.free_space import free_space
+from rover_rl.sims.free_space.draw import FREE, GOAL
 from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import WORLDS, World, free_space, get_world
-from rover_rl.sims.worlds.draw import FREE, GOAL, draw_map
+from rover_rl.sims.worlds import WORLDS, World, get_world
+from rover_rl.sims.worlds.draw import draw_map
 from rover_rl.sims.worlds.region import Area, expanded, overlap
 
 FOLDER = Path(__file__).parent / "images"

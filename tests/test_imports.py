@@ -26,7 +26,7 @@ LAYERS = (
         "sims.timing",
         "sims.worlds",
     ),
-    ("sims.rendering",),
+    ("sims.free_space", "sims.rendering"),
     ("sims.bullet", "sims.mujoco", "sims.ros2", "sims.warp"),
     ("sims.backends",),
     ("sims.__init__",),
@@ -125,10 +125,10 @@ def imported_names(node: ast.AST, package: list[str]) -> Iterator[str]:
         yield from (str(value.value) for value in node.args if isinstance(value, ast.Constant))
 
 
-def read_imports(module: str, source: str) -> Iterator[Import]:
-    """Imports of a module from the package, including those in functions."""
-    package = [PACKAGE.name, *module.split(".")[:-1]]
-    for node in runtime_nodes(ast.parse(source), in_package=module.endswith("__init__")):
+def read_imports(module: str, source: str, types: bool = False) -> Iterator[Import]:
+    """Imports of a module from the package, including those in functions, and with ``types`` those for types alone."""
+    package, tree = [PACKAGE.name, *module.split(".")[:-1]], ast.parse(source)
+    for node in ast.walk(tree) if types else runtime_nodes(tree, in_package=module.endswith("__init__")):
         for name in imported_names(node, package):
             imported = resolve(name)
             if imported is not None:
@@ -192,6 +192,15 @@ def test_separate_parts_do_not_import_each_other():
         if contains(name, edge.importer) and any(contains(other, edge.imported) for other in others)
     ]
     assert not forbidden, "\n".join(forbidden)
+
+
+@pytest.mark.parametrize("part", ["sims.robots", "sims.worlds"])
+def test_worlds_and_robots_know_neither_each_other_nor_free_space_for_types_either(part):
+    others = {"sims.free_space", "sims.robots", "sims.worlds"} - {part}
+    files = {module: file_of(module).read_text() for module in sorted(modules()) if contains(part, module)}
+    edges = [edge for module, source in files.items() for edge in read_imports(module, source, types=True)]
+    found = [str(edge) for edge in edges if any(contains(other, edge.imported) for other in others)]
+    assert not found, "\n".join(found)
 
 
 # -----------------------------------------------------------------------------------------------------------

@@ -104,9 +104,9 @@ class ShowWorld:
     def __call__(self) -> int:
         """Draws the picture, and prints what was understood."""
         from rover_rl.files import written_whole
+        from rover_rl.sims.free_space.draw_task import draw_task
         from rover_rl.sims.robots import get_robot
         from rover_rl.sims.worlds import get_world
-        from rover_rl.sims.worlds.draw_task import draw_task
 
         robot, world = get_robot(self.robot), get_world(self.file)
         out = self.out or Path(f"{Path(self.file).name.partition('.')[0].replace(':', '-')}.png")
@@ -145,9 +145,9 @@ class Worlds:
         if self.action is not None:
             return self.action()
         from rover_rl.files import written_whole
+        from rover_rl.sims.free_space.draw import draw_world
         from rover_rl.sims.robots import get_robot
         from rover_rl.sims.worlds import get_world, world_names
-        from rover_rl.sims.worlds.draw import draw_world
 
         robot = get_robot(self.robot)
         for name in self.world or world_names():

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import torch
 from torch import Tensor
 
 from rover_rl.envs.rng import random_bits, to_index, to_unit
+from rover_rl.sims.free_space import free_space
+from rover_rl.sims.free_space.space import HEADINGS
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds import World, free_space
-from rover_rl.sims.worlds.free_space import HEADINGS
 from rover_rl.sims.worlds.slot_table import SlotTable
+from rover_rl.sims.worlds.table import WorldTable
 
 _START, _GOAL = 0, 1
 """Streams of random numbers."""
@@ -24,11 +24,8 @@ _CANDIDATES = 8
 class Placement:
     """Draws start poses and goals for a batch whose rows may be in different worlds.
 
-    It holds the free cells of worlds in numbered slots, and a row is in the world of a slot.
-
     Args:
-        worlds: worlds by slot.
-        slots: slot of each row, int64 ``[N]``. Their device is that of the draws.
+        worlds: world of each row. The device of the slots is that of the draws.
         robot: robot that determines the free space.
         min_goal_distance: minimum distance from the rover to a new goal, m.
 
@@ -39,8 +36,9 @@ class Placement:
     bounds_low: Tensor
     bounds_high: Tensor
 
-    def __init__(self, worlds: Mapping[int, World], slots: Tensor, robot: Robot, min_goal_distance: float) -> None:
-        self._robot, self._min_goal_distance, device = robot, min_goal_distance, slots.device
+    def __init__(self, worlds: WorldTable, robot: Robot, min_goal_distance: float) -> None:
+        self._robot, self._min_goal_distance, device = robot, min_goal_distance, worlds.slots.device
+        self._worlds, self._entered = worlds, worlds.follow()
         self._start_cells = SlotTable((2,), torch.float32, device)
         self._headings = SlotTable((), torch.int64, device)
         self._goal_cells = SlotTable((2,), torch.float32, device)
@@ -48,27 +46,22 @@ class Placement:
         self._extremes = SlotTable((2,), torch.float32, device)
         self._bounds = SlotTable((2,), torch.float32, device)
         self._cells = SlotTable((), torch.float32, device)
-        self.hold_worlds(worlds)
-        self.enter_worlds(slots)
+        self.enter_worlds()
 
     @property
     def bounds(self) -> Tensor:
         """Bounds of each row's world: lower x and y, and upper x and y, ``[N, 4]``, m."""
         return torch.cat((self.bounds_low, self.bounds_high), -1)
 
-    def hold_worlds(self, worlds: Mapping[int, World]) -> None:
-        """Puts worlds, given by their slots, in place of those that were there."""
-        for slot, world in worlds.items():
+    def enter_worlds(self) -> None:
+        """Moves rows to their worlds in the table, after these have changed."""
+        for slot, world in self._entered().items():
             space = free_space(world, self._robot)
             self._start_cells[slot], self._headings[slot] = space.spawn_cells, space.spawn_headings
             self._goal_cells[slot], self._extremes[slot] = space.goal_cells, space.goal_extremes
             self._bounds[slot] = torch.tensor(world.bounds).T
             self._cells[slot] = torch.tensor([space.cell])
-
-    def enter_worlds(self, slots: Tensor) -> None:
-        """Sets the slots of all rows, int64 ``[N]``."""
-        self._slot = slots
-        self.bounds_low, self.bounds_high = self._bounds.values[self._slot].unbind(1)
+        self.bounds_low, self.bounds_high = self._bounds.values[self._worlds.slots].unbind(1)
 
     def draw_start(self, keys: Tensor, mask: Tensor | None = None) -> Tensor:
         """Draws start poses ``[N, 3]`` (x, y in m, yaw in rad) from the keys of the episodes ``[N, 1]``.
@@ -78,7 +71,7 @@ class Placement:
             mask: rows whose pose is needed, bool ``[N, 1]``; those of other rows may be 0. ``None`` means all rows.
         """
         rows = _chosen(mask)
-        slot = self._slot[rows]
+        slot = self._worlds.slots[rows]
         bits = random_bits(keys[rows], _START, 0, 5)
         cell = to_index(bits[:, 0], self._start_cells.lengths[slot])
         jitter = to_unit(bits[:, 1:3]) - 0.5
@@ -97,7 +90,7 @@ class Placement:
             mask: rows whose goal is needed, bool ``[N, 1]``; those of other rows may be 0. ``None`` means all rows.
         """
         rows = _chosen(mask)
-        slot = self._slot[rows]
+        slot = self._worlds.slots[rows]
         bits = random_bits(keys[rows], _GOAL, number[rows], _CANDIDATES)
         # The upper 32 bits select the cell. The lower two times 16 bits are the position in the cell.
         jitter = torch.stack((bits & 0xFFFF, (bits >> 16) & 0xFFFF), -1).float() * 2.0**-16 - 0.5

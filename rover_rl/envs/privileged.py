@@ -11,8 +11,8 @@ from torch import Tensor
 from rover_rl.envs.perception import Perception
 from rover_rl.envs.task import target_info
 from rover_rl.sims.base import Dynamics
+from rover_rl.sims.free_space.path_distance import PathDistances
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.path_distance import PathDistances
 from rover_rl.sims.worlds.world import Worlds
 from rover_rl.tensordicts import unchecked_tensordict
 

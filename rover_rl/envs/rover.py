@@ -32,9 +32,10 @@ from rover_rl.envs.sensing import LidarPooling, check_period, scanning
 from rover_rl.envs.task import TaskState, target_info
 from rover_rl.sims import Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.base import View, WorldChanger
+from rover_rl.sims.free_space import free_space
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.timing import CONTROL_DT
-from rover_rl.sims.worlds import World, free_space
+from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.pool import WorldPool
 from rover_rl.tensordicts import unchecked_tensordict
 
@@ -134,7 +135,7 @@ class RoverEnv(EnvBase):
         self.robot = get_robot(config.robot)
         first_keys = episode_keys(row_keys(seed, num_envs, self._tensor_device), 1)
         self._row_worlds = RowWorlds(config.world, first_keys)
-        for world in dict.fromkeys(self._row_worlds.worlds):
+        for world in dict.fromkeys(self._row_worlds.table):
             for sentence in clipped_pose(world):
                 warnings.warn(sentence, stacklevel=2)
         self.lidar = LidarPooling(config.lidar.beams, config.lidar.points, config.lidar.max_range, self._tensor_device)
@@ -159,8 +160,7 @@ class RoverEnv(EnvBase):
 
     def _init_task(self) -> None:
         config, device = self.config, self._tensor_device
-        worlds = self._row_worlds
-        self.placement = Placement(worlds.held, worlds.slot, self.robot, config.task.min_goal_distance)
+        self.placement = Placement(self._row_worlds.table, self.robot, config.task.min_goal_distance)
         self._navigation = Navigation(config, self.placement, self.num_envs, device)
         self.controller = HeadingController(self.num_envs, config.heading_gains, device)
         self._delay = CommandDelay(config.randomization.latency, self.num_envs, device)
@@ -179,7 +179,7 @@ class RoverEnv(EnvBase):
     @property
     def worlds(self) -> list[World]:
         """World of each row, a new list at each access."""
-        return self._row_worlds.worlds
+        return list(self._row_worlds.table)
 
     @property
     def pool(self) -> WorldPool:
@@ -284,14 +284,13 @@ class RoverEnv(EnvBase):
 
     def _open(self) -> None:
         """Builds the simulator. The next reset must include all rows."""
-        self.simulator: Simulator = self._make_simulator(worlds=self.worlds)
+        self.simulator: Simulator = self._make_simulator(worlds=self._row_worlds.table)
         check_period(self.config.lidar.period, self.simulator)
         self._started = False
         self.is_closed = False
         if self._row_worlds.is_drawn and isinstance(self.simulator, WorldChanger):
             self._row_worlds.open(partial(_prepare, self.robot, self.simulator))
-            self.simulator.hold_worlds(self._row_worlds.held)
-            self.simulator.enter_worlds(self._row_worlds.slot.to(self.simulator.device))
+            self.simulator.enter_worlds()
 
     def _make_specs(self) -> None:
         batch_size, device, privileged = self.batch_size, self.device, self.config.privileged
@@ -353,14 +352,10 @@ class RoverEnv(EnvBase):
     def _change_worlds(self, mask: Tensor) -> None:
         """Draws the worlds of new episodes, in a simulator that can change the worlds of rows."""
         if isinstance(self.simulator, WorldChanger) and self._row_worlds.is_drawn:
-            worlds = self._row_worlds
-            entering = worlds.draw(mask, self._keys, episode_keys(self._row_keys, self._episode + 1))
-            if entering:
-                self.placement.hold_worlds(entering)
-                self.simulator.hold_worlds(entering)
-            self.placement.enter_worlds(worlds.slot)
-            self.simulator.enter_worlds(worlds.slot.to(self.simulator.device))
-            self._state.world = worlds.index_if_several
+            self._row_worlds.draw(mask, self._keys, episode_keys(self._row_keys, self._episode + 1))
+            self.placement.enter_worlds()
+            self.simulator.enter_worlds()
+            self._state.world = self._row_worlds.index_if_several
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         self._require_open("step")

@@ -12,12 +12,14 @@ from rover_rl.envs.rng import random_bits, to_index
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.ahead import WorldsAhead
 from rover_rl.sims.worlds.pool import WorldPool, WorldSource, draws_worlds
-from rover_rl.sims.worlds.slots import SPARE_WORLDS, Slots
+from rover_rl.sims.worlds.table import WorldTable
 
 _WORLD = 16
 """Stream of random numbers."""
 _PARTS = 2**31 - 1
 """Number of equal parts that weighted draws divide the total weight into: the largest size of ``to_index``."""
+SPARE_WORLDS = 64
+"""Number of worlds that stay in their slots after the last row has left them."""
 
 
 class RowWorlds:
@@ -27,9 +29,9 @@ class RowWorlds:
     ``"maze:*"``, or is a :class:`~rover_rl.sims.worlds.pool.WorldPool`, each episode draws a world of the pool. The
     draw depends on the seed of the row, the number of the episode and the weights of the worlds only.
 
-    Those who hold data of worlds keep them by slot. If there are no more worlds than rows to draw from, the pool is
-    resident: all of its worlds have slots from :meth:`open` on, and rows change worlds on the device, without the host.
-    Of a larger pool, the worlds that rows are in have slots.
+    If there are no more worlds than rows to draw from, the pool is resident: all of its worlds are in slots of the
+    table from :meth:`open` on, and rows change worlds on the device, without the host. Of a larger pool, the worlds
+    that rows are in have slots.
 
     Args:
         world_n: worlds.
@@ -39,7 +41,7 @@ class RowWorlds:
         pool: all worlds that rows can be in.
         is_drawn: whether episodes draw their worlds.
         index: index of each row's world in the pool, int64 ``[N, 1]``.
-        slot: slot of each row's world, int64 ``[N]``.
+        table: world and slot of each row, for those who hold data of worlds.
 
     Raises:
         ValueError: if a world is unknown, or there are more worlds than rows.
@@ -60,23 +62,15 @@ class RowWorlds:
         self._starts = self._sizes.cumsum(0) - self._sizes
         rows = torch.arange(num_envs, device=keys.device)[:, None]
         self.index = self._drawn(keys) if self.is_drawn else rows * count // num_envs
-        # None if the pool is resident.
-        self._slots: Slots | None = Slots([self.pool[k] for k in self.index.flatten().tolist()], SPARE_WORLDS)
-        self._held = self._slots.worlds
-        self.slot = torch.tensor(self._slots.of_row, device=keys.device)
+        indices = self.index.flatten().tolist()
+        # A large pool may make another object when it is asked for a world again.
+        worlds = {k: self.pool[k] for k in dict.fromkeys(indices)}
+        self.table = WorldTable([worlds[k] for k in indices], keys.device, SPARE_WORLDS)
+        # Slot of each world of a resident pool, int64 [len(pool)].
+        self._resident: Tensor | None = None
         # The episodes of these keys have drawn their worlds.
         self._next_keys, self._next = keys, self.index
         self._ahead: WorldsAhead | None = None
-
-    @property
-    def held(self) -> dict[int, World]:
-        """Worlds by slot."""
-        return dict(enumerate(self._held))
-
-    @property
-    def worlds(self) -> list[World]:
-        """World of each row."""
-        return [self._held[slot] for slot in self.slot.tolist()]
 
     @property
     def index_if_several(self) -> Tensor | None:
@@ -94,11 +88,11 @@ class RowWorlds:
         if len(self.pool) > len(self.index):
             self._ahead = WorldsAhead(self.pool, prepare, limit=len(self.index))
             self._ahead.pause()
-        elif self._slots is not None:
-            self._slots, self._held = None, list(self.pool)
-            self.slot = self.index.squeeze(-1)
+        elif self._resident is None:
+            worlds = dict(zip(self.index.flatten().tolist(), self.table, strict=True))
+            self._resident = self.table.hold(worlds.get(k) or self.pool[k] for k in range(len(self.pool)))
 
-    def draw(self, mask: Tensor, keys: Tensor, next_keys: Tensor) -> dict[int, World]:
+    def draw(self, mask: Tensor, keys: Tensor, next_keys: Tensor) -> None:
         """Draws the worlds of new episodes, and those of the episodes after these.
 
         Use it only after :meth:`open`.
@@ -107,30 +101,20 @@ class RowWorlds:
             mask: rows that begin an episode, bool ``[N, 1]``.
             keys: random keys of the episodes, ``[N, 1]``.
             next_keys: random keys of the episodes after these, ``[N, 1]``.
-
-        Returns:
-            Worlds that enter slots, by slot. Empty if the pool is resident.
         """
         drawn = torch.where(keys == self._next_keys, self._next, self._drawn(keys))
         before, self.index = self.index, torch.where(mask, drawn, self.index)
         self._next_keys = torch.where(mask, next_keys, self._next_keys)
         self._next = torch.where(mask, self._drawn(next_keys), self._next)
-        if self._slots is None:
-            self.slot = self.index.squeeze(-1)
-            return {}
-        entering = self._assign(self._slots, (self.index != before).squeeze(-1).nonzero().squeeze(-1))
+        if self._resident is not None:
+            self.table.enter(self._resident[self.index.squeeze(-1)])
+            return
+        # Worlds are Python objects that a simulator copies one by one, so that this loop is over changed rows alone.
+        changed = (self.index != before).squeeze(-1).nonzero().squeeze(-1)
+        source = self.pool if self._ahead is None else self._ahead
+        self.table.assign(changed, [source[index] for index in self.index[changed, 0].tolist()])
         if self._ahead:
             self._ahead.request(self._next[mask].tolist())
-        return entering
-
-    def _assign(self, slots: Slots, changed: Tensor) -> dict[int, World]:
-        """Assigns slots to the worlds of changed rows ``[M]``, and returns the worlds that enter slots, by slot."""
-        # Worlds are Python objects that a simulator copies one by one, so that these loops are over changed rows alone.
-        rows, source = changed.tolist(), self.pool if self._ahead is None else self._ahead
-        filled = slots.assign(rows, [source[index] for index in self.index[changed, 0].tolist()])
-        new = torch.tensor([slots.of_row[row] for row in rows], dtype=torch.int64, device=self.slot.device)
-        self.slot = self.slot.index_copy(0, changed, new)
-        return {slot: slots.worlds[slot] for slot in filled}
 
     def set_weights(self, weights: Tensor) -> None:
         """Sets the weights of the worlds in later draws. The next episode of each row has already drawn its world.

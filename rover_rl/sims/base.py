@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, runtime_checkable
 
@@ -154,29 +153,17 @@ class Simulator(Protocol):
 class WorldChanger(Protocol):
     """Interface of a simulator whose rovers can change worlds. With other simulators, a rover keeps its first world.
 
-    The simulator holds worlds in numbered slots, and a rover is in the world of a slot. If a pool has no more worlds
-    than rovers, the simulator holds all of them from the start, and a change of worlds is a new tensor of slots.
+    The simulator is built with a :class:`~rover_rl.sims.worlds.table.WorldTable`, whose rows change worlds. It holds
+    worlds by slot. If a pool has no more worlds than rovers, all of them are in slots from the start, and a change of
+    worlds is a new tensor of slots.
     """
 
-    def hold_worlds(self, worlds: Mapping[int, World]) -> None:
-        """Puts worlds in slots, in place of those that were there. The caller resets the rovers of these slots next.
-
-        Args:
-            worlds: world of each slot that changes. Slots are less than
-                :func:`~rover_rl.sims.worlds.slots.max_slots`.
-        """
-        ...
-
-    def enter_worlds(self, slots: Tensor) -> None:
-        """Sets the slots of all rovers. The caller resets those that enter another world next.
-
-        Args:
-            slots: slot of each rover, int64 ``[N]``.
-        """
+    def enter_worlds(self) -> None:
+        """Moves rovers to their worlds in the table, after these have changed. The caller resets these rovers next."""
         ...
 
     def prepare_world(self, world: World) -> None:
-        """Prepares a world that rovers may move to soon, which makes :meth:`hold_worlds` faster.
+        """Prepares a world that rovers may move to soon, which makes :meth:`enter_worlds` faster.
 
         It may run in another thread, at the same time as the other methods.
         """

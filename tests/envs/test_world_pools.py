@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from tensordict import TensorDictBase
@@ -53,6 +55,22 @@ def test_each_episode_draws_a_world() -> None:
     # 160 draws, 32 expected of each.
     assert counts.min() >= 15
     assert counts.max() <= 50
+
+
+class Forgetful(WorldPool):
+    """A pool that makes another object of a world each time."""
+
+    def __getitem__(self, index: int) -> World:
+        return replace(super().__getitem__(index))
+
+
+def test_a_world_that_fits_on_the_device_is_made_once() -> None:
+    env = make(6, world_n=Forgetful(*ROOMS))
+    seen = {*env.worlds}
+    for _ in range(12):
+        env.reset()
+        seen |= {*env.worlds}
+    assert sorted(world.name for world in seen) == [world.name for world in ROOMS]
 
 
 def test_the_lidar_sees_the_world_that_was_drawn() -> None:

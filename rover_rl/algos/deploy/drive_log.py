@@ -20,12 +20,12 @@ from rover_rl.algos.evaluation.evaluate import Evaluation
 from rover_rl.algos.evaluation.metrics import Trajectory, count_reversals
 from rover_rl.envs import EnvConfig, TaskConfig
 from rover_rl.sims import RoverState
+from rover_rl.sims.free_space.shortest_paths import shortest_paths
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import get_world
 from rover_rl.sims.worlds.pool import WorldPool
-from rover_rl.sims.worlds.shortest_paths import shortest_paths
 
 FORMAT = "rover_rl drive, version 1"
 """Name of the file format."""

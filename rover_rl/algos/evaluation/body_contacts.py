@@ -7,11 +7,11 @@ import math
 import torch
 from torch import Tensor
 
+from rover_rl.sims.free_space.space import distance_to_polygon
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.rotations import euler_to_matrix
 from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.free_space import distance_to_polygon
 from rover_rl.sims.worlds.obstacles import Obstacle, groups_of
 
 TOUCH = 0.01

@@ -31,10 +31,11 @@ from rover_rl.envs.placement import Placement
 from rover_rl.envs.rng import episode_keys, row_keys
 from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay
+from rover_rl.sims.free_space.shortest_paths import shortest_paths
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.worlds import WORLDS, World, WorldName, get_world
 from rover_rl.sims.worlds.pool import WorldPool, WorldSource
-from rover_rl.sims.worlds.shortest_paths import shortest_paths
+from rover_rl.sims.worlds.table import WorldTable
 
 DEFAULT_SEED = 20_000
 """Seed of the stored episodes."""
@@ -65,7 +66,7 @@ class EpisodeSet:
         start: start poses, float32 ``[count, 3]`` (x, y in m, yaw in rad).
         goal: goals, float32 ``[count, 2]``, m.
         shortest: lengths of the shortest paths from the starts to the edges of the goal discs, float32 ``[count]``, m;
-            see :func:`~rover_rl.sims.worlds.shortest_paths.shortest_paths`.
+            see :func:`~rover_rl.sims.free_space.shortest_paths.shortest_paths`.
         offset: index of the first episode in the set that this is a part of.
         world_index: index of each episode's world in the pool, int64 ``[count]``. By default, it is 0.
     """
@@ -219,7 +220,7 @@ def _draw_in(
 def _draw(world: World, robot: Robot, count: int, seed: int) -> tuple[Tensor, Tensor]:
     """Starts ``[count, 3]`` and goals ``[count, 2]`` of the first episodes of environments seeded ``seed`` and up."""
     device = torch.device("cpu")
-    placement = Placement({0: world}, torch.zeros(count, dtype=torch.int64), robot, TaskConfig().min_goal_distance)
+    placement = Placement(WorldTable([world] * count), robot, TaskConfig().min_goal_distance)
     keys = episode_keys(row_keys(seed, count, device), torch.ones(count, 1, dtype=torch.int64))
     start = placement.draw_start(keys)
     return start, placement.draw_goal(keys, torch.zeros_like(keys), start[:, :2])

@@ -21,9 +21,9 @@ from rover_rl.algos.policy.grid_planner import SHARP, SLOPE, SLOPE_SPEED
 from rover_rl.envs.config import EnvConfig, RobotLike
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.transforms.path_reward import CAUTION, goal_of, world_of
+from rover_rl.sims.free_space.path_distance import PathDistances
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.rotations import wrap_angle
-from rover_rl.sims.worlds.path_distance import PathDistances
 from rover_rl.sims.worlds.world import Worlds
 
 DIRECTIONS = 64

@@ -8,8 +8,8 @@ every exact method finds the same ones.
 from __future__ import annotations
 
 from rover_rl.envs.seen_map.cell_kernels import CELL, HALF, LAST, OPEN, SIZE, address, cell_of, level_of
+from rover_rl.sims.free_space.path_kernels import link, unlink
 from rover_rl.sims.native.warp import wp
-from rover_rl.sims.worlds.grid_kernels import link, unlink
 
 STRAIGHT = wp.constant(5)
 """Length of a step along an axis."""

@@ -10,7 +10,7 @@ from torchrl.envs.transforms import Transform
 
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.rows import in_rows
-from rover_rl.sims.worlds.path_distance import PathDistances
+from rover_rl.sims.free_space.path_distance import PathDistances
 
 CAUTION = 4.0
 """Relative extra cost of a path right beside an obstacle: a meter there counts as five."""

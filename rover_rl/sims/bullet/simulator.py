@@ -16,11 +16,12 @@ from rover_rl.sims.bullet.lidar import Lidar
 from rover_rl.sims.bullet.physics import RoverPhysics
 from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.differential_drive import SimulatedDrive
+from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.native.bullet import disconnect
 from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import matrix_to_quaternion
-from rover_rl.sims.worlds import World, rest_on_ground
+from rover_rl.sims.worlds import World
 
 
 class BulletSimulator:

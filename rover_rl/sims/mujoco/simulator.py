@@ -13,6 +13,7 @@ from torch import Tensor
 
 from rover_rl.sims.base import Dynamics, RoverState, View
 from rover_rl.sims.differential_drive import SimulatedDrive
+from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.mujoco.lidar import Lidar, Scene
 from rover_rl.sims.mujoco.model import make_model
 from rover_rl.sims.mujoco.physics import RoverPhysics
@@ -21,7 +22,7 @@ from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.rotations import matrix_to_quaternion
-from rover_rl.sims.worlds import World, rest_on_ground
+from rover_rl.sims.worlds import World
 
 MIN_ROVERS_PER_THREAD = 4
 """Minimum number of rovers per thread; with fewer, another thread does not pay."""

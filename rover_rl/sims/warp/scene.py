@@ -41,7 +41,7 @@ ADDRESSES = [getattr(type(Scene().__ctype__()), name).offset // 8 for name in AR
 
 
 class SceneTable:
-    """Scenes of the worlds in :class:`~rover_rl.sims.worlds.slots.Slots`, in one array.
+    """Scenes of the worlds in a :class:`~rover_rl.sims.worlds.table.WorldTable`, by slot, in one array.
 
     Args:
         capacity: maximum number of slots.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import pairwise
@@ -15,6 +15,7 @@ from torch import Tensor
 
 from rover_rl.sims.base import Dynamics, RoverState, View
 from rover_rl.sims.differential_drive import SimulatedDrive
+from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.robots import Robot
@@ -26,9 +27,9 @@ from rover_rl.sims.warp.kernels.types import Solver
 from rover_rl.sims.warp.scene import SceneTable, make_robot_model
 from rover_rl.sims.warp.settings import WarpSettings
 from rover_rl.sims.warp.state_buffers import StateBuffers
-from rover_rl.sims.worlds import World, rest_on_ground
+from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.slot_table import TerrainTable
-from rover_rl.sims.worlds.slots import Slots, max_slots
+from rover_rl.sims.worlds.table import WorldTable
 
 MIN_ROVERS_PER_THREAD = 16
 """Minimum number of rovers per CPU thread; with fewer, another thread does not pay."""
@@ -79,12 +80,11 @@ class WarpSimulator:
         inertial_model = read_inertial_model(robot)
         self._buffers = StateBuffers(inertial_model, robot, count, lidar_beams, self.device)
         self._model = make_robot_model(robot, inertial_model, self._wp_device)
-        self._worlds: dict[int, World] = {}
-        self._scenes = SceneTable(max_slots(count), self._model.bounding_radius, self._wp_device)
+        self._worlds = WorldTable.of(worlds, self.device)
+        self._entered = self._worlds.follow()
+        self._scenes = SceneTable(self._worlds.capacity, self._model.bounding_radius, self._wp_device)
         self._terrains = TerrainTable(self.device)
-        slots = Slots(worlds)
-        self.hold_worlds(dict(enumerate(slots.worlds)))
-        self.enter_worlds(torch.tensor(slots.of_row))
+        self.enter_worlds()
         self._poses = wp.from_torch(self._buffers.poses)
         directions = np.stack((np.cos(angles), np.sin(angles)), -1)
         self._lanes = self.settings.lidar_lanes or (GPU_LIDAR_LANES if self.device.type == "cuda" else 1)
@@ -118,19 +118,14 @@ class WarpSimulator:
             shards.append(_Shard(dynamics, wp.launch(scan, inputs=inputs, **launch)))
         return shards
 
-    def hold_worlds(self, worlds: Mapping[int, World]) -> None:
-        """Copies worlds to the device: see :meth:`WorldChanger.hold_worlds`."""
+    def enter_worlds(self) -> None:
+        """Copies new worlds to the device, and moves rovers: see :meth:`WorldChanger.enter_worlds`."""
         # Copies wait for kernels that still read the slot's world before, and kernels for the copies.
         with wp.ScopedStream(self._stream):
-            for slot, world in worlds.items():
-                if self._worlds.get(slot) is not world:
-                    self._worlds[slot] = world
-                    self._scenes[slot] = world
-                    self._terrains[slot] = world.terrain
-
-    def enter_worlds(self, slots: Tensor) -> None:
-        """Sets the slots of all rovers: see :meth:`WorldChanger.enter_worlds`."""
-        self._buffers.scene.copy_(slots)
+            for slot, world in self._entered().items():
+                self._scenes[slot] = world
+                self._terrains[slot] = world.terrain
+        self._buffers.scene.copy_(self._worlds.slots)
 
     def prepare_world(self, world: World) -> None:
         """Prepares a world that rovers may move to soon: see :meth:`WorldChanger.prepare_world`."""
@@ -178,8 +173,7 @@ class WarpSimulator:
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders an image: see :meth:`Simulator.render`."""
-        world = self._worlds[int(self._buffers.scene[row])]
-        return self._renderers.render(world, self._buffers.base_state[row, :7], view, width, height, goal)
+        return self._renderers.render(self._worlds[row], self._buffers.base_state[row, :7], view, width, height, goal)
 
     @property
     def robot_connected(self) -> bool:

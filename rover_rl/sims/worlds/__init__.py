@@ -1,4 +1,4 @@
-"""Worlds: terrain, obstacles, and the free space for a rover."""
+"""Worlds: terrain, obstacles, and areas of the task. They know no robot."""
 
 from __future__ import annotations
 
@@ -11,12 +11,10 @@ from pathlib import Path
 from rover_rl.registry import Registry
 from rover_rl.sims.worlds.actor import Actor
 from rover_rl.sims.worlds.files.suffixes import is_world_file
-from rover_rl.sims.worlds.free_space import FreeSpace, free_space
 from rover_rl.sims.worlds.generators import forest, hills, inspect, maze, moon, ramps, rooms
 from rover_rl.sims.worlds.layout_cache import stored_layout
 from rover_rl.sims.worlds.names import WorldName, WorldRange
 from rover_rl.sims.worlds.obstacles import Obstacle, boulder, box, boxes, cylinder, cylinders
-from rover_rl.sims.worlds.placement import rest_on_ground
 from rover_rl.sims.worlds.region import Region
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
@@ -129,7 +127,6 @@ def _make_world(name: WorldName) -> World:
 __all__ = [
     "WORLDS",
     "Actor",
-    "FreeSpace",
     "Obstacle",
     "Region",
     "Terrain",
@@ -140,9 +137,7 @@ __all__ = [
     "boxes",
     "cylinder",
     "cylinders",
-    "free_space",
     "get_world",
     "register_world",
-    "rest_on_ground",
     "world_names",
 ]

@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.worlds.ground_limits import ground_extremes
 from rover_rl.sims.worlds.obstacles import Obstacle, Solids, groups_of
 from rover_rl.sims.worlds.terrain import Terrain
 
@@ -41,7 +40,7 @@ def clearance_on_grid(world: World | Site, xs: np.ndarray, ys: np.ndarray, limit
     """
     # Importing NVIDIA Warp takes half a second.
     from rover_rl.sims.native.warp import wp
-    from rover_rl.sims.worlds.grid_kernels import measure_clearance
+    from rover_rl.sims.worlds.clearance_kernels import measure_clearance
 
     clearance = torch.full((len(ys), len(xs)), limit, dtype=torch.float64)
     outlines = [solids.outlines[_is_near_ground(world, solids)] for solids in groups_of(world.obstacles)]
@@ -63,5 +62,26 @@ def _is_near_ground(world: World | Site, solids: Solids) -> np.ndarray:
     if world.terrain.is_flat:
         lowest = highest = np.full(len(solids), world.terrain.heights[0, 0].item())
     else:
-        lowest, highest = ground_extremes(world.terrain, low[:, :2], high[:, :2]).T
+        lowest, highest = _ground_extremes(world.terrain, low[:, :2], high[:, :2]).T
     return (low[:, 2] <= highest + NEAR_GROUND) & (high[:, 2] >= lowest - NEAR_GROUND)
+
+
+def _ground_extremes(terrain: Terrain, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Returns the least and the greatest height of the ground in rectangles, from samples.
+
+    Args:
+        terrain: ground.
+        low: lower corners of the rectangles, ``[N, 2]``, m.
+        high: upper corners of the rectangles, ``[N, 2]``, m.
+
+    Returns:
+        Heights, ``[N, 2]``, m.
+    """
+    from rover_rl.sims.native.warp import wp
+    from rover_rl.sims.worlds.ground_kernels import ground_of, measure_extremes
+
+    steps = np.minimum(200, np.ceil((high - low).max(1) / terrain.cell) * 2 + 1).astype(np.int32)
+    extremes = np.empty((len(low), 2))
+    corners = (np.ascontiguousarray(corner) for corner in (low, high))
+    wp.launch(measure_extremes, len(low), [ground_of(terrain), *corners, steps, extremes], device="cpu")
+    return extremes

@@ -2,73 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import LightSource, LinearSegmentedColormap, Normalize, to_rgba
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Rectangle
-from scipy.ndimage import label
+from matplotlib.colors import LightSource, LinearSegmentedColormap, Normalize
+from matplotlib.patches import Rectangle
 
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.free_space import free_space
-from rover_rl.sims.worlds.region import Area, Region, expanded, overlap
+from rover_rl.sims.worlds.region import Area, overlap
 from rover_rl.sims.worlds.world import World
 
-MARGIN = 3.0
-"""Width of the margin around the bounds of the world, m."""
 GROUND = LinearSegmentedColormap.from_list("ground", ["#4d4038", "#86694f", "#b8946a", "#d9c094", "#f1e6cb"])
 LEVEL = "#e6dcc3"
 OBSTACLE, OBSTACLE_EDGE = "#39424e", "#161a20"
-FREE, CUT_OFF, SPAWN, GOAL, BOUNDS = "#2a9d8f", "#86198f", "#1d4ed8", "#f97316", "#b91c1c"
-USED, UNUSED = 0.5, 0.16
-"""Opacity of the free ground with and without starts and goals."""
-LEGEND_WIDTH = 7.2
-"""Least width of a figure, so that the legend fits, inches."""
-DASHES = (0, (3, 3))
-"""Line of the goal area, so that both outlines are visible where they coincide."""
-
-
-def draw_world(world: World, robot: Robot, path: str | Path | None = None, ax: Axes | None = None) -> Figure:
-    """Draws a map of a world: ground, obstacles, free space, and the areas of the task.
-
-    Args:
-        world: world to draw.
-        robot: robot for which the free space is computed.
-        path: path of the image file, whose suffix selects the format. ``None`` does not save the figure.
-        ax: axes to draw on. ``None`` creates a new figure.
-
-    Returns:
-        The figure.
-    """
-    view = _view(world)
-    if ax is None:
-        width, height = (high - low for low, high in view)
-        ax = Figure(figsize=(max(LEGEND_WIDTH, 5.2 * width / height + 1.6), 7.0), layout="constrained").add_subplot()
-    figure: Any = ax.figure
-    colors = draw_map(ax, world, view)
-    if colors is not None:
-        figure.colorbar(colors, ax=ax, label="elevation (m)", shrink=0.75, pad=0.02, extend="both")
-    _draw_free_space(ax, world, robot)
-    _outline(ax, world.bounds, edgecolor=BOUNDS, linestyle=(0, (6, 4)), linewidth=1.4)
-    _draw_area(ax, world.spawn_range, world.spawn_region, SPAWN, "solid")
-    _draw_area(ax, world.goal_range, world.goal_region, GOAL, DASHES)
-    ax.set_title(f"{world.name}: where {robot.name} can drive")
-    add_legend(ax, map_legend(world))
-    if path is not None:
-        figure.savefig(path, dpi=150)
-    return figure
-
-
-def _view(world: World) -> Area:
-    """Returns the area that a map shows."""
-    return overlap(expanded(world.bounds, MARGIN), expanded(world.terrain.extent, 0.5))
 
 
 def draw_map(ax: Axes, world: World, area: Area | None = None) -> ScalarMappable | None:
@@ -110,80 +57,3 @@ def _draw_ground(ax: Axes, world: World, area: Area) -> ScalarMappable:
     extent = (*area[0], *area[1])
     ax.imshow(image, extent=extent, interpolation="bilinear", zorder=0)
     return ScalarMappable(norm, GROUND)
-
-
-def _draw_free_space(ax: Axes, world: World, robot: Robot) -> None:
-    """Draws which free ground has starts or goals, which the rover can only drive over, and which it cannot reach."""
-    free = free_space(world, robot)
-    passable = free.passable.numpy()
-    used = np.zeros_like(passable)
-    for cells in (free.spawn_cells, free.goal_cells):
-        column, row = ((cells - torch.tensor(free.origin)) / free.cell).round().long().unbind(-1)
-        used[row, column] = True
-    parts, _ = label(passable, np.ones((3, 3)))
-    reached = np.isin(parts, np.unique(parts[used & passable]))
-    colors = np.zeros((*passable.shape, 4))
-    colors[passable] = to_rgba(CUT_OFF, 2 * UNUSED)
-    colors[reached] = to_rgba(FREE, UNUSED)
-    colors[used] = to_rgba(FREE, USED)
-    extent = _extent(free.origin, free.cell, passable)
-    ax.imshow(colors, origin="lower", extent=extent, interpolation="nearest", zorder=1)
-    ax.contour(reached, levels=[0.5], colors=FREE, linewidths=0.8, origin="lower", extent=extent, zorder=2)
-
-
-def _extent(center: tuple[float, float], cell: float, cells: np.ndarray) -> tuple[float, float, float, float]:
-    """Returns left, right, bottom and top of a grid of cells, of which the first has its center at ``center``, m."""
-    (left, bottom), (rows, columns) = (middle - cell / 2 for middle in center), cells.shape
-    return left, left + columns * cell, bottom, bottom + rows * cell
-
-
-def _draw_area(ax: Axes, area: Area, region: Region | None, color: str, line: Any) -> None:
-    """Outlines an area, or the region in it."""
-    if region is None:
-        _outline(ax, area, edgecolor=color, linestyle=line, linewidth=2.2)
-        return
-    mask = np.pad(region.mask.numpy(), 1)
-    x, y = region.origin
-    corner = x - region.cell / 2, y - region.cell / 2
-    ax.contour(
-        mask,
-        levels=[0.5],
-        colors=color,
-        linestyles=[line],
-        linewidths=2.2,
-        origin="lower",
-        extent=_extent(corner, region.cell, mask),
-        zorder=4,
-    )
-
-
-def _outline(ax: Axes, area: Area, **style: Any) -> None:
-    (x, right), (y, top) = area
-    ax.add_patch(Rectangle((x, y), right - x, top - y, fill=False, zorder=4, **style))
-
-
-def add_legend(ax: Axes, handles: list[Patch | Line2D]) -> None:
-    """Puts a legend below a map, in the place of the one that it has."""
-    ax.legend(
-        handles=handles,
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.09),
-        ncols=3,
-        frameon=False,
-        handlelength=1.8,
-        columnspacing=1.4,
-    )
-
-
-def map_legend(world: World) -> list[Patch | Line2D]:
-    """Returns the entries of the legend of a map by :func:`draw_world`."""
-    visible = overlap(world.bounds, _view(world)) == world.bounds
-    return [
-        Patch(facecolor=to_rgba(FREE, USED), edgecolor=FREE, label="free: starts, goals"),
-        Patch(facecolor=to_rgba(FREE, UNUSED), edgecolor=FREE, label="free: only driven over"),
-        Patch(facecolor=to_rgba(CUT_OFF, 2 * UNUSED), label="free, but out of reach"),
-        Patch(facecolor=OBSTACLE, edgecolor=OBSTACLE_EDGE, label="obstacle"),
-        Line2D([], [], color=SPAWN, linewidth=2.2, label="start area"),
-        Line2D([], [], color=GOAL, linewidth=2.2, linestyle=(0, (2, 1)), label="goal area"),
-        Line2D([], [], color=BOUNDS, linestyle="--", label="bounds" if visible else "bounds (beyond the map)"),
-    ]

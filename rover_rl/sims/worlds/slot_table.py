@@ -1,4 +1,4 @@
-"""Tables with data of the worlds in :class:`~rover_rl.sims.worlds.slots.Slots`, for lookups by row."""
+"""Data of the worlds in a :class:`~rover_rl.sims.worlds.table.WorldTable`, by slot, for lookups by row."""
 
 from __future__ import annotations
 

@@ -9,6 +9,9 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+MAX_SLOPE = math.radians(25)
+"""Largest slope of ground that rovers drive and start on, rad."""
+
 
 @dataclass(frozen=True, eq=False)
 class Terrain:

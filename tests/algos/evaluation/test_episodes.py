@@ -17,10 +17,10 @@ from rover_rl.algos.evaluation.episodes import (
     stored_episodes,
     write_episodes,
 )
+from rover_rl.sims.free_space import free_space
+from rover_rl.sims.free_space.shortest_paths import shortest_paths
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, box, get_world
-from rover_rl.sims.worlds.free_space import free_space
-from rover_rl.sims.worlds.shortest_paths import shortest_paths
 
 ROVER = get_robot("rover_zero")
 FIELD = World("field", Terrain.flat((12.0, 12.0)))

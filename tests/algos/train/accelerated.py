@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -26,12 +26,13 @@ from rover_rl.sims import RoverState
 from rover_rl.sims.base import Dynamics
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.differential_drive import SimulatedDrive
+from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.inertial_model import read_inertial_model
-from rover_rl.sims.worlds import Terrain, World, rest_on_ground
+from rover_rl.sims.worlds import Terrain, World
 from rover_rl.sims.worlds.pool import WorldPool, WorldSource
 from rover_rl.sims.worlds.slot_table import TerrainTable
-from rover_rl.sims.worlds.slots import Slots, max_slots
+from rover_rl.sims.worlds.table import WorldTable
 from tests.accelerator import Accelerator, accelerator
 from tests.algos.train.runs import FIELD, WALL
 
@@ -71,17 +72,16 @@ class SlidingSimulator:
         self._pose = torch.zeros(count, 3, device=device)
         self._height = torch.zeros(count, 1, device=device)
         self._robot, self._model = robot, read_inertial_model(robot)
+        self._worlds = WorldTable.of(worlds, device)
+        self._entered = self._worlds.follow()
         self._terrains = TerrainTable(device)
-        self._lengths = torch.zeros(max_slots(count), 1, device=device)
-        slots = Slots(worlds)
-        self.hold_worlds(dict(enumerate(slots.worlds)))
-        self.enter_worlds(torch.tensor(slots.of_row, device=device))
+        self._lengths = torch.zeros(self._worlds.capacity, 1, device=device)
+        self.enter_worlds()
 
-    def hold_worlds(self, worlds: Mapping[int, World]) -> None:
-        for slot, world in worlds.items():
+    def enter_worlds(self) -> None:
+        for slot, world in self._entered().items():
             self._terrains[slot], self._lengths[slot] = world.terrain, world.bounds[0][1]
-
-    def enter_worlds(self, slots: Tensor) -> None:
+        slots = self._worlds.slots
         self._ground, self._length = self._terrains.of(slots), self._lengths[slots]
 
     def prepare_world(self, world: World) -> None: ...

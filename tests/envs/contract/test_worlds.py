@@ -11,6 +11,7 @@ from rover_rl.envs.placement import Placement
 from rover_rl.envs.rng import row_keys
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import get_world
+from rover_rl.sims.worlds.table import WorldTable
 from tests.envs import transcription as contract
 from tests.envs.contract.scripted_env import CPU, WORLD_NAMES, play, scripted
 from tests.envs.scripted import Moment
@@ -37,7 +38,7 @@ def test_the_other_worlds_drop_the_rover_from_0_75_m(name):
 
 def placed(name: str, rows: int) -> Placement:
     """Placement of rows that are all in one world."""
-    return Placement({0: get_world(name)}, torch.zeros(rows, dtype=torch.int64), get_robot("rover_zero"), 1.0)
+    return Placement(WorldTable([get_world(name)] * rows), get_robot("rover_zero"), 1.0)
 
 
 @pytest.mark.parametrize("name", WORLD_NAMES)

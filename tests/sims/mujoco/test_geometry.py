@@ -9,9 +9,10 @@ import pytest
 import torch
 
 from rover_rl.sims import make_simulator
+from rover_rl.sims.free_space import free_space
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.inertial_model import read_inertial_model
-from rover_rl.sims.worlds import Terrain, World, free_space, get_world
+from rover_rl.sims.worlds import Terrain, World, get_world
 
 pytest.importorskip("mujoco", reason="needs rover_rl[mujoco]")
 

@@ -19,11 +19,11 @@ from rover_rl.algos.deploy.driving import Moment, drive_to
 from rover_rl.algos.evaluation.metrics import RESTARTED, TIME_LIMIT, count_reversals
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.sims import make_simulator
+from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.ros2 import RobotLostError, Ros2Settings
 from rover_rl.sims.ros2.messages import Header, LaserScan, PoseArray, Time, Twist
 from rover_rl.sims.ros2.robot import RobotNode
-from rover_rl.sims.worlds import rest_on_ground
 from tests.sims.ros2.wire import Wire
 
 AHEAD, BEHIND = 3.0, -1.0

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import torch
 
+from rover_rl.sims.free_space import free_space
+from rover_rl.sims.free_space.shortest_paths import shortest_paths
 from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import WORLDS, free_space
-from rover_rl.sims.worlds.shortest_paths import shortest_paths
+from rover_rl.sims.worlds import WORLDS
 
 NAMES = sorted(WORLDS)
 DEFAULT_LAYOUTS = {

@@ -1,18 +1,15 @@
-"""Pools of worlds, names of ranges, and slots."""
+"""Pools of worlds, and names of ranges."""
 
 from __future__ import annotations
 
 from itertools import pairwise
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from rover_rl import Terrain, World
 from rover_rl.sims.worlds import get_world
 from rover_rl.sims.worlds.names import WorldRange, check_training_seed, unseen
 from rover_rl.sims.worlds.pool import WorldPool
-from rover_rl.sims.worlds.slots import Slots
 
 YARD = World("yard", Terrain.flat((8, 8)))
 
@@ -94,34 +91,3 @@ def test_seeds_for_evaluation_are_refused_for_training(name: str) -> None:
 @pytest.mark.parametrize("name", ["maze", "maze:9999", "maze:*", "maze:0-9999@0.5", "my_package:canyon"])
 def test_other_seeds_are_for_training(name: str) -> None:
     check_training_seed(name)
-
-
-WORLDS = [World(f"world {k}", Terrain.flat((4, 4))) for k in range(6)]
-
-
-@given(
-    first=st.lists(st.integers(0, 5), min_size=4, max_size=4),
-    moves=st.lists(st.tuples(st.integers(0, 3), st.integers(0, 5)), max_size=30),
-    spare=st.integers(0, 3),
-)
-def test_every_row_has_the_slot_of_its_world(first: list[int], moves: list[tuple[int, int]], spare: int) -> None:
-    slots = Slots([WORLDS[k] for k in first], spare)
-    expected = list(first)
-    # What a user of the slots keeps: the world that was copied last to each slot.
-    copied = dict(enumerate(slots.worlds))
-    for row, world in moves:
-        for slot in slots.assign([row], [WORLDS[world]]):
-            copied[slot] = slots.worlds[slot]
-        expected[row] = world
-        assert [copied[slot] for slot in slots.of_row] == [WORLDS[k] for k in expected]
-        assert len(slots.worlds) <= 4 + spare + 1
-
-
-def test_a_world_stays_in_its_slot_while_there_is_room() -> None:
-    slots = Slots([WORLDS[0], WORLDS[0]], spare=1)
-    assert slots.assign([0, 1], [WORLDS[1], WORLDS[1]]) == [1]
-    assert slots.assign([0], [WORLDS[0]]) == []
-    # The world without rows that was left first makes room.
-    assert slots.assign([0, 1], [WORLDS[2], WORLDS[2]]) == [2]
-    assert slots.assign([0, 1], [WORLDS[3], WORLDS[3]]) == [0]
-    assert slots.worlds == [WORLDS[3], WORLDS[1], WORLDS[2]]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
+from rover_rl.sims.free_space import free_space
 from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Region, Terrain, World, free_space
+from rover_rl.sims.worlds import Region, Terrain, World
 
 FLOOR = Terrain.flat((20, 20))
 ROVER = get_robot("rover_zero")

@@ -8,7 +8,7 @@ import torch
 
 from rover_rl.sims.worlds import WORLDS
 from rover_rl.sims.worlds.generators import moon
-from rover_rl.sims.worlds.ground_limits import MAX_SLOPE
+from rover_rl.sims.worlds.terrain import MAX_SLOPE
 
 DIFFICULTIES = (0.0, 0.5, 1.0)
 

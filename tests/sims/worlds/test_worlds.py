@@ -9,8 +9,9 @@ import pytest
 import torch
 from scipy.ndimage import label
 
+from rover_rl.sims.free_space import free_space
 from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import WORLDS, World, free_space, get_world
+from rover_rl.sims.worlds import WORLDS, World, get_world
 
 SEEDS = range(12)
 

@@ -17,10 +17,8 @@ from rover_rl.sims.worlds.files.enclosure import CLEARANCE, Enclosure, FloorPlan
 from rover_rl.sims.worlds.files.options import ImportOptions
 from rover_rl.sims.worlds.obstacles import Obstacle
 from rover_rl.sims.worlds.region import Area, Region, expanded, overlap, union
-from rover_rl.sims.worlds.terrain import Terrain
+from rover_rl.sims.worlds.terrain import MAX_SLOPE, Terrain
 
-MAX_SLOPE = math.radians(25)
-"""Largest slope on which a rover starts, rad."""
 OPEN_SIDE = 20.0
 """Largest side of the spawn area without an enclosure, m."""
 MARGIN = 1.0

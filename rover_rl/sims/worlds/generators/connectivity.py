@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.ndimage import label
 
-from rover_rl.sims.worlds.ground_limits import MAX_SLOPE
+from rover_rl.sims.worlds.terrain import MAX_SLOPE
 
 
 def largest_part(open_cells: np.ndarray, inside: np.ndarray) -> tuple[float, float]:
@@ -33,7 +33,7 @@ def gentle_cells(heights: np.ndarray, cell: float) -> np.ndarray:
         cell: spacing of the grid, m.
 
     Returns:
-        Whether no triangle of a cell is steeper than :data:`~rover_rl.sims.worlds.ground_limits.MAX_SLOPE`, bool
+        Whether no triangle of a cell is steeper than :data:`~rover_rl.sims.worlds.terrain.MAX_SLOPE`, bool
         ``[rows - 1, columns - 1]``.
     """
     along_x, along_y = np.diff(heights, axis=1), np.diff(heights, axis=0)

@@ -12,8 +12,10 @@ from matplotlib.path import Path as Outline
 
 from rover_rl.envs.placement import Placement
 from rover_rl.envs.rng import episode_keys, row_keys
+from rover_rl.sims.free_space import free_space
 from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import World, free_space
+from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds.table import WorldTable
 from tests.extras import needs_worlds
 from tests.sims.worlds.files.test_maps import write_map
 
@@ -76,7 +78,7 @@ def test_starts_and_goals_of_a_building_lie_inside(tmp_path, name):
 
 def test_a_thousand_episodes_start_and_end_inside(tmp_path):
     outline, walls = BUILDINGS["two rooms with doors in a yard"]
-    placement = Placement({0: building(tmp_path, *walls)}, torch.zeros(1000, dtype=torch.int64), ROVER, 1.0)
+    placement = Placement(WorldTable([building(tmp_path, *walls)] * 1000), ROVER, 1.0)
     keys = episode_keys(row_keys(0, 1000, "cpu"), 1)
     starts = placement.draw_start(keys)[:, :2]
     goals = placement.draw_goal(keys, torch.zeros_like(keys), starts)

@@ -42,7 +42,7 @@ class PathDistances:
         robot: robot that determines the free space.
         device: device of positions and goals. ``None`` is the CPU.
         caution: relative extra cost of a path right beside an obstacle. See
-            :class:`~rover_rl.sims.worlds.path_grid.PathGrid`.
+            :class:`~rover_rl.sims.free_space.path_grid.PathGrid`.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class PathDistances:
         caution: float = 0.0,
     ) -> None:
         # Importing NVIDIA Warp takes half a second.
-        from rover_rl.sims.worlds.path_grid import PathGrid
+        from rover_rl.sims.free_space.path_grid import PathGrid
 
         self._grid = lru_cache(KEPT_GRIDS)(lambda index: PathGrid(worlds[index], robot, caution))
         device = device or "cpu"

@@ -9,11 +9,12 @@ import numpy as np
 import torch
 from matplotlib.lines import Line2D
 
+from rover_rl.sims.free_space.draw import GOAL, SPAWN, add_legend, draw_world, map_legend
+from rover_rl.sims.free_space.path_grid import PathGrid
+from rover_rl.sims.free_space.shortest_paths import shortest_paths
+from rover_rl.sims.free_space.space import FreeSpace, free_space
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.draw import GOAL, OBSTACLE_EDGE, SPAWN, add_legend, draw_world, map_legend
-from rover_rl.sims.worlds.free_space import FreeSpace, free_space
-from rover_rl.sims.worlds.path_grid import PathGrid
-from rover_rl.sims.worlds.shortest_paths import shortest_paths
+from rover_rl.sims.worlds.draw import OBSTACLE_EDGE
 from rover_rl.sims.worlds.world import World
 
 CANDIDATES = 16

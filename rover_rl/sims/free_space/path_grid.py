@@ -10,16 +10,17 @@ import torch
 from scipy.ndimage import label
 from torch import Tensor
 
+from rover_rl.sims.free_space.cell_grid import CellGrid
+from rover_rl.sims.free_space.ground_limits import slopes_on_grid
+from rover_rl.sims.free_space.passages import orientation_of
+from rover_rl.sims.free_space.path_kernels import BUCKETS, find_steps, spread_costs
+from rover_rl.sims.free_space.path_steps import LONGEST, STEPS, TURNED_STEPS
+from rover_rl.sims.free_space.space import FreeSpace, free_space
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.cell_distance import distance_to_cells
-from rover_rl.sims.worlds.cell_grid import CellGrid
-from rover_rl.sims.worlds.free_space import FreeSpace, free_space
-from rover_rl.sims.worlds.grid_kernels import BUCKETS, find_steps, spread_costs
-from rover_rl.sims.worlds.ground_limits import MAX_SLOPE, slopes_on_grid
-from rover_rl.sims.worlds.passages import orientation_of
-from rover_rl.sims.worlds.path_steps import LONGEST, STEPS, TURNED_STEPS
 from rover_rl.sims.worlds.region import overlap
+from rover_rl.sims.worlds.terrain import MAX_SLOPE
 from rover_rl.sims.worlds.world import World
 
 CAUTION_DISTANCE = 0.35
@@ -30,14 +31,14 @@ friction that a rover slides sideways and hardly turns."""
 SPAN = LONGEST * math.sqrt(2)
 """Distance within which all cells of a step lie, in cells."""
 MAX_CAUTION = 15.0
-"""Largest caution. The queue of :func:`~rover_rl.sims.worlds.grid_kernels.spread_costs` holds no longer steps."""
+"""Largest caution. The queue of :func:`~rover_rl.sims.free_space.path_kernels.spread_costs` holds no longer steps."""
 
 
 class PathGrid:
     """Costs of the shortest paths of the rover's center to goals, from every cell of the free-space grid.
 
-    Paths are those of :func:`~rover_rl.sims.worlds.shortest_paths.shortest_paths` before string pulling, and end at the
-    passable cell nearest to the goal. A cell without a path has the cost of the nearest cell with one.
+    Paths are those of :func:`~rover_rl.sims.free_space.shortest_paths.shortest_paths` before string pulling, and end at
+    the passable cell nearest to the goal. A cell without a path has the cost of the nearest cell with one.
 
     Narrow cells are crossed only in orientations in which the rover fits. Whether it can turn between two steps there
     is not tested, so that a path with a sharp bend within a narrow passage may not be drivable.

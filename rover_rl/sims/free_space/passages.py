@@ -9,7 +9,7 @@ each disc, where r is the radius of the discs, and the last term covers the half
 A rectangle that moves along its length, by less than its length, sweeps what it covers at both ends. So the rover
 drives straight from the center of a cell to that of another without touching if its footprint is free at both ends,
 forward or backward. It turns on the spot while all orientations between are free. Chains of such motions join cells.
-Drives have the 32 directions of :mod:`rover_rl.sims.worlds.path_steps`, and all cells that they cross must be free.
+Drives have the 32 directions of :mod:`rover_rl.sims.free_space.path_steps`, and all cells that they cross must be free.
 
 Gaps of 0.7 m are passable for Rover Zero however they lie on the grid, 99 % of those of 0.65 m, 12 % of those of 0.6 m
 (120 gaps in a wall of 0.2 m at random offsets and angles).
@@ -25,10 +25,10 @@ import numpy as np
 import torch
 from scipy.ndimage import label
 
+from rover_rl.sims.free_space.cell_grid import CellGrid, ring
+from rover_rl.sims.free_space.path_steps import STEPS
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.footprint import covering_discs
-from rover_rl.sims.worlds.cell_grid import CellGrid, ring
-from rover_rl.sims.worlds.path_steps import STEPS
 
 ORIENTATIONS = 32
 """Number of orientations."""
@@ -74,8 +74,8 @@ def fit_orientations(robot: Robot, grid: CellGrid, room: np.ndarray, margin: flo
     Returns:
         Bits of uint32, ``[rows, columns]``.
     """
+    from rover_rl.sims.free_space.kernels import fit_footprint
     from rover_rl.sims.native.warp import wp
-    from rover_rl.sims.worlds.free_space_kernels import fit_footprint
 
     centers, radius = covering_discs(robot)
     discs = centers[centers > -1e-9]
@@ -126,8 +126,8 @@ def _join(fits: np.ndarray, parts: np.ndarray, first: int, count: int) -> tuple[
     Returns:
         Bool ``[count + 1]``, by number of the part, and bits of uint32 ``[rows, columns]``.
     """
+    from rover_rl.sims.free_space.kernels import join_parts
     from rover_rl.sims.native.warp import wp
-    from rover_rl.sims.worlds.free_space_kernels import join_parts
 
     narrow = np.argwhere((fits != 0) & (parts == 0))[:, ::-1].astype(np.int32)
     joined = np.zeros(count + 1, dtype=np.int32)

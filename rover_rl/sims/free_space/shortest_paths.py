@@ -17,10 +17,10 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
+from rover_rl.sims.free_space.passages import ORIENTATIONS, orientation_of
+from rover_rl.sims.free_space.path_steps import LONGEST, STEPS
+from rover_rl.sims.free_space.space import free_space
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.free_space import free_space
-from rover_rl.sims.worlds.passages import ORIENTATIONS, orientation_of
-from rover_rl.sims.worlds.path_steps import LONGEST, STEPS
 from rover_rl.sims.worlds.world import World
 
 GOAL_RADIUS = 0.5
@@ -30,7 +30,7 @@ GOAL_RADIUS = 0.5
 def shortest_paths(world: World, robot: Robot, start: Tensor, goal: Tensor, goal_radius: float = GOAL_RADIUS) -> Tensor:
     """Returns the length of the shortest path of the rover's center from each start to the disc around its goal.
 
-    Paths run through the passable cells of :func:`rover_rl.sims.worlds.free_space`, through narrow ones only in
+    Paths run through the passable cells of :func:`rover_rl.sims.free_space.free_space`, through narrow ones only in
     orientations in which the rover fits, and end where the goal is reached, at ``goal_radius`` from it. If the straight
     line is free, the length is exact. Otherwise, Dijkstra's algorithm finds a path of steps in 32 directions, and
     string pulling shortens it: the result is the shortest free polyline through points of that path. It exceeds the

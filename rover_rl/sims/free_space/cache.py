@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from rover_rl.sims import robots
+from rover_rl.sims import robots, worlds
+from rover_rl.sims.free_space.cell_grid import CellGrid
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.cache import code_key, content_key, load_arrays, store_arrays
-from rover_rl.sims.worlds.cell_grid import CellGrid
 from rover_rl.sims.worlds.region import overlap
 from rover_rl.sims.worlds.world import World
 from rover_rl.sims.worlds.world_key import world_key
 
 if TYPE_CHECKING:
-    from rover_rl.sims.worlds.free_space import FreeSpace
+    from rover_rl.sims.free_space.space import FreeSpace
 
 KIND = "free_space"
 """Folder of the cache."""
@@ -49,7 +49,7 @@ def store_free_space(world: World, robot: Robot, space: FreeSpace) -> None:
 
 
 def _key(world: World, robot: Robot) -> str:
-    folders = (Path(__file__).parent, Path(robots.__file__).parent)
+    folders = (Path(module).parent for module in (__file__, worlds.__file__, robots.__file__))
     return content_key(code_key(*folders), _description(robot), world_key(world))
 
 

@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from rover_rl import Robot, Terrain, World, box
+from rover_rl.sims.free_space import FreeSpace, free_space
+from rover_rl.sims.free_space.cache import load_free_space, store_free_space
 from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import FreeSpace, free_space
-from rover_rl.sims.worlds.free_space_cache import load_free_space, store_free_space
 
 ROBOT = get_robot("rover_zero")
 

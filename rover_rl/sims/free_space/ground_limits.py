@@ -8,12 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rover_rl.sims.free_space.cell_grid import CellGrid, ring
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.cell_grid import CellGrid, ring
 from rover_rl.sims.worlds.terrain import Terrain
 
-MAX_SLOPE = math.radians(25)
-"""Maximum slope of the ground below the center of a rover, rad."""
 CLIFF_SLOPE = math.radians(30)
 """Slope above which ground counts as an obstacle, which no part of the rover may be above, rad."""
 LANE_WIDTH = 0.4
@@ -35,34 +33,14 @@ def slopes_on_grid(terrain: Terrain, grid: CellGrid) -> np.ndarray:
     The slope is taken at eight points at the distance of the corners, between the directions of the edges of the
     terrain's triangles.
     """
+    from rover_rl.sims.free_space.ground_kernels import measure_slopes
     from rover_rl.sims.native.warp import wp
-    from rover_rl.sims.worlds.ground_kernels import measure_slopes
+    from rover_rl.sims.worlds.ground_kernels import ground_of
 
     around = (ring(8, start=math.pi / 8) * grid.half_diagonal).numpy()
     squares = np.empty(grid.shape)
-    wp.launch(measure_slopes, len(grid.y), [_ground(terrain), grid.x, grid.y, around, squares], device="cpu")
+    wp.launch(measure_slopes, len(grid.y), [ground_of(terrain), grid.x, grid.y, around, squares], device="cpu")
     return np.sqrt(squares)
-
-
-def ground_extremes(terrain: Terrain, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Returns the least and the greatest height of the ground in rectangles, from samples.
-
-    Args:
-        terrain: ground.
-        low: lower corners of the rectangles, ``[N, 2]``, m.
-        high: upper corners of the rectangles, ``[N, 2]``, m.
-
-    Returns:
-        Heights, ``[N, 2]``, m.
-    """
-    from rover_rl.sims.native.warp import wp
-    from rover_rl.sims.worlds.ground_kernels import measure_extremes
-
-    steps = np.minimum(200, np.ceil((high - low).max(1) / terrain.cell) * 2 + 1).astype(np.int32)
-    extremes = np.empty((len(low), 2))
-    corners = (np.ascontiguousarray(corner) for corner in (low, high))
-    wp.launch(measure_extremes, len(low), [_ground(terrain), *corners, steps, extremes], device="cpu")
-    return extremes
 
 
 def rest_headings(terrain: Terrain, robot: Robot, grid: CellGrid, cells: Tensor, yaws: Tensor) -> tuple[Tensor, Tensor]:
@@ -82,13 +60,14 @@ def rest_headings(terrain: Terrain, robot: Robot, grid: CellGrid, cells: Tensor,
         Allowed headings as bits of int64, ``[S]``, and the position of the lidar relative to the center of the cell at
         each heading, ``[S, 64, 2]``, m.
     """
+    from rover_rl.sims.free_space.ground_kernels import RINGS, find_rest_headings
     from rover_rl.sims.native.warp import wp
-    from rover_rl.sims.worlds.ground_kernels import RINGS, find_rest_headings
+    from rover_rl.sims.worlds.ground_kernels import ground_of
 
     headings = torch.zeros(len(cells), dtype=torch.int64)
     offsets = torch.empty(len(cells), len(yaws), 2, dtype=torch.float64)
     surface = np.empty((len(cells), RINGS * RING_POINTS))
-    inputs = [_ground(terrain), _stance(robot, grid), cells.numpy(), ring(RING_POINTS).numpy(), yaws.numpy(), surface]
+    inputs = [ground_of(terrain), _stance(robot, grid), cells.numpy(), ring(RING_POINTS).numpy(), yaws.numpy(), surface]
     outputs = [offsets.numpy(), headings.numpy().view(np.uint64)]
     wp.launch(find_rest_headings, len(cells), inputs + outputs, device="cpu")
     return headings, offsets
@@ -105,30 +84,20 @@ def level_cells(terrain: Terrain, robot: Robot, grid: CellGrid, cells: Tensor) -
         grid: grid of the cells.
         cells: centers of the cells, ``[S, 2]``, m.
     """
+    from rover_rl.sims.free_space.ground_kernels import find_level_cells
     from rover_rl.sims.native.warp import wp
-    from rover_rl.sims.worlds.ground_kernels import find_level_cells
+    from rover_rl.sims.worlds.ground_kernels import ground_of
 
     level = torch.zeros(len(cells), dtype=torch.bool)
-    inputs = [_ground(terrain), _stance(robot, grid), cells.numpy(), level.numpy()]
+    inputs = [ground_of(terrain), _stance(robot, grid), cells.numpy(), level.numpy()]
     wp.launch(find_level_cells, len(cells), inputs, device="cpu")
     return level
 
 
-def _ground(terrain: Terrain):
-    """Returns the terrain as a struct of the kernels."""
-    from rover_rl.sims.native.warp import wp
-    from rover_rl.sims.worlds.ground_kernels import Ground
-
-    ground = Ground()
-    ground.heights = wp.from_numpy(terrain.heights.numpy(), dtype=float, device="cpu")
-    ground.origin, ground.cell = wp.vec2d(*terrain.origin), terrain.cell
-    return ground
-
-
 def _stance(robot: Robot, grid: CellGrid):
     """Returns the dimensions of a rover and the limits for its rest as a struct of the kernels."""
+    from rover_rl.sims.free_space.ground_kernels import Stance
     from rover_rl.sims.native.warp import wp
-    from rover_rl.sims.worlds.ground_kernels import Stance
 
     wheels = np.array(robot.wheel_positions)[:, :2]
     middle = wheels.mean(0)

@@ -12,21 +12,17 @@ import torch
 from scipy.ndimage import binary_opening
 from torch import Tensor
 
-from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.cell_distance import distance_to_cells
-from rover_rl.sims.worlds.cell_grid import CellGrid, ring
-from rover_rl.sims.worlds.clearance import clearance_on_grid
-from rover_rl.sims.worlds.free_space_cache import load_free_space, store_free_space
-from rover_rl.sims.worlds.ground_limits import (
+from rover_rl.sims.free_space.cache import load_free_space, store_free_space
+from rover_rl.sims.free_space.cell_grid import CellGrid, ring
+from rover_rl.sims.free_space.ground_limits import (
     CLIFF_SLOPE,
     LANE_WIDTH,
-    MAX_SLOPE,
     MAX_TILT,
     level_cells,
     rest_headings,
     slopes_on_grid,
 )
-from rover_rl.sims.worlds.passages import (
+from rover_rl.sims.free_space.passages import (
     ALL_ORIENTATIONS,
     MARGIN,
     Reach,
@@ -35,7 +31,11 @@ from rover_rl.sims.worlds.passages import (
     headings_of_bins,
     orientations_of_bins,
 )
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.worlds.cell_distance import distance_to_cells
+from rover_rl.sims.worlds.clearance import clearance_on_grid
 from rover_rl.sims.worlds.region import overlap
+from rover_rl.sims.worlds.terrain import MAX_SLOPE
 from rover_rl.sims.worlds.world import World
 
 HEADINGS = 64
@@ -62,7 +62,7 @@ class FreeSpace:
     Cells are roomy or narrow. In a roomy cell, the turning circle is free wherever in the cell the rover is. Episodes
     start and end in roomy cells. Narrow cells count only where they join roomy cells of the spawn and goal areas that
     are otherwise separate: the footprint is free at their centers in some orientations, in which the rover drives
-    through, forward or backward. See ``rover_rl.sims.worlds.passages``.
+    through, forward or backward. See ``rover_rl.sims.free_space.passages``.
 
     All spawn and goal cells are connected: every goal is reachable from every spawn cell. A sampled position is the
     center of a cell plus an offset of up to half a ``cell`` in x and y. A sampled heading is anywhere in its bin.
@@ -272,8 +272,8 @@ def _clear_headings(
         rests: headings in which the rover may rest, as bits, ``[S]`` or ``[1]``.
         offsets: position of the lidar relative to the center at each heading, ``[S, 64, 2]`` or ``[1, 64, 2]``, m.
     """
+    from rover_rl.sims.free_space.kernels import find_headings
     from rover_rl.sims.native.warp import wp
-    from rover_rl.sims.worlds.free_space_kernels import find_headings
 
     headings = torch.zeros(len(cells), dtype=torch.int64)
     field = [clearance.numpy(), wp.vec2d(*grid.origin), grid.cell, least]

@@ -1,0 +1,139 @@
+"""Table of the worlds that the rows of a batch are in."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import takewhile
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from rover_rl.sims.worlds.world import World
+
+
+class WorldTable(Sequence[World]):
+    """Worlds of the rows of a batch, by row, and the slots that they are in.
+
+    Worlds are in numbered slots, and a row is in the world of its slot. Those who hold data of worlds keep them by
+    slot, and :meth:`follow` the table. A world stays in its slot after the last row has left it, until the slot is
+    needed for another world: the one that was left first is replaced first.
+
+    Args:
+        worlds: world of each row.
+        device: device of the slots. ``None`` is the CPU.
+        spare: number of worlds without rows that stay in their slots.
+
+    Attributes:
+        slots: slot of each row, int64 ``[N]``. A change replaces the tensor.
+        capacity: number that all slots are less than.
+
+    Example:
+        >>> table = WorldTable([maze, maze, moon])
+        >>> table.slots, table[2] is moon
+        (tensor([0, 0, 1]), True)
+        >>> table.assign(torch.tensor([1]), [inspect])
+        >>> table.slots, list(table) == [maze, inspect, moon]
+        (tensor([0, 2, 1]), True)
+    """
+
+    def __init__(self, worlds: Sequence[World], device: torch.device | str | None = None, spare: int = 0) -> None:
+        # Rows enter their new worlds one by one, so that one more slot than rows and spare worlds is in use at most.
+        self.capacity = len(worlds) + spare + 1
+        self._spare = spare
+        self._worlds: list[World] = []
+        self._slot_of: dict[World, int] = {}
+        self._users: Counter[int] = Counter()
+        # Slots without users, in the order in which they were left.
+        self._left: dict[int, None] = {}
+        # How many worlds had entered slots after the last one of each slot, in ascending order.
+        self._entered: dict[int, int] = {}
+        self._entries = 0
+        self.slots = torch.tensor([self._enter(world) for world in worlds], dtype=torch.int64, device=device)
+
+    @classmethod
+    def of(cls, worlds: Sequence[World], device: torch.device | str | None = None) -> WorldTable:
+        """Returns the table of a list of worlds, one a row. Returns a table unchanged."""
+        return worlds if isinstance(worlds, WorldTable) else cls(worlds, device)
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.slots)
+
+    def __getitem__(self, row: Any) -> Any:
+        """Returns the world of a row, or a list of those of a slice."""
+        return list(self)[row] if isinstance(row, slice) else self._worlds[int(self.slots[row])]
+
+    def __iter__(self) -> Iterator[World]:
+        """Iterates over the worlds of all rows."""
+        return map(self._worlds.__getitem__, self.slots.tolist())
+
+    def follow(self) -> Callable[[], dict[int, World]]:
+        """Returns a function that returns the worlds, by slot, that entered since its last call; in the first, all."""
+        seen = 0
+
+        def entered() -> dict[int, World]:
+            nonlocal seen
+            new = takewhile(lambda slot: self._entered[slot] > seen, reversed(self._entered))
+            worlds, seen = {slot: self._worlds[slot] for slot in new}, self._entries
+            return worlds
+
+        return entered
+
+    def assign(self, rows: Tensor, worlds: Iterable[World]) -> None:
+        """Moves rows to worlds.
+
+        Args:
+            rows: indices of the rows, int64 ``[M]``. The host reads them.
+            worlds: new world of each of these rows.
+        """
+        slots = [self._move(*move) for move in zip(self.slots[rows].tolist(), worlds, strict=True)]
+        self.slots = self.slots.index_copy(0, rows, self.slots.new_tensor(slots))
+
+    def hold(self, worlds: Iterable[World]) -> Tensor:
+        """Puts worlds in slots for good, whether rows are in them or not.
+
+        Returns:
+            Slot of each world, int64.
+
+        Raises:
+            ValueError: if there are more worlds than slots, ``capacity``.
+        """
+        return self.slots.new_tensor([self._enter(world) for world in worlds])
+
+    def enter(self, slots: Tensor) -> None:
+        """Sets the slots of all rows, int64 ``[N]``, on the device alone. All must be slots of :meth:`hold`."""
+        self.slots = slots
+
+    def _move(self, slot: int, world: World) -> int:
+        """Moves a row from a slot to a world, and returns the slot of the world."""
+        if world is self._worlds[slot]:
+            return slot
+        self._users[slot] -= 1
+        if not self._users[slot]:
+            self._left[slot] = None
+        return self._enter(world)
+
+    def _enter(self, world: World) -> int:
+        slot = self._slot_of.get(world)
+        if slot is None:
+            slot = self._slot_of[world] = self._free_slot()
+            self._worlds[slot] = world
+            self._entries += 1
+            self._entered.pop(slot, None)
+            self._entered[slot] = self._entries
+        self._left.pop(slot, None)
+        self._users[slot] += 1
+        return slot
+
+    def _free_slot(self) -> int:
+        """Returns a new slot, or the one that was left first if more worlds than ``spare`` have no rows."""
+        if len(self._left) > self._spare:
+            slot = next(iter(self._left))
+            del self._left[slot], self._slot_of[self._worlds[slot]]
+            return slot
+        if len(self._worlds) == self.capacity:
+            raise ValueError(f"a table of {self.capacity} slots cannot hold more worlds")
+        self._worlds.append(None)  # type: ignore[arg-type]  # The caller sets it.
+        return len(self._worlds) - 1
