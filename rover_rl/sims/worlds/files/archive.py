@@ -1,4 +1,4 @@
-"""The project's own world file, ``NAME.world.npz``: plain arrays and JSON, with a version."""
+"""The project's own world file, ``NAME.world.npz``: plain arrays and JSON."""
 
 from __future__ import annotations
 
@@ -23,9 +23,8 @@ from rover_rl.sims.worlds.terrain import Terrain
 if TYPE_CHECKING:
     from rover_rl.sims.worlds.world import World
 
-FORMAT = "rover_rl world"
-VERSIONS = (1, 2)
-"""Versions of the format. The second one has regions, and is written only for a world that has some."""
+FORMAT = "rover_rl world, version 1"
+"""Name of the file format."""
 MAX_BYTES = 512 * 2**20
 """Largest size of the arrays of a file."""
 ARRAYS = {"about": (1, "u1"), "heights": (2, "<f4"), "vertices": (2, "<f8"), "ends": (1, "<i8")}
@@ -46,7 +45,6 @@ def write_archive(world: World, path: Path) -> None:
     regions = {name: region for name in REGIONS if (region := getattr(world, name)) is not None}
     about = {
         "format": FORMAT,
-        "version": VERSIONS[bool(regions)],
         "name": world.name,
         "cell": world.terrain.cell,
         "origin": world.terrain.origin,
@@ -76,16 +74,16 @@ def read_archive(path: Path) -> WorldParts:
 
     Raises:
         FileNotFoundError: if there is no such file.
-        ValueError: if the file is damaged, too large, of another format, or of a newer version.
+        ValueError: if the file is damaged, too large, or of another format.
     """
     arrays = _read_arrays(path)
     try:
         about = json.loads(arrays["about"].tobytes())
-        version = about["version"] if about["format"] == FORMAT else None
+        given = about["format"]
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"{path} is no world file: its description cannot be read") from error
-    if version not in VERSIONS:
-        raise ValueError(f"{path} is a world file of version {version}; this version of rover_rl reads 1 and 2")
+    if given != FORMAT:
+        raise ValueError(f"{path} is a world file of the format {given!r}; this version of rover_rl reads {FORMAT!r}")
     try:
         return _parts(about, arrays)
     except (KeyError, TypeError, ValueError) as error:
@@ -110,7 +108,7 @@ def _parts(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> WorldParts:
         spawn_height_areas=tuple((_area(area), float(height)) for area, height in about["spawn_height_areas"]),
         actors=tuple(_actor(actor) for actor in about["actors"]),
         notes=tuple(str(note) for note in about["notes"]),
-        **{name: _region(place, arrays[name]) for name, place in about.get("regions", {}).items() if name in REGIONS},
+        **{name: _region(place, arrays[name]) for name, place in about["regions"].items() if name in REGIONS},
     )
 
 
