@@ -142,42 +142,25 @@ def _actor(data: dict[str, Any]) -> Actor:
 
 
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """Reads the arrays of a file after checking their types and sizes."""
+    """Reads the arrays of a file and checks their types and sizes."""
     try:
         with zipfile.ZipFile(path) as archive:
-            names = {info.filename: info for info in archive.infolist()}
-            missing = [name for name in ARRAYS if f"{name}.npy" not in names]
-            if missing:
-                raise ValueError(f"{path} is no world file: it has no {missing[0]}")
-            if sum(info.file_size for info in names.values()) > MAX_BYTES:
-                raise ValueError(f"{path} unpacks to more than {MAX_BYTES >> 20} MB, which is more than a world has")
-            given = [*ARRAYS, *(name for name in REGIONS if f"{name}.npy" in names)]
-            return {name: _read_array(path, archive, names[f"{name}.npy"]) for name in given}
+            size = sum(info.file_size for info in archive.infolist())
+        arrays = {}
+        if size <= MAX_BYTES:
+            with np.load(path, allow_pickle=False) as stored:
+                arrays = {name: np.asarray(stored[name]) for name in (*ARRAYS, *REGIONS) if name in stored}
     except FileNotFoundError:
         raise
-    except ValueError as error:
-        if str(path) in str(error):
-            raise
-        raise ValueError(f"{path} is a damaged world file: {error}") from error
-    # zipfile and zlib raise errors without a common class.
+    # zipfile, zlib and NumPy raise errors without a common class.
     except Exception as error:
         raise ValueError(f"{path} is no world file, or a damaged one: {error}") from error
-
-
-def _read_array(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
-    """Reads one array. Its header must say what the file holds, before any memory is taken for it."""
-    name = info.filename.removesuffix(".npy")
-    dimensions, kind = ARRAYS.get(name, (2, "u1"))
-    with archive.open(info) as file:
-        version = np.lib.format.read_magic(file)
-        read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-        shape, fortran, dtype = read_header[version](file)
-        if dtype != np.dtype(kind) or len(shape) != dimensions or fortran or (name == "vertices" and shape[1] != 3):
-            raise ValueError(f"{path} is no world file: its {name} have the shape {shape} and the type {dtype}")
-        size = math.prod(shape) * dtype.itemsize
-        if size > info.file_size:
-            raise ValueError(f"{path} is a damaged world file: its {name} are shorter than they say")
-        data = file.read(size)
-    if len(data) != size:
-        raise ValueError(f"{path} is a damaged world file: its {name} are cut off")
-    return np.frombuffer(data, dtype=dtype).reshape(shape).copy()
+    if size > MAX_BYTES:
+        raise ValueError(f"{path} unpacks to more than {MAX_BYTES >> 20} MB, which is more than a world has")
+    for name, (dimensions, kind) in (ARRAYS | {name: (2, "u1") for name in REGIONS if name in arrays}).items():
+        if name not in arrays:
+            raise ValueError(f"{path} is no world file: it has no {name}")
+        array = arrays[name]
+        if array.dtype != np.dtype(kind) or array.ndim != dimensions or (name == "vertices" and array.shape[1] != 3):
+            raise ValueError(f"{path} is no world file: its {name} have the shape {array.shape} and {array.dtype}")
+    return arrays

@@ -284,7 +284,7 @@ CASES: dict[str, Case] = {
     "ends": (archive(ends=np.array([5], dtype="<i8")), "obstacles do not match their vertices"),
     "no cell": (archive(cell=None), "is a damaged world file"),
     "no json": (archive(about=np.frombuffer(b"{", dtype="u1")), "its description cannot be read"),
-    "huge header": (huge_header, "its heights are shorter than they say"),
+    "huge header": (huge_header, "is no world file, or a damaged one"),
     "zip bomb": (zip_bomb, "unpacks to more than 512 MB"),
     # Names
     "suffix": (text("bad.txt", "x"), "is no world file; use one of"),
