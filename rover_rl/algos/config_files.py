@@ -160,13 +160,17 @@ _OF_A_RUN = (
 """Settings that do not change what is learned."""
 
 
+def plain_settings(config: TrainingConfig) -> dict[str, Any]:
+    """Settings as plain data, by their names alone."""
+    parts = plain(config)
+    return {"algo": parts["algo"]} | {name: value for part in PARTS for name, value in parts[part].items()}
+
+
 def differing_settings(one: TrainingConfig, other: TrainingConfig) -> list[str]:
     """Names of the settings that differ among those that change what is learned, and the seed."""
     if one.algo != other.algo:
         return ["algo"]
-    flat, others = (
-        {name: value for part in PARTS for name, value in plain(config)[part].items()} for config in (one, other)
-    )
+    flat, others = plain_settings(one), plain_settings(other)
     return [name for name in flat if flat[name] != others[name] and (name == "seed" or name not in _OF_A_RUN)]
 
 
