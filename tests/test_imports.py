@@ -31,7 +31,7 @@ LAYERS = (
     ("sims.backends",),
     ("sims.__init__",),
     ("envs",),
-    ("algos.archives", "algos.config", "algos.config_files", "algos.flat_config", "algos.workers"),
+    ("algos.archives", "algos.config", "algos.config_files", "algos.workers"),
     ("algos.policy", "algos.pretrained"),
     ("algos.train",),
     ("algos.evaluation",),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import warnings
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -32,16 +32,16 @@ def write_archive(path: Path, form: str, data: Mapping[str, Any]) -> None:
         write_through(path, view)
 
 
-def read_archive(path: Path, forms: Sequence[str], kind: str) -> dict[str, Any]:
+def read_archive(path: Path, form: str, kind: str) -> dict[str, Any]:
     """Reads a file that :func:`write_archive` wrote. No code in the file is executed.
 
     Args:
         path: path of the file.
-        forms: names of the accepted formats.
+        form: name of the format.
         kind: name of the kind of file in error messages.
 
     Returns:
-        Entries by name, with the name of the format as ``"format"``.
+        Entries by name.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -57,7 +57,7 @@ def read_archive(path: Path, forms: Sequence[str], kind: str) -> dict[str, Any]:
             data = torch.load(checked_copy(content), map_location="cpu", weights_only=True)
     except Exception as error:  # a damaged file can fail in any way
         raise ValueError(f"{path} is damaged, or no {kind} of rover_rl") from error
-    if not isinstance(data, dict) or data.get("format") not in forms:
+    if not isinstance(data, dict) or data.pop("format", None) != form:
         raise ValueError(f"{path} is no {kind} of this version of rover_rl")
     return data
 

@@ -10,7 +10,6 @@ from typing import Any
 import yaml
 
 from rover_rl.algos.config import ALGORITHMS, PARTS, TrainingConfig, default_config, part_of, with_settings
-from rover_rl.algos.flat_config import in_parts
 from rover_rl.envs.config import env_from_plain, plain_env
 from rover_rl.files import write_through, written_whole
 from rover_rl.plain import from_plain, to_plain
@@ -29,8 +28,7 @@ def plain(config: TrainingConfig) -> dict[str, Any]:
 def config_from(data: Any, source: str) -> TrainingConfig:
     """Settings from plain data; what it does not name has its default.
 
-    Settings may stand in their parts, as ``plain`` gives them, or without parts, also by the names that they had
-    before there were parts: see ``rover_rl.algos.flat_config``. The sessions of a run are not settings.
+    Settings may stand in their parts, as ``plain`` gives them, or without parts. The sessions of a run are no settings.
 
     Args:
         data: a dictionary.
@@ -45,9 +43,12 @@ def config_from(data: Any, source: str) -> TrainingConfig:
     parts = {key: value for key, value in data.items() if key not in ("algo", _SESSIONS)}
     if not set(parts) & set(PARTS):
         homes = part_of(algo)
-        parts, unknown = in_parts(parts, homes)
-        if unknown:
+        if unknown := sorted(map(str, parts.keys() - homes.keys())):
             raise ValueError(f"{source} has settings that {algo} does not know: {unknown}; use some of {sorted(homes)}")
+        parts = {
+            part: {name: value for name, value in parts.items() if homes[name] == part}
+            for part in {homes[name] for name in parts}
+        }
     if unknown := sorted(set(parts) - set(PARTS), key=str):
         raise ValueError(f"{source} has parts that do not exist: {unknown}; use some of {[*PARTS]}")
     default = default_config(algo, _backend_name(parts.get("env")))
@@ -159,13 +160,17 @@ _OF_A_RUN = (
 """Settings that do not change what is learned."""
 
 
+def plain_settings(config: TrainingConfig) -> dict[str, Any]:
+    """Settings as plain data, by their names alone."""
+    parts = plain(config)
+    return {"algo": parts["algo"]} | {name: value for part in PARTS for name, value in parts[part].items()}
+
+
 def differing_settings(one: TrainingConfig, other: TrainingConfig) -> list[str]:
     """Names of the settings that differ among those that change what is learned, and the seed."""
     if one.algo != other.algo:
         return ["algo"]
-    flat, others = (
-        {name: value for part in PARTS for name, value in plain(config)[part].items()} for config in (one, other)
-    )
+    flat, others = plain_settings(one), plain_settings(other)
     return [name for name in flat if flat[name] != others[name] and (name == "seed" or name not in _OF_A_RUN)]
 
 

@@ -12,7 +12,7 @@ import tyro
 from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.experiments.space import Setting, read_space
 from rover_rl.checks import MAX_COUNT, check_at_least
-from rover_rl.cli.train import INTERRUPTED, Train, TrainPPO, TrainSAC, train_defaults
+from rover_rl.cli.train import INTERRUPTED, Train, train_defaults
 
 _Flat = tyro.conf.arg(name="")
 
@@ -32,7 +32,7 @@ class SweepCommand:
     """Number of trials, those of an earlier call of the same command included."""
     episodes: int = 64
     """Number of episodes in which each trial is evaluated."""
-    training: Annotated[Train, _Flat] = field(default_factory=TrainPPO)
+    training: Annotated[Train, _Flat] = field(default_factory=Train)
 
     def __call__(self) -> int:
         """Runs the sweep, prints a table of the trials and the best settings, and writes them to the folder."""
@@ -47,22 +47,10 @@ class SweepCommand:
         return _run(config, space, self)
 
 
-@dataclass(frozen=True)
-class SweepPPO(SweepCommand):  # noqa: D101  (inherits the docstring of SweepCommand)
-    __doc__ = SweepCommand.__doc__
-    training: Annotated[TrainPPO, _Flat] = field(default_factory=TrainPPO)
-
-
-@dataclass(frozen=True)
-class SweepSAC(SweepCommand):  # noqa: D101  (inherits the docstring of SweepCommand)
-    __doc__ = SweepCommand.__doc__
-    training: Annotated[TrainSAC, _Flat] = field(default_factory=TrainSAC)
-
-
 def sweep_defaults(args: Sequence[str]) -> SweepCommand:
     """Returns the command with the defaults of its options: see :func:`~rover_rl.cli.train.train_defaults`."""
     training = train_defaults(["train", *args[1:]] if args[:1] == ["sweep"] else [])
-    return SweepPPO(training=training) if isinstance(training, TrainPPO) else SweepSAC(training=training)  # type: ignore[arg-type]
+    return SweepCommand(training=training)
 
 
 def _run(config: TrainingConfig, space: list[Setting], options: SweepCommand) -> int:

@@ -21,7 +21,6 @@ from rover_rl.algos.config import (
     NetworkConfig,
     PPOConfig,
     RunConfig,
-    SACConfig,
     TrainingConfig,
     default_config,
     with_settings,
@@ -157,18 +156,6 @@ def _warnings_as_lines() -> Iterator[None]:
         warnings.formatwarning = usual
 
 
-@dataclass(frozen=True)
-class TrainPPO(Train):  # noqa: D101  (inherits the docstring of Train)
-    __doc__ = Train.__doc__
-    algorithm: Annotated[PPOConfig, _Flat] = field(default_factory=PPOConfig)
-
-
-@dataclass(frozen=True)
-class TrainSAC(Train):  # noqa: D101  (inherits the docstring of Train)
-    __doc__ = Train.__doc__
-    algorithm: Annotated[SACConfig, _Flat] = field(default_factory=SACConfig)
-
-
 def train_defaults(args: Sequence[str]) -> Train:
     """Returns the command with the defaults of its options: those of the algorithm, of a file or of a run.
 
@@ -192,8 +179,8 @@ def train_defaults(args: Sequence[str]) -> Train:
     if not isinstance(config.env.backend, str):
         settings = config.env.backend
         parts["env"] = replace(config.env, backend=name_of(settings))
-    kind = TrainPPO if isinstance(config.algorithm, PPOConfig) else TrainSAC
-    return kind(algo=config.algo, backend_settings=settings, **parts)  # type: ignore[arg-type]
+    # tyro makes options of the fields that the default has: those of the algorithm.
+    return Train(algo=config.algo, backend_settings=settings, **parts)  # type: ignore[arg-type]
 
 
 def _early_options(args: Sequence[str]) -> argparse.Namespace:

@@ -18,8 +18,8 @@ from tests.algos.checkpoints import equal
 def test_an_archive_is_read_as_it_was_written(tmp_path: Path) -> None:
     path = tmp_path / "archive.pt"
     write_archive(path, "form 2", {"steps": 3, "weights": {"a": torch.arange(4.0)}})
-    data = read_archive(path, ("form 1", "form 2"), "archive")
-    assert (data["format"], data["steps"]) == ("form 2", 3)
+    data = read_archive(path, "form 2", "archive")
+    assert data["steps"] == 3
     assert torch.equal(data["weights"]["a"], torch.arange(4.0))
 
 
@@ -27,9 +27,9 @@ def test_an_archive_of_another_format_raises(tmp_path: Path) -> None:
     path = tmp_path / "archive.pt"
     write_archive(path, "form 3", {})
     with pytest.raises(ValueError, match=r"archive\.pt is no archive of this version of rover_rl$"):
-        read_archive(path, ("form 1", "form 2"), "archive")
+        read_archive(path, "form 1", "archive")
     with pytest.raises(FileNotFoundError, match=r"^no archive at .*missing\.pt$"):
-        read_archive(tmp_path / "missing.pt", ("form 1",), "archive")
+        read_archive(tmp_path / "missing.pt", "form 1", "archive")
 
 
 @pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf")])

@@ -81,7 +81,7 @@ class AlwaysScanning:
 
 
 class AlwaysScanningSimulator:
-    """A simulator of an earlier version."""
+    """A simulator whose step takes no mask of scans."""
 
     def __init__(self, simulator: WarpSimulator) -> None:
         self.simulator = simulator

@@ -93,18 +93,17 @@ def _plain(result: Result) -> dict[str, Any]:
     }
 
 
-def draw_worst_runs(result: Result, path: Path, count: int = WORST_RUNS) -> None:
+def draw_worst_runs(result: Result, path: Path) -> None:
     """Draws the paths of the runs with the lowest scores, each in its world.
 
     Args:
         result: results of a policy.
         path: path of the figure; its suffix selects the format.
-        count: largest number of runs.
     """
     rows = result.rows()
     panels = {
         f"world {rows[run]['world']}, run {rows[run]['run']}: "
         f"{rows[run]['ending']} after {rows[run]['seconds']:.1f} s": result.evaluation.select([run])
-        for run in result.worst(count)
+        for run in result.worst(WORST_RUNS)
     }
     draw_panels(panels, path, f"{result.name} in {result.suite.name}: the runs with the lowest scores")

@@ -170,7 +170,7 @@ def _entries(path: Path) -> list[dict[str, Any]]:
 
 @dataclass
 class LoggedDrive:
-    """One drive of a log, with the poses and scans at the start and after each step. Old logs hold no scans."""
+    """One drive of a log, with the poses and scans at the start and after each step."""
 
     world: str
     policy: str
@@ -202,10 +202,9 @@ class LoggedDrive:
 
     def scans(self) -> Tensor:
         """Resamples the lidar readings like :meth:`trajectory`: ``[T + 1, beams]``, m, ``inf`` without a return."""
-        rows = [[math.inf if reading is None else reading for reading in self.ranges[k]] for k in self._nearest()]
-        beams = max(map(len, rows))
-        # A line without a scan has no returns.
-        return torch.tensor([row or [math.inf] * beams for row in rows])
+        return torch.tensor(
+            [[math.inf if reading is None else reading for reading in self.ranges[k]] for k in self._nearest()]
+        )
 
     def _nearest(self) -> Tensor:
         """Index of the pose nearest to each step of 20 Hz, int64 ``[T + 1]``."""
@@ -227,13 +226,9 @@ def _drives(entries: list[dict[str, Any]]) -> Iterator[LoggedDrive]:
     drive: LoggedDrive | None = None
     for entry in entries:
         if entry.get("format") == FORMAT:
-            # Logs of version 0.1 do not name the robot.
-            robot = entry.get("robot", EnvConfig.robot)
-            header, drive = (entry["world"], entry["policy"], robot, entry["seconds"]), None
+            header, drive = (entry["world"], entry["policy"], entry["robot"], entry["seconds"]), None
         elif "goal" in entry:
-            drive = LoggedDrive(
-                *header, entry["goal"], [entry["position"]], [entry["angles"]], [entry.get("ranges", [])]
-            )
+            drive = LoggedDrive(*header, entry["goal"], [entry["position"]], [entry["angles"]], [entry["ranges"]])
         elif drive is not None and "ending" in entry:
             drive.ending = entry["ending"]
             yield drive
@@ -241,11 +236,11 @@ def _drives(entries: list[dict[str, Any]]) -> Iterator[LoggedDrive]:
         elif drive is not None:
             drive.position.append(entry["position"])
             drive.angles.append(entry["angles"])
-            drive.ranges.append(entry.get("ranges", []))
+            drive.ranges.append(entry["ranges"])
             drive.time.append(drive.time[-1] + entry["dt"])
             drive.collision.append(entry["collision"])
             drive.reached.append(entry["reached"])
-            drive.turns.append(entry["command"][1] if "command" in entry else 0.0)
+            drive.turns.append(entry["command"][1])
 
 
 def _episodes(world_name: str, robot: str, drives: list[LoggedDrive]) -> EpisodeSet:

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import io
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -32,7 +31,6 @@ from torch.export import ExportedProgram
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl.algos.archives import checked_copy
-from rover_rl.algos.config import with_settings
 from rover_rl.algos.config_files import config_from, plain
 from rover_rl.algos.deploy.onnx_files import SETTINGS_PROPERTY, open_onnx, session_function, write_onnx
 from rover_rl.algos.deploy.plain_policy import STATE_IN, ExportedFunction, PlainPolicy, finite_arrays, input_names
@@ -208,10 +206,6 @@ class OnnxPolicy:
             raise ValueError(f"{path} was not written by rover-rl export")
         self.config = config_from(settings, str(path))
         sizes: dict[str, int] = {entry.name: entry.shape[-1] for entry in session.get_inputs()}
-        lidar = sizes.get("lidar")
-        if lidar is not None and lidar != self.config.env.lidar.points:
-            # The settings in files of version 0.1 lack the number of lidar points.
-            self.config = with_settings(self.config, lidar=replace(self.config.env.lidar, points=lidar))
         self.made_for, self.trained_action_repeat = self.config.env, self.config.collection.action_repeat
         self._state_size = sizes.pop(STATE_IN, None)
         self._entries = [*sizes]

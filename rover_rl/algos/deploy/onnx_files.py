@@ -80,8 +80,9 @@ def open_onnx(path: Path) -> InferenceSession:
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     content = path.read_bytes()
     place = _CHECKSUM_BYTES.search(content)
-    # Files of older versions have no checksum.
-    if place and sha256(_with_checksum(content, place, _ZEROS)).hexdigest().encode() != place[1]:
+    if place is None:
+        raise ValueError(f"{path} was not written by rover-rl export, or is damaged: it has no checksum")
+    if sha256(_with_checksum(content, place, _ZEROS)).hexdigest().encode() != place[1]:
         raise ValueError(f"{path} is damaged: it differs from its checksum")
     try:
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])

@@ -9,18 +9,16 @@ from torch import Tensor
 from torchrl.modules import ProbabilisticActor
 
 from rover_rl.algos.archives import first_not_finite, read_archive, write_archive
-from rover_rl.algos.config import TrainingConfig, with_settings
+from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.config_files import config_from, plain
 from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
-from rover_rl.envs.config import EnvConfig, LidarConfig
+from rover_rl.envs.config import EnvConfig
 from rover_rl.files import written_whole
 from rover_rl.sims.robots import get_robot
 
 SETTINGS, CHECKPOINT = "config.yaml", "checkpoint.pt"
 """Names of the files in a run's folder that hold the settings and the policy."""
 _FORMAT = "rover_rl checkpoint, version 4"
-_FLAT_FORMAT = "rover_rl checkpoint, version 3"
-"""Format of version 0.1: flat settings, and the number of lidar points as a separate entry."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +63,6 @@ class Checkpoint:
     def load(cls, path: str | Path) -> Checkpoint:
         """Loads a checkpoint from a file or a run's folder. No code in the file is executed.
 
-        Checkpoints of version 0.1 are converted.
-
         Raises:
             FileNotFoundError: if there is no checkpoint.
             ValueError: if the file is no checkpoint, is damaged, or holds weights that are not finite.
@@ -75,11 +71,9 @@ class Checkpoint:
         path = path / CHECKPOINT if path.is_dir() else path
         if path.name == CHECKPOINT and not path.exists():
             raise FileNotFoundError(f"no checkpoint at {path}: {_missing_reason(path.parent)}")
-        data = read_archive(path, (_FORMAT, _FLAT_FORMAT), "checkpoint")
+        data = read_archive(path, _FORMAT, "checkpoint")
         try:
             config = config_from(data.pop("config"), str(path))
-            if data.pop("format") == _FLAT_FORMAT:
-                config = with_settings(config, lidar=LidarConfig(points=data.pop("lidar_points")))
             checkpoint = cls(config=config, **data)
             not_finite = first_not_finite(checkpoint.actor)
         except (AttributeError, KeyError, TypeError) as error:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rover_rl.algos.config import TrainingConfig, training_config
+from rover_rl.progress import ProgressDisplay
 
 if TYPE_CHECKING:
     from rover_rl.algos.train.run import TrainingSummary
@@ -31,5 +32,16 @@ def train(config: TrainingConfig, folder: Path | None = None) -> TrainingSummary
         ValueError: for a setting out of range, or an unknown world, robot, reward or backend.
         FileExistsError: if a run of that name exists.
     """
-    module = import_module(f"{__name__}.{config.algo}")
-    return getattr(module, f"train_{config.algo}")(config, folder)
+    # They import PyTorch.
+    from rover_rl.algos.policy.networks import single_threaded
+    from rover_rl.algos.train.run import TrainingRun, prepare
+
+    learner_type = getattr(import_module(f"{__name__}.{config.algo}"), f"{config.algo.upper()}Learner")
+    with single_threaded():
+        with ProgressDisplay("preparing"):
+            config = prepare(config)
+            learner = learner_type(config)
+        with TrainingRun(config, learner, folder) as run:
+            for batch in run.batches():
+                run.record(learner.update(batch, run.share, run.stopwatch))
+    return run.summary

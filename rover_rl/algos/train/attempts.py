@@ -13,8 +13,6 @@ from rover_rl.sims.timing import CONTROL_DT
 
 TIME_LIMIT = round(60 / CONTROL_DT)
 """Number of steps in which an attempt succeeds: 60 s, as in an evaluation."""
-_KEY = "attempts"
-_ENTRIES = ("begun", "reached", "failed")
 
 
 class SpreadEnds(Transform):
@@ -53,7 +51,36 @@ class SpreadEnds(Transform):
         return tensordict_reset
 
 
-class AttemptCounter(Transform):
+class AttemptEntries(Transform):
+    """Base of transforms that add a nested entry of numbers, each int64 ``[N, 1]`` and 0 after a reset.
+
+    Attributes:
+        key: name of the nested entry.
+        entries: names of the numbers.
+    """
+
+    key: str
+    entries: tuple[str, ...]
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        steps = tensordict_reset["outcome", "steps"]
+        return self._with_entries(tensordict_reset, *(torch.zeros_like(steps) for _ in self.entries))
+
+    def _with_entries(self, tensordict: TensorDictBase, *values: Tensor) -> TensorDictBase:
+        for name, value in zip(self.entries, values, strict=True):
+            tensordict.set((self.key, name), value)
+        return tensordict
+
+    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
+        """Adds the nested entry."""
+        steps = observation_spec["outcome", "steps"]
+        leaf = Unbounded(shape=steps.shape, dtype=torch.int64, device=steps.device)
+        entries = {name: leaf.clone() for name in self.entries}
+        observation_spec[self.key] = Composite(entries, shape=observation_spec.shape)
+        return observation_spec
+
+
+class AttemptCounter(AttemptEntries):
     """Counts the attempts to reach a goal that succeed and fail.
 
     An attempt lasts from the setting of a goal to its end: it succeeds if the goal is reached within 60 s, and fails if
@@ -73,13 +100,15 @@ class AttemptCounter(Transform):
         length: number of steps of the longest episode.
     """
 
+    key, entries = "attempts", ("begun", "reached", "failed")
+
     def __init__(self, ends: SpreadEnds, action_repeat: int, length: int) -> None:
         super().__init__()
         self._ends, self._action_repeat = [ends], action_repeat
         self._least = min(TIME_LIMIT, length // 2)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        outcome, begun = next_tensordict["outcome"], tensordict[_KEY, "begun"]
+        outcome, begun = next_tensordict["outcome"], tensordict[self.key, "begun"]
         steps, goals = outcome["steps"], outcome["goals"]
         in_time, counts = steps - begun <= TIME_LIMIT, self._counts(begun)
         late = (goals > 0) & ~in_time & counts
@@ -87,25 +116,8 @@ class AttemptCounter(Transform):
         # With end_on_goal, a goal ends the episode, too.
         ended = next_tensordict["done"] & ~(next_tensordict["terminated"] & (outcome["phase"] >= StepEvent.GOAL))
         failed = late | (ended & self._counts(begun))
-        return _with_entries(next_tensordict, begun, goals * (in_time & counts), failed.long())
+        return self._with_entries(next_tensordict, begun, goals * (in_time & counts), failed.long())
 
     def _counts(self, begun: Tensor) -> Tensor:
         """Returns which attempts that began after these numbers of steps of the episode count, bool ``[N, 1]``."""
         return self._ends[0].lengths * self._action_repeat - begun >= self._least
-
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        zeros = torch.zeros_like(tensordict_reset["outcome", "steps"])
-        return _with_entries(tensordict_reset, zeros, zeros.clone(), zeros.clone())
-
-    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
-        """Adds ``attempts``."""
-        steps = observation_spec["outcome", "steps"]
-        leaf = Unbounded(shape=steps.shape, dtype=torch.int64, device=steps.device)
-        observation_spec[_KEY] = Composite({name: leaf.clone() for name in _ENTRIES}, shape=observation_spec.shape)
-        return observation_spec
-
-
-def _with_entries(tensordict: TensorDictBase, *values: Tensor) -> TensorDictBase:
-    for name, value in zip(_ENTRIES, values, strict=True):
-        tensordict.set((_KEY, name), value)
-    return tensordict

@@ -10,10 +10,9 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.data import Composite, TensorSpec, Unbounded
-from torchrl.envs import Transform
 
 from rover_rl.algos.config import TrainingConfig
+from rover_rl.algos.train.attempts import AttemptEntries
 from rover_rl.algos.train.learnability import Learnability
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.task import StepEvent
@@ -23,13 +22,11 @@ from rover_rl.sims.worlds.pool import WorldPool
 
 RECORD = "curriculum.csv"
 """Name of the table of the worlds that were drawn, in a run's folder."""
-_KEY = "attempt"
-_ENTRIES = ("begun", "succeeded", "failed")
 _UPDATE_ATTEMPTS = 64
 """Number of attempts after which the weights of the worlds are updated."""
 
 
-class Curriculum(Transform):
+class Curriculum(AttemptEntries):
     """Lets episodes draw the worlds in which the policy sometimes succeeds and sometimes fails.
 
     An attempt is the way to one goal. It succeeds at the goal. It fails if the episode ends before it otherwise, or at
@@ -63,6 +60,8 @@ class Curriculum(Transform):
         ValueError: if the environment does not draw a world for each episode.
     """
 
+    key, entries = "attempt", ("begun", "succeeded", "failed")
+
     def __init__(
         self,
         env: RoverEnv,
@@ -87,22 +86,18 @@ class Curriculum(Transform):
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         outcome = next_tensordict["outcome"]
         steps, succeeded = outcome["steps"], outcome["goals"]
-        begun = torch.where(succeeded > 0, steps, tensordict[_KEY, "begun"])
+        begun = torch.where(succeeded > 0, steps, tensordict[self.key, "begun"])
         timed_out = next_tensordict["truncated"] & (2 * (steps - begun) >= self._length)
         failed = timed_out | next_tensordict["terminated"] & (outcome["phase"] < StepEvent.GOAL)
         if not self._per_batch:
             self._add(world_of(next_tensordict), succeeded, failed.long())
-        return _with_entries(next_tensordict, begun, succeeded, failed.long())
-
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        zeros = torch.zeros_like(tensordict_reset["outcome", "steps"])
-        return _with_entries(tensordict_reset, zeros, zeros.clone(), zeros.clone())
+        return self._with_entries(next_tensordict, begun, succeeded, failed.long())
 
     def batch_collected(self, batch: TensorDictBase) -> None:
         """Learns from a batch ``[N, T]`` if the estimates do so per batch."""
         if self._per_batch:
             after = batch["next"]
-            self._add(world_of(after), after[_KEY, "succeeded"], after[_KEY, "failed"])
+            self._add(world_of(after), after[self.key, "succeeded"], after[self.key, "failed"])
 
     def _add(self, world: Tensor, succeeded: Tensor, failed: Tensor) -> None:
         """Adds attempts to the estimates."""
@@ -112,19 +107,6 @@ class Curriculum(Transform):
             self._attempts += attempts
         if self._attempts >= _UPDATE_ATTEMPTS:
             self._update_weights()
-
-    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
-        """Adds ``attempt``."""
-        steps = observation_spec["outcome", "steps"]
-        leaf = Unbounded(shape=steps.shape, dtype=torch.int64, device=steps.device)
-        observation_spec[_KEY] = Composite({name: leaf.clone() for name in _ENTRIES}, shape=observation_spec.shape)
-        return observation_spec
-
-
-def _with_entries(tensordict: TensorDictBase, *values: Tensor) -> TensorDictBase:
-    for name, value in zip(_ENTRIES, values, strict=True):
-        tensordict.set((_KEY, name), value)
-    return tensordict
 
 
 class CurriculumRecord:
@@ -154,7 +136,8 @@ class CurriculumRecord:
         learnability, difficulty = self.learnability.values[drawn], self.learnability.difficulty[drawn]
         after = batch["next"]
         world, succeeded, failed = (
-            each.flatten().cpu() for each in (world_of(after), after[_KEY, "succeeded"], after[_KEY, "failed"])
+            each.flatten().cpu()
+            for each in (world_of(after), after[Curriculum.key, "succeeded"], after[Curriculum.key, "failed"])
         )
         self.learnability.add(world, succeeded, failed)
         draws, attempts, successes = self._totals.unbind(-1)

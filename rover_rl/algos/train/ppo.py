@@ -1,8 +1,8 @@
 """PPO with TorchRL: collect decisions of a batch of rovers, estimate advantages, take gradient steps.
 
-:func:`train_ppo` is the training loop and :class:`PPOLearner` the update. :mod:`rover_rl.algos.train.collectors`
-collects the batches, :mod:`rover_rl.algos.policy.networks` has the networks, and :mod:`rover_rl.algos.train.run`
-handles the run's folder, log, checkpoints and Ctrl-C.
+:func:`rover_rl.algos.train.train` is the training loop and :class:`PPOLearner` the update.
+:mod:`rover_rl.algos.train.collectors` collects the batches, :mod:`rover_rl.algos.policy.networks` has the networks, and
+:mod:`rover_rl.algos.train.run` handles the run's folder, log, checkpoints and Ctrl-C.
 
 The loop is explicit instead of using TorchRL 0.14's experimental ``PPOTrainer``. With hooks for reward scale, one GAE
 per batch, annealing, mirror augmentation, imitation, log and time limit, ``PPOTrainer`` trains equally well and fast
@@ -10,17 +10,11 @@ per batch, annealing, mirror augmentation, imitation, log and time limit, ``PPOT
 additional handler, Ctrl-C and SIGTERM end it without a checkpoint; by default, its files lack the state of PyTorch's
 random generator; with a fixed number of gradient steps per epoch it skips every second epoch; and the losses that it
 logs are means over the last epoch only.
-
-Example:
-    >>> summary = train_ppo(training_config("ppo", max_minutes=5))
-    >>> summary.checkpoint
-    PosixPath('runs/ppo-moon/checkpoint.pt')
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -40,41 +34,18 @@ from rover_rl.algos.policy.networks import (
     make_critic,
     middle_and_half,
     mirrored,
-    single_threaded,
 )
 from rover_rl.algos.train.progress import Stopwatch
-from rover_rl.algos.train.run import TrainingRun, TrainingSummary, prepare, set_learning_rate
+from rover_rl.algos.train.run import set_learning_rate
 from rover_rl.algos.train.sequences import MirrorMemory, mirrored_sequences
 from rover_rl.envs.seen_map.seen_map import ROUTE
-from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds.pool import WorldPool
 
-__all__ = ["PPOConfig", "PPOLearner", "train_ppo"]
+__all__ = ["PPOConfig", "PPOLearner"]
 
 LOGGED = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction")
 """Values that are logged for each gradient step."""
-
-
-@single_threaded()
-def train_ppo(config: TrainingConfig, folder: Path | None = None) -> TrainingSummary:
-    """Trains a policy with PPO and writes the results to the run's folder: see :class:`TrainingRun`.
-
-    Args:
-        config: settings of the training run.
-        folder: folder of a run to continue; ``None`` starts a new run.
-
-    Raises:
-        ValueError: for an unknown world, or a setting out of range.
-        FileExistsError: if a run of that name exists.
-    """
-    with ProgressDisplay("preparing"):
-        config = prepare(config)
-        learner = PPOLearner(config)
-    with TrainingRun(config, learner, folder) as run:
-        for batch in run.batches():
-            run.record(learner.update(batch, run.share, run.stopwatch))
-    return run.summary
 
 
 class PPOLearner:

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rover_rl.algos.config import PARTS, TrainingConfig
-from rover_rl.algos.config_files import plain, read_sessions, run_config, write_config
+from rover_rl.algos.config import TrainingConfig
+from rover_rl.algos.config_files import plain_settings, read_sessions, run_config, write_config
 from rover_rl.algos.policy.checkpoint import SETTINGS
 
 CHANGEABLE = (
@@ -44,7 +44,7 @@ class RunRecord:
             FileNotFoundError: if there is no run.
             ValueError: for another value of a setting that may not change.
         """
-        before, now = _flat(run_config(folder)), _flat(config)
+        before, now = plain_settings(run_config(folder)), plain_settings(config)
         changed = {
             name: (before.get(name), now.get(name))
             for name in dict.fromkeys((*before, *now))
@@ -78,9 +78,3 @@ class RunRecord:
     def __str__(self) -> str:
         """What changes, such as ``learning_rate=0.0001 (before: 0.001)``."""
         return ", ".join(f"{name}={new} (before: {old})" for name, (old, new) in self.changed.items())
-
-
-def _flat(config: TrainingConfig) -> dict[str, Any]:
-    """Settings as plain data, by their names alone."""
-    parts = plain(config)
-    return {"algo": parts["algo"]} | {name: value for part in PARTS for name, value in parts[part].items()}

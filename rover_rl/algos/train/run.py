@@ -47,6 +47,10 @@ class Learner(Protocol):
 
     actor: ProbabilisticActor
 
+    def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
+        """Learns from a batch ``[N, T]`` of decisions, after a fraction ``share`` of training; returns what to log."""
+        ...
+
     def weights(self) -> dict[str, Tensor]:
         """Returns all trained weights, by name."""
         ...

@@ -32,9 +32,7 @@ def load_state(path: Path) -> dict[str, Any]:
         FileNotFoundError: if there is no such file.
         ValueError: if the file is no training state, or damaged.
     """
-    state = read_archive(path, (_FORMAT,), "training state")
-    del state["format"]
-    return state
+    return read_archive(path, _FORMAT, "training state")
 
 
 def default_name(config: TrainingConfig) -> str:

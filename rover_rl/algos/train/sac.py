@@ -3,25 +3,17 @@
 With several workers, collection continues during the gradient steps, with a policy that is one batch old. SAC is
 off-policy and learns from data of older policies.
 
-:func:`train_sac` is the training loop and :class:`SACLearner` the update. :mod:`rover_rl.algos.train.collectors`
-collects the batches, :mod:`rover_rl.algos.policy.networks` has the networks, and :mod:`rover_rl.algos.train.run`
-handles the run's folder, log, checkpoints and Ctrl-C.
+:class:`SACLearner` is the update; for what is around it see :mod:`rover_rl.algos.train.ppo`.
 
 The loop is explicit instead of using TorchRL 0.14's ``SACTrainer``, which learns with the same losses (inspect, 102,000
 steps). Its default file lacks the replay buffer. ``torchrl.checkpoint.Checkpoint`` saves the buffer, but a process that
 is killed between its two renames leaves no checkpoint. ``init_random_frames`` counts steps in the trainer and decisions
-in the collector. For stopping and resuming see :mod:`rover_rl.algos.train.ppo`.
-
-Example:
-    >>> summary = train_sac(training_config("sac", max_minutes=10))
-    >>> summary.checkpoint
-    PosixPath('runs/sac-moon/checkpoint.pt')
+in the collector.
 """
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -39,38 +31,14 @@ from rover_rl.algos.policy.networks import (
     middle_and_half,
     mirrored,
     on_features,
-    single_threaded,
 )
 from rover_rl.algos.train.progress import Stopwatch
-from rover_rl.algos.train.run import TrainingRun, TrainingSummary, prepare, set_learning_rate
-from rover_rl.progress import ProgressDisplay
+from rover_rl.algos.train.run import set_learning_rate
 
-__all__ = ["SACConfig", "SACLearner", "train_sac"]
+__all__ = ["SACConfig", "SACLearner"]
 
 LOGGED = ("loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy")
 """Values that are logged for each gradient step."""
-
-
-@single_threaded()
-def train_sac(config: TrainingConfig, folder: Path | None = None) -> TrainingSummary:
-    """Trains a policy with SAC and writes the results to the run's folder: see :class:`TrainingRun`.
-
-    Args:
-        config: settings of the training run.
-        folder: folder of a run to continue; ``None`` starts a new run.
-
-    Raises:
-        ValueError: for an unknown world, or a setting out of range.
-        FileExistsError: if a run of that name exists.
-    """
-    with ProgressDisplay("preparing"):
-        config = prepare(config)
-        learner = SACLearner(config)
-    with TrainingRun(config, learner, folder) as run:
-        for batch in run.batches():
-            learner.extend_buffer(batch)
-            run.record(learner.update(run.share, run.stopwatch))
-    return run.summary
 
 
 class SACLearner:
@@ -106,7 +74,7 @@ class SACLearner:
         next_keys = ("reward", "done", "terminated", *network.observation)
         self._training_keys = (*network.observation, "action", *(("next", key) for key in next_keys))
 
-    def extend_buffer(self, batch: TensorDictBase) -> None:
+    def _extend_buffer(self, batch: TensorDictBase) -> None:
         """Adds the decisions ``[N, T]`` of a batch from a collector to the replay buffer."""
         decisions = batch.select(*self._training_keys).reshape(-1)
         decisions["next", "reward"] = decisions["next", "reward"] * self._settings.reward_scale
@@ -114,13 +82,15 @@ class SACLearner:
         if len(self._replay_buffer) >= self._settings.learning_starts:
             self._gradient_steps_due += self._settings.gradient_steps * len(batch) / self.config.num_envs
 
-    def update(self, share: float, stopwatch: Stopwatch) -> dict[str, float]:
+    def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
         """Takes the gradient steps that are due and returns the means of the logged values, nan if none are due.
 
         Args:
+            batch: decisions ``[N, T]`` from a collector, which are added to the replay buffer.
             share: fraction of training that is done.
             stopwatch: stopwatch that measures the time of the gradient steps.
         """
+        self._extend_buffer(batch)
         learning_rate = set_learning_rate(self._optimizer, self.config, share)
         count, self._gradient_steps_due = int(self._gradient_steps_due), self._gradient_steps_due % 1
         with stopwatch("gradient steps"):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from rover_rl.sims.rotations import quaternion_to_euler
 
 if TYPE_CHECKING:
-    from rover_rl.envs.config import RewardConfig, TaskConfig
+    from rover_rl.envs.config import RewardConfig
     from rover_rl.envs.rover import RoverEnv
     from rover_rl.sims.worlds import World
 
@@ -39,12 +39,12 @@ def _world_property(get: Callable[[World], Any], doc: str) -> property:
     return property(lambda env: get(env.base_env.worlds[0]), doc=doc)
 
 
-def _task_property(get: Callable[[TaskConfig], Any], doc: str) -> property:
-    return property(lambda env: get(env.base_env.task), doc=doc)
+def _task_property(name: str, doc: str) -> property:
+    return property(lambda env: getattr(env.base_env.task, name), doc=doc)
 
 
-def _reward_property(get: Callable[[RewardConfig], Any], doc: str) -> property:
-    return property(lambda env: get(_reward_config(env)), doc=doc)
+def _reward_property(name: str, doc: str) -> property:
+    return property(lambda env: getattr(_reward_config(env), name), doc=doc)
 
 
 def _euler_property(axis: int, doc: str) -> property:
@@ -70,37 +70,27 @@ class OriginalNames:
     too_far_away_low_y = _world_property(lambda world: world.bounds[1][0], "Lower bound of the world in y, m.")
     too_far_away_high_y = _world_property(lambda world: world.bounds[1][1], "Upper bound of the world in y, m.")
 
-    success_distance = _task_property(lambda task: task.success_distance, "Distance below which a goal is reached, m.")
+    success_distance = _task_property("success_distance", "Distance below which a goal is reached, m.")
     collision_threshold = _task_property(
-        lambda task: task.collision_threshold, "Lidar reading below which the rover is in collision, m."
+        "collision_threshold", "Lidar reading below which the rover is in collision, m."
     )
     collision_window = _task_property(
-        lambda task: task.collision_window, "Number of consecutive steps in collision above which the rover is jammed."
+        "collision_window", "Consecutive steps in collision above which the rover is jammed."
     )
-    stuck_window = _task_property(
-        lambda task: task.stuck_window, "Number of recent positions that are compared to detect a stuck rover."
-    )
+    stuck_window = _task_property("stuck_window", "Number of recent positions that tell a stuck rover.")
     stuck_threshold = _task_property(
-        lambda task: task.stuck_threshold, "Displacement over the window below which the rover is stuck, m."
+        "stuck_threshold", "Displacement over the window below which the rover is stuck, m."
     )
 
-    goal_reward = _reward_property(lambda reward: reward.goal_reward, "Reward for reaching a goal.")
-    distance_delta_scale = _reward_property(
-        lambda reward: reward.distance_delta_scale, "Reward per meter of progress toward the goal."
-    )
+    goal_reward = _reward_property("goal_reward", "Reward for reaching a goal.")
+    distance_delta_scale = _reward_property("distance_delta_scale", "Reward per meter of progress toward the goal.")
     final_reward_multiplier = _reward_property(
-        lambda reward: reward.final_reward_multiplier, "Factor of the progress reward and of the idle penalty."
+        "final_reward_multiplier", "Factor of the progress reward and of the idle penalty."
     )
-    collision_penalty = _reward_property(lambda reward: reward.collision_penalty, "Reward for each step in collision.")
-    stuck_penilty = _reward_property(
-        lambda reward: reward.stuck_penalty, "Reward for an episode that ends because the rover is stuck."
-    )
-    general_penility = _reward_property(
-        lambda reward: reward.general_penalty, "Reward for an episode that ends in a flip or a jam."
-    )
-    too_far_away_penilty = _reward_property(
-        lambda reward: reward.out_of_bounds_penalty, "Reward for leaving the world's bounds."
-    )
+    collision_penalty = _reward_property("collision_penalty", "Reward for each step in collision.")
+    stuck_penilty = _reward_property("stuck_penalty", "Reward for an episode that ends with a stuck rover.")
+    general_penility = _reward_property("general_penalty", "Reward for an episode that ends in a flip or a jam.")
+    too_far_away_penilty = _reward_property("out_of_bounds_penalty", "Reward for leaving the world's bounds.")
 
     current_roll = _euler_property(0, "Roll, rad.")
     current_pitch = _euler_property(1, "Pitch, rad.")

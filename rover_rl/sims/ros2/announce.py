@@ -7,13 +7,17 @@ bytes up to Humble and 16 bytes since Iron; only the name of the distribution di
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from functools import cache
 from uuid import UUID
 
 import numpy as np
+from numpy.typing import NDArray
+from rosbags.typesys import Stores
+from rosbags.typesys.store import Typestore
 
-from rover_rl.sims.ros2.messages import Bytes16, Bytes24, Message
+from rover_rl.sims.ros2.cdr import message_types
+from rover_rl.sims.ros2.messages import Message
 
 TOPIC = "ros_discovery_info"
 """DDS name of the topic. Unlike the names of ROS topics, it has no prefix."""
@@ -22,81 +26,53 @@ LONG_IDENTIFIERS = ("foxy", "galactic", "humble")
 
 
 @dataclass
-class LongGid(Message):
-    """Identifier of a DDS entity, up to Humble."""
-
-    ros_type = "rmw_dds_common/msg/Gid"
-    data: Bytes24 = field(default_factory=lambda: np.zeros(24, np.uint8))
-
-
-@dataclass
 class Gid(Message):
-    """Identifier of a DDS entity, since Iron."""
+    """Identifier of a DDS entity, uint8 ``[24]`` up to Humble and ``[16]`` since Iron."""
 
     ros_type = "rmw_dds_common/msg/Gid"
-    data: Bytes16 = field(default_factory=lambda: np.zeros(16, np.uint8))
-
-
-@dataclass
-class LongNode(Message):
-    """A node with its readers and writers, up to Humble."""
-
-    ros_type = "rmw_dds_common/msg/NodeEntitiesInfo"
-    node_namespace: str = "/"
-    node_name: str = ""
-    reader_gid_seq: list[LongGid] = field(default_factory=list)
-    writer_gid_seq: list[LongGid] = field(default_factory=list)
+    data: NDArray[np.uint8]
 
 
 @dataclass
 class Node(Message):
-    """A node with its readers and writers, since Iron."""
+    """A node with its readers and writers."""
 
     ros_type = "rmw_dds_common/msg/NodeEntitiesInfo"
-    node_namespace: str = "/"
-    node_name: str = ""
-    reader_gid_seq: list[Gid] = field(default_factory=list)
-    writer_gid_seq: list[Gid] = field(default_factory=list)
-
-
-@dataclass
-class LongParticipant(Message):
-    """Nodes of a participant, up to Humble."""
-
-    ros_type = "rmw_dds_common/msg/ParticipantEntitiesInfo"
-    gid: LongGid = field(default_factory=LongGid)
-    node_entities_info_seq: list[LongNode] = field(default_factory=list)
+    node_namespace: str
+    node_name: str
+    reader_gid_seq: list[Gid]
+    writer_gid_seq: list[Gid]
 
 
 @dataclass
 class Participant(Message):
-    """Nodes of a participant, since Iron."""
+    """Nodes of a participant."""
 
     ros_type = "rmw_dds_common/msg/ParticipantEntitiesInfo"
-    gid: Gid = field(default_factory=Gid)
-    node_entities_info_seq: list[Node] = field(default_factory=list)
+    gid: Gid
+    node_entities_info_seq: list[Node]
 
 
-def participant_message(distribution: str) -> type[Message]:
-    """Returns the message type that announces nodes in a ROS distribution, for example ``"jazzy"``."""
-    return LongParticipant if distribution in LONG_IDENTIFIERS else Participant
+@cache
+def announcement_types(distribution: str) -> Typestore:
+    """Returns the message definitions that announce nodes in a ROS distribution, for example ``"jazzy"``."""
+    release = Stores.ROS2_HUMBLE if distribution in LONG_IDENTIFIERS else Stores.ROS2_JAZZY
+    return message_types(release, (Gid, Node, Participant))
 
 
 class NodeList:
     """List of a participant's nodes, published at each change.
 
     Args:
-        kind: message type from :func:`participant_message`.
+        distribution: name of the ROS distribution.
         identifier: identifier of the participant.
-        publish: function that publishes messages of that type with transient-local durability.
+        publish: function that publishes a message with transient-local durability.
     """
 
-    def __init__(self, kind: type[Message], identifier: UUID, publish: Callable[[Any], None]) -> None:
-        types: tuple[Any, Any] = (LongGid, LongNode) if kind is LongParticipant else (Gid, Node)
-        self._kind: Any = kind
-        self._gid_type, self._node_type = types
+    def __init__(self, distribution: str, identifier: UUID, publish: Callable[[Participant], None]) -> None:
+        self._size = 24 if distribution in LONG_IDENTIFIERS else 16
         self._identifier, self._publish = identifier, publish
-        self._nodes: dict[int, Any] = {}
+        self._nodes: dict[int, Node] = {}
 
     def update(self, owner: int, name: str, readers: Iterable[UUID], writers: Iterable[UUID]) -> None:
         """Adds or replaces a node.
@@ -108,7 +84,7 @@ class NodeList:
             writers: identifiers of its writers.
         """
         reader_gids, writer_gids = ([self._gid(entity) for entity in entities] for entities in (readers, writers))
-        self._nodes[owner] = self._node_type("/", name, reader_gids, writer_gids)
+        self._nodes[owner] = Node("/", name, reader_gids, writer_gids)
         self._publish_nodes()
 
     def remove(self, owner: int) -> None:
@@ -117,9 +93,7 @@ class NodeList:
             self._publish_nodes()
 
     def _publish_nodes(self) -> None:
-        self._publish(self._kind(self._gid(self._identifier), [*self._nodes.values()]))
+        self._publish(Participant(self._gid(self._identifier), [*self._nodes.values()]))
 
-    def _gid(self, identifier: UUID) -> Any:
-        gid = self._gid_type()
-        gid.data[:16] = np.frombuffer(identifier.bytes, np.uint8)
-        return gid
+    def _gid(self, identifier: UUID) -> Gid:
+        return Gid(np.frombuffer(identifier.bytes.ljust(self._size, b"\0"), np.uint8))

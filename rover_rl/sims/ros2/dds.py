@@ -1,7 +1,7 @@
 """ROS 2 transport through Eclipse Cyclone DDS, without a ROS installation: ROS 2 topics are plain DDS topics.
 
-Requires only the package ``cyclonedds`` (``pip install "rover_rl[ros2]"``). Domain and discovery range are selected as
-in ROS 2, by ``ROS_DOMAIN_ID``, ``ROS_LOCALHOST_ONLY`` and ``ROS_AUTOMATIC_DISCOVERY_RANGE``. Settings in
+Requires the packages ``cyclonedds`` and ``rosbags`` (``pip install "rover_rl[ros2]"``). Domain and discovery range are
+selected as in ROS 2, by ``ROS_DOMAIN_ID``, ``ROS_LOCALHOST_ONLY`` and ``ROS_AUTOMATIC_DISCOVERY_RANGE``. Settings in
 ``CYCLONEDDS_URI`` take precedence. If ``ROS_DISTRO`` is set, ``ros2 node list`` also shows the nodes.
 """
 
@@ -13,7 +13,8 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+from functools import cache
+from typing import Any, TypeVar
 
 try:
     from cyclonedds.core import GuardCondition, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
@@ -27,9 +28,12 @@ try:
 except ImportError as error:  # pragma: no cover
     raise ImportError('ROS 2 over DDS requires the package cyclonedds: pip install "rover_rl[ros2]"') from error
 
-from rover_rl.sims.ros2.announce import TOPIC, NodeList, participant_message
-from rover_rl.sims.ros2.cdr import MalformedError, decode, encode
-from rover_rl.sims.ros2.messages import Array, Message
+from rosbags.interfaces import Nodetype
+from rosbags.typesys.store import Typestore
+
+from rover_rl.sims.ros2.announce import TOPIC, NodeList, Participant, announcement_types
+from rover_rl.sims.ros2.cdr import COMMON_TYPES, MalformedError, decode, encode
+from rover_rl.sims.ros2.messages import Message
 from rover_rl.sims.ros2.throttle import ThrottledLogger
 from rover_rl.sims.ros2.transport import Publisher
 
@@ -212,13 +216,18 @@ class _Participant:
         self._domain = Domain(number, settings)
         # As in rmw_cyclonedds_cpp: the user data names the security enclave and marks the participant as one of ROS 2.
         self.entity = DomainParticipant(number, Qos(Policy.Userdata(b"enclave=/;")))
-        self.nodes = self._node_list(participant_message(distribution)) if distribution else None
+        self.nodes = self._node_list(distribution) if distribution else None
 
-    def _node_list(self, kind: type[Message]) -> NodeList:
-        sample_type = _sample_type(kind)
+    def _node_list(self, distribution: str) -> NodeList:
+        types = announcement_types(distribution)
+        sample_type = _sample_type(Participant, types)
         qos = _writer_qos(reliable=True, transient_local=True)
         writer = DataWriter(self.entity, Topic(self.entity, TOPIC, sample_type), qos)
-        return NodeList(kind, self.entity.guid, lambda message: writer.write(sample_type.from_bytes(encode(message))))
+
+        def publish(message: Participant) -> None:
+            writer.write(sample_type.from_bytes(encode(message, types)))
+
+        return NodeList(distribution, self.entity.guid, publish)
 
 
 _participants: dict[int, Any] = {}
@@ -300,8 +309,9 @@ class _SerializedSample(IdlStruct):
     Cyclone's own serialization takes ten times as long, and produces objects of its own classes.
     """
 
-    # Not annotated, as annotations declare fields of the DDS type. Subclasses set ``message``, samples set ``data``.
+    # Not annotated, as annotations declare fields of the DDS type. Subclasses set the first two, samples set ``data``.
     message = Message
+    types = COMMON_TYPES
     data = b""
 
     @classmethod
@@ -316,7 +326,7 @@ class _SerializedSample(IdlStruct):
     @classmethod
     def deserialize(cls, data: bytes, *_: Any, **__: Any) -> Any:
         try:
-            return decode(cls.message, data)
+            return decode(cls.message, data, cls.types)
         except MalformedError as error:
             return _MalformedSample(error)
 
@@ -326,50 +336,33 @@ _XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_rep
 # Indexing these classes creates types, which type checkers do not support.
 _SEQUENCE: Any = types.sequence
 _ARRAY: Any = types.array
-_NUMBERS = {"i": types.int32, "I": types.uint32, "f": types.float32, "d": types.float64, "B": types.uint8}
+_BASE_TYPES: dict[str, Any] = {"string": str, "char": types.uint8} | {
+    name: getattr(types, name) for name in ("int32", "uint32", "uint8", "float32", "float64")
+}
 
 
-_sample_types: dict[type[Message], type[_SerializedSample]] = {}
-_nested_types: dict[type[Message], type[IdlStruct]] = {}
-
-
-def _sample_type(kind: type[Message]) -> type[_SerializedSample]:
+def _sample_type(kind: type[Message], definitions: Typestore = COMMON_TYPES) -> type[_SerializedSample]:
     """Returns the DDS type of a message; ``sensor_msgs/msg/Imu`` becomes ``sensor_msgs::msg::dds_::Imu_``."""
-    if kind not in _sample_types:
-        sample_type: Any = make_idl_struct(kind.__name__, _type_name(kind), _fields(kind), bases=(_SerializedSample,))
-        sample_type.message = kind
-        _sample_types[kind] = sample_type
-    return _sample_types[kind]
+    sample_type: Any = _struct(kind.ros_type, definitions, _SerializedSample)
+    sample_type.message, sample_type.types = kind, definitions
+    return sample_type
 
 
-def _nested_type(kind: type[Message]) -> type[IdlStruct]:
-    """Returns the DDS type of a message nested in another."""
-    if kind not in _nested_types:
-        _nested_types[kind] = make_idl_struct(kind.__name__, _type_name(kind), _fields(kind))
-    return _nested_types[kind]
+@cache
+def _struct(ros_type: str, definitions: Typestore, *bases: type) -> type[IdlStruct]:
+    """Returns Cyclone's type of a message."""
+    package, folder, name = ros_type.split("/")
+    fields = {field: _idl(layout, definitions) for field, layout in definitions.fielddefs[ros_type][1]}
+    return make_idl_struct(name, f"{package}.{folder}.dds_.{name}_", fields, bases=bases)
 
 
-def _type_name(kind: type[Message]) -> str:
-    package, folder, name = kind.ros_type.split("/")
-    return f"{package}.{folder}.dds_.{name}_"
-
-
-def _fields(kind: type[Message]) -> dict[str, Any]:
-    hints = get_type_hints(kind, include_extras=True)
-    return {name: _idl(hint) for name, hint in hints.items() if name != "ros_type"}
-
-
-def _idl(hint: Any) -> Any:
-    """Returns Cyclone's type of a field from its annotation."""
-    if hint is str:
-        return str
-    if get_origin(hint) is Annotated:
-        (layout,) = hint.__metadata__
-        if not isinstance(layout, Array):
-            return _NUMBERS[layout]
-        number = _NUMBERS[layout.format]
-        return _SEQUENCE[number] if layout.length is None else _ARRAY[number, layout.length]
-    if get_origin(hint) is list:
-        (kind,) = get_args(hint)
-        return _SEQUENCE[_nested_type(kind)]
-    return _nested_type(hint)
+def _idl(layout: Any, definitions: Typestore) -> Any:
+    """Returns Cyclone's type of a field from its definition."""
+    node, content = layout
+    if node == Nodetype.BASE:
+        return _BASE_TYPES[content[0]]
+    if node == Nodetype.NAME:
+        return _struct(content, definitions)
+    element, length = content
+    element = _idl(element, definitions)
+    return _ARRAY[element, length] if node == Nodetype.ARRAY else _SEQUENCE[element]

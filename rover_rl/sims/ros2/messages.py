@@ -2,7 +2,6 @@
 
 They do not require ROS: :mod:`rover_rl.sims.ros2.cdr` serializes and deserializes them. Fields and their order are
 those of ``common_interfaces`` (``std_msgs``, ``geometry_msgs``, ``sensor_msgs``, ``nav_msgs``), unchanged since Humble.
-The annotation of a field gives its binary format: a format character of :mod:`struct`, or an :class:`Array`.
 """
 
 from __future__ import annotations
@@ -10,34 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Annotated, ClassVar, NamedTuple, TypeAlias
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-
-
-class Array(NamedTuple):
-    """Binary format of an array of numbers.
-
-    Attributes:
-        format: format character of :mod:`struct`.
-        length: number of elements; ``None`` for a sequence of variable length.
-    """
-
-    format: str
-    length: int | None = None
-
-
-Int32: TypeAlias = Annotated[int, "i"]
-UInt32: TypeAlias = Annotated[int, "I"]
-Float32: TypeAlias = Annotated[float, "f"]
-Float64: TypeAlias = Annotated[float, "d"]
-Float32s: TypeAlias = Annotated[NDArray[np.float32], Array("f")]
-Bytes16: TypeAlias = Annotated[NDArray[np.uint8], Array("B", 16)]
-Bytes24: TypeAlias = Annotated[NDArray[np.uint8], Array("B", 24)]
-Covariance9: TypeAlias = Annotated[NDArray[np.float64], Array("d", 9)]
-Covariance36: TypeAlias = Annotated[NDArray[np.float64], Array("d", 36)]
-
 
 _zeros9: Callable[[], NDArray[np.float64]] = partial(np.zeros, 9)
 _zeros36: Callable[[], NDArray[np.float64]] = partial(np.zeros, 36)
@@ -58,8 +33,8 @@ class Time(Message):
     """A point in time or a duration."""
 
     ros_type = "builtin_interfaces/msg/Time"
-    sec: Int32 = 0
-    nanosec: UInt32 = 0
+    sec: int = 0
+    nanosec: int = 0
 
     @classmethod
     def from_seconds(cls, seconds: float) -> Time:
@@ -87,9 +62,9 @@ class Vector3(Message):
     """A vector, in m/s, rad/s or m/s^2."""
 
     ros_type = "geometry_msgs/msg/Vector3"
-    x: Float64 = 0.0
-    y: Float64 = 0.0
-    z: Float64 = 0.0
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
 
 
 @dataclass
@@ -97,9 +72,9 @@ class Point(Message):
     """A position, m."""
 
     ros_type = "geometry_msgs/msg/Point"
-    x: Float64 = 0.0
-    y: Float64 = 0.0
-    z: Float64 = 0.0
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
 
 
 @dataclass
@@ -107,10 +82,10 @@ class Quaternion(Message):
     """An orientation as a quaternion."""
 
     ros_type = "geometry_msgs/msg/Quaternion"
-    x: Float64 = 0.0
-    y: Float64 = 0.0
-    z: Float64 = 0.0
-    w: Float64 = 1.0
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    w: float = 1.0
 
 
 @dataclass
@@ -146,7 +121,7 @@ class PoseWithCovariance(Message):
 
     ros_type = "geometry_msgs/msg/PoseWithCovariance"
     pose: Pose = field(default_factory=Pose)
-    covariance: Covariance36 = field(default_factory=_zeros36)
+    covariance: NDArray[np.float64] = field(default_factory=_zeros36)
 
 
 @dataclass
@@ -173,7 +148,7 @@ class TwistWithCovariance(Message):
 
     ros_type = "geometry_msgs/msg/TwistWithCovariance"
     twist: Twist = field(default_factory=Twist)
-    covariance: Covariance36 = field(default_factory=_zeros36)
+    covariance: NDArray[np.float64] = field(default_factory=_zeros36)
 
 
 @dataclass
@@ -194,11 +169,11 @@ class Imu(Message):
     ros_type = "sensor_msgs/msg/Imu"
     header: Header = field(default_factory=Header)
     orientation: Quaternion = field(default_factory=Quaternion)
-    orientation_covariance: Covariance9 = field(default_factory=_zeros9)
+    orientation_covariance: NDArray[np.float64] = field(default_factory=_zeros9)
     angular_velocity: Vector3 = field(default_factory=Vector3)
-    angular_velocity_covariance: Covariance9 = field(default_factory=_zeros9)
+    angular_velocity_covariance: NDArray[np.float64] = field(default_factory=_zeros9)
     linear_acceleration: Vector3 = field(default_factory=Vector3)
-    linear_acceleration_covariance: Covariance9 = field(default_factory=_zeros9)
+    linear_acceleration_covariance: NDArray[np.float64] = field(default_factory=_zeros9)
 
 
 @dataclass
@@ -207,15 +182,15 @@ class LaserScan(Message):
 
     ros_type = "sensor_msgs/msg/LaserScan"
     header: Header = field(default_factory=Header)
-    angle_min: Float32 = 0.0
-    angle_max: Float32 = 0.0
-    angle_increment: Float32 = 0.0
-    time_increment: Float32 = 0.0
-    scan_time: Float32 = 0.0
-    range_min: Float32 = 0.0
-    range_max: Float32 = 0.0
-    ranges: Float32s = field(default_factory=lambda: np.zeros(0, np.float32))
-    intensities: Float32s = field(default_factory=lambda: np.zeros(0, np.float32))
+    angle_min: float = 0.0
+    angle_max: float = 0.0
+    angle_increment: float = 0.0
+    time_increment: float = 0.0
+    scan_time: float = 0.0
+    range_min: float = 0.0
+    range_max: float = 0.0
+    ranges: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
+    intensities: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
 
 
 @dataclass

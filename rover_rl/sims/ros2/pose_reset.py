@@ -7,7 +7,6 @@ import math
 import shutil
 import subprocess
 import time
-from collections.abc import Callable
 from typing import NamedTuple, Protocol, get_args
 
 from rover_rl.sims.ros2.errors import PoseResetError
@@ -136,15 +135,13 @@ class TopicPlacer:
     Args:
         transport: transport to publish on.
         topic: topic of the pose.
-        frame_id: frame of the pose.
     """
 
     moves = True
 
-    def __init__(self, transport: Transport, topic: str, frame_id: str = "world") -> None:
+    def __init__(self, transport: Transport, topic: str) -> None:
         self._publish = transport.publisher(topic, PoseStamped, reliable=True)
         self._transport, self._topic = transport, topic
-        self._frame_id = frame_id
 
     def wait_for_subscriber(self, timeout: float) -> bool:
         """Waits at most ``timeout`` (s) for a node that subscribes to the topic; returns whether there is one."""
@@ -160,26 +157,19 @@ class TopicPlacer:
         if not self.wait_for_subscriber(_SUBSCRIBER_TIMEOUT):
             raise PoseResetError(f"no node subscribes to {self._topic}, so the rover cannot be moved to the start")
         pose = Pose(Point(target.x, target.y, target.z), Quaternion(*target.quaternion))
-        self._publish(PoseStamped(Header(frame_id=self._frame_id), pose))
+        self._publish(PoseStamped(Header(frame_id="world"), pose))
 
 
 class ManualPlacer:
-    """Asks a person to move the rover, and waits for the person's answer.
-
-    Args:
-        ask: function that shows a prompt and returns once it is answered; ``None`` asks on the terminal.
-    """
+    """Asks a person on the terminal to move the rover, and waits for the person's answer."""
 
     moves = True
-
-    def __init__(self, ask: Callable[[str], object] | None = None) -> None:
-        self._ask = ask or input
 
     def place(self, target: TargetPose) -> None:
         """Shows the pose, and waits for an answer: see :meth:`Placer.place`."""
         where = f"x {target.x:.2f} m, y {target.y:.2f} m, heading {math.degrees(target.yaw):.0f} degrees"
         try:
-            self._ask(f"Put the rover at {where}, and press Enter: ")
+            input(f"Put the rover at {where}, and press Enter: ")
         except EOFError as error:
             raise PoseResetError(
                 f"nobody answers the prompt to put the rover at {where}: standard input is closed"

@@ -144,7 +144,7 @@ def flipped(data: bytes, bit: int) -> bytes:
 
 
 @needs_onnx
-def test_an_onnx_policy_from_before_there_were_checksums_is_taken(onnx_file, tmp_path):
+def test_an_onnx_policy_without_a_checksum_is_refused(onnx_file, tmp_path):
     import onnx
 
     path, model = tmp_path / "old.onnx", onnx.load(str(onnx_file))
@@ -152,8 +152,8 @@ def test_an_onnx_policy_from_before_there_were_checksums_is_taken(onnx_file, tmp
     del model.metadata_props[:]
     model.metadata_props.extend(kept)
     onnx.save(model, str(path))
-    observation = random_observations(POLICY, 1)
-    assert torch.equal(onnx_function(path)(observation), onnx_function(onnx_file)(observation))
+    with pytest.raises(ValueError, match=r"old\.onnx was not written by rover-rl export, or is damaged"):
+        OnnxPolicy(path)
 
 
 @needs_onnx

@@ -9,7 +9,6 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import set_recurrent_mode
 
 from rover_rl.algos.config import training_config, with_settings
-from rover_rl.algos.config_files import config_from, plain
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.recurrent import MEMORY_KEYS, RecurrentStep, state_keys
 from rover_rl.algos.policy.runner import PolicyRunner
@@ -60,13 +59,6 @@ def test_a_checkpoint_restores_the_memory(memory: str, tmp_path) -> None:
     other = Checkpoint(with_settings(loaded.config, memory_size=4), 0, loaded.actor)
     with pytest.raises(ValueError, match=rf"do not fit hidden=\(16, 8\), memory='{memory}' of 4 units"):
         other.make_actor()
-
-
-def test_settings_from_before_there_were_memories_have_none() -> None:
-    data = plain(training_config("ppo"))
-    for name in ("memory", "memory_size", "privileged_critic"):
-        del data["network"][name]
-    assert config_from(data, "old.yaml") == training_config("ppo")
 
 
 @pytest.mark.parametrize("settings", [{"memory": "gru"}, {"privileged_critic": True}])

@@ -199,11 +199,7 @@ def _learned(on: Accelerator | None, config: TrainingConfig) -> tuple[dict[str, 
     for _ in range(2):
         with set_exploration_type(ExplorationType.RANDOM), torch.no_grad():
             batch = env.rollout(config.algorithm.rollout_length, learner.actor, break_when_any_done=False)
-        if config.algo == "ppo":
-            told = learner.update(batch, 0.0, Stopwatch())
-        else:
-            learner.extend_buffer(batch)
-            told = learner.update(0.0, Stopwatch())
+        told = learner.update(batch, 0.0, Stopwatch())
     learner.load_state_dict(learner.state_dict())
     return told, {name: value.detach().to("cpu") for name, value in learner.actor.state_dict().items()}
 

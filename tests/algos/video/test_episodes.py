@@ -182,9 +182,3 @@ def test_a_drive_of_a_log_is_filmed_with_its_readings(log: Path, capsys: pytest.
     assert f"Film: {log.with_suffix('.gif')}: obstacle too near after 0.6 s\n" in capsys.readouterr().out
     assert main(["film", str(log), "--episode", "2", "--out", "x.gif"]) == 2
     assert "has 2 drives: --episode must be at most 1, got 2" in capsys.readouterr().err
-
-
-def test_a_log_without_readings_is_filmed_too(log: Path) -> None:
-    lines = [json.loads(line) for line in log.read_text().splitlines() if line]
-    log.write_text("\n".join(json.dumps({key: line[key] for key in line if key != "ranges"}) for line in lines))
-    assert Film(str(log), out=log.with_name("log.gif"), **SMALL)() == 0

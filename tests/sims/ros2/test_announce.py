@@ -12,7 +12,7 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
-from rover_rl.sims.ros2.announce import TOPIC, participant_message
+from rover_rl.sims.ros2.announce import TOPIC, Participant, announcement_types
 from rover_rl.sims.ros2.dds import DdsTransport, _sample_type
 from rover_rl.sims.ros2.messages import LaserScan, Twist
 
@@ -24,7 +24,7 @@ class NodeReader:
 
     def __init__(self, domain: dict[str, str], distribution: str) -> None:
         self._participant = DomainParticipant(int(domain["ROS_DOMAIN_ID"]))
-        topic = Topic(self._participant, TOPIC, _sample_type(participant_message(distribution)))
+        topic = Topic(self._participant, TOPIC, _sample_type(Participant, announcement_types(distribution)))
         qos = Qos(
             Policy.Reliability.Reliable(10**9),
             Policy.Durability.TransientLocal,

@@ -2,19 +2,22 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import typing
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+pytest.importorskip("rosbags", reason="needs rover_rl[ros2]")
+
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_typestore
+
 from rover_rl.sims.ros2 import messages
 from rover_rl.sims.ros2.cdr import MalformedError, decode, encode
-from rover_rl.sims.ros2.messages import Array, Message
+from rover_rl.sims.ros2.messages import Message
 
-stores = pytest.importorskip("rosbags.typesys", reason="rosbags, the reference implementation, is not installed")
-ROSBAGS = stores.get_typestore(stores.Stores.ROS2_HUMBLE)
+ROSBAGS = get_typestore(Stores.ROS2_HUMBLE)
 
 KINDS = [
     messages.LaserScan,
@@ -26,33 +29,31 @@ KINDS = [
     messages.TwistStamped,
     messages.Clock,
 ]
-INTEGER_RANGES = {"i": (-(2**31), 2**31 - 1), "I": (0, 2**32 - 1), "B": (0, 255)}
+NUMBERS = {
+    "int32": st.integers(-(2**31), 2**31 - 1),
+    "uint32": st.integers(0, 2**32 - 1),
+    "float32": st.floats(width=32),
+    "float64": st.floats(),
+    "string": st.text(st.characters(blacklist_categories=["Cs"], blacklist_characters="\0"), max_size=9),
+}
+CLASSES = {kind.ros_type: kind for kind in Message.__subclasses__()}
 
 
-def numbers(format: str) -> st.SearchStrategy:
-    if format in INTEGER_RANGES:
-        return st.integers(*INTEGER_RANGES[format])
-    return st.floats(width=32 if format == "f" else 64)
-
-
-def values(hint: object) -> st.SearchStrategy:
-    """Values of a field, from its annotation."""
-    if hint is str:
-        return st.text(st.characters(blacklist_categories=["Cs"], blacklist_characters="\0"), max_size=9)
-    if typing.get_origin(hint) is typing.Annotated:
-        (layout,) = hint.__metadata__
-        if not isinstance(layout, Array):
-            return numbers(layout)
-        size = {"max_size": 5} if layout.length is None else {"min_size": layout.length, "max_size": layout.length}
-        return st.lists(numbers(layout.format), **size).map(lambda row: np.array(row, layout.format))
-    if typing.get_origin(hint) is list:
-        return st.lists(values(*typing.get_args(hint)), max_size=3)
-    return any_message(hint)
+def values(layout: tuple) -> st.SearchStrategy:
+    """Values of a field, from rosbags' definition."""
+    node, content = layout
+    if node == Nodetype.BASE:
+        return NUMBERS[content[0]]
+    if node == Nodetype.NAME:
+        return any_message(CLASSES[content])
+    element, length = content
+    size = {"min_size": length, "max_size": length} if node == Nodetype.ARRAY else {"max_size": 3}
+    rows = st.lists(values(element), **size)
+    return rows if element[0] == Nodetype.NAME else rows.map(lambda row: np.array(row, element[1][0]))
 
 
 def any_message(kind: type[Message]) -> st.SearchStrategy:
-    hints = typing.get_type_hints(kind, include_extras=True)
-    return st.builds(kind, **{field.name: values(hints[field.name]) for field in dataclasses.fields(kind)})
+    return st.builds(kind, **{name: values(layout) for name, layout in ROSBAGS.fielddefs[kind.ros_type][1]})
 
 
 def to_rosbags(message: object) -> object:
@@ -122,17 +123,17 @@ def test_a_truncated_message_is_rejected():
 def test_announced_lengths_are_checked():
     header = b"\x00\x01\x00\x00" + bytes(8)
     for kind in (messages.LaserScan, messages.PoseArray):
-        with pytest.raises(MalformedError, match="announced"):
+        with pytest.raises(MalformedError, match="Invalid sequence length|Invalid string length"):
             decode(kind, header + b"\xff\xff\xff\x7f" + bytes(40))
 
 
 def test_other_representations_are_rejected():
-    with pytest.raises(MalformedError, match="plain CDR"):
+    with pytest.raises(MalformedError, match="CDR encapsulation"):
         decode(messages.Twist, b"\x00\x03\x00\x00" + bytes(48))
 
 
 def test_an_array_of_wrong_length_is_rejected():
-    with pytest.raises(ValueError, match="expected 9 numbers"):
+    with pytest.raises(ValueError, match="Unexpected array length"):
         encode(messages.Imu(orientation_covariance=np.zeros(4)))
 
 

@@ -166,11 +166,12 @@ def test_policies_in_one_log_are_evaluated_separately(log, env):
 def test_times_are_the_rovers(tmp_path):
     """With a lidar at 10 Hz, each step lasts two control steps of the evaluation."""
     path = tmp_path / "drive.jsonl"
-    lines = [{"format": "rover_rl drive, version 1", "world": "inspect", "policy": "mine", "seconds": 60.0}]
-    lines.append({"goal": [-20.0, -24.0], "position": [-22.0, -24.0, 0.0], "angles": [0.0, 0.0, 0.0]})
-    for step in range(1, 11):
-        pose = {"position": [-22.0 + 0.1 * step, -24.0, 0.0], "angles": [0.0, 0.0, 0.0]}
-        lines.append({**pose, "collision": step == 5, "reached": False, "dt": 0.1})
+    lines = [{"format": "rover_rl drive, version 1", "world": "inspect", "policy": "mine", "robot": "rover_zero"}]
+    lines[0]["seconds"] = 60.0
+    for step in range(11):
+        pose = {"position": [-22.0 + 0.1 * step, -24.0, 0.0], "angles": [0.0, 0.0, 0.0], "ranges": [None]}
+        events = {"collision": step == 5, "reached": False, "dt": 0.1, "command": [1.0, 0.0]}
+        lines.append(pose | (events if step else {"goal": [-20.0, -24.0]}))
     lines.append({"ending": "stuck"})
     path.write_text("\n".join(map(json.dumps, lines)))
     (trajectory,) = read_drives(path)[0].trajectories

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.kernels.rays import (
-    FAR,
     ROVER,
     SUN_DIRECTION,
     SUN_RIGHT,
@@ -21,9 +20,8 @@ from rover_rl.sims.rendering.kernels.rays import (
     Scene,
     Seen,
     look,
-    may_hit,
+    meets_body,
     shade,
-    to_body,
 )
 
 EDGE_CONTRAST = 0.08
@@ -100,19 +98,6 @@ def mixed(a: Seen, b: Seen, share: float) -> Seen:
     seen.width = wp.lerp(a.width, b.width, share)
     seen.color = wp.lerp(a.color, b.color, share)
     return seen
-
-
-@wp.func
-def meets_body(scene: Scene, poses: wp.array[wp.transform], start: wp.vec3, direction: wp.vec3) -> bool:
-    """Whether a ray meets the rover or the post, which may be thinner than the distance between samples."""
-    for body in range(ROVER, scene.meshes.shape[0]):
-        pose = poses[body]
-        if may_hit(pose, scene.radii[body], start, direction):
-            local_start = to_body(pose, start)
-            local_direction = wp.quat_rotate_inv(wp.transform_get_rotation(pose), direction)
-            if wp.mesh_query_ray_anyhit(scene.meshes[body], local_start, local_direction, FAR):
-                return True
-    return False
 
 
 @wp.kernel

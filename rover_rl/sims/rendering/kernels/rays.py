@@ -164,6 +164,19 @@ def closest_hit(scene: Scene, poses: wp.array[wp.transform], start: wp.vec3, dir
 
 
 @wp.func
+def meets_body(scene: Scene, poses: wp.array[wp.transform], start: wp.vec3, direction: wp.vec3) -> bool:
+    """Whether a ray meets the rover or the post, which may be thinner than the distance between samples."""
+    for body in range(ROVER, scene.meshes.shape[0]):
+        pose = poses[body]
+        if may_hit(pose, scene.radii[body], start, direction):
+            local_start = to_body(pose, start)
+            local_direction = wp.quat_rotate_inv(wp.transform_get_rotation(pose), direction)
+            if wp.mesh_query_ray_anyhit(scene.meshes[body], local_start, local_direction, FAR):
+                return True
+    return False
+
+
+@wp.func
 def is_lit(scene: Scene, poses: wp.array[wp.transform], start: wp.vec3, sun: wp.vec3, sunshine: float) -> bool:
     """Whether nothing lies between a point and the sun.
 
@@ -179,14 +192,7 @@ def is_lit(scene: Scene, poses: wp.array[wp.transform], start: wp.vec3, sun: wp.
     if sunshine < 1.0:
         if wp.mesh_query_ray_anyhit(scene.meshes[SCENERY], start, sun, FAR):
             return False
-    for body in range(ROVER, scene.meshes.shape[0]):
-        pose = poses[body]
-        if may_hit(pose, scene.radii[body], start, sun):
-            local_start = to_body(pose, start)
-            local_sun = wp.quat_rotate_inv(wp.transform_get_rotation(pose), sun)
-            if wp.mesh_query_ray_anyhit(scene.meshes[body], local_start, local_sun, FAR):
-                return False
-    return True
+    return not meets_body(scene, poses, start, sun)
 
 
 @wp.func

@@ -1,4 +1,4 @@
-"""The project's own world file, ``NAME.world.npz``: plain arrays and JSON, with a version."""
+"""The project's own world file, ``NAME.world.npz``: plain arrays and JSON."""
 
 from __future__ import annotations
 
@@ -23,9 +23,8 @@ from rover_rl.sims.worlds.terrain import Terrain
 if TYPE_CHECKING:
     from rover_rl.sims.worlds.world import World
 
-FORMAT = "rover_rl world"
-VERSIONS = (1, 2)
-"""Versions of the format. The second one has regions, and is written only for a world that has some."""
+FORMAT = "rover_rl world, version 1"
+"""Name of the file format."""
 MAX_BYTES = 512 * 2**20
 """Largest size of the arrays of a file."""
 ARRAYS = {"about": (1, "u1"), "heights": (2, "<f4"), "vertices": (2, "<f8"), "ends": (1, "<i8")}
@@ -46,7 +45,6 @@ def write_archive(world: World, path: Path) -> None:
     regions = {name: region for name in REGIONS if (region := getattr(world, name)) is not None}
     about = {
         "format": FORMAT,
-        "version": VERSIONS[bool(regions)],
         "name": world.name,
         "cell": world.terrain.cell,
         "origin": world.terrain.origin,
@@ -76,16 +74,16 @@ def read_archive(path: Path) -> WorldParts:
 
     Raises:
         FileNotFoundError: if there is no such file.
-        ValueError: if the file is damaged, too large, of another format, or of a newer version.
+        ValueError: if the file is damaged, too large, or of another format.
     """
     arrays = _read_arrays(path)
     try:
         about = json.loads(arrays["about"].tobytes())
-        version = about["version"] if about["format"] == FORMAT else None
+        given = about["format"]
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"{path} is no world file: its description cannot be read") from error
-    if version not in VERSIONS:
-        raise ValueError(f"{path} is a world file of version {version}; this version of rover_rl reads 1 and 2")
+    if given != FORMAT:
+        raise ValueError(f"{path} is a world file of the format {given!r}; this version of rover_rl reads {FORMAT!r}")
     try:
         return _parts(about, arrays)
     except (KeyError, TypeError, ValueError) as error:
@@ -110,7 +108,7 @@ def _parts(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> WorldParts:
         spawn_height_areas=tuple((_area(area), float(height)) for area, height in about["spawn_height_areas"]),
         actors=tuple(_actor(actor) for actor in about["actors"]),
         notes=tuple(str(note) for note in about["notes"]),
-        **{name: _region(place, arrays[name]) for name, place in about.get("regions", {}).items() if name in REGIONS},
+        **{name: _region(place, arrays[name]) for name, place in about["regions"].items() if name in REGIONS},
     )
 
 
@@ -144,42 +142,25 @@ def _actor(data: dict[str, Any]) -> Actor:
 
 
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """Reads the arrays of a file after checking their types and sizes."""
+    """Reads the arrays of a file and checks their types and sizes."""
     try:
         with zipfile.ZipFile(path) as archive:
-            names = {info.filename: info for info in archive.infolist()}
-            missing = [name for name in ARRAYS if f"{name}.npy" not in names]
-            if missing:
-                raise ValueError(f"{path} is no world file: it has no {missing[0]}")
-            if sum(info.file_size for info in names.values()) > MAX_BYTES:
-                raise ValueError(f"{path} unpacks to more than {MAX_BYTES >> 20} MB, which is more than a world has")
-            given = [*ARRAYS, *(name for name in REGIONS if f"{name}.npy" in names)]
-            return {name: _read_array(path, archive, names[f"{name}.npy"]) for name in given}
+            size = sum(info.file_size for info in archive.infolist())
+        arrays = {}
+        if size <= MAX_BYTES:
+            with np.load(path, allow_pickle=False) as stored:
+                arrays = {name: np.asarray(stored[name]) for name in (*ARRAYS, *REGIONS) if name in stored}
     except FileNotFoundError:
         raise
-    except ValueError as error:
-        if str(path) in str(error):
-            raise
-        raise ValueError(f"{path} is a damaged world file: {error}") from error
-    # zipfile and zlib raise errors without a common class.
+    # zipfile, zlib and NumPy raise errors without a common class.
     except Exception as error:
         raise ValueError(f"{path} is no world file, or a damaged one: {error}") from error
-
-
-def _read_array(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
-    """Reads one array. Its header must say what the file holds, before any memory is taken for it."""
-    name = info.filename.removesuffix(".npy")
-    dimensions, kind = ARRAYS.get(name, (2, "u1"))
-    with archive.open(info) as file:
-        version = np.lib.format.read_magic(file)
-        read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-        shape, fortran, dtype = read_header[version](file)
-        if dtype != np.dtype(kind) or len(shape) != dimensions or fortran or (name == "vertices" and shape[1] != 3):
-            raise ValueError(f"{path} is no world file: its {name} have the shape {shape} and the type {dtype}")
-        size = math.prod(shape) * dtype.itemsize
-        if size > info.file_size:
-            raise ValueError(f"{path} is a damaged world file: its {name} are shorter than they say")
-        data = file.read(size)
-    if len(data) != size:
-        raise ValueError(f"{path} is a damaged world file: its {name} are cut off")
-    return np.frombuffer(data, dtype=dtype).reshape(shape).copy()
+    if size > MAX_BYTES:
+        raise ValueError(f"{path} unpacks to more than {MAX_BYTES >> 20} MB, which is more than a world has")
+    for name, (dimensions, kind) in (ARRAYS | {name: (2, "u1") for name in REGIONS if name in arrays}).items():
+        if name not in arrays:
+            raise ValueError(f"{path} is no world file: it has no {name}")
+        array = arrays[name]
+        if array.dtype != np.dtype(kind) or array.ndim != dimensions or (name == "vertices" and array.shape[1] != 3):
+            raise ValueError(f"{path} is no world file: its {name} have the shape {array.shape} and {array.dtype}")
+    return arrays

@@ -37,9 +37,9 @@ def read_xml(path: Path, data: bytes | None = None) -> Element:
         raise ValueError(f"{path} is not valid XML: {error}") from error
 
 
-def text_of(element: Element | None, default: str = "") -> str:
+def text_of(element: Element | None) -> str:
     """Returns the text of an element without surrounding space."""
-    return default if element is None or element.text is None else element.text.strip()
+    return "" if element is None or element.text is None else element.text.strip()
 
 
 def numbers(element: Element | None, count: int, default: tuple[float, ...] | None, what: str) -> np.ndarray:
