@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Literal, TypeAlias, get_args
 
 from rover_rl.algos.workers import default_workers
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_ROVERS, check_at_least, check_positive, check_seed
-from rover_rl.envs.config import DEFAULT_PHYSICS, OBSERVATION_KEYS, EnvConfig
+from rover_rl.envs.config import OBSERVATION_KEYS, EnvConfig
 from rover_rl.sims.backends import BackendLike, name_of, resolve_backend
 
 CollectorName: TypeAlias = Literal["auto", "process", "processes", "ray"]
@@ -367,9 +367,9 @@ class TrainingConfig:
         check_seed(self.seed, _SEEDS_OF_A_RUN)
         if env.backend == "ray":
             raise ValueError("Ray is a collector: use collector='ray', with backend='bullet', 'mujoco' or 'warp'")
-        if env.backend == "warp" and env.physics != DEFAULT_PHYSICS:
+        if env.backend == "warp" and env.preset:
             raise ValueError(f"presets of the physics are Bullet's: backend='warp' has no physics={env.physics!r}")
-        resolve_backend(env.backend, None if env.physics == DEFAULT_PHYSICS else env.physics)
+        resolve_backend(env.backend, env.preset)
         if not re.fullmatch(r"cpu|cuda(:\d+)?", self.device):
             raise ValueError(f"device must be cpu, cuda or cuda: and a number, got {self.device!r}")
         if self.on_gpu and (env.backend in ("bullet", "mujoco") or self.workers > 1):

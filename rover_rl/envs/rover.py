@@ -16,7 +16,7 @@ from torchrl.envs import EnvBase
 from rover_rl.checks import MAX_COUNT, MAX_ROVERS, check_seed
 from rover_rl.envs import specs
 from rover_rl.envs.arguments import SIGNATURE, EnvSettings, config_from
-from rover_rl.envs.config import DEFAULT_PHYSICS, EnvConfig, Randomization, TaskConfig
+from rover_rl.envs.config import EnvConfig, Randomization, TaskConfig
 from rover_rl.envs.control import HeadingController
 from rover_rl.envs.devices import available_device
 from rover_rl.envs.inputs import checked_action, checked_place
@@ -65,6 +65,8 @@ class RoverEnv(EnvBase):
     ``close()`` releases the simulator. The next ``reset()`` builds a new one, as TorchRL's ``ParallelEnv`` does, and
     continues with the next episodes.
 
+    ``RoverEnv(config)`` takes an :class:`EnvConfig` and nothing else; its reward has no effect. Otherwise:
+
     Args:
         size: size of the camera buffer, pixels. Reserved for vision, as in the original environment.
         length: number of steps after which an episode is truncated.
@@ -105,7 +107,8 @@ class RoverEnv(EnvBase):
     Raises:
         ValueError: if the world, backend or robot is unknown, the device is not available, there are fewer beams than
             points, a number is out of range, or the task needs contacts that the backend does not report.
-        TypeError: if an argument is unknown, or given by both of its names.
+        TypeError: if there are arguments besides an ``EnvConfig``, or an argument is unknown or given by both of its
+            names.
 
     Example:
         >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0)
@@ -144,7 +147,7 @@ class RoverEnv(EnvBase):
             config.backend,
             robot=self.robot,
             lidar_beams=config.lidar.beams,
-            physics=None if config.physics == DEFAULT_PHYSICS else config.physics,
+            physics=config.preset,
             connection=config.connection,
             device=self._tensor_device,
         )
