@@ -43,10 +43,6 @@ CollisionSource: TypeAlias = Literal["lidar", "contact"]
 DEFAULT_PHYSICS = "default"
 """Name of the physics preset that every backend has."""
 
-OBSERVATION_KEYS = ("lidar", "imu", "target", "velocities", "pose", "route")
-"""Entries of the observation that a policy can read: those of ``rover_rl.envs.observation``, and the route that
-``rover_rl.envs.seen_map`` computes from them."""
-
 _UNCHANGED = (1.0, 1.0)
 
 
