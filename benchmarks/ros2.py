@@ -102,7 +102,7 @@ def latency(policy: Policy, world: str, seconds: float) -> dict[str, Any]:
     """Measures the latency of decisions, from the arrival of a scan to the command, ms, and the whole process's CPU."""
     latencies = []
     with robot(world, 1.0):
-        env = RoverEnv(**replace(environment_for(policy, None), world=world, backend=LIVE, seed=0).arguments())
+        env = RoverEnv(replace(environment_for(policy, None), world=world, backend=LIVE, seed=0))
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             td, runner, step = env.reset(), PolicyRunner(policy, env=env), 0
             wall, cpu = time.perf_counter(), time.process_time()

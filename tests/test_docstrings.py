@@ -22,7 +22,7 @@ KNOWN = {name: getattr(module, name) for module in (rover_rl.envs, rover_rl) for
 QUICK = [
     *("algos.config", "algos.config_files", "algos.evaluation.metrics", "algos.experiments.statistics"),
     *("algos.train.fine_tuning", "algos.train.learnability", "envs.devices", "envs.goal_pay"),
-    *("envs.sensing", "registry"),
+    *("envs.sensors.lidar", "registry"),
     *("sims.robots.footprint", "sims.ros2.limits"),
 ]
 

@@ -14,7 +14,8 @@ from typing import Any, ClassVar, Literal, TypeAlias, get_args
 
 from rover_rl.algos.workers import default_workers
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_ROVERS, check_at_least, check_positive, check_seed
-from rover_rl.envs.config import DEFAULT_PHYSICS, OBSERVATION_KEYS, EnvConfig
+from rover_rl.envs.config import EnvConfig
+from rover_rl.envs.sensors import BUILT_IN
 from rover_rl.sims.backends import BackendLike, name_of, resolve_backend
 
 CollectorName: TypeAlias = Literal["auto", "process", "processes", "ray"]
@@ -77,9 +78,6 @@ class NetworkConfig:
             raise ValueError(f"memory must be one of {kinds}, got {self.memory!r}")
         if not self.hidden or not all(1 <= units <= MAX_COUNT for units in self.hidden):
             raise ValueError(f"hidden must name at least one layer of at least 1 unit, got {self.hidden}")
-        unknown = [key for key in self.observation if key not in OBSERVATION_KEYS]
-        if unknown or not self.observation or len(set(self.observation)) < len(self.observation):
-            raise ValueError(f"observation must be some of {OBSERVATION_KEYS}, each once, got {self.observation}")
         if self.prior not in (kinds := get_args(PriorKind)):
             raise ValueError(f"prior must be one of {kinds}, got {self.prior!r}")
         if self.prior == "route" and (self.memory != "none" or not {"lidar", "imu", "route"} <= set(self.observation)):
@@ -332,6 +330,7 @@ class TrainingConfig:
         Raises:
             ValueError: for a setting out of range, by its name.
         """
+        self._check_observation()
         self.network.check()
         self.algorithm.check()
         self.run.check()
@@ -360,6 +359,11 @@ class TrainingConfig:
                 f"buffer_size={self.algorithm.buffer_size} cannot hold the {decisions} decisions of a rollout"
             )
 
+    def _check_observation(self) -> None:
+        known, observation = tuple(BUILT_IN), self.network.observation
+        if not observation or len(set(observation)) < len(observation) or not set(observation) <= set(known):
+            raise ValueError(f"observation must be some of {known}, each once, got {observation}")
+
     def _check_env(self) -> None:
         env = self.env
         _check_counts(env, "length")
@@ -367,9 +371,9 @@ class TrainingConfig:
         check_seed(self.seed, _SEEDS_OF_A_RUN)
         if env.backend == "ray":
             raise ValueError("Ray is a collector: use collector='ray', with backend='bullet', 'mujoco' or 'warp'")
-        if env.backend == "warp" and env.physics != DEFAULT_PHYSICS:
+        if env.backend == "warp" and env.preset:
             raise ValueError(f"presets of the physics are Bullet's: backend='warp' has no physics={env.physics!r}")
-        resolve_backend(env.backend, None if env.physics == DEFAULT_PHYSICS else env.physics)
+        resolve_backend(env.backend, env.preset)
         if not re.fullmatch(r"cpu|cuda(:\d+)?", self.device):
             raise ValueError(f"device must be cpu, cuda or cuda: and a number, got {self.device!r}")
         if self.on_gpu and (env.backend in ("bullet", "mujoco") or self.workers > 1):

@@ -127,7 +127,7 @@ class Drive:
             watchdog = (
                 None if self.dry_run else stack.enter_context(Watchdog(self.cmd_vel_topic, settings, SENSOR_TIMEOUT))
             )
-            env = RoverEnv(**described.arguments())
+            env = RoverEnv(described)
             stack.callback(env.close)
             runner = PolicyRunner(policy.module, env=env)
             log = stack.enter_context(DriveLog(self.log, policy.worlds[0], policy.name, self.seconds, env.robot.name))

@@ -105,9 +105,9 @@ class Evaluate:
         if len(names) > 1:
             world = World("flat", Terrain.flat((4.0, 4.0)))
             for name in names:
-                env = self.environment.description(None, name).arguments()
-                robot = get_robot(env["robot"])
-                make_simulator(name, worlds=[world], robot=robot, lidar_beams=1, physics=env["physics"]).close()
+                env = self.environment.description(None, name)
+                robot = get_robot(env.robot)
+                make_simulator(name, worlds=[world], robot=robot, lidar_beams=1, physics=env.preset).close()
                 for policy in policies:
                     self.environment.description(policy.module, name)
         return [*names] or [None]

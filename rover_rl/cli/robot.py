@@ -12,7 +12,7 @@ from typing import Any
 
 from rover_rl.checks import check_at_least, check_positive, check_seed
 from rover_rl.cli.environment import read_env
-from rover_rl.envs.config import DEFAULT_PHYSICS, EnvConfig
+from rover_rl.envs.config import EnvConfig
 from rover_rl.sims.ros2.settings import Ros2Settings
 
 MAX_RATE = 1000.0
@@ -90,7 +90,7 @@ class RobotCommand:
             worlds=[world],
             robot=robot,
             lidar_beams=self.lidar_beams,
-            physics=None if described.physics == DEFAULT_PHYSICS else described.physics,
+            physics=described.preset,
         )
         settings = Ros2Settings(
             odometry_topic=self.odometry_topic, pose_topic=self.pose_topic, reset_topic=self.reset_topic

@@ -12,15 +12,14 @@ Environment and configuration:
     ``transforms``: TorchRL transforms for training.
 
 Parts of ``RoverEnv``:
-    ``observation``: entries of the observation, with their bounds.
+    ``sensors``: sensors, the entries of the observation.
     ``specs``: TorchRL specs of observation, action, reward and done flags.
     ``inputs``: validation of actions, start poses and goals.
     ``control``: heading controller, from an action to a velocity command.
-    ``sensing``: lidar pooling.
     ``perception``: state of the environment between two steps.
     ``navigation``, ``task``: goals, events, outcome and end of an episode.
     ``placement``: random start poses and goals in free space.
-    ``randomization``: domain randomization and sensor noise.
+    ``randomization``: domain randomization.
     ``privileged``: privileged observation for critics and experts.
     ``rng``: reproducible random numbers per row.
     ``rows``, ``devices``: views of unbatched tensordicts, and validation of devices.

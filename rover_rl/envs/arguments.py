@@ -20,6 +20,8 @@ if TYPE_CHECKING:
         LidarConfig,
         OutcomeSource,
         Randomization,
+        RewardConfig,
+        RewardLike,
         RobotLike,
         TaskConfig,
         WorldLike,
@@ -100,18 +102,30 @@ def _text(hint: Any) -> str:
 SIGNATURE = env_signature()
 
 
-def config_from(what: str, args: Sequence[Any], settings: Mapping[str, Any]) -> EnvConfig:
-    """Returns the description of an environment that is given by arguments.
+def config_from(
+    what: str,
+    args: Sequence[Any],
+    settings: Mapping[str, Any],
+    reward: RewardLike = "contract",
+    contract_reward: RewardConfig | None = None,
+) -> EnvConfig:
+    """Returns the description of an environment, which is the only argument, or given by the contract's arguments.
 
     Args:
         what: name of the function or class, for messages.
-        args: positional arguments: the contract's.
+        args: positional arguments: an :class:`EnvConfig`, or the contract's.
         settings: keyword arguments, see :class:`EnvSettings`.
+        reward, contract_reward: reward and its parameters.
 
     Raises:
-        TypeError: if an argument is unknown, given twice, or given by both of its names, as ``world`` and ``world_n``.
+        TypeError: if there are arguments besides an ``EnvConfig``, or an argument is unknown, given twice, or given by
+            both of its names, as ``world`` and ``world_n``.
         ValueError: if a value is out of range, or a part has the wrong type.
     """
+    if args and isinstance(args[0], EnvConfig):
+        if len(args) > 1 or settings or reward != "contract" or contract_reward is not None:
+            raise TypeError(f"{what} takes an EnvConfig alone; use dataclasses.replace(config, ...) to change it")
+        return args[0]
     try:
         given = SIGNATURE.bind(*args, **settings).arguments
     except TypeError as error:
@@ -133,7 +147,7 @@ def config_from(what: str, args: Sequence[Any], settings: Mapping[str, Any]) -> 
     }
     if changes.get("device") is not None:
         changes["device"] = str(changes["device"])
-    return EnvConfig(**changes)
+    return EnvConfig(**changes, reward=reward, contract_reward=contract_reward or default.contract_reward)
 
 
 _NONE_IS_THE_DEFAULT = {name for name, hint in EnvSettings.__annotations__.items() if "None" in _text(hint)} - {

@@ -43,10 +43,6 @@ CollisionSource: TypeAlias = Literal["lidar", "contact"]
 DEFAULT_PHYSICS = "default"
 """Name of the physics preset that every backend has."""
 
-OBSERVATION_KEYS = ("lidar", "imu", "target", "velocities", "pose", "route")
-"""Entries of the observation that a policy can read: those of ``rover_rl.envs.observation``, and the route that
-``rover_rl.envs.seen_map`` computes from them."""
-
 _UNCHANGED = (1.0, 1.0)
 
 
@@ -358,24 +354,10 @@ class EnvConfig:
         """Names of :attr:`worlds`."""
         return tuple(world if isinstance(world, str) else world.name for world in self.worlds)
 
-    def arguments(self) -> dict[str, Any]:
-        """Returns the arguments of :class:`~rover_rl.envs.rover.RoverEnv` by name, without the reward."""
-        arguments = {item.name: getattr(self, item.name) for item in fields(self)}
-        for name in ("world", "lidar", "connection", "reward", "contract_reward"):
-            del arguments[name]
-        arguments["physics"] = None if self.physics == DEFAULT_PHYSICS else self.physics
-        return arguments | {
-            "world_n": self.world,
-            "lidar_points": self.lidar.points,
-            "lidar_beams": self.lidar.beams,
-            "lidar_period": self.lidar.period,
-            "max_lidar_range": self.lidar.max_range,
-            "scan_topic": self.connection.scan_topic,
-            "imu_topic": self.connection.imu_topic,
-            "cmd_vel_topic": self.connection.cmd_vel_topic,
-            "camera_topic": self.connection.camera_topic,
-            "connection_check_timeout": self.connection.timeout,
-        }
+    @property
+    def preset(self) -> str | None:
+        """Name of the physics preset, as :func:`~rover_rl.sims.backends.make_simulator` takes it."""
+        return None if self.physics == DEFAULT_PHYSICS else self.physics
 
 
 _PARTS: dict[str, type] = {

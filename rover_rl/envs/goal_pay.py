@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrl.envs import Transform
 
 from rover_rl.envs.config import EnvConfig
-from rover_rl.envs.observation import observation_bounds
+from rover_rl.envs.sensors.suite import environment_sensors
 from rover_rl.envs.specs import action_bounds, bounded_spec, observation_spec
 from rover_rl.envs.task import EVENTS, StepEvent
 
@@ -59,7 +59,8 @@ def _value(component: Transform, before: TensorDictBase, after: TensorDictBase) 
 def _step(env: EnvConfig, goal: bool) -> tuple[TensorDictBase, TensorDictBase]:
     """Makes up the observations before and after some steps, the same ones at each call."""
     generator = torch.Generator().manual_seed(0)
-    spec = observation_spec(observation_bounds(env.lidar), (_STEPS,), None, privileged=env.privileged)
+    bounds = {key: sensor.bounds for key, sensor in environment_sensors(env.lidar).items()}
+    spec = observation_spec(bounds, (_STEPS,), None, privileged=env.privileged)
 
     def drawn() -> TensorDictBase:
         made: TensorDictBase = spec.zero()

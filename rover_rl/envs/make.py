@@ -67,16 +67,10 @@ def make_env(
         >>> env.rollout(5)["next", "reward_components", "progress"].shape
         torch.Size([4, 5, 1])
     """
-    if args and isinstance(args[0], EnvConfig):
-        if len(args) > 1 or settings or reward != "contract" or contract_reward is not None:
-            raise TypeError("make_env takes an EnvConfig alone; use dataclasses.replace(config, ...) to change it")
-        config = args[0]
-    else:
-        config = config_from("make_env", args, settings)
-        config = replace(config, reward=reward, contract_reward=contract_reward or config.contract_reward)
+    config = config_from("make_env", args, settings, reward, contract_reward)
     # Raises an error for an unknown reward before the simulator is built.
     reward_components(config.reward, config.contract_reward)
-    return add_reward(RoverEnv(**config.arguments()), config.reward, config)
+    return add_reward(RoverEnv(config), config.reward, config)
 
 
 def _signature() -> inspect.Signature:

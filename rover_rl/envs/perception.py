@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from tensordict import TensorDict
 from torch import Tensor
 
-from rover_rl.envs.sensing import LidarPooling
 from rover_rl.envs.task import TaskState
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.rotations import quaternion_to_euler
+
+if TYPE_CHECKING:
+    from rover_rl.envs.sensors.lidar import LidarPooling
 
 
 class Perception:

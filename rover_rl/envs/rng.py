@@ -7,6 +7,8 @@ sequence (Steele, Lea and Flood, "Fast splittable pseudorandom number generators
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -62,6 +64,12 @@ def to_index(bits: Tensor, size: Tensor) -> Tensor:
 def to_unit(bits: Tensor) -> Tensor:
     """Returns uniform numbers in [0, 1) from the lower 24 bits, float32, in steps of 2^-24."""
     return (bits & 0xFFFFFF).to(torch.float32) * 2.0**-24
+
+
+def to_normal(bits: Tensor) -> Tensor:
+    """Returns standard normal numbers from the lower 48 bits, float32 (Box and Muller, 1958)."""
+    radius = torch.sqrt(-2 * torch.log(1 - to_unit(bits)))
+    return radius * torch.cos(2 * math.pi * to_unit(bits >> 24))
 
 
 def _shift(bits: Tensor, places: int) -> Tensor:

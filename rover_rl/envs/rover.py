@@ -16,19 +16,21 @@ from torchrl.envs import EnvBase
 from rover_rl.checks import MAX_COUNT, MAX_ROVERS, check_seed
 from rover_rl.envs import specs
 from rover_rl.envs.arguments import SIGNATURE, EnvSettings, config_from
-from rover_rl.envs.config import DEFAULT_PHYSICS, EnvConfig, Randomization, TaskConfig
+from rover_rl.envs.config import EnvConfig, Randomization, TaskConfig
 from rover_rl.envs.control import HeadingController
 from rover_rl.envs.devices import available_device
 from rover_rl.envs.inputs import checked_action, checked_place
 from rover_rl.envs.navigation import Navigation
-from rover_rl.envs.observation import Observer, clipped_pose, observation_bounds
 from rover_rl.envs.perception import Perception, StepState
 from rover_rl.envs.placement import Placement
 from rover_rl.envs.privileged import PrivilegedObservation
-from rover_rl.envs.randomization import CommandDelay, draw_dynamics, sense
+from rover_rl.envs.randomization import CommandDelay, draw_dynamics
 from rover_rl.envs.rng import episode_keys, row_keys
 from rover_rl.envs.row_worlds import RowWorlds
-from rover_rl.envs.sensing import LidarPooling, check_period, scanning
+from rover_rl.envs.sensors.base import SensorInput
+from rover_rl.envs.sensors.lidar import LidarPooling, check_period, scanning
+from rover_rl.envs.sensors.pose import clipped_pose
+from rover_rl.envs.sensors.suite import Observer, environment_sensors
 from rover_rl.envs.task import TaskState, target_info
 from rover_rl.sims import Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.base import View, WorldChanger
@@ -65,6 +67,8 @@ class RoverEnv(EnvBase):
     ``close()`` releases the simulator. The next ``reset()`` builds a new one, as TorchRL's ``ParallelEnv`` does, and
     continues with the next episodes.
 
+    ``RoverEnv(config)`` takes an :class:`EnvConfig` and nothing else; its reward has no effect. Otherwise:
+
     Args:
         size: size of the camera buffer, pixels. Reserved for vision, as in the original environment.
         length: number of steps after which an episode is truncated.
@@ -100,12 +104,14 @@ class RoverEnv(EnvBase):
     Attributes:
         config: description of the environment.
         num_envs: number of rovers, and of rows of :attr:`goal`, :attr:`rover_state` and ``worlds``. 1 if unbatched.
+        sensors: sensors that it reads, by name.
         simulator: simulator. A reset after ``close()`` replaces it.
 
     Raises:
         ValueError: if the world, backend or robot is unknown, the device is not available, there are fewer beams than
             points, a number is out of range, or the task needs contacts that the backend does not report.
-        TypeError: if an argument is unknown, or given by both of its names.
+        TypeError: if there are arguments besides an ``EnvConfig``, or an argument is unknown or given by both of its
+            names.
 
     Example:
         >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0)
@@ -138,13 +144,14 @@ class RoverEnv(EnvBase):
         for world in dict.fromkeys(self._row_worlds.table):
             for sentence in clipped_pose(world):
                 warnings.warn(sentence, stacklevel=2)
+        self.sensors = environment_sensors(config.lidar)
         self.lidar = LidarPooling(config.lidar.beams, config.lidar.points, config.lidar.max_range, self._tensor_device)
         self._make_simulator = partial(
             make_simulator,
             config.backend,
             robot=self.robot,
             lidar_beams=config.lidar.beams,
-            physics=None if config.physics == DEFAULT_PHYSICS else config.physics,
+            physics=config.preset,
             connection=config.connection,
             device=self._tensor_device,
         )
@@ -295,12 +302,12 @@ class RoverEnv(EnvBase):
     def _make_specs(self) -> None:
         batch_size, device, privileged = self.batch_size, self.device, self.config.privileged
         action = specs.action_bounds(self.config.action)
-        bounds = observation_bounds(self.config.lidar)
+        bounds = {key: sensor.bounds for key, sensor in self.sensors.items()}
         self.observation_spec = specs.observation_spec(bounds, batch_size, device, privileged, len(self.pool) > 1)
         self.action_spec = specs.bounded_spec(action, batch_size, device)
         self.reward_spec = specs.reward_spec(batch_size, device)
         self.full_done_spec = specs.done_spec(batch_size, device)
-        self._observer = Observer(self.config.lidar, self._tensor_device)
+        self._observer = Observer(self.sensors, self._tensor_device)
         self._action_clip = action.tensors(self._tensor_device)
 
     def _set_seed(self, seed: int | None) -> None:
@@ -394,7 +401,7 @@ class RoverEnv(EnvBase):
         if rover.device is not None and rover.device != self._tensor_device:
             rover = rover.to(self._tensor_device)
         state = self._state
-        sensed = sense(self.randomization, rover, self._keys, steps, self.config.lidar.period)
+        sensed = self._observer.sense(self.randomization, rover, self._keys, steps)
         state.truth = Perception(rover, self.lidar)
         state.sensed = state.truth if sensed is rover else Perception(sensed, self.lidar)
         state.reference = state.truth if self.config.outcome_from == "truth" else state.sensed
@@ -403,7 +410,7 @@ class RoverEnv(EnvBase):
         state, sensed, goal = self._state, self._state.sensed, self._state.task.goal
         same = sensed is state.reference
         target = state.task.target if same else target_info(sensed.position, sensed.yaw, goal)
-        observation: dict[str, Any] = self._observer(sensed, target)
+        observation: dict[str, Any] = self._observer(SensorInput(sensed, target, state.task.steps))
         if self._privileged is not None:
             observation["privileged"] = self._privileged(
                 state.truth, self._row_worlds.index, goal, self._dynamics, self._delay.steps

@@ -56,7 +56,7 @@ def observation_spec(
     """Creates the spec of the observation and the nested ``outcome``.
 
     Args:
-        bounds: bounds of each entry, as :func:`rover_rl.envs.observation.observation_bounds` gives them.
+        bounds: bounds of each entry, those of its sensor.
         batch_size: batch size of the environment.
         device: device of the environment.
         privileged: whether to add the nested ``privileged`` observation.

@@ -129,7 +129,7 @@ def test_worlds_and_robots_of_another_type_are_refused_in_one_sentence() -> None
 
 def test_every_environment_knows_its_description() -> None:
     env = RoverEnv(world_n="maze", num_envs=2, seed=1, task=TaskConfig(success_distance=0.7), end_on_goal=True)
-    assert RoverEnv(**env.config.arguments()).config == env.config
+    assert RoverEnv(env.config).config == env.config
     assert env.config.reward == "task"
     assert make_env(world_n="maze", reward=RewardConfig(goal_reward=7.0)).config == EnvConfig(
         world="maze", contract_reward=RewardConfig(goal_reward=7.0)
@@ -228,5 +228,9 @@ def test_a_description_needs_no_pytorch() -> None:
 def test_an_environment_config_stands_alone() -> None:
     with pytest.raises(TypeError, match="an EnvConfig alone"):
         make_env(EnvConfig(), num_envs=4)
+    with pytest.raises(TypeError, match="make_env takes an EnvConfig alone"):
+        make_env(EnvConfig(), reward="task")
+    with pytest.raises(TypeError, match="RoverEnv takes an EnvConfig alone"):
+        RoverEnv(EnvConfig(), num_envs=4)
     with pytest.raises(ValueError, match="outcome_from must be one of"):
         EnvConfig(outcome_from="luck")  # type: ignore[arg-type]

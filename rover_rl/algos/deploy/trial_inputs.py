@@ -9,8 +9,8 @@ from torch import Tensor
 
 from rover_rl.algos.deploy.plain_policy import STATE_IN, input_names
 from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.envs.observation import observation_bounds
 from rover_rl.envs.seen_map.seen_map import BOUNDS, lidar_mount
+from rover_rl.envs.sensors.suite import policy_sensors
 
 _DECISION = 0.2
 """Time between two decisions of the drive, s."""
@@ -23,15 +23,14 @@ _WALLS = 24
 def random_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]:
     """Draws inputs ``[count, n]`` of a policy, except its state, uniformly within their bounds, with seed 0."""
     generator = torch.Generator().manual_seed(0)
-    bounds = observation_bounds(checkpoint.env.lidar)
+    sensors = policy_sensors(checkpoint.env.lidar)
     drawn = {}
     for key in input_names(checkpoint.config.network):
         if key == BOUNDS:
             drawn[key] = torch.tensor((-1.0, -1.0, 1.0, 1.0)) * (20 + 80 * torch.rand(count, 4, generator=generator))
         elif key != STATE_IN:
-            low, high = (torch.as_tensor(side).float() for side in (bounds[key].low, bounds[key].high))
-            width = checkpoint.lidar_points if key == "lidar" else len(low)
-            drawn[key] = low + (high - low) * torch.rand(count, width, generator=generator)
+            low, high = sensors[key].bounds.tensors(None)
+            drawn[key] = low + (high - low) * torch.rand(count, len(low), generator=generator)
     return drawn
 
 

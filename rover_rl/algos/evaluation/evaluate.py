@@ -140,7 +140,7 @@ def _drive_episodes(
         num_envs=len(worlds),
         seed=episodes.seed + episodes.offset,
     )
-    rovers = RoverEnv(**env.arguments())
+    rovers = RoverEnv(env)
     rovers.length = max(1, round(seconds / rovers.control_dt))
     places = {"start": episodes.start, "goal": episodes.goal}
     return _drive(rovers, policy, action_repeat, name, schedule, places, episodes.offset, watch)
@@ -185,7 +185,7 @@ def evaluate_endless(
     env_config = replace(
         env_config, world=place, num_envs=rows, length=steps, end_on_goal=False, seed=seed + offset, task=task
     )
-    rovers = RoverEnv(**env_config.arguments())
+    rovers = RoverEnv(env_config)
     schedule = _Schedule([0] * rows, rows)
     trajectories = _drive(rovers, policy or RandomPolicy(seed), action_repeat, name, schedule, offset=offset)
     world_name = world if isinstance(world, str) else place.name

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache
+from functools import partial
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -17,11 +17,13 @@ from torchrl.modules import MLP, ProbabilisticActor, ValueOperator
 from rover_rl.algos.config import MemoryKind
 from rover_rl.algos.policy.distributions import BoundedTanhNormal
 from rover_rl.algos.policy.grid_planner import follow
-from rover_rl.algos.policy.privileged import MIRROR_SIGNS, PrivilegedEncoder, mirrored_map
+from rover_rl.algos.policy.privileged import MIRROR, PrivilegedEncoder
 from rover_rl.algos.policy.recurrent import recurrent_network
-from rover_rl.envs.config import ActionConfig
+from rover_rl.envs.config import ActionConfig, LidarConfig
 from rover_rl.envs.encoding import ObservationEncoder
 from rover_rl.envs.seen_map.seen_map import ROUTE
+from rover_rl.envs.sensors.base import mirrored_signs
+from rover_rl.envs.sensors.suite import policy_sensors
 from rover_rl.envs.specs import action_bounds, bounded_spec
 from rover_rl.sims.robots import Robot
 
@@ -269,41 +271,28 @@ def _mlp(features: int, hidden: Sequence[int], outputs: int, gain: float) -> MLP
     return mlp
 
 
-_MIRROR: dict[NestedKey, tuple[float, ...]] = {
-    "imu": (1.0, -1.0, -1.0),
-    "target": (1.0, -1.0),
-    "velocities": (1.0, -1.0),
-    ROUTE: (1.0, -1.0, 1.0, -1.0, 1.0),
-    "action": (1.0, -1.0),
-    **MIRROR_SIGNS,
+_MIRROR: dict[NestedKey, Callable[[Tensor], Tensor]] = {
+    **{key: sensor.mirror for key, sensor in policy_sensors(LidarConfig()).items()},
+    "action": partial(mirrored_signs, (1.0, -1.0)),
+    **MIRROR,
 }
-"""Signs of the mirror image. Swapping left and right changes the signs of roll, yaw and angles."""
-
-
-@cache
-def _mirror_signs(device: torch.device) -> dict[NestedKey, Tensor]:
-    return {key: torch.tensor(signs, device=device) for key, signs in _MIRROR.items()}
+"""Mirror images, by key: swapping left and right changes the signs of roll, yaw and angles."""
 
 
 def mirrored(transitions: TensorDictBase, rows: Tensor) -> TensorDictBase:
     """Returns ``transitions [...]`` with the selected ``rows`` (bool ``[...]``) mirrored left to right.
 
-    Mirroring reverses the order of lidar readings. They are minima over segments of the scan, the first of which begins
-    straight ahead, so that the mirror image is exact to one beam of the raw scan. The state of a memory is not
-    mirrored: see :class:`~rover_rl.algos.train.sequences.MirrorMemory`.
+    Sensors mirror their values. The state of a memory is not mirrored: see
+    :class:`~rover_rl.algos.train.sequences.MirrorMemory`.
     """
     image = transitions.copy()
     rows = rows[..., None]
     for part in (image, image.get("next", None)):
         if part is None:
             continue
-        for key, signs in _mirror_signs(rows.device).items():
+        for key, mirror in _MIRROR.items():
             if (value := part.get(key, None)) is not None:
-                part.set(key, torch.where(rows, value * signs, value))
-        if (ranges := part.get("lidar", None)) is not None:
-            part.set("lidar", torch.where(rows, ranges.flip(-1), ranges))
-        if (around := part.get(("privileged", "local_map"), None)) is not None:
-            part.set(("privileged", "local_map"), torch.where(rows, mirrored_map(around), around))
+                part.set(key, torch.where(rows, mirror(value), value))
     return image
 
 

@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import torch
 from tensordict import NestedKey
 from torch import Tensor, nn
 
 from rover_rl.envs.privileged import FEATURES, MAP_BEARINGS, MAP_DISTANCES
-
-MIRROR_SIGNS: dict[NestedKey, tuple[float, ...]] = {
-    ("privileged", "position"): (1.0, -1.0, 1.0),
-    ("privileged", "attitude"): (-1.0, 1.0, -1.0),
-    ("privileged", "velocities"): (1.0, -1.0),
-    ("privileged", "target"): (1.0, -1.0),
-}
-"""Signs of the mirror image of the privileged observation: that of the world, mirrored at the x axis."""
+from rover_rl.envs.sensors.base import mirrored_signs
+from rover_rl.envs.sensors.target import Target
+from rover_rl.envs.sensors.wheel_odometry import WheelOdometry
 
 
 def mirrored_map(local_map: Tensor) -> Tensor:
     """Returns the mirror image of the local map ``[..., distances * bearings]``: bearing b becomes -b."""
     image = local_map.unflatten(-1, (len(MAP_DISTANCES), MAP_BEARINGS)).flip(-1).roll(1, -1)
     return image.flatten(-2)
+
+
+MIRROR: dict[NestedKey, Callable[[Tensor], Tensor]] = {
+    ("privileged", "position"): partial(mirrored_signs, (1.0, -1.0, 1.0)),
+    ("privileged", "attitude"): partial(mirrored_signs, (-1.0, 1.0, -1.0)),
+    ("privileged", "velocities"): WheelOdometry().mirror,
+    ("privileged", "target"): Target().mirror,
+    ("privileged", "local_map"): mirrored_map,
+}
+"""Mirror image of the privileged observation, by key: that of the world, mirrored at the x axis."""
 
 
 class PrivilegedEncoder(nn.Module):
@@ -47,11 +55,9 @@ class PrivilegedEncoder(nn.Module):
     def forward(self, *entries: Tensor) -> Tensor:
         """Encodes the entries named in ``keys``, in this order: ``[..., features]``."""
         entry = {key[-1]: value for key, value in zip(self.keys, entries, strict=True)}
-        distance, angle = entry["target"].split(1, -1)
-        speed, yaw_rate = entry["velocities"].split(1, -1)
         path = entry["path_distance"]
         factors = [2 * (entry[key] - 1) for key in ("friction", "chassis_mass", "motor_torque")]
-        parts = [3 * entry["attitude"][..., :2], speed, yaw_rate / 3]
-        parts += [distance / 5 - 1, distance.log1p() - 1, angle.sin(), angle.cos(), angle / torch.pi]
+        parts = [3 * entry["attitude"][..., :2], WheelOdometry().encode(entry["velocities"])]
+        parts += [Target().encode(entry["target"])]
         parts += [path / 5 - 1, path.log1p() - 1, entry["local_map"] / self._reach, *factors, entry["latency"] / 3]
         return torch.cat(parts, -1)

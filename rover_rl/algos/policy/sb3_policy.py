@@ -26,7 +26,7 @@ from torch import Tensor
 from rover_rl.algos.archives import checked_copy, first_not_finite
 from rover_rl.envs.config import ActionConfig, EnvConfig, LidarConfig
 from rover_rl.envs.encoding import ObservationEncoder
-from rover_rl.envs.observation import observation_bounds
+from rover_rl.envs.sensors.suite import environment_sensors
 from rover_rl.envs.specs import action_bounds
 
 _KINDS = {
@@ -149,8 +149,8 @@ def _observation(
     """Returns the lidar, the observation space and the function that makes observations of it from a tensordict."""
     space = space if isinstance(space, dict) else {}
     entries = re.findall(r"'(\w+)': Box\(([^()]*), \((\d+),\)", str(space.get("spaces")))
-    bounds = observation_bounds(LidarConfig())
-    if entries and {key for key, _, _ in entries} <= set(bounds) and any(key == "lidar" for key, _, _ in entries):
+    sensors = environment_sensors(LidarConfig())
+    if entries and {key for key, _, _ in entries} <= set(sensors) and any(key == "lidar" for key, _, _ in entries):
         sizes = {key: int(size) for key, _, size in entries}
         high = next(float(numbers.split(", ")[-1]) for key, numbers, _ in entries if key == "lidar")
         boxes: dict[str, spaces.Space[Any]] = {
@@ -160,13 +160,13 @@ def _observation(
         return lidar, spaces.Dict(boxes), lambda now: {key: now[key].numpy(force=True) for key in sizes}
     size = next(iter(space.get("_shape") or ()), 0)
     flattened = "True" in str(space.get("bounded_below"))
-    others = sum(len(entry.low) for key, entry in bounds.items() if key != "lidar")
+    others = sum(len(sensor.bounds.low) for key, sensor in sensors.items() if key != "lidar")
     points = size - (others if flattened else ObservationEncoder(lidar_points=1).features - 1)
     if points < 1:
         raise ValueError(f"{path} was trained with other observations than those of rover_rl")
     lidar, box = LidarConfig(points=points), spaces.Box(-np.inf, np.inf, (size,), np.float32)
     if flattened:
-        return lidar, box, lambda now: torch.cat([now[key] for key in sorted(bounds)], -1).numpy(force=True)
+        return lidar, box, lambda now: torch.cat([now[key] for key in sorted(sensors)], -1).numpy(force=True)
     encoder = ObservationEncoder(lidar_points=points)
     return lidar, box, lambda now: encoder(*(now[key] for key in encoder.keys)).numpy(force=True)
 

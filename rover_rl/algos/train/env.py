@@ -50,7 +50,7 @@ def make_training_env(
     """
     env_config = _worker_env_config(config, worker, session)
     reward_components(env_config.reward, env_config.contract_reward)
-    rovers = RoverEnv(**env_config.arguments())
+    rovers = RoverEnv(env_config)
     env = add_reward(rovers, env_config.reward, env_config)
     action_repeat = config.collection.action_repeat
     env = env.append_transform(ActionRepeat(action_repeat))

@@ -105,7 +105,7 @@ def record_endless(
     config = environment_for(policy, env)
     config = replace(config, world=world, num_envs=rows, end_on_goal=False, seed=seed)
     reward_components(config.reward, config.contract_reward)
-    rovers = RoverEnv(**config.arguments())
+    rovers = RoverEnv(config)
     steps = max(1, round(seconds / rovers.control_dt))
     rovers.length = steps + 1
     rewarded = add_reward(rovers, config.reward, config)

@@ -19,7 +19,6 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl.envs.config import LidarConfig
-from rover_rl.envs.specs import Bounds
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.rotations import wrap_angle
@@ -35,8 +34,6 @@ BOUNDS = "bounds"
 """Name of the area that routes stay in: lower x and y, and upper x and y, ``[N, 4]``, m."""
 NO_BOUNDS = (-1e6, -1e6, 1e6, 1e6)
 """Area without bounds."""
-ROUTE_BOUNDS = Bounds((0.0, -math.pi, 0.0, -math.pi, -1.0), (100.0, math.pi, 100.0, math.pi, 1000.0))
-"""Bounds of a route: distance and angle of two corners (m, rad), and its length (m)."""
 
 FARTHEST_MOUNT = 0.45
 """Largest distance of the lidar from the robot's center along x and along y, m."""

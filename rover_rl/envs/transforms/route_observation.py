@@ -10,7 +10,8 @@ from torchrl.envs.transforms import Transform
 
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.rows import in_rows
-from rover_rl.envs.seen_map.seen_map import ROUTE, ROUTE_BOUNDS, SeenMap
+from rover_rl.envs.seen_map.seen_map import ROUTE, SeenMap
+from rover_rl.envs.sensors.route import Route
 from rover_rl.envs.specs import bounded_spec
 
 
@@ -57,5 +58,5 @@ class RouteObservation(Transform):
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Adds ``route``."""
-        observation_spec[ROUTE] = bounded_spec(ROUTE_BOUNDS, observation_spec.shape, observation_spec.device)
+        observation_spec[ROUTE] = bounded_spec(Route().bounds, observation_spec.shape, observation_spec.device)
         return observation_spec

@@ -27,9 +27,6 @@ Observation: TypeAlias = Any
 Mask: TypeAlias = NDArray[np.bool_]
 TimeLimit: TypeAlias = Literal["terminated", "truncated"]
 
-KEYS = ("lidar", "pose", "imu", "target", "velocities")
-"""Entries of the contract's observation."""
-
 
 @dataclass(frozen=True)
 class Step:
@@ -117,7 +114,9 @@ class NumpyBatch:
 
     def observation(self) -> Observation:
         """Returns the current observation, ``[N, k]`` per entry, or ``[N, n]`` if observations are scaled."""
-        return self.entry(EncodedObservation.KEY) if self._flat else {key: self.entry(key) for key in KEYS}
+        if self._flat:
+            return self.entry(EncodedObservation.KEY)
+        return {key: self.entry(key) for key in self.base_env.sensors}
 
     def entry(self, key: str) -> NDArray[np.float32]:
         """Returns one entry of the current observation, ``[N, k]``."""
@@ -237,10 +236,11 @@ def row_of(observation: Observation, row: int) -> Observation:
 def _observation_space(env: EnvBase, flat: bool) -> spaces.Space[Any]:
     if flat:
         return _box(env.observation_spec_unbatched[EncodedObservation.KEY])
-    missing = [key for key in KEYS if key not in env.observation_spec]
+    keys = [*base_env(env).sensors]
+    missing = [key for key in keys if key not in env.observation_spec]
     if missing:
-        raise ValueError(f"the observation lacks {missing}, which a transform has removed; {list(KEYS)} are needed")
-    return spaces.Dict({key: _box(env.observation_spec_unbatched[key]) for key in KEYS})
+        raise ValueError(f"the observation lacks {missing}, which a transform has removed; {keys} are needed")
+    return spaces.Dict({key: _box(env.observation_spec_unbatched[key]) for key in keys})
 
 
 def _box(spec: TensorSpec) -> spaces.Box:

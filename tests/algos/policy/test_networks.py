@@ -17,18 +17,18 @@ from rover_rl.algos.policy.networks import (
     on_features,
 )
 from rover_rl.envs.config import ActionConfig, LidarConfig
-from rover_rl.envs.observation import observation_bounds
+from rover_rl.envs.sensors.suite import environment_sensors
 from rover_rl.envs.specs import ACTION
 
 LOW, HIGH = torch.tensor(ACTION.low), torch.tensor(ACTION.high)
 
 
 def observations(*shape: int) -> TensorDict:
-    bounds = observation_bounds(LidarConfig())
+    sensors = environment_sensors(LidarConfig())
     generator = torch.Generator().manual_seed(0)
     values = {}
-    for key, bound in bounds.items():
-        low, high = torch.tensor(bound.low), torch.tensor(bound.high)
+    for key, sensor in sensors.items():
+        low, high = sensor.bounds.tensors(None)
         values[key] = low + (high - low) * torch.rand(*shape, len(low), generator=generator)
     return TensorDict(values, batch_size=shape)
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from hypothesis import strategies as st
 
-from rover_rl.envs.sensing import LidarPooling
+from rover_rl.envs.sensors.lidar import LidarPooling
 from rover_rl.envs.task import target_info
 from rover_rl.sims.rotations import wrap_angle
 from tests.envs import transcription as contract

@@ -1,13 +1,77 @@
-"""Lidar: when it scans, and pooling of a raw scan to the nearest reading of each segment."""
+"""Lidar: its readings and their noise, when it scans, and pooling of a raw scan to the nearest of each segment."""
 
 from __future__ import annotations
 
 import inspect
+import math
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from rover_rl.envs.config import LidarConfig, Randomization
+from rover_rl.envs.rng import random_bits, to_normal
+from rover_rl.envs.sensors.base import Sensor, SensorInput
+from rover_rl.envs.specs import Bounds
+from rover_rl.sims import RoverState
 from rover_rl.sims.base import Simulator
+
+_NOISE = 4
+"""Stream of random numbers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lidar(Sensor):
+    """Nearest reading of each segment of the scan, ``[N, points]``, m.
+
+    Args:
+        name: key of the entry.
+        period: number of steps from one scan to the next.
+        points: number of readings.
+        max_range: maximum of a reading, m.
+    """
+
+    name: str = "lidar"
+    points: int = LidarConfig.points
+    max_range: float = LidarConfig.max_range
+    clips = False
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of the readings, m."""
+        return Bounds((0.0,) * self.points, (self.max_range,) * self.points)
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        """Returns the pooled scan."""
+        return inputs.sensed.readings
+
+    def sense(self, noise: Randomization, rover: RoverState, keys: Tensor, step: Tensor) -> dict[str, Tensor]:
+        """Changes the ranges at random, and loses some of them. A scan keeps its noise."""
+        if not (noise.range_noise or noise.dropout):
+            return {}
+        ranges = rover.ranges
+        bits = random_bits(keys, _NOISE, step - step % self.period, ranges.shape[-1])
+        if noise.range_noise:
+            # A range stays positive, a 0 (beam that starts inside a solid) stays 0, and inf (no return) stays inf.
+            changed = (ranges + noise.range_noise * to_normal(bits)).clamp_min(0.001)
+            ranges = torch.where(ranges > 0, changed, ranges)
+        if noise.dropout:
+            # The upper 16 bits. The noise uses the lower 48.
+            lost = (bits >> 48 & 0xFFFF) < round(noise.dropout * 0x10000)
+            ranges = ranges.masked_fill(lost, math.inf)
+        return {"ranges": ranges}
+
+    def encode(self, value: Tensor) -> Tensor:
+        """Returns the logarithm of the readings, since centimeters matter only at short range."""
+        return value.log1p() / 1.3 - 1
+
+    def mirror(self, value: Tensor) -> Tensor:
+        """Reverses the order of the readings.
+
+        They are minima over segments of the scan, the first of which begins straight ahead, so that the mirror image is
+        exact to one beam of the raw scan.
+        """
+        return value.flip(-1)
 
 
 class LidarPooling:
