@@ -10,6 +10,7 @@ import torch
 from scipy.ndimage import label
 from torch import Tensor
 
+from rover_rl.sims.free_space.cell_distance import distance_to_cells
 from rover_rl.sims.free_space.cell_grid import CellGrid
 from rover_rl.sims.free_space.ground_limits import slopes_on_grid
 from rover_rl.sims.free_space.passages import orientation_of
@@ -18,7 +19,6 @@ from rover_rl.sims.free_space.path_steps import LONGEST, STEPS, TURNED_STEPS
 from rover_rl.sims.free_space.space import FreeSpace, free_space
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.cell_distance import distance_to_cells
 from rover_rl.sims.worlds.region import overlap
 from rover_rl.sims.worlds.terrain import MAX_SLOPE
 from rover_rl.sims.worlds.world import World

@@ -13,6 +13,7 @@ from scipy.ndimage import binary_opening
 from torch import Tensor
 
 from rover_rl.sims.free_space.cache import load_free_space, store_free_space
+from rover_rl.sims.free_space.cell_distance import distance_to_cells
 from rover_rl.sims.free_space.cell_grid import CellGrid, ring
 from rover_rl.sims.free_space.ground_limits import (
     CLIFF_SLOPE,
@@ -32,7 +33,6 @@ from rover_rl.sims.free_space.passages import (
     orientations_of_bins,
 )
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.cell_distance import distance_to_cells
 from rover_rl.sims.worlds.clearance import clearance_on_grid
 from rover_rl.sims.worlds.region import overlap
 from rover_rl.sims.worlds.terrain import MAX_SLOPE

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
 
-from rover_rl.sims.worlds.cell_distance import distance_to_cells
+from rover_rl.sims.free_space.cell_distance import distance_to_cells
 
 
 @pytest.mark.parametrize(("seed", "share"), [(0, 0.01), (1, 0.2), (2, 0.9)])
