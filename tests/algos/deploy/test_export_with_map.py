@@ -25,9 +25,12 @@ from rover_rl.cli import main
 from rover_rl.envs.seen_map.seen_map import BOUNDS
 from rover_rl.sims.robots import get_robot
 
-pytestmark = pytest.mark.skipif(
-    any(find_spec(name) is None for name in ("onnxscript", "onnxruntime")), reason="needs rover_rl[onnx]"
-)
+pytestmark = [
+    pytest.mark.skipif(
+        any(find_spec(name) is None for name in ("onnxscript", "onnxruntime")), reason="needs rover_rl[onnx]"
+    ),
+    pytest.mark.slow,
+]
 MAP = 2 + 1 + 2 + 1 + 2 + 2 * 128 * 128
 """Entries of the state of a map: the middle of the window, whether the ground is rough, the place around which the
 rover is, its number of scans there, the first corner of its route, and the cells of the window and their heights."""
