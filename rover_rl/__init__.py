@@ -20,16 +20,19 @@ import gymnasium
 if TYPE_CHECKING:
     from rover_rl.envs import (
         ActionConfig,
+        Bounds,
         EnvConfig,
         LidarConfig,
         Randomization,
         RewardComponent,
         RewardConfig,
         RoverEnv,
+        Sensor,
         TaskConfig,
         contract_reward,
         make_env,
         register_reward,
+        register_sensor,
     )
     from rover_rl.envs.gym import GymVectorWrapper, GymWrapper
     from rover_rl.sims.backends import register_backend
@@ -64,16 +67,19 @@ if ENV_ID not in gymnasium.registry:
 _HOMES = {
     "rover_rl.envs": (
         "ActionConfig",
+        "Bounds",
         "EnvConfig",
         "LidarConfig",
         "Randomization",
         "RewardComponent",
         "RewardConfig",
         "RoverEnv",
+        "Sensor",
         "TaskConfig",
         "contract_reward",
         "make_env",
         "register_reward",
+        "register_sensor",
     ),
     "rover_rl.envs.gym": ("GymVectorWrapper", "GymWrapper"),
     "rover_rl.sims.backends": ("register_backend",),
@@ -87,6 +93,7 @@ __all__ = [
     "LEARNING_DEFAULTS",
     "LEARNING_ENV_ID",
     "ActionConfig",
+    "Bounds",
     "EnvConfig",
     "GymVectorWrapper",
     "GymWrapper",
@@ -96,6 +103,7 @@ __all__ = [
     "RewardConfig",
     "Robot",
     "RoverEnv",
+    "Sensor",
     "TaskConfig",
     "Terrain",
     "World",
@@ -107,6 +115,7 @@ __all__ = [
     "register_backend",
     "register_reward",
     "register_robot",
+    "register_sensor",
     "register_world",
 ]
 

@@ -1,4 +1,4 @@
-"""Registry of the parts of an environment (worlds, robots, rewards, backends) by name.
+"""Registry of the parts of an environment (worlds, robots, sensors, rewards, backends) by name.
 
 A name refers to a built-in part, a registered part, an entry point of an installed package, or a Python object in the
 form ``module:attribute``, in this order. Does not import PyTorch.

@@ -14,6 +14,7 @@ PUBLIC_NAMES = {
     "LEARNING_DEFAULTS",
     "LEARNING_ENV_ID",
     "ActionConfig",
+    "Bounds",
     "EnvConfig",
     "GymVectorWrapper",
     "GymWrapper",
@@ -23,6 +24,7 @@ PUBLIC_NAMES = {
     "RewardConfig",
     "Robot",
     "RoverEnv",
+    "Sensor",
     "TaskConfig",
     "Terrain",
     "World",
@@ -34,6 +36,7 @@ PUBLIC_NAMES = {
     "register_backend",
     "register_reward",
     "register_robot",
+    "register_sensor",
     "register_world",
 }
 

@@ -361,6 +361,11 @@ class TrainingConfig:
 
     def _check_observation(self) -> None:
         known, observation = tuple(BUILT_IN), self.network.observation
+        if self.env.sensors:
+            # Imports PyTorch.
+            from rover_rl.envs.sensors.suite import own_sensors
+
+            known += tuple(own_sensors(self.env.sensors))
         if not observation or len(set(observation)) < len(observation) or not set(observation) <= set(known):
             raise ValueError(f"observation must be some of {known}, each once, got {observation}")
 

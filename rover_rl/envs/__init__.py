@@ -46,6 +46,9 @@ if TYPE_CHECKING:
     from rover_rl.envs.make import RewardedEnv, add_reward, make_env
     from rover_rl.envs.rewards import RewardComponent, TotalReward, contract_reward, register_reward
     from rover_rl.envs.rover import RoverEnv
+    from rover_rl.envs.sensors.base import Sensor, SensorInput
+    from rover_rl.envs.sensors.suite import register_sensor
+    from rover_rl.envs.specs import Bounds
     from rover_rl.envs.task import StepEvent
 
 _HOMES = {
@@ -62,12 +65,16 @@ _HOMES = {
     "make": ("RewardedEnv", "add_reward", "make_env"),
     "rewards": ("RewardComponent", "TotalReward", "contract_reward", "register_reward"),
     "rover": ("RoverEnv",),
+    "sensors.base": ("Sensor", "SensorInput"),
+    "sensors.suite": ("register_sensor",),
+    "specs": ("Bounds",),
     "task": ("StepEvent",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "ActionConfig",
+    "Bounds",
     "EnvConfig",
     "HeadingController",
     "HeadingGains",
@@ -77,6 +84,8 @@ __all__ = [
     "RewardConfig",
     "RewardedEnv",
     "RoverEnv",
+    "Sensor",
+    "SensorInput",
     "StepEvent",
     "TaskConfig",
     "TotalReward",
@@ -84,6 +93,7 @@ __all__ = [
     "contract_reward",
     "make_env",
     "register_reward",
+    "register_sensor",
 ]
 
 

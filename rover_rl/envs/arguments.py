@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         RewardConfig,
         RewardLike,
         RobotLike,
+        SensorLike,
         TaskConfig,
         WorldLike,
     )
@@ -60,6 +61,7 @@ class EnvSettings(TypedDict, total=False):
     world: WorldLike | None
     lidar: LidarConfig | None
     connection: Connection | None
+    sensors: Sequence[SensorLike]
 
 
 PLACES = {

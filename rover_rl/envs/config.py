@@ -24,6 +24,7 @@ from rover_rl.sims.connection import Connection
 if TYPE_CHECKING:
     from torchrl.envs import Transform
 
+    from rover_rl.envs.sensors.base import Sensor
     from rover_rl.sims.robots import Robot
     from rover_rl.sims.worlds import World
     from rover_rl.sims.worlds.pool import WorldSource as WorldLike
@@ -31,10 +32,11 @@ if TYPE_CHECKING:
     RobotLike: TypeAlias = str | Robot
     RewardLike: TypeAlias = "str | RewardConfig | Sequence[str | Transform]"
     BackendLike: TypeAlias = AnyBackend
+    SensorLike: TypeAlias = str | Sensor
 else:
     # Types that the command line and YAML files support.
     WorldLike = RewardLike = str | tuple[str, ...]
-    RobotLike = BackendLike = str
+    RobotLike = BackendLike = SensorLike = str
 
 OutcomeSource: TypeAlias = Literal["truth", "sensors"]
 """State that events, rewards and metrics are computed from."""
@@ -274,8 +276,8 @@ class EnvConfig:
     """Description of an environment: world, robot, sensors, task, reward and simulator.
 
     ``make_env(EnvConfig(...))`` builds the environment. Training stores the description in the run's folder and in the
-    checkpoint, so that the lidar, robot and task of a policy are known. Worlds, robots, rewards and backends can be
-    your own, named as ``module:attribute``.
+    checkpoint, so that the lidar, robot and task of a policy are known. Worlds, robots, sensors, rewards and backends
+    can be your own, named as ``module:attribute``.
 
     Raises:
         ValueError: if ``outcome_from`` is unknown, or a part has another type.
@@ -289,6 +291,9 @@ class EnvConfig:
     """Robot: rover_zero, or module:attribute."""
     lidar: LidarConfig = field(default_factory=LidarConfig)
     """Lidar and its readings."""
+    sensors: tuple[SensorLike, ...] = ()
+    """Sensors of your own, which add entries to the observation: module:attribute of a Sensor, or of a function or
+    class that makes one. Name the entries in --observation, too."""
     action: ActionConfig = field(default_factory=ActionConfig)
     """Bounds of the action."""
     task: TaskConfig = field(default_factory=TaskConfig)
@@ -337,7 +342,9 @@ class EnvConfig:
         if isinstance(self.reward, RewardConfig):
             object.__setattr__(self, "contract_reward", self.reward)
             object.__setattr__(self, "reward", "contract")
-        for name in ("world", "reward"):
+        if isinstance(self.sensors, str) or not isinstance(self.sensors, Sequence):
+            raise ValueError(f"sensors must be a list of names or Sensors, got {self.sensors!r}")
+        for name in ("world", "reward", "sensors"):
             if isinstance(value := getattr(self, name), list):
                 object.__setattr__(self, name, tuple(value))
 
@@ -375,8 +382,8 @@ _PARTS: dict[str, type] = {
 def require_match(made_for: EnvConfig, env: EnvConfig) -> None:
     """Checks that a policy trained in one environment can be used in another.
 
-    The lidar readings (number and range), robot, action bounds and heading gains must be equal. Worlds, rewards,
-    randomization and simulators may differ.
+    The lidar readings (number and range), robot, action bounds and heading gains must be equal, and the environment
+    must have the sensors that the policy was made for. Worlds, rewards, randomization and simulators may differ.
 
     Args:
         made_for: description of the environment that the policy was trained in.
@@ -389,6 +396,7 @@ def require_match(made_for: EnvConfig, env: EnvConfig) -> None:
         "lidar points": (made_for.lidar.points, env.lidar.points),
         "a lidar range of (m)": (made_for.lidar.max_range, env.lidar.max_range),
         "the robot": _robots(made_for.robot, env.robot),
+        "the sensors": (made_for.sensors, tuple(each for each in made_for.sensors if each in env.sensors)),
         "actions of (min_speed, max_speed, max_turn)": (_values(made_for.action), _values(env.action)),
         "heading gains of (kp, ki, kd, max_output)": (_values(made_for.heading_gains), _values(env.heading_gains)),
     }
@@ -419,14 +427,18 @@ def _values(part: Any) -> tuple[float, ...]:
     return tuple(getattr(part, item.name) for item in fields(part))
 
 
+_OBJECTS = {"world": "a World", "robot": "a Robot", "reward": "a reward object", "sensors": "a Sensor"}
+"""Fields of :class:`EnvConfig` that are names or objects, and what the objects are."""
+
+
 def plain_env(config: EnvConfig) -> dict[str, Any]:
     """Converts a description to plain data for YAML and JSON.
 
     Raises:
-        ValueError: if the world, robot or reward is an object. Only names can be written.
+        ValueError: if the world, robot, reward or a sensor is an object. Only names can be written.
     """
     advice = "register it, or name it as module:attribute"
-    for name, kind in (("world", "a World"), ("robot", "a Robot"), ("reward", "a reward object")):
+    for name, kind in _OBJECTS.items():
         value = getattr(config, name)
         parts = value if isinstance(value, tuple) else (value,)
         if not all(isinstance(part, str) for part in parts):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
@@ -11,6 +12,9 @@ from torch import Tensor, nn
 from rover_rl.envs.config import LidarConfig
 from rover_rl.envs.sensors.imu import Imu
 from rover_rl.envs.sensors.suite import policy_sensors
+
+if TYPE_CHECKING:
+    from rover_rl.envs.config import SensorLike
 
 DEFAULT_KEYS = ("lidar", "imu", "target", "velocities")
 """Entries of the observation that networks read by default. With the pose, a policy would memorize the map."""
@@ -29,12 +33,14 @@ class ObservationEncoder(nn.Module):
         lidar_points: number of readings in ``lidar``.
         north_up: whether to add lidar and target in map orientation: rotated by the yaw, so that they do not change
             when the rover turns in place. Requires ``lidar``, ``imu`` and ``target``.
+        sensors: sensors of one's own, whose entries ``keys`` may name.
 
     Attributes:
         features: number of features.
+        sensors: sensors that encode the entries, by key.
 
     Raises:
-        ValueError: for an unknown key, or ``north_up`` without the keys that it requires.
+        ValueError: for an unknown key or sensor, or ``north_up`` without the keys that it requires.
 
     Example:
         >>> encoder = ObservationEncoder(("lidar", "target"))
@@ -42,17 +48,23 @@ class ObservationEncoder(nn.Module):
         torch.Size([1, 37])
     """
 
-    def __init__(self, keys: Sequence[str] = DEFAULT_KEYS, lidar_points: int = 32, north_up: bool = False) -> None:
+    def __init__(
+        self,
+        keys: Sequence[str] = DEFAULT_KEYS,
+        lidar_points: int = 32,
+        north_up: bool = False,
+        sensors: Sequence[SensorLike] = (),
+    ) -> None:
         super().__init__()
         self.keys = tuple(keys)
         if north_up and not {"lidar", "imu", "target"} <= set(keys):
             raise ValueError(f"north_up needs lidar, imu and target, got {self.keys}")
-        sensors = policy_sensors(LidarConfig(points=lidar_points))
-        if unknown := [key for key in self.keys if key not in sensors]:
-            raise ValueError(f"the observation has no entries {unknown}; use some of {[*sensors]}")
-        sensors["imu"] = Imu(heading=north_up or "pose" in keys)
-        self._sensors, self._lidar_points, self._north_up = sensors, lidar_points, north_up
-        self.features = sum(sensors[key].features for key in self.keys) + (lidar_points + 4 if north_up else 0)
+        self.sensors = policy_sensors(LidarConfig(points=lidar_points), sensors)
+        if unknown := [key for key in self.keys if key not in self.sensors]:
+            raise ValueError(f"the observation has no entries {unknown}; use some of {[*self.sensors]}")
+        self.sensors["imu"] = Imu(heading=north_up or "pose" in keys)
+        self._lidar_points, self._north_up = lidar_points, north_up
+        self.features = sum(self.sensors[key].features for key in self.keys) + (lidar_points + 4 if north_up else 0)
 
     def forward(self, *observation: Tensor) -> Tensor:
         """Encodes the entries named in ``keys``, in this order (m, rad, m/s, rad/s): ``[..., features]``.
@@ -63,7 +75,7 @@ class ObservationEncoder(nn.Module):
         entries = dict(zip(self.keys, observation, strict=True))
         if "lidar" in entries and (points := entries["lidar"].shape[-1]) != self._lidar_points:
             raise ValueError(f"the policy reads {self._lidar_points} lidar points, got {points}")
-        parts = [self._sensors[key].encode(value) for key, value in entries.items()]
+        parts = [self.sensors[key].encode(value) for key, value in entries.items()]
         if self._north_up:
             parts.append(self._map_oriented(entries["lidar"], entries["imu"][..., 2:], entries["target"]))
         return torch.cat(parts, -1)
@@ -78,4 +90,4 @@ class ObservationEncoder(nn.Module):
         ranges = torch.lerp(left, right, shifted - floor)
         distance, angle = target.split(1, -1)
         direction = torch.cat(((angle + yaw).sin(), (angle + yaw).cos()), -1)
-        return torch.cat((self._sensors["lidar"].encode(ranges), direction, direction * distance / 4), -1)
+        return torch.cat((self.sensors["lidar"].encode(ranges), direction, direction * distance / 4), -1)

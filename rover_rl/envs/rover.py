@@ -31,6 +31,7 @@ from rover_rl.envs.sensors.base import SensorInput
 from rover_rl.envs.sensors.lidar import LidarPooling, check_period, scanning
 from rover_rl.envs.sensors.pose import clipped_pose
 from rover_rl.envs.sensors.suite import Observer, environment_sensors
+from rover_rl.envs.sensors.surroundings import Surroundings
 from rover_rl.envs.task import TaskState, target_info
 from rover_rl.sims import Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.base import View, WorldChanger
@@ -98,6 +99,8 @@ class RoverEnv(EnvBase):
         outcome_from: state that events, rewards and metrics are computed from: the simulator's ``"truth"`` or the
             ``"sensors"``. They differ if ``randomization`` adds sensor noise.
         privileged: whether to add the nested observation ``privileged``, see :mod:`rover_rl.envs.privileged`.
+        sensors: sensors of one's own that add entries to the observation: each a
+            :class:`~rover_rl.envs.sensors.base.Sensor`, a registered name or ``"module:attribute"``.
         world, lidar, connection: names of :class:`EnvConfig` for ``world_n``, for the four settings of the lidar, and
             for topics and timeout, in place of these.
 
@@ -141,10 +144,11 @@ class RoverEnv(EnvBase):
         self.robot = get_robot(config.robot)
         first_keys = episode_keys(row_keys(seed, num_envs, self._tensor_device), 1)
         self._row_worlds = RowWorlds(config.world, first_keys)
+        self._surroundings = Surroundings(self._row_worlds.table)
         for world in dict.fromkeys(self._row_worlds.table):
             for sentence in clipped_pose(world):
                 warnings.warn(sentence, stacklevel=2)
-        self.sensors = environment_sensors(config.lidar)
+        self.sensors = environment_sensors(config.lidar, config.sensors)
         self.lidar = LidarPooling(config.lidar.beams, config.lidar.points, config.lidar.max_range, self._tensor_device)
         self._make_simulator = partial(
             make_simulator,
@@ -293,6 +297,7 @@ class RoverEnv(EnvBase):
         """Builds the simulator. The next reset must include all rows."""
         self.simulator: Simulator = self._make_simulator(worlds=self._row_worlds.table)
         check_period(self.config.lidar.period, self.simulator)
+        self._surroundings.is_live = getattr(self.simulator, "is_live", False)
         self._started = False
         self.is_closed = False
         if self._row_worlds.is_drawn and isinstance(self.simulator, WorldChanger):
@@ -410,7 +415,8 @@ class RoverEnv(EnvBase):
         state, sensed, goal = self._state, self._state.sensed, self._state.task.goal
         same = sensed is state.reference
         target = state.task.target if same else target_info(sensed.position, sensed.yaw, goal)
-        observation: dict[str, Any] = self._observer(SensorInput(sensed, target, state.task.steps))
+        inputs = SensorInput(state.truth, sensed, target, state.task.steps, self._keys, self._surroundings)
+        observation: dict[str, Any] = self._observer(inputs)
         if self._privileged is not None:
             observation["privileged"] = self._privileged(
                 state.truth, self._row_worlds.index, goal, self._dynamics, self._delay.steps

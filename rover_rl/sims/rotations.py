@@ -81,6 +81,14 @@ def matrix_to_quaternion(matrix: Tensor) -> Tensor:
     return torch.where(quaternion[..., 3:] < 0, -quaternion, quaternion)
 
 
+def rotate(quaternion: Tensor, vectors: Tensor) -> Tensor:
+    """Rotates ``vectors [..., 3]`` by unit quaternions ``[..., 4]``: ``[..., 3]``."""
+    w = quaternion[..., 3:]
+    axis, vectors = torch.broadcast_tensors(quaternion[..., :3], vectors)
+    across = 2 * torch.linalg.cross(axis, vectors)
+    return vectors + w * across + torch.linalg.cross(axis, across)
+
+
 def quaternion_product(a: Tensor, b: Tensor) -> Tensor:
     """Returns the quaternion of rotation ``b`` followed by rotation ``a``, both ``[..., 4]``."""
     ax, ay, az, aw = a.unbind(-1)

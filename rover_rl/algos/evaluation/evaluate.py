@@ -216,6 +216,7 @@ def environment_for(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:
         return EnvConfig(
             robot=parts.robot,
             lidar=parts.lidar,
+            sensors=parts.sensors,
             action=parts.action,
             task=parts.task,
             heading_gains=parts.heading_gains,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 
@@ -22,7 +22,7 @@ from rover_rl.algos.policy.recurrent import recurrent_network
 from rover_rl.envs.config import ActionConfig, LidarConfig
 from rover_rl.envs.encoding import ObservationEncoder
 from rover_rl.envs.seen_map.seen_map import ROUTE
-from rover_rl.envs.sensors.base import mirrored_signs
+from rover_rl.envs.sensors.base import Sensor, mirrored_signs
 from rover_rl.envs.sensors.suite import policy_sensors
 from rover_rl.envs.specs import action_bounds, bounded_spec
 from rover_rl.sims.robots import Robot
@@ -271,26 +271,30 @@ def _mlp(features: int, hidden: Sequence[int], outputs: int, gain: float) -> MLP
     return mlp
 
 
-_MIRROR: dict[NestedKey, Callable[[Tensor], Tensor]] = {
-    **{key: sensor.mirror for key, sensor in policy_sensors(LidarConfig()).items()},
-    "action": partial(mirrored_signs, (1.0, -1.0)),
-    **MIRROR,
-}
-"""Mirror images, by key: swapping left and right changes the signs of roll, yaw and angles."""
+_MIRROR: dict[NestedKey, Callable[[Tensor], Tensor]] = {"action": partial(mirrored_signs, (1.0, -1.0)), **MIRROR}
+"""Mirror images of what is no entry of a policy's observation."""
+_SENSORS = policy_sensors(LidarConfig())
+"""Sensors of every rover."""
 
 
-def mirrored(transitions: TensorDictBase, rows: Tensor) -> TensorDictBase:
+def mirrored(transitions: TensorDictBase, rows: Tensor, sensors: Mapping[str, Sensor] | None = None) -> TensorDictBase:
     """Returns ``transitions [...]`` with the selected ``rows`` (bool ``[...]``) mirrored left to right.
 
     Sensors mirror their values. The state of a memory is not mirrored: see
     :class:`~rover_rl.algos.train.sequences.MirrorMemory`.
+
+    Args:
+        transitions: transitions, or observations and actions.
+        rows: which of them to mirror.
+        sensors: sensors of the observation, by key; ``None``: those of every rover.
     """
+    mirrors = _MIRROR | {key: sensor.mirror for key, sensor in (sensors or _SENSORS).items()}
     image = transitions.copy()
     rows = rows[..., None]
     for part in (image, image.get("next", None)):
         if part is None:
             continue
-        for key, mirror in _MIRROR.items():
+        for key, mirror in mirrors.items():
             if (value := part.get(key, None)) is not None:
                 part.set(key, torch.where(rows, mirror(value), value))
     return image

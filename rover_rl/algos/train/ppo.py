@@ -59,7 +59,7 @@ class PPOLearner:
         assert isinstance(config.algorithm, PPOConfig)
         self.config, self._settings = config, config.algorithm
         settings, network, device = config.algorithm, config.network, config.device
-        encoder = ObservationEncoder(network.observation, config.env.lidar.points, network.north_up)
+        encoder = ObservationEncoder(network.observation, config.env.lidar.points, network.north_up, config.env.sensors)
         self.actor = make_actor(
             encoder,
             network.hidden,
@@ -71,6 +71,7 @@ class PPOLearner:
             follower=None if network.prior == "none" else get_robot(config.env.robot),
         )
         self.critic = make_critic(encoder, network.hidden, device, network.privileged_critic)
+        self._sensors = encoder.sensors
         self._advantage = GAE(gamma=settings.gamma, lmbda=settings.lmbda, value_network=self.critic, average_gae=True)
         self._loss = ClipPPOLoss(
             self.actor,
@@ -82,7 +83,7 @@ class PPOLearner:
         )
         self._optimizer = torch.optim.Adam(self._loss.parameters(), lr=settings.learning_rate)
         self._expert = _make_expert(config) if settings.imitation else None
-        self._recurrent, self._mirror_memory = network.memory != "none", MirrorMemory(self.actor)
+        self._recurrent, self._mirror_memory = network.memory != "none", MirrorMemory(self.actor, encoder.sensors)
         inputs = dict.fromkeys((*self.actor.in_keys, *self.critic.in_keys))
         self._training_keys = (*inputs, "action", "action_log_prob", "advantage", "value_target")
 
@@ -135,9 +136,10 @@ class PPOLearner:
             if settings.mirror_augmentation:
                 rows = torch.rand(len(shuffled), device=device) < 0.5
                 if self._recurrent:
-                    shuffled = mirrored_sequences(shuffled, rows, {key: state[order] for key, state in starts.items()})
+                    states = {key: state[order] for key, state in starts.items()}
+                    shuffled = mirrored_sequences(shuffled, rows, states, self._sensors)
                 else:
-                    shuffled = mirrored(shuffled, rows)
+                    shuffled = mirrored(shuffled, rows, self._sensors)
             yield from shuffled.split(size)
 
     def _gradient_step(self, decisions: TensorDictBase) -> Tensor:

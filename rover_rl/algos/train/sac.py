@@ -51,8 +51,8 @@ class SACLearner:
     def __init__(self, config: TrainingConfig) -> None:
         assert isinstance(config.algorithm, SACConfig)
         self.config, self._settings = config, config.algorithm
-        settings, network, device = config.algorithm, config.network, config.device
-        self._encoder = ObservationEncoder(network.observation, config.env.lidar.points, network.north_up)
+        settings, network, env, device = config.algorithm, config.network, config.env, config.device
+        self._encoder = ObservationEncoder(network.observation, env.lidar.points, network.north_up, env.sensors)
         spec = action_spec(config.env.action, device)
         self.actor = make_actor(self._encoder, network.hidden, config.env.action, network.max_std, device)
         self._loss = SACLoss(
@@ -103,7 +103,8 @@ class SACLearner:
     def _gradient_step(self, decisions: TensorDictBase, critic_alone: bool = False) -> Tensor:
         """Takes a gradient step, of all networks or of the critics alone, and returns the logged values."""
         if self._settings.mirror_augmentation:
-            decisions = mirrored(decisions, torch.rand(len(decisions), device=self.config.device) < 0.5)
+            rows = torch.rand(len(decisions), device=self.config.device) < 0.5
+            decisions = mirrored(decisions, rows, self._encoder.sensors)
         # Encodes the observations once for all networks.
         for observation in (decisions, decisions["next"]):
             observation["features"] = self._encoder(*(observation[key] for key in self._encoder.keys))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -9,6 +11,7 @@ from torchrl.modules import ProbabilisticActor, set_recurrent_mode
 
 from rover_rl.algos.policy.networks import mirrored
 from rover_rl.algos.policy.recurrent import state_keys
+from rover_rl.envs.sensors.base import Sensor
 
 
 class MirrorMemory:
@@ -21,10 +24,11 @@ class MirrorMemory:
 
     Args:
         actor: actor, with or without memory.
+        sensors: sensors of the observation, by key; ``None``: those of every rover.
     """
 
-    def __init__(self, actor: ProbabilisticActor) -> None:
-        self._actor, self._keys = actor, state_keys(actor)
+    def __init__(self, actor: ProbabilisticActor, sensors: Mapping[str, Sensor] | None = None) -> None:
+        self._actor, self._keys, self._sensors = actor, state_keys(actor), sensors
         self._last: dict[str, Tensor] = {}
 
     @torch.no_grad()
@@ -44,20 +48,23 @@ class MirrorMemory:
             states[key][:, 0] = torch.where(is_init, 0.0, last)
         every = torch.ones(decisions.batch_size, dtype=torch.bool, device=decisions["is_init"].device)
         with set_recurrent_mode(True):
-            image = self._actor[0](mirrored(decisions, every).update(states))
+            image = self._actor[0](mirrored(decisions, every, self._sensors).update(states))
         self._last = {key: image["next", key][:, -1] for key in self._keys}
         return states
 
 
-def mirrored_sequences(decisions: TensorDictBase, rows: Tensor, starts: dict[str, Tensor]) -> TensorDictBase:
+def mirrored_sequences(
+    decisions: TensorDictBase, rows: Tensor, starts: dict[str, Tensor], sensors: Mapping[str, Sensor] | None = None
+) -> TensorDictBase:
     """Returns sequences ``[N, T]`` with the selected ``rows`` (bool ``[N]``) mirrored left to right.
 
     Args:
         decisions: sequences.
         rows: sequences to mirror.
         starts: states of their mirror images, from :meth:`MirrorMemory.starts`.
+        sensors: sensors of the observation, by key; ``None``: those of every rover.
     """
-    image = mirrored(decisions, rows[:, None])
+    image = mirrored(decisions, rows[:, None], sensors)
     for key, state in starts.items():
         image[key] = torch.where(rows[:, None, None, None], state, decisions[key])
     return image

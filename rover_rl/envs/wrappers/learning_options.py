@@ -10,10 +10,11 @@ from torchrl.envs import Compose, EnvBase, RewardScaling, TransformedEnv
 from torchrl.envs.transforms import Transform
 
 from rover_rl.checks import MAX_NUMBER, check_positive
-from rover_rl.envs.encoding import ObservationEncoder
+from rover_rl.envs.encoding import DEFAULT_KEYS, ObservationEncoder
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import RewardComponent, RewardConfig
 from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.sensors.suite import own_sensors
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.encoded_observation import EncodedObservation
 
@@ -76,7 +77,10 @@ def learning_transforms(
     if reward_scale != 1:
         transforms.append(RewardScaling(loc=0.0, scale=reward_scale))
     if scale_observations:
-        transforms.append(EncodedObservation(ObservationEncoder(lidar_points=env.config.lidar.points)))
+        config = env.config
+        keys = (*DEFAULT_KEYS, *own_sensors(config.sensors))
+        encoder = ObservationEncoder(keys, config.lidar.points, sensors=config.sensors)
+        transforms.append(EncodedObservation(encoder))
     return transforms
 
 

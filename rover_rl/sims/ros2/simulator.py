@@ -69,6 +69,7 @@ class Ros2Simulator:
         connection: topics, and the time to wait for the first scan.
 
     Attributes:
+        is_live: always true. Sensors that cast rays are refused.
         settings: settings of the connection.
         latency: time between the arrival of the scan and the command of the last step, s.
         held: whether the forward speed of the last command was canceled, as it led towards unseen directions.
@@ -77,6 +78,8 @@ class Ros2Simulator:
         ValueError: if there is not exactly one world.
         ImportError: if a package that the transport requires is not installed.
     """
+
+    is_live = True
 
     def __init__(
         self,

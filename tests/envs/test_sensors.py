@@ -1,0 +1,186 @@
+"""Sensors of one's own in an environment."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from rover_rl import Bounds, EnvConfig, RoverEnv, Sensor, Terrain, World, box, make_env
+from rover_rl.envs import SensorInput
+from rover_rl.envs.config import plain_env, require_match
+from rover_rl.envs.encoding import ObservationEncoder
+from rover_rl.envs.gym import GymWrapper
+from rover_rl.envs.sensors.suite import register_sensor
+from tests.envs.scripted import ScriptedBackend, ScriptedSimulator
+
+FLAT = World("flat", Terrain.flat((12.0, 12.0)), [box((3.0, 0.0, 0.5), (1.0, 2.0, 1.0))])
+
+
+@dataclass(frozen=True, kw_only=True)
+class RangeFinder(Sensor):
+    """Looks down and forward from a point ahead of the rover."""
+
+    name: str = "range"
+    noise: float = 0.0
+    max_range: float = 4.0
+    mirror_signs = (-1.0,)
+
+    @property
+    def bounds(self) -> Bounds:
+        return Bounds((0.0,), (self.max_range,))
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        ranges = inputs.scan((0.3, 0.0, 0.25), [(1.0, 0.0, -1.0)])
+        return ranges + self.noise * inputs.normal(self, 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ground(Sensor):
+    """Height of the ground 1 m east of the rover, a random number, and the number of the step."""
+
+    name: str = "ground"
+    columns: int = 3
+
+    @property
+    def bounds(self) -> Bounds:
+        return Bounds((-100.0, 0.0, 0.0), (100.0, 1.0, 100.0))
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        ahead = inputs.truth.position + torch.tensor([1.0, 0.0])
+        height = inputs.surroundings.height_at(ahead)[:, None]
+        return torch.cat((height, inputs.uniform(self, 1), inputs.steps.float()), -1)[:, : self.columns]
+
+
+def no_sensor() -> int:
+    return 3
+
+
+def drive(env: RoverEnv, key: str, steps: int = 9, reset_at: int = -1) -> Tensor:
+    """Readings of the first state and of each step, ``[steps + 1, N, k]``. Before a step, the second row is reset."""
+    observation = env.reset()
+    readings, rows = [observation[key]], torch.arange(env.num_envs)[:, None]
+    for step in range(steps):
+        if step == reset_at:
+            observation = env.reset(observation.select("done").set("_reset", rows == 1))
+        action = torch.tensor([[0.6, 0.2]]).expand(env.num_envs, 2)
+        observation = env.step(observation.set("action", action))["next"]
+        readings.append(observation[key])
+    return torch.stack(readings)
+
+
+def test_a_range_finder_measures_the_ground_and_the_obstacle_ahead() -> None:
+    env = make_env(world=FLAT, num_envs=2, sensors=[RangeFinder()])
+    start = torch.tensor([[-2.0, 3.0, 1.0], [2.1, 0.0, 0.0]])
+    ground, wall = env.reset(start=start)["range"].flatten().tolist()
+    # The rover stands on its wheels, so that its origin is on the ground.
+    assert ground == pytest.approx(0.25 * math.sqrt(2), abs=0.01)
+    assert wall == pytest.approx(0.1 * math.sqrt(2), abs=0.01)
+    assert env.observation_spec["range"].space.high.tolist() == [[4.0], [4.0]]
+
+
+def test_noise_and_terrain_are_those_of_each_row_whatever_the_batch_is() -> None:
+    sensors = [RangeFinder(noise=0.1), RangeFinder(name="other", noise=0.1), Ground()]
+
+    def make(count: int, seed: int) -> RoverEnv:
+        return RoverEnv(world="moon", num_envs=count, seed=seed, backend="warp", sensors=sensors)
+
+    several, alone = make(5, 7), make(1, 9)
+    for key in ("range", "other", "ground"):
+        assert torch.equal(drive(several, key)[:, 2:3], drive(alone, key))
+    ground = several.reset()
+    xy = several.rover_state.position[:, :2] + torch.tensor([1.0, 0.0])
+    torch.testing.assert_close(ground["ground"][:, 0], several.worlds[0].height_at(xy))
+    assert not torch.equal(ground["range"], ground["other"])
+    assert len(set(ground["ground"][:, 1].tolist())) == 5
+
+
+def test_readings_are_held_between_periods() -> None:
+    def readings(period: int) -> tuple[Tensor, Tensor]:
+        sensors = [RangeFinder(noise=0.1, period=period), Ground()]
+        make = RoverEnv(world="moon", num_envs=3, seed=2, backend="warp", sensors=sensors)
+        steps = drive(RoverEnv(make.config), "ground", reset_at=6)[:, :, 2]
+        return drive(make, "range", reset_at=6)[..., 0], steps
+
+    (held, steps), (every, _) = readings(4), readings(1)
+    read = steps % 4 == 0
+    assert steps[:, 1].tolist() == [0, 1, 2, 3, 4, 5, 6, 1, 2, 3]
+    assert torch.equal(held[read], every[read])
+    kept = ~read[1:] & (steps[1:] > 1)
+    assert torch.equal(held[1:][kept], held[:-1][kept])
+    assert not torch.equal(held[1:][kept], every[1:][kept])
+
+
+def test_networks_read_and_mirror_the_entry() -> None:
+    encoder = ObservationEncoder(("target", "range"), sensors=[RangeFinder()])
+    assert encoder.features == 6
+    assert encoder(torch.zeros(2, 2), torch.tensor([[0.0], [3.0]]))[:, -1].tolist() == [-1.0, 0.5]
+    assert encoder.sensors["range"].mirror(torch.tensor([[2.0]])).tolist() == [[-2.0]]
+
+
+def test_gymnasium_has_the_entry() -> None:
+    env = GymWrapper(RoverEnv(world=FLAT, num_envs=None, sensors=[RangeFinder()]))
+    assert env.reset(seed=0)[0] in env.observation_space
+    assert env.observation_space["range"].shape == (1,)
+
+
+@pytest.mark.parametrize(
+    ("sensors", "message"),
+    [
+        (["sonar"], "unknown sensor 'sonar'"),
+        (["tests.envs.test_sensors:no_sensor"], "a sensor must be a Sensor, or a function or class .*, got 3"),
+        ([RangeFinder(name="lidar")], "sensors cannot add 'lidar'"),
+        ([RangeFinder(), RangeFinder()], "sensors cannot add 'range'"),
+        ("sonar", "sensors must be a list of names or Sensors, got 'sonar'"),
+    ],
+)
+def test_what_is_no_sensor_is_refused(sensors: list[object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        RoverEnv(world=FLAT, sensors=sensors)
+
+
+def test_a_reading_of_another_shape_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"sensor 'ground' must read float32 \(1, 3\) by its bounds, got .* \(1, 2\)"):
+        RoverEnv(world=FLAT, sensors=[Ground(columns=2)]).reset()
+
+
+@pytest.mark.parametrize(("settings", "message"), [({"period": 0}, "period must be"), ({"name": "a b"}, "identifier")])
+def test_settings_are_checked(settings: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        RangeFinder(**settings)  # type: ignore[arg-type]
+
+
+def test_sensors_are_registered_and_written_by_name() -> None:
+    register_sensor("test-range", RangeFinder)
+    config = EnvConfig(world="maze", sensors=("test-range",))
+    assert plain_env(config)["sensors"] == ["test-range"]
+    assert RoverEnv(config).reset()["range"].shape == (1, 1)
+    with pytest.raises(ValueError, match="a Sensor cannot be written to a file, and sensors is one"):
+        plain_env(EnvConfig(sensors=(RangeFinder(),)))
+
+
+def test_a_policy_needs_its_sensors() -> None:
+    made_for = EnvConfig(sensors=("a:b",))
+    require_match(made_for, EnvConfig(sensors=("c:d", "a:b")))
+    require_match(EnvConfig(), made_for)
+    with pytest.raises(ValueError, match=r"made for the sensors \('a:b',\), and the environment has \(\)"):
+        require_match(made_for, EnvConfig())
+
+
+class LiveSimulator(ScriptedSimulator):
+    is_live = True
+
+
+class LiveBackend(ScriptedBackend):
+    def make(self, **arguments: Any) -> LiveSimulator:
+        return LiveSimulator(arguments["worlds"], arguments["robot"], arguments["lidar_beams"])
+
+
+def test_a_live_rover_has_heights_and_no_rays() -> None:
+    assert RoverEnv(world=FLAT, backend=LiveBackend(), sensors=[Ground()]).reset()["ground"][0, 0] == 0
+    with pytest.raises(ValueError, match="a sensor casts rays, .*: a live rover has none"):
+        RoverEnv(world=FLAT, backend=LiveBackend(), sensors=[RangeFinder()]).reset()
