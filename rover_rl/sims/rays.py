@@ -33,7 +33,7 @@ def cast_rays(
     ranges: wp.array2d[float],
 ):
     """Writes the distance along each ray of each row to the mesh of the row's slot."""
-    row, ray = wp.tid()
+    row, ray = wp.tid()  # type: ignore[misc]  # their annotation is of one dimension
     mesh = meshes[int(slots[row])]
     query = wp.mesh_query_ray(mesh, origins[row, ray], wp.normalize(directions[row, ray]), FAR)
     if query.result:
