@@ -2,8 +2,9 @@
 Fine-tuning
 ===========
 
-A policy that was trained on the moon meets the maze for the first time, and trains there for half a minute. Both drive
-from the same starts before and after.
+A policy that was trained on the moon meets the maze for the first time, and trains there for half a minute. It drives
+from the same starts before and after. Half a minute shows how it is done; a gain that exceeds the noise of 32 episodes
+takes minutes.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ before = success(load_pretrained("moon-ppo").make_actor(), "moon-ppo")
 # ``rover-rl train --from pretrained:moon-ppo --world maze`` does the same for two minutes. Weights, networks and
 # settings come from the policy. The critic is new, and learns alone at first.
 
-STEPS = 300_000
+STEPS = 100_000
 config = fine_tuning_config(
     "pretrained:moon-ppo", world="maze", total_steps=STEPS, backend="warp", seed=0, runs=mkdtemp(), name="maze"
 )
