@@ -347,7 +347,7 @@ def test_a_policy_is_trained_and_driven_in_warp(capsys: pytest.CaptureFixture[st
 
 
 def test_settings_come_from_a_file_and_options_go_first(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    (tmp_path / "mine.yaml").write_text("algo: sac\nworld: maze\nhidden: [8]\nwarmup: 16\n")
+    (tmp_path / "mine.yaml").write_text("algo: sac\nworld: maze\nhidden: [8]\nlearning_starts: 16\n")
     runs = ["--runs", str(tmp_path), "--name", "run"]
     size = ["--num-envs", "4", "--workers", "1", "--rollout-length", "8", "--total-steps", "128"]
     assert main(["train", "--config", str(tmp_path / "mine.yaml"), *runs, *size, "--gradient-steps", "1"]) == 0

@@ -81,7 +81,7 @@ def open_onnx(path: Path) -> InferenceSession:
     content = path.read_bytes()
     place = _CHECKSUM_BYTES.search(content)
     if place is None:
-        raise ValueError(f"{path} was not written by rover-rl export, or is damaged: it has no checksum")
+        raise ValueError(f"{path} is damaged, or was not written by rover-rl export: it has no checksum")
     if sha256(_with_checksum(content, place, _ZEROS)).hexdigest().encode() != place[1]:
         raise ValueError(f"{path} is damaged: it differs from its checksum")
     try:

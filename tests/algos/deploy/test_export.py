@@ -152,7 +152,7 @@ def test_an_onnx_policy_without_a_checksum_is_refused(onnx_file, tmp_path):
     del model.metadata_props[:]
     model.metadata_props.extend(kept)
     onnx.save(model, str(path))
-    with pytest.raises(ValueError, match=r"old\.onnx was not written by rover-rl export, or is damaged"):
+    with pytest.raises(ValueError, match=r"old\.onnx is damaged, or was not written by rover-rl export"):
         OnnxPolicy(path)
 
 
