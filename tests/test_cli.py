@@ -306,6 +306,7 @@ def test_an_error_of_the_gpu_that_is_not_its_memory_is_shown_whole(monkeypatch: 
 SIZE = ["--num-envs", "4", "--workers", "1", "--rollout-length", "4", "--total-steps", "64", "--hidden", "16"]
 
 
+@pytest.mark.slow
 def test_train_go_on_then_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     given = ["train", "--algo", "ppo", "--world", "maze", "--runs", str(tmp_path), "--name", "run", "--epochs", "1"]
     assert main([*given, *SIZE]) == 0
@@ -428,6 +429,7 @@ def test_help_shows_the_settings_of_the_algorithm(
     assert other not in text
 
 
+@pytest.mark.slow
 def test_worlds_are_listed_and_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["worlds", "--out", str(tmp_path)]) == 0
     assert {file.stem for file in tmp_path.iterdir()} == {*WORLDS}

@@ -83,6 +83,7 @@ def test_own_robot(run):
     assert names["figures"] == 1
 
 
+@pytest.mark.slow
 def test_deploy_policy(run):
     pytest.importorskip("onnxruntime")
     output, names = run("deploy_policy.py", STEPS=20)
@@ -104,6 +105,7 @@ def test_evaluate_policies(run):
     assert names["figures"] == 1
 
 
+@pytest.mark.slow
 def test_fine_tuning(run):
     output, names = run("fine_tuning.py", EPISODES=2, STEPS=2_000)
     assert "fine-tuned: " in output

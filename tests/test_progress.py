@@ -162,6 +162,7 @@ def print_to_a_closed_pipe(tenths: bool) -> None:
     os._exit(7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tenths", [False, True], ids=["in the thread", "in an update"])
 def test_a_reader_that_leaves_raises_at_the_next_update(tenths: bool) -> None:
     # In another process, because Rich replaces the standard output.

@@ -363,7 +363,7 @@ class EnvConfig:
 
     @property
     def preset(self) -> str | None:
-        """Name of the physics preset, as :func:`~rover_rl.sims.backends.make_simulator` takes it."""
+        """Name of the physics preset, as :func:`~rover_rl.sims.make_simulator` takes it."""
         return None if self.physics == DEFAULT_PHYSICS else self.physics
 
 

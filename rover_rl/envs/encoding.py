@@ -25,7 +25,7 @@ class ObservationEncoder(nn.Module):
 
     The bounds of the observation space are not suitable as scales: distances of a few meters would become so small that
     a policy could hardly use them. The scales are constants, so that a policy needs no running statistics. Each sensor
-    encodes its values: see ``encode`` in :mod:`rover_rl.envs.sensors`.
+    encodes its values: see :meth:`rover_rl.Sensor.encode`.
 
     Args:
         keys: entries of the observation to read, some of ``lidar``, ``imu``, ``target``, ``velocities``, ``pose``, and

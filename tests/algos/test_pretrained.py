@@ -56,6 +56,7 @@ def test_the_one_for_all_reaches_its_goals_in_each_world(world: str) -> None:
     assert evaluate(actor, episodes, name=ANYWHERE, seconds=40, rows=12).success_rate >= FLOOR[world]
 
 
+@pytest.mark.slow
 def test_the_one_for_all_reaches_goals_in_mazes_that_it_has_not_seen() -> None:
     actor, episodes = load_pretrained(ANYWHERE).make_actor(), draw_episodes("maze:10000-10015", episodes=1)
     result = evaluate(actor, episodes, env=replace(actor.made_for, backend="warp"), rows=16)

@@ -154,6 +154,7 @@ def test_ours_may_never_get_there(tmp_path):
     against_sb3.show(Console(), [ours, theirs])
 
 
+@pytest.mark.slow
 def test_one_command_runs_all(tmp_path):
     options = Options(algo="ppo", world="maze", minutes=0.005, num_envs=2, count=2, seconds=0.5, runs=tmp_path)
     with quick_workers():

@@ -76,6 +76,7 @@ def test_a_rover_is_the_same_alone_and_in_a_batch(backend, world, batches):
         assert expected["done"].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "backend",
     ["bullet", "warp", pytest.param("mujoco", marks=needs_mujoco)],

@@ -84,6 +84,7 @@ def test_climbs_and_descends_15_degrees(backend, heading):
     assert gained.item() == pytest.approx(40 * DT * math.sin(math.radians(15)) * math.cos(heading), abs=0.06)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [0.001, 15.0])
 def test_stands_still_for_600_steps(backend, degrees):
     # Ahead, diagonally, across and backwards.

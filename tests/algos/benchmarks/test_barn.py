@@ -80,6 +80,7 @@ def test_the_score_of_a_run(courses: list[Course], ending: str, seconds: float, 
     assert Barn([course]).score(course, Trajectory(pose, pose, none, none, ending)) == pytest.approx(expected)
 
 
+@pytest.mark.slow
 def test_a_contact_ends_a_run_as_a_failure(courses: list[Course]) -> None:
     suite = Barn(courses)
     suite.seconds = 12.0  # A rover that has touched drives on until then.

@@ -71,6 +71,7 @@ def test_an_onnx_policy_acts_as_the_original_without_torch(onnx_file):
     assert [entry.shape for entry in session.get_inputs()] == [[1, 32], [1, 3], [1, 2], [1, 2]]
 
 
+@pytest.mark.slow
 @needs_onnx
 def test_an_onnx_policy_drives_as_the_original(onnx_file):
     policy = OnnxPolicy(onnx_file)
@@ -196,6 +197,7 @@ def test_the_command_exports_and_evaluates(tmp_path, monkeypatch, capsys):
     assert [entry["policy"] for entry in json.loads((tmp_path / "evaluation.json").read_text())] == ["moon-sac"]
 
 
+@pytest.mark.slow
 @needs_onnx
 def test_a_policy_that_turns_to_the_north_and_drives_forward_only_drives_as_the_original(tmp_path):
     network = {"hidden": (16,), "north_up": True, "mirror_augmentation": False}
@@ -237,6 +239,7 @@ def test_missing_packages_are_named(tmp_path, monkeypatch):
         onnx_function(tmp_path / "moon.onnx")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", ["gru", "lstm"])
 def test_a_program_with_memory_acts_as_the_original_over_an_episode(memory, tmp_path):
     checkpoint, path = recurrent_checkpoint(memory), tmp_path / "recurrent.pt2"

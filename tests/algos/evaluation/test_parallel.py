@@ -92,6 +92,7 @@ def test_results_in_a_randomized_environment_do_not_depend_on_the_number_of_proc
     assert not torch.equal(one[0].trajectories[0].position, plain.trajectories[0].position)
 
 
+@pytest.mark.slow
 def test_results_are_in_the_order_of_the_requests() -> None:
     names = [f"policy {number}" for number in range(5)]
     requests = [GoalRequest(None, EPISODES.first(4), {"name": name, "seconds": 0.1}) for name in names]

@@ -124,6 +124,7 @@ def test_actions_are_always_within_their_bounds(lidar: list[float], distance: fl
     assert (action.abs() <= torch.tensor([1.0, math.pi + 1e-6])).all()
 
 
+@pytest.mark.slow
 def test_it_finds_most_goals_in_the_maze_without_a_collision() -> None:
     driven = evaluate(ScriptedPolicy(), draw_episodes("maze", 6, seed=1), seconds=20)
     assert driven.success_rate >= 5 / 6

@@ -96,6 +96,7 @@ def test_it_backs_down_a_slope() -> None:
     assert reached.all()
 
 
+@pytest.mark.slow
 def test_as_a_policy_it_reaches_goals_in_the_worlds_of_the_environment() -> None:
     with pytest.raises(RuntimeError, match="knows no map"):
         MapExpert()(make_env(world_n="maze", num_envs=1, backend="warp").reset())

@@ -45,6 +45,7 @@ def evaluated(folder: Path, env: EnvConfig | None = None) -> Evaluation:
     return driven(env)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("randomized", [False, True])
 def test_an_episode_is_driven_as_in_the_evaluation(randomized: bool, tmp_path: Path) -> None:
     env = replace(environment_for(None, None), randomization=Randomization(range_noise=0.05)) if randomized else None
@@ -99,6 +100,7 @@ def _durations(picture: Image.Image) -> list[float]:
     return durations
 
 
+@pytest.mark.slow
 def test_an_episode_that_was_not_evaluated_is_one_of_its_world(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -136,6 +138,7 @@ def test_a_wrong_request_is_one_sentence(
     assert not (tmp_path / "x.gif").exists()
 
 
+@pytest.mark.slow
 def test_the_film_shows_a_drive_that_reaches_its_goal(tmp_path: Path) -> None:
     # None of the shortest paths takes less than two seconds, and some take less than six.
     reaches = film_to_goal(ScriptedPolicy(), tmp_path / "film.gif", world="moon", seconds=6.0, width=64, height=48)

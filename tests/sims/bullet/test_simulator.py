@@ -49,6 +49,7 @@ def test_close_is_idempotent_and_disconnects_only_its_own_clients():
     other.step(torch.zeros(1, 2))
 
 
+@pytest.mark.slow
 def test_256_rovers_take_less_than_a_gigabyte_resets_leak_no_memory_and_nothing_else_is_printed():
     code = """
 import torch

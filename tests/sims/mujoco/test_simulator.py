@@ -209,6 +209,7 @@ except (ImportError, ValueError) as error:
 """
 
 
+@pytest.mark.slow
 def test_training_evaluation_and_gymnasium_run_without_pybullet(tmp_path):
     run = [sys.executable, "-c", WITHOUT_BULLET, str(tmp_path)]
     done = subprocess.run(run, capture_output=True, text=True, check=False)

@@ -196,6 +196,7 @@ def test_a_log_without_a_finished_drive_is_rejected(tmp_path):
         read_drives(path)
 
 
+@pytest.mark.slow
 def test_an_exported_policy_drives_the_rover(env, tmp_path):
     pytest.importorskip("onnxscript", reason="needs rover_rl[onnx]")
     pytest.importorskip("onnxruntime", reason="needs rover_rl[onnx]")

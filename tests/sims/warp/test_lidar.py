@@ -131,6 +131,7 @@ def test_ranges_do_not_depend_on_the_number_of_beams(name, beams):
     assert wrong.mean() <= 0.001
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WORLDS)
 def test_agrees_with_reference_ray_casting(name):
     world = get_world(name)

@@ -208,6 +208,7 @@ def test_a_path_is_a_name_of_a_world(tmp_path):
         get_world(str(tmp_path / "other.sdf"))
 
 
+@pytest.mark.slow
 def test_spheres_are_simplified_within_the_error(tmp_path):
     scene = trimesh.Scene([trimesh.creation.box((10.0, 10.0, 0.1)), trimesh.creation.icosphere(5, 1.0)])
     scene.to_mesh().export(tmp_path / "ball.stl")

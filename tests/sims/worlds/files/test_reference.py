@@ -90,6 +90,7 @@ def test_the_obstacles_of_the_mazes_are_those_of_the_file(name):
     assert world.spawn_range == (pytest.approx((-10, 10), abs=0.2),) * 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["maze.sdf", "maze_pillars.sdf"])
 def test_the_lidar_in_the_mazes_is_that_of_the_file(name):
     world = imported(f"roboterrain/{name}")
@@ -116,6 +117,7 @@ def test_the_actor_of_the_maze_keeps_its_nine_waypoints():
     assert actor.loop
 
 
+@pytest.mark.slow
 @SKIP
 def test_the_ground_of_the_marsyard_is_that_of_the_file():
     import tifffile
