@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import imageio.v3 as imageio
+import pytest
 
 # None in sys.modules makes an import fail as if the module were not installed.
 PROGRAM = """
