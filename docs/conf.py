@@ -82,7 +82,16 @@ nitpick_ignore = [
     ("py:class", name)
     for name in (
         *("Area", "AutoresetMode", "EnvBase", "Missing", "Path", "Reward", "TimeLimit", "Transform", "Unknown", "Up"),
-        *("Bounded", "CurriculumKind", "LearningOptions", "MemoryKind", "Unpack", "View", "WorldSource"),
+        *(
+            "Bounded",
+            "CurriculumKind",
+            "LearningOptions",
+            "LidarPooling",
+            "MemoryKind",
+            "Unpack",
+            "View",
+            "WorldSource",
+        ),
         *("FrozenTrial", "Setting", "SpreadEnds", "rover_rl.algos.video.recording.Moment"),
         *(f"rover_rl.algos.experiments.{name}" for name in ("runs.Run", "comparison.Row", "comparison.Pair")),
     )
