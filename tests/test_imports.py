@@ -26,7 +26,7 @@ LAYERS = (
         "sims.timing",
         "sims.worlds",
     ),
-    ("sims.free_space", "sims.rays", "sims.rendering"),
+    ("sims.free_space", "sims.ray_kernels", "sims.rays", "sims.rendering"),
     ("sims.bullet", "sims.mujoco", "sims.ros2", "sims.warp"),
     ("sims.backends",),
     ("sims.__init__",),

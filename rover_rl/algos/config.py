@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Literal, TypeAlias, get_args
 from rover_rl.algos.workers import default_workers
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_ROVERS, check_at_least, check_positive, check_seed
 from rover_rl.envs.config import EnvConfig
-from rover_rl.envs.sensors import BUILT_IN
+from rover_rl.envs.sensors.names import require_entries
 from rover_rl.sims.backends import BackendLike, name_of, resolve_backend
 
 CollectorName: TypeAlias = Literal["auto", "process", "processes", "ray"]
@@ -330,7 +330,7 @@ class TrainingConfig:
         Raises:
             ValueError: for a setting out of range, by its name.
         """
-        self._check_observation()
+        require_entries(self.network.observation, self.env.sensors)
         self.network.check()
         self.algorithm.check()
         self.run.check()
@@ -358,16 +358,6 @@ class TrainingConfig:
             raise ValueError(
                 f"buffer_size={self.algorithm.buffer_size} cannot hold the {decisions} decisions of a rollout"
             )
-
-    def _check_observation(self) -> None:
-        known, observation = tuple(BUILT_IN), self.network.observation
-        if self.env.sensors:
-            # Imports PyTorch.
-            from rover_rl.envs.sensors.suite import own_sensors
-
-            known += tuple(own_sensors(self.env.sensors))
-        if not observation or len(set(observation)) < len(observation) or not set(observation) <= set(known):
-            raise ValueError(f"observation must be some of {known}, each once, got {observation}")
 
     def _check_env(self) -> None:
         env = self.env

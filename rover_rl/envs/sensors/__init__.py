@@ -2,7 +2,8 @@
 
 ``base``: ``Sensor``, what a sensor is, and ``SensorInput``, what it reads from.
 ``lidar``, ``imu``, ``wheel_odometry``, ``pose``, ``target``, ``route``: the sensors of every rover.
-``suite``: the sensors of an environment and of a policy, and their readings.
+``suite``: the sensors of an environment and of a policy, and their readings. ``names``: the names of their entries.
+``surroundings``: what sensors can measure of the worlds.
 
 Importing this module does not import PyTorch.
 """
