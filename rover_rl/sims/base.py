@@ -32,6 +32,8 @@ class RoverState(TensorClass):
         contact: whether any part of the rover, chassis or wheel, touched an obstacle in the last control step, in any
             of its physics steps, bool ``[N, 1]``. The ground is no obstacle, whether it carries the wheels or scrapes
             the chassis. False after a reset. ``None`` if the backend does not report contacts.
+        lateral_velocity: speed to the left from wheel odometry, ``[N, 1]``, m/s. ``None`` for a drive that does not move
+            sideways.
     """
 
     position: Tensor
@@ -42,6 +44,7 @@ class RoverState(TensorClass):
     dt: Tensor
     stamp: Tensor
     contact: Tensor | None = None
+    lateral_velocity: Tensor | None = None
 
     @classmethod
     def pack(cls, **fields: Tensor) -> RoverState:
@@ -119,7 +122,8 @@ class Simulator(Protocol):
         """Advances the rovers by one control step.
 
         Args:
-            commands: forward speed (m/s) and counter-clockwise yaw rate (rad/s), ``[N, 2]``.
+            commands: forward speed (m/s) and counter-clockwise yaw rate (rad/s), ``[N, 2]``; for a drive that moves
+                sideways, also with the speed to the left (m/s), ``[N, 3]``.
             active: rovers to advance, bool ``[N]``. No time passes for the others. ``None`` advances all.
             scanned: rovers whose lidar scans, if they advance, bool ``[N]``. The others keep their last scan. ``None``:
                 all. Only passed if ``lidar.period`` is more than 1. A real lidar has its own period.

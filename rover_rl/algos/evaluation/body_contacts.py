@@ -74,7 +74,7 @@ def _near(path: Tensor, obstacle: Obstacle, reach: float) -> Tensor:
 def _outline(robot: Robot) -> Tensor:
     """Points on the footprint at the height of the wheel hubs, in the base frame, ``[P, 3]``, m."""
     back, front, right, left = footprint(robot)
-    height = sum(hub[2] for hub in robot.wheel_positions) / len(robot.wheel_positions)
+    height = sum(hub[2] for hub in robot.wheels.hubs) / len(robot.wheels.hubs)
     x, y = (torch.linspace(a, b, math.ceil((b - a) / _OUTLINE_SPACING) + 1) for a, b in ((back, front), (right, left)))
     sides = torch.cartesian_prod(x, torch.tensor((right, left)))
     ends = torch.cartesian_prod(torch.tensor((back, front)), y)

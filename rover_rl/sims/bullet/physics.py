@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
 from rover_rl.sims.bullet.contacts import NearObstacles, is_touching
 from rover_rl.sims.bullet.geometry import add_ground, add_obstacles, friction_scales
 from rover_rl.sims.bullet.settings import BulletSettings
+from rover_rl.sims.bullet.urdf import bullet_urdf, roller_joint
 from rover_rl.sims.native.bullet import pybullet
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
@@ -21,6 +24,11 @@ More rovers no longer fit in the processor's cache and take two to three times a
 on this number.
 """
 
+STEERING_TORQUE = 50.0
+"""Maximum torque of a steering joint, N m: enough to turn a wheel on the spot."""
+STEERING_GAIN = 0.5
+"""Share of the remaining angle that a steering joint turns in a physics step."""
+
 _CONJUGATE = np.array((-1.0, -1.0, -1.0, 1.0))
 
 _STATIC, _ROVERS = 1, 2
@@ -29,19 +37,19 @@ _STATIC, _ROVERS = 1, 2
 
 @dataclass(frozen=True)
 class Reading:
-    """Poses and wheel speeds of ``k`` rovers, as float64 arrays.
+    """Poses and joints of ``k`` rovers, as float64 arrays.
 
     Attributes:
         position: positions of the base frames, ``[k, 3]``, m.
         orientation: orientations of the base frames, quaternions (x, y, z, w), ``[k, 4]``.
         rotation: the orientations as matrices, ``[k, 3, 3]``. The columns are forward, left and up.
-        wheel_speeds: mean speeds of the left and right wheels, ``[k, 2]``, rad/s.
+        joints: mean speed of the wheels of each motor (rad/s) and angle of each steering joint (rad), ``[k, M + S]``.
     """
 
     position: np.ndarray
     orientation: np.ndarray
     rotation: np.ndarray
-    wheel_speeds: np.ndarray
+    joints: np.ndarray
 
 
 class RoverPhysics:
@@ -74,23 +82,31 @@ class RoverPhysics:
             self._grounds.append(ground)
             self._obstacles.append(obstacles)
             rovers = range(first, min(first + ROVERS_PER_CLIENT, count))
-            self._rovers += [(client, load_rover(client, robot, settings)) for _ in rovers]
+            with bullet_urdf(robot) as urdf:
+                self._rovers += [(client, load_rover(client, urdf, settings)) for _ in rovers]
         self._near = NearObstacles(world.obstacles, *_bounding_box(*self._rovers[0]), settings.control_dt)
-        self._wheels = self._find_wheels(robot)
-        self._torque = robot.wheel_torque
+        drive, index = robot.drive, self._find_joints()
+        self._motors = drive.motors
+        self._wheels = [index[name] for motor in drive.motors for name in motor]
+        self._steering = [index[name] for name in drive.steering]
+        self._rollers = [index[roller_joint(name)] for name in drive.wheels] if drive.rollers else []
+        passive = [index[name] for name in drive.passive]
+        self._joints = [*self._wheels, *passive, *self._steering, *self._rollers]
+        self._torque = drive.torque
         self._forces = [[self._torque] * len(self._wheels) for _ in range(count)]
-        self._sides = len(robot.left_wheels), len(robot.right_wheels)
+        for rover in self._rovers:
+            _release(*rover, [*passive, *self._rollers])
         client, body = self._rovers[0]
         info = pybullet.getDynamicsInfo(body, -1, physicsClientId=client)
         self._mass, self._inertia = info[0], np.array(info[2])
         self._inertial_position = np.array(info[3])
         self._inertial_orientation = np.array(info[4])
 
-    def _find_wheels(self, robot: Robot) -> list[int]:
+    def _find_joints(self) -> dict[str, int]:
+        """Returns the indices of the joints of a rover, by name."""
         client, body = self._rovers[0]
         joints = range(pybullet.getNumJoints(body, physicsClientId=client))
-        index = {pybullet.getJointInfo(body, j, physicsClientId=client)[1].decode(): j for j in joints}
-        return [index[name] for name in (*robot.left_wheels, *robot.right_wheels)]
+        return {pybullet.getJointInfo(body, j, physicsClientId=client)[1].decode(): j for j in joints}
 
     def place(self, rows: Sequence[int], positions: np.ndarray, orientations: np.ndarray) -> None:
         """Places rovers at rest.
@@ -102,10 +118,11 @@ class RoverPhysics:
         """
         inertial = _quaternion_products(orientations, self._inertial_orientation)
         centers = positions + (_rotation_matrices(orientations) * self._inertial_position).sum(-1)
-        zeros = [0.0] * len(self._wheels)
+        zeros, still = [0.0] * len(self._joints), [0.0] * len(self._wheels)
+        ahead = [0.0] * len(self._steering)
         for row, center, orientation in zip(rows, centers.tolist(), inertial.tolist(), strict=True):
             self._restore(row, center, orientation, [0, 0, 0], [0, 0, 0], zeros, zeros)
-            self._set_motors(row, zeros)
+            self._set_motors(row, still, ahead)
             _clear_contacts(*self._rovers[row])
 
     def set_dynamics(self, row: int, friction: float, chassis_mass: float, motor_torque: float) -> None:
@@ -122,21 +139,25 @@ class RoverPhysics:
         )
         self._forces[row] = [self._torque * motor_torque] * len(self._wheels)
 
-    def step(self, speeds: list[list[float]], poses: np.ndarray, held: Sequence[int] = ()) -> np.ndarray:
+    def step(
+        self, speeds: list[list[float]], angles: list[list[float]], poses: np.ndarray, held: Sequence[int] = ()
+    ) -> np.ndarray:
         """Advances the world by one control step.
 
         Args:
-            speeds: left and right wheel speed (rad/s) of every rover.
+            speeds: speed of each motor (rad/s) of every rover.
+            angles: angle of each steering joint (rad) of every rover.
             poses: positions (m) and orientations (x, y, z, w) of the base frames before the step, ``[count, 7]``.
             held: rows for which no time passes. Their states are restored after the step.
 
         Returns:
             Whether each rover touched an obstacle in any of the physics steps, bool ``[count]``.
         """
-        left, right = self._sides
         before = [self._snapshot(row) for row in held]
-        for row, (left_speed, right_speed) in enumerate(speeds):
-            self._set_motors(row, [left_speed] * left + [right_speed] * right)
+        counts = [len(motor) for motor in self._motors]
+        for row, turning in enumerate(speeds):
+            targets = [speed for speed, count in zip(turning, counts, strict=True) for _ in range(count)]
+            self._set_motors(row, targets, angles[row])
         near = self._near.find(poses[:, :3].astype(float), _rotation_matrices(poses[:, 3:].astype(float)))
         touched = np.zeros(len(speeds), dtype=bool)
         for number, client in enumerate(self.clients):
@@ -145,6 +166,7 @@ class RoverPhysics:
                 for ground in self._grounds[number]:
                     pybullet.changeDynamics(ground, -1, anisotropicFriction=scales, physicsClientId=client)
                 pybullet.stepSimulation(physicsClientId=client)
+                self._straighten_rollers(number)
                 for row, obstacle in pairs:
                     if not touched[row]:
                         touched[row] = is_touching(*self._rovers[row], self._obstacles[number][obstacle])
@@ -153,10 +175,11 @@ class RoverPhysics:
         return touched
 
     def read(self, rows: Sequence[int]) -> Reading:
-        """Returns the poses and wheel speeds of the given rovers."""
+        """Returns the poses and joints of the given rovers."""
         poses: list[float] = []
         speeds: list[float] = []
-        wheels = self._wheels
+        angles: list[float] = []
+        wheels, steering = self._wheels, self._steering
         for row in rows:
             client, body = self._rovers[row]
             # Keyword arguments would take longer than the calls themselves. The last argument is the client.
@@ -164,19 +187,22 @@ class RoverPhysics:
             poses += position
             poses += orientation
             speeds += [joint[1] for joint in pybullet.getJointStates(body, wheels, client)]
+            if steering:
+                angles += [joint[0] for joint in pybullet.getJointStates(body, steering, client)]
         pose = np.array(poses).reshape(-1, 7)
         wheel = np.array(speeds).reshape(len(pose), -1)
         orientation = _quaternion_products(pose[:, 3:], self._inertial_orientation * _CONJUGATE)
         rotation = _rotation_matrices(orientation)
-        left = self._sides[0]
+        ends = np.cumsum([0, *map(len, self._motors)])
+        motors = [wheel[:, first:last].mean(1) for first, last in pairwise(ends)]
         return Reading(
             position=pose[:, :3] - (rotation * self._inertial_position).sum(-1),
             orientation=orientation,
             rotation=rotation,
-            wheel_speeds=np.stack((wheel[:, :left].mean(1), wheel[:, left:].mean(1)), 1),
+            joints=np.concatenate((np.stack(motors, 1), np.array(angles).reshape(len(pose), -1)), 1),
         )
 
-    def _set_motors(self, row: int, speeds: list[float]) -> None:
+    def _set_motors(self, row: int, speeds: list[float], angles: list[float]) -> None:
         client, body = self._rovers[row]
         pybullet.setJointMotorControlArray(
             body,
@@ -186,10 +212,31 @@ class RoverPhysics:
             forces=self._forces[row],
             physicsClientId=client,
         )
+        if angles:
+            pybullet.setJointMotorControlArray(
+                body,
+                self._steering,
+                pybullet.POSITION_CONTROL,
+                targetPositions=angles,
+                forces=[STEERING_TORQUE] * len(angles),
+                positionGains=[STEERING_GAIN] * len(angles),
+                velocityGains=[1.0] * len(angles),
+                physicsClientId=client,
+            )
+
+    def _straighten_rollers(self, number: int) -> None:
+        """Turns the rollers of the rovers in a client back, so that their direction stays in the mean; so do their speeds."""
+        if not self._rollers:
+            return
+        first = number * ROVERS_PER_CLIENT
+        for client, body in self._rovers[first : first + ROVERS_PER_CLIENT]:
+            for joint, state in zip(self._rollers, pybullet.getJointStates(body, self._rollers, client), strict=True):
+                angle = -0.5 * self._settings.substep * state[1]
+                pybullet.resetJointState(body, joint, angle, state[1], physicsClientId=client)
 
     def _snapshot(self, row: int) -> tuple:
         client, body = self._rovers[row]
-        joints = pybullet.getJointStates(body, self._wheels, physicsClientId=client)
+        joints = pybullet.getJointStates(body, self._joints, physicsClientId=client)
         return (
             *pybullet.getBasePositionAndOrientation(body, physicsClientId=client),
             *pybullet.getBaseVelocity(body, physicsClientId=client),
@@ -201,8 +248,8 @@ class RoverPhysics:
         client, body = self._rovers[row]
         pybullet.resetBasePositionAndOrientation(body, position, orientation, physicsClientId=client)
         pybullet.resetBaseVelocity(body, velocity, spin, physicsClientId=client)
-        for wheel, angle, speed in zip(self._wheels, angles, speeds, strict=True):
-            pybullet.resetJointState(body, wheel, angle, speed, physicsClientId=client)
+        for joint, angle, speed in zip(self._joints, angles, speeds, strict=True):
+            pybullet.resetJointState(body, joint, angle, speed, physicsClientId=client)
 
 
 def connect(settings: BulletSettings) -> int:
@@ -243,18 +290,18 @@ def load_world(client: int, world: World, settings: BulletSettings) -> tuple[lis
     return ground, obstacles
 
 
-def load_rover(client: int, robot: Robot, settings: BulletSettings) -> int:
+def load_rover(client: int, urdf: Path, settings: BulletSettings) -> int:
     """Loads a rover without damping and sleeping. Returns the id of its body.
 
     Raises:
         ValueError: if a link of the robot description has several collision shapes.
     """
     flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER
-    body = pybullet.loadURDF(str(robot.urdf), flags=flags | pybullet.URDF_IGNORE_VISUAL_SHAPES, physicsClientId=client)
+    body = pybullet.loadURDF(str(urdf), flags=flags | pybullet.URDF_IGNORE_VISUAL_SHAPES, physicsClientId=client)
     for link in range(-1, pybullet.getNumJoints(body, physicsClientId=client)):
         # Bullet sorts contacts by link. The order of a link's contacts would depend on the other rovers.
         if (shapes := len(pybullet.getCollisionShapeData(body, link, physicsClientId=client))) > 1:
-            raise ValueError(f"{robot.urdf}: a link may have one collision shape, link {link} has {shapes}")
+            raise ValueError(f"{urdf}: a link may have one collision shape, link {link} has {shapes}")
         pybullet.changeDynamics(
             body,
             link,
@@ -268,6 +315,12 @@ def load_rover(client: int, robot: Robot, settings: BulletSettings) -> int:
         _set_contact(client, body, link, 1.0, settings)
     _clear_contacts(client, body)
     return body
+
+
+def _release(client: int, body: int, joints: Sequence[int]) -> None:
+    """Lets joints turn freely. Bullet holds a joint without a command."""
+    for joint in joints:
+        pybullet.setJointMotorControl2(body, joint, pybullet.VELOCITY_CONTROL, force=0.0, physicsClientId=client)
 
 
 def _bounding_box(client: int, body: int) -> tuple[np.ndarray, np.ndarray]:

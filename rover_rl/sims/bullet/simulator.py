@@ -15,7 +15,7 @@ from rover_rl.sims.base import Dynamics, RoverState, View
 from rover_rl.sims.bullet.lidar import Lidar
 from rover_rl.sims.bullet.physics import RoverPhysics
 from rover_rl.sims.bullet.settings import BulletSettings
-from rover_rl.sims.differential_drive import SimulatedDrive
+from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.native.bullet import disconnect
 from rover_rl.sims.rendering.cache import RendererCache
@@ -47,7 +47,7 @@ class BulletSimulator:
         self.settings = settings or BulletSettings()
         self.control_dt = self.settings.control_dt
         self._robot = robot
-        self._drive = SimulatedDrive(robot, self.control_dt, self.num_envs)
+        self._drive = SimulatedDrives(robot.drive, robot.wheels, self.control_dt, self.num_envs)
         self._renderers = RendererCache(robot)
         self._clients: list[int] = []
         self._finalizer = weakref.finalize(self, disconnect, self._clients)
@@ -62,8 +62,8 @@ class BulletSimulator:
             self._groups.append(_WorldGroup(world, rows, physics, lidar))
 
         count = self.num_envs
-        # Position (3), orientation (4) and wheel speeds (2) in one array, which is copied at once.
-        self._body = np.zeros((count, 9), dtype=np.float32)
+        # Position (3), orientation (4) and joints in one array, which is copied at once.
+        self._body = np.zeros((count, 7 + len(robot.drive.motors) + len(robot.drive.steering)), dtype=np.float32)
         self._ranges = np.full((count, lidar_beams), np.inf, dtype=np.float32)
         self._contact = np.zeros((count, 1), dtype=bool)
         self.reset(torch.ones(count, dtype=torch.bool), torch.zeros(count, 3))
@@ -92,10 +92,12 @@ class BulletSimulator:
 
     def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
         """Advances the rovers by one control step of ``substeps`` physics steps. See :meth:`Simulator.step`."""
-        speeds = self._drive.advance(commands, active).tolist()
+        speeds, angles = (targets.tolist() for targets in self._drive.advance(commands, active))
         for group in self._groups:
             held = [] if active is None else np.flatnonzero(~active.numpy()[group.rows]).tolist()
-            touched = group.physics.step(speeds[group.block], self._body[group.block, :7], held)
+            touched = group.physics.step(
+                speeds[group.block], angles[group.block], self._body[group.block, :7], held
+            )
             local = group.local if not held else np.setdiff1d(group.local, held)
             self._read(group, local, None if scanned is None else scanned.numpy())
             self._contact[group.rows[local], 0] = touched[local]
@@ -121,7 +123,7 @@ class BulletSimulator:
         self._renderers.close()
 
     def _read(self, group: _WorldGroup, local: np.ndarray, scanned: np.ndarray | None = None) -> None:
-        """Reads the poses and wheel speeds of rovers and updates their scans.
+        """Reads the poses and joints of rovers and updates their scans.
 
         Args:
             group: group of the rovers.
@@ -134,7 +136,7 @@ class BulletSimulator:
         rows = group.block if len(local) == len(group.local) else group.rows[local]
         self._body[rows, :3] = reading.position
         self._body[rows, 3:7] = reading.orientation
-        self._body[rows, 7:] = reading.wheel_speeds
+        self._body[rows, 7:] = reading.joints
         if scanned is None:
             self._ranges[rows] = group.lidar.scan(reading.position, reading.rotation)
         elif len(chosen := np.flatnonzero(scanned[group.rows[local]])):

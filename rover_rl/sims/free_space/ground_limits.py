@@ -99,7 +99,7 @@ def _stance(robot: Robot, grid: CellGrid):
     from rover_rl.sims.free_space.ground_kernels import Stance
     from rover_rl.sims.native.warp import wp
 
-    wheels = np.array(robot.wheel_positions)[:, :2]
+    wheels = np.array(robot.wheels.hubs)[:, :2]
     middle = wheels.mean(0)
     x, y, z = robot.lidar_position
     stance = Stance()

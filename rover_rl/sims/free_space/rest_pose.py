@@ -80,15 +80,15 @@ def ground_frame(ground: Ground, robot: Robot, poses: Tensor) -> tuple[Tensor, T
 @lru_cache(maxsize=16)
 def _hubs(robot: Robot, dtype: torch.dtype, device: torch.device) -> Tensor:
     """Returns the centers of the wheels in the base frame: ``[W, 3]``, m. A copy to a GPU waits for its other work."""
-    return torch.tensor(robot.wheel_positions, dtype=dtype, device=device)
+    return torch.tensor(robot.wheels.hubs, dtype=dtype, device=device)
 
 
 @lru_cache(maxsize=16)
 def _rims(robot: Robot, device: torch.device) -> Tensor:
     """Returns points on the lower half of the wheels' rims in the base frame: ``[P, 3]``, m."""
     angle = torch.linspace(-1.2, 1.2, 13, dtype=torch.float64, device=device)
-    across = torch.tensor((-robot.wheel_width / 2, 0.0, robot.wheel_width / 2), dtype=torch.float64, device=device)
-    arc = robot.wheel_radius * torch.stack((angle.sin(), -angle.cos()), -1)
+    across = torch.tensor((-robot.wheels.width / 2, 0.0, robot.wheels.width / 2), dtype=torch.float64, device=device)
+    arc = robot.wheels.radius * torch.stack((angle.sin(), -angle.cos()), -1)
     rim = torch.stack(
         (
             arc[:, None, 0].expand(-1, 3),

@@ -38,14 +38,21 @@ _GROUND, _OBSTACLES = 1, 2
 """Collision groups, bits of ``contype`` of static geoms and of ``conaffinity`` of the rover's geoms."""
 _AXLE = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 """Rotation that turns a cylinder's axis from z to y, quaternion (w, x, y, z)."""
-_SIDES = ("left", "right")
+STEERING_STIFFNESS = 300.0
+"""Torque of a steering joint per angle of error, N m/rad: a wheel that stands turns to within a degree."""
+LINK_SHARE = 1e-3
+"""Mass and inertia of the link between a wheel and its steering or roller joint, relative to those of the wheel."""
 
 
 def make_model(world: World, robot: Robot, inertial_model: InertialModel, settings: MujocoSettings) -> mujoco.MjModel:
     """Creates the model of one rover in a world.
 
-    The generalized coordinates are the pose of the base frame, the angles of the wheels, left side first, and the
-    angles of the left and the right motor shaft.
+    The generalized coordinates are the pose of the base frame, the angles of the wheels, each after that of its steering
+    or roller joint, and the angle of a shaft for each motor.
+
+    A wheel with ideal rollers is a sphere on a free joint along the roller on the ground: it rolls freely across the
+    axle of the roller, and is driven along it. :class:`~rover_rl.sims.mujoco.physics.RoverPhysics` keeps that joint at
+    zero, since a roller on the ground does not turn with the wheel.
     """
     spec = mujoco.MjSpec()
     _set_options(spec.option, settings)
@@ -95,21 +102,63 @@ def _add_rover(spec: mujoco.MjSpec, robot: Robot, inertial_model: InertialModel,
     for center, half in zip(inertial_model.box_centers, inertial_model.box_halves, strict=True):
         kind = mujoco.mjtGeom.mjGEOM_BOX
         base.add_geom(type=kind, pos=center, size=half, condim=3, contype=0, conaffinity=_GROUND | _OBSTACLES)
-    for side in _SIDES:
-        shaft = spec.worldbody.add_body(name=f"{side} shaft")
+    for motor in range(len(robot.drive.motors)):
+        shaft = spec.worldbody.add_body(name=shaft_name(motor))
         _set_inertia(shaft, 1.0, np.zeros(3), SHAFT_INERTIA * np.eye(3))
-    for index, hub in enumerate(inertial_model.hubs):
-        side = _SIDES[index >= len(robot.left_wheels)]
-        wheel = base.add_body(name=f"wheel {index}", pos=hub)
-        turn, spin = inertial_model.wheel_turn_inertia, inertial_model.wheel_spin_inertia
-        _set_inertia(wheel, inertial_model.wheel_mass, np.zeros(3), np.diag((turn, spin, turn)))
-        wheel.add_joint(name=f"wheel {index}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=(0, 1, 0))
+    for index, motor in enumerate(robot.drive.motor_of_wheel):
+        wheel = _add_wheel(spec, base, index, robot, inertial_model)
         _add_tires(spec, wheel, index, robot, settings)
-        _add_motor(spec, index, side, robot)
+        if motor >= 0:
+            _add_motor(spec, index, motor, robot)
     # After the wheels, so that the order of the coordinates is that of make_model().
-    for side in _SIDES:
-        joint = {"name": f"{side} shaft", "type": mujoco.mjtJoint.mjJNT_HINGE, "axis": (0, 1, 0)}
-        spec.body(f"{side} shaft").add_joint(**joint)
+    for motor in range(len(robot.drive.motors)):
+        joint = {"name": shaft_name(motor), "type": mujoco.mjtJoint.mjJNT_HINGE, "axis": (0, 1, 0)}
+        spec.body(shaft_name(motor)).add_joint(**joint)
+
+
+def wheel_name(wheel: int) -> str:
+    """Returns the name of a wheel's body, and of its joint."""
+    return f"wheel {wheel}"
+
+
+def shaft_name(motor: int) -> str:
+    """Returns the name of the body of a motor's shaft, and of its joint."""
+    return f"shaft {motor}"
+
+
+def roller_name(wheel: int) -> str:
+    """Returns the name of the free joint of a wheel with rollers."""
+    return f"roller {wheel}"
+
+
+def _add_wheel(spec: mujoco.MjSpec, base: Any, index: int, robot: Robot, inertial_model: InertialModel) -> Any:
+    """Adds the body of a wheel, on a steering joint or on the free joint of its rollers if it has one."""
+    parent, place, drive = base, {"pos": inertial_model.hubs[index]}, robot.drive
+    turn, spin, mass = inertial_model.wheel_turn_inertia, inertial_model.wheel_spin_inertia, inertial_model.wheel_mass
+    joint: dict[str, Any] | None = None
+    if robot.wheels.steering and robot.wheels.steering[index] >= 0:
+        joint = {"name": drive.steering[robot.wheels.steering[index]], "axis": (0, 0, 1)}
+        _add_servo(spec, joint["name"], turn)
+    elif drive.rollers:
+        angle = drive.rollers[index]
+        joint = {"name": roller_name(index), "axis": (math.cos(angle), math.sin(angle), 0)}
+    if joint is not None:
+        parent = base.add_body(name=f"carrier {index}", **place)
+        _set_inertia(parent, LINK_SHARE * mass, np.zeros(3), LINK_SHARE * np.diag((turn, turn, turn)))
+        parent.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, **joint)
+        place = {}
+    wheel = parent.add_body(name=wheel_name(index), **place)
+    _set_inertia(wheel, mass, np.zeros(3), np.diag((turn, spin, turn)))
+    wheel.add_joint(name=wheel_name(index), type=mujoco.mjtJoint.mjJNT_HINGE, axis=(0, 1, 0))
+    return wheel
+
+
+def _add_servo(spec: mujoco.MjSpec, joint: str, inertia: float) -> None:
+    """Adds the motor of a steering joint: a critically damped spring that pulls it to its target."""
+    servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    servo.gaintype, servo.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+    servo.gainprm[0] = STEERING_STIFFNESS
+    servo.biasprm[1:3] = -STEERING_STIFFNESS, -2 * math.sqrt(STEERING_STIFFNESS * inertia)
 
 
 def _set_inertia(body: Any, mass: float, center: np.ndarray, inertia: np.ndarray) -> None:
@@ -120,11 +169,13 @@ def _set_inertia(body: Any, mass: float, center: np.ndarray, inertia: np.ndarray
 
 def _add_tires(spec: mujoco.MjSpec, wheel: Any, index: int, robot: Robot, settings: MujocoSettings) -> None:
     """Adds the cylinders of a wheel: the full width for obstacles, and the tread for the ground."""
-    radius, half = robot.wheel_radius, robot.wheel_width / 2
-    cylinder = {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "quat": _AXLE, "condim": 3, "contype": 0}
-    wheel.add_geom(size=(radius, half, 0), conaffinity=_OBSTACLES, **cylinder)
-    wheel.add_geom(name=f"tread {index}", size=(radius, half / math.sqrt(3), 0), conaffinity=0, **cylinder)
+    radius, half = robot.wheels.radius, robot.wheels.width / 2
     friction = settings.ground_friction
+    cylinder = {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "quat": _AXLE, "condim": 3, "contype": 0}
+    sphere = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": (radius, 0, 0), "condim": 3, "contype": 0}
+    tread = sphere if robot.drive.rollers else {**cylinder, "size": (radius, half / math.sqrt(3), 0)}
+    wheel.add_geom(size=(radius, half, 0), conaffinity=_OBSTACLES, **cylinder)
+    wheel.add_geom(name=f"tread {index}", conaffinity=0, **tread)
     # Only explicit pairs have a reference of their own for friction.
     spec.add_pair(
         name=f"tread {index}",
@@ -137,13 +188,13 @@ def _add_tires(spec: mujoco.MjSpec, wheel: Any, index: int, robot: Robot, settin
     )
 
 
-def _add_motor(spec: mujoco.MjSpec, index: int, side: str, robot: Robot) -> None:
-    """Couples a wheel to the shaft of its side by dry friction of at most the torque of the motor."""
-    motor = spec.add_tendon(name=f"motor {index}", frictionloss=robot.wheel_torque)
-    motor.wrap_joint(f"wheel {index}", 1.0)
-    motor.wrap_joint(f"{side} shaft", -1.0)
-    motor.solref_friction = _rate(MOTOR_RATE, MOTOR_IMPEDANCE)
-    motor.solimp_friction = _impedance(MOTOR_IMPEDANCE)
+def _add_motor(spec: mujoco.MjSpec, wheel: int, motor: int, robot: Robot) -> None:
+    """Couples a wheel to the shaft of its motor by dry friction of at most the torque of the motor."""
+    clutch = spec.add_tendon(name=f"motor {wheel}", frictionloss=robot.drive.torque)
+    clutch.wrap_joint(wheel_name(wheel), 1.0)
+    clutch.wrap_joint(shaft_name(motor), -1.0)
+    clutch.solref_friction = _rate(MOTOR_RATE, MOTOR_IMPEDANCE)
+    clutch.solimp_friction = _impedance(MOTOR_IMPEDANCE)
 
 
 def _add_contact_sensors(spec: mujoco.MjSpec) -> None:

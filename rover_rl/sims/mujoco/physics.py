@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from rover_rl.sims.mujoco.model import scaled_model
+from rover_rl.sims.drives.base import Drive
+from rover_rl.sims.mujoco.model import roller_name, scaled_model, shaft_name, wheel_name
 from rover_rl.sims.mujoco.settings import MujocoSettings
 from rover_rl.sims.native.mujoco import Rollout, mujoco
 from rover_rl.sims.robots import Robot
@@ -18,17 +19,17 @@ _POSITION, _ORIENTATION = slice(1, 4), slice(4, 8)
 
 @dataclass(frozen=True)
 class Reading:
-    """Poses and wheel speeds of ``k`` rovers, as float64 arrays.
+    """Poses and joints of ``k`` rovers, as float64 arrays.
 
     Attributes:
         position: positions of the base frames, ``[k, 3]``, m.
         orientation: orientations of the base frames, quaternions (w, x, y, z), ``[k, 4]``.
-        wheel_speeds: mean speeds of the left and right wheels, ``[k, 2]``, rad/s.
+        joints: mean speed of the wheels of each motor (rad/s) and angle of each steering joint (rad), ``[k, M + S]``.
     """
 
     position: np.ndarray
     orientation: np.ndarray
-    wheel_speeds: np.ndarray
+    joints: np.ndarray
 
 
 class RoverPhysics:
@@ -56,11 +57,20 @@ class RoverPhysics:
         # The number of all contacts and of those with the ground, in each physics step.
         self._contacts = np.empty((count, settings.substeps, model.nsensordata))
         self._states[:, _ORIENTATION.start] = 1.0
-        left, wheels = len(robot.left_wheels), len(robot.left_wheels) + len(robot.right_wheels)
-        # The velocities are those of the base (6), the wheels and the two shafts.
-        first = 1 + model.nq + 6
-        self._left, self._right = slice(first, first + left), slice(first + left, first + wheels)
-        self._shafts = slice(first + wheels, first + wheels + 2)
+        drive = robot.drive
+        self._motors = [self._velocities(map(wheel_name, _indices(drive, motor))) for motor in range(len(drive.motors))]
+        self._shafts = self._velocities(map(shaft_name, range(len(drive.motors))))
+        self._steering = self._coordinates(drive.steering)
+        rollers = [roller_name(wheel) for wheel in range(len(drive.rollers))]
+        self._rollers, self._roller_speeds = self._coordinates(rollers), self._velocities(rollers)
+
+    def _coordinates(self, joints: Iterable[str]) -> list[int]:
+        """Returns the places of the angles of joints in a state. The time comes first."""
+        return [1 + self._model.joint(name).qposadr[0] for name in joints]
+
+    def _velocities(self, joints: Iterable[str]) -> list[int]:
+        """Returns the places of the speeds of joints in a state."""
+        return [1 + self._model.nq + self._model.joint(name).dofadr[0] for name in joints]
 
     def place(self, rows: np.ndarray, positions: np.ndarray, orientations: np.ndarray) -> None:
         """Places rovers at rest.
@@ -80,24 +90,42 @@ class RoverPhysics:
         if any(scale != 1.0 for scale in scales):
             self._models[row] = scaled_model(self._model, self._settings, *scales)
 
-    def step(self, rows: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+    def step(self, rows: np.ndarray, speeds: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """Advances rovers by one control step.
 
         Args:
             rows: indices of the rovers, ``[k]``.
-            speeds: left and right wheel speed of these rovers, ``[k, 2]``, rad/s.
+            speeds: speed of each motor of these rovers, ``[k, M]``, rad/s.
+            angles: angle of each of their steering joints, ``[k, S]``, rad.
 
         Returns:
             Whether each of these rovers touched an obstacle in any of the physics steps, bool ``[k]``.
         """
-        self._states[rows, self._shafts] = speeds
-        trajectories, contacts = self._trajectories[: len(rows)], self._contacts[: len(rows)]
+        self._states[np.ix_(rows, self._shafts)] = speeds
+        substeps = self._settings.substeps
+        if not self._rollers:
+            return self._roll(rows, angles, substeps)
+        touched = np.zeros(len(rows), dtype=bool)
+        for _ in range(substeps):
+            touched |= self._roll(rows, angles, 1)
+            # A roller on the ground keeps its direction, in the mean of a step: only its speed counts.
+            speeds = self._states[np.ix_(rows, self._roller_speeds)]
+            self._states[np.ix_(rows, self._rollers)] = -0.5 * self._settings.substep * speeds
+        return touched
+
+    def _roll(self, rows: np.ndarray, angles: np.ndarray, steps: int) -> np.ndarray:
+        """Advances rovers by some physics steps. Returns which of them touched an obstacle, bool ``[k]``."""
+        trajectories, contacts = self._trajectories[: len(rows), :steps], self._contacts[: len(rows), :steps]
+        if steps < self._settings.substeps:
+            trajectories, contacts = np.ascontiguousarray(trajectories), np.ascontiguousarray(contacts)
+        control = {"control": np.repeat(angles[:, None].astype(float), steps, 1)} if self._steering else {}
         # Checks take longer than the rest of the call.
         self._rollout.rollout(
             [self._models[row] for row in rows],
             self._data,
             self._states[rows],
-            nstep=self._settings.substeps,
+            **control,
+            nstep=steps,
             state=trajectories,
             sensordata=contacts,
             skip_checks=True,
@@ -107,10 +135,17 @@ class RoverPhysics:
         return np.any(all_contacts > with_ground, axis=1)
 
     def read(self, rows: np.ndarray) -> Reading:
-        """Returns the poses and wheel speeds of the given rovers."""
+        """Returns the poses and joints of the given rovers."""
         states = self._states[rows]
         return Reading(
             position=states[:, _POSITION],
             orientation=states[:, _ORIENTATION],
-            wheel_speeds=np.stack((states[:, self._left].mean(1), states[:, self._right].mean(1)), 1),
+            joints=np.stack(
+                [states[:, wheels].mean(1) for wheels in self._motors] + [states[:, angle] for angle in self._steering], 1
+            ),
         )
+
+
+def _indices(drive: Drive, motor: int) -> list[int]:
+    """Returns the indices of the wheels of a motor."""
+    return [wheel for wheel, own in enumerate(drive.motor_of_wheel) if own == motor]

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.base import Dynamics, RoverState, View
-from rover_rl.sims.differential_drive import SimulatedDrive
+from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.mujoco.lidar import Lidar, Scene
 from rover_rl.sims.mujoco.model import make_model
@@ -58,13 +58,13 @@ class MujocoSimulator:
         self.control_dt = self.settings.control_dt
         self._robot = robot
         self._worlds = list(worlds)
-        self._drive = SimulatedDrive(robot, self.control_dt, count)
+        self._drive = SimulatedDrives(robot.drive, robot.wheels, self.control_dt, count)
         self._renderers = RendererCache(robot)
         threads = self.settings.threads or torch.get_num_threads()
         self._threads = self._divide(min(threads, max(1, count // MIN_ROVERS_PER_THREAD)), lidar_beams)
         self._pool = ThreadPoolExecutor(len(self._threads) - 1) if len(self._threads) > 1 else None
-        # Position (3), orientation (4) and wheel speeds (2) in one array, which is copied at once.
-        self._body = np.zeros((count, 9), dtype=np.float32)
+        # Position (3), orientation (4) and joints in one array, which is copied at once.
+        self._body = np.zeros((count, 7 + len(robot.drive.motors) + len(robot.drive.steering)), dtype=np.float32)
         self._ranges = np.full((count, lidar_beams), np.inf, dtype=np.float32)
         self._contact = np.zeros((count, 1), dtype=bool)
         self.reset(torch.ones(count, dtype=torch.bool), torch.zeros(count, 3))
@@ -106,11 +106,11 @@ class MujocoSimulator:
 
     def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
         """Advances the rovers by one control step of ``substeps`` physics steps. See :meth:`Simulator.step`."""
-        speeds = self._drive.advance(commands, active).numpy()
+        speeds, angles = (targets.numpy() for targets in self._drive.advance(commands, active))
 
         def advance(share: _Share, local: np.ndarray) -> None:
             rows = share.rows.start + local
-            self._contact[rows, 0] = share.physics.step(local, speeds[rows])
+            self._contact[rows, 0] = share.physics.step(local, speeds[rows], angles[rows])
 
         self._update(advance, *(None if mask is None else mask.numpy() for mask in (active, scanned)))
         return self.state()
@@ -141,7 +141,7 @@ class MujocoSimulator:
         mask: np.ndarray | None,
         scanned: np.ndarray | None = None,
     ) -> None:
-        """Changes the selected rovers and reads their poses, wheel speeds and scans, on all threads.
+        """Changes the selected rovers and reads their poses, joints and scans, on all threads.
 
         Args:
             change: function of a share and the indices ``[k]`` of the selected rovers within it.
@@ -166,7 +166,7 @@ class MujocoSimulator:
         rows = share.rows.start + local
         self._body[rows, :3] = reading.position
         self._body[rows, 3:7] = np.roll(reading.orientation, -1, axis=1)
-        self._body[rows, 7:] = reading.wheel_speeds
+        self._body[rows, 7:] = reading.joints
         chosen = np.arange(len(local)) if scanned is None else np.flatnonzero(scanned[rows])
         if len(chosen):
             self._ranges[rows[chosen]] = share.lidar.scan(reading.position[chosen], reading.orientation[chosen])

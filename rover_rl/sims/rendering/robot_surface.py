@@ -56,7 +56,7 @@ def _primitive(shape: Shape) -> trimesh.Trimesh:
 
 def _load(shape: Shape, urdf: Path) -> list[trimesh.Trimesh]:
     """Loads a mesh file in any format of trimesh, such as OBJ and STL, and scales it."""
-    path = _find(shape.file, urdf)
+    path = find_mesh(shape.file, urdf)
     try:
         meshes = trimesh.load_scene(path).dump()
     # The readers of trimesh raise errors of many kinds for damaged files and missing libraries.
@@ -68,7 +68,7 @@ def _load(shape: Shape, urdf: Path) -> list[trimesh.Trimesh]:
     return [mesh.apply_scale(shape.sizes) for mesh in meshes]
 
 
-def _find(file: str, urdf: Path) -> Path:
+def find_mesh(file: str, urdf: Path) -> Path:
     """Returns the path of a mesh file: absolute, beside the URDF, or in the ROS package that holds the URDF."""
     folder = urdf.resolve().parent
     name = file.removeprefix("file://")

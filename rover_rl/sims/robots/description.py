@@ -124,6 +124,7 @@ class Description:
         path: path of the file.
 
     Attributes:
+        name: name of the robot. Empty if the file states none.
         links: links by name.
         joints: joints by name.
         base: name of the link that is the child of no joint. Its frame is the base frame.
@@ -139,6 +140,7 @@ class Description:
             root = ET.parse(path).getroot()
         except ET.ParseError as error:
             raise ValueError(f"it is not XML ({error})") from error
+        self.name = root.get("name", "")
         materials = {
             material.get("name"): color for material in root.iter("material") if (color := _color(material)) is not None
         }

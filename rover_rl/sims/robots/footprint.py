@@ -39,6 +39,11 @@ class Footprint(NamedTuple):
         """Largest distance from the origin along y, m."""
         return max(-self.right, self.left)
 
+    @property
+    def corner(self) -> float:
+        """Radius of a disc around the origin that holds the rectangle, m."""
+        return math.hypot(self.half_length, self.half_width)
+
 
 @lru_cache(maxsize=64)
 def footprint(robot: Robot) -> Footprint:
@@ -55,8 +60,8 @@ def footprint(robot: Robot) -> Footprint:
         >>> round(outline.half_length, 3), round(outline.half_width, 3)
         (0.267, 0.225)
     """
-    reach = np.array((robot.wheel_radius, robot.wheel_width / 2))
-    hubs = np.array(robot.wheel_positions)[:, :2]
+    reach = np.array((robot.wheels.radius, robot.wheels.width / 2))
+    hubs = np.array(robot.wheels.hubs)[:, :2]
     boxes = [(hubs - reach, hubs + reach)]
     description = Description(robot.urdf)
     for name, frame in description.fixed.items():

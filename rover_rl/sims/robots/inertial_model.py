@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.robots.description import Description, Inertial, Link
+from rover_rl.sims.robots.description import Description
 from rover_rl.sims.robots.robot import Robot
 
 POINT_SPACING = 0.3
@@ -27,7 +27,7 @@ class InertialModel:
         wheel_mass: mass of one wheel.
         wheel_spin_inertia: moment of inertia of one wheel about its axle.
         wheel_turn_inertia: moment of inertia of one wheel about an axis perpendicular to its axle.
-        hubs: centers of the wheels, left side first, ``[W, 3]``.
+        hubs: centers of the wheels, in the order of the drive, ``[W, 3]``.
         box_centers: centers of the boxes of the chassis, ``[B, 3]``.
         box_halves: half extents of the boxes of the chassis, ``[B, 3]``.
     """
@@ -103,8 +103,7 @@ def read_inertial_model(robot: Robot) -> InertialModel:
     """Reads the inertial model of a robot from its URDF.
 
     Raises:
-        ValueError: if the joint or inertial frame of a wheel is rotated, or if the chassis has another collision shape
-            than axis-aligned boxes, or mass on a link other than the base link.
+        ValueError: if the chassis has another collision shape than axis-aligned boxes.
     """
     try:
         return _inertial_model(robot, Description(robot.urdf))
@@ -113,49 +112,50 @@ def read_inertial_model(robot: Robot) -> InertialModel:
 
 
 def _inertial_model(robot: Robot, description: Description) -> InertialModel:
-    wheels = [_wheel(description, name) for name in (*robot.left_wheels, *robot.right_wheels)]
-    # All wheels of a Robot are identical.
-    wheel = wheels[0]
-    chassis = _inertial(description.links[description.base])
+    # All wheels of a Robot are alike.
+    joint = description.joints[robot.drive.wheels[0]]
+    wheel = description.links[joint.child].inertial
+    assert wheel is not None
+    rotation = (description.frames[joint.child] @ wheel.frame).rotation
+    inertia = rotation @ wheel.inertia @ rotation.T if description.frames[joint.child].is_turned else wheel.inertia
+    mass, center, chassis_inertia = _chassis(robot, description)
     boxes = _boxes(description)
     return InertialModel(
-        chassis_mass=chassis.mass,
-        chassis_center=chassis.frame.position,
-        chassis_inertia=chassis.inertia,
+        chassis_mass=mass,
+        chassis_center=center,
+        chassis_inertia=chassis_inertia,
         wheel_mass=wheel.mass,
-        wheel_spin_inertia=float(wheel.inertia[1, 1]),
-        wheel_turn_inertia=float(wheel.inertia[0, 0]),
-        hubs=np.array(robot.wheel_positions, dtype=float),
+        wheel_spin_inertia=float(inertia[1, 1]),
+        wheel_turn_inertia=float(inertia[0, 0]),
+        hubs=np.array(robot.wheels.hubs, dtype=float),
         box_centers=np.array([center for center, _ in boxes]).reshape(-1, 3),
         box_halves=np.array([half for _, half in boxes]).reshape(-1, 3),
     )
 
 
-def _wheel(description: Description, name: str) -> Inertial:
-    """Mass properties of the wheel at a joint."""
-    joint = description.joints[name]
-    if (description.fixed[joint.parent] @ joint.frame).is_turned:
-        raise ValueError(f"wheel joint {name!r} must rotate about +y of a frame that is aligned with the base link")
-    return _inertial(description.links[joint.child])
-
-
-def _inertial(link: Link) -> Inertial:
-    """Mass properties of a link, in its own axes."""
-    if link.inertial is None:
-        raise ValueError(f"link {link.name!r} has no inertial")
-    if link.inertial.frame.is_turned:
-        raise ValueError(f"the inertial frame of {link.name!r} must not be rotated against the link")
-    return link.inertial
+def _chassis(robot: Robot, description: Description) -> tuple[float, np.ndarray, np.ndarray]:
+    """Mass, center of mass and inertia about it of the base, the links fixed to it and those of the steering joints."""
+    steered = {name: description.frames[description.joints[name].child] for name in robot.drive.steering}
+    links = [(description.links[name].inertial, frame) for name, frame in description.fixed.items()]
+    links += [(description.links[description.joints[name].child].inertial, frame) for name, frame in steered.items()]
+    parts = [(each, frame @ each.frame) for each, frame in links if each is not None and each.mass > 0]
+    if len(parts) == 1 and not parts[0][1].is_turned:
+        return parts[0][0].mass, parts[0][1].position, parts[0][0].inertia
+    mass = sum(each.mass for each, _ in parts)
+    center = sum(each.mass * pose.position for each, pose in parts) / mass
+    inertia = np.zeros((3, 3))
+    for each, pose in parts:
+        offset = pose.position - center
+        inertia += pose.rotation @ each.inertia @ pose.rotation.T
+        inertia += each.mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+    return mass, center, inertia
 
 
 def _boxes(description: Description) -> list[tuple[np.ndarray, np.ndarray]]:
     """Center and half extents of each box of the chassis: the base link and all links fixed to it."""
     boxes = []
     for name, frame in description.fixed.items():
-        link = description.links[name]
-        if name != description.base and _inertial(link).mass > 0:
-            raise ValueError(f"link {name!r} must have no mass: add it to {description.base!r}, which it is fixed to")
-        for shape in link.shapes:
+        for shape in description.links[name].shapes:
             if shape.kind != "box":
                 raise ValueError(
                     f"a collision shape of {name!r} is a {shape.kind}, but the chassis must be made of boxes"

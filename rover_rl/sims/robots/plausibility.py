@@ -38,15 +38,14 @@ def check_plausibility(robot: Robot) -> None:
 
 def _check_radius(robot: Robot, outline: Footprint) -> None:
     reach = max(outline.half_length, outline.half_width)
-    corner = math.hypot(outline.half_length, outline.half_width)
     if robot.radius < reach - TOLERANCE:
         raise ValueError(
             f"radius of robot {robot.name!r} is {robot.radius:g} m, and its body and wheels reach {reach:.3g} m from "
-            f"the origin: it would start in obstacles; {corner:.3g} m holds all of it"
+            f"the origin: it would start in obstacles; {outline.corner:.3g} m holds all of it"
         )
-    if robot.radius < corner - TOLERANCE:
+    if robot.radius < outline.corner - TOLERANCE:
         warnings.warn(
-            f"radius of robot {robot.name!r} is {robot.radius:g} m, and its corners are {corner:.3g} m from the "
+            f"radius of robot {robot.name!r} is {robot.radius:g} m, and its corners are {outline.corner:.3g} m from the "
             "origin: they may start in obstacles",
             stacklevel=5,
         )
@@ -62,20 +61,21 @@ def _check_lidar(robot: Robot, outline: Footprint) -> None:
     place = f"the lidar of robot {robot.name!r} is at x = {x:g}, y = {y:g} m, {beside:.3g} m outside of its body"
     if math.hypot(x, y) > robot.radius + TOLERANCE:
         raise ValueError(f"{place} and outside of its radius of {robot.radius:g} m: it would start in obstacles")
-    warnings.warn(f"{place}: check lidar_position", stacklevel=5)
+    warnings.warn(f"{place}: check lidar", stacklevel=5)
 
 
 def _check_motors(robot: Robot) -> None:
     links = Description(robot.urdf).links.values()
     mass = sum(link.inertial.mass for link in links if link.inertial is not None)
-    force = len(robot.wheel_positions) * robot.wheel_torque / robot.wheel_radius
+    driven = sum(map(len, robot.drive.motors))
+    force = driven * robot.drive.torque / robot.wheels.radius
     slope = math.degrees(math.asin(min(1.0, force / (mass * _GRAVITY))))
     if slope >= WEAK:
         return
     problem = (
-        f"the motors of robot {robot.name!r} push with {force:.3g} N ({len(robot.wheel_positions)} x "
-        f"{robot.wheel_torque:g} N m on a radius of {robot.wheel_radius:g} m), and it has {mass:.3g} kg"
+        f"the motors of robot {robot.name!r} push with {force:.3g} N ({driven} x "
+        f"{robot.drive.torque:g} N m on a radius of {robot.wheels.radius:g} m), and it has {mass:.3g} kg"
     )
     if slope < WEAKEST:
-        raise ValueError(f"{problem}: it cannot climb a slope of {WEAKEST:g} degrees; raise wheel_torque")
+        raise ValueError(f"{problem}: it cannot climb a slope of {WEAKEST:g} degrees; raise the torque of its drive")
     warnings.warn(f"{problem}: it cannot climb a slope of more than {slope:.0f} degrees", stacklevel=5)

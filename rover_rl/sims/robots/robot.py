@@ -1,18 +1,25 @@
-"""Robot: parameters of a skid-steer rover for the simulators and the task."""
+"""``Robot``: a body, a drive and sensors, for the simulators and the task."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, TypeAlias
 
-from rover_rl.sims.robots.consistency import check_consistency
+from rover_rl.sims.drives.base import Drive, Wheels
+from rover_rl.sims.robots.description import Description
+from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.robots.plausibility import check_plausibility
+from rover_rl.sims.robots.wheels import read_wheels
+
+Mount: TypeAlias = str | tuple[float, float, float]
+"""Place of a sensor: the name of a link of the URDF, or its position (x, y, z) in the base frame, m."""
 
 
 @dataclass(frozen=True)
 class Robot:
-    """Parameters of a rover with a differential drive.
+    """A rover: a body, a drive and sensors. Masses, inertias, wheels, shapes and colors are those of its URDF.
 
     Positions are in the base frame, whose origin lies on the ground below the center of the rover: x forward, y left,
     z up. Lengths are in meters, angles in radians.
@@ -20,97 +27,96 @@ class Robot:
     Args:
         name: name of the robot, by which a live simulator identifies it.
         urdf: path of the URDF file. The base is the link that is the child of no joint. Every wheel has a continuous
-            joint about +y, on the base or on a link fixed to it, and one cylinder or sphere around its hub. Every link
-            has at most one collision shape.
-        left_wheels: names of the joints of the left wheels.
-        right_wheels: names of the joints of the right wheels.
-        wheel_positions: hub ``(x, y, z)`` of each wheel, left then right.
-        wheel_radius: radius of the wheels, also for the conversion between ground speed and wheel speed.
-        wheel_width: width of a wheel.
-        wheel_separation: effective distance between the left and right wheels in the kinematics of the drive. It
-            differs from the geometric track because the wheels slip in turns.
-        wheel_torque: maximum torque of a wheel motor, N m.
-        max_linear_acceleration: maximum acceleration of the forward speed command, m/s^2.
-        max_angular_acceleration: maximum acceleration of the yaw rate command, rad/s^2.
-        lidar_position: position of the lidar.
+            joint about +y, on the base, on a link fixed to it or on the link of a steering joint, and one cylinder or
+            sphere around its hub. Every link has at most one collision shape.
+        drive: drive, which names the joints of the wheels: see :mod:`rover_rl.sims.drives`.
+        lidar: place of the lidar: a link of the URDF, or a position.
+        imu: place of the IMU.
         lidar_range: maximum range of the lidar, m.
-        imu_position: position of the IMU.
-        radius: radius of the disc around the origin that must be free of obstacles where the rover stands.
-        max_speed: maximum absolute forward speed commanded to a real robot, m/s. Does not limit simulated robots.
-        max_yaw_rate: maximum absolute yaw rate commanded to a real robot, rad/s. Does not limit simulated robots.
+        radius: radius of the disc around the origin that must be free of obstacles where the rover stands. ``None``: that
+            of the disc around its wheels and body, rounded up to a centimeter.
+
+    Attributes:
+        wheels: geometry of the wheels.
+        lidar_position: position of the lidar, m.
+        imu_position: position of the IMU, m.
 
     Raises:
-        ValueError: if a length, limit or torque is not positive, a position is not finite, the wheels do not match
-            their positions or are on the wrong side, the parameters contradict the URDF
-            (:mod:`rover_rl.sims.robots.consistency`), or the robot cannot drive
+        ValueError: if a length is not positive, the drive or a mount contradicts the URDF, or the robot cannot drive
             (:mod:`rover_rl.sims.robots.plausibility`, which also warns of what is unusual).
         FileNotFoundError: if ``urdf`` does not exist.
+
+    Example:
+        >>> robot = get_robot("rover_zero")
+        >>> robot.wheels.radius, robot.drive.turns_in_place
+        (0.122, True)
     """
 
     name: str
     urdf: Path
-    left_wheels: tuple[str, ...]
-    right_wheels: tuple[str, ...]
-    wheel_positions: tuple[tuple[float, float, float], ...]
-    wheel_radius: float
-    wheel_width: float
-    wheel_separation: float
-    wheel_torque: float
-    max_linear_acceleration: float
-    max_angular_acceleration: float
-    lidar_position: tuple[float, float, float]
-    lidar_range: float
-    imu_position: tuple[float, float, float]
-    radius: float
-    max_speed: float = 1.0
-    max_yaw_rate: float = 7.0
+    drive: Drive
+    lidar: Mount = "lidar_link"
+    imu: Mount = "imu_link"
+    lidar_range: float = 12.0
+    radius: float | None = None
+    wheels: Wheels = field(init=False, repr=False)
+    lidar_position: tuple[float, float, float] = field(init=False, repr=False)
+    imu_position: tuple[float, float, float] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for field in (
-            "wheel_radius",
-            "wheel_width",
-            "wheel_separation",
-            "wheel_torque",
-            "max_linear_acceleration",
-            "max_angular_acceleration",
-            "lidar_range",
-            "radius",
-            "max_speed",
-            "max_yaw_rate",
-        ):
-            value = getattr(self, field)
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"{field} of robot {self.name!r} must be a positive number, got {value}")
-        self._check_positions()
+        for name, value in (("lidar_range", self.lidar_range), ("radius", self.radius)):
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise ValueError(f"{name} of robot {self.name!r} must be a positive number, got {value}")
         object.__setattr__(self, "urdf", Path(self.urdf))
         if not self.urdf.is_file():
             raise FileNotFoundError(f"no description of robot {self.name!r} at {self.urdf}")
-        check_consistency(self)
+        try:
+            description = Description(self.urdf)
+            object.__setattr__(self, "wheels", read_wheels(description, self.drive))
+            object.__setattr__(self, "lidar_position", _position(description, "lidar", self.lidar))
+            object.__setattr__(self, "imu_position", _position(description, "imu", self.imu))
+        except ValueError as error:
+            raise ValueError(f"robot {self.name!r} cannot be driven with its URDF {self.urdf}: {error}") from error
+        if self.radius is None:
+            outline = footprint(self)
+            object.__setattr__(self, "radius", math.ceil(100 * outline.corner - 1e-9) / 100)
         check_plausibility(self)
 
-    def _check_positions(self) -> None:
-        names = (*self.left_wheels, *self.right_wheels)
-        if len(self.wheel_positions) != len(names):
+    @classmethod
+    def from_urdf(cls, path: Path | str, *, drive: Drive, name: str | None = None, **settings: Any) -> Robot:
+        """Creates a robot from its URDF and its drive.
+
+        Args:
+            path: path of the URDF file. Expand xacro first: ``xacro robot.urdf.xacro > robot.urdf``.
+            drive: drive.
+            name: name of the robot. ``None``: that of the URDF.
+            settings: further arguments of :class:`Robot`.
+
+        Raises:
+            ValueError: as :class:`Robot`.
+            FileNotFoundError: if the file does not exist.
+        """
+        return cls(name or _name(Path(path)), Path(path), drive, **settings)
+
+
+def _name(path: Path) -> str:
+    """Returns the name that a URDF states, or that of the file."""
+    try:
+        return Description(path).name or path.stem
+    except (ValueError, OSError):
+        # The robot reports what is wrong.
+        return path.stem
+
+
+def _position(description: Description, sensor: str, mount: Mount) -> tuple[float, float, float]:
+    """Returns the position of a sensor in the base frame."""
+    if isinstance(mount, str):
+        if mount not in description.fixed:
             raise ValueError(
-                f"robot {self.name!r} names {len(self.left_wheels)} left and {len(self.right_wheels)} right wheels, "
-                f"but gives {len(self.wheel_positions)} wheel positions"
+                f"{sensor} must be a position (x, y, z) in meters, or one of the links fixed to the base, "
+                f"{sorted(description.fixed)}, got {mount!r}"
             )
-        if not (self.left_wheels and self.right_wheels) or len(set(names)) != len(names):
-            raise ValueError(
-                f"robot {self.name!r} must have at least one wheel on each side and name each wheel once, "
-                f"got left_wheels={self.left_wheels} and right_wheels={self.right_wheels}"
-            )
-        positions = [("wheel_positions", position) for position in self.wheel_positions]
-        positions += [("lidar_position", self.lidar_position), ("imu_position", self.imu_position)]
-        for field, position in positions:
-            if len(position) != 3 or not all(map(math.isfinite, position)):
-                raise ValueError(
-                    f"{field} of robot {self.name!r} must have finite coordinates (x, y, z) in meters, got {position}"
-                )
-        sides = [("left", 1)] * len(self.left_wheels) + [("right", -1)] * len(self.right_wheels)
-        for name, position, (side, sign) in zip(names, self.wheel_positions, sides, strict=True):
-            if not sign * position[1] > 0:
-                raise ValueError(
-                    f"robot {self.name!r} has {side} wheel {name!r} at y = {position[1]} m in wheel_positions; "
-                    "left wheels must be at y > 0, right wheels at y < 0"
-                )
+        mount = tuple(description.fixed[mount].position.tolist())
+    if len(mount) != 3 or not all(map(math.isfinite, mount)):
+        raise ValueError(f"{sensor} must have finite coordinates (x, y, z) in meters, got {mount}")
+    return mount

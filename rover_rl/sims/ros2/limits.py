@@ -42,10 +42,10 @@ class CommandLimits:
     def from_robot(cls, robot: Robot) -> CommandLimits:
         """Creates the limits of a robot's drive."""
         return cls(
-            speed=robot.max_speed,
-            yaw_rate=robot.max_yaw_rate,
-            acceleration=robot.max_linear_acceleration,
-            yaw_acceleration=robot.max_angular_acceleration,
+            speed=robot.drive.max_speed,
+            yaw_rate=robot.drive.max_yaw_rate,
+            acceleration=robot.drive.max_linear_acceleration,
+            yaw_acceleration=robot.drive.max_angular_acceleration,
         )
 
 

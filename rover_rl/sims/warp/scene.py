@@ -157,9 +157,13 @@ def make_robot_model(robot: Robot, inertial_model: InertialModel, device: wp.Dev
         raise ValueError(f"the warp backend supports at most {MAX_WHEELS} wheels, {robot.name!r} has {wheels}")
     model = RobotModel()
     model.wheels = wheels
-    model.left_wheels = len(robot.left_wheels)
-    model.wheel_radius = robot.wheel_radius
-    model.wheel_half_width = robot.wheel_width / 2
+    model.motors = len(robot.drive.motors)
+    model.motor_of_wheel = wp.array(robot.drive.motor_of_wheel, dtype=int, device=device)
+    model.steering_of_wheel = wp.array(robot.wheels.steering or (-1,) * wheels, dtype=int, device=device)
+    rollers = [wp.vec3(math.cos(angle), math.sin(angle), 0.0) for angle in robot.drive.rollers]
+    model.rollers = wp.array(rollers, dtype=wp.vec3, device=device)
+    model.wheel_radius = robot.wheels.radius
+    model.wheel_half_width = robot.wheels.width / 2
     model.wheel_inertia = inertial_model.wheel_spin_inertia
     model.hubs = wp.array(inertial_model.hubs, dtype=wp.vec3, device=device)
     model.box_centers = wp.array(inertial_model.box_centers, dtype=wp.vec3, device=device)
@@ -174,7 +178,7 @@ def make_robot_model(robot: Robot, inertial_model: InertialModel, device: wp.Dev
 def bounding_radius(robot: Robot, model: InertialModel) -> float:
     """Radius (m) of a sphere around the center of mass that contains the whole rover."""
     center = model.total(torch.tensor([model.chassis_mass], dtype=torch.float64))[1][0].numpy()
-    wheel = math.hypot(robot.wheel_radius, robot.wheel_width / 2)
+    wheel = math.hypot(robot.wheels.radius, robot.wheels.width / 2)
     hubs = np.linalg.norm(model.hubs - center, axis=1) + wheel
     boxes = np.linalg.norm(np.abs(model.box_centers - center) + model.box_halves, axis=1)
     # The margin of 1 cm covers the shift of the center of mass, some millimeters, when the chassis mass is randomized.

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.base import Dynamics, RoverState, View
-from rover_rl.sims.differential_drive import SimulatedDrive
+from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.cache import RendererCache
@@ -74,7 +74,7 @@ class WarpSimulator:
         angles = np.arange(lidar_beams) * (2 * math.pi / lidar_beams)
         self.ray_angles = torch.tensor(angles, dtype=torch.float32, device=self.device)
         self._robot = robot
-        self._drive = SimulatedDrive(robot, self.control_dt, count, self.device)
+        self._drive = SimulatedDrives(robot.drive, robot.wheels, self.control_dt, count, self.device)
         self._renderers = RendererCache(robot)
 
         inertial_model = read_inertial_model(robot)
@@ -157,7 +157,9 @@ class WarpSimulator:
 
     def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
         """Simulates one control step of ``settings.substeps`` substeps: see :meth:`Simulator.step`."""
-        self._buffers.target_speeds.copy_(self._drive.advance(commands, active))
+        targets = self._drive.advance(commands, active)
+        self._buffers.target_speeds.copy_(targets.speeds)
+        self._buffers.target_angles.copy_(targets.angles)
         if active is None:
             self._buffers.active.fill_(True)
         else:

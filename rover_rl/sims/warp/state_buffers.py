@@ -18,7 +18,7 @@ class StateBuffers:
 
     Args:
         model: inertial model of the robot.
-        robot: robot; its maximum wheel torque is used.
+        robot: robot, whose drive has the joints.
         count: number of rovers.
         beams: number of beams of a scan.
         device: device of the tensors.
@@ -27,11 +27,12 @@ class StateBuffers:
         rovers: Warp arrays for the kernels.
         poses: poses of the base frames for the next placement, position (m) and quaternion (x, y, z, w), ``[N, 7]``.
         scene: index of each rover's world in the array of scenes, int32 ``[N]``.
-        target_speeds: target speeds of the left and right wheels, ``[N, 2]``, rad/s.
+        target_speeds: target speed of each motor, ``[N, M]``, rad/s.
+        target_angles: target angle of each steering joint, ``[N, S]``, rad.
         active: rovers that the next launch simulates, bool ``[N]``.
         scanned: those whose lidar scans, bool ``[N]``.
-        base_state: position (m) and orientation (x, y, z, w) of the base frame, and mean speed of the left and of the
-            right wheels (rad/s), ``[N, 9]``.
+        base_state: position (m) and orientation (x, y, z, w) of the base frame, mean speed of the wheels of each motor
+            (rad/s) and angle of each steering joint (rad), ``[N, 7 + M + S]``.
         ranges: scans, ``[N, beams]``, m.
         contact: whether the rovers touched an obstacle in the last control step, bool ``[N, 1]``.
     """
@@ -39,18 +40,20 @@ class StateBuffers:
     def __init__(self, model: InertialModel, robot: Robot, count: int, beams: int, device: torch.device) -> None:
         self._model = model
         self._device = device
-        wheels = len(model.hubs)
+        wheels, motors, steering = len(model.hubs), len(robot.drive.motors), len(robot.drive.steering)
         self.poses = self._zeros(count, 7)
         self.scene = torch.zeros(count, dtype=torch.int32, device=device)
-        self.target_speeds = self._zeros(count, 2)
+        self.target_speeds = self._zeros(count, motors)
+        self.target_angles = self._zeros(count, steering)
+        self._angles = self._zeros(count, steering)
         self.active = torch.ones(count, dtype=torch.bool, device=device)
         self.scanned = self.active.clone()
-        self.base_state = self._zeros(count, 9)
+        self.base_state = self._zeros(count, 7 + motors + steering)
         self.ranges = self._zeros(count, beams)
         self.contact = torch.zeros(count, 1, dtype=torch.bool, device=device)
         self._visible = self._zeros(count, SECTORS)
         self._lidar_range = robot.lidar_range
-        self._wheel_torque = robot.wheel_torque
+        self._wheel_torque = robot.drive.torque
         self._mass = self._zeros(count)
         self._center = self._zeros(count, 3)
         self._inertia = self._zeros(count, 3, 3)
@@ -72,7 +75,9 @@ class StateBuffers:
         rovers.friction_scale = self._shared(self._friction_scale, wp.float32)
         rovers.motor_torque = self._shared(self._motor_torque, wp.float32)
         rovers.scene = self._shared(self.scene, wp.int32)
-        rovers.target_speeds = self._shared(self.target_speeds, wp.vec2)
+        rovers.target_speeds = self._shared(self.target_speeds, wp.float32)
+        rovers.target_angles = self._shared(self.target_angles, wp.float32)
+        rovers.angles = self._shared(self._angles, wp.float32)
         rovers.active = self._shared(self.active, wp.bool)
         rovers.scanned = self._shared(self.scanned, wp.bool)
         rovers.base_state = self._shared(self.base_state, wp.float32)

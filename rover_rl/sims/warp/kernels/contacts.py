@@ -8,12 +8,12 @@ Frames: arms, normals and tangents are in the body frame (axes of the base frame
 and obstacles are queried in the world frame. Lengths in m.
 
 Constraint rows. The generalized velocity is ``u = (v, w, s_1, ..., s_W)``: velocity of the center of mass (m/s) and
-angular velocity (rad/s), both in the body frame, and the absolute spin rate of each wheel about its axle e_y (rad/s). A
-wheel's center of mass lies on its axle, so that the mass matrix is ``M = diag(m, I, J, ..., J)`` with the axle inertia
+angular velocity (rad/s), both in the body frame, and the absolute spin rate of each wheel about its axle e (rad/s), which is e_y
+unless the wheel is steered. A wheel's center of mass lies on its axle, so that the mass matrix is ``M = diag(m, I, J, ..., J)`` with the axle inertia
 J of the wheels kept out of I. A point at ``arm`` on a wheel with the hub at ``arm - lever`` moves along a direction d
 with
 
-    d . v + (arm x d - a e_y) . w + a s,    a = e_y . (lever x d) = lever_z d_x - lever_x d_z,
+    d . v + (arm x d - a e) . w + a s,    a = e . (lever x d),
 
 and a point on the chassis with a = 0. The coefficients are one row of the Jacobian: direction, ``moment`` and ``axle``
 entry. ``response`` is ``I^-1 moment``, the change of w per unit impulse, and ``1 / (row M^-1 row^T)`` is the effective
@@ -30,6 +30,8 @@ from rover_rl.sims.warp.kernels.types import MAX_WHEELS, RobotModel, Scene, Solv
 EXTRA_CONTACTS = 8
 """Maximum number of contacts besides those of the wheels with the ground; the deepest are kept."""
 MAX_CONTACTS = 2 * MAX_WHEELS + EXTRA_CONTACTS
+LEFT = wp.constant(wp.vec3(0.0, 1.0, 0.0))
+"""Direction of the axle of a wheel that points ahead, in the base frame."""
 NO_WHEEL = -1
 """Wheel index of a contact of the chassis."""
 SAMPLES = 3
@@ -99,16 +101,15 @@ class Body:
 
 
 @wp.func
-def body_moment(arm: wp.vec3, direction: wp.vec3, axle: float) -> wp.vec3:
-    """Jacobian entry of the angular velocity, ``arm x d - a e_y``: the moment that goes into the body (m)."""
-    moment = wp.cross(arm, direction)
-    return wp.vec3(moment[0], moment[1] - axle, moment[2])
+def body_moment(arm: wp.vec3, direction: wp.vec3, axle: wp.vec3, moment: float) -> wp.vec3:
+    """Jacobian entry of the angular velocity, ``arm x d - a e``: the moment that goes into the body (m)."""
+    return wp.cross(arm, direction) - moment * axle
 
 
 @wp.func
-def axle_moment(lever: wp.vec3, direction: wp.vec3, wheel: int) -> float:
-    """Jacobian entry of the wheel's spin, ``a = e_y . (lever x d)`` (m); 0 for the chassis."""
-    return wp.where(wheel == NO_WHEEL, 0.0, lever[2] * direction[0] - lever[0] * direction[2])
+def axle_moment(lever: wp.vec3, direction: wp.vec3, axle: wp.vec3, wheel: int) -> float:
+    """Jacobian entry of the wheel's spin, ``a = e . (lever x d)`` with the axle e (m); 0 for the chassis."""
+    return wp.where(wheel == NO_WHEEL, 0.0, wp.dot(axle, wp.cross(lever, direction)))
 
 
 @wp.func
@@ -119,6 +120,7 @@ def prepare_contact(
     model: RobotModel,
     solver: Solver,
     wheel: int,
+    axle: wp.vec3,
     arm: wp.vec3,
     friction_arm: wp.vec3,
     normal: wp.vec3,
@@ -140,6 +142,7 @@ def prepare_contact(
         model: model of the robot.
         solver: solver parameters.
         wheel: index of the touching wheel, or ``NO_WHEEL``.
+        axle: direction of its axle.
         arm: contact point relative to the center of mass, m.
         friction_arm: point where friction acts, relative to the center of mass, m.
         normal: unit normal from the other surface to the rover.
@@ -151,17 +154,22 @@ def prepare_contact(
         lever = arm - (model.hubs[wheel] - body.center)
     # Longitudinal: the rolling direction of a wheel, axle x normal. On contacts near the axle's direction, where that
     # vanishes, normal x z.
-    longitudinal = wp.vec3(normal[2], 0.0, -normal[0])
-    if wp.abs(normal[1]) > 0.9:
+    longitudinal = wp.cross(axle, normal)
+    if wp.abs(wp.dot(axle, normal)) > 0.9:
         longitudinal = wp.vec3(normal[1], -normal[0], 0.0)
     longitudinal = wp.normalize(longitudinal)
     lateral = wp.cross(normal, longitudinal)
-    normal_axle = axle_moment(lever, normal, wheel)
-    longitudinal_axle = axle_moment(lever, longitudinal, wheel)
-    lateral_axle = axle_moment(lever, lateral, wheel)
-    normal_moment = body_moment(arm, normal, normal_axle)
-    longitudinal_moment = body_moment(friction_arm, longitudinal, longitudinal_axle)
-    lateral_moment = body_moment(friction_arm, lateral, lateral_axle)
+    if wheel != NO_WHEEL and model.rollers.shape[0] > 0:
+        # Ideal rollers: friction acts along the axle of the roller, and nothing holds the wheel across it.
+        roller = model.rollers[wheel]
+        longitudinal = wp.normalize(roller - wp.dot(roller, normal) * normal)
+        lateral = wp.vec3(0.0, 0.0, 0.0)
+    normal_axle = axle_moment(lever, normal, axle, wheel)
+    longitudinal_axle = axle_moment(lever, longitudinal, axle, wheel)
+    lateral_axle = axle_moment(lever, lateral, axle, wheel)
+    normal_moment = body_moment(arm, normal, axle, normal_axle)
+    longitudinal_moment = body_moment(friction_arm, longitudinal, axle, longitudinal_axle)
+    lateral_moment = body_moment(friction_arm, lateral, axle, lateral_axle)
     normal_response = body.inverse_inertia * normal_moment
     longitudinal_response = body.inverse_inertia * longitudinal_moment
     lateral_response = body.inverse_inertia * lateral_moment
@@ -206,35 +214,42 @@ def prepare_contact(
 
 @wp.func
 def collide_wheels_with_ground(
-    contacts: wp.array[Contact], scene: Scene, body: Body, model: RobotModel, solver: Solver, friction: float
+    contacts: wp.array[Contact],
+    scene: Scene,
+    body: Body,
+    model: RobotModel,
+    solver: Solver,
+    axles: wp.array[wp.vec3],
+    friction: float,
 ):
     """Finds two contacts per wheel: the deepest point of each edge of its tread.
 
     A wheel is a cylinder; each of its two end circles is a candidate contact. Tests the circle's lowest point, the
     points 40 degrees behind and ahead, which find steps and peaks, and the exact deepest point with respect to the
-    terrain plane of the deepest sample, ``arm = middle - r n_xz / |n_xz|``. Keeps the point with the least gap.
+    terrain plane of the deepest sample, ``arm = middle - r p / |p|`` with the part p of the normal in the wheel's plane. Keeps the point with the least gap.
     """
     to_body = wp.transpose(body.rotation)
     down = to_body * wp.vec3(0.0, 0.0, -1.0)
-    # Downward direction in the planes of the wheels; undefined for a rover on its side, where any direction will do.
-    bottom = wp.vec3(down[0], 0.0, down[2])
-    bottom = wp.where(wp.length_sq(bottom) > 1.0e-6, wp.normalize(bottom), wp.vec3(0.0, 0.0, -1.0))
     for k in range(2 * model.wheels):
         wheel = k // 2
+        axle = axles[wheel]
+        # Downward direction in the plane of the wheel; undefined for a rover on its side, where any direction will do.
+        bottom = down - wp.dot(down, axle) * axle
+        bottom = wp.where(wp.length_sq(bottom) > 1.0e-6, wp.normalize(bottom), wp.vec3(0.0, 0.0, -1.0))
         offset = wp.where(k % 2 == 0, model.wheel_half_width, -model.wheel_half_width)
-        middle = model.hubs[wheel] - body.center + wp.vec3(0.0, offset, 0.0)
+        middle = model.hubs[wheel] - body.center + offset * axle
         best_gap = float(1.0e9)
         best_arm = middle
         best_normal = wp.vec3(0.0, 0.0, 1.0)
         for n in range(SAMPLES + 1):
             direction = bottom
             if n == 1:
-                direction = SAMPLE_COS * bottom + SAMPLE_SIN * wp.vec3(bottom[2], 0.0, -bottom[0])
+                direction = SAMPLE_COS * bottom + SAMPLE_SIN * wp.cross(axle, bottom)
             elif n == 2:
-                direction = SAMPLE_COS * bottom - SAMPLE_SIN * wp.vec3(bottom[2], 0.0, -bottom[0])
+                direction = SAMPLE_COS * bottom - SAMPLE_SIN * wp.cross(axle, bottom)
             elif n == SAMPLES:
                 # Deepest point of the circle below the terrain plane of the deepest sample.
-                inward = wp.vec3(-best_normal[0], 0.0, -best_normal[2])
+                inward = wp.dot(best_normal, axle) * axle - best_normal
                 direction = wp.where(wp.length_sq(inward) > 1.0e-6, wp.normalize(inward), bottom)
             arm = middle + model.wheel_radius * direction
             point = body.position + body.rotation * arm
@@ -245,9 +260,13 @@ def collide_wheels_with_ground(
                 best_arm = arm
                 best_normal = to_body * ground_normal(ground)
         if best_gap < solver.margin:
-            friction_arm = best_arm - wp.vec3(0.0, (1.0 - FRICTION_POINT) * offset, 0.0)
+            inset = 1.0 - FRICTION_POINT
+            if model.rollers.shape[0] > 0:
+                # A roller touches the ground below the hub.
+                inset = 1.0
+            friction_arm = best_arm - inset * offset * axle
             prepare_contact(
-                contacts, k, body, model, solver, wheel, best_arm, friction_arm, best_normal, best_gap, friction
+                contacts, k, body, model, solver, wheel, axle, best_arm, friction_arm, best_normal, best_gap, friction
             )
         else:
             contacts[k].active = 0
@@ -263,6 +282,7 @@ def add_contact(
     solver: Solver,
     key: int,
     wheel: int,
+    axle: wp.vec3,
     arm: wp.vec3,
     normal: wp.vec3,
     gap: float,
@@ -282,7 +302,7 @@ def add_contact(
                 k = other
         if contacts[k].gap <= gap:
             return count
-    prepare_contact(contacts, k, body, model, solver, wheel, arm, arm, normal, gap, friction)
+    prepare_contact(contacts, k, body, model, solver, wheel, axle, arm, arm, normal, gap, friction)
     contacts[k].key = key
     contacts[k].impulse = wp.vec3(0.0, 0.0, 0.0)
     return wp.max(count, k + 1)
@@ -308,7 +328,7 @@ def collide_chassis_with_ground(
         if gap < 0.0:
             normal = to_body * ground_normal(ground)
             # Keys: 1 to the number of points.
-            count = add_contact(contacts, count, body, model, solver, n + 1, NO_WHEEL, arm, normal, gap, friction)
+            count = add_contact(contacts, count, body, model, solver, n + 1, NO_WHEEL, LEFT, arm, normal, gap, friction)
     return count
 
 
@@ -362,7 +382,7 @@ def collide_peaks_with_chassis(
                     # Keys: negative.
                     key = -1 - (j * columns + i)
                     count = add_contact(
-                        contacts, count, body, model, solver, key, NO_WHEEL, peak, normal, gap, friction
+                        contacts, count, body, model, solver, key, NO_WHEEL, LEFT, peak, normal, gap, friction
                     )
     return count
 
@@ -375,6 +395,7 @@ def collide_with_obstacles(
     body: Body,
     model: RobotModel,
     solver: Solver,
+    axles: wp.array[wp.vec3],
     friction: float,
     touched: wp.array[wp.bool],
     rover: int,
@@ -398,7 +419,10 @@ def collide_with_obstacles(
             for part in range(boxes + model.wheels):
                 middle = body.position + body.rotation * (part_center(model, part) - body.center)
                 if is_near(scene, obstacle, middle, part_radius(model, part)):
-                    hit = find_overlap(scene, model, body.center, body.position, body.rotation, part, obstacle)
+                    axle = LEFT
+                    if part >= boxes:
+                        axle = axles[part - boxes]
+                    hit = find_overlap(scene, model, body.center, body.position, body.rotation, part, axle, obstacle)
                     if hit.depth > 0.0:
                         touched[rover] = True
                         # Keys: from 1024, above those of the chassis points.
@@ -412,6 +436,7 @@ def collide_with_obstacles(
                             solver,
                             key,
                             wheel,
+                            axle,
                             hit.arm,
                             hit.normal,
                             -hit.depth,

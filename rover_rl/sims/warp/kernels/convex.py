@@ -94,11 +94,11 @@ def part_radius(model: RobotModel, part: int) -> float:
 
 
 @wp.func
-def part_support(model: RobotModel, part: int, direction: wp.vec3) -> wp.vec3:
+def part_support(model: RobotModel, part: int, axle: wp.vec3, direction: wp.vec3) -> wp.vec3:
     """Support point of a part, the point farthest along ``direction``, in the base frame.
 
-    A box has its support point at a corner. A wheel is a cylinder about y and has it on the rim of an end face:
-    ``hub + (r d_x / |d_xz|, sign(d_y) w / 2, r d_z / |d_xz|)`` with radius r and width w.
+    A box has its support point at a corner. A wheel is a cylinder about its axle, a horizontal unit vector a, and has it
+    on the rim of an end face: ``hub + r p / |p| + sign(d . a) a w / 2`` with radius r, width w and ``p = d - (d . a) a``.
     """
     boxes = model.box_centers.shape[0]
     if part < boxes:
@@ -108,10 +108,11 @@ def part_support(model: RobotModel, part: int, direction: wp.vec3) -> wp.vec3:
             wp.where(direction[1] < 0.0, -half[1], half[1]),
             wp.where(direction[2] < 0.0, -half[2], half[2]),
         )
-    radial = wp.sqrt(direction[0] * direction[0] + direction[2] * direction[2])
-    scale = model.wheel_radius / wp.max(radial, 1.0e-9)
-    width = wp.where(direction[1] < 0.0, -model.wheel_half_width, model.wheel_half_width)
-    return model.hubs[part - boxes] + wp.vec3(direction[0] * scale, width, direction[2] * scale)
+    along = wp.dot(direction, axle)
+    across = direction - along * axle
+    scale = model.wheel_radius / wp.max(wp.length(across), 1.0e-9)
+    width = wp.where(along < 0.0, -model.wheel_half_width, model.wheel_half_width)
+    return model.hubs[part - boxes] + scale * across + width * axle
 
 
 @wp.func
@@ -122,6 +123,7 @@ def support(
     position: wp.vec3,
     rotation: wp.mat33,
     part: int,
+    axle: wp.vec3,
     obstacle: int,
     direction: wp.vec3,
 ) -> Support:
@@ -131,7 +133,7 @@ def support(
     The obstacle's vertices are compared in the world frame, and only the one chosen is transformed.
     """
     point = Support()
-    point.arm = part_support(model, part, direction) - center
+    point.arm = part_support(model, part, axle, direction) - center
     world_direction = rotation * direction
     start = scene.vertex_starts[obstacle]
     best = scene.vertices[start]
@@ -161,7 +163,14 @@ def interior_point(scene: Scene, obstacle: int, point: wp.vec3) -> wp.vec3:
 
 @wp.func
 def find_overlap(
-    scene: Scene, model: RobotModel, center: wp.vec3, position: wp.vec3, rotation: wp.mat33, part: int, obstacle: int
+    scene: Scene,
+    model: RobotModel,
+    center: wp.vec3,
+    position: wp.vec3,
+    rotation: wp.mat33,
+    part: int,
+    axle: wp.vec3,
+    obstacle: int,
 ) -> Overlap:
     """Penetration of a part into an obstacle by Minkowski portal refinement.
 
@@ -172,6 +181,7 @@ def find_overlap(
         position: center of mass in the world frame, m.
         rotation: rotation from the body to the world frame.
         part: index of the part, see :func:`part_center`.
+        axle: direction of the axle of the part, if it is a wheel.
         obstacle: index of the obstacle.
     """
     result = Overlap()
@@ -187,7 +197,7 @@ def find_overlap(
         v0 = wp.transpose(rotation) * wp.vec3(plane[0], plane[1], plane[2]) * 1.0e-3
 
     # First support point, toward the origin. A support point that does not pass the origin separates the two shapes.
-    v1 = support(scene, model, center, position, rotation, part, obstacle, -v0)
+    v1 = support(scene, model, center, position, rotation, part, axle, obstacle, -v0)
     if wp.dot(v1.difference, v0) >= 0.0:
         return result
     n = wp.cross(v1.difference, v0)
@@ -199,7 +209,7 @@ def find_overlap(
         result.arm = v1.arm
         return result
     # Second support point, perpendicular to the plane of v0, v1 and the origin.
-    v2 = support(scene, model, center, position, rotation, part, obstacle, n)
+    v2 = support(scene, model, center, position, rotation, part, axle, obstacle, n)
     if wp.dot(v2.difference, n) <= 0.0:
         return result
     # Orient the portal so that its normal points away from v0.
@@ -211,7 +221,7 @@ def find_overlap(
         n = -n
 
     # Portal discovery: find a triangle (v1, v2, v3) that the ray from v0 through the origin passes through.
-    v3 = support(scene, model, center, position, rotation, part, obstacle, n)
+    v3 = support(scene, model, center, position, rotation, part, axle, obstacle, n)
     # 0: no portal yet, 1: a portal, 2: a portal on the surface.
     stage = int(0)
     for _ in range(MAX_PORTALS):
@@ -222,12 +232,12 @@ def find_overlap(
                 # The origin is outside the plane (v0, v1, v3): drop v2.
                 v2 = v3
                 n = wp.cross(v1.difference - v0, v3.difference - v0)
-                v3 = support(scene, model, center, position, rotation, part, obstacle, n)
+                v3 = support(scene, model, center, position, rotation, part, axle, obstacle, n)
             elif wp.dot(wp.cross(v3.difference, v2.difference), v0) < 0.0:
                 # The origin is outside the plane (v0, v3, v2): drop v1.
                 v1 = v3
                 n = wp.cross(v3.difference - v0, v2.difference - v0)
-                v3 = support(scene, model, center, position, rotation, part, obstacle, n)
+                v3 = support(scene, model, center, position, rotation, part, axle, obstacle, n)
             else:
                 stage = 1
     if stage == 0:
@@ -237,7 +247,7 @@ def find_overlap(
     for _ in range(MAX_PORTALS):
         if stage == 1:
             n = wp.normalize(wp.cross(v2.difference - v1.difference, v3.difference - v1.difference))
-            v4 = support(scene, model, center, position, rotation, part, obstacle, n)
+            v4 = support(scene, model, center, position, rotation, part, axle, obstacle, n)
             beyond = wp.dot(v4.difference, n)
             if beyond <= 0.0:
                 # The support plane separates the origin from A - B: no overlap.

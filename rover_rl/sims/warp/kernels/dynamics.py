@@ -1,7 +1,7 @@
 """Rigid-body dynamics of a rover: constraint solver and time integration.
 
 A rover is one rigid body with spinning wheels. The wheels are fixed to the chassis but for their rotation about the
-axles, and have their centers of mass there: the inertia of the whole does not depend on the wheels' angles, and motors
+axles and the turn of steered ones, which changes the axle e but no inertia, and have their centers of mass there: the inertia of the whole does not depend on the wheels' angles, and motors
 and contacts are all that couples a wheel's spin to the body.
 
 State (world frame unless stated otherwise): position of the center of mass (m), orientation quaternion (x, y, z, w),
@@ -10,7 +10,7 @@ solver works on v and w in the body frame, see :mod:`rover_rl.sims.warp.kernels.
 
 A substep of duration h:
 
-    1. Unconstrained velocity: ``v += h g``, ``w -= h I^-1 (w x (I w + e_y J sum(s)))`` (gyroscopic term, explicit).
+    1. Unconstrained velocity: ``v += h g``, ``w -= h I^-1 (w x (I w + J sum(s e)))`` (gyroscopic term, explicit).
     2. Collision detection, and preparation of the constraint rows.
     3. Warm start: apply the accumulated impulses of the last substep.
     4. Solver: sequential impulses, that is projected Gauss-Seidel on accumulated impulses with warm starting (E. Catto,
@@ -28,6 +28,7 @@ from __future__ import annotations
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.warp.kernels.contacts import (
     EXTRA_CONTACTS,
+    LEFT,
     MAX_CONTACTS,
     NO_WHEEL,
     Body,
@@ -96,35 +97,41 @@ def solve_motors(
     wheel_spins: wp.array[float],
     motors: wp.array[float],
     model: RobotModel,
-    axle_response: wp.vec3,
+    axles: wp.array[wp.vec3],
+    responses: wp.array[wp.vec3],
     inverse_spin: float,
-    target_speeds: wp.vec2,
+    target_speeds: wp.array2d[float],
+    row: int,
     max_impulse: float,
 ) -> Motion:
     """One Gauss-Seidel pass over the motors: velocity control with a torque limit.
 
-    A motor turns its wheel against the chassis. Its row is ``s - w_y = target``, with effective mass
-    ``1 / (1/J + (I^-1)_yy)``; the accumulated impulse is clamped to +- ``max_impulse``, the torque limit times dt.
+    A motor turns its wheels against the chassis. The row of a wheel with the axle e is ``s - e . w = target``, with
+    effective mass ``1 / (1/J + e . I^-1 e)``; the accumulated impulse is clamped to +- ``max_impulse``, the torque limit times dt.
 
     Args:
         motion: motion of the body.
         wheel_spins: absolute spin rates of the wheels, rad/s; changed in place.
         motors: accumulated angular impulses of the motors, N m s; changed in place.
         model: model of the robot.
-        axle_response: change of the angular velocity per unit of angular impulse about e_y, the column ``I^-1 e_y``.
+        axles: directions e of the axles.
+        responses: changes of the angular velocity per unit of angular impulse about the axles, ``I^-1 e``.
         inverse_spin: inverse of a wheel's inertia about its axle, 1 / (kg m^2).
-        target_speeds: target speeds of the left and right wheels relative to the chassis, rad/s.
+        target_speeds: target speed of each motor relative to the chassis, of each rover, rad/s.
+        row: index of the rover.
         max_impulse: limit of the accumulated impulses, N m s.
     """
-    mass = 1.0 / (inverse_spin + axle_response[1])
     for wheel in range(model.wheels):
-        target = wp.where(wheel < model.left_wheels, target_speeds[0], target_speeds[1])
-        before = motors[wheel]
-        after = wp.clamp(before + mass * (target - (wheel_spins[wheel] - motion.angular[1])), -max_impulse, max_impulse)
-        motors[wheel] = after
-        # Equal and opposite: the wheel gains what the body loses.
-        wheel_spins[wheel] += inverse_spin * (after - before)
-        motion.angular -= (after - before) * axle_response
+        motor = model.motor_of_wheel[wheel]
+        if motor >= 0:
+            mass = 1.0 / (inverse_spin + wp.dot(axles[wheel], responses[wheel]))
+            speed = wheel_spins[wheel] - wp.dot(axles[wheel], motion.angular)
+            before = motors[wheel]
+            after = wp.clamp(before + mass * (target_speeds[row, motor] - speed), -max_impulse, max_impulse)
+            motors[wheel] = after
+            # Equal and opposite: the wheel gains what the body loses.
+            wheel_spins[wheel] += inverse_spin * (after - before)
+            motion.angular -= (after - before) * responses[wheel]
     return motion
 
 
@@ -203,6 +210,8 @@ def step_dynamics(scenes: wp.array[Scene], model: RobotModel, solver: Solver, ro
     impulses = wp.zeros(shape=(EXTRA_CONTACTS,), dtype=wp.vec3)
     wheel_spins = wp.zeros(shape=(MAX_WHEELS,), dtype=float)
     motors = wp.zeros(shape=(MAX_WHEELS,), dtype=float)
+    axles = wp.zeros(shape=(MAX_WHEELS,), dtype=wp.vec3)
+    responses = wp.zeros(shape=(MAX_WHEELS,), dtype=wp.vec3)
     for wheel in range(wheels):
         wheel_spins[wheel] = rovers.wheel_spins[row, wheel]
         motors[wheel] = rovers.impulses[row, 3 * wheel_contacts + wheel]
@@ -221,26 +230,31 @@ def step_dynamics(scenes: wp.array[Scene], model: RobotModel, solver: Solver, ro
     orientation = rovers.orientation[row]
     velocity = rovers.velocity[row]
     angular_velocity = rovers.angular_velocity[row]
-    target_speeds = rovers.target_speeds[row]
     friction_scale = rovers.friction_scale[row]
     max_impulse = rovers.motor_torque[row] * solver.dt
     dt = solver.dt
     rovers.contact[row] = False
 
-    for _ in range(solver.substeps):
+    for substep in range(solver.substeps):
+        for wheel in range(wheels):
+            axles[wheel] = axle_of(model, rovers, row, wheel, float(substep + 1) / float(solver.substeps))
+            responses[wheel] = body.inverse_inertia * axles[wheel]
+
         # 1. Unconstrained velocity, in the body frame: gravity and the gyroscopic term.
         body.rotation = wp.quat_to_matrix(orientation)
         to_body = wp.transpose(body.rotation)
         body.velocity = to_body * (velocity + wp.vec3(0.0, 0.0, -GRAVITY * dt))
         body.angular_velocity = to_body * angular_velocity
-        total_spin = float(0.0)
+        total_spin = wp.vec3(0.0, 0.0, 0.0)
         for wheel in range(wheels):
-            total_spin += wheel_spins[wheel]
-        momentum = inertia * body.angular_velocity + wp.vec3(0.0, model.wheel_inertia * total_spin, 0.0)
+            total_spin += wheel_spins[wheel] * axles[wheel]
+        momentum = inertia * body.angular_velocity + model.wheel_inertia * total_spin
         body.angular_velocity -= dt * (body.inverse_inertia * wp.cross(body.angular_velocity, momentum))
 
         # 2. Collision detection and constraint rows.
-        collide_wheels_with_ground(contacts, scene, body, model, solver, friction_scale * solver.ground_friction)
+        collide_wheels_with_ground(
+            contacts, scene, body, model, solver, axles, friction_scale * solver.ground_friction
+        )
         count = wheel_contacts
         count = collide_chassis_with_ground(
             contacts, count, scene, body, model, solver, friction_scale * solver.ground_friction
@@ -255,6 +269,7 @@ def step_dynamics(scenes: wp.array[Scene], model: RobotModel, solver: Solver, ro
             body,
             model,
             solver,
+            axles,
             friction_scale * solver.obstacle_friction,
             rovers.contact,
             row,
@@ -265,10 +280,9 @@ def step_dynamics(scenes: wp.array[Scene], model: RobotModel, solver: Solver, ro
         motion = Motion()
         motion.velocity = body.velocity
         motion.angular = body.angular_velocity
-        axle_response = wp.vec3(body.inverse_inertia[0, 1], body.inverse_inertia[1, 1], body.inverse_inertia[2, 1])
         for wheel in range(wheels):
             wheel_spins[wheel] += body.inverse_spin * motors[wheel]
-            motion.angular -= motors[wheel] * axle_response
+            motion.angular -= motors[wheel] * responses[wheel]
         for k in range(count):
             if contacts[k].active == 1:
                 motion = apply_impulse(
@@ -281,7 +295,16 @@ def step_dynamics(scenes: wp.array[Scene], model: RobotModel, solver: Solver, ro
                 motion, wheel_spins, contacts, count, solver.softness, body.inverse_mass, body.inverse_spin
             )
             motion = solve_motors(
-                motion, wheel_spins, motors, model, axle_response, body.inverse_spin, target_speeds, max_impulse
+                motion,
+                wheel_spins,
+                motors,
+                model,
+                axles,
+                responses,
+                body.inverse_spin,
+                rovers.target_speeds,
+                row,
+                max_impulse,
             )
         for n in range(EXTRA_CONTACTS):
             impulses[n] = contacts[wheel_contacts + n].impulse
@@ -303,33 +326,49 @@ def step_dynamics(scenes: wp.array[Scene], model: RobotModel, solver: Solver, ro
     for k in range(wheel_contacts):
         for n in range(3):
             rovers.impulses[row, 3 * k + n] = contacts[k].impulse[n]
+    for joint in range(rovers.angles.shape[1]):
+        rovers.angles[row, joint] = rovers.target_angles[row, joint]
     write_base_state(model, rovers, row)
 
 
 @wp.func
+def axle_of(model: RobotModel, rovers: RoverArrays, row: int, wheel: int, share: float) -> wp.vec3:
+    """Direction of the axle of a wheel in the body frame, after a share of the control step.
+
+    Steering joints turn evenly from their angle at the begin of the step to their target: ``e = (-sin a, cos a, 0)``.
+    """
+    joint = model.steering_of_wheel[wheel]
+    if joint < 0:
+        return LEFT
+    before = rovers.angles[row, joint]
+    angle = before + share * (rovers.target_angles[row, joint] - before)
+    return wp.vec3(-wp.sin(angle), wp.cos(angle), 0.0)
+
+
+@wp.func
 def write_base_state(model: RobotModel, rovers: RoverArrays, row: int):
-    """Writes the output of a rover: pose of the base frame, and mean speeds of the left and the right wheels.
+    """Writes the output of a rover: pose of the base frame, mean wheel speed of each motor, and steering angles.
 
     The base frame is at ``x - R c``, with the center of mass c in the base frame. Wheel speeds are those that encoders
-    measure, relative to the chassis: ``s - w_y`` with w in the body frame.
+    measure, relative to the chassis: ``s - e . w`` for an axle e, with w in the body frame.
     """
     orientation = rovers.orientation[row]
     base = rovers.position[row] - wp.quat_rotate(orientation, rovers.center[row])
-    pitch_rate = wp.quat_rotate_inv(orientation, rovers.angular_velocity[row])[1]
-    left = float(0.0)
-    right = float(0.0)
-    for wheel in range(model.wheels):
-        speed = rovers.wheel_spins[row, wheel] - pitch_rate
-        if wheel < model.left_wheels:
-            left += speed
-        else:
-            right += speed
+    rate = wp.quat_rotate_inv(orientation, rovers.angular_velocity[row])
     for n in range(3):
         rovers.base_state[row, n] = base[n]
     for n in range(4):
         rovers.base_state[row, 3 + n] = orientation[n]
-    rovers.base_state[row, 7] = left / float(model.left_wheels)
-    rovers.base_state[row, 8] = right / float(model.wheels - model.left_wheels)
+    for motor in range(model.motors):
+        total = float(0.0)
+        count = float(0.0)
+        for wheel in range(model.wheels):
+            if model.motor_of_wheel[wheel] == motor:
+                total += rovers.wheel_spins[row, wheel] - wp.dot(axle_of(model, rovers, row, wheel, 0.0), rate)
+                count += 1.0
+        rovers.base_state[row, 7 + motor] = total / count
+    for joint in range(rovers.angles.shape[1]):
+        rovers.base_state[row, 7 + model.motors + joint] = rovers.angles[row, joint]
 
 
 @wp.kernel
@@ -351,5 +390,7 @@ def place(model: RobotModel, rovers: RoverArrays, poses: wp.array2d[float]):
         rovers.wheel_spins[row, n] = 0.0
     for n in range(rovers.impulses.shape[1]):
         rovers.impulses[row, n] = 0.0
+    for joint in range(rovers.angles.shape[1]):
+        rovers.angles[row, joint] = 0.0
     rovers.contact[row] = False
     write_base_state(model, rovers, row)

@@ -52,8 +52,12 @@ class RobotModel:
     """Geometry and wheel inertia shared by all rovers. Positions in the base frame, m."""
 
     wheels: int
-    # Wheels of the left side come first.
-    left_wheels: int
+    # Motor of each wheel, -1 for a wheel without one; the steering joint that carries it, -1 without one; and the
+    # direction of its roller on the ground, a unit vector, or zero for a tire.
+    motors: int
+    motor_of_wheel: wp.array[int]
+    steering_of_wheel: wp.array[int]
+    rollers: wp.array[wp.vec3]
     wheel_radius: float
     wheel_half_width: float
     # Moment of inertia of one wheel about its axle, kg m^2.
@@ -115,14 +119,17 @@ class RoverArrays:
     # Factor of all friction coefficients, and maximum torque of a wheel motor, N m.
     friction_scale: wp.array[float]
     motor_torque: wp.array[float]
-    # Inputs: target speed of the left and right wheels relative to the chassis (rad/s), which rovers are simulated, and
-    # which of them scan.
-    target_speeds: wp.array[wp.vec2]
+    # Angle of each steering joint [N, steering], rad.
+    angles: wp.array2d[float]
+    # Inputs: target speed of each motor relative to the chassis [N, motors] (rad/s), target angle of each steering joint
+    # [N, steering] (rad), which rovers are simulated, and which of them scan.
+    target_speeds: wp.array2d[float]
+    target_angles: wp.array2d[float]
     active: wp.array[wp.bool]
     scanned: wp.array[wp.bool]
-    # Outputs: base state [N, 9] (position of the base frame, its orientation, mean speed of the left and of the right
-    # wheels relative to the chassis), scan [N, beams], m, and whether the rover touched an obstacle in the last control
-    # step.
+    # Outputs: base state [N, 7 + motors + steering] (position of the base frame, its orientation, mean speed of the wheels
+    # of each motor relative to the chassis, angles), scan [N, beams], m, and whether the rover touched an obstacle in the
+    # last control step.
     base_state: wp.array2d[float]
     ranges: wp.array2d[float]
     contact: wp.array[wp.bool]

@@ -1,0 +1,14 @@
+"""Drives: how commands move the joints of a robot, and how its joints tell how it moves.
+
+``base``: ``Drive``, what a drive is, and ``Wheels``, the geometry that it drives. ``skid_steer``, ``ackermann``, ``mecanum``: a
+drive each. ``simulated``: the drives of a batch of simulated rovers.
+"""
+
+from __future__ import annotations
+
+from rover_rl.sims.drives.ackermann import Ackermann
+from rover_rl.sims.drives.base import Drive, Joints, Wheels
+from rover_rl.sims.drives.mecanum import Mecanum
+from rover_rl.sims.drives.skid_steer import SkidSteer
+
+__all__ = ["Ackermann", "Drive", "Joints", "Mecanum", "SkidSteer", "Wheels"]

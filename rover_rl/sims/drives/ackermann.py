@@ -1,0 +1,115 @@
+"""Ackermann: two front wheels steer, and all wheels roll about one center of rotation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from rover_rl.sims.drives.base import Drive, Joints, Wheels
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ackermann(Drive):
+    """Drive of a car: the front wheels steer, and a differential drives the rear wheels.
+
+    All wheels roll about one point on the line of the rear axle, at the signed curvature ``k = tan(a) / L`` for the
+    steering angle ``a`` of the middle of the front axle and the wheelbase ``L``. A wheel at ``(x, y)`` from the middle
+    of the rear axle steers by ``atan2(k x, 1 - k y)``, and a rear wheel turns with ``v (1 - k y) / r``. A command that
+    asks for a sharper turn than the car can take steers as far as it can.
+
+    Args:
+        knuckles: names of the joints that turn the left and the right front wheel about +z.
+        front: names of the joints of the left and the right front wheel.
+        rear: names of the joints of the left and the right rear wheel.
+        max_steering: largest steering angle of the middle of the front axle, rad.
+        max_steering_rate: largest rate of that angle, rad/s.
+
+    Raises:
+        ValueError: as :class:`Drive`, or if there are not two joints of each kind, or a steering limit is out of range.
+    """
+
+    knuckles: tuple[str, str]
+    front: tuple[str, str]
+    rear: tuple[str, str]
+    max_steering: float
+    max_steering_rate: float = 3.0
+
+    turns_in_place: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        for name in ("knuckles", "front", "rear"):
+            if len(joints := getattr(self, name)) != 2:
+                raise ValueError(f"{name} of an Ackermann drive must name a left and a right joint, got {joints}")
+        super().__post_init__()
+        if not 0 < self.max_steering < math.pi / 2:
+            raise ValueError(f"max_steering must be between 0 and pi/2 rad, got {self.max_steering}")
+        if not 0 < self.max_steering_rate < math.inf:
+            raise ValueError(f"max_steering_rate must be a positive number, got {self.max_steering_rate}")
+
+    @property
+    def motors(self) -> tuple[tuple[str, ...], ...]:
+        """Names of the rear wheel joints: each has its own speed."""
+        return tuple((wheel,) for wheel in self.rear)
+
+    @property
+    def passive(self) -> tuple[str, ...]:
+        """Names of the front wheel joints."""
+        return self.front
+
+    @property
+    def steering(self) -> tuple[str, ...]:
+        """Names of the joints that turn the front wheels."""
+        return self.knuckles
+
+    def wheelbase(self, wheels: Wheels) -> float:
+        """Returns the distance from the rear to the front axle, m."""
+        rear, front = wheels.hubs[:2], wheels.hubs[2:]
+        return (front[0][0] + front[1][0] - rear[0][0] - rear[1][0]) / 2
+
+    def min_radius(self, wheels: Wheels) -> float:
+        """Returns the radius of the sharpest turn of the middle of the rear axle, m."""
+        return self.wheelbase(wheels) / math.tan(self.max_steering)
+
+    def check(self, wheels: Wheels) -> None:
+        """Checks that the front wheels are ahead of the rear wheels, and left ones to the left."""
+        if not self.wheelbase(wheels) > 0:
+            raise ValueError(f"the front wheels {self.front} must be ahead of the rear wheels {self.rear}")
+        for (left, right), (one, other) in zip((self.rear, self.front), (wheels.hubs[:2], wheels.hubs[2:]), strict=True):
+            if not one[1] > other[1]:
+                raise ValueError(f"wheel {left!r} must be to the left of wheel {right!r}")
+        if wheels.steering != (-1, -1, 0, 1):
+            raise ValueError(f"the steering joints {self.knuckles} must carry the front wheels {self.front}")
+        if self.min_radius(wheels) <= max(abs(hub[1]) for hub in wheels.hubs):
+            raise ValueError(f"max_steering of {self.max_steering:g} rad turns about a point between the wheels")
+
+    def advance(self, set_point: Tensor, command: Tensor, wheels: Wheels, dt: float) -> Tensor:
+        """Returns the speed (m/s) and steering angle (rad) after ``dt``, ``[N, 2]``."""
+        speed, angle = set_point.split(1, -1)
+        desired, yaw_rate = command.split(1, -1)
+        # In reverse, the same yaw rate needs the opposite angle.
+        side = torch.where(desired < 0, -yaw_rate, yaw_rate)
+        wanted = torch.atan2(side * self.wheelbase(wheels), desired.abs()).clamp(-self.max_steering, self.max_steering)
+        gain, turn = self.max_linear_acceleration * dt, self.max_steering_rate * dt
+        return torch.cat((speed + (desired - speed).clamp(-gain, gain), angle + (wanted - angle).clamp(-turn, turn)), -1)
+
+    def targets(self, before: Tensor, after: Tensor, wheels: Wheels) -> Joints:
+        """Returns the speeds of the rear wheels ``[N, 2]`` and the angles of the front wheels ``[N, 2]``."""
+        base = self.wheelbase(wheels)
+        speed = (before[:, :1] + after[:, :1]) * 0.5
+        curvature = after[:, 1:].tan() / base
+        sides = speed.new_tensor([hub[1] for hub in wheels.hubs])
+        inside = 1 - curvature * sides
+        angles = torch.atan2(curvature * base, inside[:, 2:])
+        return Joints(speed * inside[:, :2] / wheels.radius, angles)
+
+    def odometry(self, joints: Joints, wheels: Wheels) -> Tensor:
+        """Returns the mean speed of the rear wheels, and the yaw rate by the angles of the front wheels, ``[N, 2]``."""
+        speed = joints.speeds.mean(-1, keepdim=True) * wheels.radius
+        tangents = joints.angles.tan()
+        sides = tangents.new_tensor([hub[1] for hub in wheels.hubs[2:]])
+        curvature = (tangents / (self.wheelbase(wheels) + sides * tangents)).mean(-1, keepdim=True)
+        return torch.cat((speed, speed * curvature), -1)

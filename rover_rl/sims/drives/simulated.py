@@ -1,0 +1,88 @@
+"""``SimulatedDrives``: the drives and clocks of a batch of simulated rovers."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from rover_rl.sims.base import RoverState
+from rover_rl.sims.drives.base import Drive, Joints, Wheels
+
+
+class SimulatedDrives:
+    """State of the drives and clocks of a batch of simulated rovers.
+
+    Args:
+        drive: drive of every rover.
+        wheels: geometry of its wheels.
+        dt: duration of a control step, s.
+        num_envs: number of rovers.
+        device: device of the commands.
+    """
+
+    def __init__(
+        self,
+        drive: Drive,
+        wheels: Wheels,
+        dt: float,
+        num_envs: int,
+        device: torch.device | str | None = None,
+    ) -> None:
+        self._drive, self._wheels = drive, wheels
+        self._motors = len(drive.motors)
+        self._step = dt
+        self._dt = torch.full((num_envs, 1), dt, device=device)
+        self._set_point = torch.zeros(num_envs, drive.set_point_size, device=device)
+        self._stamp = torch.zeros(num_envs, 1, dtype=torch.float64, device=device)
+
+    def reset(self, mask: Tensor) -> None:
+        """Sets the drives of the rovers in ``mask`` (bool ``[N]``) to rest. Their clocks continue."""
+        self._set_point = torch.where(mask[:, None], torch.zeros_like(self._set_point), self._set_point)
+
+    def advance(self, commands: Tensor, active: Tensor | None) -> Joints:
+        """Advances the drives and clocks by one control step.
+
+        Args:
+            commands: forward speed (m/s), yaw rate (rad/s) and, for a drive that moves sideways, optionally the speed
+                to the left (m/s), ``[N, 2]`` or ``[N, 3]``.
+            active: rovers to advance, bool ``[N]``. No time passes for the others. ``None`` advances all.
+
+        Returns:
+            Targets of the joints for this step.
+        """
+        if self._drive.sideways and commands.shape[-1] == 2:
+            commands = pad(commands, (0, 1))
+        set_point = self._drive.advance(self._set_point, commands, self._wheels, self._step)
+        targets = self._drive.targets(self._set_point, set_point, self._wheels)
+        stamp = self._stamp + self._step
+        if active is not None:
+            set_point = torch.where(active[:, None], set_point, self._set_point)
+            stamp = torch.where(active[:, None], stamp, self._stamp)
+        self._set_point, self._stamp = set_point, stamp
+        return targets
+
+    def state(self, body: Tensor, ranges: Tensor, contact: Tensor | None = None) -> RoverState:
+        """Returns the state of the rovers.
+
+        Args:
+            body: position (m), orientation (x, y, z, w), speed of each motor (rad/s) and angle of each steering joint
+                (rad), ``[N, 7 + M + S]``.
+            ranges: lidar scans, ``[N, beams]``, m.
+            contact: whether the rovers touched an obstacle, bool ``[N, 1]``. ``None`` if the simulator does not know.
+        """
+        first_angle = 7 + self._motors
+        twist = self._drive.odometry(Joints(body[:, 7:first_angle], body[:, first_angle:]), self._wheels)
+        optional = {} if contact is None else {"contact": contact}
+        if self._drive.sideways:
+            optional["lateral_velocity"] = twist[:, 2:]
+        return RoverState.pack(
+            position=body[:, :3],
+            orientation=body[:, 3:7],
+            linear_velocity=twist[:, :1],
+            angular_velocity=twist[:, 1:2],
+            ranges=ranges,
+            dt=self._dt,
+            stamp=self._stamp,
+            **optional,
+        )
