@@ -44,13 +44,13 @@ def steady_motion(robot: Robot, center: float, linear: float, angular: float) ->
     Raises:
         ValueError: if the solver finds no balance.
     """
-    hubs = np.array(robot.wheel_positions)
+    hubs = np.array(robot.wheels.hubs)
     front, rear = hubs[:, 0].max(), hubs[:, 0].min()
     share = (center - rear) / (front - rear)
-    tread_offsets = np.linspace(-1, 1, 17)[1::2] * robot.wheel_width / 2
+    tread_offsets = np.linspace(-1, 1, 17)[1::2] * robot.wheels.width / 2
     points = np.array([(x, y + offset) for x, y, _ in hubs for offset in tread_offsets])
     loads = np.array([share if x > center else 1 - share for x, _, _ in hubs for _ in tread_offsets])
-    half = robot.wheel_separation / 2
+    half = robot.drive.separation / 2
     treads = np.where(points[:, 1] > 0, linear - angular * half, linear + angular * half)
 
     def residual(motion: np.ndarray) -> list[float]:
@@ -142,7 +142,7 @@ def front_load(robot: Robot, center: tuple[float, float], friction: float) -> fl
         center: position of the center of mass, x and z in the base frame, m.
         friction: Coulomb friction coefficient if friction drives the rover forward; its negative if friction brakes.
     """
-    hubs = np.array(robot.wheel_positions)
+    hubs = np.array(robot.wheels.hubs)
     front, rear = hubs[:, 0].max(), hubs[:, 0].min()
-    height = center[1] - (hubs[0, 2] - robot.wheel_radius)
+    height = center[1] - (hubs[0, 2] - robot.wheels.radius)
     return float((center[0] - friction * height - rear) / (front - rear))

@@ -202,7 +202,8 @@ def braking(engine: Any, world: World, friction: float) -> tuple[Tensor, Tensor]
     Returns:
         Braking distances (m) and the speeds (m/s) at which the wheels lock, ``[16]`` each.
     """
-    robot = replace(get_robot("rover_zero"), max_linear_acceleration=1000.0)
+    rover = get_robot("rover_zero")
+    robot = replace(rover, drive=replace(rover.drive, max_linear_acceleration=1000.0))
     commands = [(_command(1.0), 2.0), (_command(0.0), 1.0)]
     driven = drive(with_friction(engine, friction), [world] * 16, _starts(), commands, robot)
     distance = (driven.position[-1] - driven.position[-STEPS_PER_SECOND - 1]).norm(dim=-1)

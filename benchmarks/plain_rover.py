@@ -72,11 +72,11 @@ class PlainRover(gymnasium.Env):
             # Static bodies collide with rays and the rover, not with one another.
             pybullet.setCollisionFilterGroupMask(body, -1, _STATIC, _RAYS | _ROVER, physicsClientId=client)
         self._body = load_rover(client, self._robot, settings)
-        names = [*self._robot.left_wheels, *self._robot.right_wheels]
+        names = [*self._robot.drive.left, *self._robot.drive.right]
         joints = range(pybullet.getNumJoints(self._body, physicsClientId=client))
         index = {pybullet.getJointInfo(self._body, j, physicsClientId=client)[1].decode(): j for j in joints}
         self._wheels = [index[name] for name in names]
-        self._torques = [self._robot.wheel_torque] * len(names)
+        self._torques = [self._robot.drive.torque] * len(names)
         info = pybullet.getDynamicsInfo(self._body, -1, physicsClientId=client)
         self._center, self._inertial = info[3], info[4]
 
@@ -109,11 +109,11 @@ class PlainRover(gymnasium.Env):
         error = math.remainder(float(action[1]), 2 * math.pi)
         turn = min(max(2.0 * error + 0.1 * (error - self._error) / dt, -7.0), 7.0)
         self._error = error
-        limit = np.array((robot.max_linear_acceleration, robot.max_angular_acceleration)) * dt
+        limit = np.array((robot.drive.max_linear_acceleration, robot.drive.max_angular_acceleration)) * dt
         twist = self._twist + np.clip(np.array((action[0], turn)) - self._twist, -limit, limit)
         (v, w), self._twist = (self._twist + twist) / 2, twist
-        half = robot.wheel_separation / 2
-        left, right = (v - w * half) / robot.wheel_radius, (v + w * half) / robot.wheel_radius
+        half = robot.drive.separation / 2
+        left, right = (v - w * half) / robot.wheels.radius, (v + w * half) / robot.wheels.radius
         self._drive(left, right)
         for scales in self._friction_scales:
             for ground in self._ground:
@@ -142,7 +142,7 @@ class PlainRover(gymnasium.Env):
             self._body,
             self._wheels,
             pybullet.VELOCITY_CONTROL,
-            targetVelocities=[left] * len(self._robot.left_wheels) + [right] * len(self._robot.right_wheels),
+            targetVelocities=[left] * len(self._robot.drive.left) + [right] * len(self._robot.drive.right),
             forces=self._torques,
             physicsClientId=self._client,
         )
@@ -161,9 +161,9 @@ class PlainRover(gymnasium.Env):
         pitch = math.asin(min(1.0, max(-1.0, 2 * (w * y - z * x))))
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         wheels = [joint[1] for joint in joints]
-        middle = len(self._robot.left_wheels)
+        middle = len(self._robot.drive.left)
         left, right = sum(wheels[:middle]) / middle, sum(wheels[middle:]) / (len(wheels) - middle)
-        radius, separation = self._robot.wheel_radius, self._robot.wheel_separation
+        radius, separation = self._robot.wheels.radius, self._robot.drive.separation
         self._speeds = radius * (left + right) / 2, radius * (right - left) / separation
         dx, dy = self._goal[0] - position[0], self._goal[1] - position[1]
         self._distance = math.hypot(dx, dy)

@@ -2,8 +2,8 @@
 Your own robot
 ==============
 
-A robot is a URDF and a few numbers that the simulators and the task need. This script describes a small rover from
-scratch, looks at it, and compares how it and the package's rover turn and drive.
+A robot is a URDF, a drive and sensors. This script describes a small rover from scratch, looks at it, and compares how it
+and the package's rover turn and drive.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ import torch
 from tensordict import TensorDictBase
 
 from rover_rl import make_env
+from rover_rl.sims.drives import SkidSteer
 from rover_rl.sims.robots import Robot, get_robot
 
 # %%
 # The URDF
 # --------
-# A chassis of one box and four wheels, each on a continuous joint about +y. A URDF of your own is a file already; one
-# in xacro is expanded first (``xacro robot.urdf.xacro > robot.urdf``).
+# A chassis of one box, four wheels, each on a continuous joint about +y, and a link where the lidar is. A URDF of your
+# own is a file already; one in xacro is expanded first (``xacro robot.urdf.xacro > robot.urdf``).
 
 RADIUS, WIDTH = 0.1, 0.05
 HUBS = {
@@ -56,31 +57,31 @@ urdf.write_text(
       <visual>{CHASSIS}<material name="paint"><color rgba="0.15 0.45 0.75 1"/></material></visual>
       <collision>{CHASSIS}</collision>
     </link>{wheels}
+    <link name="lidar_link"/>
+    <joint name="lidar" type="fixed">
+      <parent link="base_link"/><child link="lidar_link"/><origin xyz="0.1 0 0.24"/>
+    </joint>
     </robot>"""
 )
 
 # %%
-# The numbers
-# -----------
-# They are compared with the URDF when the robot is built: change ``wheel_radius`` here, and it is refused.
-# ``wheel_separation`` is the effective track, which is wider than the geometric one for a robot that slips in turns.
+# The drive
+# ---------
+# Wheels, masses and mounts come from the URDF. The drive names the joints and states what the URDF does not: the torque,
+# the limits, and for a skid-steer robot the effective ``separation`` of its sides, which is wider than the geometric one
+# because the wheels slip in turns. A joint that the URDF does not have, or a wheel on the wrong side, is refused.
 
-scout = Robot(
-    name="scout",
-    urdf=urdf,
-    left_wheels=("front_left", "rear_left"),
-    right_wheels=("front_right", "rear_right"),
-    wheel_positions=tuple((x, y, RADIUS) for x, y in HUBS.values()),
-    wheel_radius=RADIUS,
-    wheel_width=WIDTH,
-    wheel_separation=0.55,
-    wheel_torque=4.0,
-    max_linear_acceleration=2.0,
-    max_angular_acceleration=4.0,
-    lidar_position=(0.1, 0.0, 0.24),
+scout = Robot.from_urdf(
+    urdf,
+    drive=SkidSteer(
+        left=("front_left", "rear_left"),
+        right=("front_right", "rear_right"),
+        separation=0.55,
+        torque=4.0,
+        max_linear_acceleration=2.0,
+    ),
+    imu=(0.0, 0.0, 0.2),
     lidar_range=10.0,
-    imu_position=(0.0, 0.0, 0.2),
-    radius=0.33,
 )
 
 # %%

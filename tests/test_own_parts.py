@@ -31,7 +31,8 @@ def canyon(seed):
 
 
 def scout():
-    return replace(get_robot("rover_zero"), name="scout", max_linear_acceleration=2.0)
+    rover = get_robot("rover_zero")
+    return replace(rover, name="scout", drive=replace(rover.drive, max_linear_acceleration=2.0))
 
 
 class TiltPenalty(RewardComponent):

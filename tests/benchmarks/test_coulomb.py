@@ -39,8 +39,8 @@ def test_braking_turns_all_of_the_motion_into_heat() -> None:
 def test_loads_balance_about_the_center_of_mass() -> None:
     center, friction = (0.02, 0.15), 0.4
     front = coulomb.front_load(ROVER, center, friction)
-    hubs = ROVER.wheel_positions
+    hubs = ROVER.wheels.hubs
     ahead, behind = max(hub[0] for hub in hubs) - center[0], min(hub[0] for hub in hubs) - center[0]
-    height = center[1] - (hubs[0][2] - ROVER.wheel_radius)
+    height = center[1] - (hubs[0][2] - ROVER.wheels.radius)
     # Pitch moment of the loads and of the friction of a weight of 1.
     assert front * ahead + (1 - front) * behind + friction * height == pytest.approx(0.0, abs=1e-12)

@@ -40,7 +40,8 @@ def test_rows_of_one_batch_in_several_worlds():
 
 
 def test_a_custom_robot():
-    slow = replace(get_robot("rover_zero"), name="slow", max_linear_acceleration=0.5)
+    rover = get_robot("rover_zero")
+    slow = replace(rover, name="slow", drive=replace(rover.drive, max_linear_acceleration=0.5))
     env = RoverEnv(world_n="maze", robot=slow, seed=0, lidar_beams=32)
     td = env.reset()
     for _ in range(4):

@@ -73,8 +73,8 @@ def test_locked_wheels_brake_by_friction_times_weight(settings):
 
 def test_rover_tips_over_at_the_static_stability_angle():
     """Across a slope, a rover tips over the outer edges of the lower wheels once its center of mass passes them."""
-    edge = ROVER.wheel_positions[0][1] + ROVER.wheel_width / 2
-    height = CENTER[2] - (ROVER.wheel_positions[0][2] - ROVER.wheel_radius)
+    edge = ROVER.wheels.hubs[0][1] + ROVER.wheels.width / 2
+    height = CENTER[2] - (ROVER.wheels.hubs[0][2] - ROVER.wheels.radius)
     tipping = math.degrees(math.atan2(edge, height))
     assert 45 < tipping < 65
     for degrees, stands in ((tipping - 2.5, True), (tipping + 2.5, False)):

@@ -60,7 +60,7 @@ def test_stops_within_its_acceleration_limit(backend, flat):
     states = [moving, *drive(simulator, [(0.0, 0.0)], 20)]
     speeds = torch.stack([s.linear_velocity[0, 0] for s in states])
     # Braking from 1 m/s at 5 m/s^2 takes 0.2 s and 0.1 m.
-    assert (speeds[1:] - speeds[:-1]).abs().max() <= ROVER.max_linear_acceleration * DT * 1.05
+    assert (speeds[1:] - speeds[:-1]).abs().max() <= ROVER.drive.max_linear_acceleration * DT * 1.05
     assert speeds[5:].abs().max() < 0.02
     braking = (states[-1].position - moving.position).norm().item()
     # Friction of 0.5 brakes at 4.9 m/s^2. The wheels hold the mean speed of a step: 0.1 m/s more, for 0.2 s.
@@ -70,7 +70,7 @@ def test_stops_within_its_acceleration_limit(backend, flat):
 def test_turns_within_its_angular_acceleration_limit(backend, flat):
     simulator = simulate(backend, flat, [(0.0, 0.0, 0.0)])
     rates = torch.stack([s.angular_velocity[0, 0] for s in drive(simulator, [(0.0, 2.0)], 20)])
-    assert (rates[1:] - rates[:-1]).abs().max() <= ROVER.max_angular_acceleration * DT * 1.1
+    assert (rates[1:] - rates[:-1]).abs().max() <= ROVER.drive.max_angular_acceleration * DT * 1.1
     assert rates[-1] == pytest.approx(2.0, abs=0.05)
 
 

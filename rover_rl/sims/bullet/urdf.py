@@ -1,7 +1,7 @@
 """URDF of a robot as Bullet needs it: without bare frames, and with joints for the rollers of mecanum wheels.
 
-Bullet takes a link that states no inertia for one of 1 kg. Such links are dropped, or get a mass of 0 if others hang on
-them.
+Bullet takes a link that states no inertia for one of 1 kg. Frames without
+mass and shape are dropped, and other links without inertia get a mass of 0.
 
 Bullet has no friction that acts in one direction of a turning wheel. A mecanum wheel is a sphere instead, between which
 and the base is a free joint along the roller on the ground::
@@ -51,14 +51,14 @@ def bullet_urdf(robot: Robot) -> Iterator[Path]:
 def _weigh_frames(root: ET.Element) -> None:
     """Drops links without mass and shape that nothing hangs on, and gives the others without inertia a mass of 0."""
     joints = {_child_of(joint): joint for joint in root.findall("joint")}
-    bare = [link for link in root.findall("link") if link.find("inertial") is None]
-    for link in reversed(bare):
-        name = link.get("name", "")
+    for link in reversed(root.findall("link")):
+        name, mass = link.get("name", ""), link.find("inertial/mass")
+        weighs = mass is not None and float(mass.get("value", "0")) > 0
         holds = any(parent.get("link") == name for parent in root.iterfind("joint/parent"))
-        if name in joints and not holds and link.find("collision") is None:
+        if not weighs and not holds and name in joints and link.find("collision") is None:
             root.remove(link)
             root.remove(joints[name])
-        else:
+        elif link.find("inertial") is None:
             inertial = ET.SubElement(link, "inertial")
             ET.SubElement(inertial, "mass", value="0")
             ET.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0"))

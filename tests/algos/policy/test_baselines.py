@@ -99,7 +99,7 @@ def test_it_drives_towards_a_goal_in_front_of_a_wall() -> None:
 def test_the_lidar_offset_is_that_of_the_robot() -> None:
     lidar, goal = wall_ahead(0.9), target(5.0, 0.0)
     x, y, z = ROVER_ZERO.lidar_position
-    rear = replace(ROVER_ZERO, lidar_position=(x - 0.2, y, z))
+    rear = replace(ROVER_ZERO, lidar=(x - 0.2, y, z))
     for policy, offset in ((ScriptedPolicy(), x), (ScriptedPolicy("rover_zero"), x), (ScriptedPolicy(rear), x - 0.2)):
         action = pickle.loads(pickle.dumps(policy))(TensorDict({"lidar": lidar, "target": goal}, [1]))["action"]
         assert torch.equal(action, steer(lidar, goal, offset))

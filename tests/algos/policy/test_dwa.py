@@ -196,7 +196,7 @@ def test_results_stay_on_the_device_of_the_observation() -> None:
 
 def test_robot_lidar_and_slip_are_settings() -> None:
     x, y, z = ROVER_ZERO.lidar_position
-    rear = replace(ROVER_ZERO, lidar_position=(x - 0.2, y, z))
+    rear = replace(ROVER_ZERO, lidar=(x - 0.2, y, z))
     assert DynamicWindowPolicy(rear).made_for.robot == rear
     assert POLICY.made_for == EnvConfig(robot="rover_zero", lidar=LIDAR)
     # The same reading is closer to the center of a rover whose lidar is farther back.

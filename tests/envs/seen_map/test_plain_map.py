@@ -20,7 +20,7 @@ from rover_rl.sims.robots import get_robot
 from tests.envs.seen_map.test_seen_map import U_SHAPE, Wall, observed
 
 LIDAR = LidarConfig(points=128, beams=128)
-ROBOT = replace(get_robot("rover_zero"), lidar_position=(0.17, -0.05, 0.3))
+ROBOT = replace(get_robot("rover_zero"), lidar=(0.17, -0.05, 0.3))
 
 
 class Both:
@@ -164,4 +164,4 @@ def test_rows_are_independent() -> None:
 
 def test_a_lidar_far_from_the_center_is_refused() -> None:
     with pytest.raises(ValueError, match=r"at most 0\.45 m"):
-        PlainSeenMap(LIDAR, replace(ROBOT, lidar_position=(0.0, math.pi, 0.3), radius=4.0))
+        PlainSeenMap(LIDAR, replace(ROBOT, lidar=(0.0, math.pi, 0.3), radius=4.0))

@@ -28,7 +28,7 @@ def test_on_flat_ground_the_base_frame_has_the_planar_pose():
     poses = torch.tensor([[1.0, -2.0, 0.7]])
     position, rotation = rest_on_ground(World("floor", Terrain.flat()), ROVER, poses)
     # The hubs are 3 mm higher than the wheel radius.
-    height = CLEARANCE + ROVER.wheel_radius - ROVER.wheel_positions[0][2]
+    height = CLEARANCE + ROVER.wheels.radius - ROVER.wheels.hubs[0][2]
     assert position[0].tolist() == pytest.approx([1.0, -2.0, height], abs=1e-6)
     c, s = math.cos(0.7), math.sin(0.7)
     assert rotation[0].numpy() == pytest.approx(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), abs=1e-6)
@@ -52,7 +52,7 @@ def test_on_a_ramp_the_rover_is_aligned_with_the_plane(slope_x, slope_y, yaw, x,
     assert torch.linalg.det(rotation[0]).item() == pytest.approx(1.0)
     assert position[0, :2].tolist() == pytest.approx([x, y])
     # Measured along the vertical, the lowest wheel is CLEARANCE above the ground.
-    hub_gap = (ROVER.wheel_radius - ROVER.wheel_positions[0][2]) / up[2]
+    hub_gap = (ROVER.wheels.radius - ROVER.wheels.hubs[0][2]) / up[2]
     expected = 3.0 + slope_x * x + slope_y * y + CLEARANCE + hub_gap
     assert position[0, 2].item() == pytest.approx(expected, abs=1e-5)
 
@@ -60,10 +60,10 @@ def test_on_a_ramp_the_rover_is_aligned_with_the_plane(slope_x, slope_y, yaw, x,
 def lowest_gap(world: World, position: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
     """Returns the minimum height of the wheels' treads above the ground: ``[N]``, m."""
     angle = torch.linspace(0, 2 * math.pi, 181, dtype=torch.float64)
-    across = torch.linspace(-ROVER.wheel_width / 2, ROVER.wheel_width / 2, 9, dtype=torch.float64)
+    across = torch.linspace(-ROVER.wheels.width / 2, ROVER.wheels.width / 2, 9, dtype=torch.float64)
     a, w = torch.meshgrid(angle, across, indexing="ij")
-    tread = torch.stack((ROVER.wheel_radius * a.cos(), w, ROVER.wheel_radius * a.sin()), -1).reshape(-1, 3)
-    hubs = torch.tensor(ROVER.wheel_positions, dtype=torch.float64)
+    tread = torch.stack((ROVER.wheels.radius * a.cos(), w, ROVER.wheels.radius * a.sin()), -1).reshape(-1, 3)
+    hubs = torch.tensor(ROVER.wheels.hubs, dtype=torch.float64)
     body = (hubs[:, None] + tread).reshape(-1, 3)
     points = position[:, None] + body @ rotation.transpose(1, 2)
     return (points[..., 2] - world.height_at(points[..., :2])).amin(1)

@@ -56,10 +56,10 @@ def test_wheels_rest_on_the_triangles_of_the_terrain():
         state = simulator.step(torch.zeros(10, 2))
     angle = torch.arange(180, dtype=torch.float64) * math.pi / 90
     # The ground carries each wheel at two circles, width / sqrt(3) apart.
-    across = torch.tensor((-0.5, 0.5), dtype=torch.float64) * ROVER.wheel_width / math.sqrt(3)
-    rim = ROVER.wheel_radius * torch.stack((angle.sin(), 0 * angle, -angle.cos()), -1)
+    across = torch.tensor((-0.5, 0.5), dtype=torch.float64) * ROVER.wheels.width / math.sqrt(3)
+    rim = ROVER.wheels.radius * torch.stack((angle.sin(), 0 * angle, -angle.cos()), -1)
     rims = rim[:, None] + torch.stack((0 * across, across, 0 * across), -1)
-    rims = torch.tensor(ROVER.wheel_positions, dtype=torch.float64)[:, None] + rims.reshape(-1, 3)
+    rims = torch.tensor(ROVER.wheels.hubs, dtype=torch.float64)[:, None] + rims.reshape(-1, 3)
     x, y, z, w = (part[:, None, None] for part in state.orientation.double().split(1, -1))
     vector, points = torch.broadcast_tensors(torch.cat((x, y, z), -1), rims[None])
     turned = points + 2 * torch.linalg.cross(vector, torch.linalg.cross(vector, points) + w * points)

@@ -48,7 +48,7 @@ def test_poses_of_fixed_links_agree_with_bullet(tmp_path):
 
 def test_masses_shapes_and_joints_of_rover_zero():
     description = Description(get_robot("rover_zero").urdf)
-    assert len(description.links) == 6
+    assert len(description.links) == 8
     wheel = description.links["rear_left_wheel_link"]
     assert wheel.inertial.mass == 1.25
     np.testing.assert_array_equal(np.diag(wheel.inertial.inertia), (0.005645, 0.01008, 0.005645))

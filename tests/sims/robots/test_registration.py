@@ -9,7 +9,7 @@ import pytest
 from rover_rl.sims.robots import get_robot, register_robot, robot_names
 
 ROVER = get_robot("rover_zero")
-SLOW_ROVER = replace(ROVER, name="slow", max_speed=0.2)
+SLOW_ROVER = replace(ROVER, name="slow", drive=replace(ROVER.drive, max_speed=0.2))
 
 pytestmark = pytest.mark.usefixtures("own_registries")
 
@@ -29,7 +29,8 @@ def test_robots_by_import_path(tmp_path, monkeypatch):
     source = (
         "from dataclasses import replace\n"
         "from rover_rl.sims.robots import get_robot\n"
-        "fast = replace(get_robot('rover_zero'), name='fast', max_speed=2.0)\n"
+        "rover = get_robot('rover_zero')\n"
+        "fast = replace(rover, name='fast', drive=replace(rover.drive, max_speed=2.0))\n"
         "def make():\n    return fast\n"
     )
     (tmp_path / "registration_test_robots.py").write_text(source)

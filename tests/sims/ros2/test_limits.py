@@ -63,7 +63,7 @@ def test_a_command_that_is_not_finite_is_rejected(wanted):
 def test_settings_override_the_limits_of_the_robot():
     robot = get_robot("rover_zero")
     assert Ros2Settings().limits(robot) == CommandLimits(1.0, 7.0, 5.0, 4.0)
-    assert Ros2Settings().limits(replace(robot, max_speed=0.4)).speed == 0.4
+    assert Ros2Settings().limits(replace(robot, drive=replace(robot.drive, max_speed=0.4))).speed == 0.4
     settings = Ros2Settings(max_speed=0.3, max_yaw_rate=0.5, max_acceleration=0.6, max_yaw_acceleration=0.7)
     assert settings.limits(robot) == CommandLimits(0.3, 0.5, 0.6, 0.7)
 

@@ -97,13 +97,13 @@ def test_random_driving_stays_on_the_ground_and_out_of_obstacles():
                     planes = obstacle.planes.float()
                     outside = (hubs @ planes[:, :3].T + planes[:, 3]).amax(-1)
                     # The least distance of a hub to a wall, with the wheel parallel to it, is half of a wheel's width.
-                    assert outside.min() > ROVER.wheel_width / 2 - 0.01
+                    assert outside.min() > ROVER.wheels.width / 2 - 0.01
 
 
 def _hubs(state) -> torch.Tensor:
     """Centers of all wheels in the world frame, ``[N * W, 3]``."""
     x, y, z, w = (part[:, None] for part in state.orientation.split(1, -1))
-    vector, hubs = torch.cat((x, y, z), -1), torch.tensor(ROVER.wheel_positions)[None]
+    vector, hubs = torch.cat((x, y, z), -1), torch.tensor(ROVER.wheels.hubs)[None]
     vector = vector.expand(-1, hubs.shape[1], 3)
     hubs = hubs.expand(len(vector), -1, 3)
     turned = hubs + 2 * torch.linalg.cross(vector, torch.linalg.cross(vector, hubs) + w * hubs)
