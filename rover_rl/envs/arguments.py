@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         HeadingGains,
         LidarConfig,
         OutcomeSource,
+        PoseConfig,
         Randomization,
         RewardConfig,
         RewardLike,
@@ -60,6 +61,7 @@ class EnvSettings(TypedDict, total=False):
     privileged: bool
     world: WorldLike | None
     lidar: LidarConfig | None
+    pose: PoseConfig | None
     connection: Connection | None
     sensors: Sequence[SensorLike]
 

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
-from rover_rl.checks import MAX_COUNT, check_at_least
+from rover_rl.checks import MAX_COUNT, MAX_NUMBER, check_at_least, check_positive
 from rover_rl.plain import from_plain, to_plain
 from rover_rl.sims.backends import BackendLike as AnyBackend
 from rover_rl.sims.backends import find_settings, name_of
@@ -40,6 +40,8 @@ else:
 
 OutcomeSource: TypeAlias = Literal["truth", "sensors"]
 """State that events, rewards and metrics are computed from."""
+PoseSource: TypeAlias = Literal["truth", "odometry", "localized"]
+"""Where the sensed pose comes from."""
 CollisionSource: TypeAlias = Literal["lidar", "contact"]
 """What counts as a collision: a lidar reading below a threshold, or contact of the rover's body with an obstacle."""
 DEFAULT_PHYSICS = "default"
@@ -73,6 +75,42 @@ class LidarConfig:
 
 
 @dataclass(frozen=True)
+class PoseConfig:
+    """Pose that the sensors report, from which the target is computed. Events and rewards know the true pose.
+
+    - ``truth``: the true pose, as in the original environment.
+    - ``odometry``: dead reckoning from the start of the episode, by the speed of the wheels and the attitude of the IMU. It
+      drifts where wheels slip, and with their noise and that of the IMU.
+    - ``localized``: the true pose with an error that drifts and jumps, as that of a localization does.
+
+    Args:
+        source: Where the pose comes from: truth, odometry or localized.
+        drift: Standard deviation of the drifting error of x and y each, m.
+        drift_heading: Standard deviation of the drifting error of the heading, rad.
+        drift_time: Time in which the drifting error forgets all but 1/e of itself, s.
+        jump: Standard deviation of the error of x and y each that each jump draws anew, m.
+        jump_rate: Mean number of jumps per second.
+
+    Raises:
+        ValueError: if the source is unknown, or a number is negative or not finite, or ``drift_time`` is 0.
+    """
+
+    source: PoseSource = "truth"
+    drift: float = 0.05
+    drift_heading: float = 0.02
+    drift_time: float = 10.0
+    jump: float = 0.1
+    jump_rate: float = 0.05
+
+    def __post_init__(self) -> None:
+        if self.source not in get_args(PoseSource):
+            raise ValueError(f"source of the pose must be one of {get_args(PoseSource)}, got {self.source!r}")
+        check_at_least(0, MAX_NUMBER, drift=self.drift, drift_heading=self.drift_heading, jump=self.jump)
+        check_at_least(0, MAX_NUMBER, jump_rate=self.jump_rate)
+        check_positive(MAX_NUMBER, drift_time=self.drift_time)
+
+
+@dataclass(frozen=True)
 class ActionConfig:
     """Bounds of the action. Actions outside of them are clipped.
 
@@ -80,6 +118,8 @@ class ActionConfig:
         min_speed: Minimum forward speed, m/s. 0 prevents driving backward.
         max_speed: Maximum forward speed, m/s.
         max_turn: Maximum absolute heading offset, rad.
+        max_sideways: Maximum absolute speed to the left, m/s, for a drive that moves sideways. With 0, the action has no
+            such component.
 
     Raises:
         ValueError: if ``min_speed`` is not less than ``max_speed``, or a bound is out of range.
@@ -88,6 +128,7 @@ class ActionConfig:
     min_speed: float = -1.0
     max_speed: float = 1.0
     max_turn: float = math.pi
+    max_sideways: float = 0.0
 
     def __post_init__(self) -> None:
         if not -math.inf < self.min_speed < self.max_speed < math.inf:
@@ -96,6 +137,7 @@ class ActionConfig:
             )
         if not 0 < self.max_turn <= math.pi:
             raise ValueError(f"max_turn must be positive and at most pi, got {self.max_turn}")
+        check_at_least(0, MAX_NUMBER, max_sideways=self.max_sideways)
 
 
 @dataclass(frozen=True)
@@ -291,6 +333,8 @@ class EnvConfig:
     """Robot: rover_zero, or module:attribute."""
     lidar: LidarConfig = field(default_factory=LidarConfig)
     """Lidar and its readings."""
+    pose: PoseConfig = field(default_factory=PoseConfig)
+    """Pose that the sensors report: true, dead reckoning or with the error of a localization."""
     sensors: tuple[SensorLike, ...] = ()
     """Sensors of your own, which add entries to the observation: module:attribute of a Sensor, or of a function or
     class that makes one. Name the entries in --observation, too."""
@@ -369,6 +413,7 @@ class EnvConfig:
 
 _PARTS: dict[str, type] = {
     "lidar": LidarConfig,
+    "pose": PoseConfig,
     "action": ActionConfig,
     "task": TaskConfig,
     "contract_reward": RewardConfig,
@@ -397,7 +442,7 @@ def require_match(made_for: EnvConfig, env: EnvConfig) -> None:
         "a lidar range of (m)": (made_for.lidar.max_range, env.lidar.max_range),
         "the robot": _robots(made_for.robot, env.robot),
         "the sensors": (made_for.sensors, tuple(each for each in made_for.sensors if each in env.sensors)),
-        "actions of (min_speed, max_speed, max_turn)": (_values(made_for.action), _values(env.action)),
+        "actions of (min_speed, max_speed, max_turn, max_sideways)": (_values(made_for.action), _values(env.action)),
         "heading gains of (kp, ki, kd, max_output)": (_values(made_for.heading_gains), _values(env.heading_gains)),
     }
     for what, (expected, actual) in pairs.items():

@@ -16,20 +16,20 @@ def checked_action(action: Tensor, batch_size: Sequence[int], bounds: tuple[Tens
     error would require synchronization with the device.
 
     Args:
-        action: actions, ``[*batch_size, 2]``.
+        action: actions, ``[*batch_size, A]``.
         batch_size: batch size of the environment, ``[N]`` or ``[]``.
-        bounds: lower and upper bounds, ``[2]`` each.
+        bounds: lower and upper bounds, ``[A]`` each.
 
     Returns:
-        Clipped actions, ``[N, 2]``, and rows with values that are not finite, bool ``[N, 1]``.
+        Clipped actions, ``[N, A]``, and rows with values that are not finite, bool ``[N, 1]``.
 
     Raises:
         ValueError: if the shape is wrong, or values are not finite.
     """
-    expected = (*batch_size, 2)
+    expected = (*batch_size, len(bounds[0]))
     if action.shape != expected:
         raise ValueError(f"action must have shape {expected}, got {tuple(action.shape)}")
-    action = action.reshape(-1, 2)
+    action = action.reshape(-1, len(bounds[0]))
     invalid = ~torch.isfinite(action).all(-1, keepdim=True)
     if action.device.type == "cpu" and invalid.any():
         rows = invalid.squeeze(-1).nonzero().squeeze(-1).tolist()

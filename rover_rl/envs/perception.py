@@ -12,6 +12,7 @@ from rover_rl.sims.base import RoverState
 from rover_rl.sims.rotations import quaternion_to_euler
 
 if TYPE_CHECKING:
+    from rover_rl.envs.localization import SensedPose
     from rover_rl.envs.sensors.lidar import LidarPooling
 
 
@@ -46,6 +47,7 @@ class StepState:
     Attributes:
         truth: perception from the true state of the simulator.
         sensed: perception from the sensor readings. The same object as ``truth`` if there is no sensor noise.
+        pose: pose as the sensors report it.
         reference: the one of ``truth`` and ``sensed`` that events and rewards are computed from.
         task: goals, targets and counters.
         world: index of each row's world in the pool, int64 ``[N, 1]``. ``None`` if there is only one.
@@ -55,6 +57,7 @@ class StepState:
 
     truth: Perception
     sensed: Perception
+    pose: SensedPose
     reference: Perception
     task: TaskState
     world: Tensor | None

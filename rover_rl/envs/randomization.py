@@ -42,17 +42,18 @@ class CommandDelay:
     Args:
         latency: range of the delay, control steps.
         num_envs: number of rows.
+        size: number of components of a command.
         device: device of the commands.
 
     Attributes:
         steps: current delay of each row, control steps, int64 ``[N, 1]``.
     """
 
-    def __init__(self, latency: tuple[int, int], num_envs: int, device: torch.device) -> None:
+    def __init__(self, latency: tuple[int, int], num_envs: int, size: int, device: torch.device) -> None:
         self._min, self._max = latency
         self.steps = torch.zeros(num_envs, 1, dtype=torch.int64, device=device)
         # Queue of commands, newest first.
-        self._pending = torch.zeros(num_envs, self._max + 1, 2, device=device)
+        self._pending = torch.zeros(num_envs, self._max + 1, size, device=device)
 
     def reset(self, mask: Tensor, keys: Tensor) -> None:
         """Draws a new delay for the rows of ``mask`` (bool ``[N, 1]``) and discards their pending commands."""
@@ -64,14 +65,14 @@ class CommandDelay:
         self._pending = self._pending.masked_fill(mask[..., None], 0.0)
 
     def __call__(self, command: Tensor, active: Tensor | None) -> Tensor:
-        """Queues a command and returns the delayed command, ``[N, 2]``.
+        """Queues a command and returns the delayed command, ``[N, size]``.
 
         Args:
-            command: forward speed (m/s) and yaw rate (rad/s), ``[N, 2]``.
+            command: forward speed (m/s), yaw rate (rad/s) and further components, ``[N, size]``.
             active: rows to advance, bool ``[N, 1]``. No time passes for the others. ``None`` means all rows.
         """
         if not self._max:
             return command
         pending = torch.cat((command[:, None], self._pending[:, :-1]), 1)
         self._pending = pending if active is None else torch.where(active[..., None], pending, self._pending)
-        return pending.gather(1, self.steps[..., None].expand(-1, 1, 2)).squeeze(1)
+        return pending.gather(1, self.steps[..., None].expand(-1, 1, pending.shape[-1])).squeeze(1)

@@ -20,6 +20,7 @@ from rover_rl.envs.config import EnvConfig, Randomization, TaskConfig
 from rover_rl.envs.control import HeadingController
 from rover_rl.envs.devices import available_device
 from rover_rl.envs.inputs import checked_action, checked_place
+from rover_rl.envs.localization import Localization
 from rover_rl.envs.navigation import Navigation
 from rover_rl.envs.perception import Perception, StepState
 from rover_rl.envs.placement import Placement
@@ -54,7 +55,7 @@ class RoverEnv(EnvBase):
     Observation (float32, clipped to the contract's bounds): ``lidar [N, lidar_points]`` (m), ``pose [N, 3]`` (m),
     ``imu [N, 3]`` (pitch, roll, yaw; rad), ``target [N, 2]`` (distance in m, relative angle in rad) and
     ``velocities [N, 2]`` (wheel odometry; m/s, rad/s). Action: ``action [N, 2]``, forward speed in [-1, 1] m/s and
-    heading offset in [-pi, pi] rad. Finite actions are clipped to these bounds. ``outcome`` contains the events of the
+    heading offset in [-pi, pi] rad; with ``max_sideways``, ``[N, 3]`` with the speed to the left in m/s. Finite actions are clipped to these bounds. ``outcome`` contains the events of the
     step, see :mod:`rover_rl.envs.task`.
 
     ``reset(start=..., goal=...)`` sets start poses ``[N, 3]`` (x, y in m, yaw in rad) and goals ``[N, 2]`` (m). Without
@@ -89,6 +90,7 @@ class RoverEnv(EnvBase):
         robot: name of a robot, or a :class:`~rover_rl.sims.robots.Robot`.
         lidar_beams: number of beams of a raw scan.
         lidar_period: number of steps from one scan to the next: see :class:`LidarConfig`.
+        pose: pose that the sensors report. ``None``: the true one.
         seed: seed of the first row. ``None`` uses a random seed.
         device: device of the tensors. ``None`` is the CPU, and leaves the device of the tensordicts unset.
         end_on_goal: whether reaching the goal ends the episode, instead of setting a new goal.
@@ -161,6 +163,12 @@ class RoverEnv(EnvBase):
         )
         self._open()
         self._require_contact()
+        if config.action.max_sideways and not self.robot.drive.sideways:
+            self.simulator.close()
+            raise ValueError(
+                f"max_sideways needs a drive that moves sideways, and robot {self.robot.name!r} has a "
+                f"{type(self.robot.drive).__name__}"
+            )
         self._init_task()
         self._make_specs()
         self.set_seed(seed)
@@ -174,7 +182,9 @@ class RoverEnv(EnvBase):
         self.placement = Placement(self._row_worlds.table, self.robot, config.task.min_goal_distance)
         self._navigation = Navigation(config, self.placement, self.num_envs, device)
         self.controller = HeadingController(self.num_envs, config.heading_gains, device)
-        self._delay = CommandDelay(config.randomization.latency, self.num_envs, device)
+        self._localization = Localization(config.pose)
+        size = len(specs.action_bounds(config.action).low)
+        self._delay = CommandDelay(config.randomization.latency, self.num_envs, size, device)
         self._privileged = PrivilegedObservation(self.pool, self.robot, device) if config.privileged else None
         self._state = StepState(task=TaskState.zeros(self.num_envs, device), world=self._row_worlds.index_if_several)
 
@@ -379,7 +389,8 @@ class RoverEnv(EnvBase):
         # The heading controller runs on the robot, so it uses the sensor readings and not the true state.
         sensed = self._state.sensed
         turn = self.controller(sensed.yaw + action[:, 1:], sensed.yaw, sensed.rover.dt, active)
-        command = self._delay(torch.cat((action[:, :1], turn), -1).masked_fill(invalid, 0.0), active)
+        command = torch.cat((action[:, :1], turn, action[:, 2:]), -1)
+        command = self._delay(command.masked_fill(invalid, 0.0), active)
         device = self.simulator.device
         rows = None if active is None else active.squeeze(-1).to(device)
         steps = self._state.task.steps + (1 if active is None else active)
@@ -409,13 +420,16 @@ class RoverEnv(EnvBase):
         sensed = self._observer.sense(self.randomization, rover, self._keys, steps)
         state.truth = Perception(rover, self.lidar)
         state.sensed = state.truth if sensed is rover else Perception(sensed, self.lidar)
+        state.pose = self._localization(state.truth, state.sensed, self._keys, steps)
         state.reference = state.truth if self.config.outcome_from == "truth" else state.sensed
 
     def _observation(self) -> dict[str, Any]:
-        state, sensed, goal = self._state, self._state.sensed, self._state.task.goal
-        same = sensed is state.reference
-        target = state.task.target if same else target_info(sensed.position, sensed.yaw, goal)
-        inputs = SensorInput(state.truth, sensed, target, state.task.steps, self._keys, self._surroundings)
+        state, pose, goal = self._state, self._state.pose, self._state.task.goal
+        same = state.sensed is state.reference and self.config.pose.source == "truth"
+        target = state.task.target if same else target_info(pose.position[:, :2], pose.yaw, goal)
+        inputs = SensorInput(
+            state.truth, state.sensed, pose, target, state.task.steps, self._keys, self._surroundings
+        )
         observation: dict[str, Any] = self._observer(inputs)
         if self._privileged is not None:
             observation["privileged"] = self._privileged(

@@ -32,8 +32,12 @@ class Bounds:
 
 
 def action_bounds(action: ActionConfig) -> Bounds:
-    """Returns the bounds of forward speed (m/s) and heading offset (rad)."""
-    return Bounds(low=(action.min_speed, -action.max_turn), high=(action.max_speed, action.max_turn))
+    """Returns the bounds of forward speed (m/s), heading offset (rad) and, if there is one, speed to the left (m/s)."""
+    sideways = (action.max_sideways,) if action.max_sideways else ()
+    return Bounds(
+        low=(action.min_speed, -action.max_turn, *(-side for side in sideways)),
+        high=(action.max_speed, action.max_turn, *sideways),
+    )
 
 
 ACTION = action_bounds(ActionConfig())

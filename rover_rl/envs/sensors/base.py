@@ -14,6 +14,7 @@ from torch import Tensor
 
 from rover_rl.checks import MAX_COUNT, check_at_least
 from rover_rl.envs.config import Randomization
+from rover_rl.envs.localization import SensedPose
 from rover_rl.envs.perception import Perception
 from rover_rl.envs.rng import random_bits, to_normal, to_unit
 from rover_rl.envs.sensors.surroundings import Surroundings
@@ -29,7 +30,8 @@ class SensorInput:
     Attributes:
         truth: true state of the rovers, ``[N]``.
         sensed: state of the rovers as lidar, IMU and wheel odometry report it, ``[N]``.
-        target: distance (m) and relative angle (rad) of the goals in the sensed state, ``[N, 2]``.
+        pose: pose that the sensors report, ``[N]``.
+        target: distance (m) and relative angle (rad) of the goals as seen from that pose, ``[N, 2]``.
         steps: number of steps of each row's episode, int64 ``[N, 1]``.
         keys: random keys of the episodes, int64 ``[N, 1]``.
         surroundings: ground and obstacles: heights and rays in the world frame.
@@ -37,6 +39,7 @@ class SensorInput:
 
     truth: Perception
     sensed: Perception
+    pose: SensedPose
     target: Tensor
     steps: Tensor
     keys: Tensor

@@ -19,7 +19,10 @@ WAVELENGTHS = (64.0, 16.0, 4.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Pose(Sensor):
-    """Position in the world frame, ``[N, 3]``, m. With it, a policy would memorize the map."""
+    """Position in the world frame as :class:`~rover_rl.envs.config.PoseConfig` has it, ``[N, 3]``, m.
+
+    With it, a policy would memorize the map.
+    """
 
     name: str = "pose"
 
@@ -30,7 +33,7 @@ class Pose(Sensor):
 
     def read(self, inputs: SensorInput) -> Tensor:
         """Returns the position."""
-        return inputs.sensed.rover.position
+        return inputs.pose.position
 
     def encode(self, value: Tensor) -> Tensor:
         """Encodes x and y as waves of several lengths."""
