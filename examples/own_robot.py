@@ -2,8 +2,8 @@
 Your own robot
 ==============
 
-A robot is a URDF, a drive and sensors. This script describes a small rover from scratch, looks at it, and compares how it
-and the package's rover turn and drive.
+A robot is a URDF, a drive and sensors. This script describes a small rover from scratch, looks at it, and compares how
+it and the package's rover turn and drive.
 """
 
 from __future__ import annotations
@@ -67,9 +67,10 @@ urdf.write_text(
 # %%
 # The drive
 # ---------
-# Wheels, masses and mounts come from the URDF. The drive names the joints and states what the URDF does not: the torque,
-# the limits, and for a skid-steer robot the effective ``separation`` of its sides, which is wider than the geometric one
-# because the wheels slip in turns. A joint that the URDF does not have, or a wheel on the wrong side, is refused.
+# Wheels, masses and mounts come from the URDF. The drive names the joints and states what the URDF does not: the
+# torque, the limits, and for a skid-steer robot the effective ``separation`` of its sides, which is wider than the
+# geometric one because the wheels slip in turns. A joint that the URDF does not have, or a wheel on the wrong side, is
+# refused.
 
 scout = Robot.from_urdf(
     urdf,

@@ -79,8 +79,8 @@ class PoseConfig:
     """Pose that the sensors report, from which the target is computed. Events and rewards know the true pose.
 
     - ``truth``: the true pose, as in the original environment.
-    - ``odometry``: dead reckoning from the start of the episode, by the speed of the wheels and the attitude of the IMU. It
-      drifts where wheels slip, and with their noise and that of the IMU.
+    - ``odometry``: dead reckoning from the start of the episode, by the speed of the wheels and the attitude of the
+      IMU. It drifts where wheels slip, and with the noise of both.
     - ``localized``: the true pose with an error that drifts and jumps, as that of a localization does.
 
     Args:
@@ -118,8 +118,8 @@ class ActionConfig:
         min_speed: Minimum forward speed, m/s. 0 prevents driving backward.
         max_speed: Maximum forward speed, m/s.
         max_turn: Maximum absolute heading offset, rad.
-        max_sideways: Maximum absolute speed to the left, m/s, for a drive that moves sideways. With 0, the action has no
-            such component.
+        max_sideways: Maximum absolute speed to the left, m/s, for a drive that moves sideways. With 0, the action has
+            no such component.
 
     Raises:
         ValueError: if ``min_speed`` is not less than ``max_speed``, or a bound is out of range.

@@ -1,14 +1,13 @@
 """Sensed pose: the true one, dead reckoning, or the true one with the error of a localization.
 
 The error of a localization is the sum of two parts. One drifts: an Ornstein-Uhlenbeck process, exact in discrete time,
-``e' = a e + s sqrt(1 - a^2) n`` with ``a = exp(-dt / drift_time)``, the standard deviation ``s`` and a standard normal number
-``n`` (C. Gardiner, *Stochastic Methods*, 2009, section 3.8.4). The other is constant until a jump draws it anew; jumps are a
-Poisson process. Random numbers depend on the row's seed, its episode and the step alone.
+``e' = a e + s sqrt(1 - a^2) n`` with ``a = exp(-dt / drift_time)``, the standard deviation ``s`` and a standard normal
+number ``n`` (C. Gardiner, *Stochastic Methods*, 2009, section 3.8.4). The other is constant until a jump draws it anew;
+jumps are a Poisson process. Random numbers depend on the row's seed, its episode and the step alone.
 """
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import torch
@@ -46,8 +45,9 @@ class Localization:
     def __init__(self, config: PoseConfig) -> None:
         self._config = config
         self._steps: Tensor | None = None
-        # Of dead reckoning: position and heading. Of localization: drifting error (x, y, heading), and jumping error (x, y).
+        # Position and heading of dead reckoning.
         self._pose: tuple[Tensor, Tensor] | None = None
+        # Error of a localization that drifts (x, y, heading), and the one that jumps (x, y).
         self._error: tuple[Tensor, Tensor] | None = None
 
     def __call__(self, truth: Perception, sensed: Perception, keys: Tensor, steps: Tensor) -> SensedPose:
@@ -57,8 +57,8 @@ class Localization:
             truth: true state of the rovers, ``[N]``.
             sensed: their state as the other sensors report it, ``[N]``.
             keys: random keys of the episodes, int64 ``[N, 1]``.
-            steps: number of steps of each row's episode, int64 ``[N, 1]``. A row whose number is that of the last call keeps
-                its pose, and 0 begins an episode.
+            steps: number of steps of each row's episode, int64 ``[N, 1]``. A row whose number is that of the last call
+                keeps its pose, and 0 begins an episode.
         """
         if self._config.source == "truth":
             return SensedPose(sensed.rover.position, sensed.yaw)

@@ -26,10 +26,11 @@ from rover_rl.envs.perception import Perception, StepState
 from rover_rl.envs.placement import Placement
 from rover_rl.envs.privileged import PrivilegedObservation
 from rover_rl.envs.randomization import CommandDelay, draw_dynamics
+from rover_rl.envs.requirements import check_requirements
 from rover_rl.envs.rng import episode_keys, row_keys
 from rover_rl.envs.row_worlds import RowWorlds
 from rover_rl.envs.sensors.base import SensorInput
-from rover_rl.envs.sensors.lidar import LidarPooling, check_period, scanning
+from rover_rl.envs.sensors.lidar import LidarPooling, scanning
 from rover_rl.envs.sensors.pose import clipped_pose
 from rover_rl.envs.sensors.suite import Observer, environment_sensors
 from rover_rl.envs.sensors.surroundings import Surroundings
@@ -38,7 +39,6 @@ from rover_rl.sims import Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.base import View, WorldChanger
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.robots import Robot, get_robot
-from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.pool import WorldPool
 from rover_rl.tensordicts import unchecked_tensordict
@@ -55,8 +55,8 @@ class RoverEnv(EnvBase):
     Observation (float32, clipped to the contract's bounds): ``lidar [N, lidar_points]`` (m), ``pose [N, 3]`` (m),
     ``imu [N, 3]`` (pitch, roll, yaw; rad), ``target [N, 2]`` (distance in m, relative angle in rad) and
     ``velocities [N, 2]`` (wheel odometry; m/s, rad/s). Action: ``action [N, 2]``, forward speed in [-1, 1] m/s and
-    heading offset in [-pi, pi] rad; with ``max_sideways``, ``[N, 3]`` with the speed to the left in m/s. Finite actions are clipped to these bounds. ``outcome`` contains the events of the
-    step, see :mod:`rover_rl.envs.task`.
+    heading offset in [-pi, pi] rad; with ``max_sideways``, ``[N, 3]`` with the speed to the left in m/s. Finite actions
+    are clipped to these bounds. ``outcome`` contains the events of the step, see :mod:`rover_rl.envs.task`.
 
     ``reset(start=..., goal=...)`` sets start poses ``[N, 3]`` (x, y in m, yaw in rad) and goals ``[N, 2]`` (m). Without
     transforms, they can also be entries of the reset tensordict; transforms drop these entries.
@@ -162,20 +162,9 @@ class RoverEnv(EnvBase):
             device=self._tensor_device,
         )
         self._open()
-        self._require_contact()
-        if config.action.max_sideways and not self.robot.drive.sideways:
-            self.simulator.close()
-            raise ValueError(
-                f"max_sideways needs a drive that moves sideways, and robot {self.robot.name!r} has a "
-                f"{type(self.robot.drive).__name__}"
-            )
         self._init_task()
         self._make_specs()
         self.set_seed(seed)
-        if config.randomization.varies_dynamics:
-            # Raises an error if the simulator cannot randomize dynamics. Does not change any rover.
-            none = torch.zeros(num_envs, dtype=torch.bool, device=self.simulator.device)
-            self.simulator.set_dynamics(none, draw_dynamics(config.randomization, self._keys))
 
     def _init_task(self) -> None:
         config, device = self.config, self._tensor_device
@@ -187,15 +176,6 @@ class RoverEnv(EnvBase):
         self._delay = CommandDelay(config.randomization.latency, self.num_envs, size, device)
         self._privileged = PrivilegedObservation(self.pool, self.robot, device) if config.privileged else None
         self._state = StepState(task=TaskState.zeros(self.num_envs, device), world=self._row_worlds.index_if_several)
-
-    def _require_contact(self) -> None:
-        """Raises an error if the task needs contacts and the simulator does not report them."""
-        if self.task.collision_from == "contact" and self.simulator.state().contact is None:
-            self.simulator.close()
-            raise ValueError(
-                f"a task with collision_from='contact' needs a backend that reports contacts, and "
-                f"{type(self.simulator).__name__} does not; use collision_from='lidar' or another backend"
-            )
 
     @property
     def worlds(self) -> list[World]:
@@ -241,7 +221,7 @@ class RoverEnv(EnvBase):
     @property
     def control_dt(self) -> float:
         """Duration of a step, s."""
-        return getattr(self.simulator, "control_dt", CONTROL_DT)
+        return self.simulator.control_dt
 
     @property
     def goal(self) -> Tensor:
@@ -306,8 +286,12 @@ class RoverEnv(EnvBase):
     def _open(self) -> None:
         """Builds the simulator. The next reset must include all rows."""
         self.simulator: Simulator = self._make_simulator(worlds=self._row_worlds.table)
-        check_period(self.config.lidar.period, self.simulator)
-        self._surroundings.is_live = getattr(self.simulator, "is_live", False)
+        try:
+            check_requirements(self.config, self.robot, self.simulator)
+        except ValueError:
+            self.simulator.close()
+            raise
+        self._surroundings.is_live = "live" in self.simulator.capabilities
         self._started = False
         self.is_closed = False
         if self._row_worlds.is_drawn and isinstance(self.simulator, WorldChanger):
@@ -427,9 +411,7 @@ class RoverEnv(EnvBase):
         state, pose, goal = self._state, self._state.pose, self._state.task.goal
         same = state.sensed is state.reference and self.config.pose.source == "truth"
         target = state.task.target if same else target_info(pose.position[:, :2], pose.yaw, goal)
-        inputs = SensorInput(
-            state.truth, state.sensed, pose, target, state.task.steps, self._keys, self._surroundings
-        )
+        inputs = SensorInput(state.truth, state.sensed, pose, target, state.task.steps, self._keys, self._surroundings)
         observation: dict[str, Any] = self._observer(inputs)
         if self._privileged is not None:
             observation["privileged"] = self._privileged(

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from rover_rl.sims.worlds import World
 
 View: TypeAlias = Literal["chase", "top"]
+Capability: TypeAlias = Literal["contacts", "dynamics", "scan_period", "live"]
+"""What not every backend does: it reports contacts, scales the dynamics of each rover, has lidars that scan less often
+than in every step, or drives a live rover, around which nothing is known but the map of its world."""
 
 
 class RoverState(TensorClass):
@@ -32,8 +35,8 @@ class RoverState(TensorClass):
         contact: whether any part of the rover, chassis or wheel, touched an obstacle in the last control step, in any
             of its physics steps, bool ``[N, 1]``. The ground is no obstacle, whether it carries the wheels or scrapes
             the chassis. False after a reset. ``None`` if the backend does not report contacts.
-        lateral_velocity: speed to the left from wheel odometry, ``[N, 1]``, m/s. ``None`` for a drive that does not move
-            sideways.
+        lateral_velocity: speed to the left from wheel odometry, ``[N, 1]``, m/s. ``None`` for a drive that does not
+            move sideways.
     """
 
     position: Tensor
@@ -78,12 +81,14 @@ class Simulator(Protocol):
         control_dt: duration of a control step, s.
         device: device of the tensors.
         ray_angles: direction of each lidar beam in the rover's frame, counter-clockwise from 0, ``[beams]``, rad.
+        capabilities: what the backend does besides what every backend does.
     """
 
     num_envs: int
     control_dt: float
     device: torch.device
     ray_angles: Tensor
+    capabilities: frozenset[Capability]
 
     @property
     def robot_connected(self) -> bool:
@@ -103,14 +108,11 @@ class Simulator(Protocol):
         ...
 
     def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
-        """Sets the dynamics of the selected rovers, which the caller resets next.
+        """Sets the dynamics of the selected rovers, which the caller resets next. Only called with ``"dynamics"``.
 
         Args:
             mask: rovers to change, bool ``[N]``.
             dynamics: new scale factors of all rovers.
-
-        Raises:
-            ValueError: if the rovers are real.
         """
         ...
 
@@ -126,7 +128,7 @@ class Simulator(Protocol):
                 sideways, also with the speed to the left (m/s), ``[N, 3]``.
             active: rovers to advance, bool ``[N]``. No time passes for the others. ``None`` advances all.
             scanned: rovers whose lidar scans, if they advance, bool ``[N]``. The others keep their last scan. ``None``:
-                all. Only passed if ``lidar.period`` is more than 1. A real lidar has its own period.
+                all. Only passed with ``"scan_period"``. A real lidar has its own period.
 
         Returns:
             The state of all rovers.

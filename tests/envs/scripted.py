@@ -68,9 +68,12 @@ class ScriptedSimulator:
     """
 
     robot_connected = True
+    capabilities = frozenset({"scan_period"})
 
     def __init__(self, worlds: Sequence[World], robot: Robot, lidar_beams: int, contacts: bool = False) -> None:
         self._contacts = contacts
+        if contacts:
+            self.capabilities = self.capabilities | {"contacts"}
         self.num_envs = len(worlds)
         self.control_dt = DT
         self.device = torch.device("cpu")

@@ -65,7 +65,10 @@ def test_the_period_is_at_least_one_step() -> None:
 def test_a_simulator_that_always_scans_needs_a_period_of_one_step() -> None:
     settings = AlwaysScanning(WarpSettings())
     RoverEnv(world_n="maze", num_envs=1, backend=settings).close()
-    with pytest.raises(ValueError, match="lidar_period must be 1 in AlwaysScanningSimulator"):
+    with pytest.raises(
+        ValueError,
+        match="lidar_period must be 1, got 4, .* AlwaysScanningSimulator does not state the capability 'scan_period'",
+    ):
         RoverEnv(world_n="maze", num_envs=1, backend=settings, lidar_period=4)
 
 
@@ -82,6 +85,8 @@ class AlwaysScanning:
 
 class AlwaysScanningSimulator:
     """A simulator whose step takes no mask of scans."""
+
+    capabilities = frozenset({"contacts", "dynamics"})
 
     def __init__(self, simulator: WarpSimulator) -> None:
         self.simulator = simulator

@@ -178,7 +178,7 @@ def test_partial_resets_and_rows_at_rest_keep_what_they_sensed():
 
 
 def test_a_live_rover_is_what_it_is():
-    with pytest.raises(ValueError, match="a live rover's friction, mass and motors cannot be varied"):
+    with pytest.raises(ValueError, match="friction, mass and motors need a backend in which they can be varied"):
         RoverEnv(
             connection_check_timeout=0,
             backend=Ros2Settings(reset="none"),

@@ -172,7 +172,7 @@ def test_a_policy_needs_its_sensors() -> None:
 
 
 class LiveSimulator(ScriptedSimulator):
-    is_live = True
+    capabilities = frozenset({"live"})
 
 
 class LiveBackend(ScriptedBackend):

@@ -194,7 +194,10 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         Speed and yaw rate change at the limits of the drive until they reach the sampled ones.
         """
         v0, w0 = velocities[:, :1], velocities[:, 1:] * self._gain
-        acceleration, yaw_acceleration = self._robot.drive.max_linear_acceleration, self._robot.drive.max_angular_acceleration
+        acceleration, yaw_acceleration = (
+            self._robot.drive.max_linear_acceleration,
+            self._robot.drive.max_angular_acceleration,
+        )
         yaw_acceleration *= self._gain
         share = torch.linspace(0, 1, YAW_RATES, dtype=w0.dtype, device=w0.device)
         low, high = (

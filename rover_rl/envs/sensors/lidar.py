@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 from dataclasses import dataclass
 
@@ -14,7 +13,6 @@ from rover_rl.envs.rng import random_bits, to_normal
 from rover_rl.envs.sensors.base import Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
 from rover_rl.sims import RoverState
-from rover_rl.sims.base import Simulator
 
 _NOISE = 4
 """Stream of random numbers."""
@@ -114,17 +112,6 @@ class LidarPooling:
         ranges = torch.nan_to_num(ranges, nan=self.max_range, posinf=self.max_range, neginf=0.0)
         grouped = ranges.unflatten(-1, (self.points, -1)) if self._gather is None else ranges[..., self._gather]
         return grouped.amin(-1).clamp(0.0, self.max_range)
-
-
-def check_period(period: int, simulator: Simulator) -> None:
-    """Checks that a simulator can scan every ``period`` steps.
-
-    Raises:
-        ValueError: if ``step`` of the simulator takes no ``scanned``, and ``period`` is not 1.
-    """
-    if period > 1 and "scanned" not in inspect.signature(simulator.step).parameters:
-        name = type(simulator).__name__
-        raise ValueError(f"lidar_period must be 1 in {name}, whose step() takes no scanned, got {period}")
 
 
 def scanning(steps: Tensor, period: int, device: torch.device) -> tuple[Tensor, ...]:

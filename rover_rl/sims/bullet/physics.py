@@ -225,7 +225,7 @@ class RoverPhysics:
             )
 
     def _straighten_rollers(self, number: int) -> None:
-        """Turns the rollers of the rovers in a client back, so that their direction stays in the mean; so do their speeds."""
+        """Turns the rollers of the rovers in a client back, so that they keep their direction and speed."""
         if not self._rollers:
             return
         first = number * ROVERS_PER_CLIENT

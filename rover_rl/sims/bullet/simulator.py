@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import Dynamics, RoverState, View
+from rover_rl.sims.base import Capability, Dynamics, RoverState, View
 from rover_rl.sims.bullet.lidar import Lidar
 from rover_rl.sims.bullet.physics import RoverPhysics
 from rover_rl.sims.bullet.settings import BulletSettings
@@ -33,6 +33,8 @@ class BulletSimulator:
         lidar_beams: number of beams of a scan, evenly spaced counter-clockwise over the full turn, the first forward.
         settings: settings of the physics. ``None`` uses the defaults.
     """
+
+    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "scan_period"})
 
     def __init__(
         self,
@@ -95,9 +97,7 @@ class BulletSimulator:
         speeds, angles = (targets.tolist() for targets in self._drive.advance(commands, active))
         for group in self._groups:
             held = [] if active is None else np.flatnonzero(~active.numpy()[group.rows]).tolist()
-            touched = group.physics.step(
-                speeds[group.block], angles[group.block], self._body[group.block, :7], held
-            )
+            touched = group.physics.step(speeds[group.block], angles[group.block], self._body[group.block, :7], held)
             local = group.local if not held else np.setdiff1d(group.local, held)
             self._read(group, local, None if scanned is None else scanned.numpy())
             self._contact[group.rows[local], 0] = touched[local]

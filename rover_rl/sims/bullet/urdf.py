@@ -91,7 +91,8 @@ def _add_roller(root: ET.Element, wheel: str, angle: float, radius: float) -> No
 def _scaled_inertial(link: ET.Element) -> ET.Element:
     inertial = ET.Element("inertial")
     mass, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
-    assert mass is not None and inertia is not None
+    assert mass is not None
+    assert inertia is not None
     ET.SubElement(inertial, "mass", value=str(_LINK_SHARE * float(mass.get("value", "0"))))
     ET.SubElement(inertial, "inertia", {key: str(_LINK_SHARE * float(value)) for key, value in inertia.items()})
     return inertial

@@ -78,7 +78,9 @@ class Ackermann(Drive):
         """Checks that the front wheels are ahead of the rear wheels, and left ones to the left."""
         if not self.wheelbase(wheels) > 0:
             raise ValueError(f"the front wheels {self.front} must be ahead of the rear wheels {self.rear}")
-        for (left, right), (one, other) in zip((self.rear, self.front), (wheels.hubs[:2], wheels.hubs[2:]), strict=True):
+        for (left, right), (one, other) in zip(
+            (self.rear, self.front), (wheels.hubs[:2], wheels.hubs[2:]), strict=True
+        ):
             if not one[1] > other[1]:
                 raise ValueError(f"wheel {left!r} must be to the left of wheel {right!r}")
         if wheels.steering != (-1, -1, 0, 1):
@@ -94,7 +96,9 @@ class Ackermann(Drive):
         side = torch.where(desired < 0, -yaw_rate, yaw_rate)
         wanted = torch.atan2(side * self.wheelbase(wheels), desired.abs()).clamp(-self.max_steering, self.max_steering)
         gain, turn = self.max_linear_acceleration * dt, self.max_steering_rate * dt
-        return torch.cat((speed + (desired - speed).clamp(-gain, gain), angle + (wanted - angle).clamp(-turn, turn)), -1)
+        return torch.cat(
+            (speed + (desired - speed).clamp(-gain, gain), angle + (wanted - angle).clamp(-turn, turn)), -1
+        )
 
     def targets(self, before: Tensor, after: Tensor, wheels: Wheels) -> Joints:
         """Returns the speeds of the rear wheels ``[N, 2]`` and the angles of the front wheels ``[N, 2]``."""

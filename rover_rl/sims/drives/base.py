@@ -18,8 +18,8 @@ class Wheels:
         hubs: center ``(x, y, z)`` of each wheel, in the order of :attr:`Drive.wheels`.
         radius: radius of a wheel.
         width: width of a wheel.
-        steering: index in :attr:`Drive.steering` of the joint that carries each wheel, or -1 without one. Empty if no wheel
-            steers.
+        steering: index in :attr:`Drive.steering` of the joint that carries each wheel, or -1 without one. Empty if no
+            wheel steers.
     """
 
     hubs: tuple[tuple[float, float, float], ...]
@@ -125,7 +125,7 @@ class Drive(ABC):
         """Returns the smallest radius of a turn, m."""
         return 0.0
 
-    def check(self, wheels: Wheels) -> None:
+    def check(self, wheels: Wheels) -> None:  # noqa: B027 - a drive without conditions has nothing to check
         """Checks that the drive can move these wheels.
 
         Raises:

@@ -19,8 +19,8 @@ class Mecanum(Drive):
 
     A wheel at ``(x, y)`` whose roller lies along the direction ``b`` turns with
     ``(v - w y + tan(b) (u + w x)) / r`` for the forward speed ``v``, yaw rate ``w`` and leftward speed ``u`` (K. Lynch
-    and F. Park, *Modern Robotics*, 2017, section 13.2). The wheels form an X seen from above: ``b`` is -45 degrees for the
-    front left and rear right wheels, 45 degrees for the others.
+    and F. Park, *Modern Robotics*, 2017, section 13.2). The wheels form an X seen from above: ``b`` is -45 degrees for
+    the front left and rear right wheels, 45 degrees for the others.
 
     Args:
         front: names of the joints of the left and the right front wheel.

@@ -47,8 +47,8 @@ LINK_SHARE = 1e-3
 def make_model(world: World, robot: Robot, inertial_model: InertialModel, settings: MujocoSettings) -> mujoco.MjModel:
     """Creates the model of one rover in a world.
 
-    The generalized coordinates are the pose of the base frame, the angles of the wheels, each after that of its steering
-    or roller joint, and the angle of a shaft for each motor.
+    The generalized coordinates are the pose of the base frame, the angles of the wheels, each after that of its
+    steering or roller joint, and the angle of a shaft for each motor.
 
     A wheel with ideal rollers is a sphere on a free joint along the roller on the ground: it rolls freely across the
     axle of the roller, and is driven along it. :class:`~rover_rl.sims.mujoco.physics.RoverPhysics` keeps that joint at

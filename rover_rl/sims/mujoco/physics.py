@@ -141,7 +141,8 @@ class RoverPhysics:
             position=states[:, _POSITION],
             orientation=states[:, _ORIENTATION],
             joints=np.stack(
-                [states[:, wheels].mean(1) for wheels in self._motors] + [states[:, angle] for angle in self._steering], 1
+                [states[:, wheels].mean(1) for wheels in self._motors] + [states[:, angle] for angle in self._steering],
+                1,
             ),
         )
 

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import Dynamics, RoverState, View
+from rover_rl.sims.base import Capability, Dynamics, RoverState, View
 from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.mujoco.lidar import Lidar, Scene
@@ -43,6 +43,8 @@ class MujocoSimulator:
         ValueError: for a robot whose URDF is not supported: see
             :func:`rover_rl.sims.robots.inertial_model.read_inertial_model`.
     """
+
+    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "scan_period"})
 
     def __init__(
         self,

@@ -45,8 +45,8 @@ def _check_radius(robot: Robot, outline: Footprint) -> None:
         )
     if robot.radius < outline.corner - TOLERANCE:
         warnings.warn(
-            f"radius of robot {robot.name!r} is {robot.radius:g} m, and its corners are {outline.corner:.3g} m from the "
-            "origin: they may start in obstacles",
+            f"radius of robot {robot.name!r} is {robot.radius:g} m, and its corners are {outline.corner:.3g} m from "
+            "the origin: they may start in obstacles",
             stacklevel=5,
         )
 

@@ -33,8 +33,8 @@ class Robot:
         lidar: place of the lidar: a link of the URDF, or a position.
         imu: place of the IMU.
         lidar_range: maximum range of the lidar, m.
-        radius: radius of the disc around the origin that must be free of obstacles where the rover stands. ``None``: that
-            of the disc around its wheels and body, rounded up to a centimeter.
+        radius: radius of the disc around the origin that must be free of obstacles where the rover stands. ``None``:
+            that of the disc around its wheels and body, rounded up to a centimeter.
 
     Attributes:
         wheels: geometry of the wheels.
@@ -58,7 +58,7 @@ class Robot:
     lidar: Mount = "lidar_link"
     imu: Mount = "imu_link"
     lidar_range: float = 12.0
-    radius: float | None = None
+    radius: float = None  # type: ignore[assignment]  # Set from the outline below.
     wheels: Wheels = field(init=False, repr=False)
     lidar_position: tuple[float, float, float] = field(init=False, repr=False)
     imu_position: tuple[float, float, float] = field(init=False, repr=False)

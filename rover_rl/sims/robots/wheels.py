@@ -138,9 +138,7 @@ def _check_inertial(link: Link, kind: str) -> Inertial:
     return inertial
 
 
-def _check_alike(
-    sizes: list[tuple[str, float, float | None]], inertials: list[tuple[str, float, np.ndarray]]
-) -> None:
+def _check_alike(sizes: list[tuple[str, float, float | None]], inertials: list[tuple[str, float, np.ndarray]]) -> None:
     """Checks that all wheels have the radius, width, mass (kg) and inertia (kg m^2, ``[3, 3]``) of the first."""
     first = sizes[0][0]
     for label, unit, values in (

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import Dynamics, RoverState, View
+from rover_rl.sims.base import Capability, Dynamics, RoverState, View
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2.command_publisher import CommandPublisher
@@ -69,7 +69,6 @@ class Ros2Simulator:
         connection: topics, and the time to wait for the first scan.
 
     Attributes:
-        is_live: always true. Sensors that cast rays are refused.
         settings: settings of the connection.
         latency: time between the arrival of the scan and the command of the last step, s.
         held: whether the forward speed of the last command was canceled, as it led towards unseen directions.
@@ -79,7 +78,7 @@ class Ros2Simulator:
         ImportError: if a package that the transport requires is not installed.
     """
 
-    is_live = True
+    capabilities: frozenset[Capability] = frozenset({"live", "scan_period"})
 
     def __init__(
         self,
@@ -254,12 +253,8 @@ class Ros2Simulator:
         self._commands.stop()
 
     def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
-        """Not supported: see :meth:`Simulator.set_dynamics`.
-
-        Raises:
-            ValueError: always.
-        """
-        raise ValueError("a live rover's friction, mass and motors cannot be varied; sensors and latency can")
+        """Not supported: a live rover has its own friction, mass and motors."""
+        raise NotImplementedError
 
     def state(self) -> RoverState:
         """Returns the state from the latest messages; zeros and infinite ranges before the first ones."""

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import Dynamics, RoverState, View
+from rover_rl.sims.base import Capability, Dynamics, RoverState, View
 from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.native.warp import wp
@@ -56,6 +56,8 @@ class WarpSimulator:
         ValueError: for a robot with too many wheels, or whose URDF is not supported: see
             :func:`rover_rl.sims.robots.inertial_model.read_inertial_model`.
     """
+
+    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "scan_period"})
 
     def __init__(
         self,

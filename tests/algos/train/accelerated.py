@@ -25,7 +25,7 @@ from rover_rl.envs.transforms.path_reward import PathReward
 from rover_rl.sims import RoverState
 from rover_rl.sims.base import Dynamics
 from rover_rl.sims.connection import Connection
-from rover_rl.sims.differential_drive import SimulatedDrive
+from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.inertial_model import read_inertial_model
@@ -62,13 +62,14 @@ class SlidingBackend:
 
 class SlidingSimulator:
     robot_connected = True
+    capabilities = frozenset({"dynamics", "scan_period"})
 
     def __init__(self, worlds: Sequence[World], robot: Robot, beams: int, device: torch.device) -> None:
         self.num_envs = count = len(worlds)
         self.device = device
         self.control_dt = 0.05
         self.ray_angles = torch.arange(beams, device=device) * (2 * math.pi / beams)
-        self._drive = SimulatedDrive(robot, 0.05, count, device)
+        self._drive = SimulatedDrives(robot.drive, robot.wheels, 0.05, count, device)
         self._pose = torch.zeros(count, 3, device=device)
         self._height = torch.zeros(count, 1, device=device)
         self._robot, self._model = robot, read_inertial_model(robot)

@@ -14,7 +14,9 @@ CORNERS = {
     "rear_left": (-WHEELBASE / 2, TRACK / 2),
     "rear_right": (-WHEELBASE / 2, -TRACK / 2),
 }
-_INERTIAL = '<inertial><mass value="0.6"/><inertia ixx="0.0018" ixy="0" ixz="0" iyy="0.003" iyz="0" izz="0.0018"/></inertial>'
+_INERTIAL = (
+    '<inertial><mass value="0.6"/><inertia ixx="0.0018" ixy="0" ixz="0" iyy="0.003" iyz="0" izz="0.0018"/></inertial>'
+)
 _WHEEL = f'<origin rpy="1.5707963267948966 0 0"/><geometry><cylinder radius="{RADIUS}" length="0.05"/></geometry>'
 _BASE = """
 <link name="base_link">

@@ -69,8 +69,8 @@ def test_joints_that_the_urdf_does_not_have_raise(joints, message):
         (
             '<parent link="base_link"/>\n    <child link="rear_left_wheel_link"/>',
             '<parent link="front_left_wheel_link"/>\n    <child link="rear_left_wheel_link"/>',
-            "wheel joint 'rear_left_wheel' must be on the base link 'base_link', on a link fixed to it or on the link of a "
-            "steering joint of these, it is on 'front_left_wheel_link'",
+            "wheel joint 'rear_left_wheel' must be on the base link 'base_link', on a link fixed to it or on the link "
+            "of a steering joint of these, it is on 'front_left_wheel_link'",
         ),
         # Shapes.
         (

@@ -8,10 +8,10 @@ Frames: arms, normals and tangents are in the body frame (axes of the base frame
 and obstacles are queried in the world frame. Lengths in m.
 
 Constraint rows. The generalized velocity is ``u = (v, w, s_1, ..., s_W)``: velocity of the center of mass (m/s) and
-angular velocity (rad/s), both in the body frame, and the absolute spin rate of each wheel about its axle e (rad/s), which is e_y
-unless the wheel is steered. A wheel's center of mass lies on its axle, so that the mass matrix is ``M = diag(m, I, J, ..., J)`` with the axle inertia
-J of the wheels kept out of I. A point at ``arm`` on a wheel with the hub at ``arm - lever`` moves along a direction d
-with
+angular velocity (rad/s), both in the body frame, and the absolute spin rate of each wheel about its axle e (rad/s),
+which is e_y unless the wheel is steered. A wheel's center of mass lies on its axle, so that the mass matrix is ``M =
+diag(m, I, J, ..., J)`` with the axle inertia J of the wheels kept out of I. A point at ``arm`` on a wheel with the hub
+at ``arm - lever`` moves along a direction d with
 
     d . v + (arm x d - a e) . w + a s,    a = e . (lever x d),
 
@@ -226,7 +226,8 @@ def collide_wheels_with_ground(
 
     A wheel is a cylinder; each of its two end circles is a candidate contact. Tests the circle's lowest point, the
     points 40 degrees behind and ahead, which find steps and peaks, and the exact deepest point with respect to the
-    terrain plane of the deepest sample, ``arm = middle - r p / |p|`` with the part p of the normal in the wheel's plane. Keeps the point with the least gap.
+    terrain plane of the deepest sample, ``arm = middle - r p / |p|`` with the part p of the normal in the wheel's
+    plane. Keeps the point with the least gap.
     """
     to_body = wp.transpose(body.rotation)
     down = to_body * wp.vec3(0.0, 0.0, -1.0)

@@ -97,8 +97,10 @@ def part_radius(model: RobotModel, part: int) -> float:
 def part_support(model: RobotModel, part: int, axle: wp.vec3, direction: wp.vec3) -> wp.vec3:
     """Support point of a part, the point farthest along ``direction``, in the base frame.
 
-    A box has its support point at a corner. A wheel is a cylinder about its axle, a horizontal unit vector a, and has it
-    on the rim of an end face: ``hub + r p / |p| + sign(d . a) a w / 2`` with radius r, width w and ``p = d - (d . a) a``.
+    A box has its support point at a corner. A wheel is a cylinder about its axle, a horizontal unit vector a, and has
+    it
+    on the rim of an end face: ``hub + r p / |p| + sign(d . a) a w / 2`` with radius r, width w and ``p = d - (d . a)
+        a``.
     """
     boxes = model.box_centers.shape[0]
     if part < boxes:

@@ -1,7 +1,8 @@
 """Rigid-body dynamics of a rover: constraint solver and time integration.
 
 A rover is one rigid body with spinning wheels. The wheels are fixed to the chassis but for their rotation about the
-axles and the turn of steered ones, which changes the axle e but no inertia, and have their centers of mass there: the inertia of the whole does not depend on the wheels' angles, and motors
+axles and the turn of steered ones, which changes the axle e but no inertia, and have their centers of mass there: the
+    inertia of the whole does not depend on the wheels' angles, and motors
 and contacts are all that couples a wheel's spin to the body.
 
 State (world frame unless stated otherwise): position of the center of mass (m), orientation quaternion (x, y, z, w),
@@ -107,7 +108,8 @@ def solve_motors(
     """One Gauss-Seidel pass over the motors: velocity control with a torque limit.
 
     A motor turns its wheels against the chassis. The row of a wheel with the axle e is ``s - e . w = target``, with
-    effective mass ``1 / (1/J + e . I^-1 e)``; the accumulated impulse is clamped to +- ``max_impulse``, the torque limit times dt.
+    effective mass ``1 / (1/J + e . I^-1 e)``; the accumulated impulse is clamped to +- ``max_impulse``, the torque
+    limit times dt.
 
     Args:
         motion: motion of the body.
@@ -252,9 +254,7 @@ def step_dynamics(scenes: wp.array[Scene], model: RobotModel, solver: Solver, ro
         body.angular_velocity -= dt * (body.inverse_inertia * wp.cross(body.angular_velocity, momentum))
 
         # 2. Collision detection and constraint rows.
-        collide_wheels_with_ground(
-            contacts, scene, body, model, solver, axles, friction_scale * solver.ground_friction
-        )
+        collide_wheels_with_ground(contacts, scene, body, model, solver, axles, friction_scale * solver.ground_friction)
         count = wheel_contacts
         count = collide_chassis_with_ground(
             contacts, count, scene, body, model, solver, friction_scale * solver.ground_friction

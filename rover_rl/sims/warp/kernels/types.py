@@ -121,15 +121,15 @@ class RoverArrays:
     motor_torque: wp.array[float]
     # Angle of each steering joint [N, steering], rad.
     angles: wp.array2d[float]
-    # Inputs: target speed of each motor relative to the chassis [N, motors] (rad/s), target angle of each steering joint
-    # [N, steering] (rad), which rovers are simulated, and which of them scan.
+    # Inputs: target speed of each motor relative to the chassis [N, motors] (rad/s), target angle of each steering
+    # joint [N, steering] (rad), which rovers are simulated, and which of them scan.
     target_speeds: wp.array2d[float]
     target_angles: wp.array2d[float]
     active: wp.array[wp.bool]
     scanned: wp.array[wp.bool]
-    # Outputs: base state [N, 7 + motors + steering] (position of the base frame, its orientation, mean speed of the wheels
-    # of each motor relative to the chassis, angles), scan [N, beams], m, and whether the rover touched an obstacle in the
-    # last control step.
+    # Outputs: base state [N, 7 + motors + steering] (position of the base frame, its orientation, mean speed of the
+    # wheels of each motor relative to the chassis, angles), scan [N, beams], m, and whether the rover touched an
+    # obstacle in the last control step.
     base_state: wp.array2d[float]
     ranges: wp.array2d[float]
     contact: wp.array[wp.bool]
