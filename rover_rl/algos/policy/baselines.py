@@ -17,6 +17,7 @@ from torch import Tensor
 
 from rover_rl.envs.rng import episode_keys, random_bits, row_keys, to_unit
 from rover_rl.envs.specs import ACTION
+from rover_rl.sims.drives import Drive
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.robots.rover_zero import ROVER_ZERO
 from rover_rl.sims.rotations import wrap_angle
@@ -65,7 +66,8 @@ class ScriptedPolicy(TensorDictModule):
     """
 
     def __init__(self, robot: str | Robot = "rover_zero") -> None:
-        policy = partial(steer, lidar_offset=get_robot(robot).lidar_position[0])
+        robot = get_robot(robot)
+        policy = partial(steer, lidar_offset=robot.lidar_position[0], slowest=slowest_turn(robot.drive))
         super().__init__(policy, in_keys=["lidar", "target"], out_keys=["action"])
 
 
@@ -81,6 +83,8 @@ STOP = 0.45
 """Free distance from the rover's center at which the rover stops, m."""
 BACK_OFF = 0.36
 """Lidar reading in front below which the rover backs off, m. A reading below 0.3 m is a collision."""
+CRAWL = 0.25
+"""Speed of a robot that turns only while it drives, where it would turn in place otherwise, m/s."""
 BEHIND = 0.75
 """Lidar reading behind that is required for backing off, m. The rear end of the rover is 0.44 m from the lidar."""
 PERSISTENCE = 0.9
@@ -89,7 +93,12 @@ between two ways around an obstacle. Chosen in the maze on episodes other than t
 goal within 30 s with 0.9, and 85 % with 1.3."""
 
 
-def steer(lidar: Tensor, target: Tensor, lidar_offset: float = LIDAR_OFFSET) -> Tensor:
+def slowest_turn(drive: Drive) -> float:
+    """Returns the lowest speed at which a robot turns, m/s."""
+    return 0.0 if drive.turns_in_place else CRAWL
+
+
+def steer(lidar: Tensor, target: Tensor, lidar_offset: float = LIDAR_OFFSET, slowest: float = 0.0) -> Tensor:
     """Computes the action of a careful driver without a map and without memory.
 
     The rover drives towards the goal if the lane to the goal, or its first 1.6 m, is free. Otherwise it takes the best
@@ -99,6 +108,7 @@ def steer(lidar: Tensor, target: Tensor, lidar_offset: float = LIDAR_OFFSET) -> 
         lidar: lidar readings, ``[N, points]``, m.
         target: distance (m) and angle (rad) to the goal, ``[N, 2]``.
         lidar_offset: distance of the lidar in front of the rover's center, m.
+        slowest: lowest speed in a free lane, m/s.
 
     Returns:
         Action ``[N, 2]``: forward speed (m/s) and heading offset (rad).
@@ -110,10 +120,10 @@ def steer(lidar: Tensor, target: Tensor, lidar_offset: float = LIDAR_OFFSET) -> 
     blocked = (1 - free / distance.clamp(0.1, LOOK_AHEAD)).clamp(min=0)
     merit = (directions - bearing).cos() + PERSISTENCE * directions.cos() - 4 * blocked
     best = directions.gather(-1, merit.argmax(-1, keepdim=True))
-    return drive_towards(torch.where(blocked[:, -1:] > 0, best, bearing), lidar, lidar_offset)
+    return drive_towards(torch.where(blocked[:, -1:] > 0, best, bearing), lidar, lidar_offset, slowest)
 
 
-def drive_towards(direction: Tensor, lidar: Tensor, lidar_offset: float = LIDAR_OFFSET) -> Tensor:
+def drive_towards(direction: Tensor, lidar: Tensor, lidar_offset: float = LIDAR_OFFSET, slowest: float = 0.0) -> Tensor:
     """Computes the action of a careful driver that follows a direction.
 
     The heading offset is twice the angle to the direction. The speed decreases as the angle grows, and as
@@ -123,6 +133,7 @@ def drive_towards(direction: Tensor, lidar: Tensor, lidar_offset: float = LIDAR_
         direction: direction relative to the rover's heading, ``[N, 1]``, rad.
         lidar: lidar readings, ``[N, points]``, m.
         lidar_offset: distance of the lidar in front of the rover's center, m.
+        slowest: lowest speed in a free lane, m/s.
 
     Returns:
         Action ``[N, 2]``: forward speed (m/s) and heading offset (rad).
@@ -130,6 +141,8 @@ def drive_towards(direction: Tensor, lidar: Tensor, lidar_offset: float = LIDAR_
     angle = wrap_angle(direction)
     free = _free_lane(lidar, torch.zeros_like(angle), lidar_offset)
     speed = angle.cos().clamp(min=0) * ((free - STOP) / (LOOK_AHEAD / 2)).clamp(0, 1)
+    if slowest:
+        speed = torch.where(free > STOP, speed.clamp(min=slowest), speed)
     quarter = lidar.shape[-1] // 4
     front = torch.cat((lidar[:, :quarter], lidar[:, -quarter:]), -1).amin(-1, keepdim=True)
     behind = lidar[:, quarter + quarter // 2 : -quarter - quarter // 2].amin(-1, keepdim=True)

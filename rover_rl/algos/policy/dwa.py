@@ -166,6 +166,10 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         arrived = to_goal.cummin(-1).values < ARRIVAL
         # A body that is too close already may move as long as it does not get closer.
         hit = (clearance < (now - 0.002).clamp(max=0)[:, None, None]) & ~arrived
+        radius = self._robot.drive.min_radius(self._robot.wheels)
+        if radius:
+            # A turn that the drive cannot take. The wheel odometry of such a drive does not slip.
+            hit = hit | (sampled.yaw_rate.abs() * radius > sampled.speed.abs() + 1e-6)[..., None]
         score = _score(sampled, points, goal, arrived, clearance, readings)
         free_time = torch.where(hit, sampled.time, math.inf).amin(-1)
         # All scores of rejected trajectories are below those of the others.

@@ -16,7 +16,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from rover_rl.algos.policy.baselines import drive_towards
+from rover_rl.algos.policy.baselines import drive_towards, slowest_turn
 from rover_rl.algos.policy.grid_planner import SHARP, SLOPE, SLOPE_SPEED
 from rover_rl.envs.config import EnvConfig, RobotLike
 from rover_rl.envs.rover import RoverEnv
@@ -68,6 +68,7 @@ class PrivilegedExpert:
     def __init__(self, worlds: Worlds, robot: Robot, device: torch.device | str | None = None) -> None:
         self._distances = PathDistances(worlds, robot, device, CAUTION)
         angles = torch.arange(DIRECTIONS, device=device) * (2 * math.pi / DIRECTIONS)
+        self._slowest = slowest_turn(robot.drive)
         self._angles, self._directions = angles, torch.stack((angles.cos(), angles.sin()), -1)
 
     def action(self, observation: TensorDictBase) -> Tensor:
@@ -82,7 +83,7 @@ class PrivilegedExpert:
         narrow = self._distances.narrow(fields, points).any(-1, keepdim=True)
         tilt, yaw = rows["imu"].split((2, 1), -1)
         turn = torch.where(distance < NEAR, bearing, wrap_angle(direction - yaw))
-        careful = drive_towards(turn, rows["lidar"])
+        careful = drive_towards(turn, rows["lidar"], slowest=self._slowest)
         sloped = tilt.norm(dim=-1, keepdim=True) > SLOPE
         on_slope = _drive_on_slope(turn, rows["velocities"][:, 1:], rows["lidar"])
         careful = torch.where(sloped, on_slope, careful)

@@ -16,6 +16,7 @@ import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
+from rover_rl.algos.policy.baselines import slowest_turn
 from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike, TaskConfig
 from rover_rl.envs.seen_map.seen_map import ROUTE
 from rover_rl.sims.robots import Robot, get_robot
@@ -84,7 +85,7 @@ def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
 
     The heading offset is twice the angle to the first corner of the route. The speed decreases as the angle grows and
     as obstacles in the lane ahead get closer. In front of an obstacle, the rover backs off while it turns. On a slope,
-    it does not turn on the spot, but in a slow curve. From a slope that is too steep, it backs down straight.
+    and with a drive that cannot, it does not turn on the spot, but in a slow curve. From a slope that is too steep, it backs down straight.
 
     Args:
         lidar: lidar readings, ``[..., points]``, m.
@@ -106,8 +107,10 @@ def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
     speed = angle.cos().clamp(min=0).square() * allowed
     sloped = imu[..., :2].norm(dim=-1, keepdim=True) > SLOPE
     speed = torch.where(sloped & (angle.abs() > SHARP), SLOPE_SPEED * allowed, speed)
+    speed = speed.clamp(min=slowest_turn(robot.drive))
     speed = torch.where(ahead < STOP, torch.where(behind > BEHIND, BACK_OFF, 0.0), speed)
-    speed = torch.where(~sloped & (angle.abs() > TURN), speed.clamp(max=0), speed)
+    if robot.drive.turns_in_place:
+        speed = torch.where(~sloped & (angle.abs() > TURN), speed.clamp(max=0), speed)
     # A positive pitch is nose down.
     steep = imu[..., :1] < -STEEP
     speed = torch.where(steep, BACK_DOWN, speed)

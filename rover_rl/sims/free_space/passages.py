@@ -93,7 +93,7 @@ def find_reach(
     """Returns the cells that are connected to most goals.
 
     Roomy cells are connected by their sides. Narrow cells count only if they join roomy cells of the spawn and goal
-    areas that are separate otherwise.
+    areas that are separate otherwise, and the robot turns in place, as it has to where two motions meet.
 
     Args:
         robot: robot.
@@ -108,7 +108,7 @@ def find_reach(
     wanted = np.flatnonzero(spawns + goals)
     best = np.arange(count + 1) == goals.argmax()
     narrow = np.zeros(grid.shape, dtype=np.uint32)
-    if len(wanted) > 1:
+    if len(wanted) > 1 and robot.drive.turns_in_place:
         fits = np.where(gentle, fit_orientations(robot, grid, room), np.uint32(0))
         fits[roomy] = ALL_ORIENTATIONS
         rest = goals.copy()

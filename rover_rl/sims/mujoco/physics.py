@@ -101,7 +101,7 @@ class RoverPhysics:
         Returns:
             Whether each of these rovers touched an obstacle in any of the physics steps, bool ``[k]``.
         """
-        self._states[np.ix_(rows, self._shafts)] = speeds
+        self._states[rows[:, None], self._shafts] = speeds
         substeps = self._settings.substeps
         if not self._rollers:
             return self._roll(rows, angles, substeps)
@@ -109,8 +109,8 @@ class RoverPhysics:
         for _ in range(substeps):
             touched |= self._roll(rows, angles, 1)
             # A roller on the ground keeps its direction, in the mean of a step: only its speed counts.
-            speeds = self._states[np.ix_(rows, self._roller_speeds)]
-            self._states[np.ix_(rows, self._rollers)] = -0.5 * self._settings.substep * speeds
+            speeds = self._states[rows[:, None], self._roller_speeds]
+            self._states[rows[:, None], self._rollers] = -0.5 * self._settings.substep * speeds
         return touched
 
     def _roll(self, rows: np.ndarray, angles: np.ndarray, steps: int) -> np.ndarray:

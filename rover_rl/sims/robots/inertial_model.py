@@ -141,8 +141,9 @@ def _chassis(robot: Robot, description: Description) -> tuple[float, np.ndarray,
     parts = [(each, frame @ each.frame) for each, frame in links if each is not None and each.mass > 0]
     if len(parts) == 1 and not parts[0][1].is_turned:
         return parts[0][0].mass, parts[0][1].position, parts[0][0].inertia
-    mass = sum(each.mass for each, _ in parts)
-    center = sum(each.mass * pose.position for each, pose in parts) / mass
+    masses = np.array([each.mass for each, _ in parts])
+    mass = float(masses.sum())
+    center = masses @ np.stack([pose.position for _, pose in parts]) / mass
     inertia = np.zeros((3, 3))
     for each, pose in parts:
         offset = pose.position - center
