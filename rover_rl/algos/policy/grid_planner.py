@@ -85,7 +85,8 @@ def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
 
     The heading offset is twice the angle to the first corner of the route. The speed decreases as the angle grows and
     as obstacles in the lane ahead get closer. In front of an obstacle, the rover backs off while it turns. On a slope,
-    and with a drive that cannot, it does not turn on the spot, but in a slow curve. From a slope that is too steep, it backs down straight.
+    and with a drive that cannot, it does not turn on the spot, but in a slow curve. From a slope that is too steep, it
+    backs down straight.
 
     Args:
         lidar: lidar readings, ``[..., points]``, m.
