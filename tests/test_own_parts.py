@@ -1,4 +1,5 @@
-"""A package of the user's with a world, a robot, a reward and a backend, used from the command line."""
+"""A package of the user's with a world, a robot, a drive, a sensor, a reward and a backend, used from the command
+line."""
 
 from __future__ import annotations
 
@@ -10,17 +11,19 @@ from pathlib import Path
 import pytest
 import yaml
 
+from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.cli import main
+from rover_rl.sims.robots import get_robot
+from tests.extras import needs_mujoco
 from tests.fork_server import quick_workers
 
 PACKAGE = """
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 
 from rover_rl import RewardComponent, Terrain, World, box, contract_reward
 from rover_rl.sims import make_simulator
-from rover_rl.sims.robots import get_robot
 
 
 def canyon(seed):
@@ -28,11 +31,6 @@ def canyon(seed):
     places = torch.rand(5, 2, generator=generator) * 8 - 4
     boxes = [box((x, y, 0.5), (0.6, 0.6, 1.0)) for x, y in places.tolist()]
     return World(f"canyon-{seed}", Terrain.flat((12, 12)), boxes)
-
-
-def scout():
-    rover = get_robot("rover_zero")
-    return replace(rover, name="scout", drive=replace(rover.drive, max_linear_acceleration=2.0))
 
 
 class TiltPenalty(RewardComponent):
@@ -64,10 +62,74 @@ class SlowSimulator:
     def step(self, commands, active=None):
         return self.simulator.step(self.factor * commands, active)
 """
+DRIVE = """
+from dataclasses import dataclass
+
+import torch
+
+from rover_rl.sims.drives import Drive, Joints
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tracks(Drive):
+    left: tuple[str, ...]
+    right: tuple[str, ...]
+    width: float = 0.5
+
+    @property
+    def motors(self):
+        return self.left, self.right
+
+    def advance(self, set_point, command, wheels, dt):
+        return set_point + (command - set_point).clamp(-2 * dt, 2 * dt)
+
+    def targets(self, before, after, wheels):
+        speed, rate = after.split(1, -1)
+        turn = rate * self.width / 2
+        speeds = torch.cat((speed - turn, speed + turn), -1) / wheels.radius
+        return Joints(speeds, speeds[:, :0])
+
+    def odometry(self, joints, wheels):
+        left, right = (joints.speeds * wheels.radius).split(1, -1)
+        return torch.cat(((left + right) / 2, (right - left) / self.width), -1)
+"""
+SENSOR = """
+from dataclasses import dataclass
+
+from rover_rl.envs.sensors.base import Sensor
+from rover_rl.envs.specs import Bounds
+
+
+@dataclass(frozen=True, kw_only=True)
+class DropFinder(Sensor):
+    name: str = "drop"
+
+    @property
+    def bounds(self):
+        return Bounds((0.0,), (3.0,))
+
+    def read(self, inputs):
+        return inputs.scan((0.4, 0.0, 0.3), [(0.0, 0.0, -1.0)])
+"""
+ROBOT = """
+from pathlib import Path
+
+from my_package.drive import Tracks
+from rover_rl import Robot
+
+WHEELS = ("front_left_wheel", "rear_left_wheel"), ("front_right_wheel", "rear_right_wheel")
+
+
+def scout():
+    drive = Tracks(left=WHEELS[0], right=WHEELS[1], torque=5.0)
+    urdf = Path(__file__).with_name("scout.urdf")
+    return Robot.from_urdf(urdf, name="scout", drive=drive, sensors=("my_package.sensor:DropFinder",))
+"""
 PARTS = [
-    *("--world", "my_package.parts:canyon:3", "--robot", "my_package.parts:scout"),
+    *("--world", "my_package.parts:canyon:3", "--robot", "my_package.robot:scout"),
     *("--reward", "my_package.parts:gentle", "--backend", "my_package.parts:Slow"),
 ]
+OBSERVATION = ["lidar", "imu", "target", "velocities", "drop"]
 
 
 @pytest.fixture(scope="module")
@@ -76,13 +138,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("own")
     (folder / "my_package").mkdir()
     (folder / "my_package" / "__init__.py").touch()
-    (folder / "my_package" / "parts.py").write_text(PACKAGE)
+    for name, text in {"parts": PACKAGE, "drive": DRIVE, "sensor": SENSOR, "robot": ROBOT}.items():
+        (folder / "my_package" / f"{name}.py").write_text(text)
+    (folder / "my_package" / "scout.urdf").write_bytes(get_robot("rover_zero").urdf.read_bytes())
     size = ["--total-steps", "128", "--num-envs", "4", "--workers", "2", "--rollout-length", "4", "--hidden", "8"]
     with pytest.MonkeyPatch.context() as patch, quick_workers():
         patch.chdir(folder)
         # The command finds the package in the current folder.
         patch.setattr(sys, "path", [*sys.path])
-        assert main(["train", *PARTS, *size, "--lidar.points", "16", "--name", "own"]) == 0
+        assert (
+            main(["train", *PARTS, *size, "--lidar.points", "16", "--observation", *OBSERVATION, "--name", "own"]) == 0
+        )
         yield folder
     for name in [name for name in sys.modules if name.startswith("my_package")]:
         del sys.modules[name]
@@ -93,6 +159,7 @@ def test_the_run_names_the_parts(folder: Path) -> None:
     env = yaml.safe_load((folder / "runs" / "own" / "config.yaml").read_text())["env"]
     assert [env[part] for part in ("world", "robot", "reward", "backend")] == PARTS[1::2]
     assert env["lidar"]["points"] == 16
+    assert Checkpoint.load("runs/own").make_actor().in_keys == OBSERVATION
 
 
 @pytest.mark.slow
@@ -100,7 +167,7 @@ def test_the_policy_is_evaluated_and_filmed_and_trained_on(folder: Path, capsys:
     run = "runs/own"
     assert main(["evaluate", run, "--count", "2", "--seconds", "1", "--backend", "my_package.parts:Slow"]) == 0
     (evaluation,) = json.loads((folder / "runs" / "own" / "evaluation.json").read_text())
-    assert evaluation["env"]["robot"] == "my_package.parts:scout"
+    assert evaluation["env"]["robot"] == "my_package.robot:scout"
     assert evaluation["env"]["backend"] == "my_package.parts:Slow"
     assert main(["film", run, "--out", "own.gif", "--seconds", "0.5", "--rewards", "rewards.png"]) == 0
     assert (folder / "own.gif").stat().st_size > 1000
@@ -110,13 +177,22 @@ def test_the_policy_is_evaluated_and_filmed_and_trained_on(folder: Path, capsys:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("backend", ["bullet", "warp", pytest.param("mujoco", marks=needs_mujoco)])
+def test_the_robot_drives_and_is_filmed_in_every_simulator(folder: Path, backend: str) -> None:
+    drive = ["runs/own", "--backend", backend]
+    assert main(["evaluate", *drive, "--count", "1", "--seconds", "0.5", "--workers", "1", "--out", backend]) == 0
+    assert main(["film", *drive, "--out", f"{backend}.gif", "--seconds", "0.3", "--width", "80", "--height", "60"]) == 0
+    assert (folder / f"{backend}.gif").stat().st_size > 500
+
+
+@pytest.mark.slow
 def test_a_mismatch_is_one_sentence(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (folder / "other.yaml").write_text("lidar: {points: 32}\nrobot: my_package.parts:scout\n")
+    (folder / "other.yaml").write_text("lidar: {points: 32}\nrobot: my_package.robot:scout\n")
     (folder / "forward.yaml").write_text("action: {min_speed: 0.0}\n")
     mismatches = {
         ("runs/own", "--env", "other.yaml"): "made for lidar points 16, and the environment has 32",
-        ("pretrained:moon-ppo", "--robot", "my_package.parts:scout"): "made for the robot rover_zero, and the "
-        "environment has my_package.parts:scout",
+        ("pretrained:moon-ppo", "--robot", "my_package.robot:scout"): "made for the robot rover_zero, and the "
+        "environment has my_package.robot:scout",
         ("pretrained:moon-ppo", "--env", "forward.yaml"): "and the environment has (0.0, 1.0,",
     }
     for arguments, message in mismatches.items():

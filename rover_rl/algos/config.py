@@ -330,7 +330,7 @@ class TrainingConfig:
         Raises:
             ValueError: for a setting out of range, by its name.
         """
-        require_entries(self.network.observation, self.env.sensors)
+        require_entries(self.network.observation, self.env.own_sensors)
         self.network.check()
         self.algorithm.check()
         self.run.check()

@@ -406,6 +406,16 @@ class EnvConfig:
         return tuple(world if isinstance(world, str) else world.name for world in self.worlds)
 
     @property
+    def own_sensors(self) -> tuple[SensorLike, ...]:
+        """Sensors besides those that every rover has: those of the robot, then :attr:`sensors`."""
+        if self.robot == EnvConfig.robot:
+            # It has none, and the robots need PyTorch.
+            return self.sensors
+        from rover_rl.sims.robots import get_robot
+
+        return (*get_robot(self.robot).sensors, *self.sensors)
+
+    @property
     def preset(self) -> str | None:
         """Name of the physics preset, as :func:`~rover_rl.sims.make_simulator` takes it."""
         return None if self.physics == DEFAULT_PHYSICS else self.physics

@@ -150,7 +150,7 @@ class RoverEnv(EnvBase):
         for world in dict.fromkeys(self._row_worlds.table):
             for sentence in clipped_pose(world):
                 warnings.warn(sentence, stacklevel=2)
-        self.sensors = environment_sensors(config.lidar, config.sensors)
+        self.sensors = environment_sensors(config.lidar, config.own_sensors)
         self.lidar = LidarPooling(config.lidar.beams, config.lidar.points, config.lidar.max_range, self._tensor_device)
         self._make_simulator = partial(
             make_simulator,

@@ -23,7 +23,7 @@ _WALLS = 24
 def random_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]:
     """Draws inputs ``[count, n]`` of a policy, except its state, uniformly within their bounds, with seed 0."""
     generator = torch.Generator().manual_seed(0)
-    sensors = policy_sensors(checkpoint.env.lidar, checkpoint.env.sensors)
+    sensors = policy_sensors(checkpoint.env.lidar, checkpoint.env.own_sensors)
     drawn = {}
     for key in input_names(checkpoint.config.network):
         if key == BOUNDS:

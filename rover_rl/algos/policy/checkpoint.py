@@ -92,7 +92,7 @@ class Checkpoint:
             ValueError: if the weights do not fit the settings.
         """
         network, env = self.config.network, self.env
-        encoder = ObservationEncoder(network.observation, env.lidar.points, network.north_up, env.sensors)
+        encoder = ObservationEncoder(network.observation, env.lidar.points, network.north_up, env.own_sensors)
         actor = make_actor(
             encoder,
             network.hidden,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -271,7 +270,10 @@ def _mlp(features: int, hidden: Sequence[int], outputs: int, gain: float) -> MLP
     return mlp
 
 
-_MIRROR: dict[NestedKey, Callable[[Tensor], Tensor]] = {"action": partial(mirrored_signs, (1.0, -1.0)), **MIRROR}
+_MIRROR: dict[NestedKey, Callable[[Tensor], Tensor]] = {
+    "action": lambda action: mirrored_signs((1.0, -1.0, -1.0)[: action.shape[-1]], action),
+    **MIRROR,
+}
 """Mirror images of what is no entry of a policy's observation."""
 _SENSORS = policy_sensors(LidarConfig())
 """Sensors of every rover."""

@@ -59,7 +59,9 @@ class PPOLearner:
         assert isinstance(config.algorithm, PPOConfig)
         self.config, self._settings = config, config.algorithm
         settings, network, device = config.algorithm, config.network, config.device
-        encoder = ObservationEncoder(network.observation, config.env.lidar.points, network.north_up, config.env.sensors)
+        encoder = ObservationEncoder(
+            network.observation, config.env.lidar.points, network.north_up, config.env.own_sensors
+        )
         self.actor = make_actor(
             encoder,
             network.hidden,

@@ -52,7 +52,7 @@ class SACLearner:
         assert isinstance(config.algorithm, SACConfig)
         self.config, self._settings = config, config.algorithm
         settings, network, env, device = config.algorithm, config.network, config.env, config.device
-        self._encoder = ObservationEncoder(network.observation, env.lidar.points, network.north_up, env.sensors)
+        self._encoder = ObservationEncoder(network.observation, env.lidar.points, network.north_up, env.own_sensors)
         spec = action_spec(config.env.action, device)
         self.actor = make_actor(self._encoder, network.hidden, config.env.action, network.max_std, device)
         self._loss = SACLoss(

@@ -14,7 +14,7 @@ from rover_rl.envs.specs import Bounds
 from rover_rl.sims import RoverState
 
 _NOISE = 5
-"""Stream of random numbers."""
+"""Stream of random numbers. Sideways odometry uses 10."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,3 +49,36 @@ class WheelOdometry(Sensor):
         """Returns the speed, and the yaw rate in units of 3 rad/s."""
         speed, yaw_rate = value.split(1, -1)
         return torch.cat((speed, yaw_rate / 3), -1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SidewaysOdometry(Sensor):
+    """Speed to the left by the wheels of a drive that moves sideways, ``[N, 1]``, m/s.
+
+    Example:
+        >>> robot = Robot.from_urdf("omni.urdf", drive=Mecanum(...), sensors=(SidewaysOdometry(),))
+    """
+
+    name: str = "sideways"
+    mirror_signs = (-1.0,)
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of the speed, m/s."""
+        return Bounds((-10.0,), (10.0,))
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        """Returns the speed to the left; 0 for a drive that does not move sideways."""
+        rover = inputs.sensed.rover
+        return torch.zeros_like(rover.dt) if rover.lateral_velocity is None else rover.lateral_velocity
+
+    def sense(self, noise: Randomization, rover: RoverState, keys: Tensor, step: Tensor) -> dict[str, Tensor]:
+        """Scales the speed by a random factor of about 1."""
+        if not noise.odometry_noise or rover.lateral_velocity is None:
+            return {}
+        factor = 1 + noise.odometry_noise * to_normal(random_bits(keys, 10, step, 1))
+        return {"lateral_velocity": rover.lateral_velocity * factor}
+
+    def encode(self, value: Tensor) -> Tensor:
+        """Returns the speed in m/s."""
+        return value

@@ -78,8 +78,8 @@ def learning_transforms(
         transforms.append(RewardScaling(loc=0.0, scale=reward_scale))
     if scale_observations:
         config = env.config
-        keys = (*DEFAULT_KEYS, *own_sensors(config.sensors))
-        encoder = ObservationEncoder(keys, config.lidar.points, sensors=config.sensors)
+        keys = (*DEFAULT_KEYS, *own_sensors(config.own_sensors))
+        encoder = ObservationEncoder(keys, config.lidar.points, sensors=config.own_sensors)
         transforms.append(EncodedObservation(encoder))
     return transforms
 

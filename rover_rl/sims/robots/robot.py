@@ -33,6 +33,9 @@ class Robot:
         lidar: place of the lidar: a link of the URDF, or a position.
         imu: place of the IMU.
         lidar_range: maximum range of the lidar, m.
+        sensors: sensors besides the lidar, IMU, wheel odometry and pose that every rover has: each a
+            :class:`~rover_rl.envs.sensors.base.Sensor`, a registered name or ``"module:attribute"``. They add entries
+            to the observation.
         radius: radius of the disc around the origin that must be free of obstacles where the rover stands. ``None``:
             that of the disc around its wheels and body, rounded up to a centimeter.
 
@@ -59,6 +62,7 @@ class Robot:
     imu: Mount = "imu_link"
     lidar_range: float = 12.0
     radius: float = None  # type: ignore[assignment]  # Set from the outline below.
+    sensors: tuple[Any, ...] = ()
     wheels: Wheels = field(init=False, repr=False)
     lidar_position: tuple[float, float, float] = field(init=False, repr=False)
     imu_position: tuple[float, float, float] = field(init=False, repr=False)
@@ -68,6 +72,7 @@ class Robot:
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{name} of robot {self.name!r} must be a positive number, got {value}")
         object.__setattr__(self, "urdf", Path(self.urdf))
+        object.__setattr__(self, "sensors", tuple(self.sensors))
         if not self.urdf.is_file():
             raise FileNotFoundError(f"no description of robot {self.name!r} at {self.urdf}")
         try:
