@@ -23,6 +23,8 @@ def check_requirements(config: EnvConfig, robot: Robot, simulator: Simulator) ->
     for capability, need in needs.items():
         if capability not in simulator.capabilities:
             raise ValueError(f"{need}: {type(simulator).__name__} does not state the capability {capability!r}")
+    if config.action.max_sideways and "live" in simulator.capabilities:
+        raise ValueError("max_sideways must be 0 with a live rover, whose commands are speed and yaw rate")
     if config.action.max_sideways and not robot.drive.sideways:
         drive = type(robot.drive).__name__
         raise ValueError(f"max_sideways needs a drive that moves sideways, and robot {robot.name!r} has a {drive}")
