@@ -19,7 +19,7 @@ LAYERS = (
     (
         "sims.base",
         "sims.connection",
-        "sims.differential_drive",
+        "sims.drives",
         "sims.native",
         "sims.robots",
         "sims.rotations",

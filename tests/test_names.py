@@ -19,6 +19,7 @@ PUBLIC_NAMES = {
     "GymVectorWrapper",
     "GymWrapper",
     "LidarConfig",
+    "PoseConfig",
     "Randomization",
     "RewardComponent",
     "RewardConfig",

@@ -6,7 +6,7 @@ import secrets
 import warnings
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -36,7 +36,7 @@ from rover_rl.envs.sensors.suite import Observer, environment_sensors
 from rover_rl.envs.sensors.surroundings import Surroundings
 from rover_rl.envs.task import TaskState, target_info
 from rover_rl.sims import Connection, RoverState, Simulator, make_simulator
-from rover_rl.sims.base import View, WorldChanger
+from rover_rl.sims.base import DynamicsChanger, View, WorldChanger
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.worlds import World
@@ -336,7 +336,9 @@ class RoverEnv(EnvBase):
         device = self.simulator.device
         rows = mask.squeeze(-1).to(device)
         if self.randomization.varies_dynamics:
-            self.simulator.set_dynamics(rows, draw_dynamics(self.randomization, self._keys.to(device)))
+            cast(DynamicsChanger, self.simulator).set_dynamics(
+                rows, draw_dynamics(self.randomization, self._keys.to(device))
+            )
         if self._privileged is not None:
             self._dynamics = draw_dynamics(self.randomization, self._keys)
         self._delay.reset(mask, self._keys)

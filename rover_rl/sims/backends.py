@@ -209,6 +209,6 @@ def _simulator_attributes() -> list[str]:
     """Returns the names of the attributes and methods that every environment uses."""
     from rover_rl.sims.base import Simulator
 
-    # Only randomization and pictures need these two.
-    names = {*Simulator.__annotations__, *vars(Simulator)} - {"set_dynamics", "render"}
+    # Only pictures need it.
+    names = {*Simulator.__annotations__, *vars(Simulator)} - {"render"}
     return sorted(name for name in names if not name.startswith("_"))

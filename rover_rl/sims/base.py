@@ -107,15 +107,6 @@ class Simulator(Protocol):
         """
         ...
 
-    def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
-        """Sets the dynamics of the selected rovers, which the caller resets next. Only called with ``"dynamics"``.
-
-        Args:
-            mask: rovers to change, bool ``[N]``.
-            dynamics: new scale factors of all rovers.
-        """
-        ...
-
     def state(self) -> RoverState:
         """Returns the current state without advancing time."""
         ...
@@ -152,6 +143,19 @@ class Simulator(Protocol):
 
     def close(self) -> None:
         """Releases all resources. Idempotent."""
+        ...
+
+
+class DynamicsChanger(Protocol):
+    """Interface of a simulator with the capability ``"dynamics"``."""
+
+    def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
+        """Sets the dynamics of the selected rovers, which the caller resets next.
+
+        Args:
+            mask: rovers to change, bool ``[N]``.
+            dynamics: new scale factors of all rovers.
+        """
         ...
 
 

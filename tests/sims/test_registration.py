@@ -162,7 +162,7 @@ class Returning:
 
 
 def test_a_make_that_returns_no_simulator_raises():
-    members = "close, control_dt, device, num_envs, ray_angles, reset, robot_connected, state, step"
+    members = "capabilities, close, control_dt, device, num_envs, ray_angles, reset, robot_connected, state, step"
     for simulator in (None, object()):
         with pytest.raises(
             ValueError,
@@ -175,7 +175,7 @@ def test_a_make_that_returns_no_simulator_raises():
 @pytest.mark.parametrize("missing", [("step",), ("control_dt", "reset")])
 def test_the_missing_attributes_of_a_simulator_are_named(missing):
     whole = make_simulator("bullet", worlds=[FLAT], robot=ROVER, lidar_beams=8)
-    names = (*Simulator.__annotations__, "robot_connected", "reset", "set_dynamics", "state", "step", "render", "close")
+    names = (*Simulator.__annotations__, "robot_connected", "reset", "state", "step", "render", "close")
     part = SimpleNamespace(**{name: getattr(whole, name) for name in names})
     arguments = {"worlds": [FLAT], "robot": ROVER, "lidar_beams": 8}
     assert make_simulator(Returning(part), **arguments) is part

@@ -1,14 +1,19 @@
-"""Robot models: a URDF file and a dataclass of parameters for each robot."""
+"""Robots: a body, which a URDF describes, a drive and sensors each.
+
+``Robot`` needs PyTorch and is imported on first use.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 from rover_rl.registry import Registry
-from rover_rl.sims.robots.robot import Robot
-from rover_rl.sims.robots.rover_zero import ROVER_ZERO
 
-ROBOTS: dict[str, Robot] = {ROVER_ZERO.name: ROVER_ZERO}
+if TYPE_CHECKING:
+    from rover_rl.sims.robots.robot import Robot
+
+ROBOTS = {"rover_zero": "rover_rl.sims.robots.rover_zero:ROVER_ZERO"}
 """Built-in robots, by name."""
 
 
@@ -43,6 +48,8 @@ def get_robot(robot: str | Robot) -> Robot:
     Raises:
         ValueError: if the name is unknown, or refers to something else than a robot.
     """
+    from rover_rl.sims.robots.robot import Robot
+
     if isinstance(robot, Robot):
         return robot
     if not isinstance(robot, str):
@@ -52,6 +59,14 @@ def get_robot(robot: str | Robot) -> Robot:
     if not isinstance(part, Robot):
         raise ValueError(f"robot {robot!r} must be a Robot or a function that returns one, got {type(part).__name__}")
     return part
+
+
+def __getattr__(name: str) -> Any:
+    if name != "Robot":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from rover_rl.sims.robots.robot import Robot
+
+    return Robot
 
 
 __all__ = ["ROBOTS", "Robot", "get_robot", "register_robot", "robot_names"]

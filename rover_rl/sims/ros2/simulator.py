@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import Capability, Dynamics, RoverState, View
+from rover_rl.sims.base import Capability, RoverState, View
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2.command_publisher import CommandPublisher
@@ -251,10 +251,6 @@ class Ros2Simulator:
     def stop(self) -> None:
         """Sends a stop command, several times."""
         self._commands.stop()
-
-    def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
-        """Not supported: a live rover has its own friction, mass and motors."""
-        raise NotImplementedError
 
     def state(self) -> RoverState:
         """Returns the state from the latest messages; zeros and infinite ranges before the first ones."""
