@@ -101,15 +101,43 @@ class Body:
 
 
 @wp.func
+def is_straight(axle: wp.vec3) -> bool:
+    """Whether a wheel points ahead. Most do, and the branch saves a sixth of the time of a step."""
+    return axle[1] == 1.0
+
+
+@wp.func
+def rolling_direction(axle: wp.vec3, normal: wp.vec3) -> wp.vec3:
+    """Direction perpendicular to an axle and to another vector, ``e x n``."""
+    if is_straight(axle):
+        return wp.vec3(normal[2], 0.0, -normal[0])
+    return wp.cross(axle, normal)
+
+
+@wp.func
+def bottom_of(axle: wp.vec3, down: wp.vec3) -> wp.vec3:
+    """Downward direction in the plane of a wheel; undefined for a rover on its side, where any direction will do."""
+    bottom = down - wp.dot(down, axle) * axle
+    return wp.where(wp.length_sq(bottom) > 1.0e-6, wp.normalize(bottom), wp.vec3(0.0, 0.0, -1.0))
+
+
+@wp.func
 def body_moment(arm: wp.vec3, direction: wp.vec3, axle: wp.vec3, moment: float) -> wp.vec3:
     """Jacobian entry of the angular velocity, ``arm x d - a e``: the moment that goes into the body (m)."""
-    return wp.cross(arm, direction) - moment * axle
+    whole = wp.cross(arm, direction)
+    if is_straight(axle):
+        return wp.vec3(whole[0], whole[1] - moment, whole[2])
+    return whole - moment * axle
 
 
 @wp.func
 def axle_moment(lever: wp.vec3, direction: wp.vec3, axle: wp.vec3, wheel: int) -> float:
     """Jacobian entry of the wheel's spin, ``a = e . (lever x d)`` with the axle e (m); 0 for the chassis."""
-    return wp.where(wheel == NO_WHEEL, 0.0, wp.dot(axle, wp.cross(lever, direction)))
+    if wheel == NO_WHEEL:
+        return 0.0
+    if is_straight(axle):
+        return lever[2] * direction[0] - lever[0] * direction[2]
+    return wp.dot(axle, wp.cross(lever, direction))
 
 
 @wp.func
@@ -154,7 +182,7 @@ def prepare_contact(
         lever = arm - (model.hubs[wheel] - body.center)
     # Longitudinal: the rolling direction of a wheel, axle x normal. On contacts near the axle's direction, where that
     # vanishes, normal x z.
-    longitudinal = wp.cross(axle, normal)
+    longitudinal = rolling_direction(axle, normal)
     if wp.abs(wp.dot(axle, normal)) > 0.9:
         longitudinal = wp.vec3(normal[1], -normal[0], 0.0)
     longitudinal = wp.normalize(longitudinal)
@@ -231,12 +259,13 @@ def collide_wheels_with_ground(
     """
     to_body = wp.transpose(body.rotation)
     down = to_body * wp.vec3(0.0, 0.0, -1.0)
+    straight_bottom = bottom_of(LEFT, down)
     for k in range(2 * model.wheels):
         wheel = k // 2
         axle = axles[wheel]
-        # Downward direction in the plane of the wheel; undefined for a rover on its side, where any direction will do.
-        bottom = down - wp.dot(down, axle) * axle
-        bottom = wp.where(wp.length_sq(bottom) > 1.0e-6, wp.normalize(bottom), wp.vec3(0.0, 0.0, -1.0))
+        bottom = straight_bottom
+        if not is_straight(axle):
+            bottom = bottom_of(axle, down)
         offset = wp.where(k % 2 == 0, model.wheel_half_width, -model.wheel_half_width)
         middle = model.hubs[wheel] - body.center + offset * axle
         best_gap = float(1.0e9)
@@ -245,9 +274,9 @@ def collide_wheels_with_ground(
         for n in range(SAMPLES + 1):
             direction = bottom
             if n == 1:
-                direction = SAMPLE_COS * bottom + SAMPLE_SIN * wp.cross(axle, bottom)
+                direction = SAMPLE_COS * bottom + SAMPLE_SIN * rolling_direction(axle, bottom)
             elif n == 2:
-                direction = SAMPLE_COS * bottom - SAMPLE_SIN * wp.cross(axle, bottom)
+                direction = SAMPLE_COS * bottom - SAMPLE_SIN * rolling_direction(axle, bottom)
             elif n == SAMPLES:
                 # Deepest point of the circle below the terrain plane of the deepest sample.
                 inward = wp.dot(best_normal, axle) * axle - best_normal

@@ -110,6 +110,11 @@ def part_support(model: RobotModel, part: int, axle: wp.vec3, direction: wp.vec3
             wp.where(direction[1] < 0.0, -half[1], half[1]),
             wp.where(direction[2] < 0.0, -half[2], half[2]),
         )
+    if axle[1] == 1.0:
+        radial = wp.sqrt(direction[0] * direction[0] + direction[2] * direction[2])
+        scale = model.wheel_radius / wp.max(radial, 1.0e-9)
+        width = wp.where(direction[1] < 0.0, -model.wheel_half_width, model.wheel_half_width)
+        return model.hubs[part - boxes] + wp.vec3(direction[0] * scale, width, direction[2] * scale)
     along = wp.dot(direction, axle)
     across = direction - along * axle
     scale = model.wheel_radius / wp.max(wp.length(across), 1.0e-9)

@@ -101,8 +101,8 @@ def solve_motors(
     axles: wp.array[wp.vec3],
     responses: wp.array[wp.vec3],
     inverse_spin: float,
-    target_speeds: wp.array2d[float],
-    row: int,
+    masses: wp.array[float],
+    targets: wp.array[float],
     max_impulse: float,
 ) -> Motion:
     """One Gauss-Seidel pass over the motors: velocity control with a torque limit.
@@ -119,21 +119,18 @@ def solve_motors(
         axles: directions e of the axles.
         responses: changes of the angular velocity per unit of angular impulse about the axles, ``I^-1 e``.
         inverse_spin: inverse of a wheel's inertia about its axle, 1 / (kg m^2).
-        target_speeds: target speed of each motor relative to the chassis, of each rover, rad/s.
-        row: index of the rover.
+        masses: effective masses of the wheels, kg m^2; 0 for a wheel without a motor.
+        targets: target speeds of the wheels relative to the chassis, rad/s.
         max_impulse: limit of the accumulated impulses, N m s.
     """
     for wheel in range(model.wheels):
-        motor = model.motor_of_wheel[wheel]
-        if motor >= 0:
-            mass = 1.0 / (inverse_spin + wp.dot(axles[wheel], responses[wheel]))
-            speed = wheel_spins[wheel] - wp.dot(axles[wheel], motion.angular)
-            before = motors[wheel]
-            after = wp.clamp(before + mass * (target_speeds[row, motor] - speed), -max_impulse, max_impulse)
-            motors[wheel] = after
-            # Equal and opposite: the wheel gains what the body loses.
-            wheel_spins[wheel] += inverse_spin * (after - before)
-            motion.angular -= (after - before) * responses[wheel]
+        speed = wheel_spins[wheel] - wp.dot(axles[wheel], motion.angular)
+        before = motors[wheel]
+        after = wp.clamp(before + masses[wheel] * (targets[wheel] - speed), -max_impulse, max_impulse)
+        motors[wheel] = after
+        # Equal and opposite: the wheel gains what the body loses.
+        wheel_spins[wheel] += inverse_spin * (after - before)
+        motion.angular -= (after - before) * responses[wheel]
     return motion
 
 
@@ -214,6 +211,8 @@ def step_dynamics(scenes: wp.array[Scene], model: RobotModel, solver: Solver, ro
     motors = wp.zeros(shape=(MAX_WHEELS,), dtype=float)
     axles = wp.zeros(shape=(MAX_WHEELS,), dtype=wp.vec3)
     responses = wp.zeros(shape=(MAX_WHEELS,), dtype=wp.vec3)
+    masses = wp.zeros(shape=(MAX_WHEELS,), dtype=float)
+    targets = wp.zeros(shape=(MAX_WHEELS,), dtype=float)
     for wheel in range(wheels):
         wheel_spins[wheel] = rovers.wheel_spins[row, wheel]
         motors[wheel] = rovers.impulses[row, 3 * wheel_contacts + wheel]
@@ -237,10 +236,19 @@ def step_dynamics(scenes: wp.array[Scene], model: RobotModel, solver: Solver, ro
     dt = solver.dt
     rovers.contact[row] = False
 
+    for wheel in range(wheels):
+        motor = model.motor_of_wheel[wheel]
+        if motor >= 0:
+            targets[wheel] = rovers.target_speeds[row, motor]
+
     for substep in range(solver.substeps):
-        for wheel in range(wheels):
-            axles[wheel] = axle_of(model, rovers, row, wheel, float(substep + 1) / float(solver.substeps))
-            responses[wheel] = body.inverse_inertia * axles[wheel]
+        if substep == 0 or rovers.angles.shape[1] > 0:
+            for wheel in range(wheels):
+                axle = axle_of(model, rovers, row, wheel, float(substep + 1) / float(solver.substeps))
+                axles[wheel] = axle
+                responses[wheel] = body.inverse_inertia * axle
+                if model.motor_of_wheel[wheel] >= 0:
+                    masses[wheel] = 1.0 / (body.inverse_spin + wp.dot(axle, responses[wheel]))
 
         # 1. Unconstrained velocity, in the body frame: gravity and the gyroscopic term.
         body.rotation = wp.quat_to_matrix(orientation)
@@ -302,8 +310,8 @@ def step_dynamics(scenes: wp.array[Scene], model: RobotModel, solver: Solver, ro
                 axles,
                 responses,
                 body.inverse_spin,
-                rovers.target_speeds,
-                row,
+                masses,
+                targets,
                 max_impulse,
             )
         for n in range(EXTRA_CONTACTS):
