@@ -2,7 +2,7 @@
 
 Example:
     >>> actor = Checkpoint.load("runs/ppo-maze").make_actor()
-    >>> episodes = stored_episodes("maze")
+    >>> episodes = stored_episodes("maze").first(4)
     >>> print_table([evaluate(actor, episodes, name="PPO"), evaluate(None, episodes)])
 """
 

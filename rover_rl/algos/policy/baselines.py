@@ -1,7 +1,7 @@
 """Baseline policies: uniformly random actions and a scripted controller.
 
 Example:
-    >>> episodes = stored_episodes("maze")
+    >>> episodes = stored_episodes("maze").first(4)
     >>> print_table([evaluate(ScriptedPolicy(), episodes, name="scripted"), evaluate(None, episodes)])
 """
 

@@ -2,8 +2,9 @@
 
 Example:
     >>> runner = PolicyRunner(Checkpoint.load("runs/ppo-maze").make_actor())
+    >>> env = make_env(world_n="maze", num_envs=4)
     >>> observation = env.reset()
-    >>> while True:
+    >>> for _ in range(20):
     ...     action = runner(observation)
     ...     observation = env.step(observation.set("action", action))["next"]
     ...     runner.reset(observation["done"].squeeze(-1))  # and reset the environment's rows
