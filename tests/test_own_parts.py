@@ -1,4 +1,4 @@
-"""A package of the user's with a world, a robot, a reward and a backend, used from the command line."""
+"""A package of the user's with a world, a robot, a reward, a backend and a sensor, used from the command line."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from pathlib import Path
 import pytest
 import yaml
 
+from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.cli import main
 from tests.fork_server import quick_workers
+from tests.pages import ROOT, blocks
 
 PACKAGE = """
 from dataclasses import dataclass, replace
@@ -67,6 +69,9 @@ PARTS = [
     *("--world", "my_package.parts:canyon:3", "--robot", "my_package.parts:scout"),
     *("--reward", "my_package.parts:gentle", "--backend", "my_package.parts:Slow"),
 ]
+SENSOR = "my_package.sensors:RangeFinder"
+"""The sensor of the page "Your own sensor"."""
+OBSERVATION = ["lidar", "imu", "target", "velocities", "range"]
 
 
 @pytest.fixture(scope="module")
@@ -76,50 +81,64 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (folder / "my_package").mkdir()
     (folder / "my_package" / "__init__.py").touch()
     (folder / "my_package" / "parts.py").write_text(PACKAGE)
+    page = (ROOT / "docs" / "own_sensor.md").read_text(encoding="utf-8")
+    (folder / "my_package" / "sensors.py").write_text(blocks(page, "python")[0].code)
     size = ["--total-steps", "128", "--num-envs", "4", "--workers", "2", "--rollout-length", "4", "--hidden", "8"]
+    size += ["--lidar.points", "16", "--sensors", SENSOR, "--observation", *OBSERVATION, "--name", "own"]
     with pytest.MonkeyPatch.context() as patch, quick_workers():
         patch.chdir(folder)
         # The command finds the package in the current folder.
         patch.setattr(sys, "path", [*sys.path])
-        assert main(["train", *PARTS, *size, "--lidar.points", "16", "--name", "own"]) == 0
+        assert main(["train", *PARTS, *size]) == 0
         yield folder
     for name in [name for name in sys.modules if name.startswith("my_package")]:
         del sys.modules[name]
 
 
 @pytest.mark.slow
-def test_the_run_names_the_parts(folder: Path) -> None:
-    env = yaml.safe_load((folder / "runs" / "own" / "config.yaml").read_text())["env"]
+def test_the_run_and_the_checkpoint_name_the_parts(folder: Path) -> None:
+    config = yaml.safe_load((folder / "runs" / "own" / "config.yaml").read_text())
+    env = config["env"]
     assert [env[part] for part in ("world", "robot", "reward", "backend")] == PARTS[1::2]
-    assert env["lidar"]["points"] == 16
+    assert (env["lidar"]["points"], env["sensors"]) == (16, [SENSOR])
+    assert config["network"]["observation"] == OBSERVATION
+    assert Checkpoint.load("runs/own").make_actor().in_keys == OBSERVATION
 
 
 @pytest.mark.slow
-def test_the_policy_is_evaluated_and_filmed_and_trained_on(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_policy_is_evaluated_filmed_exported_and_trained_on(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     run = "runs/own"
     assert main(["evaluate", run, "--count", "2", "--seconds", "1", "--backend", "my_package.parts:Slow"]) == 0
     (evaluation,) = json.loads((folder / "runs" / "own" / "evaluation.json").read_text())
     assert evaluation["env"]["robot"] == "my_package.parts:scout"
     assert evaluation["env"]["backend"] == "my_package.parts:Slow"
+    assert evaluation["env"]["sensors"] == [SENSOR]
     assert main(["film", run, "--out", "own.gif", "--seconds", "0.5", "--rewards", "rewards.png"]) == 0
-    assert (folder / "own.gif").stat().st_size > 1000
+    assert main(["export", run, "--format", "torch", "--out", "own.pt2"]) == 0
+    assert min((folder / name).stat().st_size for name in ("own.gif", "rewards.png", "own.pt2")) > 1000
     capsys.readouterr()
     assert main(["train", "--resume", run, "--total-steps", "256"]) == 0
     assert "after 256 steps" in capsys.readouterr().out
 
 
 @pytest.mark.slow
-def test_a_mismatch_is_one_sentence(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (folder / "other.yaml").write_text("lidar: {points: 32}\nrobot: my_package.parts:scout\n")
+def test_a_mismatch_or_a_mistake_is_one_sentence(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "other.yaml").write_text(
+        "lidar: {points: 32}\nrobot: my_package.parts:scout\nsensors: [" + SENSOR + "]\n"
+    )
     (folder / "forward.yaml").write_text("action: {min_speed: 0.0}\n")
-    mismatches = {
-        ("runs/own", "--env", "other.yaml"): "made for lidar points 16, and the environment has 32",
-        ("pretrained:moon-ppo", "--robot", "my_package.parts:scout"): "made for the robot rover_zero, and the "
+    mistakes = {
+        "evaluate runs/own --env other.yaml": "made for lidar points 16, and the environment has 32",
+        "evaluate pretrained:moon-ppo --robot my_package.parts:scout": "made for the robot rover_zero, and the "
         "environment has my_package.parts:scout",
-        ("pretrained:moon-ppo", "--env", "forward.yaml"): "and the environment has (0.0, 1.0,",
+        "evaluate pretrained:moon-ppo --env forward.yaml": "and the environment has (0.0, 1.0,",
+        "train --observation lidar range": "observation must be some of ('lidar', ",
+        "train --sensors my_package.sensors:Nothing": "has no 'Nothing'",
     }
-    for arguments, message in mismatches.items():
-        assert main(["evaluate", *arguments, "--count", "1"]) == 2
+    for line, message in mistakes.items():
+        assert main(line.split()) == 2
         error = capsys.readouterr().err
         assert message in error
         assert len(error.splitlines()) == 1

@@ -60,6 +60,7 @@ class Backend(Protocol):
     """Interface of a custom backend: an object, usually its settings, that builds the simulator.
 
     Example:
+        >>> from dataclasses import dataclass
         >>> @dataclass(frozen=True)
         ... class MySettings:
         ...     substeps: int = 20

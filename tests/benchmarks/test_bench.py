@@ -17,11 +17,9 @@ import torch
 from gymnasium.utils.env_checker import check_env
 
 from benchmarks import footprint, simulators
-from benchmarks.engines import choose_engines
 from benchmarks.law import quantities
 from benchmarks.options import Options
 from benchmarks.plain_rover import PlainRover
-from benchmarks.ratios import paired
 from rover_rl import RoverEnv
 from tests.fork_server import fork_server, quick_workers
 
@@ -109,11 +107,6 @@ def test_a_wrong_engine_fails_the_law() -> None:
     assert degrees.compare("any")["worst_error"] == pytest.approx(-0.9, abs=1e-4)
 
 
-def test_unknown_engines_are_refused() -> None:
-    with pytest.raises(ValueError, match="'gazebo'"):
-        choose_engines(("bullet", "gazebo"))
-
-
 @pytest.mark.slow
 def test_peers(bench: Bench) -> None:
     rows = bench("peers")["peers"]
@@ -140,12 +133,6 @@ def test_the_plain_rover_drives_as_ours_does() -> None:
     np.testing.assert_allclose(seen["imu"], td["imu"][0], atol=0.03)
     np.testing.assert_allclose(seen["velocities"], td["velocities"][0], atol=0.03)
     np.testing.assert_allclose(seen["lidar"], td["lidar"][0], atol=0.3)
-
-
-def test_the_faster_of_two_is_told() -> None:
-    ratio = paired(lambda: 2, lambda: 1, seconds=0.01, rounds=3)
-    assert ratio.rate > ratio.other
-    assert ratio.least <= ratio.median <= ratio.most
 
 
 @pytest.mark.parametrize(

@@ -60,21 +60,6 @@ def test_reset_takes_start_and_goal_as_arguments_and_through_transforms():
     torch.testing.assert_close(td["pose"][:, :2], start[:, :2], atol=1e-3, rtol=0)
 
 
-def test_end_on_goal_ends_the_episode_at_the_goal():
-    settings = {"world_n": FLAT, "num_envs": 1, "lidar_beams": 32}
-    goal, start = torch.tensor([[1.5, 0.0]]), torch.zeros(1, 3)
-    for end in (True, False):
-        env = make_env(**settings, end_on_goal=end)
-        td = env.reset(start=start, goal=goal)
-        for _ in range(60):
-            td = env.step(td.set("action", torch.tensor([[1.0, 0.0]])))["next"]
-            if td["outcome", "goal_reached"].item():
-                break
-        assert td["reward"].item() == 100.0
-        assert td["terminated"].item() is end
-        assert (td["target"][0, 0].item() < 0.5) is end
-
-
 def test_render_returns_an_image(env):
     env.reset()
     assert env.render(row=2, view="top", width=40, height=30).shape == (30, 40, 3)
@@ -118,11 +103,6 @@ def test_the_global_random_generators_are_not_used(env):
 def test_invalid_settings_are_refused_with_a_message(settings, message):
     with pytest.raises(ValueError, match=message):
         RoverEnv(**{"world_n": "maze", **settings})
-
-
-def test_an_unknown_reward_is_refused_with_the_known_ones():
-    with pytest.raises(ValueError, match="unknown reward 'dense'.*'contract', 'task'"):
-        make_env(world_n="maze", reward="dense")
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])

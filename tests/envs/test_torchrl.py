@@ -49,16 +49,6 @@ def assert_same(a, b) -> None:
 # Nesting
 
 
-def test_nested_transforms_are_indexed_from_0():
-    counter, sums = StepCounter(), RewardSum()
-    env = TransformedEnv(make(), Compose(counter, sums))
-    assert [env.transform[0], env.transform[1]] == [counter, sums]
-    assert len(env.transform.transforms) == 2
-    assert isinstance(env.base_env, RewardedEnv)
-    assert isinstance(env.base_env.base_env, RoverEnv)
-    env.close()
-
-
 def test_nesting_does_not_warn():
     with warnings.catch_warnings():
         warnings.simplefilter("error")

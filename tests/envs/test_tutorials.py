@@ -4,31 +4,25 @@ from __future__ import annotations
 
 import pytest
 import torch
-from tensordict.nn import InteractionType, NormalParamExtractor, TensorDictModule
+from tensordict.nn import NormalParamExtractor, TensorDictModule
 from torch import nn
 from torchrl.collectors import Collector
 from torchrl.data import (
-    LazyMemmapStorage,
     LazyTensorStorage,
     ReplayBuffer,
     SamplerWithoutReplacement,
-    TensorDictReplayBuffer,
 )
 from torchrl.envs import (
     CatTensors,
     Compose,
     DoubleToFloat,
-    InitTracker,
     ObservationNorm,
-    RewardScaling,
-    RewardSum,
     StepCounter,
     TransformedEnv,
-    VecNormV2,
 )
 from torchrl.envs.utils import ExplorationType, check_env_specs, set_exploration_type
-from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
-from torchrl.objectives import ClipPPOLoss, SACLoss, SoftUpdate
+from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
+from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from rover_rl import RoverEnv, make_env
@@ -137,81 +131,6 @@ def test_the_ppo_tutorial(num_envs, backend, device):
     assert [steps for _, steps in evaluated] == [9, 9, 9]
     assert all(not torch.equal(old, new) for old, new in zip(before, policy_module.parameters(), strict=True))
     assert env.rollout(5, policy_module).shape == (*env.batch_size, 5)
-
-
-@BATCHES
-def test_the_structure_of_the_sac_example(num_envs, backend, device, tmp_path):
-    """TorchRL's ``sota-implementations/sac``, shortened."""
-    torch.manual_seed(0)
-    settings = {"world_n": "maze", "num_envs": num_envs, "backend": backend, "device": device}
-    train_env = TransformedEnv(
-        make_env(**settings),
-        Compose(
-            InitTracker(),
-            StepCounter(max_steps=6),
-            DoubleToFloat(),
-            CatTensors(["lidar", "target"], "observation", del_keys=False),
-            VecNormV2(in_keys=["observation"]),
-            RewardScaling(loc=0.0, scale=0.1),
-            RewardSum(),
-        ),
-    )
-    train_env.set_seed(0)
-    eval_env = TransformedEnv(make_env(**settings, seed=100), train_env.transform.clone())
-    check_env_specs(train_env)
-
-    action_spec = train_env.action_spec_unbatched
-    actor_net = nn.Sequential(
-        MLP(num_cells=[CELLS], out_features=2 * action_spec.shape[-1], device=device),
-        NormalParamExtractor(scale_mapping="biased_softplus_1.0", scale_lb=0.1),
-    )
-    actor = ProbabilisticActor(
-        module=TensorDictModule(actor_net, in_keys=["observation"], out_keys=["loc", "scale"]),
-        spec=action_spec,
-        in_keys=["loc", "scale"],
-        distribution_class=TanhNormal,
-        distribution_kwargs={"low": action_spec.space.low, "high": action_spec.space.high, "tanh_loc": False},
-        default_interaction_type=InteractionType.RANDOM,
-    )
-    qvalue = ValueOperator(
-        module=MLP(num_cells=[CELLS], out_features=1, device=device), in_keys=["action", "observation"]
-    )
-    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
-        for network in (actor, qvalue):
-            network(eval_env.fake_tensordict())
-    loss_module = SACLoss(
-        actor_network=actor, qvalue_network=qvalue, num_qvalue_nets=2, loss_function="l2", delay_qvalue=True
-    )
-    loss_module.make_value_estimator(gamma=0.99)
-    target_net_updater = SoftUpdate(loss_module, eps=0.9)
-    targets = [weight.clone() for weight in loss_module.target_qvalue_network_params.values(True, True)]
-    optimizer = torch.optim.Adam(loss_module.parameters(), 1e-2)
-
-    collector = Collector(train_env, actor, init_random_frames=32, frames_per_batch=32, total_frames=96, device=device)
-    collector.set_seed(0)
-    replay_buffer = TensorDictReplayBuffer(storage=LazyMemmapStorage(200, scratch_dir=tmp_path), batch_size=16)
-    returns, evaluated = [], []
-    for tensordict in collector:
-        collector.update_policy_weights_()
-        replay_buffer.extend(tensordict.reshape(-1).cpu())
-        for _ in range(2):
-            sampled = replay_buffer.sample()
-            losses = loss_module(sampled if device is None else sampled.to(device))
-            loss = losses["loss_actor"] + losses["loss_qvalue"] + losses["loss_alpha"]
-            loss.backward()
-            assert torch.isfinite(loss)
-            optimizer.step()
-            optimizer.zero_grad()
-            target_net_updater.step()
-            replay_buffer.update_tensordict_priority(sampled)
-        returns += tensordict["next", "episode_reward"][tensordict["next", "done"]].tolist()
-        with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
-            evaluated.append(eval_env.rollout(10, actor, auto_cast_to_device=True, break_when_any_done=True))
-    assert len(returns) == 96 // 6
-    assert [rollout.shape for rollout in evaluated] == [(*eval_env.batch_size, 6)] * 3
-    moved = loss_module.target_qvalue_network_params.values(True, True)
-    assert any(not torch.equal(old, new) for old, new in zip(targets, moved, strict=True))
-    assert train_env.rollout(4, actor).shape == (*train_env.batch_size, 4)
 
 
 @pytest.mark.parametrize("num_envs", [None, 3])

@@ -2,7 +2,7 @@
 
 Example:
     >>> episodes = stored_episodes("maze").first(4)
-    >>> print_table([evaluate(ScriptedPolicy(), episodes, name="scripted"), evaluate(None, episodes)])
+    >>> evaluate(ScriptedPolicy(), episodes, name="scripted", seconds=20)
 """
 
 from __future__ import annotations

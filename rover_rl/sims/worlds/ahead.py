@@ -34,7 +34,7 @@ class WorldsAhead:
         >>> ahead = WorldsAhead(WorldPool("maze:*"), lambda world: free_space(world, get_robot("rover_zero")), limit=100)
         >>> ahead.request([3, 5])
         >>> ahead[3].name
-        'maze:3'
+        'maze'
     """
 
     def __init__(self, pool: WorldPool, prepare: Callable[[World], object], limit: int) -> None:

@@ -45,33 +45,6 @@ def test_phases_are_numbered_in_the_contracts_order():
     assert [phase.name for phase in StepEvent] == ["INVALID_ACTION", *order]
 
 
-@pytest.mark.parametrize(
-    ("moment", "reward", "phase"),
-    [
-        (Moment(x=31.0, roll=2.0, ranges=0.1), 0.0, StepEvent.FLIP),
-        (Moment(x=31.0, ranges=0.1), -20.0, StepEvent.JAM),
-        (Moment(x=31.0), -10.0, StepEvent.OUT_OF_BOUNDS),
-    ],
-)
-def test_the_first_ending_in_the_contracts_order_decides(moment, reward, phase):
-    # The rover is always out of bounds. At the last step it is also stuck, and jammed if it is in collision.
-    near = [Moment(x=31.0, ranges=0.1)] * 15
-    env = scripted([moment, *near, moment], task=TaskConfig(stuck_window=16))
-    result = play(env, 16)[-1]
-    assert result["outcome", "out_of_bounds"].item()
-    assert result["outcome", "stuck"].item()
-    assert result["outcome", "jammed"].item() is (moment.ranges == 0.1)
-    assert result["outcome", "phase"].item() == phase
-    assert result["reward"].item() == reward
-    assert [float(v) for v in result["reward_components"].values() if v != 0] == [reward] * (reward != 0)
-
-
-def test_an_ending_takes_the_goals_place():
-    result = play(scripted([Moment(x=1.0), Moment(roll=2.0)]), 1, goal=(0.0, 0.0))[0]
-    assert not result["outcome", "goal_reached"].item()
-    assert result["reward"].item() == 0.0
-
-
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("axis", ["roll", "pitch"])
 def test_beyond_1_48_rad_of_roll_or_pitch_the_rover_is_flipped(axis, sign):
@@ -113,10 +86,3 @@ def test_a_goal_reached_in_a_collision_pays_and_counts_as_a_step_in_collision():
     near, far = Moment(x=0.1, ranges=0.1), Moment(x=3.0, ranges=0.1)
     results = play(scripted([far, *[far] * 7, near, *[Moment(x=30.0, ranges=0.1)] * 8]), 16, goal=(0.0, 0.0))
     assert rewards(results) == [-0.5] * 7 + [100.0] + [-0.5] * 7 + [-20.0]
-
-
-def test_leaving_the_bounds_costs_10_and_ends_the_episode():
-    result = play(scripted([Moment(x=29.9), Moment(x=30.1)]), 1)[0]
-    assert result["reward"].item() == -10.0
-    assert result["terminated"].item()
-    assert result["outcome", "phase"].item() == StepEvent.OUT_OF_BOUNDS

@@ -10,7 +10,6 @@ import pytest
 import torch
 from gymnasium.spaces import Box
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers.vector import FlattenObservation
 
 from rover_rl import LEARNING_ENV_ID, GymVectorWrapper, GymWrapper, TaskConfig, make_env
 from rover_rl import RoverEnv as BatchedRoverEnv
@@ -91,15 +90,6 @@ def test_a_program_needs_only_the_name_of_the_environment() -> None:
     env.reset(seed=0)
     assert env.step(env.action_space.sample())[3] is False
     assert env.step(env.action_space.sample())[2:4] == (False, True)
-
-
-def test_gymnasiums_wrapper_flattens_a_batch() -> None:
-    envs = FlattenObservation(make_vec())
-    observations, _ = envs.reset(seed=0)
-    assert observations.shape == (ROWS, 42)
-    assert observations.dtype == np.float32
-    assert observations in envs.observation_space
-    assert envs.step(envs.action_space.sample())[0].shape == (ROWS, 42)
 
 
 def test_the_goal_is_known_when_observations_are_scaled() -> None:
