@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import math
-import re
 import sys
 import warnings
 from types import SimpleNamespace as Message
@@ -113,15 +112,6 @@ def test_a_seed_reproduces_everything():
     first = rollout(env, 5, 30)
     assert_same(rollout(env, 5, 30), first)
     env.close()
-
-
-@pytest.mark.parametrize("seed", [-1, 2**63, 1.5, True, "7"])
-def test_seeds_out_of_range_are_refused(env, seed):
-    expected = re.escape(f"seed must be a whole number from 0 to 9223372036854775807, got {seed!r}")
-    with pytest.raises(ValueError, match=expected):
-        env.reset(seed=seed)
-    with pytest.raises(ValueError, match=expected):
-        RoverEnv(world_n="maze", seed=seed)
 
 
 def test_a_seed_may_be_any_integer_in_range(env):
@@ -441,29 +431,25 @@ def test_state_has_the_names_of_the_original_environment(env):
 
 
 CALLBACKS = {
-    "scan": ("lidar_callback", Message(ranges=[1.0, 2.0])),
-    "imu": ("imu_callback", Message(orientation=Message(x=0.0, y=0.0, z=0.0, w=2.0))),
-    "pose": ("pose_array_callback", Message(poses=[Message(position=Message(x=1.0, y=2.0, z=3.0))])),
-    "odometry": (
-        "odom_callback",
-        Message(twist=Message(twist=Message(linear=Message(x=0.5), angular=Message(z=0.25)))),
-    ),
+    "scan": "lidar_callback",
+    "imu": "imu_callback",
+    "pose": "pose_array_callback",
+    "odometry": "odom_callback",
 }
 
 
-@pytest.mark.parametrize("kind", CALLBACKS)
-def test_callbacks_raise_if_the_backend_simulates_its_sensors(env, kind):
-    name, msg = CALLBACKS[kind]
-    with pytest.raises(RuntimeError, match="makes its own sensor data; callbacks are for backend='ros2'"):
-        getattr(env, name)(msg)
+def test_callbacks_raise_if_the_backend_simulates_its_sensors(env):
+    for name in CALLBACKS.values():
+        with pytest.raises(RuntimeError, match="makes its own sensor data; callbacks are for backend='ros2'"):
+            getattr(env, name)(Message())
 
 
 def test_callbacks_pass_messages_to_a_live_backend(env, monkeypatch):
     received = {}
     monkeypatch.setattr(env.base_env.simulator, "receive", received.__setitem__, raising=False)
-    for name, msg in CALLBACKS.values():
-        getattr(env, name)(msg)
-    assert received == {kind: msg for kind, (_, msg) in CALLBACKS.items()}
+    for kind, name in CALLBACKS.items():
+        getattr(env, name)(kind)
+    assert received == {kind: kind for kind in CALLBACKS}
 
 
 # -----------------------------------------------------------------------------------------------------------
