@@ -118,7 +118,9 @@ def test_python_blocks_that_start_processes(tmp_path: Path) -> None:
     found = [block.code for page in PAGES for block in blocks(page.read_text(encoding="utf-8"), "python")]
     scripts = [code for code in found if "__main__" in code]
     script = tmp_path / "script.py"
-    script.write_text("\n".join(scripts))
+    # Forked, which does not import the package in each process again.
+    start = "import torch, torchrl.collectors\ntorch.multiprocessing.set_start_method('fork', force=True)\n"
+    script.write_text(start + "\n".join(scripts))
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, script], env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
