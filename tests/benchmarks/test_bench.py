@@ -73,18 +73,6 @@ def test_warp_beside_bullet(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.slow
-def test_simulators_are_compared_with_one_another(bench: Bench) -> None:
-    results = bench("parity", "--engines", "bullet", "warp")
-    scenes = results["parity"]["scenes"]
-    assert len(scenes) == 7
-    for row in scenes:
-        assert set(row["pairs"]) == {"bullet, shifted by 1 mm", "bullet and warp"}
-        assert all(pair["position_m"] > 0 for pair in row["pairs"].values())
-    for turn in results["parity"]["turns"]:
-        assert turn["engines"]["warp"] == pytest.approx(turn["coulomb"], rel=0.05)
-
-
-@pytest.mark.slow
 def test_simulators_are_compared_with_the_law(bench: Bench) -> None:
     rows = bench("law", "--engines", "warp")["law"]
     assert {row["ground"] for row in rows} == {"plane", "triangles", "slope"}

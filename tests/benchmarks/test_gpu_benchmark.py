@@ -24,7 +24,7 @@ def options(tmp_path: Path) -> Options:
         device="cpu",
         gpu_rovers=(8, 16),
         gpu_beams=(32,),
-        gpu_worlds=("maze", "maze:0-3"),
+        gpu_worlds=("maze:0-3",),
         gpu_learners=(4,),
         warp_envs=8,
         gpu_seconds=0.01,
@@ -37,7 +37,7 @@ def test_a_rehearsal_on_the_cpu_measures_everything(options: Options, tmp_path: 
     results = gpu.measure(options)
     assert results is not None
     assert json.loads((tmp_path / "gpu.json").read_text()) == results
-    assert [(row["world"], row["rovers"]) for row in results["speed"]] == [("maze", 8), ("maze", 16), ("maze:0-3", 16)]
+    assert [(row["world"], row["rovers"]) for row in results["speed"]] == [("maze:0-3", 8), ("maze:0-3", 16)]
     for row in results["speed"]:
         # Physics and lidar are a part of the step.
         assert row["physics"] > row["environment"] > 0

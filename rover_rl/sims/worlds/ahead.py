@@ -31,7 +31,8 @@ class WorldsAhead:
         limit: largest number of worlds that are requested and not taken. Of more, the first requested ones are dropped.
 
     Example:
-        >>> ahead = WorldsAhead(WorldPool("maze:*"), lambda world: free_space(world, get_robot("rover_zero")), limit=100)
+        >>> robot = get_robot("rover_zero")
+        >>> ahead = WorldsAhead(WorldPool("maze:*"), lambda world: free_space(world, robot), limit=100)
         >>> ahead.request([3, 5])
         >>> ahead[3].name
         'maze'

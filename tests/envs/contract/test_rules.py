@@ -142,12 +142,12 @@ def test_end_on_goal_ends_the_episode_at_the_goal_and_keeps_it():
 # Endings
 
 
-@pytest.mark.parametrize(("step", "reward"), [(1, 0.0), (500, 0.0), (501, -20.0), (502, -20.0)])
-def test_a_flip_costs_20_after_step_500_and_nothing_before(step, reward):
-    script = moving(step - 1)
-    result = play(scripted([*script, Moment(x=script[-1].x, roll=2.0)]), step)[-1]
-    assert result["terminated"].item()
-    assert result["reward"].item() == reward
+def test_a_flip_costs_20_after_step_500_and_nothing_before():
+    flips = {1: 0.0, 500: 0.0, 501: -20.0, 502: -20.0}
+    results = play(scripted(*([*moving(step - 1), Moment(roll=2.0)] for step in flips)), 502)
+    for row, (step, reward) in enumerate(flips.items()):
+        assert [td["terminated"][row].item() for td in results[:step]] == [False] * (step - 1) + [True]
+        assert results[step - 1]["reward"][row].item() == reward
 
 
 def test_more_than_15_steps_in_collision_in_a_row_are_a_jam_that_costs_20():
