@@ -1,15 +1,20 @@
-"""Checks the links of the built site: ``python docs/check_links.py docs/_build/html``. Needs no network.
+"""Checks the links of the built site and of the README: ``python docs/check_links.py docs/_build/html``.
 
 Every link, picture, style and script within the site must exist, with its anchor. Pages load nothing from other hosts,
-so that the site can be read offline.
+so that the site can be read offline, and this check needs no network.
 """
 
 from __future__ import annotations
 
+import re
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
+
+ROOT = Path(__file__).parents[1]
+PAGES = ("README.md", "CONTRIBUTING.md")
+"""Markdown that is not a part of the site."""
 
 
 class Page(HTMLParser):
@@ -59,9 +64,23 @@ def broken_links(site: Path) -> list[str]:
     return broken
 
 
+def broken_markdown_links(site: Path) -> list[str]:
+    """Returns a line for each link of ``PAGES`` to a file, or to a heading of the site, that does not exist."""
+    broken = []
+    for name in PAGES:
+        for url in re.findall(r"\]\(([^)\s]+)\)|(?:src|href)=\"([^\"]+)\"", (ROOT / name).read_text(encoding="utf-8")):
+            parts = urlsplit("".join(url))
+            if parts.netloc:
+                continue
+            built = site / Path(parts.path).with_suffix(".html").name
+            if not (ROOT / parts.path).exists() or (parts.fragment and parts.fragment not in Page(built).anchors):
+                broken.append(f"{name} links to {parts.geturl()}, which does not exist")
+    return broken
+
+
 def main(site: Path) -> int:
-    """Prints the broken links of a site and returns the exit code."""
-    broken = broken_links(site)
+    """Prints the broken links and returns the exit code."""
+    broken = broken_links(site) + broken_markdown_links(site)
     print("\n".join(broken) or "All links of the site work")
     return 1 if broken else 0
 

@@ -59,38 +59,6 @@ def rows_differ(a: RoverState, b: RoverState, row: int, other: int | None = None
     return [name for name in FIELDS if not torch.equal(getattr(a, name)[row], getattr(b, name)[other])]
 
 
-def test_the_backend_builds_an_environment(backend):
-    env = make_env(world_n="maze", num_envs=16, backend=backend)
-    assert env.base_env.simulator.num_envs == 16
-    assert env.rollout(2).shape == (16, 2)
-
-
-def test_the_state_is_valid_before_the_first_reset(backend):
-    sim = simulator(backend, [FLAT] * 3)
-    assert isinstance(sim, Simulator)
-    state = sim.state()
-    for name in FIELDS:
-        assert len(getattr(state, name)) == 3
-        assert getattr(state, name).dtype == (torch.float64 if name == "stamp" else torch.float32)
-    torch.testing.assert_close(state.position, torch.tensor([[0.0, 0.0, 0.0035]]).expand(3, -1), atol=0.01, rtol=0)
-    torch.testing.assert_close(state.orientation, torch.tensor([[0.0, 0.0, 0.0, 1.0]]).expand(3, -1))
-    assert (state.linear_velocity == 0).all()
-    assert torch.isinf(state.ranges).all()
-
-
-def test_the_commanded_twist_is_reached_on_flat_ground(backend):
-    sim = simulator(backend, [FLAT])
-    sim.reset(all_rows(1), torch.tensor([[1.0, 2.0, math.pi / 2]]))
-    before = drive(sim, (0.8, 0.0), 20)
-    after = drive(sim, (0.8, 0.0), 20)
-    torch.testing.assert_close(after.position - before.position, torch.tensor([[0.0, 0.8, 0.0]]), atol=1e-4, rtol=0)
-    assert after.linear_velocity.item() == pytest.approx(0.8, abs=1e-4)
-    assert (after.stamp - before.stamp).item() == pytest.approx(20 * sim.control_dt)
-    # At 5 m/s^2, the first steps end at 0.25, 0.5, 0.75 and 0.8 m/s; the rover drives the mean speed of each.
-    ramp = 0.125 + 0.375 + 0.625 + 0.775 + 16 * 0.8
-    assert before.position[0, 1].item() == pytest.approx(2 + ramp * 0.05, abs=1e-4)
-
-
 def test_a_turn_is_a_circle(backend):
     sim = simulator(backend, [FLAT])
     drive(sim, (0.5, 1.0), 20)
@@ -118,19 +86,6 @@ def test_the_lidar_measures_the_distance_to_a_wall(backend):
     assert ranges[1, 7].item() == pytest.approx(2.5 - x, abs=1e-5)
     assert ranges[1, 0].item() == pytest.approx(math.sqrt(2) * (2.5 - x), abs=1e-5)
     assert (ranges[2] == 0).all()
-
-
-def test_the_lidar_sees_the_ground_and_not_beyond_its_range(backend):
-    heights = torch.zeros(81, 81)
-    heights[:, 52:] = 3.0  # a step up between x = 2.75 and x = 3
-    far = World("far", Terrain.flat((60, 60)), [box((ROVER.lidar_range + MOUNT + 0.55, 0, 1), (1, 4, 2))])
-    sim = simulator(backend, [World("step", Terrain(heights, 0.25)), far])
-    poses = torch.zeros(2, 3)
-    ranges = sim.reset(all_rows(2), poses).ranges[:, 0]
-    assert 2.75 - MOUNT < ranges[0] < 2.85 - MOUNT
-    assert torch.isinf(ranges[1])
-    poses[1, 0] = 0.1
-    assert sim.reset(all_rows(2), poses).ranges[1, 0].item() == pytest.approx(11.95, abs=1e-4)
 
 
 def test_a_wall_stops_the_body_and_not_the_wheels(backend):

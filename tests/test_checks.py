@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-from rover_rl import RoverEnv
+from rover_rl import GymVectorWrapper, RoverEnv
 from rover_rl.algos.config import training_config
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.checks import MAX_SEED, check_at_least, check_positive, check_seed
+from rover_rl.envs.gym import RoverEnv as GymRoverEnv
 
 
 @pytest.mark.parametrize("seed", [0, MAX_SEED, np.int32(7), np.uint64(MAX_SEED), torch.tensor(7)])
@@ -33,10 +34,14 @@ def test_consecutive_seeds_must_all_be_in_range() -> None:
 
 @pytest.mark.parametrize("seed", [-1, 2**70, 0.5, True])
 def test_all_users_of_seeds_reject_the_same_seeds(seed: Any) -> None:
-    env = RoverEnv(world_n="maze", num_envs=2, seed=MAX_SEED - 1)
+    env, single = RoverEnv(world_n="maze", num_envs=2, seed=MAX_SEED - 1), GymRoverEnv(world_n="maze")
     uses = (
         lambda: RoverEnv(world_n="maze", num_envs=2, seed=seed),
+        lambda: GymRoverEnv(world_n="maze", seed=seed),
         lambda: env.set_seed(seed),
+        lambda: single.reset(seed=seed),
+        lambda: GymVectorWrapper(env).reset(seed=seed),
+        lambda: GymVectorWrapper(env).reset(seed=[seed, seed]),
         lambda: draw_episodes("maze", 2, seed),
         lambda: training_config("ppo", seed=seed).check(),
     )

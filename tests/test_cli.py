@@ -420,15 +420,6 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("algo", "own", "other"), [("ppo", "--lmbda", "--tau"), ("sac", "--tau", "--lmbda")])
-def test_help_shows_the_settings_of_the_algorithm(
-    capsys: pytest.CaptureFixture[str], algo: str, own: str, other: str
-) -> None:
-    text = help_of(capsys, f"train --algo {algo}")
-    assert own in text
-    assert other not in text
-
-
 @pytest.mark.slow
 def test_worlds_are_listed_and_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["worlds", "--out", str(tmp_path)]) == 0

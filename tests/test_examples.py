@@ -1,144 +1,179 @@
-"""The examples run, here with fewer steps than in the gallery."""
+"""All examples run: those of docstrings, the Python blocks of the pages, and the programs of the gallery.
+
+A docstring may use the names of its module and those of ``NAMES`` without an import, and the runs in ``runs/``. What it
+prints counts only where it shows a result.
+"""
 
 from __future__ import annotations
 
 import ast
+import doctest
+import os
 import re
+import subprocess
+import sys
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+from rover_rl.algos.config import with_settings
+from rover_rl.algos.train import train
+from tests.algos.train.runs import PPO, SAC
+from tests.pages import NEEDS, ROOT, blocks, name_of, pages
+
+NAMES = {
+    "": ["GymWrapper", "RoverEnv", "Terrain", "World", "make_env", "register_backend"],
+    "algos.config": ["training_config"],
+    "algos.evaluation.episodes": ["draw_episodes", "stored_episodes"],
+    "algos.evaluation.evaluate": ["evaluate"],
+    "algos.evaluation.report": ["print_table"],
+    "algos.experiments.runs": ["find_runs"],
+    "algos.experiments.space": ["read_space"],
+    "algos.policy.checkpoint": ["Checkpoint"],
+    "algos.policy.networks": ["make_actor"],
+    "algos.policy.runner": ["PolicyRunner"],
+    "algos.pretrained": ["load_pretrained"],
+    "algos.train.ppo": ["PPOLearner"],
+    "envs": ["EnvConfig", "LidarConfig", "Randomization", "contract_reward"],
+    "sims.bullet": ["BulletSettings"],
+    "sims.free_space": ["free_space"],
+    "sims.robots": ["get_robot"],
+    "sims.worlds": ["get_world"],
+    "sims.worlds.pool": ["WorldPool"],
+    "sims.worlds.table": ["WorldTable"],
+}
+"""Names that examples of docstrings use, by the module that has them."""
+DOCSTRINGS = [path for path in sorted((ROOT / "rover_rl").rglob("*.py")) if ">>> " in path.read_text(encoding="utf-8")]
+PAGES = [page for page in pages() if blocks(page.read_text(encoding="utf-8"), "python")]
+EXAMPLES, RSL_RL = ROOT / "examples", "rover_rl.envs.wrappers.rsl_rl"
+
+
+class Checker(doctest.OutputChecker):
+    """Compares results, and lets what shows none print anything."""
+
+    def check_output(self, want: str, got: str, optionflags: int) -> bool:
+        return not want or super().check_output(want, got, optionflags)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with runs that examples read."""
+    folder = tmp_path_factory.mktemp("examples")
+    for name, config in (("ppo-moon", PPO), ("sac-moon", SAC)):
+        train(with_settings(config, total_steps=64, name=name, runs=str(folder / "runs")))
+    return folder
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
-    """A function that runs an example with other values of its constants and returns its output and its names."""
+def folder(runs: Path, monkeypatch: pytest.MonkeyPatch, own_registries: None) -> Path:
+    """The current folder, which is that of the runs."""
+    monkeypatch.chdir(runs)
+    return runs
+
+
+@pytest.mark.parametrize("path", [pytest.param(path, id=name_of(path)) for path in DOCSTRINGS])
+@pytest.mark.usefixtures("folder")
+def test_examples_of_docstrings(path: Path) -> None:
+    name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+    try:
+        module = import_module(name)
+    except ImportError as error:
+        pytest.skip(str(error))
+    known: dict[str, Any] = {"Path": Path, "torch": torch}
+    for place, names in NAMES.items():
+        known |= {each: getattr(import_module(f"rover_rl.{place}".rstrip(".")), each) for each in names}
+    flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+    for test in doctest.DocTestFinder().find(module, globs={**known, **vars(module)}):
+        told: list[str] = []
+        if doctest.DocTestRunner(Checker(), optionflags=flags).run(test, out=told.append).failed:
+            pytest.fail("".join(told), pytrace=False)
+
+
+def shortened(code: str) -> str:
+    """Shortens or leaves out training, which has its own tests, and makes large batches small."""
+    code = re.sub(r"\.learn\([\d_]+\)", "", code)
+    code = re.sub(r"\b1_000\b", "100", code)
+    code = re.sub(r"total_frames=\d+_000", "total_frames=320", code)
+    code = re.sub(r"\brollout\(\d{3}\b", "rollout(10", code)
+    code = code.replace(".first(8)", ".first(1)")
+    return code.replace("num_envs=4096", "num_envs=64")
+
+
+@pytest.mark.parametrize("page", [pytest.param(page, id=name_of(page)) for page in PAGES])
+@pytest.mark.usefixtures("own_registries", "capsys")
+def test_python_blocks_of_pages(page: Path) -> None:
+    """Blocks run one after another, as a reader would run them, apart from those that need a rover."""
+    names: dict[str, object] = {}
+    for block in blocks(page.read_text(encoding="utf-8"), "python"):
+        code = compile(shortened(block.code), f"{name_of(page)}:{block.line}", "exec")
+        if not block.code.startswith(NEEDS) and "__main__" not in block.code:
+            exec(code, names)
+
+
+@pytest.mark.slow
+def test_python_blocks_that_start_processes(tmp_path: Path) -> None:
+    found = [block.code for page in PAGES for block in blocks(page.read_text(encoding="utf-8"), "python")]
+    scripts = [code for code in found if "__main__" in code]
+    script = tmp_path / "script.py"
+    # Forked, which does not import the package in each process again.
+    start = "import torch, torchrl.collectors\ntorch.multiprocessing.set_start_method('fork', force=True)\n"
+    script.write_text(start + "\n".join(scripts))
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, script], env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("(") >= len(scripts) >= 2
+
+
+@pytest.mark.parametrize(
+    ("name", "constants", "expected"),
+    [
+        ("gymnasium_drive.py", {"ROVERS": 4}, r"^goal reached after \d(.|\n)*4 rovers reached"),
+        ("lidar_scan.py", {}, ""),
+        # The gate and the posts, not the ground alone, and a way out ahead.
+        ("own_world.py", {}, r"^([6-9]\d|1[01]\d) of 128 beams"),
+        ("import_map.py", {"EPISODES": 1}, r"16 boxes(.|\n)*anywhere: 1 of 1 goals"),
+        ("own_robot.py", {"STEPS": 20}, r"^scout: 1\.00 m/s"),
+        ("own_reward.py", {"STEPS": 60}, ""),
+        ("evaluate_policies.py", {"EPISODES": 2}, r"anywhere: 2 of 2 goals"),
+        ("torchrl_ppo.py", {"STEPS": 256, "ROVERS": 2}, "256 steps"),
+        ("sb3_sac.py", {"STEPS": 64, "ROVERS": 2, "EPISODE": 20}, "of 2 rovers reached a goal"),
+        pytest.param("deploy_policy.py", {"STEPS": 20}, r"m from the goal after 1\.0 s", marks=pytest.mark.slow),
+        pytest.param("fine_tuning.py", {"EPISODES": 2, "STEPS": 2_000}, "fine-tuned: ", marks=pytest.mark.slow),
+    ],
+)
+def test_programs_of_the_gallery(
+    name: str, constants: dict[str, int], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They run with other values of their constants, draw what they have found, and print it."""
     import matplotlib.pyplot as plt
 
     plt.switch_backend("Agg")
     threads = torch.get_num_threads()
-
-    def run_example(name: str, **constants: int) -> tuple[str, dict[str, object]]:
-        code = (EXAMPLES / name).read_text(encoding="utf-8")
-        for constant, value in constants.items():
-            code, count = re.subn(rf"^{constant} = \d[\d_]*", f"{constant} = {value}", code, flags=re.MULTILINE)
-            assert count == 1, constant
-        names: dict[str, object] = {}
-        exec(compile(code, name, "exec"), names)
-        names["figures"] = len(plt.get_fignums())
-        return capsys.readouterr().out, names
-
-    yield run_example
+    code = (EXAMPLES / name).read_text(encoding="utf-8")
+    for constant, value in constants.items():
+        code, count = re.subn(rf"^{constant} = \d[\d_]*", f"{constant} = {value}", code, flags=re.MULTILINE)
+        assert count == 1, constant
+    exec(compile(code, name, "exec"), {})
+    figures = len(plt.get_fignums())
     plt.close("all")
     torch.set_num_threads(threads)
-
-
-def test_every_example_has_a_test():
-    tests = Path(__file__).read_text()
-    for path in EXAMPLES.glob("*.py"):
-        assert f'run("{path.name}"' in tests
-
-
-@pytest.mark.parametrize("path", [pytest.param(path, id=path.name) for path in sorted(EXAMPLES.glob("*.py"))])
-def test_examples_are_pages_of_the_gallery(path):
-    text = path.read_text(encoding="utf-8")
-    title, line = re.match(r'"""\n(.+)\n(=+)\n', text).groups()
-    assert len(line) == len(title)
-    assert text.count("\n# %%\n") >= 2
-
-
-def test_gymnasium_drive_reaches_its_goal(run):
-    output, names = run("gymnasium_drive.py", ROVERS=4)
-    assert re.search(r"^goal reached after \d", output, re.MULTILINE)
-    assert "4 rovers reached" in output
-    assert names["figures"] == 1
-
-
-def test_lidar_scan(run):
-    _, names = run("lidar_scan.py")
-    assert names["figures"] == 2
-
-
-def test_own_world(run):
-    output, names = run("own_world.py")
-    # The gate and the posts, not the ground alone, and a way out ahead.
-    assert 60 < int(re.search(r"^(\d+) of 128 beams", output)[1]) < 128
-    assert names["figures"] == 2
-
-
-def test_import_map(run):
-    pytest.importorskip("PIL")
-    output, names = run("import_map.py", EPISODES=1)
-    assert "16 boxes" in output
-    assert "anywhere: 1 of 1 goals" in output
-    assert names["figures"] == 2
-
-
-def test_own_robot(run):
-    output, names = run("own_robot.py", STEPS=20)
-    assert re.search(r"^scout: 1\.00 m/s", output, re.MULTILINE)
-    assert names["figures"] == 1
-
-
-@pytest.mark.slow
-def test_deploy_policy(run):
-    pytest.importorskip("onnxruntime")
-    output, names = run("deploy_policy.py", STEPS=20)
-    assert names["names"] == ["lidar", "imu", "target", "velocities"]
-    assert "m from the goal after 1.0 s" in output
-    assert names["figures"] == 1
-
-
-def test_own_reward(run):
-    _, names = run("own_reward.py", STEPS=60)
-    assert names["totals"]["tilt"] < 0 < names["totals"]["progress"]
-    assert names["figures"] == 2
-
-
-def test_evaluate_policies(run):
-    output, names = run("evaluate_policies.py", EPISODES=2)
-    assert "anywhere: 2 of 2 goals" in output
-    assert "scripted: " in output
-    assert names["figures"] == 1
-
-
-@pytest.mark.slow
-def test_fine_tuning(run):
-    output, names = run("fine_tuning.py", EPISODES=2, STEPS=2_000)
-    assert "fine-tuned: " in output
-    assert names["figures"] == 1
-
-
-def test_torchrl_ppo(run):
-    output, names = run("torchrl_ppo.py", STEPS=256, ROVERS=2)
-    assert len(output.splitlines()) == 2
-    assert "256 steps" in output
-    assert names["figures"] == 1
-
-
-def test_sb3_sac(run):
-    pytest.importorskip("stable_baselines3")
-    output, _ = run("sb3_sac.py", STEPS=64, ROVERS=2, EPISODE=20)
-    assert "of 2 rovers reached a goal" in output
+    assert re.search(expected, capsys.readouterr().out, re.MULTILINE)
+    assert figures or name == "sb3_sac.py"
 
 
 @pytest.mark.parametrize(
     "path", [pytest.param(path, id=path.name) for path in sorted((EXAMPLES / "other_libraries").glob("*.py"))]
 )
-def test_programs_for_other_libraries_use_what_exists(path):
+def test_programs_for_other_libraries_use_what_exists(path: Path) -> None:
     """Their libraries are not installed here: what they import from this package exists, and a page shows them."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    ours = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module.startswith("rover_rl")]
-    assert ours or "import rover_rl" in ast.unparse(tree)
-    for node in ours:
-        if node.module != "rover_rl.envs.wrappers.rsl_rl":
-            module = import_module(node.module)
-            assert all(hasattr(module, alias.name) for alias in node.names)
-    attributes = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute)]
-    for node in attributes:
-        if ast.unparse(node.value) == "rover_rl":
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "rover_rl":
             assert hasattr(import_module("rover_rl"), node.attr)
-    assert path.name in (EXAMPLES.parent / "docs" / "other_libraries.md").read_text(encoding="utf-8")
+        elif isinstance(node, ast.ImportFrom) and str(node.module).startswith("rover_rl"):
+            assert node.module == RSL_RL or all(hasattr(import_module(node.module), each.name) for each in node.names)
+    assert "rover_rl" in ast.unparse(tree)
+    assert path.name in (ROOT / "docs" / "other_libraries.md").read_text(encoding="utf-8")

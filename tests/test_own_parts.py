@@ -1,5 +1,4 @@
-"""A package of the user's with a world, a robot, a drive, a sensor, a reward and a backend, used from the command
-line."""
+"""A package of the user's with parts of every kind, used from the command line."""
 
 from __future__ import annotations
 
@@ -16,6 +15,7 @@ from rover_rl.cli import main
 from rover_rl.sims.robots import get_robot
 from tests.extras import needs_mujoco
 from tests.fork_server import quick_workers
+from tests.pages import ROOT, blocks
 
 PACKAGE = """
 from dataclasses import dataclass
@@ -93,7 +93,7 @@ class Tracks(Drive):
         left, right = (joints.speeds * wheels.radius).split(1, -1)
         return torch.cat(((left + right) / 2, (right - left) / self.width), -1)
 """
-SENSOR = """
+DROP_FINDER = """
 from dataclasses import dataclass
 
 from rover_rl.envs.sensors.base import Sensor
@@ -123,13 +123,15 @@ WHEELS = ("front_left_wheel", "rear_left_wheel"), ("front_right_wheel", "rear_ri
 def scout():
     drive = Tracks(left=WHEELS[0], right=WHEELS[1], torque=5.0)
     urdf = Path(__file__).with_name("scout.urdf")
-    return Robot.from_urdf(urdf, name="scout", drive=drive, sensors=("my_package.sensor:DropFinder",))
+    return Robot.from_urdf(urdf, name="scout", drive=drive, sensors=("my_package.drop:DropFinder",))
 """
 PARTS = [
     *("--world", "my_package.parts:canyon:3", "--robot", "my_package.robot:scout"),
     *("--reward", "my_package.parts:gentle", "--backend", "my_package.parts:Slow"),
 ]
-OBSERVATION = ["lidar", "imu", "target", "velocities", "drop"]
+SENSOR = "my_package.sensors:RangeFinder"
+"""The sensor of the page "Your own sensor"."""
+OBSERVATION = ["lidar", "imu", "target", "velocities", "drop", "range"]
 
 
 @pytest.fixture(scope="module")
@@ -138,39 +140,46 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("own")
     (folder / "my_package").mkdir()
     (folder / "my_package" / "__init__.py").touch()
-    for name, text in {"parts": PACKAGE, "drive": DRIVE, "sensor": SENSOR, "robot": ROBOT}.items():
+    for name, text in {"parts": PACKAGE, "drive": DRIVE, "drop": DROP_FINDER, "robot": ROBOT}.items():
         (folder / "my_package" / f"{name}.py").write_text(text)
     (folder / "my_package" / "scout.urdf").write_bytes(get_robot("rover_zero").urdf.read_bytes())
+    page = (ROOT / "docs" / "own_sensor.md").read_text(encoding="utf-8")
+    (folder / "my_package" / "sensors.py").write_text(blocks(page, "python")[0].code)
     size = ["--total-steps", "128", "--num-envs", "4", "--workers", "2", "--rollout-length", "4", "--hidden", "8"]
+    size += ["--lidar.points", "16", "--sensors", SENSOR, "--observation", *OBSERVATION, "--name", "own"]
     with pytest.MonkeyPatch.context() as patch, quick_workers():
         patch.chdir(folder)
         # The command finds the package in the current folder.
         patch.setattr(sys, "path", [*sys.path])
-        assert (
-            main(["train", *PARTS, *size, "--lidar.points", "16", "--observation", *OBSERVATION, "--name", "own"]) == 0
-        )
+        assert main(["train", *PARTS, *size]) == 0
         yield folder
     for name in [name for name in sys.modules if name.startswith("my_package")]:
         del sys.modules[name]
 
 
 @pytest.mark.slow
-def test_the_run_names_the_parts(folder: Path) -> None:
-    env = yaml.safe_load((folder / "runs" / "own" / "config.yaml").read_text())["env"]
+def test_the_run_and_the_checkpoint_name_the_parts(folder: Path) -> None:
+    config = yaml.safe_load((folder / "runs" / "own" / "config.yaml").read_text())
+    env = config["env"]
     assert [env[part] for part in ("world", "robot", "reward", "backend")] == PARTS[1::2]
-    assert env["lidar"]["points"] == 16
+    assert (env["lidar"]["points"], env["sensors"]) == (16, [SENSOR])
+    assert config["network"]["observation"] == OBSERVATION
     assert Checkpoint.load("runs/own").make_actor().in_keys == OBSERVATION
 
 
 @pytest.mark.slow
-def test_the_policy_is_evaluated_and_filmed_and_trained_on(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_policy_is_evaluated_filmed_exported_and_trained_on(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     run = "runs/own"
     assert main(["evaluate", run, "--count", "2", "--seconds", "1", "--backend", "my_package.parts:Slow"]) == 0
     (evaluation,) = json.loads((folder / "runs" / "own" / "evaluation.json").read_text())
     assert evaluation["env"]["robot"] == "my_package.robot:scout"
     assert evaluation["env"]["backend"] == "my_package.parts:Slow"
+    assert evaluation["env"]["sensors"] == [SENSOR]
     assert main(["film", run, "--out", "own.gif", "--seconds", "0.5", "--rewards", "rewards.png"]) == 0
-    assert (folder / "own.gif").stat().st_size > 1000
+    assert main(["export", run, "--format", "torch", "--out", "own.pt2"]) == 0
+    assert min((folder / name).stat().st_size for name in ("own.gif", "rewards.png", "own.pt2")) > 1000
     capsys.readouterr()
     assert main(["train", "--resume", run, "--total-steps", "256"]) == 0
     assert "after 256 steps" in capsys.readouterr().out
@@ -186,17 +195,21 @@ def test_the_robot_drives_and_is_filmed_in_every_simulator(folder: Path, backend
 
 
 @pytest.mark.slow
-def test_a_mismatch_is_one_sentence(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (folder / "other.yaml").write_text("lidar: {points: 32}\nrobot: my_package.robot:scout\n")
+def test_a_mismatch_or_a_mistake_is_one_sentence(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "other.yaml").write_text(
+        "lidar: {points: 32}\nrobot: my_package.robot:scout\nsensors: [" + SENSOR + "]\n"
+    )
     (folder / "forward.yaml").write_text("action: {min_speed: 0.0}\n")
-    mismatches = {
-        ("runs/own", "--env", "other.yaml"): "made for lidar points 16, and the environment has 32",
-        ("pretrained:moon-ppo", "--robot", "my_package.robot:scout"): "made for the robot rover_zero, and the "
+    mistakes = {
+        "evaluate runs/own --env other.yaml": "made for lidar points 16, and the environment has 32",
+        "evaluate pretrained:moon-ppo --robot my_package.robot:scout": "made for the robot rover_zero, and the "
         "environment has my_package.robot:scout",
-        ("pretrained:moon-ppo", "--env", "forward.yaml"): "and the environment has (0.0, 1.0,",
+        "evaluate pretrained:moon-ppo --env forward.yaml": "and the environment has (0.0, 1.0,",
+        "train --observation lidar range": "observation must be some of ('lidar', ",
+        "train --sensors my_package.sensors:Nothing": "has no 'Nothing'",
     }
-    for arguments, message in mismatches.items():
-        assert main(["evaluate", *arguments, "--count", "1"]) == 2
+    for line, message in mistakes.items():
+        assert main(line.split()) == 2
         error = capsys.readouterr().err
         assert message in error
         assert len(error.splitlines()) == 1

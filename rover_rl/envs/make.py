@@ -28,6 +28,7 @@ class RewardedEnv(TransformedEnv):
         config: description of the environment, including the reward.
 
     Example:
+        >>> from torchrl.envs import StepCounter, TransformedEnv
         >>> env = TransformedEnv(make_env(world_n="maze"), StepCounter())
         >>> type(env.base_env).__name__, type(env.base_env.base_env).__name__
         ('RewardedEnv', 'RoverEnv')

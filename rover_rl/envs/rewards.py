@@ -388,8 +388,8 @@ def reward_components(reward: Any, contract: RewardConfig | None = None) -> list
         ValueError: if the reward is unknown or of another type.
 
     Example:
-        >>> [component.name for component in reward_components(["contract", "my_package:TiltPenalty"])][-1]
-        'tilt'
+        >>> [component.name for component in reward_components("contract")][:2]
+        ['goal', 'progress']
     """
     if reward == "contract":
         return contract_reward(contract)

@@ -60,12 +60,13 @@ class Backend(Protocol):
     """Interface of a custom backend: an object, usually its settings, that builds the simulator.
 
     Example:
+        >>> from dataclasses import dataclass
         >>> @dataclass(frozen=True)
         ... class MySettings:
-        ...     gravity: float = 1.62
+        ...     substeps: int = 20
         ...
-        ...     def make(self, *, worlds, robot, lidar_beams, connection=None, device=None):
-        ...         return MySimulator(worlds, robot, lidar_beams, self.gravity)
+        ...     def make(self, **arguments):
+        ...         return BulletSettings(substeps=self.substeps).make(**arguments)
         >>> register_backend("mine", MySettings)
         >>> env = RoverEnv(backend="mine")
     """

@@ -5,15 +5,13 @@ import json
 import numpy as np
 import pytest
 import torch
-from rich.console import Console
 from tensordict import TensorDict
 
 pytest.importorskip("stable_baselines3")
 
 from benchmarks import against_sb3
 from benchmarks.against_sb3 import Curve, Options, Point
-from rover_rl import make_env
-from rover_rl.algos.config import UNLIMITED_STEPS, with_settings
+from rover_rl.algos.config import with_settings
 from rover_rl.algos.policy.networks import ObservationEncoder, make_action_critic, make_actor, make_critic
 from rover_rl.envs.config import ActionConfig
 from rover_rl.envs.sb3 import SB3VecEnv
@@ -66,63 +64,6 @@ def test_sb3_sees_what_ours_sees(models):
         assert torch.equal(owner.extract_features(observation, owner.features_extractor), expected)
 
 
-def test_a_single_rover_is_a_row_of_the_batch():
-    config = settings("sac", world="moon")
-    rows, single = batch(config), against_sb3.single_rover(config, 1)
-    rows.seed(config.seed)
-    observations, (observation, _) = rows.reset(), single.reset(seed=config.seed + 1)
-    for _ in range(3):
-        np.testing.assert_array_equal(observations["lidar"][1], observation["lidar"])
-        action = np.array([0.7, -0.2], np.float32)
-        observations, rewards, _, _ = rows.step(np.stack([action] * 2))
-        observation, reward, *_ = single.step(action)
-        assert rewards[1] == np.float32(reward)
-    rows.close()
-    single.close()
-
-
-def test_rewards_and_actions_are_scaled_and_an_action_is_held():
-    config = settings("sac")
-    rows, plain = batch(config), make_env(world_n="maze", num_envs=2, seed=config.seed)
-    rows.reset()
-    _, rewards, _, _ = rows.step(np.full((2, 2), 0.5, np.float32))
-    now, total = plain.reset(), torch.zeros(2, 1)
-    for _ in range(config.collection.action_repeat):
-        now = plain.step(now.set("action", torch.tensor([[0.5, 0.5 * np.pi]] * 2)))["next"]
-        total += now["reward"]
-    np.testing.assert_allclose(rewards, config.algorithm.reward_scale * total.squeeze(-1).numpy(), rtol=1e-5)
-    rows.close()
-    plain.close()
-
-
-def test_a_time_limit_is_told_to_sb3():
-    config = settings("sac")
-    rows = batch(config)
-    rows.reset()
-    ends = []
-    for _ in range(config.env.length // config.collection.action_repeat):
-        _, _, ended, infos = rows.step(np.zeros((2, 2), np.float32))
-        ends += [info["TimeLimit.truncated"] for info, end in zip(infos, ended, strict=True) if end]
-    assert ends
-    assert all(ends)
-    rows.close()
-
-
-def test_sb3_takes_gradient_steps_and_is_stopped_by_the_clock():
-    config = settings("sac", learning_starts=4, minibatch=8, buffer_size=100, gradient_steps=1)
-    rows = batch(config)
-    with against_sb3.WallClock(config) as clock:
-        model = against_sb3.make_sb3(config, rows, clock.learning_rate)
-        before = [parameter.clone() for parameter in model.actor.parameters()]
-        model.learn(UNLIMITED_STEPS, callback=clock)
-    rows.close()
-    assert clock.share == 1
-    assert clock.learning_rate(1.0) == 0
-    assert len(clock.snapshots) == config.run.snapshots
-    assert clock.snapshots[-1].steps == model.num_timesteps * config.collection.action_repeat
-    assert any((a != b).any() for a, b in zip(before, model.actor.parameters(), strict=True))
-
-
 @pytest.mark.parametrize("slowest", [-1.0, 0.0])
 def test_a_policy_of_sb3_drives_without_exploration(models, slowest):
     for model in models.values():
@@ -144,14 +85,6 @@ def test_ours_is_compared_at_the_success_that_theirs_ends_with():
     result = against_sb3.compare(curve("ours", 0.2, 0.6, 0.5, 0.9), curve("theirs", 0.1, 0.7, 0.4, 0.5))
     assert (result.success, result.minutes, result.first_minutes) == (0.5, 4, 2)
     assert (result.our_minutes, result.share) == (2, 0.5)
-
-
-def test_ours_may_never_get_there(tmp_path):
-    ours, theirs = curve("rover_rl", 0.1, 0.2), curve("SB3, our batch", 0.1, 0.3)
-    result = against_sb3.compare(ours, theirs)
-    assert (result.our_minutes, result.share) == (None, None)
-    against_sb3.draw(tmp_path / "picture.png", settings("ppo", tmp_path), 2, [ours, theirs], [result])
-    against_sb3.show(Console(), [ours, theirs])
 
 
 @pytest.mark.slow

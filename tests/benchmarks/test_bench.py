@@ -17,11 +17,9 @@ import torch
 from gymnasium.utils.env_checker import check_env
 
 from benchmarks import footprint, simulators
-from benchmarks.engines import choose_engines
 from benchmarks.law import quantities
 from benchmarks.options import Options
 from benchmarks.plain_rover import PlainRover
-from benchmarks.ratios import paired
 from rover_rl import RoverEnv
 from tests.fork_server import fork_server, quick_workers
 
@@ -75,18 +73,6 @@ def test_warp_beside_bullet(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.slow
-def test_simulators_are_compared_with_one_another(bench: Bench) -> None:
-    results = bench("parity", "--engines", "bullet", "warp")
-    scenes = results["parity"]["scenes"]
-    assert len(scenes) == 7
-    for row in scenes:
-        assert set(row["pairs"]) == {"bullet, shifted by 1 mm", "bullet and warp"}
-        assert all(pair["position_m"] > 0 for pair in row["pairs"].values())
-    for turn in results["parity"]["turns"]:
-        assert turn["engines"]["warp"] == pytest.approx(turn["coulomb"], rel=0.05)
-
-
-@pytest.mark.slow
 def test_simulators_are_compared_with_the_law(bench: Bench) -> None:
     rows = bench("law", "--engines", "warp")["law"]
     assert {row["ground"] for row in rows} == {"plane", "triangles", "slope"}
@@ -107,11 +93,6 @@ def test_a_wrong_engine_fails_the_law() -> None:
     degrees = replace(quantity, unit="deg", law=26.6, measure=lambda _: torch.full((16,), 25.7))
     assert degrees.compare("any")["passes"]
     assert degrees.compare("any")["worst_error"] == pytest.approx(-0.9, abs=1e-4)
-
-
-def test_unknown_engines_are_refused() -> None:
-    with pytest.raises(ValueError, match="'gazebo'"):
-        choose_engines(("bullet", "gazebo"))
 
 
 @pytest.mark.slow
@@ -140,12 +121,6 @@ def test_the_plain_rover_drives_as_ours_does() -> None:
     np.testing.assert_allclose(seen["imu"], td["imu"][0], atol=0.03)
     np.testing.assert_allclose(seen["velocities"], td["velocities"][0], atol=0.03)
     np.testing.assert_allclose(seen["lidar"], td["lidar"][0], atol=0.3)
-
-
-def test_the_faster_of_two_is_told() -> None:
-    ratio = paired(lambda: 2, lambda: 1, seconds=0.01, rounds=3)
-    assert ratio.rate > ratio.other
-    assert ratio.least <= ratio.median <= ratio.most
 
 
 @pytest.mark.parametrize(

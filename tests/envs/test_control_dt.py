@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import inspect
-
 import pytest
 import torch
 
 from rover_rl import GymVectorWrapper, GymWrapper, RoverEnv
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
-from rover_rl.envs import EnvConfig, Randomization
-from rover_rl.envs.gym import RoverEnv as GymRoverEnv
+from rover_rl.envs import EnvConfig
 from rover_rl.sims.bullet import BulletSettings
 
 TEN_HERTZ = BulletSettings(control_dt=0.1, substeps=20)
@@ -43,15 +40,3 @@ def test_evaluations_measure_in_seconds():
     assert fast.steps.tolist() == [20, 20]
     assert [t.seconds for t in slow.trajectories] == pytest.approx([1.0, 1.0])
     torch.testing.assert_close(slow.paths[0][-1], fast.paths[0][-1], atol=0.05, rtol=0)
-
-
-def test_the_gymnasium_class_takes_every_setting_of_the_batched_one():
-    batched = set(inspect.signature(RoverEnv).parameters)
-    single = set(inspect.signature(GymRoverEnv).parameters)
-    assert batched - single == {"num_envs"}
-    noise = Randomization(range_noise=0.5)
-    env = GymRoverEnv(world_n="maze", randomization=noise, outcome_from="sensors", seed=0)
-    assert env.base_env.randomization == noise
-    assert env.base_env.config.outcome_from == "sensors"
-    with pytest.raises(TypeError, match="num_envs"):
-        GymRoverEnv(num_envs=2)

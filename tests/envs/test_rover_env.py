@@ -61,21 +61,6 @@ def test_reset_takes_start_and_goal_as_arguments_and_through_transforms():
     torch.testing.assert_close(td["pose"][:, :2], start[:, :2], atol=1e-3, rtol=0)
 
 
-def test_end_on_goal_ends_the_episode_at_the_goal():
-    settings = {"world_n": FLAT, "num_envs": 1, "lidar_beams": 32}
-    goal, start = torch.tensor([[1.5, 0.0]]), torch.zeros(1, 3)
-    for end in (True, False):
-        env = make_env(**settings, end_on_goal=end)
-        td = env.reset(start=start, goal=goal)
-        for _ in range(60):
-            td = env.step(td.set("action", torch.tensor([[1.0, 0.0]])))["next"]
-            if td["outcome", "goal_reached"].item():
-                break
-        assert td["reward"].item() == 100.0
-        assert td["terminated"].item() is end
-        assert (td["target"][0, 0].item() < 0.5) is end
-
-
 def test_render_returns_an_image(env):
     env.reset()
     assert env.render(row=2, view="top", width=40, height=30).shape == (30, 40, 3)
@@ -121,11 +106,6 @@ def test_invalid_settings_are_refused_with_a_message(settings, message):
         RoverEnv(**{"world_n": "maze", **settings})
 
 
-def test_an_unknown_reward_is_refused_with_the_known_ones():
-    with pytest.raises(ValueError, match="unknown reward 'dense'.*'contract', 'task'"):
-        make_env(world_n="maze", reward="dense")
-
-
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_actions_that_are_not_finite_are_refused(env, value):
     td = env.reset()
@@ -167,12 +147,12 @@ def test_moving_to_another_device_is_refused_with_the_alternative(env):
 
 @pytest.mark.parametrize("world", ["inspect", "moon", "maze"])
 def test_rovers_stand_still_and_clear_of_obstacles_after_a_reset(world):
-    env = RoverEnv(world_n=world, num_envs=60, seed=11, lidar_beams=32)
+    env = RoverEnv(world_n=world, num_envs=20, seed=11, lidar_beams=32)
     td = env.reset()
     assert (td["lidar"] >= 0.4).all()
     before = td["pose"].clone()
     for _ in range(20):
-        td = env.step(td.set("action", torch.zeros(60, 2)))["next"]
+        td = env.step(td.set("action", torch.zeros(20, 2)))["next"]
         assert not td["done"].any()
         assert not td["outcome", "collision"].any()
     assert (td["pose"] - before).norm(dim=-1).max() < 0.02

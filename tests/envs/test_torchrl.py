@@ -49,16 +49,6 @@ def assert_same(a, b) -> None:
 # Nesting
 
 
-def test_nested_transforms_are_indexed_from_0():
-    counter, sums = StepCounter(), RewardSum()
-    env = TransformedEnv(make(), Compose(counter, sums))
-    assert [env.transform[0], env.transform[1]] == [counter, sums]
-    assert len(env.transform.transforms) == 2
-    assert isinstance(env.base_env, RewardedEnv)
-    assert isinstance(env.base_env.base_env, RoverEnv)
-    env.close()
-
-
 def test_nesting_does_not_warn():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -114,6 +104,23 @@ def test_serial_env_takes_it(num_envs):
 
 # -----------------------------------------------------------------------------------------------------------
 # Closing
+
+
+@pytest.mark.filterwarnings("ignore:The env passed to Collector is missing transforms:FutureWarning")
+@pytest.mark.parametrize("num_envs", [None, 3])
+@pytest.mark.parametrize("build", [make_env, RoverEnv])
+def test_rollouts_within_and_after_a_collectors_loop(build, num_envs):
+    """The collector closes its environment before it hands out the last batch."""
+    env = build(world_n="maze", num_envs=num_envs, length=7, seed=0)
+    frames = 6 * env.numel()
+    batches = 0
+    for batch in Collector(env, env.rand_action, frames_per_batch=frames, total_frames=4 * frames):
+        assert batch.shape == (*env.batch_size, 6)
+        assert env.rollout(9, break_when_any_done=False).shape == (*env.batch_size, 9)
+        assert env.rollout(9, break_when_all_done=True).shape == (*env.batch_size, 7)
+        batches += 1
+    assert batches == 4
+    assert env.rollout(9).shape == (*env.batch_size, 7)
 
 
 @pytest.mark.parametrize("backend", ["bullet", "warp"])
@@ -214,14 +221,6 @@ def test_gym_wrapper_around_the_vector_environment_equals_the_native_environment
     native.close()
 
 
-def test_gym_wrapper_takes_vector_environments_of_gymnasium():
-    kwargs = {"world_n": "maze", "length": 5, "vector_kwargs": {"autoreset_mode": AutoresetMode.DISABLED}}
-    env = GymWrapper(gymnasium.make_vec("rover_rl/Rover-v0", num_envs=2, vectorization_mode="sync", **kwargs))
-    check_env_specs(env)
-    assert rollout(env).shape == (2, 25)
-    env.close()
-
-
 def test_gym_wrapper_reads_the_infos():
     env = GymWrapper(make_vec(AutoresetMode.DISABLED)).auto_register_info_dict()
     check_env_specs(env)
@@ -229,19 +228,3 @@ def test_gym_wrapper_reads_the_infos():
     assert td["next", "steps"][0].flatten().tolist() == [1, 2, 3, 4, 5] * 5
     assert td["next", "reward"].any()
     env.close()
-
-
-def test_gym_wrapper_takes_environments_that_reset_in_the_same_step():
-    env = GymWrapper(make_vec(AutoresetMode.SAME_STEP, seed=0))
-    native = make(length=5)
-    check_env_specs(env)
-    env.set_seed(0)
-    native.reset()
-    seen, expected = rollout(env, 5), rollout(native, 5)
-    for key in ("reward", "done", "terminated", "truncated"):
-        assert torch.equal(seen["next", key], expected["next", key]), key
-    assert torch.equal(seen["lidar"], expected["lidar"])
-    assert seen["next", "steps"][..., -1].flatten().tolist() == [5, 5, 5]
-    for batch in Collector(env, None, frames_per_batch=15, total_frames=30):
-        assert batch.shape == (3, 5)
-    native.close()

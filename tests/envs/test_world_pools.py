@@ -126,19 +126,6 @@ def test_episodes_are_the_same_whether_all_worlds_fit_on_the_device_or_not(seed:
     assert len(whole["outcome", "world"].unique()) == 5
 
 
-@pytest.mark.slow
-def test_a_row_of_64_is_the_same_alone_for_300_steps() -> None:
-    from rover_rl.sims.warp import WarpSettings
-
-    actions = drawn_actions(64, 300)
-    settings = {"world_n": "maze:*", "length": 160}
-    batch = rollout(make(64, seed=3, backend=WarpSettings(threads=2), **settings), 300, actions)
-    alone = rollout(make(1, seed=3 + 50, backend=WarpSettings(threads=1), **settings), 300, actions[:, 50:51])
-    for key in OBSERVED:
-        assert torch.equal(alone[key][:, 0], batch[key][:, 50]), key
-    assert len(batch["outcome", "world"].unique()) > 64
-
-
 def test_a_row_is_the_same_after_its_pool_has_changed() -> None:
     """Worlds that were drawn before leave nothing behind in the slots that others use again."""
     env, actions = make(4, seed=2, world_n="maze:0-199"), drawn_actions(4, 30)

@@ -1,31 +1,24 @@
-"""Physics of Warp and of MuJoCo compared with analytic solutions."""
+"""Physics of Warp compared with analytic solutions."""
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import pytest
 import torch
 
-from benchmarks.coulomb import steady_motion
 from rover_rl.sims import Backend, make_simulator
-from rover_rl.sims.mujoco import MujocoSettings
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.warp import WarpSettings
 from rover_rl.sims.worlds import Terrain, World, box
-from tests.extras import needs_mujoco
 
 ROVER = get_robot("rover_zero")
 MODEL = read_inertial_model(ROVER)
 CENTER = MODEL.total(torch.tensor([MODEL.chassis_mass], dtype=torch.float64))[1][0].numpy()
 FLAT = World("flat", Terrain.flat((60, 60)))
 DT, GRAVITY = 0.05, 9.81
-BOTH = pytest.mark.parametrize(
-    "settings", [WarpSettings, pytest.param(MujocoSettings, marks=needs_mujoco)], ids=["warp", "mujoco"]
-)
 
 
 def simulate(world: World, poses: list[tuple[float, float, float]], settings: Backend | None = None):
@@ -36,39 +29,6 @@ def simulate(world: World, poses: list[tuple[float, float, float]], settings: Ba
 
 def drive(simulator, command: tuple[float, float], steps: int):
     return [simulator.step(torch.tensor([command] * simulator.num_envs)) for _ in range(steps)]
-
-
-@pytest.mark.parametrize("command", [(0.0, 2.0), (0.0, 1.0), (0.5, 1.0), (0.3, 0.5)])
-@BOTH
-def test_skid_steering_matches_coulomb_friction(settings, command):
-    expected = steady_motion(ROVER, CENTER[0], *command)
-    simulator = simulate(FLAT, [(0.0, 0.0, 2 * math.pi * k / 8) for k in range(8)], settings())
-    drive(simulator, command, 30)
-    states = drive(simulator, command, 21)
-    yaws = torch.stack([quaternion_to_euler(state.orientation)[:, 2] for state in states])
-    turned = (torch.remainder(yaws[1:] - yaws[:-1] + math.pi, 2 * math.pi) - math.pi).sum(0)
-    # Friction is isotropic: the yaw rate does not depend on the heading.
-    torch.testing.assert_close(turned, turned.mean().expand(8), rtol=0.005, atol=0)
-    assert turned.mean().item() == pytest.approx(expected.yaw, rel=0.02 if settings is MujocoSettings else 0.05)
-    displacement = torch.stack([b.position - a.position for a, b in itertools.pairwise(states)])
-    assert displacement.norm(dim=-1).sum(0).mean().item() == pytest.approx(expected.forward, rel=0.03, abs=0.02)
-    if settings is MujocoSettings:
-        # The wheels do not hop.
-        heights = torch.stack([state.position[:, 2] for state in states])
-        assert (heights.max() - heights.min()).item() < 1e-4
-
-
-@BOTH
-def test_locked_wheels_brake_by_friction_times_weight(settings):
-    # The acceleration limit of the drive exceeds what friction can provide, so that the wheels slip.
-    friction = 0.3
-    simulator = simulate(FLAT, [(0.0, 0.0, 0.4)], settings(ground_friction=friction))
-    drive(simulator, (1.0, 0.0), 60)
-    states = drive(simulator, (0.0, 0.0), 20)
-    speed = torch.stack([(b.position - a.position).norm() / DT for a, b in itertools.pairwise(states)])
-    # Measured while all wheels slip.
-    deceleration = (speed[1] - speed[4]) / (3 * DT)
-    assert deceleration.item() == pytest.approx(friction * GRAVITY, rel=0.02)
 
 
 def test_rover_tips_over_at_the_static_stability_angle():

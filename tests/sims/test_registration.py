@@ -55,18 +55,12 @@ def substeps(backend: Any, **arguments: Any) -> int:
 
 
 def test_a_registered_class_of_settings():
+    assert isinstance(CustomSettings(), Backend)
     register_backend("registered-class", CustomSettings)
     assert "registered-class" in backend_names()
     assert substeps("registered-class") == 4
     assert substeps("registered-class", physics="coarse") == 2
     assert substeps(CustomSettings(6)) == 6
-
-
-def test_a_registered_object():
-    backend = CustomSettings(8)
-    assert isinstance(backend, Backend)
-    register_backend("registered-object", backend)
-    assert substeps("registered-object") == 8
 
 
 def test_backends_by_import_path(tmp_path, monkeypatch):
@@ -101,11 +95,6 @@ def test_a_backend_without_presets_raises_for_a_preset():
         ValueError, match="^backend 'registered-plain' has no presets for its physics, got physics='fast'$"
     ):
         substeps("registered-plain", physics="fast")
-
-
-def test_a_function_that_returns_a_backend_is_called():
-    register_backend("registered-function", lambda: CustomSettings())
-    assert substeps("registered-function") == substeps(CustomSettings())
 
 
 @pytest.mark.parametrize(("name", "part"), [("registered-number", 4), ("registered-function-of-a-number", lambda: 4)])
@@ -184,9 +173,3 @@ def test_the_missing_attributes_of_a_simulator_are_named(missing):
     with pytest.raises(ValueError, match=f" without {', '.join(missing)}$"):
         make_simulator(Returning(part), **arguments)
     whole.close()
-
-
-def test_names_of_built_in_backends_are_taken():
-    with pytest.raises(ValueError, match="^a backend named 'bullet' already exists; choose another name$"):
-        register_backend("bullet", CustomSettings)
-    assert substeps("bullet") == BulletSettings().substeps

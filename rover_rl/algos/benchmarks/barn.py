@@ -2,11 +2,6 @@
 
 Perille et al., "Benchmarking Metric Ground Navigation", SSRR 2020; scores as in the BARN Challenge since 2024. The
 worlds are in the folder ``jackal_helper/worlds/BARN`` of https://github.com/Daffan/the-barn-challenge (MIT).
-
-Example:
-    >>> suite = Barn(read_barn(Path("the-barn-challenge"), TEST_WORLDS))
-    >>> (result,) = run_suite(suite, {"scripted": (ScriptedPolicy(), EnvConfig(backend="warp"))})
-    >>> result.metrics["score"].value
 """
 
 from __future__ import annotations

@@ -3,11 +3,6 @@
 Rutherford et al., "No Regrets: Investigating and Improving Regret Approximations for Curriculum Discovery", NeurIPS
 2024 (https://github.com/amacrutherford/sampling-for-learnability, Apache-2.0). Goal radius and time limit are those of
 ``jaxnav_env.py`` in JaxMARL (0.3 m; 500 steps of 0.1 s).
-
-Example:
-    >>> suite = JaxNav(*read_jaxnav(Path("levels.npz")), runs=4)
-    >>> (result,) = run_suite(suite, {"scripted": (ScriptedPolicy(), EnvConfig(backend="warp"))})
-    >>> result.metrics["spl"].value
 """
 
 from __future__ import annotations

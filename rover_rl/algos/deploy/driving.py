@@ -1,9 +1,11 @@
 """Driving of a live rover with a policy, one goal at a time, with safety stops.
 
 Example:
-    >>> env = RoverEnv(backend=Ros2Settings(reset="none"), world_n="maze", end_on_goal=True)
-    >>> runner = PolicyRunner(policy)
-    >>> with DriveLog(Path("drive.jsonl"), world="maze", policy="mine", seconds=60.0) as log:
+    With a rover that runs:
+
+    >>> env = RoverEnv(backend=Ros2Settings(reset="none"), world_n="maze", end_on_goal=True)  # doctest: +SKIP
+    >>> runner = PolicyRunner(policy)  # doctest: +SKIP
+    >>> with DriveLog(Path("drive.jsonl"), world="maze", policy="mine", seconds=60.0) as log:  # doctest: +SKIP
     ...     for goal in [(1.0, 2.0), (-3.0, 0.5)]:
     ...         print(drive_to(env, runner, goal, log=log))
 """

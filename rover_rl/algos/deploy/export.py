@@ -14,7 +14,8 @@ record.
 
 Example:
     >>> export(load_pretrained("moon-ppo"), Path("moon.onnx"))
-    >>> OnnxPolicy(Path("moon.onnx"))(env.reset())["action"]
+    >>> OnnxPolicy(Path("moon.onnx"))(RoverEnv(world="moon").reset())["action"].shape
+    torch.Size([1, 2])
 """
 
 from __future__ import annotations

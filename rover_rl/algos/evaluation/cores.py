@@ -1,8 +1,4 @@
-"""Parallel work on the CPU cores of this machine.
-
-Example:
-    >>> evaluations = over_cores(partial(evaluate, episodes=stored_episodes("maze")), actors, "evaluating")
-"""
+"""Parallel work on the CPU cores of this machine."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Evaluation of policies on fixed episodes, or in endless mode as in the original environment.
 
 Example:
-    >>> actor = Checkpoint.load("runs/ppo-maze").make_actor()
-    >>> episodes = stored_episodes("maze")
-    >>> print_table([evaluate(actor, episodes, name="PPO"), evaluate(None, episodes)])
+    >>> actor = Checkpoint.load("runs/ppo-moon").make_actor()
+    >>> episodes = stored_episodes("maze").first(4)
+    >>> print_table([evaluate(actor, episodes, name="PPO", seconds=5), evaluate(None, episodes, seconds=5)])
 """
 
 from __future__ import annotations

@@ -1,9 +1,4 @@
-"""Evaluations that run on all CPU cores of this machine.
-
-Example:
-    >>> requests = [GoalRequest(actor, episodes, {"name": "PPO"}), GoalRequest(ScriptedPolicy(), episodes)]
-    >>> print_table(evaluate_all(requests))
-"""
+"""Evaluations that run on all CPU cores of this machine."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Evaluation reports: tables on the terminal, JSON and CSV files.
-
-Example:
-    >>> episodes = stored_episodes("maze")
-    >>> print_table([evaluate(ScriptedPolicy(), episodes, name="scripted"), evaluate(None, episodes)])
-"""
+"""Evaluation reports: tables on the terminal, JSON and CSV files."""
 
 from __future__ import annotations
 

@@ -1,10 +1,4 @@
-r"""Tables of policies that fit into the terminal: columns that do not fit go into another table below.
-
-Example:
-    >>> columns = [Column("success", "%", ["99.2\n97–100", "84.4\n79–88"])]
-    >>> for table in fitting_tables("256 episodes", ["anywhere", "scripted"], columns, Console()):
-    ...     console.print(table)
-"""
+r"""Tables of policies that fit into the terminal: columns that do not fit go into another table below."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ A run's record is what its folder holds: ``config.yaml``, ``progress.csv`` and, 
 Example:
     >>> runs = [Run.read(folder) for folder in find_runs(["runs/ppo-moon"])]
     >>> [len(experiment.runs) for experiment in group(runs)]
-    [3]
+    [1]
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Training runs that differ in their seed only, each in a folder of its own: ``NAME-seed0``, ``NAME-seed1``, ...
 
 Example:
-    >>> for config, folder in seed_runs(training_config("ppo", world="moon", name="mine"), (0, 1, 2)):
-    ...     train(config, folder)
+    >>> [config.run.name for config, folder in seed_runs(training_config("ppo", name="mine"), (0, 1))]
+    ['mine-seed0', 'mine-seed1']
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Baseline policies: uniformly random actions and a scripted controller.
 
 Example:
-    >>> episodes = stored_episodes("maze")
-    >>> print_table([evaluate(ScriptedPolicy(), episodes, name="scripted"), evaluate(None, episodes)])
+    >>> episodes = stored_episodes("maze").first(4)
+    >>> evaluate(ScriptedPolicy(), episodes, name="scripted", seconds=20)
 """
 
 from __future__ import annotations

@@ -31,8 +31,7 @@ time. Among the better ones, differences are within the noise of 64 episodes. Th
     rover-rl evaluate dwa --world maze:0-63 --episodes 1 --action-repeat 2 --seconds 45 --backend warp
 
 Example:
-    >>> episodes = draw_episodes("maze:10000-10003", episodes=1)
-    >>> evaluate(DynamicWindowPolicy(), episodes, name="dwa")
+    >>> evaluate(DynamicWindowPolicy(), draw_episodes("maze:10000", episodes=2), name="dwa", seconds=5)
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """``GridPlanner``: classical baseline that plans on a grid map of what the lidar has seen and follows the route.
 
 Example:
+    >>> env = make_env(world_n="maze", num_envs=4)
     >>> runner = PolicyRunner(GridPlanner())
     >>> runner(env.reset()).shape
     torch.Size([4, 2])

@@ -1,9 +1,10 @@
 """Runner of a policy: carries its memory from decision to decision, and holds its actions in between.
 
 Example:
-    >>> runner = PolicyRunner(Checkpoint.load("runs/ppo-maze").make_actor())
+    >>> runner = PolicyRunner(Checkpoint.load("runs/ppo-moon").make_actor())
+    >>> env = make_env(world_n="maze", num_envs=4)
     >>> observation = env.reset()
-    >>> while True:
+    >>> for _ in range(20):
     ...     action = runner(observation)
     ...     observation = env.step(observation.set("action", action))["next"]
     ...     runner.reset(observation["done"].squeeze(-1))  # and reset the environment's rows

@@ -1,9 +1,10 @@
 """Policies that Stable-Baselines3 saved. Reading a file executes no code in it: nothing is unpickled.
 
 Example:
-    >>> model = stable_baselines3.PPO("MultiInputPolicy", SB3VecEnv(RoverEnv(world_n="maze", num_envs=64)))
-    >>> model.save("ppo.zip")
-    >>> evaluate(SB3Policy(Path("ppo.zip")), stored_episodes("maze"))
+    >>> from stable_baselines3 import PPO
+    >>> from rover_rl.envs.sb3 import SB3VecEnv
+    >>> PPO("MultiInputPolicy", SB3VecEnv(RoverEnv(world_n="maze", num_envs=4))).save("ppo.zip")
+    >>> evaluate(SB3Policy(Path("ppo.zip")), stored_episodes("maze").first(4), seconds=5)
 """
 
 from __future__ import annotations

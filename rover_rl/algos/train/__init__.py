@@ -1,7 +1,7 @@
 """Training with PPO and SAC.
 
 Example:
-    >>> summary = train(training_config("ppo", world="maze", max_minutes=5))
+    >>> summary = train(training_config("ppo", world="maze", total_steps=20_000))
     >>> summary.checkpoint
     PosixPath('runs/ppo-maze/checkpoint.pt')
 """

@@ -111,12 +111,13 @@ class TrainingRun:
         OSError: if a file cannot be written.
 
     Example:
+        >>> config = training_config("ppo", world="maze", num_envs=8, total_steps=512, name="mine")
         >>> learner = PPOLearner(config)
         >>> with TrainingRun(config, learner) as run:
         ...     for batch in run.batches():
         ...         run.record(learner.update(batch, run.share, run.stopwatch))
         >>> run.summary.checkpoint
-        PosixPath('runs/ppo-maze/checkpoint.pt')
+        PosixPath('runs/mine/checkpoint.pt')
     """
 
     def __init__(self, config: TrainingConfig, learner: Learner, folder: Path | None = None) -> None:

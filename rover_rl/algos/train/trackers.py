@@ -1,7 +1,8 @@
 """Experiment trackers beside ``progress.csv``: TorchRL's loggers, opened for the folder of a run.
 
 Example:
-    >>> with closing(Trackers(("tensorboard",), folder, training_config("ppo"), None, print)) as trackers:
+    >>> from contextlib import closing
+    >>> with closing(Trackers(("csv",), Path("runs/mine"), training_config("ppo"), None, print)) as trackers:
     ...     trackers.add({"steps": 4096, "episode_return": 12.5})
 """
 

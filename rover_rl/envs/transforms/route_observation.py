@@ -31,6 +31,7 @@ class RouteObservation(Transform):
         action_repeat: number of steps from one decision to the next.
 
     Example:
+        >>> from torchrl.envs import TransformedEnv
         >>> env = RoverEnv(world_n="maze", num_envs=4, seed=0)
         >>> env = TransformedEnv(env, RouteObservation(env))
         >>> env.rollout(3)["route"].shape

@@ -39,12 +39,7 @@ class LearningOptions(TypedDict, total=False):
 
 
 def with_options(env: EnvBase, reward: Reward | None, options: LearningOptions) -> tuple[EnvBase, RewardConfig | None]:
-    """Adds the reward to a bare environment, and then the transforms of the options.
-
-    Args:
-        env: ``RoverEnv``, or a ``TransformedEnv`` of one, which already has its reward.
-        reward: reward of a ``RoverEnv``, as in :func:`rover_rl.make_env`. ``None`` uses the contract's.
-        options: options to add.
+    """Adds the reward, by default the contract's, to a bare environment, and then the transforms of the options.
 
     Returns:
         The environment, and the parameters of the contract's reward: ``None`` if it was not added here.

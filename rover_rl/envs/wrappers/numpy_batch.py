@@ -30,15 +30,7 @@ TimeLimit: TypeAlias = Literal["terminated", "truncated"]
 
 @dataclass(frozen=True)
 class Step:
-    """Result of a step. All arrays are copies.
-
-    Attributes:
-        observation: observation after the step, ``[N, k]`` per entry.
-        reward: rewards, float64 ``[N]``.
-        terminated, truncated: whether the episode ended, bool ``[N]``.
-        info: ``steps``, ``total_steps``, ``reward``, ``goals``, ``is_success``, a bool for each event, and ``world`` if
-            there are several worlds, ``[N]`` each.
-    """
+    """Result of a step, copied: observations ``[N, k]`` per entry, the others ``[N]``."""
 
     observation: Observation
     reward: NDArray[np.float64]
@@ -55,25 +47,8 @@ class Step:
 class NumpyBatch:
     """Resets, steps and renders a :class:`~rover_rl.envs.RoverEnv` with NumPy arrays.
 
-    Args:
-        env: ``RoverEnv``, or a ``TransformedEnv`` of one, which already has its reward.
-        reward: reward of a ``RoverEnv``, as in :func:`rover_rl.make_env`. ``None`` uses the contract's.
-        time_limit: signal at the end of an episode's length.
-        render_mode: ``None`` or ``"rgb_array"``.
-        camera: camera position.
-        options: see :class:`~rover_rl.envs.wrappers.learning_options.LearningOptions`.
-
-    Attributes:
-        env: environment with its reward and the transforms of the options.
-        base_env: ``RoverEnv`` under the transforms.
-        num_envs: number of rovers.
-        observation_space, action_space: spaces of one row, after the transforms.
-        reward_config: parameters of the contract's reward. ``None`` if this class has not added it.
-
-    Raises:
-        TypeError: if ``env`` has another type.
-        ValueError: if a ``TransformedEnv`` is given another reward, the observation lacks an entry, or an option is
-            unknown.
+    The arguments are those of :class:`~rover_rl.envs.wrappers.gym.GymWrapper`. Spaces are those of one row, after the
+    transforms. ``reward_config`` is ``None`` if this class has not added the contract's reward.
     """
 
     def __init__(
@@ -129,16 +104,9 @@ class NumpyBatch:
         seed: int | None = None,
         options: Mapping[str, ArrayLike] | None = None,
     ) -> Observation:
-        """Begins the next episode and returns the observation of every row.
+        """Begins the next episode in ``rows`` (bool ``[N]``), by default in all; returns the observation of every row.
 
-        Args:
-            rows: rows to reset, bool ``[N]``. ``None`` means all rows.
-            seed: seed of the first row. Row ``i`` gets ``seed + i``. ``None`` continues with the current seeds.
-            options: ``"start"`` (``[N, 3]``: x, y in m, yaw in rad) and ``"goal"`` (``[N, 2]``, m), both optional.
-
-        Raises:
-            ValueError: if an option is unknown or has the wrong shape, or a seed is given for some rows only.
-            RuntimeError: if the environment is closed.
+        Row ``i`` gets the seed ``seed + i``. The options are ``"start"`` ``[N, 3]`` and ``"goal"`` ``[N, 2]``.
         """
         self._require_open("reset")
         given = {key: np.asarray(value, np.float32) for key, value in (options or {}).items()}
@@ -159,16 +127,9 @@ class NumpyBatch:
         return self.observation()
 
     def step(self, actions: ArrayLike, rows: Mask | None = None) -> Step:
-        """Takes one step.
+        """Takes one step with the actions ``[N, 2]`` in ``rows`` (bool ``[N]``), by default in all.
 
-        Args:
-            actions: forward speed (m/s) and heading offset (rad), ``[N, 2]``, unless a transform changes the action.
-            rows: rows to step, bool ``[N]``. ``None`` means all rows. No time passes for the others: their actions are
-                ignored, and their reward is 0.
-
-        Raises:
-            ValueError: if the shape is wrong, or values are not finite.
-            RuntimeError: if the environment is closed, or was not reset.
+        No time passes for the other rows: their actions are ignored, and their reward is 0.
         """
         self._require_open("step")
         actions = np.array(actions, np.float32)

@@ -3,62 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol
+from operator import attrgetter
+from typing import Any
 
+from rover_rl.envs.config import RewardConfig
+from rover_rl.envs.rover import RoverEnv
 from rover_rl.sims.rotations import quaternion_to_euler
-
-if TYPE_CHECKING:
-    from rover_rl.envs.config import RewardConfig
-    from rover_rl.envs.rover import RoverEnv
-    from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds import World
 
 
-class Wrapper(Protocol):
-    """Wrapper that the attributes are read from: :class:`~rover_rl.envs.wrappers.gym.GymWrapper`."""
-
-    @property
-    def base_env(self) -> RoverEnv:
-        """The ``RoverEnv`` under the transforms."""
-        ...
-
-    @property
-    def reward_config(self) -> RewardConfig | None:
-        """Numbers of the contract's reward, if they are known."""
-        ...
-
-    def get_observation(self) -> dict[str, Any]:
-        """The current observation."""
-        ...
-
-
-def _env_property(get: Callable[[Wrapper], Any], doc: str) -> property:
-    return property(get, doc=doc)
+def _env_property(path: str, doc: str) -> property:
+    """Returns an attribute of the ``RoverEnv``, named by its dotted path."""
+    return property(lambda wrapper: attrgetter(path)(wrapper.base_env), doc=doc)
 
 
 def _world_property(get: Callable[[World], Any], doc: str) -> property:
-    return property(lambda env: get(env.base_env.worlds[0]), doc=doc)
-
-
-def _task_property(name: str, doc: str) -> property:
-    return property(lambda env: getattr(env.base_env.task, name), doc=doc)
+    return property(lambda wrapper: get(wrapper.base_env.worlds[0]), doc=doc)
 
 
 def _reward_property(name: str, doc: str) -> property:
-    return property(lambda env: getattr(_reward_config(env), name), doc=doc)
+    return property(lambda wrapper: getattr(_reward_config(wrapper), name), doc=doc)
+
+
+def _state_property(get: Callable[[RoverEnv], Any], doc: str) -> property:
+    return property(lambda wrapper: get(wrapper.base_env), doc=doc)
 
 
 def _euler_property(axis: int, doc: str) -> property:
-    return property(lambda env: quaternion_to_euler(env.base_env.rover_state.orientation)[0, axis].item(), doc=doc)
+    return _state_property(lambda env: quaternion_to_euler(env.rover_state.orientation)[0, axis].item(), doc)
 
 
 class OriginalNames:
     """Read-only attributes of the original environment, for :class:`~rover_rl.envs.wrappers.gym.GymWrapper`."""
 
-    size = _env_property(lambda env: env.base_env.size, "Size of the camera buffer, pixels. Reserved for vision.")
-    length = _env_property(lambda env: env.base_env.length, "Number of steps after which an episode ends.")
+    size = _env_property("size", "Size of the camera buffer, pixels. Reserved for vision.")
+    length = _env_property("length", "Number of steps after which an episode ends.")
     _length = length
-    lidar_points = _env_property(lambda env: env.base_env.lidar.points, "Number of lidar readings in an observation.")
-    max_lidar_range = _env_property(lambda env: env.base_env.lidar.max_range, "Maximum of a lidar reading, m.")
+    lidar_points = _env_property("lidar.points", "Number of lidar readings in an observation.")
+    max_lidar_range = _env_property("lidar.max_range", "Maximum of a lidar reading, m.")
 
     world_n = _world_property(lambda world: world.name, "Name of the world.")
     rand_x_range = _world_property(lambda world: world.spawn_range[0], "Range of start positions in x, (low, high), m.")
@@ -70,16 +52,16 @@ class OriginalNames:
     too_far_away_low_y = _world_property(lambda world: world.bounds[1][0], "Lower bound of the world in y, m.")
     too_far_away_high_y = _world_property(lambda world: world.bounds[1][1], "Upper bound of the world in y, m.")
 
-    success_distance = _task_property("success_distance", "Distance below which a goal is reached, m.")
-    collision_threshold = _task_property(
-        "collision_threshold", "Lidar reading below which the rover is in collision, m."
+    success_distance = _env_property("task.success_distance", "Distance below which a goal is reached, m.")
+    collision_threshold = _env_property(
+        "task.collision_threshold", "Lidar reading below which the rover is in collision, m."
     )
-    collision_window = _task_property(
-        "collision_window", "Consecutive steps in collision above which the rover is jammed."
+    collision_window = _env_property(
+        "task.collision_window", "Consecutive steps in collision above which the rover is jammed."
     )
-    stuck_window = _task_property("stuck_window", "Number of recent positions that tell a stuck rover.")
-    stuck_threshold = _task_property(
-        "stuck_threshold", "Displacement over the window below which the rover is stuck, m."
+    stuck_window = _env_property("task.stuck_window", "Number of recent positions that tell a stuck rover.")
+    stuck_threshold = _env_property(
+        "task.stuck_threshold", "Displacement over the window below which the rover is stuck, m."
     )
 
     goal_reward = _reward_property("goal_reward", "Reward for reaching a goal.")
@@ -95,26 +77,27 @@ class OriginalNames:
     current_roll = _euler_property(0, "Roll, rad.")
     current_pitch = _euler_property(1, "Pitch, rad.")
     current_yaw = _euler_property(2, "Yaw, rad.")
-    current_linear_velocity = _env_property(
-        lambda env: env.base_env.rover_state.linear_velocity.item(), "Forward speed from wheel odometry, m/s."
+    current_linear_velocity = _state_property(
+        lambda env: env.rover_state.linear_velocity.item(), "Forward speed from wheel odometry, m/s."
     )
-    current_angular_velocity = _env_property(
-        lambda env: env.base_env.rover_state.angular_velocity.item(), "Yaw rate from wheel odometry, rad/s."
+    current_angular_velocity = _state_property(
+        lambda env: env.rover_state.angular_velocity.item(), "Yaw rate from wheel odometry, rad/s."
     )
-    rover_position = _env_property(
-        lambda env: env.base_env.rover_state.position[0].numpy(force=True).copy(), "Position, float32 [3], m."
+    rover_position = _state_property(
+        lambda env: env.rover_state.position[0].numpy(force=True).copy(), "Position, float32 [3], m."
     )
-    lidar_data = _env_property(
-        lambda env: env.get_observation()["lidar"], "Pooled lidar scan, float32 [lidar_points], m."
+    lidar_data = property(
+        lambda wrapper: wrapper.get_observation()["lidar"], doc="Pooled lidar scan, float32 [lidar_points], m."
     )
-    target_positions_x = _env_property(lambda env: env.base_env.goal[0, 0].item(), "Position of the goal in x, m.")
-    target_positions_y = _env_property(lambda env: env.base_env.goal[0, 1].item(), "Position of the goal in y, m.")
+    target_positions_x = _state_property(lambda env: env.goal[0, 0].item(), "Position of the goal in x, m.")
+    target_positions_y = _state_property(lambda env: env.goal[0, 1].item(), "Position of the goal in y, m.")
 
 
-def _reward_config(env: Wrapper) -> RewardConfig:
-    if env.reward_config is None:
+def _reward_config(wrapper: Any) -> RewardConfig:
+    config: RewardConfig | None = wrapper.reward_config
+    if config is None:
         raise AttributeError(
             "the parameters of the contract's reward are only known if this class has added the reward; "
             "pass a bare RoverEnv, with reward='contract' or a RewardConfig"
         )
-    return env.reward_config
+    return config

@@ -9,14 +9,10 @@ from numpy.typing import NDArray
 
 
 class Window:
-    """Shows images in a pygame window. A process has only one such window.
+    """Shows images in a pygame window, of which a process has one.
 
-    Args:
-        title: title of the window.
-        fps: maximum frame rate. :meth:`show` waits to keep it.
-
-    Attributes:
-        dismissed: whether the user has closed the window. It is not opened again.
+    :meth:`show` waits so that there are at most ``fps`` images per second. The window is not opened again after the
+    user has closed it, which ``dismissed`` tells.
 
     Raises:
         ImportError: if pygame is not installed.

@@ -1,6 +1,7 @@
 """Serialization of ROS 2 messages in OMG's Common Data Representation (CDR), by the package rosbags.
 
 Example:
+    >>> from rover_rl.sims.ros2.messages import Time
     >>> decode(Time, encode(Time(1, 500_000_000))).seconds
     1.5
 """

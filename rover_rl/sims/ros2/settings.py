@@ -25,7 +25,9 @@ class Ros2Settings:
     environment itself.
 
     Example:
-        >>> env = RoverEnv(backend=Ros2Settings(pose="wheels", reset="manual", lidar_yaw=0.0))  # a real rover
+        With a rover that runs:
+
+        >>> env = RoverEnv(backend=Ros2Settings(pose="wheels", reset="manual", lidar_yaw=0.0))  # doctest: +SKIP
 
     Args:
         transport: ROS 2 client: ``"dds"`` requires no ROS (extra ``ros2``); ``"rclpy"`` requires a sourced ROS.

@@ -50,7 +50,7 @@ def register_world(name: str, world: World | Callable[..., World] | str) -> None
         ValueError: if the name is taken or has other characters.
 
     Example:
-        >>> register_world("canyon", lambda seed: World(f"canyon-{seed}", Terrain.flat(((-9, 9), (-9, 9)))))
+        >>> register_world("canyon", lambda seed: World(f"canyon-{seed}", Terrain.flat((18, 18))))
         >>> get_world("canyon:3").name
         'canyon-3'
     """

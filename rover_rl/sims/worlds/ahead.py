@@ -31,10 +31,11 @@ class WorldsAhead:
         limit: largest number of worlds that are requested and not taken. Of more, the first requested ones are dropped.
 
     Example:
+        >>> robot = get_robot("rover_zero")
         >>> ahead = WorldsAhead(WorldPool("maze:*"), lambda world: free_space(world, robot), limit=100)
         >>> ahead.request([3, 5])
         >>> ahead[3].name
-        'maze:3'
+        'maze'
     """
 
     def __init__(self, pool: WorldPool, prepare: Callable[[World], object], limit: int) -> None:

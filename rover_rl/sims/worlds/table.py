@@ -30,6 +30,7 @@ class WorldTable(Sequence[World]):
         capacity: number that all slots are less than.
 
     Example:
+        >>> maze, moon, inspect = map(get_world, ("maze", "moon", "inspect"))
         >>> table = WorldTable([maze, maze, moon])
         >>> table.slots, table[2] is moon
         (tensor([0, 0, 1]), True)

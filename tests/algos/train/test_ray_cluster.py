@@ -24,7 +24,6 @@ from tests.algos.train.memories import check_states, joined, kept_batches
 from tests.algos.train.runs import progress_of
 
 PPO = with_settings(runs.PPO, collector="ray", workers=None)
-SAC = with_settings(runs.SAC, collector="ray", workers=None)
 
 
 @pytest.fixture(scope="module")
@@ -55,12 +54,6 @@ def _words(process: psutil.Process) -> list[str]:
         return process.cmdline()
     except psutil.Error:
         return []
-
-
-@pytest.mark.slow
-def test_sac_learns_from_one_worker_while_the_other_collects(cluster: None, tmp_path: Path) -> None:
-    progress = progress_of(train(with_settings(SAC, total_steps=128, runs=str(tmp_path))).folder)
-    assert progress["steps"] == list(range(16, 129, 16))
 
 
 @pytest.mark.slow

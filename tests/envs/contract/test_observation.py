@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from rover_rl.envs.sensors.lidar import LidarPooling
 from rover_rl.envs.task import target_info
-from rover_rl.sims.rotations import wrap_angle
 from tests.envs import transcription as contract
-from tests.envs.contract.scripted_env import assert_same_angle, pairs, play, scripted
+from tests.envs.contract.scripted_env import assert_same_angle, play, scripted
 from tests.envs.scripted import Moment
 
 SPACE = {
@@ -43,17 +42,6 @@ def test_lidar_points_and_max_lidar_range_shape_the_lidar_space():
     assert env.reset()["lidar"].tolist() == [[6.0] * 8]
 
 
-def test_imu_is_pitch_then_roll_then_yaw():
-    td = scripted([Moment(roll=0.1, pitch=0.2, yaw=0.3)]).reset()
-    assert td["imu"][0].tolist() == pytest.approx([0.2, 0.1, 0.3], abs=1e-6)
-
-
-def test_pose_is_x_y_z_and_velocities_are_linear_then_angular():
-    td = scripted([Moment(x=1.0, y=2.0, z=3.0, v=0.5, w=-0.7)]).reset()
-    assert td["pose"][0].tolist() == [1.0, 2.0, 3.0]
-    assert td["velocities"][0].tolist() == pytest.approx([0.5, -0.7])
-
-
 def test_the_observation_is_clipped_to_its_bounds_and_the_outcome_is_not():
     env = scripted([Moment(x=-31.0, y=150.0, z=11.0, v=12.0, w=-13.0, ranges=30.0)] * 2)
     result = play(env, 1, goal=(0.0, 0.0))[0]
@@ -65,21 +53,6 @@ def test_the_observation_is_clipped_to_its_bounds_and_the_outcome_is_not():
     assert result["outcome", "angular_velocity"].item() == -13.0
 
 
-def test_infinite_and_nan_readings_become_max_lidar_range_and_minus_infinity_0():
-    td = scripted([Moment(ranges=[math.inf, math.nan, -math.inf, -1.0, 13.0, 3.0] + [5.0] * 26)]).reset()
-    assert td["lidar"][0, :7].tolist() == [12.0, 12.0, 0.0, 0.0, 12.0, 3.0, 5.0]
-
-
-def test_nan_never_hides_a_nearer_reading_of_its_segment():
-    td = scripted([Moment(ranges=[math.nan, 2.0] + [5.0] * 62)], lidar_beams=64).reset()
-    assert td["lidar"][0, 0] == 2.0
-
-
-def test_each_reading_is_the_minimum_of_a_segment_of_neighbouring_beams_from_straight_ahead():
-    td = scripted([Moment(ranges=[1.0 + k for k in range(8)])], lidar_beams=8, lidar_points=4).reset()
-    assert td["lidar"][0].tolist() == [1.0, 3.0, 5.0, 7.0]
-
-
 @hypothesis.settings(max_examples=150, deadline=None)
 @hypothesis.given(data=st.data(), points=st.integers(1, 40), extra=st.integers(0, 60))
 def test_pooling_is_the_contracts_for_any_beams_and_any_readings(data, points, extra):
@@ -87,41 +60,6 @@ def test_pooling_is_the_contracts_for_any_beams_and_any_readings(data, points, e
     scan = data.draw(st.lists(reading, min_size=points + extra, max_size=points + extra))
     pooled = LidarPooling(points + extra, points, 12.0)(torch.tensor([scan]))[0].tolist()
     assert pooled == pytest.approx(contract.pool(scan, points), abs=0)
-
-
-@hypothesis.settings(max_examples=60, deadline=None)
-@hypothesis.given(points=st.integers(1, 40), extra=st.integers(0, 100))
-def test_every_beam_counts_in_exactly_one_segment_and_segments_differ_by_one_beam_at_most(points, extra):
-    beams = points + extra
-    one_near_beam_each = torch.full((beams, beams), 9.0).fill_diagonal_(1.0)
-    pooled = LidarPooling(beams, points, 12.0)(one_near_beam_each) == 1.0
-    assert pooled.sum(1).tolist() == [1] * beams
-    sizes = pooled.sum(0)
-    assert sizes.max() - sizes.min() <= 1
-    assert pooled.int().argmax(1).diff().ge(0).all()
-
-
-@pytest.mark.parametrize(
-    ("yaw", "goal", "angle"),
-    [
-        (0.0, (3.0, 4.0), math.atan2(4, 3)),
-        (math.pi / 2, (3.0, 4.0), math.atan2(4, 3) - math.pi / 2),
-        (3.0, (3.0, -4.0), math.atan2(-4, 3) - 3.0 + 2 * math.pi),
-        (0.0, (-5.0, 0.0), math.pi),
-    ],
-)
-def test_target_is_the_distance_and_the_bearing_relative_to_yaw(yaw, goal, angle):
-    distance, relative = scripted([Moment(yaw=yaw)]).reset(goal=pairs(goal))["target"][0].tolist()
-    assert distance == pytest.approx(5.0)
-    assert_same_angle(relative, angle)
-
-
-@hypothesis.settings(max_examples=200, deadline=None)
-@hypothesis.given(st.floats(-50, 50, width=32))
-def test_wrap_angle_is_atan2_of_sine_and_cosine(angle):
-    wrapped = wrap_angle(torch.tensor([angle])).item()
-    assert abs(wrapped) <= torch.tensor(math.pi).item()
-    assert_same_angle(wrapped, math.atan2(math.sin(angle), math.cos(angle)))
 
 
 yaws = st.floats(-3.140625, 3.140625, width=32)

@@ -12,9 +12,8 @@ from scipy.stats import chisquare
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from rover_rl import make_env
 from rover_rl.envs.rng import episode_keys, random_bits, row_keys, to_index, to_unit
-from tests.envs.contract.scripted_env import CPU, OBSERVATION, bare, random_actions, scripted
+from tests.envs.contract.scripted_env import CPU, bare, scripted
 from tests.envs.scripted import Moment
 
 
@@ -74,22 +73,6 @@ def test_every_bit_of_a_draw_is_as_often_1_as_0():
     bits = draws("row").flatten()
     ones = torch.stack([((bits >> place) & 1).float().mean() for place in range(64)])
     assert (ones - 0.5).abs().max() < 5 * 0.5 / math.sqrt(len(bits))
-
-
-def test_row_i_of_an_environment_seeded_s_is_the_environment_seeded_s_plus_i():
-    batch = make_env(world_n="maze", num_envs=3, seed=5, lidar_beams=32)
-    single = make_env(world_n="maze", seed=7, lidar_beams=32)
-    td, single_td = batch.reset(), single.reset()
-    for k in range(10):
-        for key in OBSERVATION:
-            assert torch.equal(td[key][2:], single_td[key])
-        assert torch.equal(bare(batch).goal[2:], bare(single).goal)
-        td["action"] = random_actions(k, 3)
-        single_td["action"] = td["action"][2:]
-        td, single_td = batch.step(td)["next"], single.step(single_td)["next"]
-        assert torch.equal(td["reward"][2:], single_td["reward"])
-    batch.close()
-    single.close()
 
 
 def test_the_same_seed_gives_the_same_episodes_and_another_seed_others():

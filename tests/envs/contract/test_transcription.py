@@ -116,8 +116,3 @@ def test_recorded_rollouts_keep_the_goal_until_it_is_reached_and_then_set_one_1_
             assert math.dist(v.goal, v.position) >= 1 - 1e-5
             assert x_range[0] <= v.goal[0] <= x_range[1]
             assert y_range[0] <= v.goal[1] <= y_range[1]
-
-
-def test_recorded_rollouts_total_is_the_sum_of_the_components(rollout):
-    for v in rollout.verdicts:
-        assert v.reward == pytest.approx(sum(v.components.values()), abs=1e-5)

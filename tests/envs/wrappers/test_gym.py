@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import math
-import re
 import sys
 import warnings
 from types import SimpleNamespace as Message
@@ -115,15 +114,6 @@ def test_a_seed_reproduces_everything():
     env.close()
 
 
-@pytest.mark.parametrize("seed", [-1, 2**63, 1.5, True, "7"])
-def test_seeds_out_of_range_are_refused(env, seed):
-    expected = re.escape(f"seed must be a whole number from 0 to 9223372036854775807, got {seed!r}")
-    with pytest.raises(ValueError, match=expected):
-        env.reset(seed=seed)
-    with pytest.raises(ValueError, match=expected):
-        RoverEnv(world_n="maze", seed=seed)
-
-
 def test_a_seed_may_be_any_integer_in_range(env):
     first, _ = env.reset(seed=2**63 - 1)
     second, _ = env.reset(seed=np.uint64(2**63 - 1))
@@ -193,11 +183,6 @@ def test_the_action_is_copied(env):
 def test_a_wrong_shape_is_refused(env, action):
     with pytest.raises(ValueError, match=r"action must have shape \(2,\)"):
         env.step(action)
-
-
-def test_nan_is_refused(env):
-    with pytest.raises(ValueError, match="finite"):
-        env.step([math.nan, 0.0])
 
 
 def test_step_needs_a_reset():
@@ -352,13 +337,6 @@ def test_render_returns_an_image(env):
     assert image.std() > 0
 
 
-def test_the_top_camera_renders_another_image(env):
-    other = make(render_mode="rgb_array", camera="top")
-    other.reset(seed=0)
-    assert (other.render() != env.render()).any()
-    other.close()
-
-
 def window_content(pygame):
     """The image in the window."""
     return pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
@@ -396,13 +374,6 @@ def test_a_window_needs_pygame_and_a_display(pygame, monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
     with pytest.raises(ImportError, match=r'render_mode="human" needs pygame: pip install "rover_rl\[human\]"'):
         make(render_mode="human")
-
-
-def test_without_a_render_mode_render_does_nothing():
-    env = make()
-    env.reset()
-    assert env.render() is None
-    env.close()
 
 
 def test_close_is_idempotent_and_use_after_it_raises():
@@ -460,29 +431,25 @@ def test_state_has_the_names_of_the_original_environment(env):
 
 
 CALLBACKS = {
-    "scan": ("lidar_callback", Message(ranges=[1.0, 2.0])),
-    "imu": ("imu_callback", Message(orientation=Message(x=0.0, y=0.0, z=0.0, w=2.0))),
-    "pose": ("pose_array_callback", Message(poses=[Message(position=Message(x=1.0, y=2.0, z=3.0))])),
-    "odometry": (
-        "odom_callback",
-        Message(twist=Message(twist=Message(linear=Message(x=0.5), angular=Message(z=0.25)))),
-    ),
+    "scan": "lidar_callback",
+    "imu": "imu_callback",
+    "pose": "pose_array_callback",
+    "odometry": "odom_callback",
 }
 
 
-@pytest.mark.parametrize("kind", CALLBACKS)
-def test_callbacks_raise_if_the_backend_simulates_its_sensors(env, kind):
-    name, msg = CALLBACKS[kind]
-    with pytest.raises(RuntimeError, match="makes its own sensor data; callbacks are for backend='ros2'"):
-        getattr(env, name)(msg)
+def test_callbacks_raise_if_the_backend_simulates_its_sensors(env):
+    for name in CALLBACKS.values():
+        with pytest.raises(RuntimeError, match="makes its own sensor data; callbacks are for backend='ros2'"):
+            getattr(env, name)(Message())
 
 
 def test_callbacks_pass_messages_to_a_live_backend(env, monkeypatch):
     received = {}
     monkeypatch.setattr(env.base_env.simulator, "receive", received.__setitem__, raising=False)
-    for name, msg in CALLBACKS.values():
-        getattr(env, name)(msg)
-    assert received == {kind: msg for kind, (_, msg) in CALLBACKS.items()}
+    for kind, name in CALLBACKS.items():
+        getattr(env, name)(kind)
+    assert received == {kind: kind for kind in CALLBACKS}
 
 
 # -----------------------------------------------------------------------------------------------------------

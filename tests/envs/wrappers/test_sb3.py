@@ -12,7 +12,7 @@ pytest.importorskip("stable_baselines3")
 
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
-from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize, VecVideoRecorder
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
 
 from rover_rl import RoverEnv as BatchedRoverEnv
 from rover_rl.envs import TaskConfig
@@ -62,15 +62,6 @@ def test_it_equals_sb3s_vector_environment_of_single_rovers(shared):
         for row, (info, expected) in enumerate(zip(ours[3], theirs[3], strict=True)):
             np.testing.assert_equal(info, expected if ours[2][row] else {})
     single_envs.close()
-
-
-def test_a_time_limit_is_in_the_infos(shared):
-    shared.reset()
-    for _ in range(5):
-        _, _, dones, infos = shared.step(np.zeros((ROWS, 2)))
-    assert dones.all()
-    assert all(info["TimeLimit.truncated"] for info in infos)
-    assert all(info["terminal_observation"] in shared.observation_space for info in infos)
 
 
 def test_a_termination_in_the_last_step_is_no_time_limit():
@@ -154,38 +145,11 @@ def test_step_wait_needs_actions():
     envs.close()
 
 
-def test_close_is_idempotent_and_use_after_it_raises():
-    envs = make()
-    envs.reset()
-    envs.close()
-    envs.close()
-    with pytest.raises(RuntimeError, match="closed"):
-        envs.step(np.zeros((ROWS, 2)))
-
-
 def test_render_tiles_the_rows(tmp_path):
     envs = make(rows=2, render_mode="rgb_array")
     envs.reset()
     assert envs.render().shape == (480 * 2, 640, 3)
     envs.close()
-
-
-def test_vec_video_recorder_records_it(tmp_path):
-    pytest.importorskip("moviepy")
-    envs = make(rows=1, render_mode="rgb_array")
-    recorder = VecVideoRecorder(envs, str(tmp_path), lambda step: step == 0, video_length=2)
-    assert recorder.frames_per_sec == 20
-    recorder.reset()
-    for _ in range(3):
-        recorder.step(np.zeros((1, 2)))
-    recorder.close()
-    assert list(tmp_path.glob("*.mp4"))
-
-
-def test_ppo_learns_on_one_rover():
-    env = RoverEnv(world_n="maze", length=20)
-    PPO("MultiInputPolicy", env, n_steps=64, batch_size=64, n_epochs=1, device="cpu").learn(128)
-    env.close()
 
 
 def test_ppo_learns_on_the_batch():
@@ -203,11 +167,6 @@ def test_a_missing_library_is_named(monkeypatch):
         monkeypatch.delitem(sys.modules, module)
     with pytest.raises(ImportError, match=r"pip install \"rover_rl\[sb3\]\""):
         importlib.import_module("rover_rl.envs.sb3")
-
-
-def test_a_window_needs_a_single_rover():
-    with pytest.raises(ValueError, match=r"render_mode must be one of \[None, 'rgb_array'\], got 'human'"):
-        make(rows=2, render_mode="human")
 
 
 def test_seeds_out_of_range_are_refused(shared):

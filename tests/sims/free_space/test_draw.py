@@ -33,12 +33,6 @@ def test_draw_world_saves_an_image(name, tmp_path):
     assert [other.get_ylabel() for other in figure.axes[1:]] == ([] if name == "maze" else ["elevation (m)"])
 
 
-def test_the_map_covers_the_bounds_and_a_margin():
-    ax = draw_world(get_world("inspect"), ROVER).axes[0]
-    assert ax.get_xlim() == (-32.0, -10.0)
-    assert ax.get_ylim() == (-32.0, -14.0)
-
-
 def test_draw_world_uses_the_given_axes():
     figure = Figure()
     left, right = figure.subplots(1, 2)

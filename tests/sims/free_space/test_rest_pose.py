@@ -89,9 +89,3 @@ def test_a_pose_does_not_depend_on_the_rest_of_the_batch():
         alone = rest_on_ground(world, ROVER, poses[row : row + 1])
         assert torch.equal(alone[0][0], position[row])
         assert torch.equal(alone[1][0], rotation[row])
-
-
-def test_empty_batch():
-    position, rotation = rest_on_ground(get_world("maze"), ROVER, torch.zeros(0, 3))
-    assert position.shape == (0, 3)
-    assert rotation.shape == (0, 3, 3)

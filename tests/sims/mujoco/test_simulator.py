@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 
 import pytest
@@ -14,7 +13,7 @@ from rover_rl.sims import make_simulator
 from rover_rl.sims.base import Dynamics
 from rover_rl.sims.mujoco import MujocoSettings
 from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain, World, box, get_world
+from rover_rl.sims.worlds import Terrain, World, get_world
 
 ROVER = get_robot("rover_zero")
 FLAT = World("flat", Terrain.flat((40, 40)))
@@ -130,15 +129,6 @@ def unchanged(world, command, steps):
     return drive(sim, [command], steps)
 
 
-def test_friction_acts_on_its_row_alone():
-    # The coefficient is 0.5 in the first row and 0.2 in the second, and the gradient 0.3.
-    state = drive(randomized(slope(0.3), dynamics(friction=(7.0, 0.4))), [(0.0, 0.0)] * 2, 20)
-    moved = state.position[:, :2].norm(dim=-1)
-    assert moved[0] < 0.005
-    assert moved[1] > 0.1
-    assert torch.equal(state.position[0], unchanged(slope(0.3), (0.0, 0.0), 20).position[0])
-
-
 def test_chassis_mass_acts_on_its_row_alone():
     # Twice the weight of the chassis sinks in deeper by that weight over the stiffness of four wheels.
     state = drive(randomized(FLAT, dynamics(chassis_mass=(3.0, 2.0))), [(0.0, 0.0)] * 2, 40)
@@ -172,47 +162,3 @@ def test_the_height_of_the_edge_continues_outside_the_terrain(world):
     state = drive(sim, [(1.0, 0.0)], 60)
     assert state.position[0, 0] > 5.5
     assert state.position[0, 2].abs() < 0.02
-
-
-def test_a_wall_stops_the_rover_at_contact():
-    world = World("wall", Terrain.flat((20, 20)), [box((2.0, 0.0, 0.5), (0.5, 6.0, 1.0))])
-    state = drive(simulator([world]), [(1.0, 0.0)], 80)
-    # The front of the wheels is 0.2635 m ahead of the base frame.
-    assert state.position[0, 0].item() == pytest.approx(2.0 - 0.25 - 0.2635, abs=0.01)
-
-
-WITHOUT_BULLET = """
-import sys
-sys.modules["pybullet"] = None
-import torch
-from rover_rl import GymWrapper, RoverEnv
-from rover_rl.algos.config import training_config
-from rover_rl.algos.evaluation.episodes import stored_episodes
-from rover_rl.algos.evaluation.evaluate import evaluate
-from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.algos.train import train
-config = training_config(
-    "ppo", backend="mujoco", num_envs=4, rollout_length=16, total_steps=64, workers=1, runs=sys.argv[1]
-)
-summary = train(config)
-actor = Checkpoint.load(summary.checkpoint).make_actor()
-settings = Checkpoint.load(summary.checkpoint).config.env
-assert settings.backend == "mujoco"
-print(evaluate(actor, stored_episodes("maze").first(2), rows=2, seconds=1, env=settings).success_rate)
-env = GymWrapper(RoverEnv(world_n="maze", backend="mujoco"))
-env.reset()
-env.step(env.action_space.sample())
-try:
-    RoverEnv(world_n="maze", backend="bullet")
-except (ImportError, ValueError) as error:
-    print(error)
-"""
-
-
-@pytest.mark.slow
-def test_training_evaluation_and_gymnasium_run_without_pybullet(tmp_path):
-    run = [sys.executable, "-c", WITHOUT_BULLET, str(tmp_path)]
-    done = subprocess.run(run, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "PyBullet is not installed: pip install 'rover_rl[bullet]'" in done.stdout
-    assert "'warp' or 'mujoco'" in done.stdout

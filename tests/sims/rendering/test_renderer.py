@@ -170,12 +170,6 @@ def test_the_sky_is_above_the_horizon_and_hills_are_shaded():
     assert red[60:, :40].std() > 2 * render().float()[60:, :40, 0].std()
 
 
-def test_ground_continues_around_the_terrain():
-    small = World("small", Terrain.flat((4, 4)), bounds=((-2, 2), (-2, 2)))
-    difference = (render(small, view="top") - render(view="top")).abs()
-    assert difference.max() <= 3
-
-
 @pytest.mark.parametrize("size", [(1, 1), (7, 64), (64, 7)])
 def test_images_have_the_size_asked_for(size):
     image = RendererCache(ROVER).render(FLAT, pose(), "chase", *size)
