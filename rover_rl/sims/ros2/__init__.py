@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from rover_rl.sims.ros2.errors import PoseResetError, RobotLostError
 from rover_rl.sims.ros2.settings import Ros2Settings
 
 __all__ = ["PoseResetError", "RobotLostError", "Ros2Settings"]
+
+
+class RobotLostError(ConnectionError):
+    """A live rover no longer sends usable sensor data. A stop command was sent."""
+
+
+class PoseResetError(OSError):
+    """A live rover could not be moved to the start pose of an episode."""

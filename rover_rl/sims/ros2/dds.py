@@ -1,8 +1,8 @@
 """ROS 2 transport through Eclipse Cyclone DDS, without a ROS installation: ROS 2 topics are plain DDS topics.
 
-Requires the packages ``cyclonedds`` and ``rosbags`` (``pip install "rover_rl[ros2]"``). Domain and discovery range are
-selected as in ROS 2, by ``ROS_DOMAIN_ID``, ``ROS_LOCALHOST_ONLY`` and ``ROS_AUTOMATIC_DISCOVERY_RANGE``. Settings in
-``CYCLONEDDS_URI`` take precedence. If ``ROS_DISTRO`` is set, ``ros2 node list`` also shows the nodes.
+Domain and discovery range are selected as in ROS 2, by ``ROS_DOMAIN_ID``, ``ROS_LOCALHOST_ONLY`` and
+``ROS_AUTOMATIC_DISCOVERY_RANGE``. Settings in ``CYCLONEDDS_URI`` take precedence. If ``ROS_DISTRO`` is set,
+``ros2 node list`` also shows the nodes.
 """
 
 from __future__ import annotations
@@ -12,9 +12,12 @@ import os
 import threading
 import time
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any
+from uuid import UUID
+
+import numpy as np
 
 try:
     from cyclonedds.core import GuardCondition, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
@@ -29,22 +32,22 @@ except ImportError as error:  # pragma: no cover
     raise ImportError('ROS 2 over DDS requires the package cyclonedds: pip install "rover_rl[ros2]"') from error
 
 from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from rover_rl.sims.ros2.announce import TOPIC, NodeList, Participant, announcement_types
-from rover_rl.sims.ros2.cdr import COMMON_TYPES, MalformedError, decode, encode
-from rover_rl.sims.ros2.messages import Message
-from rover_rl.sims.ros2.throttle import ThrottledLogger
-from rover_rl.sims.ros2.transport import Publisher
-
-M = TypeVar("M", bound=Message)
+from rover_rl.sims.ros2.messages import TYPES, decode, encode
+from rover_rl.sims.ros2.transport import Publisher, ThrottledLogger
 
 MAX_DOMAIN_ID = 232
 """Highest domain ID. Higher ones exceed the range of port numbers (DDSI-RTPS 2.3, 9.6.1)."""
 ACTIVE_TIME = 1.0
 """Time since its last message during which a publisher counts as active, s."""
+NODE_LIST = "ros_discovery_info"
+"""DDS name of the topic that announces nodes. Unlike the names of ROS topics, it has no prefix."""
 _HISTORY_DEPTH = 5
 """Number of unread messages that a topic keeps."""
+_RELIABLE = Policy.Reliability.Reliable(duration(milliseconds=100))
+_XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
 
 _log = logging.getLogger(__name__)
 
@@ -67,7 +70,7 @@ class DdsTransport:
     def __init__(self, node: str, environment: Mapping[str, str] | None = None) -> None:
         self.node = node
         self._participant: _Participant | None = _participant(os.environ if environment is None else environment)
-        self._topics: dict[str, tuple[type[Message], Topic[Any]]] = {}
+        self._topics: dict[str, tuple[str, Topic[Any]]] = {}
         self._readers: list[_Reader] = []
         self._writers: dict[str, DataWriter[Any]] = {}
         self._announce()
@@ -78,33 +81,31 @@ class DdsTransport:
         self._thread = threading.Thread(target=self._read, name=f"{node} DDS reader", daemon=True)
         self._thread.start()
 
-    def subscribe(self, topic: str, kind: type[M], receive: Callable[[M], object], *, reliable: bool = False) -> None:
-        """Subscribes to a topic: see :meth:`Transport.subscribe`."""
+    def subscribe(self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False) -> None:
+        """See :meth:`Transport.subscribe`."""
         # Best effort and volatile matches every publisher. Further policies, such as deadlines, may not match.
         reliability = _RELIABLE if reliable else Policy.Reliability.BestEffort
         qos = Qos(reliability, Policy.Durability.Volatile, Policy.History.KeepLast(_HISTORY_DEPTH), _XCDR1)
-        reader = DataReader(self._require_open().entity, self._topic(topic, kind), qos)
-        condition = ReadCondition(reader, ViewState.Any | SampleState.Any | InstanceState.Any)
+        reader = _Reader(topic, DataReader(self._require_open().entity, self._topic(topic, kind), qos), receive)
         with self._lock:
-            self._readers.append(_Reader(topic, reader, condition, receive))
-            self._wait_set.attach(condition)
+            self._readers.append(reader)
+            self._wait_set.attach(reader.condition)
         self._announce()
 
-    def publisher(self, topic: str, kind: type[M], *, reliable: bool = False) -> Publisher[M]:
-        """Creates a publisher: see :meth:`Transport.publisher`."""
+    def publisher(self, topic: str, kind: Any, *, reliable: bool = False) -> Publisher:
+        """See :meth:`Transport.publisher`."""
         writer = DataWriter(self._require_open().entity, self._topic(topic, kind), _writer_qos(reliable))
         self._writers[topic] = writer
         self._announce()
-        sample_type = _sample_type(kind)
 
-        def publish(message: M) -> None:
+        def publish(message: Any) -> None:
             self._require_open()
-            writer.write(sample_type.from_bytes(encode(message)))
+            _write(writer, message, kind.ros_type)
 
         return publish
 
     def subscribers(self, topic: str) -> int:
-        """Returns the number of subscribers of ``topic``."""
+        """See :meth:`Transport.subscribers`."""
         return self._writers[topic].get_publication_matched_status().current_count
 
     def publishers(self, topic: str) -> int:
@@ -117,7 +118,7 @@ class DdsTransport:
         return max((reader.publishers() for reader in readers), default=0)
 
     def close(self) -> None:
-        """Stops the thread and releases all resources. Idempotent."""
+        """See :meth:`Transport.close`."""
         if self._participant is None:
             return
         self._stop.set(True)
@@ -137,16 +138,16 @@ class DdsTransport:
             raise RuntimeError(f"the connection of {self.node} is closed")
         return self._participant
 
-    def _topic(self, name: str, kind: type[Message]) -> Topic[Any]:
+    def _topic(self, name: str, kind: Any) -> Topic[Any]:
         if name not in self._topics:
-            self._topics[name] = (kind, Topic(self._require_open().entity, _dds_name(name), _sample_type(kind)))
+            topic = Topic(self._require_open().entity, "rt/" + name.removeprefix("/"), _sample_type(kind.ros_type))
+            self._topics[name] = (kind.ros_type, topic)
         known, topic = self._topics[name]
-        if known is not kind:
-            raise ValueError(f"topic {name} has type {known.ros_type}, and cannot also have type {kind.ros_type}")
+        if known != kind.ros_type:
+            raise ValueError(f"topic {name} has type {known}, and cannot also have type {kind.ros_type}")
         return topic
 
     def _announce(self) -> None:
-        """Announces this node's readers and writers to ROS 2, if the participant announces nodes."""
         nodes = self._require_open().nodes
         if nodes is not None:
             readers = [reader.reader.guid for reader in self._readers]
@@ -167,45 +168,30 @@ class DdsTransport:
 class _Reader:
     """A subscription and its callback."""
 
-    def __init__(
-        self, topic: str, reader: DataReader[Any], condition: ReadCondition, receive: Callable[[Any], object]
-    ) -> None:
-        self.topic, self.reader, self.condition, self.receive = topic, reader, condition, receive
+    def __init__(self, topic: str, reader: DataReader[Any], receive: Callable[[Any], object]) -> None:
+        self.topic, self.reader, self._receive = topic, reader, receive
+        self.condition = ReadCondition(reader, ViewState.Any | SampleState.Any | InstanceState.Any)
         self._throttled_log = ThrottledLogger(_log)
         self._last_heard: dict[int, float] = {}
 
     def publishers(self) -> int:
-        """Returns the number of publishers that have sent usable messages within the last second."""
         now = time.monotonic()
         return sum(now - last_heard < ACTIVE_TIME for last_heard in list(self._last_heard.values()))
 
     def take(self) -> None:
-        """Passes new messages to ``receive``.
-
-        A message that is malformed, or for which ``receive`` raises an error, is ignored with a warning.
-        """
+        """Passes new messages on. One that is malformed, or raises an error there, is ignored with a warning."""
         for sample in self.reader.take(_HISTORY_DEPTH, self.condition):
-            if isinstance(sample, _MalformedSample):
-                self._warn(sample.error)
-            elif isinstance(sample, Message):
-                try:
-                    if self.receive(sample) is not False:
-                        handle = sample.sample_info.publication_handle  # type: ignore[attr-defined]
-                        self._last_heard[handle] = time.monotonic()
-                except ValueError as error:
-                    self._warn(error)
-                except Exception:
-                    _log.exception("%s: the callback failed", self.topic)
-
-    def _warn(self, error: ValueError) -> None:
-        self._throttled_log.warning(self.topic, "%s: ignored a message: %s", self.topic, error)
-
-
-class _MalformedSample:
-    """Placeholder for a sample that is not a message of the expected type."""
-
-    def __init__(self, error: MalformedError) -> None:
-        self.error = error
+            if not sample.sample_info.valid_data:
+                continue
+            try:
+                if isinstance(sample, ValueError):
+                    raise sample
+                if self._receive(sample) is not False:
+                    self._last_heard[sample.sample_info.publication_handle] = time.monotonic()
+            except ValueError as error:
+                self._throttled_log.warning(self.topic, "%s: ignored a message: %s", self.topic, error)
+            except Exception:
+                _log.exception("%s: the callback failed", self.topic)
 
 
 class _Participant:
@@ -216,18 +202,47 @@ class _Participant:
         self._domain = Domain(number, settings)
         # As in rmw_cyclonedds_cpp: the user data names the security enclave and marks the participant as one of ROS 2.
         self.entity = DomainParticipant(number, Qos(Policy.Userdata(b"enclave=/;")))
-        self.nodes = self._node_list(distribution) if distribution else None
+        self.nodes = _NodeList(self.entity, distribution) if distribution else None
 
-    def _node_list(self, distribution: str) -> NodeList:
-        types = announcement_types(distribution)
-        sample_type = _sample_type(Participant, types)
-        qos = _writer_qos(reliable=True, transient_local=True)
-        writer = DataWriter(self.entity, Topic(self.entity, TOPIC, sample_type), qos)
 
-        def publish(message: Participant) -> None:
-            writer.write(sample_type.from_bytes(encode(message, types)))
+class _NodeList:
+    """List of a participant's nodes for ``ros2 node list``, published at each change. Topics work without it.
 
-        return NodeList(distribution, self.entity.guid, publish)
+    Identifiers have 24 bytes up to Humble and 16 bytes since Iron. Only the distribution's name distinguishes them.
+    """
+
+    def __init__(self, participant: DomainParticipant, distribution: str) -> None:
+        self._types = announcement_types(distribution)
+        self._size = self._types.fielddefs["rmw_dds_common/msg/Gid"][1][0][1][1][1]
+        self._participant, self._nodes = participant.guid, dict[int, Any]()
+        topic = Topic(participant, NODE_LIST, _sample_type("rmw_dds_common/msg/ParticipantEntitiesInfo", self._types))
+        self._writer = DataWriter(participant, topic, _writer_qos(reliable=True, transient_local=True))
+
+    def update(self, owner: int, name: str, readers: Iterable[UUID], writers: Iterable[UUID]) -> None:
+        gids = ([self._gid(entity) for entity in entities] for entities in (readers, writers))
+        self._nodes[owner] = self._message("NodeEntitiesInfo", "/", name, *gids)
+        self._publish()
+
+    def remove(self, owner: int) -> None:
+        del self._nodes[owner]
+        self._publish()
+
+    def _publish(self) -> None:
+        nodes = [*self._nodes.values()]
+        message = self._message("ParticipantEntitiesInfo", self._gid(self._participant), nodes)
+        _write(self._writer, message, "rmw_dds_common/msg/ParticipantEntitiesInfo", self._types)
+
+    def _gid(self, identifier: UUID) -> Any:
+        return self._message("Gid", np.frombuffer(identifier.bytes.ljust(self._size, b"\0"), np.uint8))
+
+    def _message(self, name: str, *values: object) -> Any:
+        return self._types.types[f"rmw_dds_common/msg/{name}"](*values)
+
+
+@cache
+def announcement_types(distribution: str) -> Typestore:
+    """Returns the message definitions that announce nodes in a ROS distribution, for example ``"jazzy"``."""
+    return get_typestore(Stores.ROS2_HUMBLE if distribution in ("foxy", "galactic", "humble") else Stores.ROS2_JAZZY)
 
 
 _participants: dict[int, Any] = {}
@@ -260,26 +275,20 @@ def domain_id(environment: Mapping[str, str]) -> int:
     return int(text)
 
 
-def is_localhost_only(environment: Mapping[str, str]) -> bool:
-    """Whether ROS 2's variables limit discovery to this machine."""
-    discovery_range = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").strip().upper()
-    return environment.get("ROS_LOCALHOST_ONLY", "").strip() == "1" or discovery_range == "LOCALHOST"
-
-
 def domain_settings(environment: Mapping[str, str]) -> str:
     """Returns Cyclone DDS's settings: XML fragments and file URIs, of which later ones take precedence."""
     # Fast DDS peers that offer type objects do not match without it.
-    own = ["<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"]
-    if is_localhost_only(environment):
+    own = "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
+    discovery_range = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").strip().upper()
+    if environment.get("ROS_LOCALHOST_ONLY", "").strip() == "1" or discovery_range == "LOCALHOST":
         # Fast DDS peers that start second are not discovered without multicast and a short interval.
-        own += [
+        own += (
             '<General><Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces>'
-            "<AllowMulticast>spdp</AllowMulticast></General>",
+            "<AllowMulticast>spdp</AllowMulticast></General>"
             "<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
-            '<SPDPInterval>1s</SPDPInterval><Peers><Peer address="localhost"/></Peers></Discovery>',
-        ]
-    given = environment.get("CYCLONEDDS_URI", "").strip()
-    return ",".join(["".join(own), given] if given else ["".join(own)])
+            '<SPDPInterval>1s</SPDPInterval><Peers><Peer address="localhost"/></Peers></Discovery>'
+        )
+    return ",".join(filter(None, (own, environment.get("CYCLONEDDS_URI", "").strip())))
 
 
 def _writer_qos(reliable: bool, transient_local: bool = False) -> Qos:
@@ -298,41 +307,36 @@ def _writer_qos(reliable: bool, transient_local: bool = False) -> Qos:
     )
 
 
-def _dds_name(topic: str) -> str:
-    """Returns the DDS name of a ROS topic: ``rt/scan`` for ``/scan``."""
-    return "rt/" + topic.removeprefix("/")
-
-
 class _SerializedSample(IdlStruct):
-    """Base of DDS types whose samples are serialized by :mod:`~rover_rl.sims.ros2.cdr`.
+    """Base of DDS types whose samples are serialized by :mod:`~rover_rl.sims.ros2.messages`.
 
     Cyclone's own serialization takes ten times as long, and produces objects of its own classes.
     """
 
     # Not annotated, as annotations declare fields of the DDS type. Subclasses set the first two, samples set ``data``.
-    message = Message
-    types = COMMON_TYPES
+    ros_type = ""
+    definitions = TYPES
     data = b""
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> _SerializedSample:
-        sample = cls.__new__(cls)
-        sample.data = data
-        return sample
 
     def serialize(self, *_: Any, **__: Any) -> bytes:
         return self.data
 
     @classmethod
     def deserialize(cls, data: bytes, *_: Any, **__: Any) -> Any:
+        """Returns the message, or the error of a malformed one."""
         try:
-            return decode(cls.message, data, cls.types)
-        except MalformedError as error:
-            return _MalformedSample(error)
+            return decode(cls.ros_type, data, cls.definitions)
+        except ValueError as error:
+            return error
 
 
-_RELIABLE = Policy.Reliability.Reliable(duration(milliseconds=100))
-_XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
+def _write(writer: DataWriter[Any], message: Any, ros_type: str, definitions: Typestore = TYPES) -> None:
+    sample_type = _sample_type(ros_type, definitions)
+    sample = sample_type.__new__(sample_type)
+    sample.data = encode(message, ros_type, definitions)
+    writer.write(sample)
+
+
 # Indexing these classes creates types, which type checkers do not support.
 _SEQUENCE: Any = types.sequence
 _ARRAY: Any = types.array
@@ -341,10 +345,10 @@ _BASE_TYPES: dict[str, Any] = {"string": str, "char": types.uint8} | {
 }
 
 
-def _sample_type(kind: type[Message], definitions: Typestore = COMMON_TYPES) -> type[_SerializedSample]:
+def _sample_type(ros_type: str, definitions: Typestore = TYPES) -> type[_SerializedSample]:
     """Returns the DDS type of a message; ``sensor_msgs/msg/Imu`` becomes ``sensor_msgs::msg::dds_::Imu_``."""
-    sample_type: Any = _struct(kind.ros_type, definitions, _SerializedSample)
-    sample_type.message, sample_type.types = kind, definitions
+    sample_type: Any = _struct(ros_type, definitions, _SerializedSample)
+    sample_type.ros_type, sample_type.definitions = ros_type, definitions
     return sample_type
 
 

@@ -23,9 +23,6 @@ class CommandLimits:
         yaw_rate: maximum yaw rate, rad/s.
         acceleration: maximum rate of change of the forward speed, m/s^2.
         yaw_acceleration: maximum rate of change of the yaw rate, rad/s^2.
-
-    Raises:
-        ValueError: if a limit is not positive and finite.
     """
 
     speed: float
@@ -33,20 +30,12 @@ class CommandLimits:
     acceleration: float
     yaw_acceleration: float
 
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0 < value < math.inf:
-                raise ValueError(f"the limit of the {name.replace('_', ' ')} must be positive and finite, got {value}")
-
     @classmethod
     def from_robot(cls, robot: Robot) -> CommandLimits:
         """Creates the limits of a robot's drive."""
-        return cls(
-            speed=robot.drive.max_speed,
-            yaw_rate=robot.drive.max_yaw_rate,
-            acceleration=robot.drive.max_linear_acceleration,
-            yaw_acceleration=robot.drive.max_angular_acceleration,
-        )
+        drive = robot.drive
+        acceleration, yaw_acceleration = drive.max_linear_acceleration, drive.max_angular_acceleration
+        return cls(drive.max_speed, drive.max_yaw_rate, acceleration, yaw_acceleration)
 
 
 class CommandLimiter:
@@ -56,9 +45,6 @@ class CommandLimiter:
     in nearly every step. Two measures prevent that: the yaw rate changes only as fast as the robot's drive does in
     training, and a change of the turning direction requires a desired yaw rate of at least :data:`MIN_REVERSAL`. With
     less, the rover stops turning.
-
-    Args:
-        limits: limits of the commands.
 
     Example:
         >>> limiter = CommandLimiter(CommandLimits(speed=1.0, yaw_rate=2.0, acceleration=5.0, yaw_acceleration=4.0))
@@ -75,11 +61,11 @@ class CommandLimiter:
         self._direction = 0.0
 
     def __call__(self, last: tuple[float, float], desired: tuple[float, float], dt: float) -> tuple[float, float]:
-        """Returns the next command on the way from ``last`` to ``desired``.
+        """Returns the next command, forward speed (m/s) and yaw rate (rad/s), on the way from ``last`` to ``desired``.
 
         Args:
-            last: forward speed (m/s) and yaw rate (rad/s) of the last command.
-            desired: forward speed (m/s) and yaw rate (rad/s) of the desired command.
+            last: last command.
+            desired: desired command.
             dt: time since the last command, s.
 
         Raises:
@@ -89,15 +75,12 @@ class CommandLimiter:
             raise ValueError(f"a command must be finite, got {desired[0]} m/s and {desired[1]} rad/s")
         limits = self.limits
         speed = _approach(last[0], _clip(desired[0], limits.speed), limits.acceleration * dt)
-        yaw_rate = _clip(self._suppress_small_reversal(desired[1]), limits.yaw_rate)
+        reverses_little = desired[1] * self._direction < 0 and abs(desired[1]) < MIN_REVERSAL
+        yaw_rate = 0.0 if reverses_little else _clip(desired[1], limits.yaw_rate)
         yaw_rate = _approach(last[1], yaw_rate, limits.yaw_acceleration * dt)
         if yaw_rate:
             self._direction = math.copysign(1.0, yaw_rate)
         return speed, yaw_rate
-
-    def _suppress_small_reversal(self, yaw_rate: float) -> float:
-        reverses = yaw_rate * self._direction < 0
-        return 0.0 if reverses and abs(yaw_rate) < MIN_REVERSAL else yaw_rate
 
 
 def _approach(last: float, desired: float, step: float) -> float:

@@ -1,21 +1,32 @@
-"""ROS 2 messages of the rover as plain dataclasses with the field names of ROS.
+"""ROS 2 messages of the rover as dataclasses, and their serialization in OMG's Common Data Representation (CDR).
 
-They do not require ROS: :mod:`rover_rl.sims.ros2.cdr` serializes and deserializes them. Fields and their order are
-those of ``common_interfaces`` (``std_msgs``, ``geometry_msgs``, ``sensor_msgs``, ``nav_msgs``), unchanged since Humble.
+The package rosbags, which requires no ROS, has the definitions and serializes. All fields have a default: 0, an empty
+text or list, and the identity as orientation.
+
+Example:
+    >>> decode("geometry_msgs/msg/Twist", encode(Twist(Vector3(x=0.5)))).linear.x
+    0.5
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field, make_dataclass
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-_zeros9: Callable[[], NDArray[np.float64]] = partial(np.zeros, 9)
-_zeros36: Callable[[], NDArray[np.float64]] = partial(np.zeros, 36)
+try:
+    from rosbags.interfaces import Nodetype
+    from rosbags.serde import SerdeError
+    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys.store import Typestore
+except ImportError as error:  # pragma: no cover
+    raise ImportError('ROS 2 requires the package rosbags: pip install "rover_rl[ros2]"') from error
+
+TYPES = get_typestore(Stores.ROS2_HUMBLE)
+"""Definitions of ``common_interfaces``, unchanged since Humble."""
 
 
 class Message:
@@ -28,174 +39,78 @@ class Message:
     ros_type: ClassVar[str]
 
 
-@dataclass
-class Time(Message):
-    """A point in time or a duration."""
-
-    ros_type = "builtin_interfaces/msg/Time"
-    sec: int = 0
-    nanosec: int = 0
-
+class _Time(Message):
     @classmethod
-    def from_seconds(cls, seconds: float) -> Time:
+    def from_seconds(cls, seconds: float) -> Any:
         """Converts seconds."""
         nanoseconds = round(seconds * 1e9)
-        return cls(nanoseconds // 1_000_000_000, nanoseconds % 1_000_000_000)
-
-    @property
-    def seconds(self) -> float:
-        """Time in seconds."""
-        return self.sec + self.nanosec * 1e-9
+        return cls(nanoseconds // 1_000_000_000, nanoseconds % 1_000_000_000)  # type: ignore[call-arg]
 
 
-@dataclass
-class Header(Message):
-    """Time stamp and frame of a message."""
-
-    ros_type = "std_msgs/msg/Header"
-    stamp: Time = field(default_factory=Time)
-    frame_id: str = ""
-
-
-@dataclass
-class Vector3(Message):
-    """A vector, in m/s, rad/s or m/s^2."""
-
-    ros_type = "geometry_msgs/msg/Vector3"
-    x: float = 0.0
-    y: float = 0.0
-    z: float = 0.0
+def _message(ros_type: str, base: type[Message] = Message, **defaults: float) -> Any:
+    """Makes the class of a message from those of its fields, and decodes messages of the type to it."""
+    fields: list[Any] = [
+        (name, Any, field(default=defaults[name]) if name in defaults else field(default_factory=_zero(*layout)))
+        for name, layout in TYPES.fielddefs[ros_type][1]
+    ]
+    kind = make_dataclass(ros_type.split("/")[-1], fields, bases=(base,), namespace={"ros_type": ros_type})
+    TYPES.types[ros_type] = kind
+    return kind
 
 
-@dataclass
-class Point(Message):
-    """A position, m."""
-
-    ros_type = "geometry_msgs/msg/Point"
-    x: float = 0.0
-    y: float = 0.0
-    z: float = 0.0
-
-
-@dataclass
-class Quaternion(Message):
-    """An orientation as a quaternion."""
-
-    ros_type = "geometry_msgs/msg/Quaternion"
-    x: float = 0.0
-    y: float = 0.0
-    z: float = 0.0
-    w: float = 1.0
+def _zero(node: Nodetype, content: Any) -> Callable[[], Any]:
+    """Returns the function that makes the default of a field."""
+    if node == Nodetype.NAME:
+        return TYPES.types[content]
+    if node == Nodetype.BASE:
+        return {"string": str, "float32": float, "float64": float}.get(content[0], int)
+    (element, name), length = content
+    return list if element == Nodetype.NAME else partial(np.zeros, length, name[0])
 
 
-@dataclass
-class Pose(Message):
-    """A position and an orientation."""
-
-    ros_type = "geometry_msgs/msg/Pose"
-    position: Point = field(default_factory=Point)
-    orientation: Quaternion = field(default_factory=Quaternion)
-
-
-@dataclass
-class PoseStamped(Message):
-    """A pose with a time stamp and a frame."""
-
-    ros_type = "geometry_msgs/msg/PoseStamped"
-    header: Header = field(default_factory=Header)
-    pose: Pose = field(default_factory=Pose)
-
-
-@dataclass
-class PoseArray(Message):
-    """Poses in one frame. The rover's pose is the first."""
-
-    ros_type = "geometry_msgs/msg/PoseArray"
-    header: Header = field(default_factory=Header)
-    poses: list[Pose] = field(default_factory=list)
+Time = _message("builtin_interfaces/msg/Time", _Time)
+Header = _message("std_msgs/msg/Header")
+Vector3 = _message("geometry_msgs/msg/Vector3")
+Point = _message("geometry_msgs/msg/Point")
+Quaternion = _message("geometry_msgs/msg/Quaternion", w=1.0)
+Pose = _message("geometry_msgs/msg/Pose")
+PoseStamped = _message("geometry_msgs/msg/PoseStamped")
+PoseArray = _message("geometry_msgs/msg/PoseArray")
+PoseWithCovariance = _message("geometry_msgs/msg/PoseWithCovariance")
+Twist = _message("geometry_msgs/msg/Twist")
+TwistStamped = _message("geometry_msgs/msg/TwistStamped")
+TwistWithCovariance = _message("geometry_msgs/msg/TwistWithCovariance")
+Odometry = _message("nav_msgs/msg/Odometry")
+Imu = _message("sensor_msgs/msg/Imu")
+LaserScan = _message("sensor_msgs/msg/LaserScan")
+Clock = _message("rosgraph_msgs/msg/Clock")
 
 
-@dataclass
-class PoseWithCovariance(Message):
-    """A pose with its covariance."""
+def encode(message: Any, ros_type: str = "", types: Typestore = TYPES) -> bytes:
+    """Serializes a message, little endian.
 
-    ros_type = "geometry_msgs/msg/PoseWithCovariance"
-    pose: Pose = field(default_factory=Pose)
-    covariance: NDArray[np.float64] = field(default_factory=_zeros36)
+    Args:
+        message: message.
+        ros_type: ROS 2 name of its type; empty: that of its class.
+        types: definitions of messages.
 
-
-@dataclass
-class Twist(Message):
-    """Linear and angular velocity. The rover uses ``linear.x`` (m/s) and ``angular.z`` (rad/s)."""
-
-    ros_type = "geometry_msgs/msg/Twist"
-    linear: Vector3 = field(default_factory=Vector3)
-    angular: Vector3 = field(default_factory=Vector3)
-
-
-@dataclass
-class TwistStamped(Message):
-    """A velocity with a time stamp and a frame."""
-
-    ros_type = "geometry_msgs/msg/TwistStamped"
-    header: Header = field(default_factory=Header)
-    twist: Twist = field(default_factory=Twist)
+    Raises:
+        ValueError: if an array has the wrong length or the wrong type of numbers.
+    """
+    ros_type = ros_type or message.ros_type
+    try:
+        return bytes(types.serialize_cdr(message, ros_type, little_endian=True))
+    except SerdeError as error:
+        raise ValueError(f"{ros_type}: {error}") from error
 
 
-@dataclass
-class TwistWithCovariance(Message):
-    """A velocity with its covariance."""
+def decode(ros_type: str, data: bytes, types: Typestore = TYPES) -> Any:
+    """Deserializes a message of type ``ros_type``. Its arrays are read-only.
 
-    ros_type = "geometry_msgs/msg/TwistWithCovariance"
-    twist: Twist = field(default_factory=Twist)
-    covariance: NDArray[np.float64] = field(default_factory=_zeros36)
-
-
-@dataclass
-class Odometry(Message):
-    """Pose and velocity by odometry."""
-
-    ros_type = "nav_msgs/msg/Odometry"
-    header: Header = field(default_factory=Header)
-    child_frame_id: str = ""
-    pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
-    twist: TwistWithCovariance = field(default_factory=TwistWithCovariance)
-
-
-@dataclass
-class Imu(Message):
-    """Orientation, angular velocity (rad/s) and linear acceleration (m/s^2)."""
-
-    ros_type = "sensor_msgs/msg/Imu"
-    header: Header = field(default_factory=Header)
-    orientation: Quaternion = field(default_factory=Quaternion)
-    orientation_covariance: NDArray[np.float64] = field(default_factory=_zeros9)
-    angular_velocity: Vector3 = field(default_factory=Vector3)
-    angular_velocity_covariance: NDArray[np.float64] = field(default_factory=_zeros9)
-    linear_acceleration: Vector3 = field(default_factory=Vector3)
-    linear_acceleration_covariance: NDArray[np.float64] = field(default_factory=_zeros9)
-
-
-@dataclass
-class LaserScan(Message):
-    """A lidar scan. Angles in rad, counter-clockwise from the lidar's x axis; times in s; ranges in m."""
-
-    ros_type = "sensor_msgs/msg/LaserScan"
-    header: Header = field(default_factory=Header)
-    angle_min: float = 0.0
-    angle_max: float = 0.0
-    angle_increment: float = 0.0
-    time_increment: float = 0.0
-    scan_time: float = 0.0
-    range_min: float = 0.0
-    range_max: float = 0.0
-    ranges: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
-    intensities: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
-
-
-@dataclass
-class Clock(Message):
-    """Simulation time."""
-
-    ros_type = "rosgraph_msgs/msg/Clock"
-    clock: Time = field(default_factory=Time)
+    Raises:
+        ValueError: if ``data`` is not such a message.
+    """
+    try:
+        return types.deserialize_cdr(data, ros_type)
+    except SerdeError as error:
+        raise ValueError(f"{ros_type}: {error}") from error

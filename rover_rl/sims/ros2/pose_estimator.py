@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from rover_rl.sims.ros2.messages import Message, Odometry, PoseArray, PoseStamped
+from rover_rl.sims.ros2.messages import Odometry, PoseArray, PoseStamped
 from rover_rl.sims.ros2.pose_reset import TargetPose
 from rover_rl.sims.ros2.readings import MeasuredPose, read_pose, read_pose_array
 from rover_rl.sims.ros2.settings import PoseSource
@@ -21,21 +21,13 @@ ORIGIN_POSE = MeasuredPose(torch.zeros(3), IDENTITY_ORIENTATION)
 """Pose before the first pose message."""
 YAW_TOLERANCE = 0.3
 """Maximum yaw error of a rover that has reached its target pose, rad."""
-
-
-class PoseMessage(NamedTuple):
-    """Type of a pose message and the function that reads it."""
-
-    kind: type[Message]
-    read: Callable[[Any], MeasuredPose]
-
-
-POSE_MESSAGES: dict[PoseSource, PoseMessage] = {
-    "pose_array": PoseMessage(PoseArray, read_pose_array),
-    "pose_stamped": PoseMessage(PoseStamped, lambda msg: read_pose(msg.pose)),
-    "odometry": PoseMessage(Odometry, lambda msg: read_pose(msg.pose.pose)),
-    "wheels": PoseMessage(Odometry, lambda msg: read_pose(msg.pose.pose)),
+POSE_MESSAGES: dict[PoseSource, tuple[Any, Callable[[Any], MeasuredPose]]] = {
+    "pose_array": (PoseArray, read_pose_array),
+    "pose_stamped": (PoseStamped, lambda msg: read_pose(msg.pose)),
+    "odometry": (Odometry, lambda msg: read_pose(msg.pose.pose)),
+    "wheels": (Odometry, lambda msg: read_pose(msg.pose.pose)),
 }
+"""Type of the pose message of each source, and the function that reads it."""
 
 
 class PoseEstimator:
@@ -43,7 +35,7 @@ class PoseEstimator:
 
     The positions of a pose array and the IMU's heading are in the world's frame. A localizer provides the heading in
     its map; between two of its poses the IMU provides the change. Wheel odometry has a frame of its own, which is
-    aligned with the world at the start of each episode.
+    aligned with the world at the start of each episode. All orientations of the IMU are the latest ones, ``[4]``.
 
     Args:
         source: source of the poses.
@@ -54,36 +46,26 @@ class PoseEstimator:
         self._frame = _OdometryFrame()
 
     def align_imu(self, pose: MeasuredPose, imu_orientation: Tensor) -> MeasuredPose:
-        """Adds the yaw offset of the IMU to a localizer's pose; returns other poses unchanged.
-
-        Args:
-            pose: pose that has just arrived.
-            imu_orientation: latest orientation of the IMU, ``[4]``.
-        """
+        """Adds the yaw offset of the IMU to a localizer's pose that has just arrived; returns other poses unchanged."""
         if self._source in ("pose_stamped", "odometry"):
             return pose._replace(imu_yaw_offset=_yaw(pose.orientation) - _yaw(imu_orientation))
         return pose
 
     def estimate(self, pose: MeasuredPose, imu_orientation: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns position ``[3]`` and orientation ``[4]`` in the world.
-
-        Args:
-            pose: latest pose, from :meth:`align_imu`.
-            imu_orientation: latest orientation of the IMU, ``[4]``.
-        """
+        """Returns position ``[3]`` and orientation ``[4]`` in the world for a pose from :meth:`align_imu`."""
         if self._source == "wheels":
             return self._frame.to_world(pose.position), _rotate_yaw(imu_orientation, self._frame.imu_yaw_offset)
         offset = pose.imu_yaw_offset
         return pose.position, _rotate_yaw(imu_orientation, offset) if offset else imu_orientation
 
     def start_episode(
-        self, pose: MeasuredPose, imu_orientation: Tensor, target: TargetPose | None, ground: float = 0.0
+        self, pose: MeasuredPose, imu_orientation: Tensor, target: TargetPose | None, ground: float
     ) -> None:
         """Aligns the frame of the wheel odometry with the world.
 
         Args:
             pose: latest pose.
-            imu_orientation: latest orientation of the IMU, ``[4]``.
+            imu_orientation: latest orientation of the IMU.
             target: pose that the rover was moved to; ``None`` if it was not moved: the odometry's frame is the world's.
             ground: height of the ground at the target, m.
         """
@@ -95,13 +77,7 @@ class PoseEstimator:
             self._frame = _OdometryFrame(target.yaw - odometry_yaw, pose.position, world_origin, target.yaw - imu_yaw)
 
     def matches_target(self, pose: MeasuredPose, target: TargetPose, tolerance: float) -> bool:
-        """Whether a pose matches a target; always true for wheel odometry, which does not measure it.
-
-        Args:
-            pose: latest pose.
-            target: pose that the rover was moved to.
-            tolerance: maximum distance from the target, m.
-        """
+        """Whether a pose is within ``tolerance`` (m) of a target; always true for wheel odometry, which cannot tell."""
         if self._source == "wheels":
             return True
         x, y, _ = pose.position.tolist()
@@ -111,13 +87,9 @@ class PoseEstimator:
 
 
 class _OdometryFrame(NamedTuple):
-    """Frame of the wheel odometry in the world.
+    """Frame of the wheel odometry in the world: its yaw, and the origin of the episode in either frame, ``[3]``, m.
 
-    Attributes:
-        yaw: yaw of the frame in the world, rad.
-        origin: position in the frame at the start of the episode, ``[3]``, m.
-        world_origin: position in the world at the start of the episode, ``[3]``, m.
-        imu_yaw_offset: yaw of the IMU's frame in the world, rad.
+    ``imu_yaw_offset`` is the yaw of the IMU's frame in the world, rad.
     """
 
     yaw: float = 0.0
@@ -126,7 +98,6 @@ class _OdometryFrame(NamedTuple):
     imu_yaw_offset: float = 0.0
 
     def to_world(self, position: Tensor) -> Tensor:
-        """Converts a position ``[3]`` (m) from this frame to the world."""
         dx, dy, dz = (position - self.origin).tolist()
         cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
         return self.world_origin + torch.tensor([cosine * dx - sine * dy, sine * dx + cosine * dy, dz])

@@ -7,15 +7,15 @@ import math
 import shutil
 import subprocess
 import time
-from typing import NamedTuple, Protocol, get_args
+from typing import NamedTuple, get_args
 
-from rover_rl.sims.ros2.errors import PoseResetError
+from rover_rl.sims.ros2 import PoseResetError
 from rover_rl.sims.ros2.messages import Header, Point, Pose, PoseStamped, Quaternion
 from rover_rl.sims.ros2.settings import PoseReset, Ros2Settings
 from rover_rl.sims.ros2.transport import Transport
 
-_log = logging.getLogger(__name__)
-
+GAZEBO_MESSAGES = {"ign": "ignition.msgs", "gz": "gz.msgs"}
+"""Gazebo's commands, of Fortress and Harmonic, with the message package of each."""
 _FAILURES = ("ERROR", "Unable", "timed out", "failed")
 """Words in the output of a failed Gazebo service call, whose exit code is 0 as well."""
 _SUBSCRIBER_TIMEOUT = 5.0
@@ -25,16 +25,11 @@ _DISCOVERY_TIMEOUT = 1.0
 _SERVICE_TIMEOUT_MS = 2000
 """Timeout of a Gazebo service call, ms."""
 
+_log = logging.getLogger(__name__)
+
 
 class TargetPose(NamedTuple):
-    """Pose to move the rover to.
-
-    Attributes:
-        x: position along the world's x axis, m.
-        y: position along the world's y axis, m.
-        z: height, m.
-        yaw: heading, counter-clockwise from the world's x axis, rad.
-    """
+    """Pose to move the rover to: x, y and height z in the world, m, and yaw, counter-clockwise from the x axis, rad."""
 
     x: float
     y: float
@@ -47,13 +42,37 @@ class TargetPose(NamedTuple):
         return 0.0, 0.0, math.sin(self.yaw / 2), math.cos(self.yaw / 2)
 
 
-class Placer(Protocol):
-    """Moves the rover to a pose."""
+class Placer:
+    """Moves the rover to the start of an episode in the way that the settings select.
+
+    With ``reset="auto"``, the first reset selects the way: the reset topic if a node subscribes to it, Gazebo's command
+    if it is installed, none.
+
+    Args:
+        settings: settings of the connection.
+        world: name of the world in Gazebo.
+        transport: transport to publish on.
+
+    Raises:
+        FileNotFoundError: if Gazebo's command is selected and not installed.
+    """
+
+    def __init__(self, settings: Ros2Settings, world: str, transport: Transport) -> None:
+        self._settings, self._world, self._transport = settings, world, transport
+        self._way: PoseReset = settings.reset
+        if self._way in GAZEBO_MESSAGES and not shutil.which(self._way):
+            others = [choice for choice in get_args(PoseReset) if choice != self._way]
+            raise FileNotFoundError(
+                f"reset={self._way!r} needs Gazebo's command {self._way!r}, which is not on the PATH; install it, or "
+                f"choose another backend=Ros2Settings(reset=...): {', '.join(map(repr, others))}"
+            )
+        if self._way in ("auto", "topic"):
+            self._publish = transport.publisher(settings.reset_topic, PoseStamped, reliable=True)
 
     @property
     def moves(self) -> bool:
-        """Whether the placer moves the rover at all."""
-        ...
+        """Whether the rover is moved at all; false before an automatic selection."""
+        return self._way not in ("auto", "none")
 
     def place(self, target: TargetPose) -> None:
         """Requests the move. The topic of the pose shows its completion.
@@ -61,183 +80,89 @@ class Placer(Protocol):
         Raises:
             PoseResetError: if the request fails.
         """
-        ...
+        if self._way == "auto":
+            self._way = self._select()
+        if self._way in GAZEBO_MESSAGES:
+            place_in_gazebo(self._way, self._world, self._settings.model, target)
+        elif self._way == "topic":
+            self._send(target)
+        elif self._way == "manual":
+            _ask_for(target)
 
-
-class GazeboPlacer:
-    """Moves the rover by Gazebo's service ``/world/<world>/set_pose``, through Gazebo's command.
-
-    Args:
-        command: ``"ign"`` (Fortress) or ``"gz"`` (Harmonic).
-        world: name of the world in Gazebo.
-        model: name of the rover in Gazebo.
-
-    Raises:
-        FileNotFoundError: if the command is not installed.
-    """
-
-    moves = True
-    MESSAGES = {"ign": "ignition.msgs", "gz": "gz.msgs"}  # noqa: RUF012
-    """Message package of each command."""
-
-    def __init__(self, command: str, world: str, model: str) -> None:
-        program = shutil.which(command)
-        if program is None:
-            others = [choice for choice in get_args(PoseReset) if choice != command]
-            raise FileNotFoundError(
-                f"reset={command!r} needs Gazebo's command {command!r}, which is not on the PATH; install it, or "
-                f"choose another backend=Ros2Settings(reset=...): {', '.join(map(repr, others))}"
-            )
-        self._program, self._package, self._world, self._model = program, self.MESSAGES[command], world, model
-
-    def place(self, target: TargetPose) -> None:
-        """Calls Gazebo's service: see :meth:`Placer.place`."""
-        if not all(map(math.isfinite, target)):
-            raise PoseResetError(f"a pose must be finite numbers, got {tuple(target)}")
-        _, _, z, w = target.quaternion
-        request = (
-            f'name: "{self._model}", position: {{x: {target.x!r}, y: {target.y!r}, z: {target.z!r}}}, '
-            f"orientation: {{x: 0.0, y: 0.0, z: {z!r}, w: {w!r}}}"
-        )
-        arguments = [self._program, "service", "-s", f"/world/{self._world}/set_pose"]
-        arguments += ["--reqtype", f"{self._package}.Pose", "--reptype", f"{self._package}.Boolean"]
-        arguments += ["--timeout", str(_SERVICE_TIMEOUT_MS), "--req", request]
-        try:
-            answer = subprocess.run(
-                arguments,
-                capture_output=True,
-                text=True,
-                errors="replace",
-                timeout=2 * _SERVICE_TIMEOUT_MS / 1000,
-                check=False,
-            )
-        except subprocess.TimeoutExpired as error:
-            raise PoseResetError(f"{self._program} did not finish within {error.timeout:g} s") from error
-        if not succeeded(answer.stdout, answer.stderr):
-            output = (answer.stdout + answer.stderr).strip() or "nothing"
-            raise PoseResetError(f"{' '.join(arguments[:4])} did not move {self._model!r}; its output: {output}")
-
-
-def succeeded(output: str, errors: str) -> bool:
-    """Whether a Gazebo service call succeeded: its answer is ``data: true``, and it prints no failure.
-
-    Args:
-        output: standard output of the call.
-        errors: standard error of the call.
-    """
-    printed = output + "\n" + errors
-    return "data: true" in map(str.strip, output.splitlines()) and not any(word in printed for word in _FAILURES)
-
-
-class TopicPlacer:
-    """Moves the rover by a ``geometry_msgs/PoseStamped`` to a node that subscribes to it, such as ``rover-rl robot``.
-
-    Args:
-        transport: transport to publish on.
-        topic: topic of the pose.
-    """
-
-    moves = True
-
-    def __init__(self, transport: Transport, topic: str) -> None:
-        self._publish = transport.publisher(topic, PoseStamped, reliable=True)
-        self._transport, self._topic = transport, topic
-
-    def wait_for_subscriber(self, timeout: float) -> bool:
-        """Waits at most ``timeout`` (s) for a node that subscribes to the topic; returns whether there is one."""
-        deadline = time.monotonic() + timeout
-        while not self._transport.subscribers(self._topic):
-            if time.monotonic() > deadline:
-                return False
-            time.sleep(0.01)
-        return True
-
-    def place(self, target: TargetPose) -> None:
-        """Publishes the pose once a node subscribes: see :meth:`Placer.place`."""
-        if not self.wait_for_subscriber(_SUBSCRIBER_TIMEOUT):
-            raise PoseResetError(f"no node subscribes to {self._topic}, so the rover cannot be moved to the start")
-        pose = Pose(Point(target.x, target.y, target.z), Quaternion(*target.quaternion))
-        self._publish(PoseStamped(Header(frame_id="world"), pose))
-
-
-class ManualPlacer:
-    """Asks a person on the terminal to move the rover, and waits for the person's answer."""
-
-    moves = True
-
-    def place(self, target: TargetPose) -> None:
-        """Shows the pose, and waits for an answer: see :meth:`Placer.place`."""
-        where = f"x {target.x:.2f} m, y {target.y:.2f} m, heading {math.degrees(target.yaw):.0f} degrees"
-        try:
-            input(f"Put the rover at {where}, and press Enter: ")
-        except EOFError as error:
-            raise PoseResetError(
-                f"nobody answers the prompt to put the rover at {where}: standard input is closed"
-            ) from error
-
-
-class NoPlacer:
-    """Leaves the rover where it is."""
-
-    moves = False
-
-    def place(self, target: TargetPose) -> None:
-        """Does nothing: see :meth:`Placer.place`."""
-
-
-class AutoPlacer:
-    """Selects a placer at the first reset, and keeps it.
-
-    The order is: the reset topic if a node subscribes to it, Gazebo's command if it is installed, none.
-
-    Args:
-        settings: settings of the connection.
-        world: name of the world in Gazebo.
-        transport: transport to publish on.
-    """
-
-    def __init__(self, settings: Ros2Settings, world: str, transport: Transport) -> None:
-        self._settings, self._world, self._transport = settings, world, transport
-        self._topic = TopicPlacer(transport, settings.reset_topic)
-        self._selected: Placer | None = None
-
-    @property
-    def moves(self) -> bool:
-        """Whether the selected placer moves the rover; False before the first reset."""
-        return self._selected is not None and self._selected.moves
-
-    def place(self, target: TargetPose) -> None:
-        """Moves the rover by the selected placer: see :meth:`Placer.place`."""
-        if self._selected is None:
-            self._selected = self._select()
-        self._selected.place(target)
-
-    def _select(self) -> Placer:
-        if self._topic.wait_for_subscriber(_DISCOVERY_TIMEOUT):
-            return self._topic
-        for command in GazeboPlacer.MESSAGES:
-            if shutil.which(command):
-                return GazeboPlacer(command, self._world, self._settings.model)
+    def _select(self) -> PoseReset:
+        if self._has_subscriber(_DISCOVERY_TIMEOUT):
+            return "topic"
+        if shutil.which("ign"):
+            return "ign"
+        if shutil.which("gz"):
+            return "gz"
         _log.warning(
             "no node subscribes to %s, and neither ign nor gz is installed: episodes start where the rover is; "
             "choose another way to move it with Ros2Settings(reset=...)",
             self._settings.reset_topic,
         )
-        return NoPlacer()
+        return "none"
+
+    def _has_subscriber(self, timeout: float) -> bool:
+        """Waits at most ``timeout`` (s) for a node that subscribes to the topic; returns whether there is one."""
+        deadline = time.monotonic() + timeout
+        while not self._transport.subscribers(self._settings.reset_topic):
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(0.01)
+        return True
+
+    def _send(self, target: TargetPose) -> None:
+        """Publishes the pose to a node that moves the rover, such as ``rover-rl robot``, once it subscribes."""
+        topic = self._settings.reset_topic
+        if not self._has_subscriber(_SUBSCRIBER_TIMEOUT):
+            raise PoseResetError(f"no node subscribes to {topic}, so the rover cannot be moved to the start")
+        pose = Pose(Point(target.x, target.y, target.z), Quaternion(*target.quaternion))
+        self._publish(PoseStamped(Header(frame_id="world"), pose))
 
 
-def make_placer(settings: Ros2Settings, world: str, transport: Transport) -> Placer:
-    """Creates the placer that the settings select.
+def place_in_gazebo(command: str, world: str, model: str, target: TargetPose) -> None:
+    """Moves a model by Gazebo's service ``/world/<world>/set_pose``, through Gazebo's command.
+
+    The exit code is 0 for every outcome. A call that succeeds answers ``data: true`` and prints no failure.
 
     Args:
-        settings: settings of the connection.
+        command: ``"ign"`` (Fortress) or ``"gz"`` (Harmonic).
         world: name of the world in Gazebo.
-        transport: transport to publish on.
+        model: name of the rover in Gazebo.
+        target: pose to move it to.
+
+    Raises:
+        PoseResetError: if the pose is not finite, or the call fails.
     """
-    if settings.reset == "auto":
-        return AutoPlacer(settings, world, transport)
-    if settings.reset in GazeboPlacer.MESSAGES:
-        return GazeboPlacer(settings.reset, world, settings.model)
-    if settings.reset == "topic":
-        return TopicPlacer(transport, settings.reset_topic)
-    return ManualPlacer() if settings.reset == "manual" else NoPlacer()
+    if not all(map(math.isfinite, target)):
+        raise PoseResetError(f"a pose must be finite numbers, got {tuple(target)}")
+    _, _, z, w = target.quaternion
+    request = (
+        f'name: "{model}", position: {{x: {target.x!r}, y: {target.y!r}, z: {target.z!r}}}, '
+        f"orientation: {{x: 0.0, y: 0.0, z: {z!r}, w: {w!r}}}"
+    )
+    package = GAZEBO_MESSAGES[command]
+    arguments = [command, "service", "-s", f"/world/{world}/set_pose"]
+    arguments += ["--reqtype", f"{package}.Pose", "--reptype", f"{package}.Boolean"]
+    arguments += ["--timeout", str(_SERVICE_TIMEOUT_MS), "--req", request]
+    limit = 2 * _SERVICE_TIMEOUT_MS / 1000
+    try:
+        answer = subprocess.run(arguments, capture_output=True, text=True, errors="replace", timeout=limit, check=False)
+    except subprocess.TimeoutExpired as error:
+        raise PoseResetError(f"{command} did not finish within {error.timeout:g} s") from error
+    printed = answer.stdout + "\n" + answer.stderr
+    if "data: true" not in map(str.strip, answer.stdout.splitlines()) or any(word in printed for word in _FAILURES):
+        output = printed.strip() or "nothing"
+        raise PoseResetError(f"{' '.join(arguments[:4])} did not move {model!r}; its output: {output}")
+
+
+def _ask_for(target: TargetPose) -> None:
+    """Asks a person on the terminal to move the rover, and waits for the person's answer."""
+    where = f"x {target.x:.2f} m, y {target.y:.2f} m, heading {math.degrees(target.yaw):.0f} degrees"
+    try:
+        input(f"Put the rover at {where}, and press Enter: ")
+    except EOFError as error:
+        raise PoseResetError(
+            f"nobody answers the prompt to put the rover at {where}: standard input is closed"
+        ) from error

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from importlib import import_module
-from typing import Any, TypeVar
+from typing import Any
 
 try:
     import rclpy
@@ -19,20 +19,13 @@ except ImportError as error:
         "Python that it was built for; transport='dds' requires no ROS"
     ) from error
 
-from rover_rl.sims.ros2.messages import Message
 from rover_rl.sims.ros2.transport import Publisher
-
-M = TypeVar("M", bound=Message)
 
 
 class RclpyTransport:
-    """Transport through an rclpy node: see :class:`~rover_rl.sims.ros2.transport.Transport`.
+    """Transport through an rclpy node, which spins in a thread of its own.
 
-    The node spins in a thread of its own. Received messages are instances of ROS's own classes, which have the same
-    attributes as :mod:`rover_rl.sims.ros2.messages`.
-
-    Args:
-        node: name of the node.
+    Received messages are instances of ROS's own classes. See :class:`~rover_rl.sims.ros2.transport.Transport`.
     """
 
     def __init__(self, node: str) -> None:
@@ -46,19 +39,18 @@ class RclpyTransport:
         self._thread.start()
         self._closed = False
 
-    def subscribe(self, topic: str, kind: type[M], receive: Callable[[M], object], *, reliable: bool = False) -> None:
-        """Subscribes to a topic: see :meth:`Transport.subscribe`."""
+    def subscribe(self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False) -> None:
+        """See :meth:`Transport.subscribe`."""
         self._node.create_subscription(_ros_type(kind), topic, receive, _qos_profile(reliable))
 
-    def publisher(self, topic: str, kind: type[M], *, reliable: bool = False) -> Publisher[M]:
-        """Creates a publisher: see :meth:`Transport.publisher`."""
+    def publisher(self, topic: str, kind: Any, *, reliable: bool = False) -> Publisher:
+        """See :meth:`Transport.publisher`."""
         ros_type = _ros_type(kind)
-        publisher = self._node.create_publisher(ros_type, topic, _qos_profile(reliable))
-        self._publishers[topic] = publisher
+        publisher = self._publishers[topic] = self._node.create_publisher(ros_type, topic, _qos_profile(reliable))
         return lambda message: publisher.publish(_to_ros(message, ros_type()))
 
     def subscribers(self, topic: str) -> int:
-        """Returns the number of subscribers of ``topic``."""
+        """See :meth:`Transport.subscribers`."""
         return self._publishers[topic].get_subscription_count()
 
     def publishers(self, topic: str) -> int:
@@ -66,7 +58,7 @@ class RclpyTransport:
         return self._node.count_publishers(topic)
 
     def close(self) -> None:
-        """Stops the thread and destroys the node. Idempotent."""
+        """See :meth:`Transport.close`."""
         if self._closed:
             return
         self._closed = True
@@ -91,7 +83,7 @@ def _qos_profile(reliable: bool) -> QoSProfile:
     )
 
 
-def _ros_type(kind: type[Message]) -> Any:
+def _ros_type(kind: Any) -> Any:
     """Returns ROS's class for a message type."""
     package, folder, name = kind.ros_type.split("/")
     return getattr(import_module(f"{package}.{folder}"), name)
@@ -104,8 +96,7 @@ def _to_ros(message: Any, ros: Any) -> Any:
         if is_dataclass(value):
             _to_ros(value, getattr(ros, field.name))
         elif isinstance(value, list):
-            kind = _ros_type(type(value[0])) if value else None
-            setattr(ros, field.name, [_to_ros(item, kind()) for item in value] if kind else [])
+            setattr(ros, field.name, [_to_ros(item, _ros_type(item)()) for item in value])
         else:
             setattr(ros, field.name, value)
     return ros

@@ -9,8 +9,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-MAX_INVALID = 0.1
-"""Default maximum share of invalid readings in a usable scan."""
+from rover_rl.sims.ros2.settings import Ros2Settings
+
+SECTOR = math.radians(45)
+"""Half-angle of the sector around the direction of travel in which every beam must be seen, rad.
+
+A rover with a footprint radius of 0.35 m and a stopping distance of 0.35 m sweeps no area outside of this sector that
+it has not already seen from farther away."""
 
 
 class Scan(NamedTuple):
@@ -38,11 +43,9 @@ class Scan(NamedTuple):
 
 
 class AlignedScan(NamedTuple):
-    """A scan in the environment's layout: a full turn, counter-clockwise from straight ahead.
+    """A scan in the environment's layout: ranges ``[beams]`` (m), counter-clockwise from straight ahead.
 
-    Attributes:
-        ranges: ranges of the beams, ``[beams]``, m; ``inf`` where ``seen`` is False.
-        seen: whether a valid reading covers each beam, bool ``[beams]``.
+    ``seen``, bool ``[beams]``, says whether a valid reading covers each beam. Where none does, the range is ``inf``.
     """
 
     ranges: Tensor
@@ -50,12 +53,9 @@ class AlignedScan(NamedTuple):
 
 
 class MeasuredPose(NamedTuple):
-    """A pose from a message.
+    """A position ``[3]`` (m) and an orientation ``[4]`` as (x, y, z, w); ``None`` if it is unknown.
 
-    Attributes:
-        position: position, ``[3]``, m.
-        orientation: unit quaternion ``[4]`` as (x, y, z, w); ``None`` if it is unknown.
-        imu_yaw_offset: yaw of the IMU's frame in the frame of the pose, rad.
+    ``imu_yaw_offset`` is the yaw of the IMU's frame in the frame of the pose, rad.
     """
 
     position: Tensor
@@ -63,7 +63,7 @@ class MeasuredPose(NamedTuple):
     imu_yaw_offset: float = 0.0
 
 
-def read_scan(msg: Any, max_invalid: float = MAX_INVALID) -> Scan:
+def read_scan(msg: Any, max_invalid: float = Ros2Settings.max_invalid) -> Scan:
     """Reads a ``sensor_msgs/LaserScan``.
 
     A reading is invalid if it is NaN, or a finite number outside of the message's limits ``range_min`` and
@@ -90,7 +90,8 @@ def read_scan(msg: Any, max_invalid: float = MAX_INVALID) -> Scan:
     valid = ~ranges.isnan()
     if high > low:
         valid &= ranges.isinf() | ((ranges >= low) & (ranges <= high))
-    announced = max(len(ranges), _announced_readings(angle_min, float(msg.angle_max), increment))
+    steps = (float(msg.angle_max) - angle_min) / increment
+    announced = max(len(ranges), round(steps) + 1 if 0 <= steps < math.inf else 0)  # 0: the angles are inconsistent
     invalid = announced - int(valid.sum())
     if invalid > max_invalid * announced:
         raise ValueError(
@@ -101,12 +102,6 @@ def read_scan(msg: Any, max_invalid: float = MAX_INVALID) -> Scan:
         ranges, valid = ranges.flip(0), valid.flip(0)
         angle_min, increment = angle_min + increment * (len(ranges) - 1), -increment
     return Scan(ranges, valid, angle_min, increment, msg.header.stamp.sec + msg.header.stamp.nanosec * 1e-9)
-
-
-def _announced_readings(angle_min: float, angle_max: float, increment: float) -> int:
-    """Returns the number of readings that a scan's angles (rad) announce, or 0 if the angles are inconsistent."""
-    steps = (angle_max - angle_min) / increment
-    return round(steps) + 1 if 0 <= steps < math.inf else 0
 
 
 def read_orientation(q: Any) -> Tensor:
@@ -122,30 +117,14 @@ def read_orientation(q: Any) -> Tensor:
     return (quaternion / norm).float()
 
 
-def read_imu(msg: Any) -> Tensor:
-    """Reads the orientation of a ``sensor_msgs/Imu``: see :func:`read_orientation`."""
-    return read_orientation(msg.orientation)
-
-
 def read_pose(pose: Any) -> MeasuredPose:
-    """Reads a ``geometry_msgs/Pose``.
-
-    Raises:
-        ValueError: if a number is not finite, or the orientation is zero.
-    """
+    """Reads a ``geometry_msgs/Pose``. See :func:`read_position` and :func:`read_orientation` for errors."""
     return MeasuredPose(read_position(pose.position), read_orientation(pose.orientation))
 
 
 def read_position(point: Any) -> Tensor:
-    """Reads a ``geometry_msgs/Point``: float32 ``[3]``, m.
-
-    Raises:
-        ValueError: if a number is not finite.
-    """
-    position = torch.tensor([point.x, point.y, point.z], dtype=torch.float32)
-    if not torch.isfinite(position).all():
-        raise ValueError(f"a position must be finite, got {position.tolist()}")
-    return position
+    """Reads a ``geometry_msgs/Point``: float32 ``[3]``, m. Raises ``ValueError`` if a number is not finite."""
+    return _finite("position", point.x, point.y, point.z)
 
 
 def read_pose_array(msg: Any) -> MeasuredPose:
@@ -170,10 +149,14 @@ def read_twist(msg: Any) -> Tensor:
     Raises:
         ValueError: if a number is not finite.
     """
-    twist = torch.tensor([msg.twist.twist.linear.x, msg.twist.twist.angular.z], dtype=torch.float32)
-    if not torch.isfinite(twist).all():
-        raise ValueError(f"a velocity must be finite, got {twist.tolist()}")
-    return twist
+    return _finite("velocity", msg.twist.twist.linear.x, msg.twist.twist.angular.z)
+
+
+def _finite(name: str, *numbers: float) -> Tensor:
+    values = torch.tensor(numbers, dtype=torch.float32)
+    if not torch.isfinite(values).all():
+        raise ValueError(f"a {name} must be finite, got {values.tolist()}")
+    return values
 
 
 class ScanAlignment:
@@ -222,3 +205,20 @@ class ScanAlignment:
         distances = (turn / 2 - (beams[:, None] - angles).remainder(turn)).abs().neg() + turn / 2
         distance, nearest = distances.min(-1)
         return beam_of_reading, torch.where(distance <= increment / 2 + 1e-6, nearest, count)
+
+
+class UnseenGuard:
+    """Blocks forward speeds towards unseen directions. Turning on the spot stays allowed, to look around.
+
+    Args:
+        angles: direction of each beam, counter-clockwise from straight ahead, ``[beams]``, rad.
+    """
+
+    def __init__(self, angles: Tensor) -> None:
+        self._ahead = angles.cos() >= math.cos(SECTOR) - 1e-6
+        self._behind = angles.cos() <= -math.cos(SECTOR) + 1e-6
+
+    def blocks(self, speed: float, seen: Tensor) -> bool:
+        """Whether a forward speed (m/s), backward if negative, leads towards a beam that is not ``seen [beams]``."""
+        sector = self._ahead if speed > 0 else self._behind
+        return speed != 0.0 and bool((sector & ~seen).any())

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,23 +16,7 @@ from torch import Tensor
 
 from rover_rl.sims.base import RoverState, Simulator
 from rover_rl.sims.connection import Connection
-from rover_rl.sims.ros2.messages import (
-    Clock,
-    Header,
-    Imu,
-    LaserScan,
-    Odometry,
-    Point,
-    Pose,
-    PoseArray,
-    PoseStamped,
-    PoseWithCovariance,
-    Quaternion,
-    Time,
-    Twist,
-    TwistWithCovariance,
-    Vector3,
-)
+from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.ros2.readings import read_orientation, read_position
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import Transport
@@ -45,15 +29,6 @@ RANGE_MIN = 0.15
 """Minimum range of the original's lidar, m."""
 NOT_MEASURED = -1.0
 """First entry of a covariance that marks a quantity as not measured (``sensor_msgs/Imu``)."""
-
-
-@dataclass(frozen=True)
-class _Command:
-    """A command with its sequence number: forward speed (m/s) and yaw rate (rad/s)."""
-
-    speed: float = 0.0
-    yaw_rate: float = 0.0
-    number: int = 0
 
 
 class RobotNode:
@@ -82,25 +57,24 @@ class RobotNode:
         view: float = 2 * math.pi,
     ) -> None:
         settings, connection = settings or Ros2Settings(), connection or Connection()
-        self._simulator = simulator
-        self._settings = settings
-        self._world = world
-        self._lidar_range, self._view = lidar_range, view
+        self._simulator, self._world = simulator, world
+        self._lidar_yaw, self._lidar_range, self._view = settings.lidar_yaw, lidar_range, view
         self._lock = threading.Lock()
-        self._command = _Command()
-        self._last_number, self._time_without_command = 0, 0.0
+        # Forward speed (m/s) and yaw rate (rad/s), whether they have just arrived, and the time since then.
+        self._command, self._is_commanded, self._time_without_command = (0.0, 0.0), False, 0.0
         self._reset_pose: tuple[float, float, float] | None = start
         self._yaw = start[2]
-        self._odometry = _WheelOdometry()
+        # Pose relative to the start by wheel odometry, the integral of the wheels' velocities.
+        self._odometry_x = self._odometry_y = self._odometry_yaw = 0.0
         # Reliable publishers match every subscription, including those of RViz and of ROS's default profile.
-        self._publish_scan = transport.publisher(connection.scan_topic, LaserScan, reliable=True)
-        self._publish_imu = transport.publisher(connection.imu_topic, Imu, reliable=True)
-        self._publish_odometry = transport.publisher(settings.odometry_topic, Odometry, reliable=True)
-        self._publish_poses = transport.publisher(settings.pose_topic, PoseArray, reliable=True)
-        self._publish_clock = transport.publisher("/clock", Clock, reliable=True)
-        transport.subscribe(connection.cmd_vel_topic, Twist, self._receive_command)
+        self._publish_scan = transport.publisher(connection.scan_topic, ros.LaserScan, reliable=True)
+        self._publish_imu = transport.publisher(connection.imu_topic, ros.Imu, reliable=True)
+        self._publish_odometry = transport.publisher(settings.odometry_topic, ros.Odometry, reliable=True)
+        self._publish_poses = transport.publisher(settings.pose_topic, ros.PoseArray, reliable=True)
+        self._publish_clock = transport.publisher("/clock", ros.Clock, reliable=True)
+        transport.subscribe(connection.cmd_vel_topic, ros.Twist, self._receive_command)
         # Reliable, as a reset pose is sent only once.
-        transport.subscribe(settings.reset_topic, PoseStamped, self._receive_reset_pose, reliable=True)
+        transport.subscribe(settings.reset_topic, ros.PoseStamped, self._receive_reset_pose, reliable=True)
 
     @property
     def pose(self) -> tuple[float, float, float]:
@@ -109,19 +83,8 @@ class RobotNode:
         x, y, _ = state.position[0].tolist()
         return x, y, quaternion_to_euler(state.orientation)[0, 2].item()
 
-    def run(self, rate: float = 1.0, stop: threading.Event | None = None) -> None:
-        """Steps the simulator at a fixed rate until ``stop`` is set.
-
-        Args:
-            rate: simulation speed as a multiple of real time.
-            stop: event that ends the loop; ``None``: runs until an interrupt.
-
-        Raises:
-            ValueError: if the rate is not positive.
-        """
-        if not 0 < rate < math.inf:
-            raise ValueError(f"rate must be positive, got {rate}")
-        stop = stop or threading.Event()
+    def run(self, rate: float, stop: threading.Event) -> None:
+        """Steps the simulator until ``stop`` is set, at ``rate`` times real time."""
         due = time.monotonic()
         while not stop.is_set():
             dt = self.step()
@@ -129,41 +92,32 @@ class RobotNode:
             stop.wait(max(0.0, due - time.monotonic()))
 
     def step(self) -> float:
-        """Runs one control step with the latest command, and publishes the state.
-
-        Returns:
-            Duration of the step, s.
-        """
+        """Runs one control step with the latest command, publishes the state, and returns the step's duration, s."""
         with self._lock:
             reset_pose, self._reset_pose = self._reset_pose, None
             if reset_pose is not None:  # a reset discards earlier commands
-                self._command = _Command(number=self._command.number)
+                self._command = (0.0, 0.0)
             command = self._command
+            is_commanded, self._is_commanded = self._is_commanded, False
         if reset_pose is not None:
             self._simulator.reset(torch.ones(1, dtype=torch.bool), torch.tensor([reset_pose]))
             self._yaw = reset_pose[2]
-        if command.number > self._last_number:
+        self._time_without_command += self._simulator.state().dt.item()
+        if is_commanded:
             self._time_without_command = 0.0
-        else:
-            self._time_without_command += self._dt(self._simulator.state())
-        self._last_number = command.number
         if self._time_without_command >= COMMAND_LIFETIME:
-            command = _Command()
-        state = self._simulator.step(torch.tensor([[command.speed, command.yaw_rate]]))
+            command = (0.0, 0.0)
+        state = self._simulator.step(torch.tensor([command]))
         self._publish(state)
-        return self._dt(state)
-
-    @staticmethod
-    def _dt(state: RoverState) -> float:
         return state.dt.item()
 
-    def _receive_command(self, msg: Twist) -> None:
+    def _receive_command(self, msg: Any) -> None:
         if not (math.isfinite(msg.linear.x) and math.isfinite(msg.angular.z)):
             raise ValueError(f"a command must be finite, got {msg.linear.x}, {msg.angular.z}")
         with self._lock:
-            self._command = _Command(msg.linear.x, msg.angular.z, self._command.number + 1)
+            self._command, self._is_commanded = (msg.linear.x, msg.angular.z), True
 
-    def _receive_reset_pose(self, msg: PoseStamped) -> None:
+    def _receive_reset_pose(self, msg: Any) -> None:
         x, y, _ = read_position(msg.pose.position).tolist()
         yaw = quaternion_to_euler(read_orientation(msg.pose.orientation))[2].item()
         extent = self._world.terrain.extent
@@ -174,35 +128,35 @@ class RobotNode:
 
     def _publish(self, state: RoverState) -> None:
         """Publishes a state. The scan comes last, as subscribers wait for it."""
-        stamp = Time.from_seconds(state.stamp.item())
-        orientation = Quaternion(*state.orientation[0].tolist())
+        stamp = ros.Time.from_seconds(state.stamp.item())
+        orientation = ros.Quaternion(*state.orientation[0].tolist())
         speed, yaw_rate = state.linear_velocity.item(), state.angular_velocity.item()
-        self._odometry.advance(speed, yaw_rate, self._dt(state))
-        self._publish_clock(Clock(stamp))
-        self._publish_poses(PoseArray(Header(stamp, "world"), [Pose(Point(*state.position[0].tolist()), orientation)]))
+        self._advance_odometry(speed, yaw_rate, state.dt.item())
+        self._publish_clock(ros.Clock(stamp))
+        pose = ros.Pose(ros.Point(*state.position[0].tolist()), orientation)
+        self._publish_poses(ros.PoseArray(ros.Header(stamp, "world"), [pose]))
         self._publish_imu(self._imu(state, stamp, orientation))
-        self._publish_odometry(
-            Odometry(
-                Header(stamp, "odom"),
-                "base_link",
-                PoseWithCovariance(self._odometry.pose),
-                TwistWithCovariance(Twist(Vector3(x=speed), Vector3(z=yaw_rate))),
-            )
-        )
+        heading = ros.Quaternion(z=math.sin(self._odometry_yaw / 2), w=math.cos(self._odometry_yaw / 2))
+        pose = ros.PoseWithCovariance(ros.Pose(ros.Point(self._odometry_x, self._odometry_y), heading))
+        twist = ros.TwistWithCovariance(ros.Twist(ros.Vector3(x=speed), ros.Vector3(z=yaw_rate)))
+        self._publish_odometry(ros.Odometry(ros.Header(stamp, "odom"), "base_link", pose, twist))
         self._publish_scan(self._scan(state.ranges[0], stamp))
 
-    def _imu(self, state: RoverState, stamp: Time, orientation: Quaternion) -> Imu:
-        """Builds an IMU message with orientation and yaw rate of the body, and without acceleration.
+    def _advance_odometry(self, speed: float, yaw_rate: float, dt: float) -> None:
+        middle = self._odometry_yaw + yaw_rate * dt / 2
+        self._odometry_x += speed * dt * math.cos(middle)
+        self._odometry_y += speed * dt * math.sin(middle)
+        self._odometry_yaw += yaw_rate * dt
 
-        The body turns more slowly than wheel odometry reports.
-        """
+    def _imu(self, state: RoverState, stamp: Any, orientation: Any) -> Any:
+        """Builds an IMU message without acceleration. The body turns more slowly than wheel odometry reports."""
         yaw = quaternion_to_euler(state.orientation)[0, 2].item()
-        yaw_rate, self._yaw = math.remainder(yaw - self._yaw, 2 * math.pi) / self._dt(state), yaw
-        imu = Imu(Header(stamp, "imu_link"), orientation, angular_velocity=Vector3(z=yaw_rate))
+        yaw_rate, self._yaw = math.remainder(yaw - self._yaw, 2 * math.pi) / state.dt.item(), yaw
+        imu = ros.Imu(ros.Header(stamp, "imu_link"), orientation, angular_velocity=ros.Vector3(z=yaw_rate))
         imu.linear_acceleration_covariance[0] = NOT_MEASURED
         return imu
 
-    def _scan(self, ranges: Tensor, stamp: Time) -> LaserScan:
+    def _scan(self, ranges: Tensor, stamp: Any) -> Any:
         """Builds a scan message according to REP 117, with the lidar's zero angle in direction ``lidar_yaw``.
 
         A full turn begins straight ahead; a narrower view begins at its right edge.
@@ -216,9 +170,9 @@ class RobotNode:
         readings = ranges.roll(-first)[:count].numpy().astype(np.float32)
         readings[readings > self._lidar_range] = np.inf
         readings[readings < RANGE_MIN] = -np.inf
-        angle_min = first * increment - self._settings.lidar_yaw
-        return LaserScan(
-            Header(stamp, "lidar_link"),
+        angle_min = first * increment - self._lidar_yaw
+        return ros.LaserScan(
+            ros.Header(stamp, "lidar_link"),
             angle_min=angle_min,
             angle_max=angle_min + (count - 1) * increment,
             angle_increment=increment,
@@ -227,22 +181,3 @@ class RobotNode:
             range_max=self._lidar_range,
             ranges=readings,
         )
-
-
-class _WheelOdometry:
-    """Pose relative to the start by wheel odometry: the integral of the wheels' velocities."""
-
-    def __init__(self) -> None:
-        self._x = self._y = self._yaw = 0.0
-
-    def advance(self, speed: float, yaw_rate: float, dt: float) -> None:
-        """Integrates a forward speed (m/s) and a yaw rate (rad/s) over ``dt`` (s)."""
-        middle = self._yaw + yaw_rate * dt / 2
-        self._x += speed * dt * math.cos(middle)
-        self._y += speed * dt * math.sin(middle)
-        self._yaw += yaw_rate * dt
-
-    @property
-    def pose(self) -> Pose:
-        """Current pose."""
-        return Pose(Point(self._x, self._y), Quaternion(z=math.sin(self._yaw / 2), w=math.cos(self._yaw / 2)))

@@ -1,30 +1,88 @@
-"""Subscriptions to a live rover's sensors."""
+"""Subscriptions to a live rover's sensors, and their latest values."""
 
 from __future__ import annotations
 
 import logging
+import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from functools import partial
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from rover_rl.sims.connection import Connection
-from rover_rl.sims.ros2.latest_messages import LatestMessages, ReceivedMessage
-from rover_rl.sims.ros2.messages import Imu, LaserScan, Message, Odometry
+from rover_rl.sims.ros2.messages import Imu, LaserScan, Odometry
 from rover_rl.sims.ros2.pose_estimator import IDENTITY_ORIENTATION, ORIGIN_POSE, POSE_MESSAGES, PoseEstimator
-from rover_rl.sims.ros2.readings import MeasuredPose, read_imu, read_scan, read_twist
-from rover_rl.sims.ros2.scan_rate import SUPPORTED_RATES, ScanRate
+from rover_rl.sims.ros2.readings import MeasuredPose, read_orientation, read_scan, read_twist
 from rover_rl.sims.ros2.settings import Ros2Settings
-from rover_rl.sims.ros2.throttle import ThrottledLogger
-from rover_rl.sims.ros2.transport import Transport
+from rover_rl.sims.ros2.transport import ThrottledLogger, Transport
+
+RATE_WINDOW = 20
+"""Number of scan periods in a measurement of the scan rate."""
+SUPPORTED_RATES = (15.0, 30.0)
+"""Scan rates that policies trained at 20 Hz support, Hz."""
 
 _log = logging.getLogger(__name__)
 
-Readers: TypeAlias = dict[str, Callable[[Any], Any]]
-"""Functions that read values from a message, by the kind that each value is stored under."""
+
+class ReceivedMessage(NamedTuple):
+    """A value that was read from a message.
+
+    Attributes:
+        value: value.
+        time: arrival by :func:`time.monotonic`, s. The message's own stamp may be simulation time.
+        number: sequence number among messages of its kind, starting at 1.
+    """
+
+    value: Any
+    time: float
+    number: int
+
+    @property
+    def age(self) -> float:
+        """Time since arrival, s."""
+        return time.monotonic() - self.time
+
+
+class LatestMessages:
+    """Latest value of each kind. The transport's thread writes; other threads read and wait."""
+
+    def __init__(self) -> None:
+        self._latest: dict[str, ReceivedMessage] = {}
+        self._changed = threading.Condition()
+
+    def put(self, kind: str, value: Any) -> None:
+        """Stores ``value`` as the latest of its kind."""
+        with self._changed:
+            self._latest[kind] = ReceivedMessage(value, time.monotonic(), self.count(kind) + 1)
+            self._changed.notify_all()
+
+    def latest(self, kind: str) -> ReceivedMessage | None:
+        """Returns the latest message of a kind, or ``None`` before the first one."""
+        with self._changed:
+            return self._latest.get(kind)
+
+    def value(self, kind: str, default: Any) -> Any:
+        """Returns the latest value of a kind, or ``default`` before the first one."""
+        message = self.latest(kind)
+        return message.value if message else default
+
+    def count(self, kind: str) -> int:
+        """Returns the number of messages of a kind that have arrived."""
+        message = self.latest(kind)
+        return message.number if message else 0
+
+    def wait(self, kind: str, after: int, timeout: float) -> ReceivedMessage | None:
+        """Waits at most ``timeout`` (s) for a message of a kind whose sequence number exceeds ``after``.
+
+        Returns:
+            The latest message, or ``None`` if none arrives in time.
+        """
+        with self._changed:
+            return self.latest(kind) if self._changed.wait_for(lambda: self.count(kind) > after, timeout) else None
 
 
 class Sensors:
@@ -53,54 +111,48 @@ class Sensors:
         self.rejected_scans = 0
         self._step_timeout = settings.step_timeout
         self._pose_estimator = pose_estimator
-        self._scan_rate = ScanRate()
+        self._scan_times: deque[tuple[float, float]] = deque(maxlen=RATE_WINDOW + 1)
         self._rejections: dict[str, str] = {}
         self._throttled_log = ThrottledLogger(_log)
-        sources: dict[str, tuple[str, type[Message], Readers]] = {
-            "imu": (connection.imu_topic, Imu, {"imu": read_imu}),
-            "odometry": (settings.odometry_topic, Odometry, {"odometry": read_twist}),
+        # Functions that read the values of a message, by the kind that each value is stored under.
+        self._readers: dict[str, dict[str, Callable[[Any], Any]]] = {
+            "imu": {"imu": lambda msg: read_orientation(msg.orientation)},
+            "odometry": {"odometry": read_twist},
         }
-        pose = POSE_MESSAGES[settings.pose]
+        sources = {"imu": (connection.imu_topic, Imu), "odometry": (settings.odometry_topic, Odometry)}
+        pose_type, read_pose = POSE_MESSAGES[settings.pose]
         if settings.pose == "wheels":
-            sources["odometry"][2]["pose"] = pose.read
+            self._readers["odometry"]["pose"] = read_pose
         else:
-            sources["pose"] = (settings.pose_topic, pose.kind, {"pose": pose.read})
+            self._readers["pose"] = {"pose": read_pose}
+            sources["pose"] = (settings.pose_topic, pose_type)
         # Last, as a rover publishes the scan last: when a scan wakes a step, the other messages have arrived.
-        scan = partial(read_scan, max_invalid=settings.max_invalid)
-        sources["scan"] = (connection.scan_topic, LaserScan, {"scan": scan})
-        self._readers = {kind: readers for kind, (_, _, readers) in sources.items()}
-        self.topics = {kind: topic for kind, (topic, _, _) in sources.items()}
-        for kind, (topic, message, _) in sources.items():
+        self._readers["scan"] = {"scan": partial(read_scan, max_invalid=settings.max_invalid)}
+        sources["scan"] = (connection.scan_topic, LaserScan)
+        self.topics = {kind: topic for kind, (topic, _) in sources.items()}
+        for kind, (topic, message) in sources.items():
             transport.subscribe(topic, message, partial(self.receive, kind))
-
-    @property
-    def scan(self) -> ReceivedMessage | None:
-        """Latest usable scan; ``None`` before the first one."""
-        return self.messages.latest("scan")
 
     @property
     def has_recent_scan(self) -> bool:
         """Whether the latest usable scan is younger than the step timeout."""
-        scan = self.scan
+        scan = self.messages.latest("scan")
         return scan is not None and scan.age < self._step_timeout
 
     @property
     def pose(self) -> MeasuredPose:
         """Latest pose; the origin before the first one."""
-        message = self.messages.latest("pose")
-        return ORIGIN_POSE if message is None else message.value
+        return self.messages.value("pose", ORIGIN_POSE)
 
     @property
     def imu_orientation(self) -> Tensor:
         """Latest orientation of the IMU, ``[4]``; the identity before the first one."""
-        message = self.messages.latest("imu")
-        return IDENTITY_ORIENTATION if message is None else message.value
+        return self.messages.value("imu", IDENTITY_ORIENTATION)
 
     @property
     def wheel_velocity(self) -> Tensor:
         """Latest forward speed (m/s) and yaw rate (rad/s) by wheel odometry, ``[2]``; zeros before the first one."""
-        message = self.messages.latest("odometry")
-        return torch.zeros(2) if message is None else message.value
+        return self.messages.value("odometry", torch.zeros(2))
 
     def receive(self, kind: str, msg: Any) -> bool:
         """Processes a message: see :meth:`Ros2Simulator.receive`."""
@@ -109,7 +161,9 @@ class Sensors:
         try:
             values = {name: read(msg) for name, read in self._readers[kind].items()}
         except (ValueError, TypeError, AttributeError, OverflowError) as error:
-            self._reject(kind, str(error))
+            self._rejections[kind] = str(error)
+            self.rejected_scans += kind == "scan"
+            self._throttled_log.warning(kind, "%s: ignored a message: %s", self.topics[kind], error)
             return False
         self._rejections.pop(kind, None)
         if "scan" in values:
@@ -127,17 +181,15 @@ class Sensors:
         message = self.messages.latest(kind)
         return "no message has arrived yet" if message is None else f"the last message is {message.age:.1f} s old"
 
-    def _reject(self, kind: str, reason: str) -> None:
-        """Stores the reason why a message was ignored, and logs a warning."""
-        self._rejections[kind] = reason
-        self.rejected_scans += kind == "scan"
-        self._throttled_log.warning(kind, "%s: ignored a message: %s", self.topics[kind], reason)
-
     def _check_scan_rate(self, stamp: float) -> None:
-        """Warns of a scan rate that policies do not support."""
-        rate = self._scan_rate.add(stamp, time.monotonic())
-        if rate is not None and not SUPPORTED_RATES[0] <= rate <= SUPPORTED_RATES[1]:
-            topic, (low, high) = self.topics["scan"], SUPPORTED_RATES
-            self._throttled_log.warning(
-                "rate", "%s: %.1f scans per second; policies require %g to %g", topic, rate, low, high
-            )
+        """Warns of a scan rate, by the stamps or by the arrivals if the stamps do not advance, that is unsupported."""
+        self._scan_times.append((stamp, time.monotonic()))
+        if len(self._scan_times) <= RATE_WINDOW:
+            return
+        first, last = self._scan_times[0], self._scan_times[-1]
+        by_stamp, by_arrival = last[0] - first[0], last[1] - first[1]
+        span = by_stamp if by_stamp > 0 else by_arrival
+        low, high = SUPPORTED_RATES
+        if span > 0 and not low <= RATE_WINDOW / span <= high:
+            text = "%s: %.1f scans per second; policies require %g to %g"
+            self._throttled_log.warning("rate", text, self.topics["scan"], RATE_WINDOW / span, low, high)

@@ -15,18 +15,14 @@ from torch import Tensor
 from rover_rl.sims.base import Capability, RoverState, View
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.ros2.command_publisher import CommandPublisher
-from rover_rl.sims.ros2.errors import PoseResetError, RobotLostError
-from rover_rl.sims.ros2.guard import UnseenGuard
-from rover_rl.sims.ros2.latest_messages import ReceivedMessage
+from rover_rl.sims.ros2 import PoseResetError, RobotLostError
 from rover_rl.sims.ros2.limits import CommandLimiter
 from rover_rl.sims.ros2.pose_estimator import PoseEstimator
-from rover_rl.sims.ros2.pose_reset import TargetPose, make_placer
-from rover_rl.sims.ros2.readings import AlignedScan, ScanAlignment
-from rover_rl.sims.ros2.sensors import Sensors
+from rover_rl.sims.ros2.pose_reset import Placer, TargetPose
+from rover_rl.sims.ros2.readings import AlignedScan, ScanAlignment, UnseenGuard
+from rover_rl.sims.ros2.sensors import ReceivedMessage, Sensors
 from rover_rl.sims.ros2.settings import Ros2Settings
-from rover_rl.sims.ros2.throttle import ThrottledLogger
-from rover_rl.sims.ros2.transport import Transport, make_transport
+from rover_rl.sims.ros2.transport import CommandPublisher, ThrottledLogger, Transport, make_transport
 from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World
 
@@ -56,10 +52,9 @@ class Ros2Simulator:
     Messages arrive in a thread of the transport. :meth:`step` sends a command, waits for the next scan, and uses the
     latest of the other messages. A malformed message is ignored with a warning; the last valid value remains.
 
-    The command path limits speed, yaw rate and their rates of change
-    (:class:`~rover_rl.sims.ros2.limits.CommandLimits`), and cancels the forward speed towards directions that no valid
-    lidar beam covers (:class:`~rover_rl.sims.ros2.guard.UnseenGuard`). A rover without a usable scan is stopped after
-    0.25 s, and counts as lost after ``step_timeout``.
+    The command path limits speed, yaw rate and their rates of change, and cancels the forward speed towards directions
+    that no valid lidar beam covers. A rover without a usable scan is stopped after 0.25 s, and counts as lost after
+    ``step_timeout``.
 
     Args:
         worlds: world of the rover: exactly one, whose name is that of Gazebo's world.
@@ -110,15 +105,13 @@ class Ros2Simulator:
         self._throttled_log = ThrottledLogger(_log)
         self._scan: ReceivedMessage | None = None
         self._dt = self.control_dt
-        self.latency = 0.0
-        self.held = False
+        self.latency, self.held = 0.0, False
         self._transport = make_transport(settings.transport, settings.node)
-        self._commands = CommandPublisher(
-            self._transport, connection.cmd_vel_topic, settings.command, settings.frame_id
-        )
+        topic = connection.cmd_vel_topic
+        self._commands = CommandPublisher(self._transport, topic, settings.command, settings.frame_id)
         # The rover also stops if a program ends in an error, or does not call close().
         self._finalizer = weakref.finalize(self, _stop_and_close, self._commands, self._transport)
-        self._placer = make_placer(settings, self._world.name, self._transport)
+        self._placer = Placer(settings, self._world.name, self._transport)
         # The transport refers to the sensors, which must not refer to the simulator, or it would never be finalized.
         self._sensors = Sensors(self._transport, settings, connection, self._pose_estimator)
         self.wait_for_robot(connection.timeout)
@@ -131,7 +124,7 @@ class Ros2Simulator:
     @property
     def field_of_view(self) -> float:
         """Angle that the latest scan covers, rad; 0 before the first scan."""
-        scan = self._sensors.scan
+        scan = self._sensors.messages.latest("scan")
         return 0.0 if scan is None else scan.value.field_of_view
 
     @property
@@ -140,30 +133,16 @@ class Ros2Simulator:
         return self._sensors.has_recent_scan
 
     def wait_for_robot(self, timeout: float) -> bool:
-        """Waits for a usable scan, and warns if there is none.
-
-        Args:
-            timeout: time to wait, s.
-
-        Returns:
-            Whether there is a usable scan.
-        """
-        deadline = time.monotonic() + timeout
-        count, rejected = self._sensors.messages.count("scan"), self._sensors.rejected_scans
-        while (
-            not self.robot_connected
-            and time.monotonic() < deadline
-            and self._sensors.rejected_scans < rejected + MAX_UNUSABLE_SCANS
-        ):
-            self._sensors.messages.wait("scan", count, min(0.1, max(0.0, deadline - time.monotonic())))
-        if self.robot_connected:
-            return True
-        _log.warning(
-            "no usable scan on %s within %g s: no robot is connected; it may still appear",
-            self._sensors.topics["scan"],
-            timeout,
-        )
-        return False
+        """Waits at most ``timeout`` (s) for a usable scan, and warns if there is none. Returns whether there is one."""
+        deadline, sensors = time.monotonic() + timeout, self._sensors
+        count, rejectable = sensors.messages.count("scan"), sensors.rejected_scans + MAX_UNUSABLE_SCANS
+        while not self.robot_connected and time.monotonic() < deadline and sensors.rejected_scans < rejectable:
+            sensors.messages.wait("scan", count, min(0.1, max(0.0, deadline - time.monotonic())))
+        if not self.robot_connected:
+            text = "no usable scan on %s within %g s: no robot is connected; it may still appear"
+            _log.warning(text, sensors.topics["scan"], timeout)
+            return False
+        return True
 
     def require_robot(self) -> None:
         """Checks that exactly one robot sends usable scans.
@@ -178,12 +157,11 @@ class Ros2Simulator:
     def receive(self, kind: str, msg: Any) -> bool:
         """Processes a message as if it had arrived on its topic.
 
-        Accepts any object with the message's attributes. A malformed message is ignored with a warning, at most every
-        five seconds for each kind.
+        A malformed message is ignored with a warning, at most every five seconds for each kind.
 
         Args:
             kind: kind of the message: ``"scan"``, ``"imu"``, ``"odometry"`` or ``"pose"``.
-            msg: message.
+            msg: message, or any object with its attributes.
 
         Returns:
             Whether the message is usable.
@@ -204,12 +182,14 @@ class Ros2Simulator:
         """
         if not mask.any():
             return self.state()
-        if self._sensors.scan is None:
+        if not self._sensors.messages.count("scan"):
             _log.warning("no robot has appeared on %s yet: observations are empty", self._sensors.topics["scan"])
             return self.state()
         self._require_one_robot()
         self.stop()
-        target, poses_before = self._target_pose(poses), self._sensors.messages.count("pose")
+        x, y, yaw = poses[0].tolist()
+        target = TargetPose(x, y, self._world.drop_height(poses[0, :2]).item(), yaw)
+        poses_before = self._sensors.messages.count("pose")
         self._placer.place(target)
         self._wait_until_at_rest(target, poses_before)
         self._take_next_scan(after=self._sensors.messages.count("scan"))
@@ -271,11 +251,7 @@ class Ros2Simulator:
         )
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
-        """Not supported: a live rover has no rendering.
-
-        Raises:
-            NotImplementedError: always.
-        """
+        """Raises ``NotImplementedError``."""
         raise NotImplementedError("backend 'ros2' has no rendering; use RViz to visualize the rover")
 
     def close(self) -> None:
@@ -287,14 +263,7 @@ class Ros2Simulator:
         return self._pose_estimator.estimate(self._sensors.pose, self._sensors.imu_orientation)
 
     def _take_next_scan(self, after: int) -> None:
-        """Waits for the scan of the next step, and updates the time step.
-
-        Args:
-            after: sequence number that the scan must exceed.
-
-        Raises:
-            RobotLostError: if a topic is silent for ``step_timeout``.
-        """
+        """Waits for the scan of the next step, with a sequence number above ``after``, and updates the time step."""
         while True:
             scan = self._wait_for_scan(after)
             dt = scan.value.stamp - self._scan.value.stamp if self._scan else 0.0
@@ -307,12 +276,12 @@ class Ros2Simulator:
 
     def _wait_for_scan(self, after: int) -> ReceivedMessage:
         """Waits for a scan with a sequence number above ``after``. Stops the rover well before it counts as lost."""
-        timeout = self.settings.step_timeout
+        timeout, messages = self.settings.step_timeout, self._sensors.messages
         brake_timeout = min(timeout, max(BRAKE_TIMEOUT, BRAKE_PERIODS * self._dt))
-        scan = self._sensors.messages.wait("scan", after, brake_timeout)
+        scan = messages.wait("scan", after, brake_timeout)
         if scan is None:
             self.stop()
-            scan = self._sensors.messages.wait("scan", after, timeout - brake_timeout)
+            scan = messages.wait("scan", after, timeout - brake_timeout)
         if scan is None:
             raise self._lost("scan")
         return scan
@@ -325,45 +294,29 @@ class Ros2Simulator:
             count = self._transport.publishers(topic)
             if count > 1:
                 self.stop()
-                raise RobotLostError(
-                    f"{count} publishers send on {topic}: there may be several robots in this ROS_DOMAIN_ID; a stop "
-                    "command was sent"
-                )
+                text = "there may be several robots in this ROS_DOMAIN_ID; a stop command was sent"
+                raise RobotLostError(f"{count} publishers send on {topic}: {text}")
 
     def _require_recent_messages(self) -> None:
         """Raises an error if a topic is silent for ``step_timeout``. Waits as long for a topic without a message."""
-        deadline = time.monotonic() + self.settings.step_timeout
+        deadline, messages = time.monotonic() + self.settings.step_timeout, self._sensors.messages
         for kind in self._sensors.topics:
-            message = self._sensors.messages.latest(kind) or self._sensors.messages.wait(
-                kind, 0, max(0.0, deadline - time.monotonic())
-            )
+            message = messages.latest(kind) or messages.wait(kind, 0, max(0.0, deadline - time.monotonic()))
             if message is None or message.age > self.settings.step_timeout:
                 raise self._lost(kind)
 
     def _lost(self, kind: str) -> RobotLostError:
         """Stops the rover, and returns an error that names the silent topic."""
         self.stop()
-        silence = self._sensors.describe_silence(kind)
-        return RobotLostError(
-            f"lost the robot: {self._sensors.topics[kind]} ({kind}): {silence}; a stop command was sent"
-        )
-
-    def _target_pose(self, poses: Tensor) -> TargetPose:
-        x, y, yaw = poses[0].tolist()
-        return TargetPose(x, y, self._world.drop_height(poses[0, :2]).item(), yaw)
+        topic, silence = self._sensors.topics[kind], self._sensors.describe_silence(kind)
+        return RobotLostError(f"lost the robot: {topic} ({kind}): {silence}; a stop command was sent")
 
     def _wait_until_at_rest(self, target: TargetPose, poses_before: int) -> None:
         """Waits until the rover has been at rest for the settling time, at the target if it was moved.
 
-        Args:
-            target: target of the reset.
-            poses_before: number of pose messages before the reset.
-
-        Raises:
-            PoseResetError: if it does not come to rest in time.
-            RobotLostError: if its messages cease.
+        ``poses_before`` is the number of pose messages before the reset.
         """
-        settings = self.settings
+        settings, messages = self.settings, self._sensors.messages
         deadline = time.monotonic() + settings.reset_timeout
         rest_start, rest_position = time.monotonic(), self._world_pose()[0]
         while time.monotonic() - rest_start < settings.settle:
@@ -380,9 +333,7 @@ class Ros2Simulator:
                     f"the rover did not come to rest{place}; after {settings.reset_timeout:g} s it is at x {x:.2f} m, "
                     f"y {y:.2f} m, z {z:.2f} m, and its wheels are {'at rest' if self._wheels_at_rest() else 'moving'}"
                 )
-            self._sensors.messages.wait(
-                "odometry", self._sensors.messages.count("odometry"), timeout=settings.settle / 4
-            )
+            messages.wait("odometry", messages.count("odometry"), timeout=settings.settle / 4)
 
     def _wheels_at_rest(self) -> bool:
         speed, yaw_rate = self._sensors.wheel_velocity.abs().tolist()

@@ -1,23 +1,28 @@
-"""Protocol of the transports that send and receive ROS 2 messages."""
+"""Transports that send and receive ROS 2 messages, and what is sent and logged through them."""
 
 from __future__ import annotations
 
+import logging
+import math
+import time
 from collections.abc import Callable
 from importlib import import_module
-from typing import Protocol, TypeAlias, TypeVar
+from typing import Any, Protocol, TypeAlias
 
-from rover_rl.sims.ros2.messages import Message
+from rover_rl.sims.ros2.messages import Header, Time, Twist, TwistStamped, Vector3
+from rover_rl.sims.ros2.settings import Command, TransportName
 
-M = TypeVar("M", bound=Message)
-
-Publisher: TypeAlias = Callable[[M], None]
+Publisher: TypeAlias = Callable[[Any], None]
 """Function that publishes a message."""
-
-TRANSPORTS: dict[str, str] = {
+TRANSPORTS: dict[TransportName, str] = {
     "dds": "rover_rl.sims.ros2.dds:DdsTransport",
     "rclpy": "rover_rl.sims.ros2.rclpy:RclpyTransport",
 }
 """Import path of each transport's class, by name. Only the selected transport is imported."""
+STOP_REPEATS = 3
+"""Number of times that a stop command is sent, as a message may be lost."""
+WARNING_INTERVAL = 5.0
+"""Minimum time between two warnings with the same key, s."""
 
 
 class Transport(Protocol):
@@ -26,14 +31,14 @@ class Transport(Protocol):
     Messages are those of :mod:`rover_rl.sims.ros2.messages`, or objects with the same attributes.
     """
 
-    def subscribe(self, topic: str, kind: type[M], receive: Callable[[M], object], *, reliable: bool = False) -> None:
+    def subscribe(self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False) -> None:
         """Subscribes to a topic.
 
         A message that cannot be decoded is ignored with a warning.
 
         Args:
             topic: ROS 2 name of the topic.
-            kind: type of the messages.
+            kind: class of the messages.
             receive: function that is called with each message, from the transport's thread. It returns False for an
                 unusable message, which :meth:`publishers` does not count.
             reliable: whether to use reliable quality of service, which matches reliable publishers only. The default,
@@ -41,17 +46,14 @@ class Transport(Protocol):
         """
         ...
 
-    def publisher(self, topic: str, kind: type[M], *, reliable: bool = False) -> Publisher[M]:
+    def publisher(self, topic: str, kind: Any, *, reliable: bool = False) -> Publisher:
         """Creates a publisher.
 
         Args:
             topic: ROS 2 name of the topic.
-            kind: type of the messages.
+            kind: class of the messages.
             reliable: whether to use reliable quality of service with a history of one message. The default is best
                 effort with a history of five messages, as for sensor data.
-
-        Returns:
-            A function that publishes a message.
         """
         ...
 
@@ -68,18 +70,63 @@ class Transport(Protocol):
         ...
 
 
-def make_transport(name: str, node: str) -> Transport:
-    """Creates a transport by name.
+def make_transport(name: TransportName, node: str) -> Transport:
+    """Creates a transport.
 
     Args:
-        name: name of the transport: one of :data:`TRANSPORTS`.
+        name: name of the transport.
         node: name of the node.
 
     Raises:
-        ValueError: if the name is unknown.
         ImportError: if a package that the transport requires is not installed.
     """
-    if name not in TRANSPORTS:
-        raise ValueError(f"unknown transport {name!r}; use one of {sorted(TRANSPORTS)}")
     module, kind = TRANSPORTS[name].split(":")
     return getattr(import_module(module), kind)(node)
+
+
+class CommandPublisher:
+    """Publishes a rover's velocity commands and keeps the last one.
+
+    Args:
+        transport: transport to publish on.
+        topic: topic of the commands.
+        kind: message type of the commands; ``"none"`` sends nothing.
+        frame_id: frame of stamped commands.
+
+    Attributes:
+        last: forward speed (m/s) and yaw rate (rad/s) of the last command.
+    """
+
+    def __init__(self, transport: Transport, topic: str, kind: Command, frame_id: str) -> None:
+        self.last = (0.0, 0.0)
+        self._frame_id = frame_id
+        self._stamped = kind == "twist_stamped"
+        message = TwistStamped if self._stamped else Twist
+        self._publish = None if kind == "none" else transport.publisher(topic, message, reliable=True)
+
+    def send(self, speed: float, yaw_rate: float) -> None:
+        """Sends a forward speed (m/s) and a yaw rate (rad/s)."""
+        self.last = (speed, yaw_rate)
+        if self._publish is not None:
+            twist = Twist(Vector3(x=speed), Vector3(z=yaw_rate))
+            stamp = Time.from_seconds(time.time())
+            self._publish(TwistStamped(Header(stamp, self._frame_id), twist) if self._stamped else twist)
+
+    def stop(self) -> None:
+        """Sends zero velocity, several times."""
+        for _ in range(STOP_REPEATS):
+            self.send(0.0, 0.0)
+
+
+class ThrottledLogger:
+    """Logs a warning with the same key at most once every five seconds."""
+
+    def __init__(self, logger: logging.Logger) -> None:
+        self._logger = logger
+        self._logged: dict[str, float] = {}
+
+    def warning(self, key: str, message: str, *values: object) -> None:
+        """Logs a format string with its values, unless a warning with the same key was logged recently."""
+        if time.monotonic() - self._logged.get(key, -math.inf) > WARNING_INTERVAL:
+            self._logged[key] = time.monotonic()
+            self._logger.warning(message, *values)

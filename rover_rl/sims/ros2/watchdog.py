@@ -13,14 +13,9 @@ import select
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
-from types import TracebackType
 
-import tyro
-
-from rover_rl.sims.ros2.command_publisher import CommandPublisher
 from rover_rl.sims.ros2.settings import Command, Ros2Settings, TransportName
-from rover_rl.sims.ros2.transport import make_transport
+from rover_rl.sims.ros2.transport import CommandPublisher, make_transport
 
 READY = b"ready\n"
 """Output of the watchdog process once it is ready."""
@@ -53,21 +48,10 @@ class Watchdog:
     """
 
     def __init__(self, topic: str, settings: Ros2Settings, timeout: float = 0.5) -> None:
-        options = {
-            "topic": topic,
-            "command": settings.command,
-            "transport": settings.transport,
-            "frame-id": settings.frame_id,
-            "timeout": str(timeout),
-        }
-        arguments = [word for name, value in options.items() for word in (f"--{name}", value)]
+        arguments = [topic, settings.command, settings.transport, settings.frame_id, str(timeout)]
+        program = [sys.executable, "-m", "rover_rl.sims.ros2.watchdog", *arguments]
         # A new session, so that Ctrl-C does not end the watchdog before the driving process.
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "rover_rl.sims.ros2.watchdog", *arguments],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            start_new_session=True,
-        )
+        self._process = subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
         assert self._process.stdin is not None
         # A full pipe means that the watchdog hangs. It must not block the driving process.
         os.set_blocking(self._process.stdin.fileno(), False)
@@ -80,17 +64,11 @@ class Watchdog:
             raise ChildProcessError("the watchdog did not start, so the rover is not driven")
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def alive(self) -> None:
-        """Sends a heartbeat. Call it at every step.
-
-        Raises:
-            ChildProcessError: if the watchdog process is gone or hangs.
-        """
+        """Sends a heartbeat. Call it at every step. Raises ``ChildProcessError`` if the process is gone or hangs."""
         self._send(HEARTBEAT)
 
     def close(self) -> None:
@@ -115,53 +93,40 @@ class Watchdog:
             raise ChildProcessError("the watchdog is gone, so the rover is no longer driven") from error
 
 
-@dataclass(frozen=True)
-class WatchdogProcess:
-    """Read heartbeats from standard input, and stop the rover if they cease."""
+def watch(topic: str, command: Command, name: TransportName, frame_id: str, timeout: float) -> None:
+    """Reads heartbeats from standard input, and stops the rover if they cease. Runs until the driving process ends.
 
-    topic: str
-    """Topic of the rover's commands."""
-    command: Command
-    """Message type of the commands."""
-    transport: TransportName
-    """Transport to publish on."""
-    frame_id: str
-    """Frame of stamped commands."""
-    timeout: float
-    """Time without a heartbeat after which the rover is stopped, s."""
-
-    def __call__(self) -> None:
-        """Runs until the driving process ends."""
-        transport = make_transport(self.transport, "rover_rl_watchdog")
-        commands = CommandPublisher(transport, self.topic, self.command, self.frame_id)
-        deadline = time.monotonic() + DISCOVERY_TIMEOUT
-        while not transport.subscribers(self.topic) and time.monotonic() < deadline:
-            time.sleep(STOP_INTERVAL)
-        sys.stdout.buffer.write(READY)
-        sys.stdout.buffer.flush()
-        timeout: float | None = None  # before the first heartbeat there is nothing to stop
-        while True:
-            received = self._read_input(timeout)
-            if received is None:
+    Args:
+        topic: topic of the rover's commands.
+        command: message type of the commands.
+        name: name of the transport.
+        frame_id: frame of stamped commands.
+        timeout: time without a heartbeat after which the rover is stopped, s.
+    """
+    transport = make_transport(name, "rover_rl_watchdog")
+    commands = CommandPublisher(transport, topic, command, frame_id)
+    deadline = time.monotonic() + DISCOVERY_TIMEOUT
+    while not transport.subscribers(topic) and time.monotonic() < deadline:
+        time.sleep(STOP_INTERVAL)
+    sys.stdout.buffer.write(READY)
+    sys.stdout.buffer.flush()
+    patience: float | None = None  # before the first heartbeat there is nothing to stop
+    while True:
+        ready, _, _ = select.select([sys.stdin], [], [], patience)
+        if not ready:
+            commands.stop()
+            patience = STOP_INTERVAL
+            continue
+        received = os.read(sys.stdin.fileno(), 4096)
+        if not received:  # the driving process is gone
+            for _ in range(round(STOP_DURATION / STOP_INTERVAL)):
                 commands.stop()
-                timeout = STOP_INTERVAL
-            elif QUIT in received:
-                break
-            elif received:
-                timeout = self.timeout
-            else:
-                for _ in range(round(STOP_DURATION / STOP_INTERVAL)):
-                    commands.stop()
-                    time.sleep(STOP_INTERVAL)
-                break
-        transport.close()
-
-    @staticmethod
-    def _read_input(timeout: float | None) -> bytes | None:
-        """Reads standard input: empty if the driving process is gone, ``None`` after ``timeout`` (s) without input."""
-        ready, _, _ = select.select([sys.stdin], [], [], timeout)
-        return os.read(sys.stdin.fileno(), 4096) if ready else None
+                time.sleep(STOP_INTERVAL)
+        if not received or QUIT in received:
+            break
+        patience = timeout
+    transport.close()
 
 
 if __name__ == "__main__":
-    tyro.cli(WatchdogProcess)()
+    watch(sys.argv[1], sys.argv[2], sys.argv[3], sys.argv[4], float(sys.argv[5]))  # type: ignore[arg-type]

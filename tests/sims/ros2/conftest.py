@@ -2,10 +2,14 @@ from __future__ import annotations
 
 import os
 import random
+from importlib.util import find_spec
 
 import pytest
 
 from tests.sims.ros2.wire import Wire
+
+# The tests need rover_rl[ros2].
+collect_ignore_glob = [] if find_spec("rosbags") and find_spec("cyclonedds") else ["test_*.py"]
 
 
 @pytest.fixture(scope="session")

@@ -25,9 +25,8 @@ def main(domain: int, count: int) -> None:
     from cyclonedds.qos import Policy, Qos
     from cyclonedds.topic import Topic
 
-    from rover_rl.sims.ros2.cdr import encode
     from rover_rl.sims.ros2.dds import DdsTransport
-    from rover_rl.sims.ros2.messages import Imu, LaserScan, Odometry, PoseArray, Twist
+    from rover_rl.sims.ros2.messages import Imu, LaserScan, Odometry, PoseArray, Twist, encode
 
     class Raw(IdlStruct):
         data = b""

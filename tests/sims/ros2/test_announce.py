@@ -4,16 +4,12 @@ import time
 
 import numpy as np
 import pytest
-
-pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
-
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
-from rover_rl.sims.ros2.announce import TOPIC, Participant, announcement_types
-from rover_rl.sims.ros2.dds import DdsTransport, _sample_type
+from rover_rl.sims.ros2.dds import NODE_LIST, DdsTransport, _sample_type, announcement_types
 from rover_rl.sims.ros2.messages import LaserScan, Twist
 
 pytestmark = pytest.mark.ros2
@@ -24,7 +20,8 @@ class NodeReader:
 
     def __init__(self, domain: dict[str, str], distribution: str) -> None:
         self._participant = DomainParticipant(int(domain["ROS_DOMAIN_ID"]))
-        topic = Topic(self._participant, TOPIC, _sample_type(Participant, announcement_types(distribution)))
+        sample_type = _sample_type("rmw_dds_common/msg/ParticipantEntitiesInfo", announcement_types(distribution))
+        topic = Topic(self._participant, NODE_LIST, sample_type)
         qos = Qos(
             Policy.Reliability.Reliable(10**9),
             Policy.Durability.TransientLocal,

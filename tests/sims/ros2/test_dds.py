@@ -10,8 +10,6 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
-
 from rover_rl import RoverEnv
 from rover_rl.sims.ros2 import Ros2Settings
 from rover_rl.sims.ros2.dds import DdsTransport, domain_id, domain_settings

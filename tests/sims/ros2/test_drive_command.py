@@ -15,14 +15,13 @@ import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
-pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
-
 from rover_rl.algos.deploy.drive_log import read_drives
 from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.cli import main
+from rover_rl.sims.ros2 import Ros2Settings
 from rover_rl.sims.ros2.dds import DdsTransport
 from rover_rl.sims.ros2.messages import Odometry, Point, PoseArray, Twist
-from rover_rl.sims.ros2.pose_reset import TargetPose, TopicPlacer
+from rover_rl.sims.ros2.pose_reset import Placer, TargetPose
 from tests.sims.ros2.processes import Command, start_robot, until
 
 pytestmark = [pytest.mark.ros2, pytest.mark.slow]
@@ -78,7 +77,7 @@ def observer(environment, robot) -> Iterator[Observer]:
     observer = Observer(environment)
     x, y, yaw = stored_episodes("maze").start[0].tolist()
     until(lambda: observer.position.x < math.inf)
-    TopicPlacer(observer.transport, "/rover/set_pose").place(TargetPose(x, y, 0.0, yaw))
+    Placer(Ros2Settings(reset="topic"), "maze", observer.transport).place(TargetPose(x, y, 0.0, yaw))
     until(lambda: math.hypot(observer.position.x - x, observer.position.y - y) < 0.05 and observer.speed < 0.01)
     observer.twists.clear()
     yield observer

@@ -12,12 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
-
-from rover_rl.sims.ros2.cdr import encode
+from rover_rl.sims.ros2 import PoseResetError
 from rover_rl.sims.ros2.dds import DdsTransport
-from rover_rl.sims.ros2.messages import Header, LaserScan, Time, Twist, Vector3
-from rover_rl.sims.ros2.pose_reset import GazeboPlacer, PoseResetError, TargetPose
+from rover_rl.sims.ros2.messages import Header, LaserScan, Time, Twist, Vector3, encode
+from rover_rl.sims.ros2.pose_reset import TargetPose, place_in_gazebo
 from tests.sims.ros2.processes import Command, until
 
 pytestmark = [pytest.mark.ros2, pytest.mark.slow]
@@ -127,4 +125,4 @@ def test_gazebos_command_fails_without_gazebo(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
     monkeypatch.setenv("IGN_PARTITION", str(tmp_path))
     with pytest.raises(PoseResetError, match="Service call timed out"):
-        GazeboPlacer("ign", "maze", "rover_zero4wd").place(TargetPose(1.0, 2.0, 0.5, 0.0))
+        place_in_gazebo("ign", "maze", "rover_zero4wd", TargetPose(1.0, 2.0, 0.5, 0.0))

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from rover_rl.sims.ros2.pose_reset import GazeboPlacer, PoseResetError, TargetPose, succeeded
+from rover_rl.sims.ros2 import PoseResetError, Ros2Settings
+from rover_rl.sims.ros2.pose_reset import Placer, TargetPose, place_in_gazebo
+from tests.sims.ros2.wire import Wire
 
 TARGET = TargetPose(1.0, -2.0, 0.75, 0.5)
 
@@ -47,19 +49,17 @@ def fake_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 def test_only_a_successful_service_call_is_accepted(fake_command, outcome):
     output, errors, succeeds = outcome
     fake_command(output, errors)
-    placer = GazeboPlacer("ign", "maze", "rover_zero")
     if succeeds:
-        placer.place(TARGET)
+        place_in_gazebo("ign", "maze", "rover_zero", TARGET)
     else:
         with pytest.raises(PoseResetError, match="did not move 'rover_zero'"):
-            placer.place(TARGET)
-    assert succeeded(output, errors) is succeeds
+            place_in_gazebo("ign", "maze", "rover_zero", TARGET)
 
 
 @pytest.mark.parametrize(("command", "package"), [("ign", "ignition.msgs"), ("gz", "gz.msgs")])
 def test_each_gazebo_command_uses_its_own_message_package(fake_command, command, package):
     arguments = fake_command(name=command)
-    GazeboPlacer(command, "moon", "rover").place(TARGET)
+    Placer(Ros2Settings(reset=command, model="rover"), "moon", Wire()).place(TARGET)
     called_with = arguments.read_text().splitlines()
     assert called_with[:3] == ["service", "-s", "/world/moon/set_pose"]
     assert called_with[3:7] == ["--reqtype", f"{package}.Pose", "--reptype", f"{package}.Boolean"]
@@ -72,7 +72,7 @@ def test_each_gazebo_command_uses_its_own_message_package(fake_command, command,
 def test_a_target_that_is_not_finite_is_rejected(fake_command):
     arguments = fake_command()
     with pytest.raises(PoseResetError, match="finite numbers"):
-        GazeboPlacer("ign", "maze", "rover").place(TargetPose(float("nan"), 0.0, 0.0, 0.0))
+        place_in_gazebo("ign", "maze", "rover", TargetPose(float("nan"), 0.0, 0.0, 0.0))
     assert not arguments.exists()
 
 
@@ -80,10 +80,10 @@ def test_a_hanging_command_times_out(fake_command, monkeypatch):
     monkeypatch.setattr("rover_rl.sims.ros2.pose_reset._SERVICE_TIMEOUT_MS", 100)
     fake_command(extra="exec sleep 60")
     with pytest.raises(PoseResetError, match="did not finish within"):
-        GazeboPlacer("ign", "maze", "rover").place(TARGET)
+        place_in_gazebo("ign", "maze", "rover", TARGET)
 
 
 def test_a_missing_command_is_reported(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(FileNotFoundError, match="needs Gazebo's command 'gz'"):
-        GazeboPlacer("gz", "maze", "rover")
+        Placer(Ros2Settings(reset="gz"), "maze", Wire())

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from rover_rl.sims.ros2.messages import (
     Header,
-    Imu,
     LaserScan,
     Odometry,
     Point,
@@ -24,13 +23,14 @@ from rover_rl.sims.ros2.messages import (
     Vector3,
 )
 from rover_rl.sims.ros2.readings import (
+    SECTOR,
     ScanAlignment,
-    read_imu,
+    UnseenGuard,
+    read_orientation,
     read_pose_array,
     read_scan,
     read_twist,
 )
-from rover_rl.sims.rotations import quaternion_to_euler
 
 
 def scan(ranges, first=0.0, increment=None) -> LaserScan:
@@ -44,6 +44,8 @@ def test_ranges_are_unchanged():
     read = read_scan(scan([1.0, math.inf, math.nan, -math.inf]), max_invalid=0.25)
     np.testing.assert_array_equal(read.ranges, np.float32([1.0, math.inf, math.nan, -math.inf]))
     assert read.valid.tolist() == [True, True, False, True]
+    assert read.stamp == 3.5
+    assert ScanAlignment(2, 0.0)(read_scan(scan([-math.inf, 1.0]))).ranges.tolist() == [-math.inf, 1.0]
 
 
 def test_readings_outside_of_the_range_limits_are_invalid():
@@ -95,10 +97,6 @@ def test_ranges_are_copied():
     message = scan([1.0, 1.0])
     read_scan(message).ranges[0] = 7
     assert message.ranges[0] == 1
-
-
-def test_stamp_in_seconds():
-    assert read_scan(scan([1.0])).stamp == 3.5
 
 
 @pytest.mark.parametrize("ranges", [[], 3.0, [[1.0], [2.0]]])
@@ -169,33 +167,14 @@ def test_the_layout_of_scans_may_change():
     assert align(read_scan(scan([1.0, 2.0, 3.0, 4.0]))).ranges.tolist() == [1, 2, 3, 4]
 
 
-def test_minus_infinity_is_kept():
-    assert ScanAlignment(2, 0.0)(read_scan(scan([-math.inf, 1.0]))).ranges.tolist() == [-math.inf, 1.0]
-
-
-def imu(x: float, y: float, z: float, w: float) -> Imu:
-    return Imu(orientation=Quaternion(x, y, z, w))
-
-
-@pytest.mark.parametrize(
-    ("axis", "quaternion"), [(0, (1, 0, 0)), (1, (0, 1, 0)), (2, (0, 0, 1))], ids=["roll", "pitch", "yaw"]
-)
-def test_an_orientation_becomes_roll_pitch_yaw(axis, quaternion):
-    half = 0.35
-    euler = quaternion_to_euler(read_imu(imu(*(math.sin(half) * k for k in quaternion), math.cos(half))))
-    expected = np.zeros(3)
-    expected[axis] = 2 * half
-    np.testing.assert_allclose(euler, expected, atol=1e-6)
-
-
 def test_an_orientation_is_normalized():
-    np.testing.assert_allclose(read_imu(imu(0.0, 0.0, 3.0, 4.0)), [0, 0, 0.6, 0.8], atol=1e-6)
+    np.testing.assert_allclose(read_orientation(Quaternion(0.0, 0.0, 3.0, 4.0)), [0, 0, 0.6, 0.8], atol=1e-6)
 
 
 @pytest.mark.parametrize("quaternion", [(0, 0, 0, 0), (math.nan, 0, 0, 1), (math.inf, 0, 0, 1)])
 def test_an_invalid_orientation_is_rejected(quaternion):
     with pytest.raises(ValueError, match="finite quaternion other than zero"):
-        read_imu(imu(*quaternion))
+        read_orientation(Quaternion(*quaternion))
 
 
 def test_the_first_pose_of_an_array_is_read():
@@ -219,5 +198,15 @@ def test_odometry_provides_speed_and_yaw_rate():
 
 
 def test_any_object_with_the_attributes_is_accepted():
-    orientation = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=2.0)
-    assert read_imu(SimpleNamespace(orientation=orientation)).tolist() == [0, 0, 0, 1]
+    assert read_orientation(SimpleNamespace(x=0.0, y=0.0, z=0.0, w=2.0)).tolist() == [0, 0, 0, 1]
+
+
+@pytest.mark.parametrize(("speed", "direction"), [(0.3, 1.0), (-0.3, -1.0), (0.0, 0.0)])
+def test_every_beam_around_the_direction_of_travel_must_be_seen(speed, direction):
+    angles = torch.arange(128) * (2 * math.pi / 128)
+    guard, sector = UnseenGuard(angles), direction * angles.cos() > math.cos(SECTOR) - 1e-3
+    for beam in range(128):
+        seen = torch.ones(128, dtype=torch.bool)
+        assert not guard.blocks(speed, seen)
+        seen[beam] = False
+        assert guard.blocks(speed, seen) == sector[beam].item()

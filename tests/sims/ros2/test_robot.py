@@ -16,8 +16,6 @@ import torch
 from gymnasium.utils.env_checker import check_env
 from torchrl.envs.utils import check_env_specs
 
-pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
-
 import rover_rl
 from rover_rl import RoverEnv
 from rover_rl.algos.evaluation.episodes import stored_episodes
@@ -119,25 +117,14 @@ def test_a_policy_performs_as_in_bullet(with_robot):
 
 
 @pytest.mark.slow
-def test_a_killed_robot_raises_an_error(robot):
-    env = make_env(SHORT_TIMEOUT)
-    env.reset()
-    env.step(env.rand_action())
-    robot.kill()
-    with pytest.raises(RobotLostError, match="a stop command was sent"):
-        drive(env, steps=200)
-    assert env.simulator.last_command == (0.0, 0.0)
-    assert not env.robot_connected
-    env.close()
-
-
-@pytest.mark.slow
 def test_a_suspended_robot_may_resume(robot):
     env = make_env(SHORT_TIMEOUT)
     env.reset()
     robot.send_signal(signal.SIGSTOP)
-    with pytest.raises(RobotLostError):
+    with pytest.raises(RobotLostError, match="a stop command was sent"):
         drive(env, steps=200)
+    assert env.simulator.last_command == (0.0, 0.0)
+    assert not env.robot_connected
     robot.send_signal(signal.SIGCONT)
     until(lambda: env.robot_connected)
     assert torch.isfinite(env.reset()["pose"]).all()
@@ -171,7 +158,7 @@ def test_the_robot_stops_without_commands_and_its_clock_is_regular(robot, domain
     transport = DdsTransport("test", domain)
     clock: list[float] = []
     speeds: list[float] = []
-    transport.subscribe("/clock", Clock, lambda message: clock.append(message.clock.seconds))
+    transport.subscribe("/clock", Clock, lambda message: clock.append(message.clock.sec + message.clock.nanosec * 1e-9))
     transport.subscribe("/odometry/wheels", Odometry, lambda message: speeds.append(message.twist.twist.linear.x))
     publish = transport.publisher("/cmd_vel", Twist, reliable=True)
     until(lambda: clock and speeds and transport.subscribers("/cmd_vel"))
