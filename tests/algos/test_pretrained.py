@@ -43,7 +43,7 @@ def test_its_card_tells_the_command_that_trained_it(name: str) -> None:
 def test_it_reaches_its_goals(name: str) -> None:
     checkpoint = load_pretrained(name)
     env = checkpoint.env
-    assert f"{env.world}-{checkpoint.algorithm}" == name
+    assert f"{env.world}-{checkpoint.config.algo}" == name
     episodes = stored_episodes(env.world).first(12)
     result = evaluate(checkpoint.make_actor(), episodes, name=name, seconds=40, rows=12)
     assert result.success_rate >= FLOOR[env.world]

@@ -40,16 +40,6 @@ class Checkpoint:
         """Environment that the policy was made for."""
         return self.config.env
 
-    @property
-    def lidar_points(self) -> int:
-        """Number of lidar readings that the policy reads."""
-        return self.env.lidar.points
-
-    @property
-    def algorithm(self) -> str:
-        """Name of the algorithm, such as ``"ppo"``."""
-        return self.config.algo
-
     def save(self, path: Path) -> None:
         """Writes the checkpoint atomically. An existing file is replaced when the new one is complete."""
         with written_whole(path) as temporary:
@@ -85,8 +75,8 @@ class Checkpoint:
     def make_actor(self) -> ProbabilisticActor:
         """Makes the policy, a TorchRL module.
 
-        Its attribute ``made_for`` is the environment that it was made for, and ``trained_action_repeat`` the number of
-        steps that each action was held for in training.
+        Its attributes say which environment it was ``made_for``, and the number of steps that each action was held for
+        in training: ``trained_action_repeat``.
 
         Raises:
             ValueError: if the weights do not fit the settings.

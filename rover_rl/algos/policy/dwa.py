@@ -25,8 +25,8 @@ largest sum of the time until it touches a reading (s) and the clearance at its 
 for the goal, which it drives through; near the goal, slow trajectories win where fast ones miss it.
 
 The constants were chosen by hand in training worlds, with one episode in each of maze:0-63, rooms:0-63, forest:0-63 and
-moon:0-31 (a few settings also in hills:0-31), in Warp: about 50 settings, judged by contact-free successes, then by
-time. Among the better ones, differences are within the noise of 64 episodes. The command for one of the families::
+moon:0-31, in Warp, from about 50 settings, by contact-free successes, then by time. Among the better ones, differences
+are within the noise of 64 episodes. The command for one of the families::
 
     rover-rl evaluate dwa --world maze:0-63 --episodes 1 --action-repeat 2 --seconds 45 --backend warp
 
@@ -44,6 +44,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from rover_rl.algos.policy.baselines import hit_points
 from rover_rl.envs.config import EnvConfig, HeadingGains, LidarConfig, RobotLike, TaskConfig
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.footprint import covering_discs
@@ -107,9 +108,7 @@ class Trajectories(NamedTuple):
         yaw_rate: yaw rate of the body that each approaches, ``[N, S]``, rad/s.
         time: time of the poses, ``[K]``, s.
         path: distance driven, negative backward, ``[N, S, K]``, m.
-        x: positions along x, ``[N, S, K]``, m.
-        y: positions along y, ``[N, S, K]``, m.
-        heading: headings, ``[N, S, K]``, rad.
+        x, y, heading: poses, ``[N, S, K]``, m and rad.
     """
 
     speed: Tensor
@@ -124,8 +123,7 @@ class Trajectories(NamedTuple):
 class DynamicWindowPolicy(TensorDictModuleBase):
     """Dynamic-window planner (DWA): see :mod:`rover_rl.algos.policy.dwa`.
 
-    The policy reads ``lidar``, ``target`` and ``velocities``, and writes ``action``. Its constants are tuned for
-    ``rover_zero``. Rows are independent of one another. Works on any device.
+    The policy reads ``lidar``, ``target`` and ``velocities``. Its constants are tuned for ``rover_zero``.
 
     Args:
         robot: name of a robot, or a robot, whose footprint, acceleration limits and lidar position are used.
@@ -181,15 +179,10 @@ class DynamicWindowPolicy(TensorDictModuleBase):
 
         A reading is taken to come from the middle beam of its segment. Readings at the maximum range hit nothing.
         """
-        config, count = self.made_for.lidar, lidar.shape[-1]
+        config, (ahead, aside, _) = self.made_for.lidar, self._robot.lidar_position
         # Beam 0 points forward, and the first of b beams of segment i is beam i b.
-        middle = max(0.0, (1 - count / config.beams) / 2)
-        angles = (torch.arange(count, dtype=lidar.dtype, device=lidar.device) + middle) * (2 * math.pi / count)
-        x, y = (
-            lidar * angles.cos() + self._robot.lidar_position[0],
-            lidar * angles.sin() + self._robot.lidar_position[1],
-        )
-        return torch.stack((x, y), -1).masked_fill((lidar >= config.max_range)[..., None], _FAR)
+        x, y = hit_points(lidar, ahead, middle=max(0.0, (1 - lidar.shape[-1] / config.beams) / 2))
+        return torch.stack((x, y + aside), -1).masked_fill((lidar >= config.max_range)[..., None], _FAR)
 
     def trajectories(self, velocities: Tensor) -> Trajectories:
         """Samples the trajectories of rovers with the wheel odometry ``velocities [N, 2]`` (m/s, rad/s).
@@ -222,9 +215,8 @@ class DynamicWindowPolicy(TensorDictModuleBase):
     def _clearances(self, points: Tensor, sampled: Trajectories) -> tuple[Tensor, Tensor, Tensor]:
         """Returns distances to the nearest of ``points [N, P, 2]``, m.
 
-        Returns:
-            Clearance of the body in each pose, ``[N, S, K]``, expected lowest lidar reading in each pose,
-            ``[N, S, K]``, and current clearance of the body, ``[N]``.
+        They are the clearance of the body and the expected lowest lidar reading in each pose, ``[N, S, K]``, and the
+        current clearance of the body, ``[N]``.
         """
         offsets = (*self._discs, self._robot.lidar_position[0])
         cos, sin = sampled.heading.cos(), sampled.heading.sin()
@@ -236,10 +228,8 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         terms = torch.cat((-2 * points, points.square().sum(-1, keepdim=True)), -1)
         nearest = _lowest_product(terms, torch.stack((x, y, torch.ones_like(x)), 1))
         distance = (nearest + x.square() + y.square()).clamp(min=0).sqrt()
-        now, along = (
-            distance[:, : len(self._discs)],
-            distance[:, len(offsets) :].unflatten(-1, (*sampled.x.shape[1:], -1)),
-        )
+        now = distance[:, : len(self._discs)]
+        along = distance[:, len(offsets) :].unflatten(-1, (*sampled.x.shape[1:], -1))
         return along[..., :-1].amin(-1) - self._radius, along[..., -1], now.amin(-1) - self._radius
 
     def _action(self, speed: Tensor, yaw_rate: Tensor) -> Tensor:
@@ -262,13 +252,7 @@ def _score(
 ) -> Tensor:
     """Returns the weighted sum of the critics for each trajectory, ``[N, S]``.
 
-    Args:
-        sampled: trajectories.
-        points: points that the lidar hits, ``[N, P, 2]``, m.
-        goal: goal in the base frame, ``[N, 2]``, m.
-        arrived: whether a trajectory has come to the goal, bool ``[N, S, K]``. What is beyond does not count.
-        clearance: clearance of the body, ``[N, S, K]``, m.
-        readings: expected lowest lidar readings, ``[N, S, K]``, m.
+    What is beyond the pose in which a trajectory has ``arrived [N, S, K]`` at the goal does not count.
     """
     x, y, heading, arrives = sampled.x[..., -1], sampled.y[..., -1], sampled.heading[..., -1], arrived[..., -1]
     look_ahead = goal.norm(dim=-1, keepdim=True).clamp(0.1, LOOK_AHEAD)

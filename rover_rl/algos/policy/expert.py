@@ -1,11 +1,4 @@
-"""PrivilegedExpert: planner that uses the map and the pose, for imitation in training and as an upper bound.
-
-Example:
-    >>> env = make_env(world_n="maze", num_envs=2, seed=0)
-    >>> expert = PrivilegedExpert(env.pool, env.robot)
-    >>> expert.action(env.reset()).shape
-    torch.Size([2, 2])
-"""
+"""PrivilegedExpert: planner that uses the map and the pose, for imitation in training and as an upper bound."""
 
 from __future__ import annotations
 
@@ -91,12 +84,7 @@ class PrivilegedExpert:
         return torch.where(narrow, through, careful).reshape(*shape, 2)
 
     def _best_heading(self, fields: Tensor, position: Tensor, look_ahead: tuple[float, ...]) -> Tensor:
-        """Returns the heading with the shortest path to the goal, in the world frame, ``[M, 1]``, rad.
-
-        Args:
-            fields: number of the distance field of each row's goal, int64 ``[M]``.
-            position: positions, ``[M, 2]``, m.
-        """
+        """Returns the heading with the shortest path to the goal of each row's field, in the world, ``[M, 1]``, rad."""
         length = position.new_zeros(len(position), DIRECTIONS)
         for distance in look_ahead:
             path, is_free = self._distances.along(fields, position[:, None] + distance * self._directions)
@@ -105,18 +93,9 @@ class PrivilegedExpert:
 
 
 class MapExpert(TensorDictModuleBase):
-    """The :class:`PrivilegedExpert` as a policy: what is possible with the map of the world.
+    """The :class:`PrivilegedExpert` of a robot as a policy: what is possible with the map of the world.
 
     A :class:`~rover_rl.algos.policy.runner.PolicyRunner` with an environment tells it the worlds.
-
-    Args:
-        robot: name of a robot, or a robot, that it drives.
-
-    Attributes:
-        made_for: environment that the policy drives in, with ``robot``.
-
-    Raises:
-        ValueError: for an unknown robot.
     """
 
     def __init__(self, robot: RobotLike = "rover_zero") -> None:
@@ -128,34 +107,20 @@ class MapExpert(TensorDictModuleBase):
         self._expert: PrivilegedExpert | None = None
 
     def enter(self, env: RoverEnv) -> None:
-        """Prepares for the worlds and the robot of an environment.
-
-        Args:
-            env (rover_rl.RoverEnv): environment.
-        """
+        """Prepares for the worlds and the robot of an environment."""
         self._expert = PrivilegedExpert(env.pool, env.robot, env.device)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Sets ``action [N, 2]``.
-
-        Raises:
-            RuntimeError: before :meth:`enter`.
-        """
+        """Sets ``action [N, 2]``. Raises ``RuntimeError`` before :meth:`enter`."""
         if self._expert is None:
             raise RuntimeError("the expert knows no map: drive it with PolicyRunner(policy, env=env)")
         return tensordict.set("action", self._expert.action(tensordict))
 
 
 def _drive_on_slope(turn: Tensor, rate: Tensor, lidar: Tensor) -> Tensor:
-    """Returns the actions of a rover on a slope, where it slides while it turns on the spot.
+    """Returns the actions ``[M, 2]`` of a rover on a slope, where it slides while it turns on the spot.
 
-    Args:
-        turn: angle to the direction of the path, ``[M, 1]``, rad.
-        rate: yaw rate from wheel odometry, ``[M, 1]``, rad/s.
-        lidar: lidar readings, ``[M, points]``, m.
-
-    Returns:
-        Forward speed (m/s) and heading offset (rad), ``[M, 2]``.
+    ``turn [M, 1]`` is the angle to the direction of the path, rad, and ``rate [M, 1]`` the wheels' yaw rate, rad/s.
     """
     overshoot = OVERSHOOT * rate * rate.abs()
     speed, offset = drive_towards(turn - overshoot, lidar).split(1, -1)
@@ -167,14 +132,9 @@ def _drive_on_slope(turn: Tensor, rate: Tensor, lidar: Tensor) -> Tensor:
 
 
 def _pass_through(turn: Tensor, sloped: Tensor) -> Tensor:
-    """Returns the actions of a rover in a narrow passage, where obstacles are too near for a careful driver.
+    """Returns the actions ``[M, 2]`` of a rover in a narrow passage, too near to obstacles for a careful driver.
 
-    Args:
-        turn: angle to the direction of the passage, ``[M, 1]``, rad.
-        sloped: whether the rover is on a slope, bool ``[M, 1]``.
-
-    Returns:
-        Forward speed (m/s) and heading offset (rad), ``[M, 2]``.
+    ``turn [M, 1]`` is the angle to the direction of the passage, rad.
     """
     speed = CREEP * (1 - turn.abs() / ALIGNED).clamp(min=0)
     # Slower, it would stand still while it turns.

@@ -17,7 +17,7 @@ import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
-from rover_rl.algos.policy.baselines import slowest_turn
+from rover_rl.algos.policy.baselines import hit_points, slowest_turn
 from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike, TaskConfig
 from rover_rl.envs.seen_map.seen_map import ROUTE
 from rover_rl.sims.robots import Robot, get_robot
@@ -53,8 +53,7 @@ SLOPE_SPEED = 0.2
 class GridPlanner(TensorDictModule):
     """Follows the shortest route on a map of what the lidar has seen in the episode: see :func:`follow`.
 
-    The map is a grid of occupied cells around the rover, with higher costs near obstacles, and the route is found by
-    A*: the stack of costmap, planner and path follower of mobile robots, such as that of Nav2. What has not been seen
+    It is the stack of costmap, planner and path follower of mobile robots, such as that of Nav2. What has not been seen
     counts as free. See :class:`~rover_rl.envs.seen_map.seen_map.SeenMap`.
 
     The policy reads ``lidar``, ``imu`` and ``route``, which a :class:`~rover_rl.algos.policy.runner.PolicyRunner` adds.
@@ -99,9 +98,7 @@ def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
         Action ``[..., 2]``: forward speed (m/s) and heading offset (rad).
     """
     outline, angle = footprint(robot), route[..., 1:2]
-    points = lidar.shape[-1]
-    beams = (torch.arange(points, dtype=lidar.dtype, device=lidar.device) + 0.5) * (2 * math.pi / points)
-    x, y = lidar * beams.cos() + robot.lidar_position[0], lidar * beams.sin()
+    x, y = hit_points(lidar, robot.lidar_position[0])
     aside = y.abs() > outline.half_width + MARGIN
     ahead = x.masked_fill(aside | (x < 0), math.inf).amin(-1, keepdim=True) - outline.front
     behind = (-x).masked_fill(aside | (x > 0), math.inf).amin(-1, keepdim=True) + outline.back

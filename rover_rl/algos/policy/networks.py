@@ -10,11 +10,12 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
+from torch.distributions import AffineTransform, ComposeTransform
 from torchrl.data import Bounded
-from torchrl.modules import MLP, ProbabilisticActor, ValueOperator
+from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
+from torchrl.modules.distributions.continuous import SafeTanhTransform
 
 from rover_rl.algos.config import MemoryKind
-from rover_rl.algos.policy.distributions import BoundedTanhNormal
 from rover_rl.algos.policy.grid_planner import follow
 from rover_rl.algos.policy.privileged import MIRROR, PrivilegedEncoder
 from rover_rl.algos.policy.recurrent import recurrent_network
@@ -28,12 +29,7 @@ from rover_rl.sims.robots import Robot
 
 
 def action_spec(action: ActionConfig | None = None, device: torch.device | str | None = None) -> Bounded:
-    """Returns the action spec of one rover, ``[2]``.
-
-    Args:
-        action: bounds of the action; ``None``: the contract's.
-        device: device of the spec; ``None``: the CPU.
-    """
+    """Returns the action spec of one rover, ``[2]``, with given bounds, by default the contract's."""
     return bounded_spec(action_bounds(action or ActionConfig()), (), device)
 
 
@@ -43,14 +39,26 @@ def middle_and_half(spec: Bounded) -> tuple[Tensor, Tensor]:
     return (high + low) / 2, (high - low) / 2
 
 
-class EncodedNetwork(nn.Module):
-    """Applies an encoder to the observation and a network to its features.
+class BoundedTanhNormal(TanhNormal):
+    """Normal distribution that is squashed by tanh into bounds: parameters ``[..., n]``, bounds ``[n]``.
 
-    Args:
-        encoder: encoder of the observation.
-        body: network that takes the features.
-        privileged: encoder of the privileged observation, whose features follow; ``None``: the observation only.
-        prior: module that maps ``lidar``, ``imu`` and ``route`` to what is added to the mean; ``None``: nothing.
+    Equals TorchRL's ``TanhNormal``, to the last bit, without its checks of the bounds. They read three values from the
+    device for each distribution that is created, and the host would wait for a GPU each time.
+    """
+
+    def __init__(self, loc: Tensor, scale: Tensor, low: Tensor, high: Tensor) -> None:
+        # Does what the constructor of TanhNormal does after its checks.
+        self.tanh_loc, self.upscale, self._event_dims = False, 5.0, min(1, loc.ndim)
+        self.device, self.low, self.high = loc.device, low, high
+        self._t = ComposeTransform([SafeTanhTransform(), AffineTransform((high + low) / 2, (high - low) / 2)])
+        self.update(loc, scale)
+
+
+class EncodedNetwork(nn.Module):
+    """Applies an encoder to the observation and a network, ``body``, to its features.
+
+    The features of a ``privileged`` encoder follow those of the observation. A ``prior`` maps ``lidar``, ``imu`` and
+    ``route`` to what is added to the mean.
     """
 
     def __init__(
@@ -61,10 +69,7 @@ class EncodedNetwork(nn.Module):
         prior: RoutePrior | None = None,
     ) -> None:
         super().__init__()
-        self.prior = prior
-        self.encoder = encoder
-        self.body = body
-        self.privileged = privileged
+        self.prior, self.encoder, self.body, self.privileged = prior, encoder, body, privileged
 
     def forward(self, *entries: Tensor) -> Tensor | tuple[Tensor, ...]:
         """Returns the output of ``body`` for the entries of the observation and of the privileged observation."""
@@ -80,7 +85,20 @@ class EncodedNetwork(nn.Module):
         return reach * torch.tanh(loc / reach) + self.prior(*(entry[key] for key in ("lidar", "imu", ROUTE))), scale
 
 
-class RoutePrior(nn.Module):
+class _InBounds(nn.Module):
+    """Base of modules that read or write an action as a share of its bounds."""
+
+    _middle: Tensor
+    _half: Tensor
+
+    def __init__(self, action: Bounded) -> None:
+        super().__init__()
+        middle, half = middle_and_half(action)
+        self.register_buffer("_middle", middle, persistent=False)
+        self.register_buffer("_half", half, persistent=False)
+
+
+class RoutePrior(_InBounds):
     """Mean of a squashed normal distribution at which the action is that of a driver who follows the route.
 
     A policy that adds to it begins as that driver, and learns what to do better (T. Silver, K. Allen, J. Tenenbaum, L.
@@ -96,15 +114,10 @@ class RoutePrior(nn.Module):
     REACH = 1.0
     """Largest change of the mean by the policy, before squashing. A policy that may change more takes back what the
     driver does in rare places, such as backing out of a dead end, and gets stuck there."""
-    _middle: Tensor
-    _half: Tensor
 
     def __init__(self, robot: Robot, action: Bounded) -> None:
-        super().__init__()
+        super().__init__(action)
         self._robot = robot
-        middle, half = middle_and_half(action)
-        self.register_buffer("_middle", middle, persistent=False)
-        self.register_buffer("_half", half, persistent=False)
 
     def forward(self, lidar: Tensor, imu: Tensor, route: Tensor) -> Tensor:
         """Returns the mean before squashing, ``[..., 2]``, for these entries of an observation."""
@@ -186,9 +199,6 @@ class NormalParameters(nn.Module):
     The standard deviation is between ``MIN_STD`` and ``max_std``. Without an upper bound it grows where the mean
     matters little, such as in front of a wall, and the policy relies on random actions to escape: without exploration,
     it gets stuck.
-
-    Args:
-        max_std: largest standard deviation.
     """
 
     MIN_STD = 0.02
@@ -210,13 +220,9 @@ def make_critic(
     device: torch.device | str | None = None,
     privileged: bool = False,
 ) -> ValueOperator:
-    """Creates a state-value function from observation to ``state_value [..., 1]``.
+    """Creates a state-value function from observation to ``state_value [..., 1]``: see :func:`make_actor`.
 
-    Args:
-        encoder: encoder of the observation; ``None``: an encoder of the default entries.
-        hidden: number of units of each hidden layer.
-        device: device of the network; ``None``: the CPU.
-        privileged: whether it also reads the nested observation ``privileged``.
+    With ``privileged``, it also reads the nested observation ``privileged``.
     """
     encoder = encoder or ObservationEncoder()
     beside = PrivilegedEncoder() if privileged else None
@@ -233,27 +239,18 @@ def make_action_critic(
 ) -> ValueOperator:
     """Creates an action-value function from ``features [..., n]`` and action to ``state_action_value [..., 1]``.
 
-    Args:
-        features: number n of features of an :class:`~rover_rl.envs.encoding.ObservationEncoder`.
-        hidden: number of units of each hidden layer.
-        action: bounds of the action; ``None``: the contract's.
-        device: device of the network; ``None``: the CPU.
+    ``features`` is the number n of features of an :class:`~rover_rl.envs.encoding.ObservationEncoder`. For the other
+    arguments, see :func:`make_actor`.
     """
     network = _ActionCritic(features, hidden, action_spec(action))
     return ValueOperator(network.to(device), in_keys=["features", "action"])
 
 
-class _ActionCritic(nn.Module):
+class _ActionCritic(_InBounds):
     """Applies an MLP to the features, concatenated with the action scaled to [-1, 1]."""
 
-    _middle: Tensor
-    _half: Tensor
-
     def __init__(self, features: int, hidden: Sequence[int], spec: Bounded) -> None:
-        super().__init__()
-        middle, half = middle_and_half(spec)
-        self.register_buffer("_middle", middle, persistent=False)
-        self.register_buffer("_half", half, persistent=False)
+        super().__init__(spec)
         self._mlp = _mlp(features + spec.shape[-1], hidden, 1, gain=1.0)
 
     def forward(self, features: Tensor, action: Tensor) -> Tensor:
@@ -282,20 +279,13 @@ _SENSORS = policy_sensors(LidarConfig())
 def mirrored(transitions: TensorDictBase, rows: Tensor, sensors: Mapping[str, Sensor] | None = None) -> TensorDictBase:
     """Returns ``transitions [...]`` with the selected ``rows`` (bool ``[...]``) mirrored left to right.
 
-    Sensors mirror their values. The state of a memory is not mirrored: see
-    :class:`~rover_rl.algos.train.sequences.MirrorMemory`.
-
-    Args:
-        transitions: transitions, or observations and actions.
-        rows: which of them to mirror.
-        sensors: sensors of the observation, by key; ``None``: those of every rover.
+    The ``sensors`` of the observation, by default those of every rover, mirror their values. The state of a memory is
+    not mirrored: see :class:`~rover_rl.algos.train.sequences.MirrorMemory`.
     """
     mirrors = _MIRROR | {key: sensor.mirror for key, sensor in (sensors or _SENSORS).items()}
     image = transitions.copy()
     rows = rows[..., None]
-    for part in (image, image.get("next", None)):
-        if part is None:
-            continue
+    for part in [image, image["next"]] if "next" in image.keys() else [image]:  # noqa: SIM118
         for key, mirror in mirrors.items():
             if (value := part.get(key, None)) is not None:
                 part.set(key, torch.where(rows, mirror(value), value))
@@ -304,10 +294,7 @@ def mirrored(transitions: TensorDictBase, rows: Tensor, sensors: Mapping[str, Se
 
 @contextmanager
 def single_threaded() -> Iterator[None]:
-    """Limits PyTorch to one thread, since networks this small gain nothing from more.
-
-    Two threads that wait for each other can be fifty times slower if other programs use the same cores.
-    """
+    """Limits PyTorch to one thread: networks this small gain nothing from more, and on busy cores they lose much."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

@@ -40,11 +40,8 @@ def recurrent_network(embedding: TensorDictModule, units: int, head: nn.Module, 
         embedding: module that writes ``embedding [..., units]``.
         units: number of features of the embedding.
         head: module from embedding and memory, ``[..., units + size]``, to mean and standard deviation.
-        kind: kind of memory, ``"gru"`` or ``"lstm"``.
+        kind: kind of memory.
         size: number of units of the memory.
-
-    Returns:
-        A module that writes ``loc``, ``scale`` and the next state of the memory.
     """
     state = MEMORY_KEYS[kind]
     recurrent = {"gru": GRU, "lstm": LSTMModule}[kind](
@@ -94,14 +91,7 @@ class _Joined(nn.Module):
 
 
 class RecurrentStep(nn.Module):
-    """One step of an actor's network as a function of plain tensors, for export.
-
-    Args:
-        network: network from :func:`recurrent_network`.
-
-    Attributes:
-        state_size: number of entries of the state.
-    """
+    """One step of a :func:`recurrent_network` as a function of plain tensors, with ``state_size``, for export."""
 
     def __init__(self, network: TensorDictSequential) -> None:
         super().__init__()
@@ -114,9 +104,7 @@ class RecurrentStep(nn.Module):
     def forward(self, state: Tensor, *observation: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the mean of the action and the next state.
 
-        Args:
-            state: state, ``[N, state_size]``: hidden state, for an LSTM followed by the state of the cell.
-            *observation: entries of the observation, ``[N, n]``.
+        The state ``[N, state_size]`` is the hidden state, for an LSTM followed by the state of the cell.
         """
         embedded = self._embedding(*observation)
         weights = self._cell.all_weights[0]
@@ -131,12 +119,8 @@ class RecurrentStep(nn.Module):
 def memory_transforms(kind: str, size: int) -> list[Transform]:
     """Returns the transforms that an environment needs in which an actor with memory collects data.
 
-    They add ``is_init`` and the state of the memory, which is zero at the start of each episode. Without them, TorchRL
-    raises no error, and the state stays zero.
-
-    Args:
-        kind: kind of memory; none for ``"none"``.
-        size: number of units of the memory.
+    They add ``is_init`` and the state of the memory, of ``size`` units, which is zero at the start of each episode.
+    Without them, TorchRL raises no error, and the state stays zero.
     """
     if kind == "none":
         return []

@@ -36,14 +36,10 @@ only with the rows that decide."""
 
 
 def default_action_repeat(policy: Policy | None, given: int | None = None) -> int:
-    """Returns the number of steps that each action of a policy is held for.
+    """Returns the number of steps that each action of a policy is held for: the ``given`` one, or the default.
 
     The memory of a policy and its map change with each decision, so that it must decide as often as in training.
     Policies without them decide at each step.
-
-    Args:
-        policy: policy.
-        given: number of steps that the user asks for; ``None``: the default.
     """
     if given is not None:
         return given
@@ -70,10 +66,6 @@ class PolicyRunner:
             products of few rows round differently.
         env (rover_rl.RoverEnv | None): environment that the policy drives in, for the bounds that routes stay in;
             ``None``: those of the entry ``bounds`` of the observation, or none.
-
-    Attributes:
-        policy: the policy.
-        action_repeat: number of steps that each action is held for.
     """
 
     def __init__(
@@ -90,11 +82,7 @@ class PolicyRunner:
         self.reset()
 
     def reset(self, rows: Tensor | None = None) -> None:
-        """Starts new episodes: clears the memory. The next call decides.
-
-        Args:
-            rows: rows of new episodes, bool ``[N]``; ``None``: all, whose number may change.
-        """
+        """Starts new episodes in ``rows``, bool ``[N]``, or in all, whose number may change. The next call decides."""
         if rows is None:
             self._state: dict[str, Tensor] = {}
             self._seen = None
@@ -151,9 +139,8 @@ class PolicyRunner:
             inputs.update(self._state).set("is_init", self._is_init[:, None])
         if getattr(self.policy, "row_by_row", False):
             outputs = self.policy(inputs[due])
-            return _scattered(outputs["action"], due), {
-                key: _scattered(outputs["next", key], due) for key in self._keys
-            }
+            state = {key: _scattered(outputs["next", key], due) for key in self._keys}
+            return _scattered(outputs["action"], due), state
         if rows < self._min_rows:
             inputs = inputs[torch.arange(self._min_rows, device=observation.device).clamp(max=rows - 1)]
         outputs = self.policy(inputs)

@@ -19,9 +19,8 @@ from rover_rl.envs.rewards import reward_components
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.seen_map.seen_map import ROUTE
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
-from rover_rl.envs.transforms.path_reward import PathReward
+from rover_rl.envs.transforms.path_reward import PathReward, RouteReward
 from rover_rl.envs.transforms.route_observation import RouteObservation
-from rover_rl.envs.transforms.route_reward import RouteReward
 from rover_rl.envs.transforms.step_clock import StepClock
 from rover_rl.sims.backends import find_settings
 

@@ -14,10 +14,7 @@ class EncodedObservation(Transform):
     """Adds ``observation``, float32 ``[N, n]``: the features of an encoder, about [-1, 1] each.
 
     Programs that expect one vector under TorchRL's usual name run with it, and networks learn from it without
-    statistics of the observations.
-
-    Args:
-        encoder: encoder of the observation; ``None``: an encoder of the default entries, which leave out the pose.
+    statistics of the observations. The default encoder is that of the default entries, which leave out the pose.
 
     Example:
         >>> env = make_env(world_n="maze", num_envs=4).append_transform(EncodedObservation())

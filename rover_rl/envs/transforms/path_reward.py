@@ -1,4 +1,9 @@
-"""``PathReward``: shaping reward for progress along the shortest free path, for training."""
+"""Shaping rewards, for training, for progress along the shortest free path or along the route on the seen map.
+
+They are differences of potentials, so that the optimal policy does not change (A. Y. Ng, D. Harada, S. Russell, "Policy
+invariance under reward transformations", ICML 1999; here without the discount). Append them after
+:class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat`. Steps in which a goal is reached get no such reward.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +15,7 @@ from torchrl.envs.transforms import Transform
 
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.rows import in_rows
+from rover_rl.envs.seen_map.seen_map import ROUTE
 from rover_rl.sims.free_space.path_distance import PathDistances
 
 CAUTION = 4.0
@@ -20,13 +26,8 @@ class PathReward(Transform):
     """Adds ``weight`` per meter of progress along the shortest free path to ``reward``.
 
     The contract rewards progress in a straight line, which is zero in front of a wall, so that a rover learns to stop
-    there. This reward is a difference of potentials, so that the optimal policy does not change (A. Y. Ng, D. Harada,
-    S. Russell, "Policy invariance under reward transformations", ICML 1999; here without the discount). The reward uses
-    the map of the world, the policy does not.
-
-    Append it after :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat`. Steps in which a goal is reached get
-    no path reward. The transform adds ``path_length``, the length of the remaining path, float32 ``[N, 1]``, m. In this
-    length, a meter right beside an obstacle counts as five.
+    there. The reward uses the map of the world, the policy does not. The transform adds ``path_length``, the length of
+    the remaining path, float32 ``[N, 1]``, m. In this length, a meter right beside an obstacle counts as five.
 
     Args:
         env (rover_rl.RoverEnv): environment whose worlds and robot determine the paths.
@@ -57,6 +58,29 @@ class PathReward(Transform):
         shape = (*observation_spec.shape, 1)
         observation_spec["path_length"] = Unbounded(shape=shape, device=observation_spec.device)
         return observation_spec
+
+
+class RouteReward(Transform):
+    """Adds ``weight`` per meter by which the route to the goal gets shorter to ``reward``.
+
+    A rover that sees the end of a dead end loses at once what the way around costs. Unlike :class:`PathReward`, it
+    needs no map of the world and no shortest paths on it, which take longer to compute than the physics if episodes are
+    in many worlds. Append it after :class:`~rover_rl.envs.transforms.route_observation.RouteObservation`. Steps without
+    a route get no reward.
+
+    Args:
+        weight: reward per meter.
+    """
+
+    def __init__(self, weight: float) -> None:
+        super().__init__()
+        self._weight = weight
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        before, after = tensordict[ROUTE][..., 4:], next_tensordict[ROUTE][..., 4:]
+        without = (next_tensordict["outcome", "goals"] > 0) | (torch.minimum(before, after) < 0)
+        progress = (before - after).masked_fill(without, 0.0)
+        return next_tensordict.set("reward", next_tensordict["reward"] + self._weight * progress)
 
 
 def world_of(observation: TensorDictBase) -> Tensor:

@@ -44,6 +44,8 @@ ACTIVE_TIME = 1.0
 """Time since its last message during which a publisher counts as active, s."""
 NODE_LIST = "ros_discovery_info"
 """DDS name of the topic that announces nodes. Unlike the names of ROS topics, it has no prefix."""
+LONG_IDENTIFIERS = ("foxy", "galactic", "humble")
+"""Distributions with identifiers of 24 bytes; later ones have 16. Only their names distinguish them."""
 _HISTORY_DEPTH = 5
 """Number of unread messages that a topic keeps."""
 _RELIABLE = Policy.Reliability.Reliable(duration(milliseconds=100))
@@ -206,14 +208,11 @@ class _Participant:
 
 
 class _NodeList:
-    """List of a participant's nodes for ``ros2 node list``, published at each change. Topics work without it.
-
-    Identifiers have 24 bytes up to Humble and 16 bytes since Iron. Only the distribution's name distinguishes them.
-    """
+    """List of a participant's nodes for ``ros2 node list``, published at each change. Topics work without it."""
 
     def __init__(self, participant: DomainParticipant, distribution: str) -> None:
         self._types = announcement_types(distribution)
-        self._size = self._types.fielddefs["rmw_dds_common/msg/Gid"][1][0][1][1][1]
+        self._size = 24 if distribution in LONG_IDENTIFIERS else 16
         self._participant, self._nodes = participant.guid, dict[int, Any]()
         topic = Topic(participant, NODE_LIST, _sample_type("rmw_dds_common/msg/ParticipantEntitiesInfo", self._types))
         self._writer = DataWriter(participant, topic, _writer_qos(reliable=True, transient_local=True))
@@ -235,14 +234,14 @@ class _NodeList:
     def _gid(self, identifier: UUID) -> Any:
         return self._message("Gid", np.frombuffer(identifier.bytes.ljust(self._size, b"\0"), np.uint8))
 
-    def _message(self, name: str, *values: object) -> Any:
+    def _message(self, name: str, *values: Any) -> Any:
         return self._types.types[f"rmw_dds_common/msg/{name}"](*values)
 
 
 @cache
 def announcement_types(distribution: str) -> Typestore:
     """Returns the message definitions that announce nodes in a ROS distribution, for example ``"jazzy"``."""
-    return get_typestore(Stores.ROS2_HUMBLE if distribution in ("foxy", "galactic", "humble") else Stores.ROS2_JAZZY)
+    return get_typestore(Stores.ROS2_HUMBLE if distribution in LONG_IDENTIFIERS else Stores.ROS2_JAZZY)
 
 
 _participants: dict[int, Any] = {}

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from tensordict import TensorDict
 from torch import Tensor
 
-from rover_rl import RoverEnv
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.policy.baselines import RandomPolicy, ScriptedPolicy, drive_towards, steer
@@ -53,13 +52,6 @@ def test_random_actions_are_uniform_over_the_bounds() -> None:
     assert (drawn.abs() <= limits).all()
     torch.testing.assert_close(drawn.mean(0) / limits, torch.zeros(2), rtol=0, atol=0.02)
     torch.testing.assert_close(drawn.std(0) / limits, torch.full((2,), 3**-0.5), rtol=0.02, atol=0)
-
-
-def test_the_random_policy_runs_in_an_environment() -> None:
-    env = RoverEnv(world_n="maze", num_envs=2, seed=0)
-    rollout = env.rollout(3, RandomPolicy())
-    assert rollout["action"].unique().numel() == 12
-    env.close()
 
 
 # --- scripted

@@ -84,15 +84,6 @@ def test_it_turns_on_the_spot_where_nothing_is_free_ahead_and_behind() -> None:
     assert abs(heading) > 0.1
 
 
-def test_the_action_leads_to_the_yaw_rate_of_the_trajectory() -> None:
-    for motion in ((0.0, 0.0), (0.8, 1.0)):
-        sampled = POLICY.trajectories(torch.tensor([motion]))
-        turns = sampled.yaw_rate / (YAW_GAIN * HeadingGains.kp)
-        chosen = action(CLEAR, degrees=70, velocities=motion)
-        pairs = torch.stack((sampled.speed, turns), -1)[0]
-        assert (pairs - chosen).abs().amax(-1).min() < 1e-5
-
-
 def test_trajectories_are_those_of_the_simulated_rover() -> None:
     wanted = torch.tensor([[1.0, 0.5], [2 / 3, -0.5], [0.0, 0.6]])
     env = RoverEnv(world_n="maze", num_envs=3, backend="warp", seed=3, lidar_points=128)
@@ -167,13 +158,6 @@ def test_rows_do_not_depend_on_one_another() -> None:
     assert len(together.unique(dim=0)) > 10
     for row in range(count):
         assert torch.equal(POLICY(rows[row : row + 1].clone())["action"][0], together[row])
-
-
-@pytest.mark.parametrize("count", [1, 8, 32, 100, 128])
-def test_it_works_with_any_number_of_readings(count: int) -> None:
-    policy = DynamicWindowPolicy(lidar=LidarConfig(points=count))
-    assert action(torch.full((1, count), 12.0), policy)[0] == pytest.approx(1.0)
-    assert action(torch.full((1, count), 0.5), policy).isfinite().all()
 
 
 def test_readings_are_points_of_the_beams_that_gave_them() -> None:

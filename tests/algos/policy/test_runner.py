@@ -115,18 +115,3 @@ def test_rows_are_independent_to_the_last_bit(memory: str) -> None:
         first.append(few(some))
         assert torch.equal(first[-1], many(more)[:3])
     assert (first[-1] - first[0]).abs().max() > 0.01
-
-
-@BOTH
-@torch.no_grad()
-def test_the_action_depends_on_what_was_seen_in_the_episode_only(memory: str) -> None:
-    runner = PolicyRunner(recurrent_checkpoint(memory).make_actor(), action_repeat=1)
-    sequence = observations(2)
-    once = [runner(seen) for seen in sequence]
-    later = [runner(seen) for seen in sequence]
-    assert not torch.allclose(later[0], once[0], atol=1e-4)
-    runner.reset(torch.tensor([True, False]))
-    again = [runner(seen) for seen in sequence]
-    for before, after in zip(once, again, strict=True):
-        assert torch.equal(before[0], after[0])
-        assert not torch.equal(before[1], after[1])

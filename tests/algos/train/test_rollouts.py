@@ -21,7 +21,7 @@ from torchrl.modules import GRUModule, TanhNormal
 
 from rover_rl import RoverEnv
 from rover_rl.algos.config import TrainingConfig
-from rover_rl.algos.policy.distributions import BoundedTanhNormal
+from rover_rl.algos.policy.networks import BoundedTanhNormal
 from rover_rl.algos.policy.recurrent import GRU, MemoryPrimer, memory_transforms, state_keys
 from rover_rl.algos.train.attempts import SpreadEnds
 from rover_rl.algos.train.collectors import collect

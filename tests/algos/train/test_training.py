@@ -46,7 +46,7 @@ def test_a_run_writes_settings_progress_and_policies(config: TrainingConfig, tra
 @BOTH
 def test_a_trained_policy_can_be_evaluated(config: TrainingConfig, trained: Trained) -> None:
     checkpoint = Checkpoint.load(trained(config.algo).checkpoint)
-    assert (checkpoint.algorithm, checkpoint.steps) == (config.algo, 256)
+    assert (checkpoint.config.algo, checkpoint.steps) == (config.algo, 256)
     assert len(evaluate(checkpoint.make_actor(), draw_episodes("maze", 2, 0), seconds=1).endings) == 2
 
 

@@ -9,8 +9,8 @@ from torchrl.envs.utils import check_env_specs
 from rover_rl import RoverEnv
 from rover_rl.envs.seen_map.seen_map import SeenMap
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
+from rover_rl.envs.transforms.path_reward import RouteReward
 from rover_rl.envs.transforms.route_observation import RouteObservation
-from rover_rl.envs.transforms.route_reward import RouteReward
 
 
 def routed(rovers: RoverEnv, repeat: int = 4) -> EnvBase:

@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -71,24 +69,10 @@ def open_resources() -> tuple[int, int, int]:
     return threading.active_count(), len(os.listdir("/proc/self/fd")), len(os.listdir("/proc/self/task"))
 
 
-def test_close_releases_threads_and_files(domain):
-    def once() -> None:
-        transport = DdsTransport("once", domain)
-        transport.subscribe("/scan", LaserScan, print)
-        transport.publisher("/cmd_vel", Twist)
-        transport.close()
-        transport.close()
-
-    once()
-    before = open_resources()
-    for _ in range(100):
-        once()
-    assert open_resources() == before
-
-
 def test_a_closed_connection_raises_an_error(domain):
     transport = DdsTransport("gone", domain)
     publish = transport.publisher("/cmd_vel", Twist)
+    transport.close()
     transport.close()
     with pytest.raises(RuntimeError, match="connection of gone is closed"):
         publish(Twist())
@@ -130,27 +114,6 @@ def test_domain_and_discovery_range_follow_ros_variables():
     for variables in ({"ROS_LOCALHOST_ONLY": "1"}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "localhost"}):
         assert "127.0.0.1" in domain_settings(variables)
     assert domain_settings({"CYCLONEDDS_URI": "file:///mine.xml"}).endswith(",file:///mine.xml")
-
-
-def test_processes_exchange_messages(domain, tmp_path):
-    program = (
-        "from rover_rl.sims.ros2.dds import DdsTransport\n"
-        "from rover_rl.sims.ros2.messages import Clock, Time\n"
-        "import time\n"
-        "publish = DdsTransport('other').publisher('/clock', Clock)\n"
-        "while True:\n    publish(Clock(Time(7)))\n    time.sleep(0.05)\n"
-    )
-    received: list[Clock] = []
-    transport = DdsTransport("this", domain)
-    transport.subscribe("/clock", Clock, received.append)
-    other = subprocess.Popen([sys.executable, "-c", program], env={**os.environ, **domain})
-    try:
-        until(lambda: received, seconds=60)
-    finally:
-        other.kill()
-        other.wait()
-        transport.close()
-    assert received[0].clock.sec == 7
 
 
 def test_a_hundred_environments_release_threads_and_files(in_domain):
