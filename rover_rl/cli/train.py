@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -40,7 +40,6 @@ INTERRUPTED = 130
 
 # Options have no prefix of their part: --world and --hidden, not --env.world and --network.hidden.
 _Flat = tyro.conf.arg(name="")
-_EnvPart: TypeAlias = Annotated[EnvConfig, _Flat]
 
 
 @dataclass(frozen=True)
@@ -71,11 +70,11 @@ class Train:
     The same command continues runs that were interrupted."""
     randomize: bool = False
     """Randomize dynamics and sensors by typical ranges (docs/warp.md). --randomization options override them."""
-    env: _EnvPart = field(default_factory=EnvConfig)
+    run: Annotated[RunOptions, _Flat] = field(default_factory=RunOptions)
+    env: Annotated[EnvConfig, _Flat] = field(default_factory=EnvConfig)
     network: Annotated[NetworkConfig, _Flat] = field(default_factory=NetworkConfig)
     collection: Annotated[CollectionConfig, _Flat] = field(default_factory=CollectionConfig)
     algorithm: Annotated[AlgorithmConfig, _Flat] = field(default_factory=PPOConfig)
-    run: Annotated[RunOptions, _Flat] = field(default_factory=RunOptions)
     backend_settings: tyro.conf.Suppress[Any] = None
     """Settings of the backend that a file provides. The command line has no options for them."""
 

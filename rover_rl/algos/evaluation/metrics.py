@@ -249,9 +249,7 @@ def success_rate(trajectories: Sequence[Trajectory]) -> Estimate:
 def contact_free_success_rate(trajectories: Sequence[Trajectory], contacts: Sequence[Tensor]) -> Estimate:
     """Proportion of episodes that reach their goal within the time limit without any contact of the body.
 
-    Args:
-        trajectories: recorded episodes.
-        contacts: contact flags of :func:`find_body_contacts`.
+    ``contacts`` are the flags of :func:`find_body_contacts`.
     """
     pairs = zip(trajectories, contacts, strict=True)
     clean = sum(t.ending == "goal" and not touched.any() for t, touched in pairs)
@@ -268,10 +266,7 @@ def spl(trajectories: Sequence[Trajectory], shortest: Tensor) -> Estimate:
 
     ``S`` is 1 for a success and 0 otherwise, ``p`` is the length of the driven path and ``l`` that of the shortest
     path, both seen from above (Anderson et al., "On Evaluation of Embodied Navigation Agents", 2018, arXiv:1807.06757).
-
-    Args:
-        trajectories: recorded episodes.
-        shortest: lengths of the shortest paths, ``[count]``, m.
+    ``shortest`` has the lengths of the shortest paths, ``[count]``, m.
     """
     pairs = zip(trajectories, shortest.tolist(), strict=True)
     return ratio([(t.ending == "goal") * least / max(t.length, least, 1e-9) for t, least in pairs])
@@ -290,11 +285,8 @@ def traverse_rate(trajectories: Sequence[Trajectory], shortest: Tensor) -> Estim
     """[TR] Shortest-path length to reached goals per second of driving: ``sum(S l) / sum(t)``, m/s.
 
     The original environment names this metric and gives no formula. Here a failure contributes its time ``t`` and no
-    length, since SPL does not credit partial progress either. The speed limit of 1 m/s is an upper bound.
-
-    Args:
-        trajectories: recorded episodes.
-        shortest: lengths of the shortest paths, ``[count]``, m.
+    length, since SPL does not credit partial progress either. The speed limit of 1 m/s is an upper bound. ``shortest`` is that of
+    :func:`spl`.
     """
     pairs = zip(trajectories, shortest.tolist(), strict=True)
     return ratio([(t.ending == "goal") * least for t, least in pairs], [t.seconds for t in trajectories])
@@ -385,18 +377,11 @@ def count_runs(flags: Tensor) -> int:
 def find_body_contacts(
     trajectories: Sequence[Trajectory], world: World | Sequence[World], robot: Robot
 ) -> list[Tensor]:
-    """Finds the poses at which the rover's body touches an obstacle.
+    """Finds the poses of each episode at which the rover's body touches an obstacle, bool ``[T + 1]`` each.
 
     See :func:`~rover_rl.algos.evaluation.body_contacts.is_touching`. A contact need not be a lidar collision: at the
-    sides and at the rear, the outline may be farther from the lidar than the collision distance.
-
-    Args:
-        trajectories: recorded episodes.
-        world: world of the episodes, or the world of each episode.
-        robot: robot whose wheels give the outline.
-
-    Returns:
-        Contact flags of the poses of each episode, bool ``[T + 1]`` each.
+    sides and at the rear, the outline may be farther from the lidar than the collision distance. ``world`` is that of
+    all episodes, or that of each.
     """
     worlds = [world] * len(trajectories) if isinstance(world, World) else world
     together: dict[World, list[int]] = {}
@@ -412,23 +397,15 @@ def find_body_contacts(
 
 
 def goal_metrics(
-    trajectories: Sequence[Trajectory],
-    shortest: Tensor,
-    world: World | Sequence[World],
-    *,
-    robot: Robot,
-    contacts: Sequence[Tensor] | None = None,
+    trajectories: Sequence[Trajectory], shortest: Tensor, contacts: Sequence[Tensor]
 ) -> dict[str, Estimate]:
     """Computes the metrics of episodes with one goal each, by name.
 
     Args:
         trajectories: recorded episodes.
         shortest: lengths of the shortest paths, ``[count]``, m.
-        world: world of the episodes, or the world of each episode.
-        robot: robot of the episodes, whose outline gives the body contacts.
-        contacts: flags of :func:`find_body_contacts`, if they have been computed.
+        contacts: contact flags of :func:`find_body_contacts`.
     """
-    contacts = find_body_contacts(trajectories, world, robot) if contacts is None else contacts
     return {
         "success_rate": success_rate(trajectories),
         "contact_free_success_rate": contact_free_success_rate(trajectories, contacts),
@@ -439,18 +416,8 @@ def goal_metrics(
     }
 
 
-def endless_metrics(
-    trajectories: Sequence[Trajectory], world: World, *, robot: Robot, contacts: Sequence[Tensor] | None = None
-) -> dict[str, Estimate]:
-    """Computes the metrics of endless episodes, by name.
-
-    Args:
-        trajectories: recorded episodes.
-        world: world of the episodes.
-        robot: robot of the episodes, whose outline gives the body contacts.
-        contacts: flags of :func:`find_body_contacts`, if they have been computed.
-    """
-    contacts = find_body_contacts(trajectories, world, robot) if contacts is None else contacts
+def endless_metrics(trajectories: Sequence[Trajectory], contacts: Sequence[Tensor]) -> dict[str, Estimate]:
+    """Computes the metrics of endless episodes, by name, with the contact flags of :func:`find_body_contacts`."""
     return {
         "goals_per_episode": goals_per_episode(trajectories),
         "seconds_per_goal": seconds_per_goal(trajectories),

@@ -233,7 +233,7 @@ def test_too_short_an_episode_has_no_jerk(steps: int) -> None:
 
 def test_endless_metrics() -> None:
     trajectories = [drive(steps=2000, goals=20, ending="time limit"), drive(steps=400, goals=4, ending="jammed")]
-    measured = metrics.endless_metrics(trajectories, FIELD, robot=ROVER)
+    measured = metrics.endless_metrics(trajectories, find_body_contacts(trajectories, FIELD, ROVER))
     assert measured["goals_per_episode"].value == 12
     assert measured["seconds_per_goal"].value == pytest.approx(5)
     assert measured["episode_seconds"].value == pytest.approx(60)
@@ -283,7 +283,8 @@ def test_the_outline_is_that_of_the_robot(tmp_path: Path) -> None:
     assert find_body_contacts([at(0.7)], wall, longer)[0].all()
     trajectories = [at(0.7), at(0.7)]
     for robot, share in ((ROVER, 0), (longer, 1)):
-        assert metrics.endless_metrics(trajectories, wall, robot=robot)["body_contact_share"].value == share
+        contacts = find_body_contacts(trajectories, wall, robot)
+        assert metrics.endless_metrics(trajectories, contacts)["body_contact_share"].value == share
 
 
 def test_body_contacts_are_counted_per_run_and_per_episode() -> None:
@@ -292,7 +293,9 @@ def test_body_contacts_are_counted_per_run_and_per_episode() -> None:
     zeros = torch.zeros(len(there_and_back), 3)
     nothing = torch.zeros(len(there_and_back) - 1, dtype=torch.bool)
     twice = Trajectory(there_and_back, zeros, nothing, nothing, "time limit")
-    measured = metrics.goal_metrics([twice, at(0.0)], torch.tensor([1.0, 1.0]), wall, robot=ROVER)
+    trajectories = [twice, at(0.0)]
+    contacts = find_body_contacts(trajectories, wall, ROVER)
+    measured = metrics.goal_metrics(trajectories, torch.tensor([1.0, 1.0]), contacts)
     assert measured["body_contacts"].value == 1
     assert measured["body_contact_share"].value == 0.5
 
@@ -307,7 +310,8 @@ ENDINGS = ["goal", metrics.TIME_LIMIT, *metrics.EARLY_ENDINGS]
 @settings(deadline=None, max_examples=20)
 def test_every_episode_has_exactly_one_ending(endings: list[str]) -> None:
     trajectories = [drive(steps=2, ending=ending) for ending in endings]
-    measured = metrics.goal_metrics(trajectories, torch.ones(len(endings)), FIELD, robot=ROVER)
+    contacts = find_body_contacts(trajectories, FIELD, ROVER)
+    measured = metrics.goal_metrics(trajectories, torch.ones(len(endings)), contacts)
     shares = [estimate.value for key, estimate in measured.items() if key.startswith("ending_")]
     assert sum(shares) + measured["success_rate"].value == pytest.approx(1)
     assert set(measured) <= set(METRICS)
