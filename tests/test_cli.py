@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import subprocess
 import sys
 import warnings
@@ -62,6 +61,10 @@ def test_the_help_of_a_command_has_its_options_with_defaults(capsys: pytest.Capt
     for expected in ("--world", "--lidar.points", "(default: 512)", "Number of steps to train for"):
         assert expected in text
     assert text.index("--max-minutes") < text.index("--world") < text.index("--gamma")
+    assert "--lmbda" in text
+    text = help_of(capsys, "train --algo sac")
+    assert "--tau" in text
+    assert "--lmbda" not in text
 
 
 def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -99,12 +102,9 @@ NAMES = f"use one of {COMMANDS}; see rover-rl --help"
         ("evaluate", NO_POLICY),
         # Numbers and worlds out of range.
         ("train --seed -1", "seed must be a whole number from 0 to "),
-        ("evaluate scripted --world maze --seed 99999999999999999999", "seed must be a whole number from 0 to "),
         ("film scripted --seed -1 --out film.gif", "seed must be a whole number from 0 to "),
         ("robot --seed -1", "seed must be a whole number from 0 to "),
-        ("demo --seed -1", "seed must be a whole number from 0 to "),
         ("evaluate scripted --world maze --count -3", "count must be between 1 and 256, got -3"),
-        ("evaluate scripted --world maze --count 1000000000000000", "count must be at least 1 and at most 1e+12, got"),
         ("evaluate scripted --world maze --seconds nan", "seconds must be at least 0.05 and at most 1e+06, got nan"),
         ("film scripted --seconds inf --out film.gif", "seconds must be positive and at most 1e+06, got inf"),
         (
@@ -112,12 +112,8 @@ NAMES = f"use one of {COMMANDS}; see rover-rl --help"
             "width must be positive and at most 8192, got 99999999",
         ),
         ("train --num-envs 0", "num_envs must be at least 1 and at most 1e+06, got 0"),
-        ("train --total-steps 99999999999999999999", "total_steps must be at least 1 and at most 1e+12, got"),
         ("train --max-minutes nan", "max_minutes must be positive and at most 1e+30, got nan"),
-        ("train --learning-rate inf", "learning_rate must be positive and at most 1e+30, got inf"),
-        ("train --path-reward nan", "path_reward must be at least 0 and at most 1e+30, got nan"),
         ("train --world nowhere", f"unknown world 'nowhere'; use one of {sorted(WORLDS)}, 'name:seed'"),
-        ("demo --minutes -1", "max_minutes must be positive and at most 1e+30, got -1.0"),
         ("demo --count 0", "count must be at least 1 and at most 1000, got 0"),
         ("demo --seconds 0", "seconds must be at least 0.05 and at most 1e+06, got 0.0"),
         ("evaluate scripted --world maze --endless --action-repeat 0", "action_repeat must be at least 1"),
@@ -134,6 +130,7 @@ def test_a_wrong_command_line_is_refused_in_one_line(
     [
         ("worlds impor x", ("impor", "import, show", "rover-rl worlds --help")),
         ("benchmark", ("barn", "jaxnav")),
+        ("benchmark barn scripted", ("--data", "Folder of the public repository")),
         ("train --sped 3", ("--sped", "--seed", "rover-rl train --help")),
         ("train --algo sac --lmbda 0.9", ("--lmbda",)),
         ("train --max-st 1", ("--max-st", "--max-std")),
@@ -239,7 +236,6 @@ def test_too_little_memory_is_told_in_one_line(capsys: pytest.CaptureFixture[str
         torch.OutOfMemoryError(
             "CUDA out of memory. Tried to allocate 12.00 GiB. GPU 0 has a total capacity of 139 GiB"
         ),
-        RuntimeError("Failed to allocate 17179869184 bytes on device 'cuda:0'"),
         RuntimeError("Warp CUDA error 2: out of memory (in function wp_alloc_device_default)"),
     ],
 )
@@ -377,15 +373,6 @@ def written(folder: Path, text: str) -> Path:
     path = folder / "given.yaml"
     path.write_text(text)
     return path
-
-
-@pytest.mark.parametrize(("algo", "own", "other"), [("ppo", "--lmbda", "--tau"), ("sac", "--tau", "--lmbda")])
-def test_help_shows_the_settings_of_the_algorithm(
-    capsys: pytest.CaptureFixture[str], algo: str, own: str, other: str
-) -> None:
-    text = help_of(capsys, f"train --algo {algo}")
-    assert own in text
-    assert other not in text
 
 
 @pytest.mark.slow

@@ -51,21 +51,12 @@ COMMANDS = {
 
 
 def commands(args: Sequence[str] = ()) -> dict[str, Any]:
-    """Returns all commands by name: dataclasses, or instances that hold defaults, which depend on ``args``.
-
-    Raises:
-        FileNotFoundError: if a file or a run that the arguments name does not exist.
-        ValueError: if its settings cannot be read.
-    """
+    """Returns all commands by name: dataclasses, or instances that hold defaults, which depend on ``args``."""
     return {"train": train_defaults(args), "sweep": sweep_defaults(args), **COMMANDS}
 
 
 def read_command(args: Sequence[str]) -> Any:
-    """Parses a command line: the name of a command, then its options. Wrong options, ``--help`` and ``--version`` exit.
-
-    Raises:
-        ValueError: for a missing or unknown command.
-    """
+    """Parses a command and its options. Wrong options, ``--help`` and ``--version`` exit."""
     known = commands(args)
     name = args[0] if args else ""
     if name == "--version":
@@ -90,11 +81,7 @@ def _help(known: dict[str, Any]) -> str:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Runs a command and returns its exit code.
-
-    Args:
-        args: arguments of the command line; ``None``: those of the process.
-    """
+    """Runs a command and returns its exit code."""
     args = sys.argv[1:] if args is None else args
     # The user's worlds, robots, rewards and backends may be modules of the current folder, as with "python -m".
     if os.getcwd() not in sys.path:

@@ -122,16 +122,7 @@ class Train:
 
 
 def train_one(config: TrainingConfig, folder: Path | None, advice: str | None = None) -> int:
-    """Trains a policy, or continues the run in ``folder``, draws its learning curve and prints a summary.
-
-    Args:
-        config: settings of the run.
-        folder: folder of a run to continue; ``None`` starts a new run.
-        advice: text to print at the end, with ``{}`` for the path of the checkpoint.
-
-    Returns:
-        The exit code.
-    """
+    """Trains a policy, or continues the run in ``folder``, draws its learning curve and prints a summary."""
     from rover_rl.algos.experiments.curves import draw_learning_curve
     from rover_rl.algos.train import train
 
@@ -156,15 +147,7 @@ def _warnings_as_lines() -> Iterator[None]:
 
 
 def train_defaults(args: Sequence[str]) -> Train:
-    """Returns the command with the defaults of its options: those of the algorithm, of a file or of a run.
-
-    Args:
-        args: arguments of the command line, starting with the name of the command.
-
-    Raises:
-        FileNotFoundError: if the file or the run does not exist.
-        ValueError: if the settings cannot be read, or belong to another algorithm.
-    """
+    """Returns the command with the defaults of its options: those of the algorithm, of a file or of a run."""
     given = _early_options(args)
     if sum(source is not None for source in (given.config, given.resume, given.source)) > 1:
         raise ValueError("--config and --from start a new run, and --resume continues one: give one of them")

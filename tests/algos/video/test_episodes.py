@@ -55,7 +55,7 @@ def test_an_episode_is_driven_as_in_the_evaluation(randomized: bool, tmp_path: P
     assert {"goal", "time limit"} <= set(stored.endings)
     for episode in (0, 9):
         episodes = stored.to_drive(episode)
-        _, (drive,) = record_episodes(
+        (drive,) = record_episodes(
             ScriptedPolicy(),
             episodes,
             seconds=stored.seconds,
