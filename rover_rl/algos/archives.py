@@ -16,13 +16,7 @@ from rover_rl.files import write_through
 
 
 def write_archive(path: Path, form: str, data: Mapping[str, Any]) -> None:
-    """Writes plain data and tensors.
-
-    Args:
-        path: path of the file.
-        form: name of the format, which is written as ``"format"``.
-        data: entries by name.
-    """
+    """Writes plain data and tensors."""
     # Written to memory first: the errors of PyTorch's writer do not say that a disk is full.
     written = io.BytesIO()
     torch.save({"format": form, **data}, written)
@@ -33,20 +27,7 @@ def write_archive(path: Path, form: str, data: Mapping[str, Any]) -> None:
 
 
 def read_archive(path: Path, form: str, kind: str) -> dict[str, Any]:
-    """Reads a file that :func:`write_archive` wrote. No code in the file is executed.
-
-    Args:
-        path: path of the file.
-        form: name of the format.
-        kind: name of the kind of file in error messages.
-
-    Returns:
-        Entries by name.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if the file has another format, or is damaged.
-    """
+    """Reads a file that :func:`write_archive` wrote. No code in the file is executed."""
     if not path.is_file():
         raise FileNotFoundError(f"no {kind} at {path}")
     content = path.read_bytes()
@@ -66,10 +47,6 @@ def checked_copy(archive: bytes) -> io.BytesIO:
     """Copies an archive that PyTorch wrote and verifies the checksum of each record, which PyTorch does not do.
 
     The copy has new headers: for a record with a damaged header, PyTorch may return uninitialized memory.
-
-    Raises:
-        zipfile.BadZipFile: if a checksum differs, or the file is no ZIP archive. Damaged files may raise other errors,
-            too.
     """
     copy = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(archive)) as records, zipfile.ZipFile(copy, "w") as checked:

@@ -19,15 +19,10 @@ from rover_rl.envs.sensors.names import require_entries
 from rover_rl.sims.backends import BackendLike, name_of, resolve_backend
 
 CollectorName: TypeAlias = Literal["auto", "process", "processes", "ray"]
-"""Kinds of collectors."""
 CurriculumKind: TypeAlias = Literal["none", "learnability"]
-"""Ways to choose the worlds of episodes."""
 MemoryKind: TypeAlias = Literal["none", "gru", "lstm"]
-"""Kinds of memory of a policy."""
 PriorKind: TypeAlias = Literal["none", "route"]
-"""Kinds of drivers that a policy starts from."""
 ExpertKind: TypeAlias = Literal["map", "route"]
-"""Kinds of experts to imitate."""
 TrackerName: TypeAlias = Literal["csv", "tensorboard", "wandb", "trackio", "mlflow"]
 """Experiment trackers that training can send its progress to."""
 UNLIMITED_STEPS = 10**9
@@ -74,12 +69,10 @@ class NetworkConfig:
         """
         check_positive(MAX_NUMBER, max_std=self.max_std)
         check_at_least(1, MAX_COUNT, memory_size=self.memory_size)
-        if self.memory not in (kinds := get_args(MemoryKind)):
-            raise ValueError(f"memory must be one of {kinds}, got {self.memory!r}")
+        _check_choice("memory", self.memory, MemoryKind)
+        _check_choice("prior", self.prior, PriorKind)
         if not self.hidden or not all(1 <= units <= MAX_COUNT for units in self.hidden):
             raise ValueError(f"hidden must name at least one layer of at least 1 unit, got {self.hidden}")
-        if self.prior not in (kinds := get_args(PriorKind)):
-            raise ValueError(f"prior must be one of {kinds}, got {self.prior!r}")
         if self.prior == "route" and (self.memory != "none" or not {"lidar", "imu", "route"} <= set(self.observation)):
             raise ValueError(
                 f"prior='route' needs lidar, imu and route in observation and memory='none', got {self.observation} "
@@ -191,8 +184,7 @@ class PPOConfig(AlgorithmConfig):
         _check_counts(self, "epochs")
         _check_positive(self, "clip")
         _check_fractions(self, "lmbda", "imitation")
-        if self.expert not in (kinds := get_args(ExpertKind)):
-            raise ValueError(f"expert must be one of {kinds}, got {self.expert!r}")
+        _check_choice("expert", self.expert, ExpertKind)
         check_at_least(0, MAX_NUMBER, entropy_coef=self.entropy_coef)
 
 
@@ -386,8 +378,7 @@ class TrainingConfig:
 
     def _check_curriculum(self) -> None:
         settings = self.collection
-        if settings.curriculum not in (kinds := get_args(CurriculumKind)):
-            raise ValueError(f"curriculum must be one of {kinds}, got {settings.curriculum!r}")
+        _check_choice("curriculum", settings.curriculum, CurriculumKind)
         _check_fractions(settings, "curriculum_share")
         _check_positive(settings, "curriculum_temperature")
         backend = self.env.backend if isinstance(self.env.backend, str) else name_of(self.env.backend)
@@ -409,6 +400,11 @@ class TrainingConfig:
                 f"world must name at least one world, and at most the {self.rovers_per_worker} rovers of a worker: "
                 f"got {self.env.world}"
             )
+
+
+def _check_choice(name: str, given: str, kind: Any) -> None:
+    if given not in get_args(kind):
+        raise ValueError(f"{name} must be one of {get_args(kind)}, got {given!r}")
 
 
 def _check_counts(part: Any, *names: str) -> None:

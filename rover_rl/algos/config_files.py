@@ -16,11 +16,7 @@ from rover_rl.plain import from_plain, to_plain
 
 
 def plain(config: TrainingConfig) -> dict[str, Any]:
-    """Settings as plain data: the algorithm's name, then the parts.
-
-    Raises:
-        ValueError: as :func:`~rover_rl.envs.config.plain_env`.
-    """
+    """Settings as plain data: the algorithm's name, then the parts."""
     parts = {part: to_plain(getattr(config, part)) for part in PARTS if part != "env"}
     return {"algo": config.algo, "env": plain_env(config.env), **parts}
 
@@ -88,12 +84,7 @@ def read_sessions(path: Path) -> list[dict[str, Any]]:
 
 
 def read_yaml(path: str | Path) -> Any:
-    """Plain data from a YAML file.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if it is no YAML.
-    """
+    """Plain data from a YAML file."""
     path = Path(path)
     if path.is_dir():
         raise IsADirectoryError(f"{path} is a folder, and settings are in a file, such as a run's config.yaml")
@@ -116,12 +107,7 @@ def read_config(path: str | Path) -> TrainingConfig:
 
 
 def run_config(folder: str | Path) -> TrainingConfig:
-    """Settings of the run in ``folder``, to continue it; its folder may have been moved since.
-
-    Raises:
-        FileNotFoundError: if there is no run.
-        ValueError: if its settings cannot be read.
-    """
+    """Settings of the run in ``folder``, to continue it; its folder may have been moved since."""
     folder = Path(folder)
     path = folder / "config.yaml"
     if not path.is_file():

@@ -6,12 +6,7 @@ import os
 
 
 def default_workers(num_envs: int, cores: int | None = None) -> int:
-    """Default number of workers: one per core, or the largest number below that divides ``num_envs``.
-
-    Args:
-        num_envs: number of rovers.
-        cores: number of cores; ``None``: those of this machine that this process may use.
-    """
+    """Default number of workers: one per core, or the largest number below that divides ``num_envs``."""
     most = max(1, min(usable_cores() if cores is None else cores, num_envs))
     return next(workers for workers in range(most, 0, -1) if num_envs % workers == 0)
 

@@ -3,40 +3,42 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Union
 
 import tyro
 
-from rover_rl.cli.environment import EnvOptions
-from rover_rl.cli.policies import NO_POLICY, SEVERAL_POLICIES, resolve_policy
+from rover_rl.cli.environment import BACKEND, EnvOptions
+from rover_rl.cli.policies import SEVERAL_POLICIES, resolve_policies
 
 if TYPE_CHECKING:
     from rover_rl.algos.benchmarks.suite import Suite
 
-_Environment = Annotated[EnvOptions, tyro.conf.arg(name="")]
-
 
 @dataclass(frozen=True)
-class BarnBenchmark:
-    """Run policies in the worlds of BARN: 300 fields of cylinders, 10 m to the goal, 100 s, any contact fails."""
-
+class _Benchmark:
     policies: Annotated[
         tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="POLICY ...", help=SEVERAL_POLICIES)
-    ]
+    ] = ()
+    seed: int = 0
+    """Seed of the starts of all runs but the first."""
+    environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
+    backend: Annotated[str | None, tyro.conf.arg(help=BACKEND)] = None
+    workers: int | None = None
+    """Number of processes. The results do not depend on it. Default: the number of CPU cores."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BarnBenchmark(_Benchmark):
+    """Run policies in the worlds of BARN: 300 fields of cylinders, 10 m to the goal, 100 s, any contact fails."""
+
     data: Path
     """Folder of the public repository Daffan/the-barn-challenge, or of its worlds; or an .npz file of worlds."""
     worlds: str = "test"
     """Worlds: test (the 50 of the benchmark's score), train (the other 250), all, or numbers such as 1,7,20-29."""
     runs: int = 1
     """Number of runs in each world. All but the first start a few centimeters away from the benchmark's start."""
-    seed: int = 0
-    """Seed of these starts."""
-    environment: _Environment = field(default_factory=EnvOptions)
-    workers: int | None = None
-    """Number of processes. The results do not depend on it. Default: the number of CPU cores."""
     out: Path = Path("runs/benchmark-barn")
     """Folder to write to."""
 
@@ -66,28 +68,20 @@ class BarnBenchmark:
         return [*numbers]
 
 
-@dataclass(frozen=True)
-class JaxNavBenchmark:
+@dataclass(frozen=True, kw_only=True)
+class JaxNavBenchmark(_Benchmark):
     """Run policies in levels of JaxNav: small mazes of cells of 1 m, any contact fails."""
 
-    policies: Annotated[
-        tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="POLICY ...", help=SEVERAL_POLICIES)
-    ]
     data: Path
     """File of levels: .npz with map_data, start_xy, start_theta, goal_xy and geodesic8."""
     runs: int = 4
     """Number of runs in each level. All but the first start a few centimeters away from the level's start. One half
     chooses the worst 10 % of the levels, and the other half scores them."""
-    seed: int = 0
-    """Seed of these starts."""
     goal_radius: float = 0.3
     """Distance from the goal at which it is reached, m. JaxNav has 0.3; the policies of this package are trained with
     0.5."""
     seconds: float = 50.0
     """Time limit, s."""
-    environment: _Environment = field(default_factory=EnvOptions)
-    workers: int | None = None
-    """Number of processes. The results do not depend on it. Default: the number of CPU cores."""
     out: Path = Path("runs/benchmark-jaxnav")
     """Folder to write to."""
 
@@ -132,15 +126,10 @@ def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark) -> int:
     from rover_rl.algos.benchmarks.report import draw_worst_runs, print_results, write_results
     from rover_rl.algos.benchmarks.suite import run_suite
 
-    if not options.policies:
-        raise ValueError(NO_POLICY)
     environment, out = options.environment, options.out
-    words = dict.fromkeys(options.policies)
-    resolved = {word: resolve_policy(word, (suite.name,), environment.robot) for word in words}
-    names = Counter(policy.name for policy in resolved.values())
+    resolved = resolve_policies(options.policies, (suite.name,), environment.robot)
     policies = {
-        policy.name if names[policy.name] == 1 else word: (policy.module, environment.description(policy.module))
-        for word, policy in resolved.items()
+        policy.name: (policy.module, environment.description(policy.module, options.backend)) for policy in resolved
     }
     # Fails before the runs, which can take minutes.
     out.mkdir(parents=True, exist_ok=True)

@@ -6,17 +6,14 @@ from contextlib import closing
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, training_config, with_settings
 from rover_rl.checks import MAX_SECONDS, check_at_least
+from rover_rl.cli.evaluate import Evaluate
 from rover_rl.cli.train import INTERRUPTED, format_summary
 from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.timing import CONTROL_DT
-
-if TYPE_CHECKING:
-    from rover_rl.algos.evaluation.evaluate import Policy
-    from rover_rl.algos.evaluation.results import Evaluation
 
 TRAINED_IN = "0-299@0.2-0.9"
 """Seeds and difficulties of the worlds to train in."""
@@ -95,43 +92,19 @@ class Demo:
         return next(name for name in names if not (Path(self.runs) / name).exists())
 
     def _evaluate(self, folder: Path) -> None:
-        """Evaluates the trained policy beside others, and writes figures, plots and a film to the run's folder."""
-        from rover_rl.algos.evaluation.episodes import choose_episodes
-        from rover_rl.algos.evaluation.parallel import GoalRequest, evaluate_all
-        from rover_rl.algos.policy.checkpoint import Checkpoint
-        from rover_rl.algos.policy.names import make_baseline
-
-        trained = Checkpoint.load(folder).make_actor()
-        policies = {folder.name: trained, **{name: make_baseline(name) for name in ("gridplanner", "scripted")}}
-        print(f"Driving {len(policies)} policies from the same starts in {self.count} unseen worlds", flush=True)
-        episodes = choose_episodes(self.unseen, 1, workers=None)
-        requests = [
-            GoalRequest(policy, episodes, {"seconds": self.seconds, "name": name}) for name, policy in policies.items()
-        ]
-        # The script first: it drives until the time limit where it does not find its way.
-        evaluations = evaluate_all(requests[::-1])[::-1]
-        self._show(folder, trained, evaluations)  # type: ignore[arg-type]  # requests with goals give evaluations
-
-    def _show(self, folder: Path, trained: Policy, evaluations: list[Evaluation]) -> None:
-        """Prints the results, and draws the learning curve, the paths and a film of the trained policy."""
-        from rover_rl.algos.evaluation.plots import draw_paths
-        from rover_rl.algos.evaluation.report import print_table, write_evaluation
+        """Evaluates the trained policy beside others, draws its learning curve, and films it."""
         from rover_rl.algos.experiments.curves import draw_learning_curve
+        from rover_rl.algos.policy.checkpoint import Checkpoint
         from rover_rl.algos.video.film import film_to_goal
 
-        pictures = {
-            "Learning curve": folder / "learning_curve.png",
-            "Paths driven": folder / "paths.png",
-            "Film of the trained policy": folder / "film.gif",
-        }
-        curve, paths, moving = pictures.values()
-        with ProgressDisplay("drawing"):
-            write_evaluation(folder / "evaluation.json", evaluations)
-            draw_learning_curve([folder], curve, evaluations[-1])
-            draw_paths(evaluations, paths)
-        print_table(evaluations)
-        film_to_goal(trained, moving, world=f"{self.world}:{FIRST_UNSEEN}", seconds=FILMED, seed=self.seed)
-        print("\n".join(f"{what}: {path}" for what, path in pictures.items()))
+        policies = (str(folder), "gridplanner", "scripted")
+        print(f"Driving {len(policies)} policies from the same starts in {self.count} unseen worlds", flush=True)
+        Evaluate(policies, world=(self.unseen,), count=1, seconds=self.seconds, out=folder)()
+        curve, moving = folder / "learning_curve.png", folder / "film.gif"
+        draw_learning_curve([folder], curve)
+        trained, world = Checkpoint.load(folder).make_actor(), f"{self.world}:{FIRST_UNSEEN}"
+        film_to_goal(trained, moving, world=world, seconds=FILMED, seed=self.seed)
+        print(f"Learning curve: {curve}\nFilm of the trained policy: {moving}")
         print(f"To watch more of it: rover-rl play {folder}")
 
 

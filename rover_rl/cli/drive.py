@@ -104,11 +104,7 @@ class Drive:
     """Print the commands instead of sending them."""
 
     def __call__(self) -> int:
-        """Drives to each goal and prints how each drive ended. Returns 0 if all goals were reached.
-
-        Raises:
-            ValueError: for an option out of range. Nothing has been sent then.
-        """
+        """Drives to each goal and prints how each drive ended. Returns 0 if all goals were reached."""
         self._check()
         endings = []
         with ExitStack() as stack:
@@ -161,11 +157,7 @@ class Drive:
         return 0 if set(endings) == {"goal"} else GOAL_NOT_REACHED
 
     def _check(self) -> None:
-        """Checks that all options are in range.
-
-        Raises:
-            ValueError: for an option out of range, with its name.
-        """
+        """Checks that all options are in range."""
         if not all(math.isfinite(number) for goal in self.goal for number in goal):
             raise ValueError(f"--goal must be finite numbers, got {' '.join(f'{x:g} {y:g}' for x, y in self.goal)}")
         if not (self.goal or self.goals or self.random):
@@ -178,11 +170,7 @@ class Drive:
         self._settings()
 
     def _policy(self) -> ResolvedPolicy:
-        """Loads the policy and determines its world.
-
-        Raises:
-            ValueError: if the policy is random, or its world is unknown.
-        """
+        """Loads the policy and determines its world."""
         from rover_rl.cli.policies import resolve_policy
 
         policy = resolve_policy(self.policy, (self.world,) if self.world else (), self.robot)
@@ -226,11 +214,7 @@ class Drive:
         )
 
     def _description(self, policy: ResolvedPolicy, settings: Ros2Settings) -> EnvConfig:
-        """Describes the environment of the live rover, without a limit on the steps of an episode.
-
-        Raises:
-            ValueError: if the policy was made for another robot, lidar or action.
-        """
+        """Describes the environment of the live rover, without a limit on the steps of an episode."""
         from rover_rl.algos.evaluation.evaluate import environment_for
         from rover_rl.envs import Randomization
 
@@ -249,11 +233,7 @@ class Drive:
         return environment_for(policy.module, described)
 
     def _goals(self, world: str) -> list[tuple[float, float]]:
-        """Returns all goals: those of the command line, of the file, and the random ones.
-
-        Raises:
-            ValueError: if there is no goal, one is outside of the world's bounds, or the file is malformed.
-        """
+        """Returns all goals: those of the command line, of the file, and the random ones."""
         goals = list(self.goal)
         if self.goals is not None:
             with self.goals.open(newline="") as file:

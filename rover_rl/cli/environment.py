@@ -13,8 +13,12 @@ if TYPE_CHECKING:
     from rover_rl.algos.evaluation.evaluate import Policy
 
 
+BACKEND = "Simulator: bullet, warp, mujoco (an extra), or module:attribute. Default: that of --env, else bullet."
+"""Help of an option that names the backend."""
+
+
 @dataclass(frozen=True)
-class AnyBackendEnvOptions:
+class EnvOptions:
     """Environment to drive in, in a backend that is given apart from it.
 
     Default: the one that the policy was made for, in Bullet, without randomization.
@@ -27,17 +31,8 @@ class AnyBackendEnvOptions:
     physics: str | None = None
     """Preset of Bullet's physics: default, accurate or fast (docs/physics.md)."""
 
-    def description(self, policy: Policy | None, backend: str | None = None) -> EnvConfig:
-        """Returns the environment for a policy.
-
-        Args:
-            policy: the policy; ``None`` acts at random.
-            backend: name of the backend; ``None``: that of the file, else Bullet.
-
-        Raises:
-            FileNotFoundError: if the file does not exist.
-            ValueError: if the file describes no environment, or one that the policy was not made for.
-        """
+    def description(self, policy: Policy | None, backend: str | None) -> EnvConfig:
+        """Returns the environment for a policy."""
         from rover_rl.algos.evaluation.evaluate import environment_for
 
         config = environment_for(policy, None if self.env is None else read_env(self.env))
@@ -46,27 +41,11 @@ class AnyBackendEnvOptions:
         return environment_for(policy, replace(config, **changes))
 
 
-@dataclass(frozen=True)
-class EnvOptions(AnyBackendEnvOptions):
-    """Environment to drive in. Default: the one that the policy was made for, in Bullet, without randomization."""
-
-    backend: str | None = None
-    """Simulator: bullet, warp, mujoco (an extra), or module:attribute. Default: that of --env, else bullet."""
-
-    def description(self, policy: Policy | None, backend: str | None = None) -> EnvConfig:
-        """Returns the environment for a policy. See :meth:`AnyBackendEnvOptions.description`."""
-        return super().description(policy, backend or self.backend)
-
-
 def read_env(path: Path) -> EnvConfig:
     """Reads the description of an environment from YAML.
 
     Args:
         path: file with fields of :class:`EnvConfig`, or with settings of a training run, of which ``env`` is used.
-
-    Raises:
-        FileNotFoundError: if the file does not exist.
-        ValueError: if the file does not describe an environment.
     """
     data = read_yaml(path)
     if isinstance(data, dict) and isinstance(data.get("env"), dict):

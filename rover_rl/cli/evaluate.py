@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from rover_rl.algos.config_files import experiments
-from rover_rl.cli.environment import AnyBackendEnvOptions
-from rover_rl.cli.policies import LOG, NO_POLICY, SEVERAL_POLICIES, ResolvedPolicy, resolve_policy
+from rover_rl.cli.environment import EnvOptions
+from rover_rl.cli.policies import LOG, NO_POLICY, SEVERAL_POLICIES, ResolvedPolicy, resolve_policies
 from rover_rl.sims.robots import get_robot
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ class Evaluate:
     """Time limit of each episode, s."""
     action_repeat: int | None = None
     """Number of steps (50 ms) that each action is held for. Default: 1, for policies with memory that of training."""
-    environment: Annotated[AnyBackendEnvOptions, tyro.conf.arg(name="")] = field(default_factory=AnyBackendEnvOptions)
+    environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
     backend: tuple[str, ...] = ()
     """Simulators: bullet, warp, mujoco (an extra), or module:attribute. Several are compared on the same episodes.
     Default: that of --env, else bullet."""
@@ -67,7 +66,10 @@ class Evaluate:
 
         check_columns(self.columns)
         logs = {Path(word): read_drives(Path(word)) for word in self.policies if word.endswith(LOG)}
-        policies = self._policies()
+        if not self.policies:
+            raise ValueError(NO_POLICY)
+        words = [word for word in self.policies if not word.endswith(LOG)]
+        policies = resolve_policies(words, self.world, self.environment.robot) if words else []
         backends = self._backends(policies)
         sets = self._episode_sets(policies)
         out = self.out or next((policy.folder for policy in policies if policy.folder), Path("runs/evaluation"))
@@ -111,15 +113,6 @@ class Evaluate:
                 for policy in policies:
                     self.environment.description(policy.module, name)
         return [*names] or [None]
-
-    def _policies(self) -> list[ResolvedPolicy]:
-        """Resolves the policies and gives each a unique name."""
-        if not self.policies:
-            raise ValueError(NO_POLICY)
-        words = dict.fromkeys(word for word in self.policies if not word.endswith(LOG))
-        policies = {word: resolve_policy(word, self.world, self.environment.robot) for word in words}
-        names = Counter(policy.name for policy in policies.values())
-        return [policy if names[policy.name] == 1 else replace(policy, name=word) for word, policy in policies.items()]
 
     def _episode_sets(self, policies: list[ResolvedPolicy]) -> dict[str, EpisodeSet]:
         """Returns the episodes of each world: the stored ones if possible, else newly drawn ones."""

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from rover_rl.cli.environment import EnvOptions
+from rover_rl.cli.environment import BACKEND, EnvOptions
 from rover_rl.cli.policies import LOG, ONE_POLICY, ResolvedPolicy, resolve_policy
 
 if TYPE_CHECKING:
     from rover_rl.algos.evaluation.stored import StoredEvaluation
+    from rover_rl.algos.video.film import Style
     from rover_rl.algos.video.recording import Recording
 
 FILMED = 20.0
@@ -65,6 +66,7 @@ class Film:
     rewards: Path | None = None
     """File to plot the first rover's reward components to, such as rewards.png."""
     environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
+    backend: Annotated[str | None, tyro.conf.arg(help=BACKEND)] = None
 
     def __call__(self) -> int:
         """Films, and prints the path of each video and what it shows."""
@@ -80,15 +82,10 @@ class Film:
         return 0
 
     def _check(self) -> None:
-        """Checks the settings before the imports and the drive, which take seconds.
-
-        Raises:
-            ValueError: for a number out of range, or options that exclude each other.
-        """
-        from rover_rl.algos.video.film import check_film
+        """Checks the settings before the imports and the drive, which take seconds."""
         from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least, check_positive
 
-        check_film(self.out, self.view, self.width, self.height, self.fps, self.speed)
+        self._style.check(self.out)
         check_at_least(1, MAX_COUNT, count=self.count)
         if self.seconds is not None:
             check_positive(MAX_SECONDS, seconds=self.seconds)
@@ -101,12 +98,18 @@ class Film:
         if self.failures and self.policy.endswith(LOG):
             raise ValueError("--failures reads an evaluation; name a drive of a log with --episode")
 
+    @property
+    def _style(self) -> Style:
+        from rover_rl.algos.video.film import Style
+
+        return Style(self.view, self.width, self.height, self.fps, self.speed)
+
     def _film(self, recording: Recording, out: Path, of: str) -> None:
         """Films a drive, and says which one and how it ended."""
         from rover_rl.algos.video.film import film_recording
 
         shown = recording if self.seconds is None else recording.last(self.seconds)
-        film_recording(shown, out, view=self.view, width=self.width, height=self.height, fps=self.fps, speed=self.speed)
+        film_recording(shown, out, self._style)
         where = f" in {recording.world.name}" if recording.world.name != "none" else ""
         print(f"Film: {out}: episode {recording.episode} {of}{where}, {how_it_ended(recording)}", flush=True)
 
@@ -132,16 +135,12 @@ class Film:
             print(f"Not filmed: {', '.join(f'{one} ({stored.endings[one]})' for one in left)}; see --count, --episode")
 
     def _stored(self, policy: ResolvedPolicy) -> StoredEvaluation | None:
-        """Returns the evaluation of the policy, ``None`` if there is none and the episodes of a world are filmed.
-
-        Raises:
-            ValueError: if there is none, and failures are to be filmed.
-        """
+        """Returns the evaluation of the policy, ``None`` if there is none and the episodes of a world are filmed."""
         from rover_rl.algos.evaluation.stored import FILE, read_evaluation
 
         path = self.evaluation or policy.folder
         if path is not None and (self.evaluation or (path / FILE).is_file()):
-            return read_evaluation(path, policy.name, self.world, self.environment.backend)
+            return read_evaluation(path, policy.name, self.world, self.backend)
         if self.failures:
             raise ValueError(f"no evaluation of {self.policy} to take failures from: rover-rl evaluate {self.policy}")
         return None
@@ -154,13 +153,13 @@ class Film:
 
         assert self.episode is not None
         world = policy.worlds[0] if policy.worlds else "maze"
-        env = self.environment.description(policy.module)
+        env = self.environment.description(policy.module, self.backend)
         count = None if len(WorldPool(world)) > 1 else max(self.episode, 0) + 1
         episodes = choose_episodes(world, count, self.seed, robot=env.robot)
         if not 0 <= self.episode < len(episodes):
             raise ValueError(f"episode must be between 0 and {len(episodes) - 1}, got {self.episode}")
         chosen = episodes.part(self.episode, self.episode + 1)
-        _, (drive,) = record_episodes(policy.module, chosen, seconds=60.0, name=policy.name, env=env)
+        (drive,) = record_episodes(policy.module, chosen, seconds=60.0, name=policy.name, env=env)
         self._film(drive, self.out, f"of the episodes for {world}")
 
     def _film_endless(self) -> None:
@@ -181,7 +180,7 @@ class Film:
             height=self.height,
             fps=self.fps,
             speed=self.speed,
-            env=self.environment.description(policy.module),
+            env=self.environment.description(policy.module, self.backend),
         )
         print(f"Film: {self.out}")
         if self.rewards is not None:
@@ -197,7 +196,7 @@ def _driver(policy: ResolvedPolicy, stored: StoredEvaluation) -> Callable[[int],
         episodes = stored.to_drive(episode)
         options: dict[str, Any] = {"action_repeat": stored.action_repeat, "seconds": stored.seconds, "env": stored.env}
         wanted = [episode - episodes.offset]
-        _, (driven,) = record_episodes(policy.module, episodes, name=f"episode {episode}", wanted=wanted, **options)
+        (driven,) = record_episodes(policy.module, episodes, name=f"episode {episode}", wanted=wanted, **options)
         before = stored.endings[episode], stored.durations[episode]
         if (driven.ending, round(driven.seconds, 3)) != before:
             print(

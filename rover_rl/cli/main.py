@@ -6,7 +6,10 @@ import os
 import re
 import sys
 from collections.abc import Sequence
+from importlib.metadata import version
 from typing import Any
+
+import tyro
 
 from rover_rl.cli.benchmark import Benchmark
 from rover_rl.cli.compare import Compare
@@ -15,7 +18,6 @@ from rover_rl.cli.drive import Drive
 from rover_rl.cli.evaluate import Evaluate
 from rover_rl.cli.export import Export
 from rover_rl.cli.film import Film
-from rover_rl.cli.options import read_command
 from rover_rl.cli.play import Play
 from rover_rl.cli.robot import RobotCommand
 from rover_rl.cli.sweep import sweep_defaults
@@ -23,7 +25,10 @@ from rover_rl.cli.train import FAILED, INTERRUPTED, train_defaults
 from rover_rl.cli.worlds import Worlds
 from rover_rl.files import STANDARD_OUTPUT, errors_name
 from rover_rl.option_names import options_of_command
+from rover_rl.registry import perhaps
 
+PROGRAM = "rover-rl"
+"""Name of the program."""
 BROKEN_PIPE = 141
 """Exit code when the reader of the output has closed the pipe: 128 + SIGPIPE, as in a shell."""
 
@@ -46,24 +51,37 @@ COMMANDS = {
 
 
 def commands(args: Sequence[str] = ()) -> dict[str, Any]:
-    """Returns all commands by name.
-
-    Args:
-        args: arguments of the command line, on which the options of training depend.
-
-    Raises:
-        FileNotFoundError: if a file or a run that they name does not exist.
-        ValueError: if its settings cannot be read.
-    """
+    """Returns all commands by name: dataclasses, or instances that hold defaults, which depend on ``args``."""
     return {"train": train_defaults(args), "sweep": sweep_defaults(args), **COMMANDS}
 
 
-def main(args: list[str] | None = None) -> int:
-    """Runs a command and returns its exit code.
+def read_command(args: Sequence[str]) -> Any:
+    """Parses a command and its options. Wrong options, ``--help`` and ``--version`` exit."""
+    known = commands(args)
+    name = args[0] if args else ""
+    if name == "--version":
+        print(f"{PROGRAM} {version(PROGRAM)}")
+        raise SystemExit(0)
+    if name in ("-h", "--help"):
+        print(_help(known))
+        raise SystemExit(0)
+    if name not in known:
+        wrong = f"unknown command {name!r}{perhaps(name, known)}" if name else "a command is missing"
+        raise ValueError(f"{wrong}; use one of {[*known]}; see {PROGRAM} --help")
+    command = known[name]
+    default = {} if isinstance(command, type) else {"default": command}
+    kind = command if isinstance(command, type) else type(command)
+    return tyro.cli(kind, args=args[1:], prog=f"{PROGRAM} {name}", **default)
 
-    Args:
-        args: arguments of the command line; ``None``: those of the process.
-    """
+
+def _help(known: dict[str, Any]) -> str:
+    """Returns the help of the program: each command with the first line of its description."""
+    lines = [f"  {name:10} {command.__doc__.splitlines()[0]}" for name, command in known.items()]
+    return "\n".join((f"Usage: {PROGRAM} COMMAND [OPTIONS]", "", *lines, "", f"See {PROGRAM} COMMAND --help."))
+
+
+def main(args: list[str] | None = None) -> int:
+    """Runs a command and returns its exit code."""
     args = sys.argv[1:] if args is None else args
     # The user's worlds, robots, rewards and backends may be modules of the current folder, as with "python -m".
     if os.getcwd() not in sys.path:
@@ -71,7 +89,7 @@ def main(args: list[str] | None = None) -> int:
     try:
         try:
             with options_of_command("rover-rl worlds import "):
-                return read_command(commands(args), args)()
+                return int(read_command(args)())
         finally:
             _flush()
     except BrokenPipeError:

@@ -60,10 +60,10 @@ class Play:
 
     def _film_log(self) -> tuple[Path, Recording]:
         from rover_rl.algos.video.drive_log import recording_of_log
-        from rover_rl.algos.video.film import film_recording
+        from rover_rl.algos.video.film import Style, film_recording
 
         path, drive = Path(self.policy).with_suffix(".gif"), recording_of_log(Path(self.policy), world=self.world)
-        film_recording(drive.last(self.seconds), path, width=WIDTH, height=HEIGHT)
+        film_recording(drive.last(self.seconds), path, Style(width=WIDTH, height=HEIGHT))
         return path, drive
 
     def _film_policy(self) -> tuple[Path, Recording]:

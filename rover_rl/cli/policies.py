@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -55,6 +57,15 @@ class ResolvedPolicy:
     config: TrainingConfig | None = None
 
 
+def resolve_policies(words: Sequence[str], worlds: tuple[str, ...], robot: str | None = None) -> list[ResolvedPolicy]:
+    """Resolves several words, each once. Policies of the same name are named by their words."""
+    if not words:
+        raise ValueError(NO_POLICY)
+    policies = {word: resolve_policy(word, worlds, robot) for word in dict.fromkeys(words)}
+    names = Counter(policy.name for policy in policies.values())
+    return [policy if names[policy.name] == 1 else replace(policy, name=word) for word, policy in policies.items()]
+
+
 def resolve_policy(word: str, worlds: tuple[str, ...], robot: str | None = None) -> ResolvedPolicy:
     """Resolves the name of a policy on the command line.
 
@@ -64,10 +75,6 @@ def resolve_policy(word: str, worlds: tuple[str, ...], robot: str | None = None)
         worlds: worlds to drive in; if empty, the ones that the policy was trained in. For a range of seeds, it is one
             world that was not in the training.
         robot: robot of a baseline; ``None``: the default robot.
-
-    Raises:
-        FileNotFoundError: if the checkpoint does not exist.
-        ValueError: if there is no such pretrained policy, or the file holds no policy.
     """
     if word == RANDOM:
         return ResolvedPolicy(word, None, worlds)
@@ -93,12 +100,7 @@ def resolve_policy(word: str, worlds: tuple[str, ...], robot: str | None = None)
 
 
 def load_checkpoint(word: str) -> tuple[Checkpoint, str]:
-    """Loads the checkpoint that an argument of the command line names, and returns it with its name.
-
-    Raises:
-        FileNotFoundError: if the checkpoint does not exist.
-        ValueError: if there is no such pretrained policy, or the file holds no checkpoint.
-    """
+    """Loads the checkpoint that an argument of the command line names, and returns it with its name."""
     from rover_rl.algos.pretrained import pretrained_names
 
     if word.startswith(PRETRAINED):

@@ -61,11 +61,7 @@ class RobotCommand:
     """Topic that poses to move the rover to are received from, geometry_msgs/PoseStamped."""
 
     def __call__(self) -> int:
-        """Runs the robot until it is interrupted.
-
-        Raises:
-            ValueError: for an option out of range. Nothing has been published then.
-        """
+        """Runs the robot until it is interrupted."""
         self._check()
         described = self._environment()
         from rover_rl.algos.evaluation.episodes import draw_episodes

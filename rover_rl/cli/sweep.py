@@ -54,8 +54,7 @@ def sweep_defaults(args: Sequence[str]) -> SweepCommand:
 
 
 def _run(config: TrainingConfig, space: list[Setting], options: SweepCommand) -> int:
-    from rover_rl.algos.experiments.sweep import Sweep
-    from rover_rl.algos.experiments.trials import draw_trials, print_trials, write_trials
+    from rover_rl.algos.experiments.sweep import Sweep, draw_trials, print_trials, write_trials
     from rover_rl.algos.train.run_folder import default_name
 
     folder = Path(config.run.runs, config.run.name or f"sweep-{default_name(config)}")

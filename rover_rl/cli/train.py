@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -40,7 +40,6 @@ INTERRUPTED = 130
 
 # Options have no prefix of their part: --world and --hidden, not --env.world and --network.hidden.
 _Flat = tyro.conf.arg(name="")
-_EnvPart: TypeAlias = Annotated[EnvConfig, _Flat]
 
 
 @dataclass(frozen=True)
@@ -71,11 +70,11 @@ class Train:
     The same command continues runs that were interrupted."""
     randomize: bool = False
     """Randomize dynamics and sensors by typical ranges (docs/warp.md). --randomization options override them."""
-    env: _EnvPart = field(default_factory=EnvConfig)
+    run: Annotated[RunOptions, _Flat] = field(default_factory=RunOptions)
+    env: Annotated[EnvConfig, _Flat] = field(default_factory=EnvConfig)
     network: Annotated[NetworkConfig, _Flat] = field(default_factory=NetworkConfig)
     collection: Annotated[CollectionConfig, _Flat] = field(default_factory=CollectionConfig)
     algorithm: Annotated[AlgorithmConfig, _Flat] = field(default_factory=PPOConfig)
-    run: Annotated[RunOptions, _Flat] = field(default_factory=RunOptions)
     backend_settings: tyro.conf.Suppress[Any] = None
     """Settings of the backend that a file provides. The command line has no options for them."""
 
@@ -123,16 +122,7 @@ class Train:
 
 
 def train_one(config: TrainingConfig, folder: Path | None, advice: str | None = None) -> int:
-    """Trains a policy, or continues the run in ``folder``, draws its learning curve and prints a summary.
-
-    Args:
-        config: settings of the run.
-        folder: folder of a run to continue; ``None`` starts a new run.
-        advice: text to print at the end, with ``{}`` for the path of the checkpoint.
-
-    Returns:
-        The exit code.
-    """
+    """Trains a policy, or continues the run in ``folder``, draws its learning curve and prints a summary."""
     from rover_rl.algos.experiments.curves import draw_learning_curve
     from rover_rl.algos.train import train
 
@@ -157,15 +147,7 @@ def _warnings_as_lines() -> Iterator[None]:
 
 
 def train_defaults(args: Sequence[str]) -> Train:
-    """Returns the command with the defaults of its options: those of the algorithm, of a file or of a run.
-
-    Args:
-        args: arguments of the command line, starting with the name of the command.
-
-    Raises:
-        FileNotFoundError: if the file or the run does not exist.
-        ValueError: if the settings cannot be read, or belong to another algorithm.
-    """
+    """Returns the command with the defaults of its options: those of the algorithm, of a file or of a run."""
     given = _early_options(args)
     if sum(source is not None for source in (given.config, given.resume, given.source)) > 1:
         raise ValueError("--config and --from start a new run, and --resume continues one: give one of them")

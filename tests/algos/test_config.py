@@ -17,6 +17,7 @@ PPO, SAC = training_config("ppo"), training_config("sac")
         (PPO, "total_steps", 0),
         (PPO, "learning_rate", 0.0),
         (PPO, "gamma", 1.1),
+        (PPO, "path_reward", float("nan")),
         (PPO, "entropy_coef", -1.0),
         (PPO, "max_minutes", 0.0),
         (PPO, "checkpoint_minutes", 0.0),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,58 +14,36 @@ Shape = tuple[int | None, ...]
 
 
 def read_npz(path: Path, shapes: Mapping[str, Shape]) -> dict[str, np.ndarray]:
-    """Reads arrays of numbers from an ``.npz`` file.
-
-    Args:
-        path: the file.
-        shapes: shape of each array, by name. All first dimensions that are ``None`` are independent of one another.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if the file is damaged, lacks an array, or an array has another shape or does not hold numbers.
-    """
-    if not path.is_file():
-        raise FileNotFoundError(f"no file at {path}")
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            missing = [name for name in shapes if name not in file]
-            if missing:
-                raise KeyError(missing[0])
-            arrays = {name: file[name] for name in shapes}
-    except KeyError as error:
-        raise ValueError(f"{path} has no array {error}; it needs {', '.join(shapes)}") from error
-    except (ValueError, EOFError, zipfile.BadZipFile, OSError, TypeError, AttributeError) as error:
-        raise ValueError(_unreadable(path)) from error
+    """Reads arrays of numbers with the given shapes, by name, from an ``.npz`` file."""
+    arrays = _load(path)
+    if isinstance(arrays, np.ndarray):
+        raise ValueError(f"{path} must be an .npz file, with the arrays {', '.join(shapes)}")
+    if missing := [name for name in shapes if name not in arrays]:
+        raise ValueError(f"{path} has no array {missing[0]!r}; it needs {', '.join(shapes)}")
     return {name: _checked(f"{name} in {path}", arrays[name], shape) for name, shape in shapes.items()}
 
 
 def read_npy(path: Path, shape: Shape) -> np.ndarray:
-    """Reads an array of numbers from an ``.npy`` file.
+    """Reads an array of numbers with the given shape from an ``.npy`` file."""
+    return _checked(str(path), _load(path), shape)
 
-    Args:
-        path: the file.
-        shape: shape of the array.
 
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if the file is damaged, or the array has another shape or does not hold numbers.
-    """
+def _load(path: Path) -> Any:
+    """Reads an array, or a dictionary of arrays."""
     if not path.is_file():
         raise FileNotFoundError(f"no file at {path}")
     try:
-        array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, zipfile.BadZipFile, OSError) as error:
-        raise ValueError(_unreadable(path)) from error
-    if not isinstance(array, np.ndarray):
-        raise ValueError(_unreadable(path))
-    return _checked(str(path), array, shape)
+        loaded = np.load(path, allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            return loaded
+        with loaded:
+            return dict(loaded)
+    except (ValueError, EOFError, zipfile.BadZipFile, OSError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path} is damaged, no NumPy file, or has pickled objects, which are not read") from error
 
 
-def _unreadable(path: Path) -> str:
-    return f"{path} is damaged, no NumPy file, or has pickled objects, which are not read"
-
-
-def _checked(what: str, array: np.ndarray, shape: Shape) -> np.ndarray:
+def _checked(what: str, array: Any, shape: Shape) -> np.ndarray:
+    array = np.asarray(array)
     fits = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
     if not fits or array.dtype.kind not in "biuf":
         expected = " x ".join("any" if n is None else str(n) for n in shape)

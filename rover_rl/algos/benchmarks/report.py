@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
 
 from rover_rl.algos.benchmarks.suite import JITTER, Result
-from rover_rl.algos.evaluation.metrics import Estimate
 from rover_rl.algos.evaluation.plots import draw_panels
-from rover_rl.algos.evaluation.report import write_rows
-from rover_rl.algos.evaluation.results import plain_env_or_none
-from rover_rl.algos.evaluation.tables import Column, fitting_tables
+from rover_rl.algos.evaluation.results import plain_env_or_none, plain_estimates
+from rover_rl.algos.evaluation.tables import Column, cell, print_tables, write_rows
 from rover_rl.files import write_json
 
 WORST_RUNS = 6
@@ -32,25 +28,15 @@ def print_results(results: Sequence[Result], console: Console | None = None) -> 
     console = console or Console()
     suite = results[0].suite
     columns = [
-        Column(heading, unit, [_cell(result.metrics[key], unit) for result in results])
+        Column(heading, unit, [cell(result.metrics[key], unit, digits=3) for result in results])
         for key, (heading, unit) in suite.columns.items()
     ]
-    for table in fitting_tables(suite.title, [result.name for result in results], columns, console):
-        console.print(table)
+    print_tables(suite.title, [result.name for result in results], columns, console)
     told = dict.fromkeys(line for result in results for line in suite.differences(result.evaluation.env))
     console.print("What differs from the original benchmark:")
     for line in told:
         console.print(f"- {escape(line)}", highlight=False, soft_wrap=True)
     console.print("Below a value: 95 % confidence interval.", style="dim")
-
-
-def _cell(estimate: Estimate, unit: str) -> str:
-    """Formats a value and, below it, its confidence interval."""
-    if math.isnan(estimate.value):
-        return "-"
-    factor, digits = (100, 1) if unit == "%" else (1, 1 if unit else 3)
-    value, low, high = (f"{factor * number:.{digits}f}" for number in (estimate.value, estimate.low, estimate.high))
-    return value if math.isnan(estimate.low) else f"{value}\n{low}–{high}"
 
 
 def write_results(path: Path, results: Sequence[Result]) -> None:
@@ -61,36 +47,26 @@ def write_results(path: Path, results: Sequence[Result]) -> None:
         results: results of policies in the same suite.
     """
     suite = results[0].suite
-    heads = [{"policy": result.name, "backend": result.evaluation.backend} for result in results]
-    write_json(
-        path,
-        {
-            "benchmark": suite.name,
-            "worlds": [course.number for course in suite.courses],
-            "runs": suite.runs,
-            "seed": suite.seed,
-            "jitter": JITTER,
-            "goal_radius": suite.goal_radius,
-            "seconds": suite.seconds,
-            "policies": [head | _plain(result) for head, result in zip(heads, results, strict=True)],
-        },
-    )
-    rows = [head | row for head, result in zip(heads, results, strict=True) for row in result.rows()]
+    policies = []
+    rows = []
+    for result in results:
+        head = {"policy": result.name, "backend": result.evaluation.backend}
+        rows += [head | row for row in result.rows()]
+        env = result.evaluation.env
+        differs = {"differences": suite.differences(env), "env": plain_env_or_none(env)}
+        policies.append({**head, **differs, "metrics": plain_estimates(result.metrics), "runs": result.rows()})
+    described = {
+        "benchmark": suite.name,
+        "worlds": [course.number for course in suite.courses],
+        "runs": suite.runs,
+        "seed": suite.seed,
+        "jitter": JITTER,
+        "goal_radius": suite.goal_radius,
+        "seconds": suite.seconds,
+        "policies": policies,
+    }
+    write_json(path, described)
     write_rows(path.with_suffix(".csv"), rows)
-
-
-def _plain(result: Result) -> dict[str, Any]:
-    metrics = {
-        key: {end: number if math.isfinite(number) else None for end, number in vars(estimate).items()}
-        for key, estimate in result.metrics.items()
-    }
-    env = result.evaluation.env
-    return {
-        "differences": result.suite.differences(env),
-        "env": plain_env_or_none(env),
-        "metrics": metrics,
-        "runs": result.rows(),
-    }
 
 
 def draw_worst_runs(result: Result, path: Path) -> None:
@@ -101,9 +77,9 @@ def draw_worst_runs(result: Result, path: Path) -> None:
         path: path of the figure; its suffix selects the format.
     """
     rows = result.rows()
-    panels = {
-        f"world {rows[run]['world']}, run {rows[run]['run']}: "
-        f"{rows[run]['ending']} after {rows[run]['seconds']:.1f} s": result.evaluation.select([run])
-        for run in result.worst(WORST_RUNS)
-    }
+    panels = []
+    for run in result.worst(WORST_RUNS):
+        row = rows[run]
+        title = f"world {row['world']}, run {row['run']}: {row['ending']} after {row['seconds']:.1f} s"
+        panels.append((title, result.evaluation.select([run])))
     draw_panels(panels, path, f"{result.name} in {result.suite.name}: the runs with the lowest scores")

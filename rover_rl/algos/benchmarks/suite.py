@@ -66,11 +66,6 @@ def open_world(name: str, obstacles: Sequence[Obstacle], points: np.ndarray) -> 
 
     The starts and goals of a course are given. The environment still needs areas from which it could draw them: these
     are the free ground left of the course. Nothing in a run depends on them.
-
-    Args:
-        name: name of the world.
-        obstacles: obstacles.
-        points: points that the ground extends beyond, ``[P, 2]``, m.
     """
     low = np.floor(points.min(0)) - _MARGIN
     columns, rows = (np.ceil(points.max(0)) + _MARGIN - low).astype(int) + 1

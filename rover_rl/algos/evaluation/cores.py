@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from functools import lru_cache
+from io import BytesIO
 from multiprocessing.process import BaseProcess
 from multiprocessing.sharedctypes import SynchronizedArray
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from rover_rl.algos.evaluation.by_value import PickledLater, dumps, loads
+import torch
+from torch import Tensor
+
 from rover_rl.algos.workers import usable_cores
 from rover_rl.progress import ProgressDisplay, redirected_progress
+from rover_rl.sims.worlds import World
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -30,8 +36,7 @@ def over_cores(
 ) -> list[Result]:
     """Applies ``work`` to each item, with one process per CPU core, and returns the results in order.
 
-    Displays the progress of all items together. Ctrl-C and errors end all processes. Items and results are sent by
-    value (:mod:`~rover_rl.algos.evaluation.by_value`).
+    Displays the progress of all items together. Ctrl-C and errors end all processes.
 
     Args:
         work: module-level function, or a ``partial`` of one. Its standard output is discarded.
@@ -68,8 +73,7 @@ def _in_processes(
     processes: set[BaseProcess] = set()
     try:
         for number, item in enumerate(items):
-            # Python's type hints do not know that PickledLater arrives as bytes.
-            futures.append(pool.submit(_apply, PickledLater((work, item)), number))  # type: ignore[arg-type]
+            futures.append(pool.submit(_apply, dumps((work, item)), number))
         processes |= set(multiprocessing.active_children()) - others
         while True:
             done, pending = wait(futures, _POLL_INTERVAL, FIRST_EXCEPTION)
@@ -77,7 +81,7 @@ def _in_processes(
             if failed:
                 raise failed
             if not pending:
-                return [loads(future.result()) for future in futures]
+                return [pickle.loads(future.result()) for future in futures]
             # The pool may notice the end of a process only after the next result of another one.
             if any(process.exitcode is not None for process in processes):
                 raise BrokenProcessPool("it has ended")
@@ -136,7 +140,7 @@ def _exit_with_parent() -> None:
 
 def _apply(work_and_item: bytes, number: int) -> bytes:
     """Applies ``work`` to an item in a worker process. Both, and the result, are pickled by :func:`dumps`."""
-    work, item = loads(work_and_item)
+    work, item = pickle.loads(work_and_item)
 
     def report(fraction: float) -> None:
         _fractions[number] = fraction
@@ -145,3 +149,47 @@ def _apply(work_and_item: bytes, number: int) -> bytes:
         result = work(item)
     report(1.0)
     return dumps(result)
+
+
+def dumps(content: Any) -> bytes:
+    """Pickles anything by value, for :func:`pickle.loads` in another process.
+
+    PyTorch's own pickles between processes pass a file descriptor for each tensor. Hundreds of trajectories then need
+    more than the 1,024 open files that Linux allows by default.
+
+    A world arrives as the same object each time, so that what is computed once per world, such as its free space, is
+    computed once per process.
+    """
+    buffer = BytesIO()
+    _Pickler(buffer, pickle.HIGHEST_PROTOCOL).dump(content)
+    return buffer.getvalue()
+
+
+class _Pickler(pickle.Pickler):
+    def reducer_override(self, value: Any) -> Any:
+        if isinstance(value, World):
+            return _unpickled, (_pickled(value),)
+        if (
+            type(value) is Tensor
+            and value.device.type == "cpu"
+            and value.dtype in _IN_NUMPY
+            and not value.requires_grad
+        ):
+            # The array of a slice holds the slice only. PyTorch would pickle all of the tensor that it belongs to.
+            return torch.from_numpy, (value.numpy(),)
+        return NotImplemented
+
+
+_IN_NUMPY = {torch.bool, torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64, torch.float32, torch.float64}
+_KEPT = 64
+"""Number of pickled and of unpickled worlds that a process keeps."""
+
+
+@lru_cache(maxsize=_KEPT)
+def _pickled(world: World) -> bytes:
+    return pickle.dumps(world)
+
+
+@lru_cache(maxsize=_KEPT)
+def _unpickled(world: bytes) -> World:
+    return pickle.loads(world)

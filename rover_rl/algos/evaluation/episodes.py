@@ -257,9 +257,6 @@ def choose_episodes(
         seed: seed of the first draw; ``None``: use the stored episodes if possible.
         robot: name of a robot, or a robot. The stored episodes are those of ``rover_zero``.
         workers: largest number of processes, as for :func:`draw_episodes`.
-
-    Raises:
-        ValueError: as for :func:`draw_episodes`.
     """
     several = len(WorldPool(world)) > 1
     if count is None:
@@ -274,18 +271,13 @@ def choose_episodes(
 
 def write_episodes(episodes: EpisodeSet, path: Path) -> None:
     """Writes a set as JSON, one episode per line, with the shortest exact decimal form of each float32."""
-    rows = zip(episodes.start.numpy(), episodes.goal.numpy(), episodes.shortest.numpy(), strict=True)
-    lines = [
-        json.dumps({"start": _shortest_text(start), "goal": _shortest_text(goal), "shortest": float(str(shortest))})
-        for start, goal, shortest in rows
-    ]
+    columns = {key: getattr(episodes, key).numpy() for key in ("start", "goal", "shortest")}
+    exact, lines = np.vectorize(lambda number: float(str(number))), []
+    for index in range(len(episodes)):
+        lines.append(json.dumps({key: exact(value[index]).tolist() for key, value in columns.items()}))
     head = json.dumps({"world": episodes.name, "seed": episodes.seed})[:-1]
     with written_whole(path) as temporary:
         temporary.write_text(f'{head}, "episodes": [\n' + ",\n".join(lines) + "\n]}\n")
-
-
-def _shortest_text(numbers: np.ndarray) -> list[float]:
-    return [float(str(number)) for number in numbers]
 
 
 def main() -> None:

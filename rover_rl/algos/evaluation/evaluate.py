@@ -194,21 +194,13 @@ def evaluate_endless(
 
 
 def check_options(*, seconds: float = 60.0, rows: int = 1, steps: int = 1, action_repeat: int = 1) -> None:
-    """Checks numbers that are given to :func:`evaluate` or :func:`evaluate_endless`.
-
-    Raises:
-        ValueError: for a number out of range.
-    """
+    """Checks numbers that are given to :func:`evaluate` or :func:`evaluate_endless`."""
     check_at_least(CONTROL_DT, MAX_SECONDS, seconds=seconds)
     check_at_least(1, MAX_COUNT, rows=rows, steps=steps, action_repeat=action_repeat)
 
 
 def environment_for(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:
-    """Returns the environment to evaluate a policy in: see :func:`evaluate`.
-
-    Raises:
-        ValueError: if the policy was made for another environment.
-    """
+    """Returns the environment to evaluate a policy in: see :func:`evaluate`."""
     made_for: EnvConfig | None = getattr(policy, "made_for", None)
     if env is None:
         # By default, policies are compared in Bullet without randomization, whatever they were trained with.
@@ -238,18 +230,7 @@ def _drive(
     offset: int = 0,
     watch: Watcher | None = None,
 ) -> list[Trajectory]:
-    """Drives episodes and closes the environment. A rover takes the next episode when its own has ended.
-
-    Args:
-        env: environment to drive in.
-        policy: policy to drive with.
-        action_repeat: number of steps that each action is held for.
-        name: name of the policy, for the display of the progress.
-        schedule: episodes of each rover.
-        places: ``start [count, 3]`` and ``goal [count, 2]`` of every episode; ``None``: the environment draws them.
-        offset: index of the first episode, for policies that read ``episode``.
-        watch: see :func:`evaluate`.
-    """
+    """Drives episodes and closes the environment. A rover takes the next episode when its own has ended."""
     places = places or {}
     runner = PolicyRunner(policy, action_repeat, _MIN_ROWS, env)
     recorder = _Recorder(schedule.count, env.length, env.control_dt, watch)
@@ -285,15 +266,6 @@ class _Schedule:
 
     The first episodes of the worlds are assigned to rovers first, then the second ones, and so on. A rover that has
     ended an episode takes the next one in its world.
-
-    Args:
-        worlds: world of each episode, as an index.
-        rows: number of rovers: at least that of the worlds, and at most that of the episodes.
-
-    Attributes:
-        count: number of episodes.
-        first: first episode of each rover.
-        worlds: world of each rover, as an index.
     """
 
     def __init__(self, worlds: Sequence[int], rows: int) -> None:
@@ -317,14 +289,7 @@ class _Schedule:
 
 
 class _Recorder:
-    """Records episodes step by step, in one tensor for all of them.
-
-    Args:
-        count: number of episodes.
-        length: number of steps of the longest episode.
-        dt: duration of a step, s.
-        watch: function that is called for each step: see :func:`evaluate`.
-    """
+    """Records episodes step by step, in one tensor for all of them."""
 
     def __init__(self, count: int, length: int, dt: float, watch: Watcher | None = None) -> None:
         self._dt, self._watch = dt, watch

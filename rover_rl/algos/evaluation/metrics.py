@@ -241,17 +241,10 @@ def _ratio_of_sums(numerators: np.ndarray, denominators: np.ndarray, axis: int) 
     return numerators.sum(axis) / denominators.sum(axis)
 
 
-def success_rate(trajectories: Sequence[Trajectory]) -> Estimate:
-    """[SR] Proportion of episodes that reach their goal within the time limit. Early endings are failures."""
-    return ending_share(trajectories, "goal")
-
-
 def contact_free_success_rate(trajectories: Sequence[Trajectory], contacts: Sequence[Tensor]) -> Estimate:
     """Proportion of episodes that reach their goal within the time limit without any contact of the body.
 
-    Args:
-        trajectories: recorded episodes.
-        contacts: contact flags of :func:`find_body_contacts`.
+    ``contacts`` are the flags of :func:`find_body_contacts`.
     """
     pairs = zip(trajectories, contacts, strict=True)
     clean = sum(t.ending == "goal" and not touched.any() for t, touched in pairs)
@@ -268,10 +261,7 @@ def spl(trajectories: Sequence[Trajectory], shortest: Tensor) -> Estimate:
 
     ``S`` is 1 for a success and 0 otherwise, ``p`` is the length of the driven path and ``l`` that of the shortest
     path, both seen from above (Anderson et al., "On Evaluation of Embodied Navigation Agents", 2018, arXiv:1807.06757).
-
-    Args:
-        trajectories: recorded episodes.
-        shortest: lengths of the shortest paths, ``[count]``, m.
+    ``shortest`` has the lengths of the shortest paths, ``[count]``, m.
     """
     pairs = zip(trajectories, shortest.tolist(), strict=True)
     return ratio([(t.ending == "goal") * least / max(t.length, least, 1e-9) for t, least in pairs])
@@ -291,10 +281,7 @@ def traverse_rate(trajectories: Sequence[Trajectory], shortest: Tensor) -> Estim
 
     The original environment names this metric and gives no formula. Here a failure contributes its time ``t`` and no
     length, since SPL does not credit partial progress either. The speed limit of 1 m/s is an upper bound.
-
-    Args:
-        trajectories: recorded episodes.
-        shortest: lengths of the shortest paths, ``[count]``, m.
+    ``shortest`` is that of :func:`spl`.
     """
     pairs = zip(trajectories, shortest.tolist(), strict=True)
     return ratio([(t.ending == "goal") * least for t, least in pairs], [t.seconds for t in trajectories])
@@ -310,25 +297,6 @@ def velocity_over_rough_terrain(trajectories: Sequence[Trajectory]) -> Estimate:
     return ratio(
         [t.speed[r].sum().item() for t, r in zip(trajectories, rough, strict=True)], [r.sum().item() for r in rough]
     )
-
-
-def collisions(trajectories: Sequence[Trajectory]) -> Estimate:
-    """[TC] Collisions per episode: each run of consecutive steps with a lidar reading below 0.3 m counts once."""
-    return ratio([count_runs(t.collision) for t in trajectories])
-
-
-def standstill(trajectories: Sequence[Trajectory]) -> Estimate:
-    """Proportion of time in which the speed over ground is below 0.05 m/s."""
-    slow = [(t.speed < STANDSTILL).sum().item() for t in trajectories]
-    return ratio(slow, [len(t) for t in trajectories])
-
-
-def command_reversals(trajectories: Sequence[Trajectory]) -> Estimate:
-    """Changes of the commanded turning direction per second of driving; nan if commands are not recorded.
-
-    Steady heading control has about one per second. A controller that oscillates has up to 20 at 20 Hz.
-    """
-    return ratio([t.reversals for t in trajectories], [t.seconds for t in trajectories])
 
 
 def count_reversals(yaw_rates: Sequence[float]) -> int:
@@ -353,29 +321,6 @@ def jerk(trajectories: Sequence[Trajectory]) -> Estimate:
     return Estimate(*(math.sqrt(end) for end in (mean.value, mean.low, mean.high)))
 
 
-def turns_per_goal(trajectories: Sequence[Trajectory]) -> Estimate:
-    """Full turns to the left and to the right per goal reached, including the turns of failed episodes.
-
-    Circling is a common failure of policies for this task. Good policies have about 0.45 turns per goal.
-    """
-    return ratio([t.turns for t in trajectories], [t.goal.sum().item() for t in trajectories])
-
-
-def goals_per_episode(trajectories: Sequence[Trajectory]) -> Estimate:
-    """Mean number of goals reached per episode in endless mode."""
-    return ratio([t.goal.sum().item() for t in trajectories])
-
-
-def seconds_per_goal(trajectories: Sequence[Trajectory]) -> Estimate:
-    """Total driving time divided by the number of goals reached, s."""
-    return ratio([t.seconds for t in trajectories], [t.goal.sum().item() for t in trajectories])
-
-
-def episode_seconds(trajectories: Sequence[Trajectory]) -> Estimate:
-    """Mean duration of an episode, s."""
-    return ratio([t.seconds for t in trajectories])
-
-
 def count_runs(flags: Tensor) -> int:
     """Counts the runs of consecutive true values in ``flags``, bool ``[T]``."""
     flags = flags.to(torch.int8)
@@ -385,18 +330,11 @@ def count_runs(flags: Tensor) -> int:
 def find_body_contacts(
     trajectories: Sequence[Trajectory], world: World | Sequence[World], robot: Robot
 ) -> list[Tensor]:
-    """Finds the poses at which the rover's body touches an obstacle.
+    """Finds the poses of each episode at which the rover's body touches an obstacle, bool ``[T + 1]`` each.
 
     See :func:`~rover_rl.algos.evaluation.body_contacts.is_touching`. A contact need not be a lidar collision: at the
-    sides and at the rear, the outline may be farther from the lidar than the collision distance.
-
-    Args:
-        trajectories: recorded episodes.
-        world: world of the episodes, or the world of each episode.
-        robot: robot whose wheels give the outline.
-
-    Returns:
-        Contact flags of the poses of each episode, bool ``[T + 1]`` each.
+    sides and at the rear, the outline may be farther from the lidar than the collision distance. ``world`` is that of
+    all episodes, or that of each.
     """
     worlds = [world] * len(trajectories) if isinstance(world, World) else world
     together: dict[World, list[int]] = {}
@@ -412,25 +350,17 @@ def find_body_contacts(
 
 
 def goal_metrics(
-    trajectories: Sequence[Trajectory],
-    shortest: Tensor,
-    world: World | Sequence[World],
-    *,
-    robot: Robot,
-    contacts: Sequence[Tensor] | None = None,
+    trajectories: Sequence[Trajectory], shortest: Tensor, contacts: Sequence[Tensor]
 ) -> dict[str, Estimate]:
     """Computes the metrics of episodes with one goal each, by name.
 
     Args:
         trajectories: recorded episodes.
         shortest: lengths of the shortest paths, ``[count]``, m.
-        world: world of the episodes, or the world of each episode.
-        robot: robot of the episodes, whose outline gives the body contacts.
-        contacts: flags of :func:`find_body_contacts`, if they have been computed.
+        contacts: contact flags of :func:`find_body_contacts`.
     """
-    contacts = find_body_contacts(trajectories, world, robot) if contacts is None else contacts
     return {
-        "success_rate": success_rate(trajectories),
+        "success_rate": ending_share(trajectories, "goal"),
         "contact_free_success_rate": contact_free_success_rate(trajectories, contacts),
         "spl": spl(trajectories, shortest),
         "mean_time_to_traverse": mean_time_to_traverse(trajectories),
@@ -439,22 +369,13 @@ def goal_metrics(
     }
 
 
-def endless_metrics(
-    trajectories: Sequence[Trajectory], world: World, *, robot: Robot, contacts: Sequence[Tensor] | None = None
-) -> dict[str, Estimate]:
-    """Computes the metrics of endless episodes, by name.
-
-    Args:
-        trajectories: recorded episodes.
-        world: world of the episodes.
-        robot: robot of the episodes, whose outline gives the body contacts.
-        contacts: flags of :func:`find_body_contacts`, if they have been computed.
-    """
-    contacts = find_body_contacts(trajectories, world, robot) if contacts is None else contacts
+def endless_metrics(trajectories: Sequence[Trajectory], contacts: Sequence[Tensor]) -> dict[str, Estimate]:
+    """Computes the metrics of endless episodes, by name, with the contact flags of :func:`find_body_contacts`."""
+    seconds, goals = [t.seconds for t in trajectories], [t.goal.sum().item() for t in trajectories]
     return {
-        "goals_per_episode": goals_per_episode(trajectories),
-        "seconds_per_goal": seconds_per_goal(trajectories),
-        "episode_seconds": episode_seconds(trajectories),
+        "goals_per_episode": ratio(goals),
+        "seconds_per_goal": ratio(seconds, goals),
+        "episode_seconds": ratio(seconds),
         "ended_early": ending_share(trajectories, *EARLY_ENDINGS),
         **_common_metrics(trajectories, contacts),
     }
@@ -462,15 +383,21 @@ def endless_metrics(
 
 def _common_metrics(trajectories: Sequence[Trajectory], touched: Sequence[Tensor]) -> dict[str, Estimate]:
     contacts = [count_runs(flags) for flags in touched]
-    kinds = (TIME_LIMIT, *EARLY_ENDINGS)
+    goals = [t.goal.sum().item() for t in trajectories]
+    slow = [(t.speed < STANDSTILL).sum().item() for t in trajectories]
     return {
         "velocity_over_rough_terrain": velocity_over_rough_terrain(trajectories),
-        "collisions": collisions(trajectories),
+        "collisions": ratio([count_runs(t.collision) for t in trajectories]),
         "body_contacts": ratio(contacts),
         "body_contact_share": proportion(sum(count > 0 for count in contacts), len(contacts)),
-        "turns_per_goal": turns_per_goal(trajectories),
-        "standstill": standstill(trajectories),
-        "command_reversals": command_reversals(trajectories),
+        # Circling is a common failure of policies for this task. Good policies have about 0.45 turns per goal.
+        "turns_per_goal": ratio([t.turns for t in trajectories], goals),
+        "standstill": ratio(slow, [len(t) for t in trajectories]),
+        # Steady heading control has about one per second. A controller that oscillates has up to 20 at 20 Hz.
+        "command_reversals": ratio([t.reversals for t in trajectories], [t.seconds for t in trajectories]),
         "jerk": jerk(trajectories),
-        **{f"ending_{kind.replace(' ', '_')}": ending_share(trajectories, kind) for kind in kinds},
+        **{
+            f"ending_{kind.replace(' ', '_')}": ending_share(trajectories, kind)
+            for kind in (TIME_LIMIT, *EARLY_ENDINGS)
+        },
     }

@@ -13,12 +13,11 @@ from rover_rl.algos.evaluation.evaluate import (
     Evaluation,
     Policy,
     check_options,
-    environment_for,
     evaluate,
     evaluate_endless,
 )
 from rover_rl.checks import MAX_COUNT, check_at_least
-from rover_rl.sims.worlds import World, get_world
+from rover_rl.sims.worlds import World
 
 EPISODES_PER_PART = 32
 """Number of episodes that one process evaluates at a time. It does not depend on the number of cores, so that the
@@ -100,6 +99,7 @@ class EndlessRequest:
 
     def parts(self) -> list[EndlessRequest]:
         """Divides the episodes."""
+        check_options(rows=self.rows)
         firsts = range(0, self.rows, ROWS)
         return [replace(self, rows=min(ROWS, self.rows - first), offset=self.offset + first) for first in firsts]
 
@@ -123,19 +123,9 @@ def evaluate_all(requests: Sequence[Request], workers: int | None = None) -> lis
 
     The results are bit-identical for any number of cores. Small evaluations, and those on a GPU, run in this process.
     Programs that call this function need the guard ``if __name__ == "__main__":``, as all that start processes do.
-
-    Args:
-        requests: evaluations to run.
-        workers: largest number of processes; ``None``: the number of cores.
-
-    Raises:
-        ValueError: for a number out of range, an unknown world, or a policy that was made for another environment.
-        ChildProcessError: if a process has ended.
     """
     if workers is not None:
         check_at_least(1, MAX_COUNT, workers=workers)
-    for request in requests:
-        _check(request)
     if sum(request.count for request in requests) < SMALL or any(_on_gpu(request.options) for request in requests):
         workers = 1
     parts = [request.parts() for request in requests]
@@ -145,16 +135,6 @@ def evaluate_all(requests: Sequence[Request], workers: int | None = None) -> lis
 
 def _run(request: Request) -> Evaluation | EndlessEvaluation:
     return request.run()
-
-
-def _check(request: Request) -> None:
-    """Checks a request here, because processes take seconds to start."""
-    numbers = {name: request.options.get(name) for name in ("seconds", "steps", "action_repeat")}
-    check_options(**{name: number for name, number in numbers.items() if number is not None})
-    environment_for(request.policy, request.options.get("env"))
-    if isinstance(request, EndlessRequest):
-        check_options(rows=request.rows)
-        get_world(request.world)
 
 
 def _on_gpu(options: dict[str, Any]) -> bool:

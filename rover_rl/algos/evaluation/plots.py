@@ -6,7 +6,7 @@ Colors are those of Okabe and Ito and of the plasma colormap, which color-blind 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -68,70 +68,44 @@ def draw_paths(evaluations: Sequence[Evaluation], path: Path, max_episodes: int 
     if episodes.several_worlds:
         _draw_worst_worlds(evaluations, path, max_episodes)
         return
-    points = [trajectory.path for evaluation in evaluations for trajectory in evaluation.trajectories[:max_episodes]]
-    area = _square_around(torch.cat((*points, episodes.goal[:max_episodes])))
-    rows = math.ceil(len(evaluations) / _MAX_COLUMNS)
-    columns = math.ceil(len(evaluations) / rows)
-    figure = Figure(figsize=(5 * columns + 0.8, 5.3 * rows + 1.0), layout="compressed")
+    shown = range(len(episodes))[:max_episodes]
     first = f"\nfirst {max_episodes} shown" if len(episodes) > max_episodes else ""
-    figure.suptitle(f"{evaluations[0].title}{first}")
-    for number, evaluation in enumerate(evaluations, 1):
-        ax = figure.add_subplot(rows, columns, number)
-        _draw_evaluation(ax, evaluation.select(range(len(episodes))[:max_episodes]), area)
-        ax.set_title(f"{evaluation.name}: success rate {evaluation.success_rate:.0%}")
-        if number % columns != 1 and columns > 1:
-            ax.set(ylabel="", yticklabels=[])
-        if number + columns <= len(evaluations):
-            ax.set(xlabel="", xticklabels=[])
-    endings = {ending for evaluation in evaluations for ending in evaluation.endings[:max_episodes]}
-    _finish_paths(figure, endings, columns, path)
+    panels = [(f"{one.name}: success rate {one.success_rate:.0%}", one.select(shown)) for one in evaluations]
+    draw_panels(panels, path, f"{evaluations[0].title}{first}")
 
 
 def _draw_worst_worlds(evaluations: Sequence[Evaluation], path: Path, max_episodes: int) -> None:
     """Draws the paths of policies in the worlds in which they succeed least, with a row of panels for each policy."""
-    indices = evaluations[0].episodes.world_index
-    panels = {}
+    indices, panels = evaluations[0].episodes.world_index, []
     for evaluation in evaluations:
         rates = {world["world"]: world["success_rate"] for world in evaluation.by_world}
         for world in worst_worlds(evaluations):
             shown = evaluation.select((indices == world).nonzero().squeeze(-1).tolist()[:max_episodes])
-            panels[f"{evaluation.name}, {shown.episodes.world_name(0)}: {rates[world]:.0%}"] = shown
+            panels.append((f"{evaluation.name}, {shown.episodes.world_name(0)}: {rates[world]:.0%}", shown))
     title = f"{evaluations[0].world_name}: the worlds with the lowest success rates"
     draw_panels(panels, path, title, columns=_MAX_COLUMNS if len(evaluations) == 1 else len(panels) // len(evaluations))
 
 
-def draw_panels(panels: Mapping[str, Evaluation], path: Path, title: str, columns: int = _MAX_COLUMNS) -> None:
-    """Draws driven paths from above, colored by speed, in panels with their own world.
-
-    Args:
-        panels: evaluation in one world for each panel, by the panel's title.
-        path: path of the figure; its suffix selects the format.
-        title: title of the figure.
-        columns: largest number of panels in a row.
-    """
-    columns = min(columns, len(panels))
+def draw_panels(panels: Sequence[tuple[str, Evaluation]], path: Path, title: str, columns: int = _MAX_COLUMNS) -> None:
+    """Draws driven paths from above, colored by speed, in panels with a title and an evaluation in one world each."""
     rows = math.ceil(len(panels) / columns)
+    columns = math.ceil(len(panels) / rows)
     figure = Figure(figsize=(4 * columns + 0.8, 4.3 * rows + 1.2), layout="compressed")
     figure.suptitle(title)
     # Panels with the same world show the same area.
     points: dict[World, list[Tensor]] = {}
-    for evaluation in panels.values():
+    for _, evaluation in panels:
         points.setdefault(evaluation.episodes.world, []).extend((*evaluation.paths, evaluation.episodes.goal))
-    for number, (name, evaluation) in enumerate(panels.items(), 1):
+    for number, (name, evaluation) in enumerate(panels, 1):
         ax = figure.add_subplot(rows, columns, number)
         _draw_evaluation(ax, evaluation, _square_around(torch.cat(points[evaluation.episodes.world])))
         ax.set(xlabel="", ylabel="")
         ax.set_title(name, fontsize="medium")
-    endings = {ending for evaluation in panels.values() for ending in evaluation.endings}
-    _finish_paths(figure, endings, columns, path)
-
-
-def _finish_paths(figure: Figure, endings: Set[str], columns: int, path: Path) -> None:
-    """Adds the scale of speeds and the legend to a figure of paths, and writes it."""
-    panels = list(figure.axes)
-    figure.colorbar(_SPEED, ax=panels, label="speed over ground (m/s)", shrink=0.7, pad=0.01, extend="max")
+    axes = list(figure.axes)
+    figure.colorbar(_SPEED, ax=axes, label="speed over ground (m/s)", shrink=0.7, pad=0.01, extend="max")
+    endings = {ending for _, evaluation in panels for ending in evaluation.endings}
     marks = {"start": _START, "goal": _GOAL, **{f"end: {kind}": _ENDS[kind] for kind in _ENDS if kind in endings}}
-    handles = [panels[0].scatter([], [], label=label, **style) for label, style in marks.items()]
+    handles = [axes[0].scatter([], [], label=label, **style) for label, style in marks.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=3 * columns, frameon=False)
     with written_whole(path) as temporary:
         figure.savefig(temporary, dpi=150)

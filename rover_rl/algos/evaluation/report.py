@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
-from rich.text import Text
 
-from rover_rl.algos.evaluation.comparison import Disagreement, backends_of, disagreements_of, find_disagreements
-from rover_rl.algos.evaluation.evaluate import EndlessEvaluation, Evaluation
 from rover_rl.algos.evaluation.metrics import METRICS, Estimate
-from rover_rl.algos.evaluation.results import worst_worlds
-from rover_rl.algos.evaluation.tables import Column, fitting_tables
-from rover_rl.files import write_json, written_whole
+from rover_rl.algos.evaluation.results import EndlessEvaluation, Evaluation, worst_worlds
+from rover_rl.algos.evaluation.tables import Column, cell, formatted, print_tables, write_rows
+from rover_rl.files import write_json
 from rover_rl.registry import perhaps
 
 DEFAULT_COLUMNS = (
@@ -73,26 +67,18 @@ def print_table(
         shown_columns = [
             Column(METRICS[key].heading, METRICS[key].unit, [row.cells[key] for row in rows]) for key in keys
         ]
-        for table in fitting_tables(title, [row.name for row in rows], shown_columns, console):
-            console.print(table)
+        print_tables(title, [row.name for row in rows], shown_columns, console)
         shown |= dict.fromkeys(keys)
     for evaluation in evaluations:
         if isinstance(evaluation, Evaluation) and evaluation.episodes.several_worlds:
             console.print(_worst_worlds(evaluation), highlight=False, soft_wrap=True)
-    if (disagreements := find_disagreements(evaluations)) is not None:
-        _print_disagreements(disagreements, console)
+    if comparable := _comparable(evaluations):
+        _print_disagreements([one for group in comparable for one in find_disagreements(group)], console)
     console.print(_legend(list(shown), evaluations, groups), style="dim", highlight=False)
 
 
 def check_columns(names: Sequence[str]) -> list[str]:
-    """Returns the metrics that names of columns stand for, in the order of the table.
-
-    Args:
-        names: names of metrics, such as ``spl``, or headings, such as ``SPL``; ``all``; empty: the default columns.
-
-    Raises:
-        ValueError: for an unknown name.
-    """
+    """Returns the metrics that names of columns stand for, in the order of the table."""
     if ALL_COLUMNS in names:
         return [*METRICS]
     if not names:
@@ -130,7 +116,7 @@ class _Row:
 
 def _rows(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> Iterator[_Row]:
     """Yields a row for each evaluation. With several backends, those of a policy stand below one another."""
-    several = bool(backends_of(evaluations))
+    several = _several_backends(evaluations)
     order = [*dict.fromkeys(evaluation.name for evaluation in evaluations)]
     for one in sorted(evaluations, key=lambda one: order.index(one.name)):
         cells = {key: _cell(key, estimate) for key, estimate in one.metrics.items()}
@@ -139,7 +125,7 @@ def _rows(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> Iterator[_Ro
 
 def _group_rows(evaluations: Sequence[Evaluation | EndlessEvaluation], groups: Mapping[str, str]) -> Iterator[_Row]:
     """Yields a row for each group of several policies, in each backend, with means and standard deviations."""
-    several = bool(backends_of(evaluations))
+    several = _several_backends(evaluations)
     places = dict.fromkeys((groups[one.name], one.backend) for one in evaluations if one.name in groups)
     for group, backend in places:
         members = [one for one in evaluations if (groups.get(one.name), one.backend) == (group, backend)]
@@ -168,25 +154,22 @@ def _print_disagreements(disagreements: Sequence[Disagreement], console: Console
     if not disagreements:
         console.print("The backends agree on which episodes reach their goal.")
         return
-    for table in _disagreement_tables(disagreements[:LISTED], console):
-        console.print(table)
-    if len(disagreements) > LISTED:
-        console.print(f"{len(disagreements) - LISTED} more such episodes: see evaluation.json.")
 
-
-def _disagreement_tables(disagreements: Sequence[Disagreement], console: Console) -> list[Table | Text]:
     def numbers(values: Sequence[float]) -> str:
         return ", ".join(f"{value:.2f}" for value in values)
 
+    shown = disagreements[:LISTED]
     columns = [
-        Column("episode", "", [str(one.episode) for one in disagreements]),
-        Column("start", "x, y, yaw", [numbers(one.start) for one in disagreements]),
-        Column("goal", "x, y", [numbers(one.goal) for one in disagreements]),
+        Column("episode", "", [str(one.episode) for one in shown]),
+        Column("start", "x, y, yaw", [numbers(one.start) for one in shown]),
+        Column("goal", "x, y", [numbers(one.goal) for one in shown]),
     ]
-    for backend in dict.fromkeys(backend for one in disagreements for backend in one.endings):
-        columns.append(Column(backend, "", [one.endings.get(backend, "-") for one in disagreements]))
+    for backend in dict.fromkeys(backend for one in shown for backend in one.endings):
+        columns.append(Column(backend, "", [one.endings.get(backend, "-") for one in shown]))
     title = "Episodes that reach their goal in one backend and not in another"
-    return fitting_tables(title, [f"{one.policy}\n{one.world}" for one in disagreements], columns, console)
+    print_tables(title, [f"{one.policy}\n{one.world}" for one in shown], columns, console)
+    if len(disagreements) > LISTED:
+        console.print(f"{len(disagreements) - LISTED} more such episodes: see evaluation.json.")
 
 
 def _is_shown(key: str, evaluations: Sequence[Evaluation | EndlessEvaluation]) -> bool:
@@ -196,28 +179,16 @@ def _is_shown(key: str, evaluations: Sequence[Evaluation | EndlessEvaluation]) -
 
 
 def _cell(key: str, estimate: Estimate) -> str:
-    """Formats a value and, below it, its confidence interval. Endings have none, as there are many of them."""
-    if math.isnan(estimate.value):
-        return "-"
-    if math.isnan(estimate.low) or key.startswith(_ENDING):
-        return _formatted(key, estimate.value)
-    ends = (estimate.low, estimate.high)
-    low, high = (f"{100 * end:.0f}" if METRICS[key].unit == "%" else _formatted(key, end) for end in ends)
-    return f"{_formatted(key, estimate.value)}\n{low}–{high}"
+    """Formats a value and its confidence interval. Endings have none, as there are many of them."""
+    shown = Estimate(estimate.value, math.nan, math.nan) if key.startswith(_ENDING) else estimate
+    return cell(shown, METRICS[key].unit)
 
 
 def _mean_cell(key: str, values: Sequence[float]) -> str:
     """Formats the mean of several policies and, below it, their standard deviation; ``-`` if a value is undefined."""
     mean, deviation = torch.tensor(values).mean().item(), torch.tensor(values).std().item()
-    return "-" if math.isnan(mean) else f"{_formatted(key, mean)}\n± {_formatted(key, deviation)}"
-
-
-def _formatted(key: str, value: float) -> str:
-    """Formats a value in the unit of its column."""
     unit = METRICS[key].unit
-    if unit == "%":
-        return f"{100 * value:.1f}"
-    return f"{value:.1f}" if unit == "s" else f"{value:.2f}"
+    return "-" if math.isnan(mean) else f"{formatted(mean, unit)}\n± {formatted(deviation, unit)}"
 
 
 def write_evaluation(path: Path, evaluations: Sequence[Evaluation | EndlessEvaluation]) -> None:
@@ -233,21 +204,20 @@ def write_evaluation(path: Path, evaluations: Sequence[Evaluation | EndlessEvalu
         path: path of the JSON file, such as ``evaluation.json``, from which the CSV files have their names.
         evaluations: evaluations to write, of any worlds and modes.
     """
-    disagreements = [disagreements_of(evaluation, evaluations) for evaluation in evaluations]
-    results = [
-        evaluation.to_json() | ({} if found is None else {"disagreements": [one.to_json() for one in found]})
-        for evaluation, found in zip(evaluations, disagreements, strict=True)
-    ]
-    write_json(path, results)
-    write_rows(path.with_suffix(".csv"), [row for one in evaluations for row in one.episode_rows()])
-    rows: list[dict[str, Any]] = []
-    for evaluation, found in zip(evaluations, disagreements, strict=True):
-        row = evaluation.summary()
-        if found is not None:
-            row["disagreements"] = " ".join(str(one.episode) for one in found)
+    found = {id(one): find_disagreements(group) for group in _comparable(evaluations) for one in group}
+    results, rows = [], []
+    for evaluation in evaluations:
+        result, row = evaluation.to_json(), evaluation.summary()
+        if (disagreements := found.get(id(evaluation))) is not None:
+            keys = ("episode", "start", "goal", "endings")
+            result["disagreements"] = [{key: getattr(one, key) for key in keys} for one in disagreements]
+            row["disagreements"] = " ".join(str(one.episode) for one in disagreements)
         for key, estimate in evaluation.metrics.items():
             row |= {key: estimate.value, f"{key}_low": estimate.low, f"{key}_high": estimate.high}
+        results.append(result)
         rows.append(row)
+    write_json(path, results)
+    write_rows(path.with_suffix(".csv"), [row for one in evaluations for row in one.episode_rows()])
     write_rows(path.with_name(f"{path.stem}-summary.csv"), rows)
     by_world = [
         {"policy": one.name, "backend": one.backend, "worlds": one.world_name, **world}
@@ -259,10 +229,77 @@ def write_evaluation(path: Path, evaluations: Sequence[Evaluation | EndlessEvalu
         write_rows(path.with_name(f"{path.stem}-worlds.csv"), by_world)
 
 
-def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Writes rows as CSV, with a column for each key that occurs in them."""
-    columns = dict.fromkeys(key for row in rows for key in row)
-    with written_whole(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(columns))
-        writer.writeheader()
-        writer.writerows(rows)
+@dataclass(frozen=True)
+class Disagreement:
+    """An episode that reaches its goal in one backend and not in another.
+
+    Attributes:
+        policy: name of the policy.
+        world: name of the world.
+        episode: index of the episode in its set, from 0.
+        start: start pose: x, y (m) and yaw (rad).
+        goal: goal: x, y, m.
+        endings: ending of the episode in each backend, by name.
+    """
+
+    policy: str
+    world: str
+    episode: int
+    start: tuple[float, ...]
+    goal: tuple[float, ...]
+    endings: dict[str, str]
+
+
+def find_disagreements(group: Sequence[Evaluation]) -> list[Disagreement]:
+    """Finds the episodes that reach their goal in one backend and not in another.
+
+    Args:
+        group: evaluations of a policy on the same episodes, one for each backend.
+    """
+    reached, episodes = torch.stack([evaluation.reached for evaluation in group]), group[0].episodes
+    return [
+        Disagreement(
+            policy=group[0].name,
+            world=episodes.world_name(episode),
+            episode=episode,
+            start=tuple(episodes.start[episode].tolist()),
+            goal=tuple(episodes.goal[episode].tolist()),
+            endings={evaluation.backend: evaluation.endings[episode] for evaluation in group},
+        )
+        for episode in (reached.any(0) & ~reached.all(0)).nonzero().squeeze(-1).tolist()
+    ]
+
+
+def _several_backends(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> bool:
+    """Whether a policy is in several backends."""
+    places = {(evaluation.name, evaluation.backend) for evaluation in evaluations}
+    return len(places) > len({name for name, _ in places})
+
+
+def _comparable(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> list[list[Evaluation]]:
+    """Groups of evaluations of a policy on the same episodes, one for each of several backends.
+
+    Episodes in endless mode are not compared, since their goals depend on the goals before.
+    """
+    groups: list[list[Evaluation]] = []
+    for evaluation in evaluations:
+        if not isinstance(evaluation, Evaluation):
+            continue
+        fitting = (
+            group
+            for group in groups
+            if _same_episodes(group[0], evaluation) and evaluation.backend not in {one.backend for one in group}
+        )
+        if (group := next(fitting, None)) is None:
+            groups.append([evaluation])
+        else:
+            group.append(evaluation)
+    return [group for group in groups if len(group) > 1]
+
+
+def _same_episodes(one: Evaluation, other: Evaluation) -> bool:
+    """Whether two evaluations are of a policy of the same name on the same episodes with the same time limit."""
+    if any(getattr(one, key) != getattr(other, key) for key in ("name", "world_name", "title", "action_repeat")):
+        return False
+    a, b = one.episodes, other.episodes
+    return all(torch.equal(getattr(a, key), getattr(b, key)) for key in ("start", "goal", "world_index"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -30,8 +30,38 @@ WORST = 6
 """Number of worlds with the lowest success rates that are named and drawn."""
 
 
+class _Results:
+    """What the results of both modes have in common."""
+
+    name: str
+    trajectories: list[Trajectory]
+    env: EnvConfig
+    action_repeat: int
+
+    @property
+    def backend(self) -> str:
+        """Name of the backend; ``"module:class"`` of a custom one that is given as an object."""
+        return self.env.backend if isinstance(self.env.backend, str) else name_of(self.env.backend)
+
+    def _contacts(self, world: World | list[World]) -> list[Tensor]:
+        return find_body_contacts(self.trajectories, world, get_robot(self.env.robot))
+
+    def _summary(self, mode: str, world: str, seed: int) -> dict[str, Any]:
+        return {
+            "policy": self.name,
+            "backend": self.backend,
+            "world": world,
+            "mode": mode,
+            "seed": seed,
+            "action_repeat": self.action_repeat,
+            "count": len(self.trajectories),
+            "goals": sum(int(t.goal.sum()) for t in self.trajectories),
+            "collisions": sum(count_runs(t.collision) for t in self.trajectories),
+        }
+
+
 @dataclass(frozen=True)
-class Evaluation:
+class Evaluation(_Results):
     """Results of a policy on episodes with one goal each.
 
     Attributes:
@@ -49,11 +79,6 @@ class Evaluation:
     seconds: float
     trajectories: list[Trajectory]
     env: EnvConfig = field(default_factory=EnvConfig)
-
-    @property
-    def backend(self) -> str:
-        """Name of the backend; ``"module:class"`` of a custom one that is given as an object."""
-        return _backend_name(self.env)
 
     @property
     def endings(self) -> list[str]:
@@ -78,17 +103,12 @@ class Evaluation:
     @cached_property
     def contacts(self) -> list[Tensor]:
         """Whether the body touches an obstacle at the start and after each step: bool ``[T + 1]`` each."""
-        return find_body_contacts(self.trajectories, self._world_or_worlds, get_robot(self.env.robot))
-
-    @property
-    def _world_or_worlds(self) -> World | list[World]:
-        return self.episodes.worlds if self.episodes.several_worlds else self.episodes.world
+        return self._contacts(self.episodes.worlds)
 
     @cached_property
     def metrics(self) -> dict[str, Estimate]:
         """Metrics, by name: see :mod:`rover_rl.algos.evaluation.metrics`."""
-        shortest, robot = self.episodes.shortest, get_robot(self.env.robot)
-        return goal_metrics(self.trajectories, shortest, self._world_or_worlds, robot=robot, contacts=self.contacts)
+        return goal_metrics(self.trajectories, self.episodes.shortest, self.contacts)
 
     @property
     def world_name(self) -> str:
@@ -120,24 +140,6 @@ class Evaluation:
             "mean_time_to_traverse": round(sum(seconds) / len(seconds), 3) if seconds else None,
         }
 
-    def episode_rows(self) -> list[dict[str, Any]]:
-        """Returns a row of plain values for each episode, as in ``evaluation.csv``."""
-        episodes = self.episodes
-        columns = (episodes.start.tolist(), episodes.goal.tolist(), episodes.shortest.tolist())
-        rows = zip(*columns, self.trajectories, self.contacts, strict=True)
-        return [
-            {
-                **_identity(self, number, episodes.world_name(number)),
-                **dict(zip(("start_x", "start_y", "start_yaw"), start, strict=True)),
-                **dict(zip(("goal_x", "goal_y"), goal, strict=True)),
-                "shortest": shortest,
-                "length": t.length,
-                **_episode(t, touched),
-                "success": t.ending == "goal",
-            }
-            for number, (start, goal, shortest, t, touched) in enumerate(rows)
-        ]
-
     def select(self, indices: Sequence[int]) -> Evaluation:
         """Returns the results of the episodes with the given indices."""
         trajectories = [self.trajectories[index] for index in indices]
@@ -155,11 +157,6 @@ class Evaluation:
         return estimate.low, estimate.high
 
     @property
-    def mean_time(self) -> float:
-        """Mean time to the goal over the episodes that reached it, s; nan if none did."""
-        return self.metrics["mean_time_to_traverse"].value
-
-    @property
     def goals_per_2000_steps(self) -> float:
         """Number of goals reached per 2,000 steps, the length of a full episode."""
         return int(self.reached.sum()) * EnvConfig.length / int(self.steps.sum())
@@ -169,43 +166,45 @@ class Evaluation:
         """Title of a table with these results."""
         episodes, limit = self.episodes, f"one goal within {self.seconds:g} s"
         if not episodes.several_worlds:
-            return f"{_episodes(len(episodes))} in {episodes.name}: {limit}"
+            return f"{_count(len(episodes))} in {episodes.name}: {limit}"
         counts = {world["count"] for world in self.by_world}
-        each = f"{_episodes(counts.pop())} in each" if len(counts) == 1 else _episodes(len(episodes))
+        each = f"{_count(counts.pop())} in each" if len(counts) == 1 else _count(len(episodes))
         return f"{each} of {len(self.by_world)} worlds, {episodes.name}: {limit}"
 
     def summary(self) -> dict[str, Any]:
         """Returns policy, backend, world and counts as plain data."""
-        episodes = self.episodes
-        return {
-            "policy": self.name,
-            "backend": self.backend,
-            "world": episodes.name,
-            "mode": "one goal",
-            "seed": episodes.seed,
-            "action_repeat": self.action_repeat,
-            **_counts(self.trajectories),
-            "time_limit": self.seconds,
-        }
+        return {**self._summary("one goal", self.world_name, self.episodes.seed), "time_limit": self.seconds}
+
+    @property
+    def _episodes(self) -> list[dict[str, Any]]:
+        """Returns each episode as plain data."""
+        columns = (getattr(self.episodes, key).tolist() for key in ("start", "goal", "shortest"))
+        return [
+            {"start": start, "goal": goal, "shortest": shortest, "length": t.length, **_end(t, touched)}
+            for start, goal, shortest, t, touched in zip(*columns, self.trajectories, self.contacts, strict=True)
+        ]
+
+    def episode_rows(self) -> list[dict[str, Any]]:
+        """Returns a row of plain values for each episode, as in ``evaluation.csv``."""
+        rows = []
+        for number, episode in enumerate(self._episodes):
+            start = dict(zip(("start_x", "start_y", "start_yaw"), episode.pop("start"), strict=True))
+            goal = dict(zip(("goal_x", "goal_y"), episode.pop("goal"), strict=True))
+            row = _row(self, number, self.episodes.world_name(number))
+            rows.append({**row, **start, **goal, **episode, "success": episode["ending"] == "goal"})
+        return rows
 
     def to_json(self) -> dict[str, Any]:
         """Returns all results except the trajectories as plain data."""
-        episodes = self.episodes
-        columns = (episodes.start.tolist(), episodes.goal.tolist(), episodes.shortest.tolist())
-        rows = zip(*columns, self.trajectories, self.contacts, strict=True)
-        results = [
-            {"start": start, "goal": goal, "shortest": shortest, "length": t.length, **_episode(t, touched)}
-            for start, goal, shortest, t, touched in rows
-        ]
-        if not episodes.several_worlds:
-            return {**_results(self), "episodes": results}
-        indices = episodes.world_index.tolist()
-        results = [{"world": index, **result} for index, result in zip(indices, results, strict=True)]
-        return {**_results(self), "worlds": self.by_world, "episodes": results}
+        if not self.episodes.several_worlds:
+            return {**_plain(self), "episodes": self._episodes}
+        indices = self.episodes.world_index.tolist()
+        episodes = [{"world": index, **row} for index, row in zip(indices, self._episodes, strict=True)]
+        return {**_plain(self), "worlds": self.by_world, "episodes": episodes}
 
 
 @dataclass(frozen=True)
-class EndlessEvaluation:
+class EndlessEvaluation(_Results):
     """Results of a policy in endless mode, in which each reached goal is followed by a new one, as in the original.
 
     Attributes:
@@ -230,65 +229,47 @@ class EndlessEvaluation:
     trajectories: list[Trajectory]
     env: EnvConfig = field(default_factory=EnvConfig)
 
-    @property
-    def backend(self) -> str:
-        """Name of the backend; ``"module:class"`` of a custom one that is given as an object."""
-        return _backend_name(self.env)
+    @cached_property
+    def contacts(self) -> list[Tensor]:
+        """Whether the body touches an obstacle at the start and after each step: bool ``[T + 1]`` each."""
+        return self._contacts(self.world)
 
     @cached_property
     def metrics(self) -> dict[str, Estimate]:
         """Metrics, by name: see :mod:`rover_rl.algos.evaluation.metrics`."""
-        robot = get_robot(self.env.robot)
-        return endless_metrics(self.trajectories, self.world, robot=robot, contacts=self.contacts)
+        return endless_metrics(self.trajectories, self.contacts)
 
     @property
     def title(self) -> str:
         """Title of a table with these results."""
-        count, limit = len(self.trajectories), f"{self.length:,} steps"
         jam = "" if self.jam else ", without the jam ending"
-        return f"{_episodes(count)} in {self.world_name}: endless goals, {limit} each{jam}"
+        episodes = _count(len(self.trajectories))
+        return f"{episodes} in {self.world_name}: endless goals, {self.length:,} steps each{jam}"
 
     def summary(self) -> dict[str, Any]:
         """Returns policy, backend, world and counts as plain data."""
-        return {
-            "policy": self.name,
-            "backend": self.backend,
-            "world": self.world_name,
-            "mode": "endless",
-            "seed": self.seed,
-            "action_repeat": self.action_repeat,
-            **_counts(self.trajectories),
-            "time_limit": self.length * self.trajectories[0].dt,
-            "jam": self.jam,
-        }
-
-    def to_json(self) -> dict[str, Any]:
-        """Returns all results except the trajectories as plain data."""
-        return {**_results(self), "episodes": self._episodes}
-
-    @cached_property
-    def contacts(self) -> list[Tensor]:
-        """Whether the body touches an obstacle at the start and after each step: bool ``[T + 1]`` each."""
-        return find_body_contacts(self.trajectories, self.world, get_robot(self.env.robot))
+        limit = self.length * self.trajectories[0].dt
+        return {**self._summary("endless", self.world_name, self.seed), "time_limit": limit, "jam": self.jam}
 
     @property
     def _episodes(self) -> list[dict[str, Any]]:
+        """Returns each episode as plain data."""
         both = zip(self.trajectories, self.contacts, strict=True)
-        return [{"goals": int(t.goal.sum()), **_episode(t, touched)} for t, touched in both]
+        return [{"goals": int(t.goal.sum()), **_end(t, touched)} for t, touched in both]
 
     def episode_rows(self) -> list[dict[str, Any]]:
         """Returns a row of plain values for each episode, as in ``evaluation.csv``."""
-        return [{**_identity(self, number, self.world_name), **row} for number, row in enumerate(self._episodes)]
+        return [{**_row(self, number, self.world_name), **row} for number, row in enumerate(self._episodes)]
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns all results except the trajectories as plain data."""
+        return {**_plain(self), "episodes": self._episodes}
 
 
 def worst_worlds(evaluations: Sequence[Evaluation], count: int = WORST) -> list[int]:
     """Returns the indices of the worlds with the lowest mean success rates, the lowest first.
 
     Among worlds with equal success rates, those with more contacts and longer times come first.
-
-    Args:
-        evaluations: evaluations on the same episodes.
-        count: largest number of worlds.
     """
 
     def merit(index: int) -> tuple[float, float, float]:
@@ -302,32 +283,21 @@ def worst_worlds(evaluations: Sequence[Evaluation], count: int = WORST) -> list[
     return [evaluations[0].by_world[index]["world"] for index in order[:count]]
 
 
-def _backend_name(env: EnvConfig) -> str:
-    return env.backend if isinstance(env.backend, str) else name_of(env.backend)
-
-
-def _counts(trajectories: Sequence[Trajectory]) -> dict[str, int]:
-    """Numbers of episodes, goals and collisions, by name."""
-    return {
-        "count": len(trajectories),
-        "goals": sum(int(t.goal.sum()) for t in trajectories),
-        "collisions": sum(count_runs(t.collision) for t in trajectories),
-    }
-
-
-def _results(evaluation: Evaluation | EndlessEvaluation) -> dict[str, Any]:
-    """Returns the summary, environment, metrics and endings of an evaluation as plain data."""
-    metrics = {
-        key: {field: number if math.isfinite(number) else None for field, number in vars(estimate).items()}
-        for key, estimate in evaluation.metrics.items()
-    }
-    endings = Counter(trajectory.ending for trajectory in evaluation.trajectories)
+def _plain(evaluation: Evaluation | EndlessEvaluation) -> dict[str, Any]:
+    """Returns the summary, environment, metrics and endings as plain data."""
     return {
         **evaluation.summary(),
         "env": plain_env_or_none(evaluation.env),
-        "metrics": metrics,
-        "endings": dict(endings),
+        "metrics": plain_estimates(evaluation.metrics),
+        "endings": dict(Counter(trajectory.ending for trajectory in evaluation.trajectories)),
     }
+
+
+def _row(evaluation: Evaluation | EndlessEvaluation, episode: int, world: str) -> dict[str, Any]:
+    """Returns what the row of an episode begins with."""
+    summary = evaluation.summary()
+    shared = {key: summary[key] for key in ("policy", "backend", "mode", "seed", "action_repeat")}
+    return {**shared, "world": world, "episode": episode}
 
 
 def plain_env_or_none(env: EnvConfig) -> dict[str, Any] | None:
@@ -338,16 +308,15 @@ def plain_env_or_none(env: EnvConfig) -> dict[str, Any] | None:
         return None
 
 
-def _identity(evaluation: Evaluation | EndlessEvaluation, episode: int, world: str) -> dict[str, Any]:
-    """Returns what a row of an episode begins with."""
-    summary = evaluation.summary()
-    return {key: summary[key] for key in ("policy", "backend", "mode", "seed", "action_repeat")} | {
-        "world": world,
-        "episode": episode,
+def plain_estimates(estimates: Mapping[str, Estimate]) -> dict[str, dict[str, float | None]]:
+    """Returns estimates as plain data. JSON knows neither nan nor infinity: they are ``None``."""
+    return {
+        key: {end: number if math.isfinite(number) else None for end, number in vars(estimate).items()}
+        for key, estimate in estimates.items()
     }
 
 
-def _episode(trajectory: Trajectory, touched: Tensor) -> dict[str, Any]:
+def _end(trajectory: Trajectory, touched: Tensor) -> dict[str, Any]:
     """Returns ending, duration and events of an episode as plain data."""
     return {
         "ending": trajectory.ending,
@@ -357,5 +326,5 @@ def _episode(trajectory: Trajectory, touched: Tensor) -> dict[str, Any]:
     }
 
 
-def _episodes(count: int) -> str:
-    return f"{count} episode{'' if count == 1 else 's'}"
+def _count(episodes: int) -> str:
+    return f"{episodes} episode{'' if episodes == 1 else 's'}"

@@ -1,16 +1,23 @@
-r"""Tables of policies that fit into the terminal: columns that do not fit go into another table below."""
+"""Tables that fit into the terminal: columns that do not fit go into another table below. Tables as CSV files."""
 
 from __future__ import annotations
 
+import csv
+import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
+
+from rover_rl.algos.evaluation.metrics import Estimate
+from rover_rl.files import written_whole
 
 NAME_WIDTH = 30
 """Width up to which names of policies stay in one line if there is room, characters."""
@@ -24,39 +31,59 @@ _UNLIMITED = 100_000
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table.
-
-    Attributes:
-        heading: name of the quantity.
-        unit: its unit; empty if it has none.
-        cells: text of each row. A second line, such as a confidence interval, is dimmed.
-    """
+    """A column of a table. The second line of a cell, such as a confidence interval, is dimmed."""
 
     heading: str
     unit: str
     cells: Sequence[str]
 
 
-def fitting_tables(title: str, names: Sequence[str], columns: Sequence[Column], console: Console) -> list[Table | Text]:
-    """Returns a title, and tables that together have all columns, none of them wider than the console.
+def print_tables(
+    title: str, names: Sequence[str], columns: Sequence[Column], console: Console, heading: str = "policy"
+) -> None:
+    """Prints a title, and tables that together have all columns, none of them wider than the console.
 
     Names that are too long continue in the next line, after a separator such as ``-``. Headings of several words have a
     line for each. Nothing else is broken or cut.
-
-    Args:
-        title: what stands above the tables.
-        names: names of the rows. Lines after the first, such as a backend, are dimmed.
-        columns: columns beside the names.
-        console: console whose width the tables have at most.
     """
-    tables: list[Table | Text] = [Text(title, "bold")]
+    console.print(Text(title, "bold"))
     rest = [*columns]
-    while rest or len(tables) == 1:
+    while True:
         count = max(1, next((n for n in range(len(rest), 0, -1) if _fits(names, rest[:n], console)), 0))
         width = max(_name_width(names, rest[:count], console), LEAST_NAME_WIDTH)
-        tables.append(_table(names, rest[:count], width))
+        console.print(_table(names, rest[:count], width, heading))
         rest = rest[count:]
-    return tables
+        if not rest:
+            return
+
+
+def cell(estimate: Estimate, unit: str, digits: int = 2) -> str:
+    """Formats a value and, below it, its confidence interval; ``-`` for an undefined value.
+
+    Proportions (``"%"``) have one digit and their ends none, seconds one digit, and other values ``digits``.
+    """
+    if math.isnan(estimate.value):
+        return "-"
+    value = formatted(estimate.value, unit, digits)
+    if math.isnan(estimate.low):
+        return value
+    ends = (estimate.low, estimate.high)
+    low, high = (f"{100 * end:.0f}" if unit == "%" else formatted(end, unit, digits) for end in ends)
+    return f"{value}\n{low}–{high}"
+
+
+def formatted(value: float, unit: str, digits: int = 2) -> str:
+    """Formats a value in the unit of its column."""
+    return f"{100 * value:.1f}" if unit == "%" else f"{value:.{1 if unit == 's' else digits}f}"
+
+
+def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Writes rows as CSV, with a column for each key that occurs in them."""
+    columns = dict.fromkeys(key for row in rows for key in row)
+    with written_whole(path) as temporary, temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(columns))
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 def _fits(names: Sequence[str], columns: Sequence[Column], console: Console) -> bool:
@@ -67,17 +94,17 @@ def _fits(names: Sequence[str], columns: Sequence[Column], console: Console) -> 
 def _name_width(names: Sequence[str], columns: Sequence[Column], console: Console) -> int:
     """Returns the width that the columns leave for the names, at most what the names need."""
     longest = max(len(line) for name in names for line in name.splitlines())
-    without = _table([""] * len(names), columns, 0)
+    without = _table([""] * len(names), columns, 0, "policy")
     needed = console.measure(without, options=console.options.update(width=_UNLIMITED)).maximum - len("policy")
     return min(max(longest, len("policy")), NAME_WIDTH, console.width - needed)
 
 
-def _table(names: Sequence[str], columns: Sequence[Column], name_width: int) -> Table:
+def _table(names: Sequence[str], columns: Sequence[Column], name_width: int, heading: str) -> Table:
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    table.add_column("policy", no_wrap=True)
+    table.add_column(heading, no_wrap=True)
     for column in columns:
-        heading = "\n".join(line for word in column.heading.split() for line in folded(word, _HEADING_WIDTH))
-        table.add_column(f"{escape(heading)}\n{column.unit}", justify="right", no_wrap=True, vertical="top")
+        title = "\n".join(line for word in column.heading.split() for line in folded(word, _HEADING_WIDTH))
+        table.add_column(f"{escape(title)}\n{column.unit}", justify="right", no_wrap=True, vertical="top")
     for number, name in enumerate(names):
         first, *others = name.splitlines() or [""]
         lines = [escape(part) for part in folded(first, name_width)]

@@ -16,13 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from rover_rl.algos.evaluation.metrics import Estimate
-from rover_rl.algos.evaluation.report import write_rows
+from rover_rl.algos.evaluation.tables import Column, cell, print_tables, write_rows
 from rover_rl.algos.experiments.curves import COMPARED, draw_learning_curve
 from rover_rl.algos.experiments.runs import Against, Experiment, Run, evaluated_success, group
 from rover_rl.algos.experiments.statistics import interquartile_mean, probability_of_improvement
@@ -68,14 +65,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Pair:
-    """Probability that a run of one experiment is better than one of another.
-
-    Attributes:
-        world: name of the world, or :data:`ALL_WORLDS`.
-        better: name of the experiment with the larger interquartile mean.
-        other: name of the other one.
-        probability: probability of improvement.
-    """
+    """Probability that a run of one experiment is better than one of another."""
 
     world: str
     better: str
@@ -173,16 +163,18 @@ def print_comparison(comparison: Comparison, console: Console | None = None) -> 
     """Prints a table of the experiments in each world, and how probable it is that one is better than another."""
     console = console or Console()
     for world in dict.fromkeys(row.world for row in comparison.rows):
-        console.print(_table(world, comparison))
+        _print_table(world, comparison, console)
         for pair in (pair for pair in comparison.pairs if pair.world == world):
-            probability = f"{100 * pair.probability.value:.0f} %{_ends(pair.probability)}"
+            low, high = (f"{100 * end:.0f}" for end in (pair.probability.low, pair.probability.high))
+            ends = "" if math.isnan(pair.probability.low) else f" [{low}–{high}]"
+            probability = f"{100 * pair.probability.value:.0f} %{ends}"
             console.print(
                 f"Probability that a run of {pair.better} is better than one of {pair.other}: {probability}",
                 highlight=False,
                 markup=False,
             )
     notes = [
-        "success: interquartile mean of the runs; brackets: 95 % bootstrap interval over runs",
+        "success: interquartile mean of the runs; below it and in brackets: 95 % bootstrap interval over runs",
         f"to {comparison.level:.0%}: median of the runs, in training",
     ]
     if any(row.runs < _FEW for row in comparison.rows):
@@ -190,29 +182,22 @@ def print_comparison(comparison: Comparison, console: Console | None = None) -> 
     console.print("; ".join(notes) + ".", style="dim", highlight=False)
 
 
-def _table(world: str, comparison: Comparison) -> Table:
-    table = Table(title=f"{escape(world)}: {escape(comparison.scored_by)}", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    table.add_column("experiment", overflow="fold")
-    level = f"to {comparison.level:.0%}"
-    for heading in ("runs", "success\n%", f"reach\n{level[3:]}", f"steps\n{level}", f"minutes\n{level}"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for row in (row for row in comparison.rows if row.world == world):
-        settings = "" if row.settings == row.name else f"\n[dim]{escape(row.settings)}[/dim]"
-        steps, minutes = (
-            format(value, form) if math.isfinite(value) else "-"
-            for value, form in ((float(f"{row.steps:.2g}"), ",.0f"), (row.minutes, ".1f"))
-        )
-        success = _percent(row.success.value) + _ends(row.success)
-        table.add_row(escape(row.name) + settings, str(row.runs), success, str(row.reached), steps, minutes)
-    return table
+def _print_table(world: str, comparison: Comparison, console: Console) -> None:
+    rows = [row for row in comparison.rows if row.world == world]
+    level = f"{comparison.level:.0%}"
+    columns = [
+        Column("runs", "", [str(row.runs) for row in rows]),
+        Column("success", "%", [cell(row.success, "%") for row in rows]),
+        Column(f"reach {level}", "", [str(row.reached) for row in rows]),
+        Column(f"steps to {level}", "", [_or_none(float(f"{row.steps:.2g}"), ",.0f") for row in rows]),
+        Column(f"minutes to {level}", "", [_or_none(row.minutes, ".1f") for row in rows]),
+    ]
+    names = [row.name if row.settings == row.name else f"{row.name}\n{row.settings}" for row in rows]
+    print_tables(f"{world}: {comparison.scored_by}", names, columns, console, heading="experiment")
 
 
-def _percent(value: float) -> str:
-    return "-" if math.isnan(value) else f"{100 * value:.1f}"
-
-
-def _ends(estimate: Estimate) -> str:
-    return "" if math.isnan(estimate.low) else f" [{100 * estimate.low:.0f}–{100 * estimate.high:.0f}]"
+def _or_none(value: float, form: str) -> str:
+    return format(value, form) if math.isfinite(value) else "-"
 
 
 def write_comparison(comparison: Comparison, folder: Path) -> None:

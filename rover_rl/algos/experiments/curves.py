@@ -83,13 +83,7 @@ def draw_learning_curve(
 
 @dataclass(frozen=True)
 class _Curve:
-    """Curve of an experiment.
-
-    Attributes:
-        experiment: runs to draw as one curve.
-        style: color and style of the line.
-        named: whether the label has the name of the experiment, which distinguishes it from others.
-    """
+    """Curve of an experiment."""
 
     experiment: Experiment
     style: dict[str, Any]

@@ -2,11 +2,6 @@
 
 A run's record is what its folder holds: ``config.yaml``, ``progress.csv`` and, after ``rover-rl evaluate``,
 ``evaluation.json``.
-
-Example:
-    >>> runs = [Run.read(folder) for folder in find_runs(["runs/ppo-moon"])]
-    >>> [len(experiment.runs) for experiment in group(runs)]
-    [1]
 """
 
 from __future__ import annotations
@@ -55,12 +50,7 @@ class Run:
 
     @classmethod
     def read(cls, folder: str | Path) -> Run:
-        """Reads the record of the run in ``folder``.
-
-        Raises:
-            FileNotFoundError: if there is no run.
-            ValueError: if it has no rows yet.
-        """
+        """Reads the record of the run in ``folder``."""
         folder = Path(folder)
         config = run_config(folder)
         columns = {key: np.array(values) for key, values in read_progress(folder / PROGRESS).items()}
@@ -176,9 +166,6 @@ def evaluated_success(runs: Sequence[Run]) -> tuple[str, dict[Path, float]] | No
 
     Evaluations are read from ``evaluation.json`` in the folders of all runs, because ``rover-rl evaluate`` writes those
     of several policies into the first one's. Those that are older than the run's checkpoint do not count.
-
-    Returns:
-        Description and rates; ``None`` if the runs have no evaluation in common.
     """
     rates: dict[str, dict[Path, float]] = {}
     for file in (run.folder / EVALUATION for run in runs):

@@ -1,9 +1,4 @@
-"""Training runs that differ in their seed only, each in a folder of its own: ``NAME-seed0``, ``NAME-seed1``, ...
-
-Example:
-    >>> [config.run.name for config, folder in seed_runs(training_config("ppo", name="mine"), (0, 1))]
-    ['mine-seed0', 'mine-seed1']
-"""
+"""Training runs that differ in their seed only, each in a folder of its own: ``NAME-seed0``, ``NAME-seed1``, ..."""
 
 from __future__ import annotations
 
@@ -42,11 +37,7 @@ def seed_runs(config: TrainingConfig, seeds: Sequence[int]) -> list[tuple[Traini
 
 
 def continued(config: TrainingConfig) -> tuple[TrainingConfig, Path | None]:
-    """Returns the settings and the folder of the run that ``config`` names; ``None`` for a folder that does not exist.
-
-    Raises:
-        FileExistsError: if there is a run of that name with other settings.
-    """
+    """Returns the settings and the folder of the run that ``config`` names; ``None`` if it does not exist yet."""
     folder = Path(config.run.runs, config.run.name or "")
     if not folder.exists():
         return config, None

@@ -30,14 +30,7 @@ _FIXED = ("algo", "seed", "name", "runs", "logger", "snapshots", "checkpoint_min
 
 @dataclass(frozen=True)
 class Interval:
-    """Setting that is drawn from an interval.
-
-    Attributes:
-        name: name of the setting.
-        low: smallest value.
-        high: largest value.
-        whole: whether only whole numbers are drawn.
-    """
+    """Setting that is drawn from an interval."""
 
     name: str
     low: float
@@ -62,12 +55,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class Choice:
-    """Setting that is one of several values.
-
-    Attributes:
-        name: name of the setting.
-        values: values, by their text.
-    """
+    """Setting that is one of several values."""
 
     name: str
     values: dict[str, Any]
@@ -135,11 +123,7 @@ def _read(word: str, config: TrainingConfig) -> Setting:
 
 
 def with_varied(config: TrainingConfig, values: Mapping[str, Any]) -> TrainingConfig:
-    """Returns ``config`` with other settings, by their names with dots.
-
-    Raises:
-        ValueError: for a value of the wrong type.
-    """
+    """Returns ``config`` with other settings, by their names with dots."""
     data, places = plain(config), _places(config)
     for name, value in values.items():
         *parts, last = places[name]

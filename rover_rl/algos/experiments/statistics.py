@@ -40,11 +40,7 @@ def interquartile_mean(strata: Sequence[np.ndarray]) -> Estimate:
 
 
 def interval(strata: Sequence[np.ndarray]) -> np.ndarray:
-    """Ends of the 95 % interval of the interquartile mean, ``[2, ...]``; nan if each stratum has one run.
-
-    Args:
-        strata: values of the runs in each world, ``[runs, ...]`` each.
-    """
+    """Ends of the 95 % interval of the interquartile mean, ``[2, ...]``; nan if each stratum has one run."""
     if all(len(values) == 1 for values in strata):
         return np.full((2, *strata[0].shape[1:]), math.nan)
     generator = np.random.default_rng(0)

@@ -10,6 +10,7 @@ Example:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
@@ -17,16 +18,24 @@ from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, Any
 
+from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
+from rich.console import Console
+
 from rover_rl.algos.config import TrainingConfig, with_settings
 from rover_rl.algos.config_files import config_from, differing_settings, plain
 from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes
 from rover_rl.algos.evaluation.evaluate import environment_for
+from rover_rl.algos.evaluation.metrics import Estimate
 from rover_rl.algos.evaluation.parallel import GoalRequest, evaluate_all
+from rover_rl.algos.evaluation.plots import BLUE, ORANGE, style_axes
 from rover_rl.algos.evaluation.results import Evaluation
+from rover_rl.algos.evaluation.tables import Column, cell, print_tables, write_rows
 from rover_rl.algos.experiments.seeds import continued
 from rover_rl.algos.experiments.space import Choice, Interval, Setting, with_varied
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.train import train
+from rover_rl.files import written_whole
 from rover_rl.sims.worlds.names import TRAINING_SEEDS, WorldRange
 
 if TYPE_CHECKING:
@@ -41,6 +50,10 @@ VALIDATION_SEED = 30_000
 """Seed of these episodes. They are neither those of training nor those that ``rover-rl evaluate`` drives."""
 VALIDATION_WORLDS = 16
 """Number of worlds in which trials are evaluated after training in a range of worlds."""
+
+
+_COLUMNS = 4
+"""Largest number of panels in a row."""
 
 
 class Sweep:
@@ -71,11 +84,7 @@ class Sweep:
         self._require_same()
 
     def _require_same(self) -> None:
-        """Stores the settings of a new sweep, and compares those of an existing one.
-
-        Raises:
-            FileExistsError: if they differ.
-        """
+        """Stores the settings of a new sweep, and compares those of an existing one."""
         stated = {"vary": [str(setting) for setting in self.space], "episodes": self._count}
         saved = self._study.user_attrs
         if not saved:
@@ -190,10 +199,6 @@ def validation_episodes(config: TrainingConfig, count: int) -> EpisodeSet:
 
     After training in a range of worlds, they are in the last worlds with a seed for training, which a smaller range
     does not contain. They are not those of ``rover-rl evaluate``, which tell how good the chosen settings are.
-
-    Args:
-        config: settings of the training.
-        count: number of episodes; they are shared equally by the worlds, at least one in each.
     """
     worlds: list[Any] = []
     for world in config.env.worlds:
@@ -208,11 +213,7 @@ def validation_episodes(config: TrainingConfig, count: int) -> EpisodeSet:
 
 
 def _open_study(folder: Path) -> Study:
-    """Opens the study in a folder, or creates it.
-
-    Raises:
-        ImportError: if Optuna is missing.
-    """
+    """Opens the study in a folder, or creates it."""
     try:
         import optuna
     except ImportError as error:
@@ -236,3 +237,78 @@ def _sampler(seed: int) -> Any:
     from optuna.samplers import TPESampler
 
     return TPESampler(seed=seed)
+
+
+def print_trials(sweep: Sweep, console: Console | None = None) -> None:
+    """Prints a table of the trials with a result, the best first."""
+    console = console or Console()
+    results = [trial.user_attrs for trial in sweep.finished]
+    settings = [sweep.settings(trial) for trial in sweep.finished]
+    success = [
+        Estimate(trial.value or 0.0, *(trial.user_attrs[end] for end in ("low", "high"))) for trial in sweep.finished
+    ]
+    seconds = [Estimate(result["seconds"], math.nan, math.nan) for result in results]
+    columns = [Column(one.name, "", [text_of(values[one.name]) for values in settings]) for one in sweep.space]
+    columns += [
+        Column("success", "%", [cell(estimate, "%") for estimate in success]),
+        Column("time", "s", [cell(estimate, "s") for estimate in seconds]),
+        Column("training", "min", [f"{result['minutes']:.1f}" for result in results]),
+    ]
+    names = [f"trial-{trial.number}" for trial in sweep.finished]
+    print_tables(str(sweep.folder), names, columns, console, heading="trial")
+    console.print(
+        "below a success: 95 % confidence interval, within which trials are not told apart; time: mean time to a goal.",
+        style="dim",
+        highlight=False,
+    )
+
+
+def write_trials(sweep: Sweep, path: Path) -> None:
+    """Writes the trials with a result as CSV, the best first."""
+    write_rows(
+        path,
+        [
+            {
+                "trial": sweep.trial_folder(trial).name,
+                **sweep.settings(trial),
+                "success": trial.value,
+                **trial.user_attrs,
+            }
+            for trial in sweep.finished
+        ],
+    )
+
+
+def draw_trials(sweep: Sweep, path: Path) -> None:
+    """Draws the success rate of each trial, with its 95 % interval, against each setting that varies."""
+    trials, columns = sweep.finished, min(_COLUMNS, len(sweep.space))
+    rows = math.ceil(len(sweep.space) / columns)
+    figure = Figure(figsize=(1.2 + 3.4 * columns, 3.4 * rows), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False, sharey=True).flat
+    for ax, setting in zip(panels, sweep.space, strict=False):
+        order = [*setting.values] if isinstance(setting, Choice) else []
+        for place, trial in reversed([*enumerate(trials)]):
+            drawn, rate = trial.params[setting.name], trial.value or 0.0
+            ends = [[rate - trial.user_attrs["low"]], [trial.user_attrs["high"] - rate]]
+            # Trials with the same choice stand side by side.
+            side = 0.5 * (trial.number + 0.5) / len(trials) - 0.25
+            x = order.index(drawn) + side if order else setting.value(drawn)
+            color = BLUE if place else ORANGE
+            label = None if place else f"best trial: {trial.number}"
+            ax.errorbar(x, rate, ends, fmt="o", color=color, elinewidth=0.8, clip_on=False, label=label)
+        if order:
+            ax.set_xticks(range(len(order)), order)
+            ax.set_xlim(-0.5, len(order) - 0.5)
+        elif isinstance(setting, Interval):
+            # Trials at the ends are not cut.
+            ax.set(xscale="log" if setting.log else "linear", xlim=(setting.low, setting.high))
+            ax.margins(x=0.05)
+        ax.set(xlabel=setting.name, ylim=(0, 1.02))
+        ax.yaxis.set_major_formatter(PercentFormatter(1.0))
+        style_axes(ax)
+    figure.axes[0].set_ylabel("success rate")
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", frameon=False)
+    for ax in figure.axes[len(sweep.space) :]:
+        ax.remove()
+    with written_whole(path) as temporary:
+        figure.savefig(temporary, dpi=150)

@@ -52,12 +52,7 @@ class SpreadEnds(Transform):
 
 
 class AttemptEntries(Transform):
-    """Base of transforms that add a nested entry of numbers, each int64 ``[N, 1]`` and 0 after a reset.
-
-    Attributes:
-        key: name of the nested entry.
-        entries: names of the numbers.
-    """
+    """Base of transforms that add a nested entry of numbers, each int64 ``[N, 1]`` and 0 after a reset."""
 
     key: str
     entries: tuple[str, ...]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import faulthandler
+import logging
 import multiprocessing
 import os
 import signal
@@ -173,12 +174,16 @@ def _last_output(log: Path) -> str:
 
 
 def _make_worker_env(
-    config: TrainingConfig, worker: int, session: int, estimates: Estimates | None, log: Path
+    config: TrainingConfig, worker: int, session: int, estimates: Estimates | None, log: Path | None = None
 ) -> EnvBase:
-    """Makes the environment of a worker process. The worker ignores Ctrl-C, which the training process handles."""
-    if multiprocessing.parent_process() is not None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Makes the environment of a worker: a process, whose errors are written to ``log``, or one on a cluster."""
+    if multiprocessing.parent_process() is not None or log is None:
         torch.manual_seed(config.seed + worker + session * SESSION_SEEDS)
+    if log is None:
+        torch.set_num_threads(1)
+    elif multiprocessing.parent_process() is not None:
+        # The training process handles Ctrl-C.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         # If the worker fails, the training process reports its traceback and the crash output of Bullet or Python.
         with log.open("wb", buffering=0) as file:
             os.dup2(file.fileno(), 2)
@@ -193,7 +198,7 @@ def _on_a_cluster(
     from ray.exceptions import RayError
 
     collector = Collector(
-        [partial(_make_remote_env, config, worker, session, estimates) for worker in range(config.workers)],
+        [partial(_make_worker_env, config, worker, session, estimates) for worker in range(config.workers)],
         actor,
         num_collectors=config.workers,
         sync=not config.algorithm.asynchronous,
@@ -227,6 +232,31 @@ def _on_a_cluster(
         collector.shutdown()
 
 
+def connect() -> int:
+    """Connects to the Ray cluster at ``RAY_ADDRESS``, else to one on this machine, else starts one. Idempotent.
+
+    Returns:
+        Number of CPU cores of the cluster.
+    """
+    try:
+        import ray
+    except ImportError as error:
+        raise ImportError('backend "ray" needs Ray: pip install "rover_rl[ray]"') from error
+    if not ray.is_initialized():
+        # The output of remote workers would disturb the progress bar. Their errors are reported separately.
+        init = partial(ray.init, log_to_driver=False, logging_level=logging.ERROR)
+        try:
+            init(address="auto")
+        except ConnectionError as error:
+            if "RAY_ADDRESS" in os.environ:
+                raise ConnectionError(
+                    f"no Ray cluster answers at RAY_ADDRESS={os.environ['RAY_ADDRESS']}; "
+                    "if it requires a token, set RAY_AUTH_MODE=token and copy its ~/.ray/auth_token to this machine"
+                ) from error
+            init(include_dashboard=False)
+    return int(ray.cluster_resources().get("CPU", 0))
+
+
 def _ended_actors(collector: BaseCollector) -> list[str]:
     """Returns Ray's reports on the workers that have ended. This can take some seconds."""
     import ray
@@ -239,13 +269,6 @@ def _ended_actors(collector: BaseCollector) -> list[str]:
         except ray.exceptions.RayError as error:
             reports.append(str(error))
     return reports
-
-
-def _make_remote_env(config: TrainingConfig, worker: int, session: int, estimates: Estimates | None) -> EnvBase:
-    """Makes the environment of a Ray worker."""
-    torch.set_num_threads(1)
-    torch.manual_seed(config.seed + worker + session * SESSION_SEEDS)
-    return make_training_env(config, worker, session, estimates)
 
 
 _COLLECTORS: dict[str, Callable[..., AbstractContextManager[Iterator[TensorDictBase]]]] = {

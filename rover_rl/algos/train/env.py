@@ -38,14 +38,6 @@ def make_training_env(
     """Makes the environment of one worker, in which one step is one decision of the policy.
 
     The first episode of each row has a random length, so that the resets of the rows are spread over time.
-
-    Args:
-        config: settings of the training run.
-        worker: index of the worker, from 0.
-        session: number of times the run has been resumed.
-        estimates: state of the :class:`~rover_rl.algos.train.learnability.Learnability` that a curriculum begins with.
-        per_batch: whether transforms read values from the device once per batch, instead of once per step: see
-            :class:`~rover_rl.algos.train.rollouts.PerBatch`.
     """
     env_config = _worker_env_config(config, worker, session)
     reward_components(env_config.reward, env_config.contract_reward)

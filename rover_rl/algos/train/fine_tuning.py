@@ -76,12 +76,7 @@ def fine_tuning_config(source: str | Path, **settings: Any) -> TrainingConfig:
 
 
 def load_source(config: TrainingConfig) -> Checkpoint | None:
-    """Loads the policy that a training starts from; ``None`` if it starts from a new one.
-
-    Raises:
-        FileNotFoundError: if the policy does not exist.
-        ValueError: if the settings ask for another robot, lidar, bounds of the action or network than the policy has.
-    """
+    """Loads the policy that a training starts from; ``None`` if it starts from a new one."""
     if config.run.started_from is None:
         return None
     source = load_policy(config.run.started_from)

@@ -48,7 +48,9 @@ class Learnability:
     def __init__(self, pool: WorldPool) -> None:
         sources = [pool.source(index) for index in range(len(pool))]
         names = [WorldName.parse(source) if isinstance(source, str) else WorldName("") for source in sources]
-        self.difficulty = torch.tensor([_number(name.difficulty) for name in names], dtype=torch.float64)
+        self.difficulty = torch.tensor(
+            [math.nan if name.difficulty is None else name.difficulty for name in names], dtype=torch.float64
+        )
         groups: dict[tuple[str, int | None], int] = {}
         self._group = torch.tensor([groups.setdefault(_group(name), len(groups)) for name in names])
         # As often as in a draw without weights: each entry equally often, and each of its worlds.
@@ -122,7 +124,3 @@ def _group(name: WorldName) -> tuple[str, int | None]:
     """Worlds of equal groups are similar."""
     level = name.difficulty
     return name.part, None if level is None else min(int(level * _LEVELS), _LEVELS - 1)
-
-
-def _number(difficulty: float | None) -> float:
-    return math.nan if difficulty is None else difficulty

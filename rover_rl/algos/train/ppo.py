@@ -49,11 +49,7 @@ LOGGED = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fractio
 
 
 class PPOLearner:
-    """Actor, critic and their PPO update.
-
-    Args:
-        config: settings of the training run.
-    """
+    """Actor, critic and their PPO update."""
 
     def __init__(self, config: TrainingConfig) -> None:
         assert isinstance(config.algorithm, PPOConfig)
@@ -90,13 +86,7 @@ class PPOLearner:
         self._training_keys = (*inputs, "action", "action_log_prob", "advantage", "value_target")
 
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
-        """Updates the networks with a batch and returns the means of the logged values over the gradient steps.
-
-        Args:
-            batch: decisions ``[N, T]`` from a collector.
-            share: fraction of training that is done.
-            stopwatch: stopwatch that measures the time of the gradient steps.
-        """
+        """Updates the networks with a batch and returns the means of the logged values over the gradient steps."""
         learning_rate = set_learning_rate(self._optimizer, self.config, share)
         batch["next", "reward"] *= self._settings.reward_scale
         with torch.no_grad():
@@ -122,9 +112,6 @@ class PPOLearner:
         """Yields the minibatches of all epochs, some of their decisions mirrored.
 
         A minibatch has decisions ``[M]``, or with a memory whole sequences of some rovers ``[M, T]``.
-
-        Args:
-            decisions: decisions ``[N, T]``.
         """
         settings, device, size = self._settings, self.config.device, self._settings.minibatch
         starts = self._mirror_memory.starts(decisions) if settings.mirror_augmentation else {}

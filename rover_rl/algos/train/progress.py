@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import harmonic_mean
@@ -15,7 +15,6 @@ import torch
 from rich.console import Console
 from tensordict import TensorDictBase
 
-from rover_rl.algos.train.trackers import Trackers
 from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.transforms.step_clock import NAMES
 from rover_rl.files import errors_name, written_whole
@@ -29,43 +28,30 @@ _RECENT_STEPS = 80_000
 """Number of latest steps over which the progress bar averages."""
 
 
-class BatchStatistics:
-    """Computes statistics of consecutive batches of decisions.
+def batch_statistics(batch: TensorDictBase, repeat: int) -> dict[str, float]:
+    """Returns statistics of a batch of decisions ``[N, T]``, with unscaled rewards; means over no episodes are nan.
 
     The success rate of training, ``attempts_reached / attempts``, estimates that of an evaluation: each attempt to
     reach a goal succeeds or fails (:class:`~rover_rl.algos.train.attempts.AttemptCounter`). It is measured with
     exploration and with the decisions of training.
 
     Args:
+        batch: decisions.
         repeat: number of steps per decision. A decision in which the episode ends counts in full, so that the number
             of steps of a run does not depend on its events.
-        steps: number of steps taken before.
-
-    Attributes:
-        steps: number of steps taken so far, all rovers together.
     """
-
-    def __init__(self, repeat: int, steps: int = 0) -> None:
-        self.steps = steps
-        self._repeat = repeat
-
-    def __call__(self, batch: TensorDictBase) -> dict[str, float]:
-        """Returns statistics of the next batch ``[N, T]``, with unscaled rewards; means over no episodes are nan."""
-        after = batch["next"]
-        outcome, ended = after["outcome"], after["done"]
-        taken = batch.numel() * self._repeat
-        reached, failed = (int(after["attempts", key].sum()) for key in ("reached", "failed"))
-        self.steps += taken
-        return {
-            "steps": self.steps,
-            "goals_per_2000_steps": int(outcome["goals"].sum()) * EPISODE_STEPS / taken,
-            "episodes": int(ended.sum()),
-            "attempts": reached + failed,
-            "attempts_reached": reached,
-            "success_rate": reached / (reached + failed) if reached + failed else math.nan,
-            "episode_steps": outcome["steps"][ended].float().mean().item(),
-            "episode_return": after["episode_reward"][ended].mean().item(),
-        }
+    after = batch["next"]
+    outcome, ended = after["outcome"], after["done"]
+    reached, failed = (int(after["attempts", key].sum()) for key in ("reached", "failed"))
+    return {
+        "goals_per_2000_steps": int(outcome["goals"].sum()) * EPISODE_STEPS / (batch.numel() * repeat),
+        "episodes": int(ended.sum()),
+        "attempts": reached + failed,
+        "attempts_reached": reached,
+        "success_rate": reached / (reached + failed) if reached + failed else math.nan,
+        "episode_steps": outcome["steps"][ended].float().mean().item(),
+        "episode_return": after["episode_reward"][ended].mean().item(),
+    }
 
 
 class Stopwatch:
@@ -123,7 +109,7 @@ class Stopwatch:
 
 
 class ProgressLog:
-    """Writes one row per batch to ``progress.csv`` and to trackers, and shows recent means in a progress bar.
+    """Writes one row per batch to ``progress.csv``, and shows recent means in a progress bar.
 
     In a resumed run, rows after the saved state are removed, because their batches are collected again. The table keeps
     its columns: values of other names are left out, and missing ones are nan. Without a terminal, lines are printed
@@ -134,8 +120,6 @@ class ProgressLog:
         updates: number of rows of an existing table to keep.
         steps: number of steps taken before.
         console: console to print to; ``None``: standard output.
-        open_trackers: function that opens the trackers, given one that prints a line; it is called when the log is
-            entered.
     """
 
     def __init__(
@@ -144,19 +128,14 @@ class ProgressLog:
         updates: int = 0,
         steps: int = 0,
         console: Console | None = None,
-        open_trackers: Callable[[Callable[[str], None]], Trackers] | None = None,
     ) -> None:
         self._path = folder / "progress.csv"
         self._recent: list[dict[str, float]] = []
         self._steps, self._clock = steps, time.perf_counter()
         self._columns = _keep_rows(self._path, updates)
-        self._open_trackers = open_trackers
-        self._trackers: Trackers | None = None
         self._display = ProgressDisplay("training", keep=True, tenths=True, console=console, interval=_LINE_INTERVAL)
 
     def __enter__(self) -> ProgressLog:
-        if self._open_trackers is not None:
-            self._trackers = self._open_trackers(self.say)
         self._clock = time.perf_counter()
         self._display.__enter__()
         return self
@@ -165,25 +144,18 @@ class ProgressLog:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._display.__exit__(kind, error, trace)
-        if self._trackers is not None:
-            self._trackers.close()
 
-    def add(self, row: dict[str, float]) -> None:
-        """Writes a row of values by name, with at least ``steps``."""
+    def add(self, row: dict[str, float]) -> dict[str, float]:
+        """Writes a row of values by name, with at least ``steps``, and returns it with the speed."""
         now = time.perf_counter()
         row = {**row, "steps_per_second": (row["steps"] - self._steps) / (now - self._clock)}
         self._steps, self._clock = int(row["steps"]), now
         self._recent = [*(r for r in self._recent if r["steps"] > row["steps"] - _RECENT_STEPS), row]
         self._append(row)
-        if self._trackers is not None:
-            self._trackers.add(row)
+        return row
 
     def show(self, share: float) -> None:
-        """Shows means over the latest rows, after at least one row.
-
-        Args:
-            share: fraction of training that is done.
-        """
+        """Shows means over the latest rows, after at least one row."""
         # Rows have equal numbers of steps, so the mean speed is the harmonic mean. The speed of a single row varies,
         # because batches may arrive in pairs.
         speed = harmonic_mean(row["steps_per_second"] for row in self._recent)
@@ -218,11 +190,7 @@ class ProgressLog:
 
 
 def _keep_rows(path: Path, updates: int) -> list[str]:
-    """Truncates the table to its first ``updates`` rows; deletes it if there are none to keep.
-
-    Returns:
-        Columns of the remaining table, none if there is no table.
-    """
+    """Truncates the table to its first ``updates`` rows; deletes it if there are none to keep."""
     if not path.exists():
         return []
     if not updates:
@@ -236,11 +204,7 @@ def _keep_rows(path: Path, updates: int) -> list[str]:
 
 
 def read_progress(path: Path) -> dict[str, list[float]]:
-    """Reads the columns of a table that :class:`ProgressLog` wrote, without an incomplete last row.
-
-    Raises:
-        FileNotFoundError: if there is no table.
-    """
+    """Reads the columns of a table that :class:`ProgressLog` wrote, without an incomplete last row."""
     with path.open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if None not in row.values()]
     return {key: [float(row[key]) for row in rows] for key in (rows[0] if rows else ())}

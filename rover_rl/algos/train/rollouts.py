@@ -28,13 +28,7 @@ class PerBatch(Protocol):
 
 
 def rollouts(env: TransformedEnv, actor: ProbabilisticActor, length: int) -> Iterator[TensorDictBase]:
-    """Yields endless batches ``[N, length]`` of consecutive steps, in which the actor explores.
-
-    Args:
-        env: environment, with a batch size ``[N]``. Its transforms that are :class:`PerBatch` get each batch.
-        actor: policy, with the weights that it has at each step.
-        length: number of steps of each row in a batch.
-    """
+    """Yields endless batches ``[N, length]`` of consecutive steps, in which the actor explores."""
     per_batch = [transform for transform in env.transform if isinstance(transform, PerBatch)]
     current = env.reset()
     while True:

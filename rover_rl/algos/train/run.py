@@ -10,7 +10,7 @@ import secrets
 import signal
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -24,13 +24,11 @@ from torchrl.modules import ProbabilisticActor
 from rover_rl.algos.archives import first_not_finite
 from rover_rl.algos.config import TrainingConfig, with_settings
 from rover_rl.algos.policy.checkpoint import CHECKPOINT, SETTINGS, Checkpoint
-from rover_rl.algos.train.collectors import WorkerError, collect
+from rover_rl.algos.train.collectors import WorkerError, collect, connect
 from rover_rl.algos.train.curriculum import CurriculumRecord
 from rover_rl.algos.train.fine_tuning import load_source
-from rover_rl.algos.train.progress import BatchStatistics, ProgressLog, Stopwatch
-from rover_rl.algos.train.ray_cluster import connect
-from rover_rl.algos.train.resuming import RunRecord
-from rover_rl.algos.train.run_folder import STATE, default_name, load_state, new_run_folder, save_run
+from rover_rl.algos.train.progress import ProgressLog, Stopwatch, batch_statistics
+from rover_rl.algos.train.run_folder import STATE, RunRecord, default_name, load_state, new_run_folder, save_run
 from rover_rl.algos.train.trackers import Trackers, check_trackers
 from rover_rl.algos.workers import default_workers
 from rover_rl.envs.devices import available_device
@@ -98,18 +96,6 @@ class TrainingRun:
     end the run after the current batch; a second one ends it immediately. A run whose weights become NaN or infinite,
     or whose files cannot be written, keeps its last checkpoint.
 
-    Args:
-        config: settings of the training run.
-        learner: algorithm to train with.
-        folder: folder of a run to continue; ``None`` starts a new run.
-
-    Raises:
-        ValueError: for an unknown world, a setting out of range, a training state that does not fit, a setting that
-            may not change when a run is continued, or a policy to start from that does not fit.
-        FileExistsError: if a run of that name exists.
-        FloatingPointError: if training has diverged, by the context or by :meth:`record`.
-        OSError: if a file cannot be written.
-
     Example:
         >>> config = training_config("ppo", world="maze", num_envs=8, total_steps=512, name="mine")
         >>> learner = PPOLearner(config)
@@ -138,19 +124,13 @@ class TrainingRun:
             self.folder = new_run_folder(config.run.runs, config.run.name, default_name(config))
         self._record = record or RunRecord(self.folder / SETTINGS, config)
         self._from_start = folder is not None and self._saved_steps is None
-        self._steps_before = self.steps
+        self._steps_before = self._collected = self.steps
         if self._saved_steps is None:
             self._record.begin()
         self._updates_before = self.updates
         self.stopwatch = Stopwatch()
         self._last_snapshot = int(self.share * config.run.snapshots)
-        self._statistics = BatchStatistics(config.collection.action_repeat, self.steps)
-        self._log = ProgressLog(self.folder, self.updates, self.steps, open_trackers=self._open_trackers)
-
-    def _open_trackers(self, say: Callable[[str], None]) -> Trackers:
-        """Opens the trackers of a run that is not finished."""
-        names = () if self.updates and self.share >= 1 else self.config.run.logger
-        return Trackers(names, self.folder, self.config, self.steps if self.updates else None, say)
+        self._log = ProgressLog(self.folder, self.updates, self.steps)
 
     def _resume(self) -> None:
         """Resumes the run in the folder. A run that was killed before its first checkpoint starts again."""
@@ -202,6 +182,10 @@ class TrainingRun:
         self._handlers = {}
         if threading.current_thread() is threading.main_thread():
             self._handlers = {number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)}
+        # A finished run has nothing more to tell.
+        names = () if self.updates and self.share >= 1 else self.config.run.logger
+        resumed_at = self.steps if self.updates else None
+        self._trackers = Trackers(names, self.folder, self.config, resumed_at, self._log.say)
         self._log.__enter__()
         # The time to open trackers, with logins and databases, is not that of training.
         self.stopwatch = Stopwatch()
@@ -225,6 +209,7 @@ class TrainingRun:
                 self._log.say(f"A worker failed. To continue: rover-rl train --resume {self.folder}")
         finally:
             self._log.__exit__(kind, error, trace)
+            self._trackers.close()
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
 
@@ -249,19 +234,19 @@ class TrainingRun:
                 requested = self.stopwatch.elapsed
                 batch = next(batches)
                 self.stopwatch.collected(batch, self.config.rovers_per_worker, self.stopwatch.elapsed - requested)
-                self._batch_statistics = self._statistics(batch)
+                repeat = self.config.collection.action_repeat
+                self._collected = self.steps + batch.numel() * repeat
+                self._batch_statistics = batch_statistics(batch, repeat)
                 if self._curriculum:
                     self._batch_statistics |= self._curriculum(batch)
                 yield batch
 
     def record(self, learned: dict[str, float]) -> None:
-        """Logs the current batch and saves snapshots and checkpoints that are due.
-
-        Args:
-            learned: values to log about the update, by name.
-        """
-        self.steps, self.updates = self._statistics.steps, self.updates + 1
-        self._log.add({"updates": self.updates, "minutes": self.minutes, **self._batch_statistics, **learned})
+        """Logs the current batch and saves snapshots and checkpoints that are due."""
+        self.steps, self.updates = self._collected, self.updates + 1
+        counters = {"updates": self.updates, "minutes": self.minutes, "steps": self.steps}
+        row = {**counters, **self._batch_statistics, **learned}
+        self._trackers.add(self._log.add(row))
         self._require_finite()
         snapshot = int(self.share * self.config.run.snapshots)
         if snapshot > self._last_snapshot:
@@ -302,11 +287,7 @@ class TrainingRun:
         self._saved_steps = self.steps
 
     def _require_finite(self) -> None:
-        """Ends a run that has diverged, to keep its last good checkpoint.
-
-        Raises:
-            FloatingPointError: if a weight is NaN or infinite.
-        """
+        """Ends a run that has diverged, to keep its last good checkpoint."""
         diverged = first_not_finite(self.learner.weights())
         if diverged is None:
             return
@@ -319,7 +300,7 @@ class TrainingRun:
                 f"continue from it with a lower learning rate: rover-rl train --resume {self.folder} {lower}"
             )
         raise FloatingPointError(
-            f"training diverged after {self._statistics.steps:,} steps, with NaN or infinity in {diverged}; {advice}"
+            f"training diverged after {self._collected:,} steps, with NaN or infinity in {diverged}; {advice}"
         )
 
 
@@ -328,12 +309,6 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
 
     Returns:
         The settings, with the default number of workers and a random seed if none was given.
-
-    Raises:
-        ValueError: for an unknown world, robot or reward, a world whose seed is for evaluation, a device that does not
-            exist, a curriculum without worlds to draw, or a setting out of range.
-        ImportError: if the extra of the backend, the collector or a tracker is missing.
-        ConnectionError: if no Ray cluster answers.
     """
     config.check()
     check_trackers(config.run.logger)
@@ -366,11 +341,7 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
 
 
 def check_world(world: str | World) -> None:
-    """Checks a world or a range of worlds for training.
-
-    Raises:
-        ValueError: if it is unknown, or has a seed for evaluation.
-    """
+    """Checks a world or a range of worlds for training."""
     if isinstance(world, str):
         check_training_seed(world)
     WorldPool.of(world)[0]

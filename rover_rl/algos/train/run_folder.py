@@ -1,20 +1,29 @@
-"""Folder of a run, with its policy and the state from which training continues."""
+"""Folder of a run: its settings, its policy and the state from which training continues."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
 from typing import Any
 
 from rover_rl.algos.archives import read_archive, write_archive
 from rover_rl.algos.config import TrainingConfig
-from rover_rl.algos.policy.checkpoint import CHECKPOINT, Checkpoint
+from rover_rl.algos.config_files import plain_settings, read_sessions, run_config, write_config
+from rover_rl.algos.policy.checkpoint import CHECKPOINT, SETTINGS, Checkpoint
 from rover_rl.files import written_whole
 
 STATE = "training_state.pt"
 """Name of the file in a run's folder from which training continues."""
 _FORMAT = "rover_rl training state, version 2"
+CHANGEABLE = (
+    *("total_steps", "max_minutes", "learning_rate", "anneal"),
+    *("checkpoint_minutes", "snapshots", "logger", "collector", "workers", "device"),
+)
+"""Settings that may change when a run is continued: its length, its learning rate, what it saves and what computes."""
+_PLACE = ("name", "runs")
+"""Settings that say where a run is, which may have been moved."""
 
 
 def save_run(folder: Path, checkpoint: Checkpoint, state: dict[str, Any]) -> None:
@@ -26,12 +35,7 @@ def save_run(folder: Path, checkpoint: Checkpoint, state: dict[str, Any]) -> Non
 
 
 def load_state(path: Path) -> dict[str, Any]:
-    """Reads the training state that :func:`save_run` wrote. Nothing in the file is executed.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if the file is no training state, or damaged.
-    """
+    """Reads the training state that :func:`save_run` wrote. Nothing in the file is executed."""
     return read_archive(path, _FORMAT, "training state")
 
 
@@ -42,17 +46,7 @@ def default_name(config: TrainingConfig) -> str:
 
 
 def new_run_folder(runs: str | Path, name: str | None, default: str) -> Path:
-    """Creates the folder of a new run.
-
-    Args:
-        runs: folder of all runs.
-        name: name of the run; ``None``: the first unused of ``default``, ``default-2``, ``default-3``, ...
-        default: default name.
-
-    Raises:
-        FileExistsError: if a run of that name exists.
-        ValueError: if the name is a path.
-    """
+    """Creates the folder of a new run."""
     if name is not None and Path(name).name != name:
         raise ValueError(f"name must be the name of a folder, got {name!r}")
     names = [name] if name is not None else (default if i == 1 else f"{default}-{i}" for i in count(1))
@@ -66,3 +60,55 @@ def new_run_folder(runs: str | Path, name: str | None, default: str) -> Path:
     raise FileExistsError(
         f"there is a run {folder} already; choose another name, or continue it with --resume {folder}"
     )
+
+
+@dataclass
+class RunRecord:
+    """Settings in the ``config.yaml`` of a run, with its sessions that changed some.
+
+    Attributes:
+        path: path of the file.
+        config: settings of this session.
+        sessions: earlier sessions with other settings than the one before: each with ``from_step``, the number of steps
+            that the run had, and ``changed``, the new values by name.
+        changed: old and new values that this session changes, by name.
+    """
+
+    path: Path
+    config: TrainingConfig
+    sessions: list[dict[str, Any]] = field(default_factory=list)
+    changed: dict[str, tuple[Any, Any]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, folder: Path, config: TrainingConfig) -> RunRecord:
+        """Reads the record of a run, which is continued with the settings ``config``."""
+        before, now = plain_settings(run_config(folder)), plain_settings(config)
+        changed = {
+            name: (before.get(name), now.get(name))
+            for name in dict.fromkeys((*before, *now))
+            if name not in _PLACE and before.get(name) != now.get(name)
+        }
+        if refused := [name for name in changed if name not in CHANGEABLE]:
+            trained = ", ".join(f"{name}={changed[name][0]!r}" for name in refused)
+            raise ValueError(
+                f"{folder} is trained with {trained}, and a run that is continued keeps it (only "
+                f"{', '.join(CHANGEABLE)} may change); for a new run that starts from its policy, use --from {folder}"
+            )
+        return cls(folder / SETTINGS, config, read_sessions(folder / SETTINGS), changed)
+
+    def begin(self) -> None:
+        """Writes the settings of a run that has not been trained yet."""
+        self.changed = {}
+        write_config(self.path, self.config, self.sessions)
+
+    def trained(self, from_step: int) -> None:
+        """Writes the settings of this session if they differ from those before, once it has trained."""
+        if self.changed:
+            new = {name: value for name, (_, value) in self.changed.items()}
+            self.sessions = [*self.sessions, {"from_step": from_step, "changed": new}]
+            self.changed = {}
+            write_config(self.path, self.config, self.sessions)
+
+    def __str__(self) -> str:
+        """What changes, such as ``learning_rate=0.0001 (before: 0.001)``."""
+        return ", ".join(f"{name}={new} (before: {old})" for name, (old, new) in self.changed.items())

@@ -42,11 +42,7 @@ LOGGED = ("loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy")
 
 
 class SACLearner:
-    """Actor, two critics with target networks, a replay buffer and the SAC update.
-
-    Args:
-        config: settings of the training run.
-    """
+    """Actor, two critics with target networks, a replay buffer and the SAC update."""
 
     def __init__(self, config: TrainingConfig) -> None:
         assert isinstance(config.algorithm, SACConfig)
@@ -83,13 +79,7 @@ class SACLearner:
             self._gradient_steps_due += self._settings.gradient_steps * len(batch) / self.config.num_envs
 
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
-        """Takes the gradient steps that are due and returns the means of the logged values, nan if none are due.
-
-        Args:
-            batch: decisions ``[N, T]`` from a collector, which are added to the replay buffer.
-            share: fraction of training that is done.
-            stopwatch: stopwatch that measures the time of the gradient steps.
-        """
+        """Takes the gradient steps that are due and returns the means of the logged values, nan if none are due."""
         self._extend_buffer(batch)
         learning_rate = set_learning_rate(self._optimizer, self.config, share)
         count, self._gradient_steps_due = int(self._gradient_steps_due), self._gradient_steps_due % 1

@@ -56,14 +56,7 @@ class MirrorMemory:
 def mirrored_sequences(
     decisions: TensorDictBase, rows: Tensor, starts: dict[str, Tensor], sensors: Mapping[str, Sensor] | None = None
 ) -> TensorDictBase:
-    """Returns sequences ``[N, T]`` with the selected ``rows`` (bool ``[N]``) mirrored left to right.
-
-    Args:
-        decisions: sequences.
-        rows: sequences to mirror.
-        starts: states of their mirror images, from :meth:`MirrorMemory.starts`.
-        sensors: sensors of the observation, by key; ``None``: those of every rover.
-    """
+    """Returns sequences ``[N, T]`` with the selected ``rows`` (bool ``[N]``) mirrored left to right."""
     image = mirrored(decisions, rows[:, None], sensors)
     for key, state in starts.items():
         image[key] = torch.where(rows[:, None, None, None], state, decisions[key])

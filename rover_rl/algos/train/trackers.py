@@ -1,10 +1,4 @@
-"""Experiment trackers beside ``progress.csv``: TorchRL's loggers, opened for the folder of a run.
-
-Example:
-    >>> from contextlib import closing
-    >>> with closing(Trackers(("csv",), Path("runs/mine"), training_config("ppo"), None, print)) as trackers:
-    ...     trackers.add({"steps": 4096, "episode_return": 12.5})
-"""
+"""Experiment trackers beside ``progress.csv``: TorchRL's loggers, opened for the folder of a run."""
 
 from __future__ import annotations
 
@@ -84,18 +78,10 @@ class Trackers:
 
 
 def check_trackers(names: Sequence[str]) -> None:
-    """Checks that the libraries of trackers are installed.
-
-    Raises:
-        ImportError: if one is missing.
-    """
+    """Checks that the libraries of trackers are installed."""
     for name in names:
         if find_spec(name) is None:
             raise ImportError(f'the tracker {name} needs its package: pip install "rover_rl[{name}]"')
-
-
-def _open_csv(folder: Path, config: TrainingConfig, resumed_at: int | None) -> Logger:
-    return CSVLogger("csv", str(folder))
 
 
 def _open_tensorboard(folder: Path, config: TrainingConfig, resumed_at: int | None) -> Logger:
@@ -148,7 +134,7 @@ def _with_dots(data: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 _OPENERS: dict[str, Callable[[Path, TrainingConfig, int | None], Logger]] = {
-    "csv": _open_csv,
+    "csv": lambda folder, config, resumed_at: CSVLogger("csv", str(folder)),
     "tensorboard": _open_tensorboard,
     "wandb": _open_wandb,
     "trackio": _open_trackio,

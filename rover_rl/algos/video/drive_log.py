@@ -23,17 +23,7 @@ _MARGIN = 12.0
 
 
 def recording_of_log(path: Path, number: int | None = None, world: str | None = None) -> Recording:
-    """Reads a drive of a log, resampled to 20 Hz.
-
-    Args:
-        path: log of ``rover-rl drive``.
-        number: index of the drive among those that have ended; ``None``: the last one.
-        world: world to show; ``None``: the one that the log names, or :data:`NO_WORLD` if it cannot be loaded here.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if there is no such drive, or the given world is unknown.
-    """
+    """Reads a drive of a log, resampled to 20 Hz."""
     drives = logged_drives(path)
     number = len(drives) - 1 if number is None else number
     if not 0 <= number < len(drives):

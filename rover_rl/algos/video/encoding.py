@@ -15,11 +15,7 @@ Writer = Callable[[Path, Iterable[np.ndarray], int], None]
 
 
 def writer(path: Path) -> tuple[Writer, int]:
-    """Returns the function that writes the video format of ``path``, and the default number of frames per second.
-
-    Raises:
-        ValueError: for another suffix, or MP4 without the extra ``video``.
-    """
+    """Returns the function that writes the video format of ``path``, and the default number of frames per second."""
     suffix = path.suffix.lower()
     if suffix not in (".mp4", ".gif"):
         raise ValueError(f"a film must be .mp4 or .gif, got {str(path)!r}")

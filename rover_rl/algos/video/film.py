@@ -6,6 +6,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,26 @@ CANDIDATES = 8
 """Number of starts from which :func:`film_to_goal` drives."""
 HOLD = 1.0
 """Duration for which the last picture of an episode is shown, s."""
+
+
+@dataclass(frozen=True)
+class Style:
+    """How a film shows a drive: camera, size in pixels, frames per second (``None``: 20 for MP4, 10 for GIF), speed."""
+
+    view: View = "chase"
+    width: int = 480
+    height: int = 360
+    fps: int | None = None
+    speed: float = 1.0
+
+    def check(self, path: Path) -> None:
+        """Checks the settings and the suffix of the file, before the drive that the film shows."""
+        writer(path)
+        check_positive(MAX_SECONDS, speed=self.speed)
+        check_positive(1000, fps=1 if self.fps is None else self.fps)
+        check_positive(MAX_SIDE, width=self.width, height=self.height)
+        if self.view not in _VIEWS:
+            raise ValueError(f"unknown view {self.view!r}; use one of {sorted(_VIEWS)}")
 
 
 def film(
@@ -72,11 +93,12 @@ def film(
     Raises:
         ValueError: for another suffix, MP4 without the extra, an unknown view or world, or a number out of range.
     """
-    check_film(path, view, width, height, fps, speed)
+    style = Style(view, width, height, fps, speed)
+    style.check(path)
     check_positive(MAX_SECONDS, seconds=seconds)
     check_at_least(1, MAX_ROVERS, rows=rows)
     recording = record_endless(policy, world, seconds=seconds, rows=rows, seed=seed, env=env)
-    film_recording(recording, path, view=view, width=width, height=height, fps=fps, speed=speed)
+    film_recording(recording, path, style)
     return torch.stack(recording.steps)
 
 
@@ -111,67 +133,32 @@ def film_to_goal(
     Raises:
         ValueError: as for :func:`film`.
     """
-    check_film(path, "chase", width, height)
+    style = Style(width=width, height=height)
+    style.check(path)
     episodes = choose_episodes(world, CANDIDATES, seed, robot=environment_for(policy, env).robot)
-    _, drives = record_episodes(policy, episodes, seconds=seconds, name="driving", env=env)
+    drives = record_episodes(policy, episodes, seconds=seconds, name="driving", env=env)
     shown = next((drive for drive in drives if drive.ending == "goal"), drives[0])
-    film_recording(shown, path, width=width, height=height)
+    film_recording(shown, path, style)
     return shown
 
 
 @torch.no_grad()
 @single_threaded()
-def film_recording(
-    recording: Recording,
-    path: Path,
-    *,
-    view: View = "chase",
-    width: int = 480,
-    height: int = 360,
-    fps: int | None = None,
-    speed: float = 1.0,
-) -> None:
-    """Films a recorded drive. The last picture of an episode is shown for a second.
-
-    Args:
-        recording: the drive.
-        path: path of the video.
-        view: as for :func:`film`.
-        width, height: size of the video, pixels.
-        fps: frames per second.
-        speed: playback speed.
-
-    Raises:
-        ValueError: as for :func:`film`.
-    """
-    check_film(path, view, width, height, fps, speed)
+def film_recording(recording: Recording, path: Path, style: Style) -> None:
+    """Films a recorded drive. The last picture of an episode is shown for a second."""
+    style.check(path)
     write, default_fps = writer(path)
-    fps = default_fps if fps is None else fps
+    fps = default_fps if style.fps is None else style.fps
     steps = len(recording.moments) - 1
-    count = max(1, round(recording.seconds / speed * fps))
+    count = max(1, round(recording.seconds / style.speed * fps))
     moments = [recording.moments[step] for step in np.linspace(0, steps, count + 1)[1:].round().astype(int)]
     with written_whole(path) as temporary, ProgressDisplay("filming") as display:
-        pictures = display.track(_pictures(_VIEWS[view](recording, width, height), moments), count)
+        view = _VIEWS[style.view](recording, style.width, style.height)
+        pictures = display.track(_pictures(view, moments), count)
         write(temporary, _held(pictures, round(HOLD * fps) if recording.ending else 0), fps)
 
 
 _VIEWS: dict[str, Callable[..., ChaseView | TopView]] = {"chase": ChaseView, "top": TopView}
-
-
-def check_film(
-    path: Path, view: str, width: int = 1, height: int = 1, fps: int | None = None, speed: float = 1.0
-) -> None:
-    """Checks the settings of a film, before the drive that it shows.
-
-    Raises:
-        ValueError: for another suffix, MP4 without the extra, an unknown view, or a number out of range.
-    """
-    writer(path)
-    check_positive(MAX_SECONDS, speed=speed)
-    check_positive(1000, fps=1 if fps is None else fps)
-    check_positive(MAX_SIDE, width=width, height=height)
-    if view not in _VIEWS:
-        raise ValueError(f"unknown view {view!r}; use one of {sorted(_VIEWS)}")
 
 
 def _pictures(view: ChaseView | TopView, moments: Sequence[Moment]) -> Iterator[np.ndarray]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from tensordict import TensorDict
@@ -14,7 +15,6 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import ENDINGS, Policy, environment_for, evaluate
 from rover_rl.algos.evaluation.parallel import ROWS
-from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.algos.policy.runner import PolicyRunner
@@ -89,19 +89,7 @@ class Recording:
 def record_endless(
     policy: Policy | None, world: str | World, *, seconds: float, rows: int, seed: int, env: EnvConfig | None
 ) -> Recording:
-    """Drives in endless mode: a reached goal is followed by a new goal, an ended episode by a new start.
-
-    Args:
-        policy: policy that drives; ``None`` acts at random.
-        world: world to drive in.
-        seconds: duration of the drive, s.
-        rows: number of rovers.
-        seed: seed of starts and goals.
-        env: environment to drive in, as for :func:`~rover_rl.algos.evaluation.evaluate.evaluate`.
-
-    Raises:
-        ValueError: for an unknown world, or a policy that was made for another environment.
-    """
+    """Drives in endless mode: a reached goal is followed by a new goal, an ended episode by a new start."""
     config = environment_for(policy, env)
     config = replace(config, world=world, num_envs=rows, end_on_goal=False, seed=seed)
     reward_components(config.reward, config.contract_reward)
@@ -135,31 +123,11 @@ def record_endless(
 
 
 def record_episodes(
-    policy: Policy | None,
-    episodes: EpisodeSet,
-    *,
-    seconds: float,
-    name: str | None = None,
-    action_repeat: int | None = None,
-    env: EnvConfig | None = None,
-    wanted: Sequence[int] | None = None,
-) -> tuple[Evaluation, list[Recording]]:
-    """Evaluates a policy and records its drives.
+    policy: Policy | None, episodes: EpisodeSet, wanted: Sequence[int] | None = None, **options: Any
+) -> list[Recording]:
+    """Evaluates a policy, and records its drives of the ``wanted`` episodes; ``None``: of all.
 
-    Args:
-        policy: policy that drives; ``None`` acts at random.
-        episodes: episodes to drive.
-        seconds: time limit of each episode, s.
-        name: name of the policy.
-        action_repeat: number of steps that each action is held for.
-        env: environment to drive in.
-        wanted: indices of the episodes to record; ``None``: all.
-
-    Returns:
-        The evaluation, and the recordings of the wanted episodes.
-
-    Raises:
-        ValueError: as :func:`~rover_rl.algos.evaluation.evaluate.evaluate`.
+    ``options`` are further arguments of :func:`~rover_rl.algos.evaluation.evaluate.evaluate`, except for ``rows``.
     """
     wanted = range(len(episodes)) if wanted is None else wanted
     states: dict[int, list[RoverState]] = {index: [] for index in wanted}
@@ -172,19 +140,11 @@ def record_episodes(
             if (index := int(episode[row])) in states:
                 states[index].append(rovers.rover_state[row : row + 1].cpu())
 
-    evaluation = evaluate(
-        policy,
-        episodes,
-        name=name,
-        action_repeat=action_repeat,
-        seconds=seconds,
-        # As in an evaluation: a randomized drive depends on its row.
-        rows=len(episodes) if episodes.several_worlds else ROWS,
-        env=env,
-        watch=watch,
-    )
+    # As in an evaluation: a randomized drive depends on its row.
+    rows = len(episodes) if episodes.several_worlds else ROWS
+    evaluation = evaluate(policy, episodes, rows=rows, watch=watch, **options)
     robot = get_robot(evaluation.env.robot)
-    return evaluation, [
+    return [
         Recording(
             moments_of(states[index], episodes.goal[index : index + 1], dt, evaluation.endings[index]),
             episodes.worlds[index],
@@ -199,14 +159,7 @@ def record_episodes(
 
 
 def moments_of(states: Sequence[RoverState], goal: Tensor, dt: float, ending: str) -> list[Moment]:
-    """Returns the moments of an episode of one rover.
-
-    Args:
-        states: states at the start and after each step, ``[1]`` each.
-        goal: goal ``[1, 2]``, m.
-        dt: duration of a step, s.
-        ending: how the episode ended.
-    """
+    """Returns the moments of an episode of one rover."""
     none, one = torch.zeros(1, dtype=torch.int64), torch.ones(1, dtype=torch.int64)
     moments = [Moment(step * dt, rover, goal, none, none) for step, rover in enumerate(states)]
     reached, end = ending == "goal", moments[-1].seconds

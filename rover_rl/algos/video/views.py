@@ -38,12 +38,7 @@ _EVENT_SECONDS = 1.5
 
 
 class _FrameFigure:
-    """Figure without margins and with a caption at the bottom, in which only some artists are redrawn for each frame.
-
-    Args:
-        width, height: size of the frames, pixels.
-        columns: positions at which the parts of the caption begin, as fractions of the width.
-    """
+    """Figure with a caption at the bottom and no margins. Only some artists are redrawn for each frame."""
 
     def __init__(self, width: int, height: int, columns: Sequence[float]) -> None:
         dpi = height / _INCHES
@@ -103,12 +98,7 @@ class Rendered(NamedTuple):
 
 
 class ChaseView:
-    """View of the first rover from behind, with the lidar beams that hit something.
-
-    Args:
-        recording: drive to show.
-        width, height: size of the frames, pixels.
-    """
+    """View of the first rover from behind, with the lidar beams that hit something."""
 
     def __init__(self, recording: Recording, width: int, height: int) -> None:
         self._recording, self._size = recording, (width, height)
@@ -190,12 +180,7 @@ def _rotated(quaternion: Tensor, vectors: Tensor) -> Tensor:
 
 
 class TopView:
-    """View of all rovers from above with their trails and goals, and the lidar beams of the first rover.
-
-    Args:
-        recording: drive to show, of rovers that are all in one world.
-        width, height: size of the frames, pixels.
-    """
+    """View of all rovers from above with their trails and goals, and the lidar beams of the first rover."""
 
     def __init__(self, recording: Recording, width: int, height: int) -> None:
         self._recording = recording

@@ -182,9 +182,6 @@ def test_wrong_levels_are_refused_in_a_sentence(
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        ("benchmark barn scripted", "benchmark barn needs --data: Folder of the public repository"),
-        ("benchmark barn --data x --rnus 3", "unknown option --rnus, perhaps --runs; see rover-rl benchmark barn"),
-        ("benchmark barn --data x --runs few", "--runs takes INT, got few; see rover-rl benchmark barn --help"),
         ("benchmark barn --data x scripted --worlds 3-1", "--worlds takes test, train, all, or numbers below 300"),
         ("benchmark barn --data x scripted", "no folder or file at x"),
         ("benchmark jaxnav --data x scripted", "no file at x"),

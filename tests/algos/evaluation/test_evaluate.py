@@ -4,7 +4,6 @@ import csv
 import io
 import json
 import math
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,12 +20,11 @@ from rover_rl.algos.evaluation.evaluate import Evaluation, Policy, evaluate, eva
 from rover_rl.algos.evaluation.metrics import find_body_contacts
 from rover_rl.algos.evaluation.plots import draw_paths
 from rover_rl.algos.evaluation.report import print_table, write_evaluation
-from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
 from rover_rl.cli import main
 from rover_rl.envs import EnvConfig, RoverEnv
-from rover_rl.envs.config import ActionConfig, HeadingGains, LidarConfig, Randomization, TaskConfig
+from rover_rl.envs.config import ActionConfig, LidarConfig, Randomization, TaskConfig
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, box
@@ -36,7 +34,6 @@ from tests.algos.policy.memories import CountingPolicy, recurrent_checkpoint
 FIELD = World("field", Terrain.flat((12.0, 12.0)))
 EPISODES = draw_episodes(FIELD, count=3, seed=1)
 MANY = draw_episodes(FIELD, count=9, seed=1)
-OTHER_ROBOT = replace(get_robot("rover_zero"), name="other")
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +61,7 @@ def test_driving_at_the_goal_reaches_it_on_open_ground(driven: Evaluation) -> No
         assert len(path) == steps + 1
         torch.testing.assert_close(path[0], start[:2], atol=0.02, rtol=0)
         assert torch.dist(path[-1], goal) < 0.5
-    assert driven.mean_time > EPISODES.shortest.mean()
+    assert driven.metrics["mean_time_to_traverse"].value > EPISODES.shortest.mean()
     assert driven.goals_per_2000_steps == pytest.approx(3 * 2000 / driven.steps.sum().item())
 
 
@@ -118,11 +115,6 @@ def test_a_policy_with_memory_decides_as_often_as_in_training() -> None:
     assert all(0.05 < speed.max() < 0.15 for speed in speeds)
 
 
-def test_ended_episodes_make_room_for_the_next(driven: Evaluation) -> None:
-    one_by_one = evaluate(straight, EPISODES, name="straight", rows=1)
-    assert_same(one_by_one, driven)
-
-
 def test_actions_are_held_as_in_training() -> None:
     env = RoverEnv(world_n=FIELD, num_envs=3, length=21, end_on_goal=True).append_transform(ActionRepeat(4))
     start = env.reset(start=EPISODES.start, goal=EPISODES.goal)
@@ -148,7 +140,7 @@ def test_missed_goals_are_told_apart() -> None:
     missed = evaluate(standing, EPISODES, seconds=1)
     assert missed.endings == ["time limit"] * 3
     assert missed.steps.tolist() == [20] * 3
-    assert math.isnan(missed.mean_time)
+    assert math.isnan(missed.metrics["mean_time_to_traverse"].value)
     assert missed.to_json()["metrics"]["mean_time_to_traverse"]["value"] is None
     assert missed.metrics["standstill"].value == 1
     assert missed.interval == pytest.approx((0, 0.5615), abs=1e-3)
@@ -206,45 +198,13 @@ def test_settings_out_of_range_raise() -> None:
 # --- the environment that a policy was made for
 
 
-@pytest.mark.parametrize(
-    ("env", "message"),
-    [
-        (
-            EnvConfig(lidar=LidarConfig(points=16)),
-            "the policy was made for lidar points 32, and the environment has 16",
-        ),
-        (
-            EnvConfig(lidar=LidarConfig(max_range=6.0)),
-            "the policy was made for a lidar range of (m) 12.0, and the environment has 6.0",
-        ),
-        (
-            EnvConfig(robot=OTHER_ROBOT),
-            "the policy was made for the robot rover_zero, and the environment has other",
-        ),
-        (
-            EnvConfig(action=ActionConfig(min_speed=0.0)),
-            "the policy was made for actions of (min_speed, max_speed, max_turn) "
-            f"(-1.0, 1.0, {math.pi}), and the environment has (0.0, 1.0, {math.pi})",
-        ),
-        (
-            EnvConfig(heading_gains=HeadingGains(kp=1.0)),
-            "the policy was made for heading gains of (kp, ki, kd, max_output) "
-            "(2.0, 0.0, 0.1, 7.0), and the environment has (1.0, 0.0, 0.1, 7.0)",
-        ),
-    ],
-    ids=["points", "range", "robot", "action", "gains"],
-)
-def test_a_policy_made_for_another_environment_raises(checkpoint: Checkpoint, env: EnvConfig, message: str) -> None:
-    actor = checkpoint.make_actor()
-    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+def test_a_policy_made_for_another_environment_raises(checkpoint: Checkpoint) -> None:
+    actor, env = checkpoint.make_actor(), EnvConfig(lidar=LidarConfig(points=16))
+    message = "^the policy was made for lidar points 32, and the environment has 16$"
+    with pytest.raises(ValueError, match=message):
         evaluate(actor, EPISODES, env=env, seconds=0.1)
-    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+    with pytest.raises(ValueError, match=message):
         evaluate_endless(actor, FIELD, env=env, steps=2)
-
-
-def test_a_registered_robot_of_another_name_raises(checkpoint: Checkpoint) -> None:
-    with pytest.raises(ValueError, match="was made for the robot rover_zero, and the environment has tests"):
-        evaluate(checkpoint.make_actor(), EPISODES, env=EnvConfig(robot=f"{__name__}:OTHER_ROBOT"))
 
 
 def test_other_policies_drive_in_any_environment() -> None:
@@ -424,9 +384,3 @@ def test_the_command_refuses_in_one_line(capsys: pytest.CaptureFixture[str], run
     assert "unknown world 'mars'" in complaint(capsys, "scripted", "--world", "maze", "mars")
     assert "no checkpoint at" in complaint(capsys, run / "run-1", run / "none.pt")
     assert "count must be" in complaint(capsys, run / "run-1", "--count", 0)
-
-
-def test_policies_are_modules_that_other_code_can_use() -> None:
-    env = RoverEnv(world_n=FIELD, num_envs=2, seed=0)
-    assert env.rollout(3, ScriptedPolicy())["action"].shape == (2, 3, 2)
-    env.close()

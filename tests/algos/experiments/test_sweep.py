@@ -13,8 +13,7 @@ from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.parallel import GoalRequest
 from rover_rl.algos.experiments import sweep as sweeps
 from rover_rl.algos.experiments.space import read_space
-from rover_rl.algos.experiments.sweep import Sweep, validation_episodes
-from rover_rl.algos.experiments.trials import draw_trials, print_trials, write_trials
+from rover_rl.algos.experiments.sweep import Sweep, draw_trials, print_trials, validation_episodes, write_trials
 from rover_rl.cli import main
 from tests.algos.experiments.test_seeds import TINY
 from tests.algos.train.runs import PPO

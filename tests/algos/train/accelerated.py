@@ -14,7 +14,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl import make_env
 from rover_rl.algos.config import TrainingConfig, training_config, with_settings
-from rover_rl.algos.evaluation.by_value import dumps
+from rover_rl.algos.evaluation.cores import dumps
 from rover_rl.algos.train.collectors import collect
 from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.progress import Stopwatch

@@ -5,13 +5,13 @@ PyTorch gets a simulated device, so that no GPU is needed. Tests on a real one a
 
 from __future__ import annotations
 
+import pickle
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import pytest
 import torch
 
-from rover_rl.algos.evaluation.by_value import loads
 from tests.algos.train.accelerated import COLLECTED, LEARNERS, on_both
 from tests.fork_server import fork_server
 
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 def found() -> dict[str, Any]:
     # In a separate process, because such a device cannot be removed from PyTorch.
     with ProcessPoolExecutor(1, fork_server()) as pool:
-        return loads(pool.submit(on_both).result())
+        return pickle.loads(pool.submit(on_both).result())
 
 
 @pytest.mark.parametrize("part", ["steps", "changes"])

@@ -9,12 +9,11 @@ import torch
 from rich.console import Console
 from tensordict import TensorDict
 
-from rover_rl.algos.train.progress import BatchStatistics, ProgressLog, Stopwatch, read_progress
+from rover_rl.algos.train.progress import ProgressLog, Stopwatch, batch_statistics, read_progress
 from tests.full_disk import largest_file
 
 
 def test_what_happened_in_a_batch_is_counted() -> None:
-    statistics = BatchStatistics(repeat=4, steps=100)
     done = torch.tensor([[False, True, False], [True, False, True]])[..., None]
     sums = torch.tensor([[0.0, 200.0, 0.0], [0.0, 0.0, 100.0]])[..., None]
     outcome = {
@@ -23,9 +22,8 @@ def test_what_happened_in_a_batch_is_counted() -> None:
     }
     attempts = {"reached": outcome["goals"], "failed": torch.tensor([[0, 0, 0], [1, 0, 0]])[..., None]}
     after = {"outcome": outcome, "done": done, "episode_reward": sums - 3, "attempts": attempts}
-    row = statistics(TensorDict({"next": after}, batch_size=(2, 3)))
+    row = batch_statistics(TensorDict({"next": after}, batch_size=(2, 3)), repeat=4)
     assert row == {
-        "steps": 124,
         "goals_per_2000_steps": 3 * 2000 / 24,
         "episodes": 3,
         "attempts": 4,
@@ -35,8 +33,7 @@ def test_what_happened_in_a_batch_is_counted() -> None:
         "episode_return": 97,
     }
     after["done"] = torch.zeros_like(done)
-    row = statistics(TensorDict({"next": after}, batch_size=(2, 3)))
-    assert row["steps"] == 148
+    row = batch_statistics(TensorDict({"next": after}, batch_size=(2, 3)), repeat=4)
     assert row["episodes"] == 0
     assert math.isnan(row["episode_return"])
 

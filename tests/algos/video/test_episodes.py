@@ -54,7 +54,7 @@ def test_an_episode_is_driven_as_in_the_evaluation(tmp_path: Path) -> None:
     assert {"goal", "time limit"} <= set(stored.endings)
     for episode in (0, 9):
         episodes = stored.to_drive(episode)
-        _, (drive,) = record_episodes(
+        (drive,) = record_episodes(
             ScriptedPolicy(),
             episodes,
             seconds=stored.seconds,
