@@ -35,8 +35,11 @@ def roller_joint(wheel: str) -> str:
 
 @contextmanager
 def bullet_urdf(robot: Robot) -> Iterator[Path]:
-    """Provides the URDF of a robot for Bullet, in a file that is deleted afterwards."""
+    """Provides the URDF of a robot for Bullet: its own if that will do, else a file that is deleted afterwards."""
     root = ET.parse(robot.urdf).getroot()
+    if not robot.drive.rollers and all(link.find("inertial") is not None for link in root.findall("link")):
+        yield robot.urdf
+        return
     _weigh_frames(root)
     for wheel, angle in zip(robot.drive.wheels, robot.drive.rollers, strict=False):
         _add_roller(root, wheel, angle, robot.wheels.radius)
