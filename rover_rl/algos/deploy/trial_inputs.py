@@ -9,7 +9,8 @@ from torch import Tensor
 
 from rover_rl.algos.deploy.plain_policy import STATE_IN, input_names
 from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.envs.seen_map.seen_map import BOUNDS, lidar_mount
+from rover_rl.envs.seen_map.scans import lidar_mount
+from rover_rl.envs.seen_map.seen_map import BOUNDS
 from rover_rl.envs.sensors.suite import policy_sensors
 
 _DECISION = 0.2

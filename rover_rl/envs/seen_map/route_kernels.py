@@ -7,7 +7,7 @@ every exact method finds the same ones.
 
 from __future__ import annotations
 
-from rover_rl.envs.seen_map.cell_kernels import CELL, HALF, LAST, OPEN, SIZE, address, cell_of, level_of
+from rover_rl.envs.seen_map.scan_kernels import CELL, DOUBTFUL, HALF, LAST, OPEN, SIZE, address
 from rover_rl.sims.free_space.path_kernels import link, unlink
 from rover_rl.sims.native.warp import wp
 
@@ -17,6 +17,10 @@ DIAGONAL = wp.constant(7)
 """Length of a diagonal step."""
 OPEN_WEIGHT = wp.constant(2)
 """Weight of a cell that is far from obstacles, and the smallest one."""
+SLOW_WEIGHT = wp.constant(3)
+"""Weight of a cell of level 3, where the rover should be slow."""
+NEAR_WEIGHT = wp.constant(6)
+"""Weight of a cell of level 2, where it hardly fits."""
 ROOM = wp.constant(2)
 """Number of cells to the bounds, at least: 0.3 m."""
 BESIDE = wp.constant(4)
@@ -67,36 +71,59 @@ def least_cost(x: int, y: int):
     return OPEN_WEIGHT * (STRAIGHT * (most - least) + DIAGONAL * least)
 
 
+@wp.struct
+class Window:
+    """The cells that a route is planned on, addressed within the window: the rover's is (HALF, HALF).
+
+    Attributes:
+        center: cell of the world in the middle of the window.
+        goal: cell of the goal, ``row * SIZE + column``.
+        fence: first column and row, and last column and row, that a route may lead through.
+        levels: level of each cell by its distance from obstacles.
+        doubts: number of suspected cells around each one.
+    """
+
+    center: wp.vec2i
+    goal: int
+    fence: wp.vec4i
+    levels: wp.array[wp.uint8]
+    doubts: wp.array[wp.int16]
+
+
 @wp.func
-def weight_of(
-    x: int, y: int, goal: int, center: wp.vec2i, fence: wp.vec4i, levels: wp.array[wp.uint8], doubts: wp.array[wp.int16]
-):
-    """Returns the weight of cell (x, y) of the window; 0 if the rover cannot be there."""
-    level = level_of(address(x + center[0] - HALF, y + center[1] - HALF), levels, doubts)
+def level_of(x: int, y: int, window: Window):
+    """Returns the level of cell (x, y), with suspected cells around it."""
+    cell = address(x + window.center[0] - HALF, y + window.center[1] - HALF)
+    level = int(window.levels[cell])
+    return wp.where(window.doubts[cell] > wp.int16(0), wp.min(level, DOUBTFUL), level)
+
+
+@wp.func
+def weight_of(x: int, y: int, window: Window):
+    """Returns the weight of cell (x, y); 0 if the rover cannot be there."""
+    level = level_of(x, y, window)
+    is_goal = y * SIZE + x == window.goal
     weight = int(OPEN_WEIGHT)
     if level == 3:
-        weight = 3
+        weight = SLOW_WEIGHT
     elif level == 2:
-        weight = 6
+        weight = NEAR_WEIGHT
     elif level == 1:
         # The rover does not fit. But beside a wall, start and goal may seem to be so.
         from_home = wp.max(wp.abs(x - HALF), wp.abs(y - HALF))
-        from_goal = wp.max(wp.abs(x - (goal & LAST)), wp.abs(y - goal / SIZE))
+        from_goal = wp.max(wp.abs(x - (window.goal & LAST)), wp.abs(y - window.goal / SIZE))
         weight = wp.where(wp.min(from_home, from_goal) > BESIDE, 0, BESIDE_WEIGHT)
-    elif level == 0 and y * SIZE + x != goal:
+    elif level == 0 and not is_goal:
         weight = 0
+    fence = window.fence
     if x < fence[0] or y < fence[1] or x > fence[2] or y > fence[3]:
-        weight = wp.where(y * SIZE + x == goal, weight, 0)
+        weight = wp.where(is_goal, weight, 0)
     return weight
 
 
 @wp.func
 def spread(
-    goal: int,
-    center: wp.vec2i,
-    fence: wp.vec4i,
-    levels: wp.array[wp.uint8],
-    doubts: wp.array[wp.int16],
+    window: Window,
     costs: wp.array[int],
     heads: wp.array[int],
     following: wp.array[int],
@@ -107,14 +134,13 @@ def spread(
     A* from the goal (P. E. Hart, N. J. Nilsson, B. Raphael, "A formal basis for the heuristic determination of minimum
     cost paths", IEEE Transactions on Systems Science and Cybernetics 4, 1968) with a circular queue of buckets. It ends
     when no cell with a lower or equal cost is left, so that the costs along *all* cheapest paths are exact.
-
-    Cells are addressed within the window, from 0 to SIZE - 1 along each axis; the rover's is (HALF, HALF).
     """
     for cell in range(SIZE * SIZE):
         costs[cell] = UNKNOWN_COST
     for bucket in range(BUCKETS):
         heads[bucket] = -1
     home = int(HALF * SIZE + HALF)
+    goal = window.goal
     costs[goal] = 0
     level = least_cost((goal & LAST) - HALF, goal / SIZE - HALF) / WIDTH
     link(goal, level % BUCKETS, heads, following, preceding)
@@ -132,7 +158,7 @@ def spread(
             here = costs[cell]
             x = cell & LAST
             y = cell / SIZE
-            weight = weight_of(x, y, goal, center, fence, levels, doubts)
+            weight = weight_of(x, y, window)
             for step in range(8):
                 offset = neighbor(step)
                 to_x = x + offset[0]
@@ -142,9 +168,7 @@ def spread(
                     other = to_y * SIZE + to_x
                     candidate = here + step_length(step) * weight
                     known = costs[other]
-                    if candidate < known and (
-                        other == home or weight_of(to_x, to_y, goal, center, fence, levels, doubts) > 0
-                    ):
+                    if candidate < known and (other == home or weight_of(to_x, to_y, window) > 0):
                         estimate = least_cost(to_x - HALF, to_y - HALF)
                         if known < UNKNOWN_COST and following[other] != REMOVED:
                             unlink(other, (known + estimate) / WIDTH % BUCKETS, heads, following, preceding)
@@ -163,11 +187,7 @@ def next_step(
     x: int,
     y: int,
     before: int,
-    goal: int,
-    center: wp.vec2i,
-    fence: wp.vec4i,
-    levels: wp.array[wp.uint8],
-    doubts: wp.array[wp.int16],
+    window: Window,
     costs: wp.array[int],
 ):
     """Returns the step of a cheapest path from a cell: of equally cheap ones that which goes on ahead, or the first."""
@@ -178,7 +198,7 @@ def next_step(
         to_x = x + offset[0]
         to_y = y + offset[1]
         if to_x >= 0 and to_y >= 0 and to_x < SIZE and to_y < SIZE:
-            weight = weight_of(to_x, to_y, goal, center, fence, levels, doubts)
+            weight = weight_of(to_x, to_y, window)
             known = costs[to_y * SIZE + to_x]
             if weight > 0 and known < UNKNOWN_COST:
                 cost = known + step_length(step) * weight
@@ -195,9 +215,7 @@ def is_open(
     to_x: int,
     to_y: int,
     least: int,
-    center: wp.vec2i,
-    levels: wp.array[wp.uint8],
-    doubts: wp.array[wp.int16],
+    window: Window,
 ):
     """Returns whether all cells between two cells of the window have at least the level ``least``."""
     count = wp.max(wp.abs(to_x - from_x), wp.abs(to_y - from_y))
@@ -206,18 +224,14 @@ def is_open(
         part = float(n) / float(count)
         x = from_x + int(wp.floor(part * float(to_x - from_x) + 0.5))
         y = from_y + int(wp.floor(part * float(to_y - from_y) + 0.5))
-        if level_of(address(x + center[0] - HALF, y + center[1] - HALF), levels, doubts) < least:
+        if level_of(x, y, window) < least:
             free = False
     return free
 
 
 @wp.func
 def find_corners(
-    goal: int,
-    center: wp.vec2i,
-    fence: wp.vec4i,
-    levels: wp.array[wp.uint8],
-    doubts: wp.array[wp.int16],
+    window: Window,
     costs: wp.array[int],
     corners: wp.array2d[float],
 ):
@@ -236,16 +250,14 @@ def find_corners(
     found = int(0)
     step = int(-1)
     n = int(0)
-    while n < LONGEST and found < 2 and y * SIZE + x != goal:
-        step = next_step(x, y, step, goal, center, fence, levels, doubts, costs)
+    while n < LONGEST and found < 2 and y * SIZE + x != window.goal:
+        step = next_step(x, y, step, window, costs)
         offset = neighbor(step)
-        level = level_of(address(x + offset[0] + center[0] - HALF, y + offset[1] + center[1] - HALF), levels, doubts)
+        level = level_of(x + offset[0], y + offset[1], window)
         least = wp.min(least, level)
-        if walked >= NEAREST and not is_open(
-            start_x, start_y, x + offset[0], y + offset[1], least, center, levels, doubts
-        ):
-            corners[found, 0] = (float(x + center[0] - HALF) + 0.5) * CELL
-            corners[found, 1] = (float(y + center[1] - HALF) + 0.5) * CELL
+        if walked >= NEAREST and not is_open(start_x, start_y, x + offset[0], y + offset[1], least, window):
+            corners[found, 0] = (float(x + window.center[0] - HALF) + 0.5) * CELL
+            corners[found, 1] = (float(y + window.center[1] - HALF) + 0.5) * CELL
             found += 1
             start_x = x
             start_y = y
@@ -282,7 +294,7 @@ def plan_routes(
         bounds: lower x and y and upper x and y of the area that routes stay in, ``[N, 4]``, m.
         planned: rows to plan for, ``[N]``. The results of others do not change.
         centers: cells in the middle of the windows.
-        levels: level of each cell: see :func:`add_scans`.
+        levels: level of each cell: see :class:`Window`.
         doubts: number of suspected cells around each one.
         costs: working memory, ``[T, SIZE * SIZE]``.
         heads: working memory, ``[T, BUCKETS]``.
@@ -299,23 +311,27 @@ def plan_routes(
         if planned[i]:
             center = centers[i]
             # A goal outside of the window counts as at its edge.
-            column = wp.clamp(cell_of(goals[i, 0]) - center[0] + HALF, 0, SIZE - 1)
-            row = wp.clamp(cell_of(goals[i, 1]) - center[1] + HALF, 0, SIZE - 1)
-            goal = row * SIZE + column
+            column = wp.clamp(edge(goals[i, 0], center[0]), 0, SIZE - 1)
+            row = wp.clamp(edge(goals[i, 1], center[1]), 0, SIZE - 1)
+            window = Window()
+            window.center = center
+            window.goal = row * SIZE + column
+            window.levels = levels[i]
+            window.doubts = doubts[i]
             # The rover's center needs some room to the bounds, which may be infinite.
-            fence = wp.vec4i(
+            window.fence = wp.vec4i(
                 edge(bounds[i, 0], center[0]) + ROOM,
                 edge(bounds[i, 1], center[1]) + ROOM,
                 edge(bounds[i, 2], center[0]) - ROOM,
                 edge(bounds[i, 3], center[1]) - ROOM,
             )
-            spread(goal, center, fence, levels[i], doubts[i], costs[t], heads[t], following[t], preceding[t])
+            spread(window, costs[t], heads[t], following[t], preceding[t])
             total = costs[t, HALF * SIZE + HALF]
             lengths[i] = -1.0
             found = int(0)
             if total < UNKNOWN_COST:
                 lengths[i] = float(total) * CELL / float(OPEN_WEIGHT * STRAIGHT)
-                found = find_corners(goal, center, fence, levels[i], doubts[i], costs[t], corners[i])
+                found = find_corners(window, costs[t], corners[i])
             for k in range(found, 2):
                 # The last corner is the goal itself.
                 corners[i, k, 0] = goals[i, 0]

@@ -1,104 +1,170 @@
-"""Warp kernel that adds lidar scans to maps of seen obstacles."""
+"""Warp kernel that adds lidar scans to maps of seen obstacles.
+
+Cell (X, Y) of the world is stored at ``(Y mod SIZE) * SIZE + X mod SIZE``, so that nothing moves in memory when the
+window does: only the cells that enter are cleared. The surroundings of a cell at one edge of the window therefore reach
+over to the opposite edge.
+"""
 
 from __future__ import annotations
 
-from rover_rl.envs.seen_map.cell_kernels import (
-    CELL,
-    CLOSED,
-    MAX_TILT,
-    MOST,
-    OCCUPIED,
-    UNSEEN,
-    Clearance,
-    address,
-    cell_of,
-    clear_window,
-    mark,
-    move_window,
-    suspect,
-    weaken,
-)
+from rover_rl.envs.seen_map import scans
 from rover_rl.sims.native.warp import wp
 
-HIT = wp.constant(4)
-"""Evidence that a reading adds to the cell at its end."""
-ROUGH_TILT = wp.constant(0.05)
-"""Tilt of the rover above which the ground is not level, rad: 3 degrees. On level ground, starting and stopping tilt it
-by 0.01 at most."""
-AHEAD = wp.constant(3.0)
-"""Distance from the rover at which a cell is closed, in cells: 0.45 m."""
-WAY = wp.constant(0.5)
-"""Distance up to which a rover is still around a place, m."""
-NO_GAP = wp.constant(4.0)
-"""Distance between the ends of neighboring beams up to which nothing fits between them, cells: 0.6 m."""
-LOWEST = wp.constant(-4.0 / 3.0)
-"""Height of the end of a beam, relative to the lidar, below which it is on the ground, cells: -0.2 m."""
-REACH = wp.constant(60)
-"""Number of cells along an axis up to which beams count: 9 m. All of them are in the window, if the lidar is at most
-3 cells, 0.45 m, from the rover's center along each axis."""
-STRETCH = wp.constant(4)
-"""Number of cells between two heights that are compared, at most: 0.6 m."""
-FARTHEST_HEIGHT = wp.constant(20)
-"""Number of cells along an axis up to which the ends of beams tell heights: 3 m. An error of 1 degree in the tilt
-changes the height there by 5 cm."""
+SIZE, HALF, LAST = wp.constant(scans.SIZE), wp.constant(scans.HALF), wp.constant(scans.SIZE - 1)
+CELL, PARTS, UNSEEN = wp.constant(scans.CELL), wp.constant(scans.PARTS), wp.constant(scans.UNSEEN)
+SUSPECTED, OCCUPIED, HIT = wp.constant(scans.SUSPECTED), wp.constant(scans.OCCUPIED), wp.constant(scans.HIT)
+MOST, CLOSED = wp.constant(scans.MOST), wp.constant(scans.CLOSED)
+OPEN, DOUBTFUL = wp.constant(scans.OPEN), wp.constant(scans.DOUBTFUL)
+REACH, NO_GAP, STRETCH = wp.constant(scans.REACH), wp.constant(scans.NO_GAP), wp.constant(scans.STRETCH)
+MAX_TILT = wp.constant(scans.MAX_TILT)
 
 
 @wp.func
-def is_end(beam: wp.vec3, reading: float, max_range: float):
-    """Returns whether a beam has hit something in the window.
-
-    Args:
-        beam: vector from the lidar to the end of the beam, in cells.
-        reading: length of the beam, m.
-        max_range: range at which a beam has hit nothing, m.
-    """
-    return reading < max_range and wp.max(wp.abs(beam[0]), wp.abs(beam[1])) < float(REACH)
+def address(x: int, y: int):
+    """Returns where cell (x, y) of the world is stored."""
+    return (y & LAST) * SIZE + (x & LAST)
 
 
 @wp.func
-def is_obstacle(beam: wp.vec3, up: wp.vec3, rough: bool):
-    """Returns whether what a beam has hit is certainly an obstacle.
+def address_at(x: float, y: float):
+    """Returns where the cell of a point is stored."""
+    return address(int(wp.floor(x)), int(wp.floor(y)))
 
-    On rough ground, the beam may end on a slope that the rover can climb. Some of the ground from below the lidar to
-    the end of the beam is at least as steep as the straight line between them. So the end is an obstacle if that line
-    is too steep: on a level rover with the lidar at 0.32 m, within 0.72 m. Farther ends are suspected ones.
 
-    Args:
-        beam: vector from the lidar to the end of the beam, in cells.
-        up: vector from the ground below the lidar to the lidar, in cells.
+@wp.struct
+class Cells:
+    """The map of a row.
+
+    Attributes:
         rough: whether the ground is rough.
+        limits: distances from obstacles at which levels begin: see :class:`~rover_rl.envs.seen_map.scans.Limits`.
+        reach: number of cells within which an obstacle changes levels.
+        evidence: evidence of an obstacle in each cell.
+        boxes: where in each occupied cell the obstacle has been seen since the cell was free: ``PARTS - 1 - first`` and
+            ``last`` part along x, and along y. Larger numbers are larger boxes.
+        heights: height of the ground in each cell, m.
+        levels: level of each cell by the distance of its middle from the nearest box.
+        doubts: number of suspected cells around each one.
     """
-    rise = beam + up
-    steep = rise[2] > wp.tan(MAX_TILT) * wp.length(wp.vec2(rise[0], rise[1]))
-    return beam[2] > LOWEST and (steep or not rough)
+
+    rough: bool
+    limits: wp.vec4i
+    reach: int
+    evidence: wp.array[wp.uint8]
+    boxes: wp.array[wp.vec4ub]
+    heights: wp.array[float]
+    levels: wp.array[wp.uint8]
+    doubts: wp.array[wp.int16]
 
 
 @wp.func
-def shows_ground(beam: wp.vec3, reading: float, max_range: float):
-    """Returns whether the end of a beam, in cells from the lidar, tells the height of the ground."""
-    return reading < max_range and wp.max(wp.abs(beam[0]), wp.abs(beam[1])) < float(FARTHEST_HEIGHT)
+def away(offset: int, before: wp.uint8, last: wp.uint8):
+    """Returns the distance along an axis of a cell's middle from a box, ``offset`` cells before the cell, in parts."""
+    middle = PARTS * offset + PARTS / 2
+    return wp.max(wp.max(PARTS - 1 - int(before) - middle, middle - int(last) - 1), 0)
 
 
 @wp.func
-def raise_ground(x: float, y: float, z: float, heights: wp.array[float]):
-    """Raises the height of the cell of a point to the point's. x and y are in cells, z in m."""
-    here = address(int(wp.floor(x)), int(wp.floor(y)))
-    heights[here] = wp.max(heights[here], z)
+def level_at(dx: int, dy: int, box: wp.vec4ub, limits: wp.vec4i):
+    """Returns the level of cell (dx, dy) by its distance from a box in cell (0, 0)."""
+    away_x = away(dx, box[0], box[1])
+    away_y = away(dy, box[2], box[3])
+    square = away_x * away_x + away_y * away_y
+    level = int(OPEN)
+    for k in range(3):
+        level -= wp.where(square < limits[k], 1, 0)
+    return level
 
 
 @wp.func
-def close_steep(
-    x: float,
-    y: float,
-    rough: bool,
-    clearance: Clearance,
-    evidence: wp.array[wp.uint8],
-    boxes: wp.array[int],
-    levels: wp.array[wp.uint8],
-    doubts: wp.array[wp.int16],
-    heights: wp.array[float],
-):
-    """Closes cells between that of a point, in cells, and others nearby, if the ground between them is too steep.
+def find_level(x: int, y: int, lowest: int, cells: Cells):
+    """Returns the level of a cell that is not occupied, from all obstacles around it. It is at least ``lowest``."""
+    level = int(OPEN)
+    for dy in range(-cells.reach, cells.reach + 1):
+        for dx in range(-cells.reach, cells.reach + 1):
+            there = address(x + dx, y + dy)
+            if level > lowest and int(cells.evidence[there]) >= OCCUPIED:
+                level = wp.min(level, level_at(-dx, -dy, cells.boxes[there], cells.limits))
+    return level
+
+
+@wp.func
+def set_evidence(x: int, y: int, value: int, cells: Cells):
+    """Sets the evidence of a cell.
+
+    If that frees the cell, the levels that it has lowered are computed again. On rough ground, the number of suspected
+    cells is kept up to date in the cells around it.
+    """
+    here = address(x, y)
+    before = int(cells.evidence[here])
+    cells.evidence[here] = wp.uint8(value)
+    change = wp.where(value == SUSPECTED, 1, 0) - wp.where(before == SUSPECTED, 1, 0)
+    freed = before >= OCCUPIED and value < OCCUPIED
+    if freed or (cells.rough and change != 0):
+        for dy in range(-cells.reach, cells.reach + 1):
+            for dx in range(-cells.reach, cells.reach + 1):
+                there = address(x + dx, y + dy)
+                if cells.rough and PARTS * PARTS * (dx * dx + dy * dy) < cells.limits[3]:
+                    cells.doubts[there] = wp.int16(int(cells.doubts[there]) + change)
+                if freed:
+                    lowered = level_at(dx, dy, cells.boxes[here], cells.limits)
+                    if there == here or (lowered < OPEN and int(cells.levels[there]) == lowered):
+                        cells.levels[there] = wp.uint8(find_level(x + dx, y + dy, lowered, cells))
+
+
+@wp.func
+def mark(x: float, y: float, value: int, cells: Cells):
+    """Sets the evidence of an obstacle at a point to an occupied cell's, and lowers the levels around it."""
+    column = int(wp.floor(x))
+    row = int(wp.floor(y))
+    here = address(column, row)
+    part_x = wp.clamp(int((x - float(column)) * float(PARTS)), 0, PARTS - 1)
+    part_y = wp.clamp(int((y - float(row)) * float(PARTS)), 0, PARTS - 1)
+    box = wp.vec4ub(wp.uint8(PARTS - 1 - part_x), wp.uint8(part_x), wp.uint8(PARTS - 1 - part_y), wp.uint8(part_y))
+    grows = bool(True)
+    if int(cells.evidence[here]) >= OCCUPIED:
+        box = wp.max(box, cells.boxes[here])
+        if box == cells.boxes[here]:
+            grows = False
+    set_evidence(column, row, value, cells)
+    if grows:
+        cells.boxes[here] = box
+        for dy in range(-cells.reach, cells.reach + 1):
+            for dx in range(-cells.reach, cells.reach + 1):
+                there = address(column + dx, row + dy)
+                level = wp.min(int(cells.levels[there]), level_at(dx, dy, box, cells.limits))
+                cells.levels[there] = wp.uint8(level)
+        cells.levels[here] = wp.uint8(0)
+
+
+@wp.func
+def move_window(before: wp.vec2i, after: wp.vec2i, cells: Cells):
+    """Clears the columns and rows that enter the window in the place of those that leave it."""
+    for axis in range(2):
+        shift = after[axis] - before[axis]
+        for k in range(wp.min(wp.abs(shift), SIZE)):
+            entered = wp.where(shift > 0, after[axis] + HALF - 1 - k, after[axis] - HALF + k)
+            for other in range(SIZE):
+                x = wp.where(axis == 0, entered, other)
+                y = wp.where(axis == 0, other, entered)
+                cells.heights[address(x, y)] = UNSEEN
+                if cells.evidence[address(x, y)] > wp.uint8(0):
+                    set_evidence(x, y, 0, cells)
+
+
+@wp.func
+def clear_window(cells: Cells):
+    """Clears all cells."""
+    for cell in range(SIZE * SIZE):
+        cells.evidence[cell] = wp.uint8(0)
+        cells.heights[cell] = UNSEEN
+        cells.levels[cell] = wp.uint8(OPEN)
+        cells.doubts[cell] = wp.int16(0)
+
+
+@wp.func
+def close_steep(x: float, y: float, cells: Cells):
+    """Closes cells between that of a point and others nearby, if the ground between them is too steep.
 
     The heights may be those of the nearest or of the farthest points of two cells that are n cells apart: at most n + 1
     cells. Ground that rises by more than ``tan(MAX_TILT)`` of that distance is steeper than ``MAX_TILT`` somewhere. The
@@ -106,183 +172,123 @@ def close_steep(
     """
     column = int(wp.floor(x))
     row = int(wp.floor(y))
-    here = heights[address(column, row)]
+    here = cells.heights[address(column, row)]
     for dy in range(-STRETCH, STRETCH + 1):
         for dx in range(-STRETCH, STRETCH + 1):
-            there = heights[address(column + dx, row + dy)]
+            there = cells.heights[address(column + dx, row + dy)]
             square = dx * dx + dy * dy
             limit = wp.tan(MAX_TILT) * CELL * (wp.sqrt(float(square)) + 1.0)
             if there > UNSEEN and square <= STRETCH * STRETCH and wp.abs(there - here) > limit:
                 upward = wp.where(there > here, 1, 0)
                 to_x = column + wp.sign(dx) * ((wp.abs(dx) + upward) / 2)
                 to_y = row + wp.sign(dy) * ((wp.abs(dy) + upward) / 2)
-                if int(evidence[address(to_x, to_y)]) != CLOSED:
-                    middle_x = float(to_x) + 0.5
-                    middle_y = float(to_y) + 0.5
-                    mark(middle_x, middle_y, CLOSED, rough, clearance, evidence, boxes, levels, doubts)
+                if int(cells.evidence[address(to_x, to_y)]) != CLOSED:
+                    mark(float(to_x) + 0.5, float(to_y) + 0.5, CLOSED, cells)
 
 
 @wp.kernel
 def add_scans(
-    poses: wp.array2d[float],
-    readings: wp.array2d[float],
-    directions: wp.array[wp.vec2],
-    mount: wp.vec3,
-    max_range: float,
-    clearance: Clearance,
-    patience: int,
     added: wp.array[wp.bool],
-    renewed: wp.array[wp.bool],
-    roughs: wp.array[wp.bool],
-    places: wp.array2d[float],
-    waits: wp.array[int],
+    befores: wp.array[wp.vec2i],
     centers: wp.array[wp.vec2i],
+    cleared: wp.array[wp.bool],
+    roughs: wp.array[wp.bool],
+    origins: wp.array[wp.vec2],
+    beams: wp.array2d[wp.vec3],
+    hits: wp.array2d[wp.bool],
+    suspects: wp.array2d[wp.bool],
+    grounds: wp.array2d[wp.vec3],
+    closed: wp.array2d[wp.vec2],
+    closes: wp.array2d[wp.bool],
+    limits: wp.vec4i,
+    reach: int,
     evidences: wp.array2d[wp.uint8],
-    boxes: wp.array2d[int],
+    boxes: wp.array2d[wp.vec4ub],
+    heights: wp.array2d[float],
     levels: wp.array2d[wp.uint8],
     doubts: wp.array2d[wp.int16],
-    heights: wp.array2d[float],
-    corners: wp.array3d[float],
     first: int,
 ):
     """Adds a scan to each row's map; thread ``t`` does row ``first + t``.
 
     Each beam takes 1 from the evidence of the cells that it passes, up to 1.5 cells before its end. Then each one that
     ends at an obstacle adds ``HIT`` to the cell at its end. Then the cells between two neighboring ones of these ends
-    count as occupied, too, if nothing fits between them. Other ends on rough ground are suspected.
+    count as occupied, too, if nothing fits between them. Other ends on rough ground are suspected. Each stage follows
+    the other for all beams, so that their order does not matter.
 
     Three kinds of cells are closed for good: those that are too steep by the heights around them, one uphill of a rover
-    on a steep slope, and one on the route of a rover that has not got farther than ``WAY`` within ``patience`` scans,
-    whether it cannot or does not dare to. On rough ground, the height of a cell is the greatest one that has been seen
-    there, at the end of a beam or below the rover.
-
-    The ground of a row is rough once its rover has tilted by ``ROUGH_TILT``. The row's map is cleared then, as what it
-    holds may be gentle slopes.
+    on a steep slope, and one on the route of a rover that makes no way, whether it cannot or does not dare to. On rough
+    ground, the height of a cell is the greatest one that has been seen there, at the end of a beam or below the rover.
 
     Args:
-        poses: x, y (m), pitch, roll, yaw (rad) and z (m) of the rovers, ``[N, 6]``.
-        readings: lidar readings, ``[N, P]``, m.
-        directions: cosine and sine of the angle of each reading in the frame of the lidar, ``[P]``.
-        mount: position of the lidar in the frame of the rover, whose origin is on the ground, m.
-        max_range: range at which a beam has hit nothing, m.
-        clearance: distances from obstacles at which levels begin.
-        patience: number of scans after which a cell on the route of a rover that makes no way is closed.
-        added: rows whose scan is added. The others do not change.
-        renewed: rows whose map is cleared first.
-        roughs: whether the ground is rough, ``[N]``; updated.
-        places: x and y of the places around which the rovers are, ``[N, 2]``, m; updated.
-        waits: number of scans since they came there, or since a cell has been closed, ``[N]``; updated.
-        centers: cells in the middle of the windows; updated.
-        evidences: evidence of an obstacle in each cell, ``[N, SIZE * SIZE]``; updated.
-        boxes: where in each occupied cell the obstacle is: see :func:`distance_square`. ``[N, SIZE * SIZE]``; updated.
-        levels: level of each cell, ``[N, SIZE * SIZE]``; updated.
-        doubts: number of suspected cells around each one, ``[N, SIZE * SIZE]``; updated.
-        heights: height of the ground in each cell, ``[N, SIZE * SIZE]``, m; updated on rough ground.
-        corners: corners of the routes before, ``[N, 2, 2]``, m.
+        added: rows whose scan is added, ``[N]``. The others do not change.
+        befores: cells in the middle of the windows before, ``[N]``.
+        centers: cells in the middle of the windows: this and what follows are those of a
+            :class:`~rover_rl.envs.seen_map.scans.Scan`.
+        limits: see :class:`Cells`, as of what follows, ``[N, SIZE * SIZE]`` each, which is updated.
         first: row of the first thread.
     """
     i = first + wp.tid()
     if not added[i]:
         return
-    evidence = evidences[i]
-    box = boxes[i]
-    level = levels[i]
-    doubt = doubts[i]
-    height = heights[i]
-    center = wp.vec2i(cell_of(poses[i, 0]), cell_of(poses[i, 1]))
-    cos_pitch = wp.cos(poses[i, 2])
-    sin_pitch = wp.sin(poses[i, 2])
-    cos_roll = wp.cos(poses[i, 3])
-    sin_roll = wp.sin(poses[i, 3])
-    was_rough = roughs[i] and not renewed[i]
-    rough = was_rough or cos_pitch * cos_roll < wp.cos(ROUGH_TILT)
-    roughs[i] = rough
-    if renewed[i] or rough != was_rough:
-        clear_window(rough, evidence, level, doubt, height)
+    cells = Cells()
+    cells.rough = roughs[i]
+    cells.limits = limits
+    cells.reach = reach
+    cells.evidence = evidences[i]
+    cells.boxes = boxes[i]
+    cells.heights = heights[i]
+    cells.levels = levels[i]
+    cells.doubts = doubts[i]
+    if cleared[i]:
+        clear_window(cells)
     else:
-        move_window(centers[i], center, rough, clearance, evidence, box, level, doubt, height)
-    centers[i] = center
-    cos = wp.cos(poses[i, 4])
-    sin = wp.sin(poses[i, 4])
-    # Position of the lidar, in cells.
-    x = (poses[i, 0] + mount[0] * cos - mount[1] * sin) / CELL
-    y = (poses[i, 1] + mount[0] * sin + mount[1] * cos) / CELL
-    # Axes of the rover in the world's frame: the columns of Rz(yaw) Ry(pitch) Rx(roll).
-    ahead = wp.vec3(cos_pitch * cos, cos_pitch * sin, -sin_pitch)
-    left = wp.vec3(
-        sin_roll * sin_pitch * cos - cos_roll * sin, sin_roll * sin_pitch * sin + cos_roll * cos, sin_roll * cos_pitch
-    )
-    up = mount[2] / CELL * wp.cross(ahead, left)
-    count = directions.shape[0]
+        move_window(befores[i], centers[i], cells)
+    x = origins[i][0]
+    y = origins[i][1]
+    count = beams.shape[1]
     for k in range(count):
-        beam = readings[i, k] / CELL * (directions[k][0] * ahead + directions[k][1] * left)
+        beam = beams[i, k]
         # Cells that the beam crosses along the axis along which it crosses more.
         crossed = wp.max(wp.abs(beam[0]), wp.abs(beam[1]))
         for n in range(int(wp.min(crossed - 1.5, float(REACH)))):
             part = float(n + 1) / crossed
             along = int(wp.floor(x + part * beam[0]))
             across = int(wp.floor(y + part * beam[1]))
-            passed = int(evidence[address(along, across)])
+            passed = int(cells.evidence[address(along, across)])
             if passed > 0 and passed <= MOST:
-                weaken(along, across, passed - 1, rough, clearance, evidence, box, level, doubt)
-    # After all beams have passed, so that no beam clears what another one has hit.
+                set_evidence(along, across, passed - 1, cells)
     for k in range(count):
-        beam = readings[i, k] / CELL * (directions[k][0] * ahead + directions[k][1] * left)
-        if is_end(beam, readings[i, k], max_range) and is_obstacle(beam, up, rough):
-            before = int(evidence[address(int(wp.floor(x + beam[0])), int(wp.floor(y + beam[1])))])
-            if before <= MOST:
-                value = wp.min(before + HIT, MOST)
-                mark(x + beam[0], y + beam[1], value, rough, clearance, evidence, box, level, doubt)
+        beam = beams[i, k]
+        before = int(cells.evidence[address_at(x + beam[0], y + beam[1])])
+        if hits[i, k] and before <= MOST:
+            mark(x + beam[0], y + beam[1], wp.min(before + HIT, MOST), cells)
     for k in range(count):
-        beam = readings[i, k] / CELL * (directions[k][0] * ahead + directions[k][1] * left)
+        beam = beams[i, k]
         # The last reading is a neighbor of the first one.
         other = (k + 1) % count
-        next_beam = readings[i, other] / CELL * (directions[other][0] * ahead + directions[other][1] * left)
-        gap_x = next_beam[0] - beam[0]
-        gap_y = next_beam[1] - beam[1]
-        hit = is_end(beam, readings[i, k], max_range) and is_obstacle(beam, up, rough)
-        next_hit = is_end(next_beam, readings[i, other], max_range) and is_obstacle(next_beam, up, rough)
-        if hit and next_hit and wp.length(wp.vec2(gap_x, gap_y)) < NO_GAP:
-            steps = wp.ceil(wp.max(wp.abs(gap_x), wp.abs(gap_y)))
+        gap = beams[i, other] - beam
+        if hits[i, k] and hits[i, other] and wp.length(wp.vec2(gap[0], gap[1])) < NO_GAP:
+            steps = wp.ceil(wp.max(wp.abs(gap[0]), wp.abs(gap[1])))
             for n in range(1, int(steps)):
-                between_x = x + beam[0] + float(n) / steps * gap_x
-                between_y = y + beam[1] + float(n) / steps * gap_y
-                before = int(evidence[address(int(wp.floor(between_x)), int(wp.floor(between_y)))])
-                mark(between_x, between_y, wp.max(before, OCCUPIED), rough, clearance, evidence, box, level, doubt)
-    # After all obstacles, so that the order of the beams does not matter.
+                between_x = x + beam[0] + float(n) / steps * gap[0]
+                between_y = y + beam[1] + float(n) / steps * gap[1]
+                before = int(cells.evidence[address_at(between_x, between_y)])
+                mark(between_x, between_y, wp.max(before, OCCUPIED), cells)
     for k in range(count):
-        beam = readings[i, k] / CELL * (directions[k][0] * ahead + directions[k][1] * left)
-        if rough and is_end(beam, readings[i, k], max_range) and not is_obstacle(beam, up, rough):
-            suspect(x + beam[0], y + beam[1], clearance, evidence, doubt)
-    here_x = poses[i, 0] / CELL
-    here_y = poses[i, 1] / CELL
-    if rough:
-        z = poses[i, 5] + mount[0] * ahead[2] + mount[1] * left[2] + CELL * up[2]
-        raise_ground(here_x, here_y, poses[i, 5], height)
-        for k in range(count):
-            beam = readings[i, k] / CELL * (directions[k][0] * ahead + directions[k][1] * left)
-            if shows_ground(beam, readings[i, k], max_range):
-                raise_ground(x + beam[0], y + beam[1], z + CELL * beam[2], height)
-        # After all heights are known, so that the order of the beams does not matter.
-        close_steep(here_x, here_y, rough, clearance, evidence, box, level, doubt, height)
-        for k in range(count):
-            beam = readings[i, k] / CELL * (directions[k][0] * ahead + directions[k][1] * left)
-            if shows_ground(beam, readings[i, k], max_range):
-                close_steep(x + beam[0], y + beam[1], rough, clearance, evidence, box, level, doubt, height)
-    if cos_pitch * cos_roll < wp.cos(MAX_TILT):
-        # The rover's vertical axis leans downhill.
-        down_x = cos_roll * sin_pitch * cos + sin_roll * sin
-        down_y = cos_roll * sin_pitch * sin - sin_roll * cos
-        scale = AHEAD / wp.length(wp.vec2(down_x, down_y))
-        mark(here_x - scale * down_x, here_y - scale * down_y, CLOSED, rough, clearance, evidence, box, level, doubt)
-    waits[i] = waits[i] + 1
-    if renewed[i] or wp.length(wp.vec2(poses[i, 0] - places[i, 0], poses[i, 1] - places[i, 1])) > WAY:
-        places[i, 0] = poses[i, 0]
-        places[i, 1] = poses[i, 1]
-        waits[i] = 0
-    if waits[i] >= patience:
-        waits[i] = 0
-        way_x = corners[i, 0, 0] - poses[i, 0]
-        way_y = corners[i, 0, 1] - poses[i, 1]
-        scale = AHEAD / wp.max(wp.length(wp.vec2(way_x, way_y)), 1.0e-6)
-        mark(here_x + scale * way_x, here_y + scale * way_y, CLOSED, rough, clearance, evidence, box, level, doubt)
+        column = int(wp.floor(x + beams[i, k][0]))
+        row = int(wp.floor(y + beams[i, k][1]))
+        if suspects[i, k] and int(cells.evidence[address(column, row)]) < SUSPECTED:
+            set_evidence(column, row, SUSPECTED, cells)
+    for k in range(count + 1):
+        point = grounds[i, k]
+        if point[2] > UNSEEN:
+            cell = address_at(point[0], point[1])
+            cells.heights[cell] = wp.max(cells.heights[cell], point[2])
+    for k in range(count + 1):
+        point = grounds[i, k]
+        if point[2] > UNSEEN:
+            close_steep(point[0], point[1], cells)
+    for k in range(2):
+        if closes[i, k]:
+            mark(closed[i, k][0], closed[i, k][1], CLOSED, cells)

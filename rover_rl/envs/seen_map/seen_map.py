@@ -9,22 +9,29 @@ Example:
 
 from __future__ import annotations
 
-import math
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl.envs.config import LidarConfig
-from rover_rl.sims.robots import Robot, get_robot
-from rover_rl.sims.robots.footprint import footprint
-from rover_rl.sims.rotations import wrap_angle
-
-if TYPE_CHECKING:
-    from rover_rl.envs.seen_map.cell_kernels import Clearance
+from rover_rl.envs.seen_map.scans import (
+    CELL,
+    DOUBTFUL,
+    HALF,
+    OPEN,
+    SIZE,
+    STATE,
+    UNSEEN,
+    Scan,
+    ScanReader,
+    goal_positions,
+    limits_of,
+    relative_route,
+)
+from rover_rl.sims.robots import Robot
 
 ROUTE = "route"
 """Name of the route in an observation."""
@@ -34,85 +41,6 @@ BOUNDS = "bounds"
 """Name of the area that routes stay in: lower x and y, and upper x and y, ``[N, 4]``, m."""
 NO_BOUNDS = (-1e6, -1e6, 1e6, 1e6)
 """Area without bounds."""
-
-FARTHEST_MOUNT = 0.45
-"""Largest distance of the lidar from the robot's center along x and along y, m."""
-
-PATIENCE = 8.0
-"""Time in which a rover makes half a meter of way, if it can get on, s. Turning around takes 3 s."""
-
-MARGINS = (0.01, 0.075, 0.225)
-"""Distances of a rover's side from obstacles below which it does not fit, hardly fits, and should be slow, m."""
-
-
-def lidar_mount(robot: str | Robot) -> tuple[float, float, float]:
-    """Returns the position of the lidar in the frame of the robot, whose origin is on the ground, m.
-
-    Raises:
-        ValueError: if the lidar is mounted too far from the robot's center.
-    """
-    x, y, z = get_robot(robot).lidar_position
-    if max(abs(x), abs(y)) > FARTHEST_MOUNT:
-        raise ValueError(
-            f"the lidar must be at most {FARTHEST_MOUNT} m from the robot's center along x and y, got {(x, y)}"
-        )
-    return x, y, z
-
-
-def beam_directions(lidar: LidarConfig, device: torch.device | str | None = None) -> Tensor:
-    """Returns cosine and sine of the angle of each reading in the frame of the lidar, ``[points, 2]``."""
-    # A reading is the minimum over several beams: the angle is that of their center.
-    share = lidar.beams / lidar.points
-    angles = (torch.arange(lidar.points, device=device) * share + (share - 1) / 2) * (2 * math.pi / lidar.beams)
-    return torch.stack((angles.cos(), angles.sin()), -1)
-
-
-def largest_reading(lidar: LidarConfig) -> float:
-    """Returns the reading from which on a beam has hit nothing, m."""
-    return lidar.max_range - 1e-3
-
-
-def clearance_of(robot: str | Robot) -> Clearance:
-    """Returns the distances from obstacles at which the levels of cells begin, in parts of a cell."""
-    from rover_rl.envs.seen_map.cell_kernels import CELL, PARTS, Clearance
-
-    half_width = footprint(get_robot(robot)).half_width
-    tight, near, wide = (math.ceil((half_width + margin) / CELL * PARTS) for margin in MARGINS)
-    clearance = Clearance()
-    clearance.tight, clearance.near, clearance.wide = tight**2, near**2, wide**2
-    # A suspected obstacle may be anywhere in its cell.
-    clearance.doubt = (wide + PARTS // 2) ** 2
-    clearance.reach = math.ceil(wide / PARTS)
-    return clearance
-
-
-def patience_of(interval: float) -> int:
-    """Returns the number of scans within which a rover makes its way, if it can get on.
-
-    Args:
-        interval: time from one scan to the next, s.
-    """
-    return math.ceil(PATIENCE / interval)
-
-
-def goal_positions(pose: Tensor, imu: Tensor, target: Tensor) -> Tensor:
-    """Returns x and y of the goals, ``[N, 2]``, m, from entries of the observation ``[N, n]``."""
-    bearing = target[:, 1:] + imu[:, 2:]
-    return pose[:, :2] + target[:, :1] * torch.cat((bearing.cos(), bearing.sin()), -1)
-
-
-def relative_route(corners: Tensor, lengths: Tensor, pose: Tensor, imu: Tensor) -> Tensor:
-    """Returns routes as entries of the observation, ``[N, 5]``: see :class:`SeenMap`.
-
-    Args:
-        corners: x and y of two corners, ``[N, 2, 2]``, m.
-        lengths: lengths of the routes, ``[N]``, m.
-        pose: x, y and z of the rovers, ``[N, 3]``, m.
-        imu: pitch, roll and yaw of the rovers, ``[N, 3]``, rad.
-    """
-    offset = corners - pose[:, None, :2]
-    angle = wrap_angle(torch.atan2(offset[..., 1], offset[..., 0]) - imu[:, 2:])
-    return torch.cat((torch.stack((offset.norm(dim=-1), angle), -1).flatten(1), lengths[:, None]), -1)
 
 
 class SeenMap:
@@ -158,24 +86,18 @@ class SeenMap:
         interval: float = 0.2,
     ) -> None:
         # Importing NVIDIA Warp takes half a second.
-        from rover_rl.envs.seen_map.cell_kernels import OPEN, SIZE, UNSEEN
         from rover_rl.envs.seen_map.route_kernels import BUCKETS
 
-        lidar, device = lidar or LidarConfig(), torch.device(device or "cpu")
-        self._mount, self._max_range, self._patience = lidar_mount(robot), largest_reading(lidar), patience_of(interval)
-        cells = (rows, SIZE * SIZE)
+        lidar, device, cells = lidar or LidarConfig(), torch.device(device or "cpu"), SIZE * SIZE
+        self._reader, self._limits = ScanReader(lidar, robot, interval).to(device), limits_of(robot)
         self._every = torch.ones(rows, dtype=torch.bool, device=device)
-        self._renewed, self._rough = self._every.clone(), ~self._every
-        self._places = torch.zeros(rows, 2, device=device)
-        self._waits = torch.zeros(rows, dtype=torch.int32, device=device)
         self._unbounded = torch.tensor(NO_BOUNDS, device=device).repeat(rows, 1)
-        self._centers = torch.zeros(rows, 2, dtype=torch.int32, device=device)
-        self._evidence = torch.zeros(cells, dtype=torch.uint8, device=device)
-        self._boxes = torch.zeros(cells, dtype=torch.int32, device=device)
-        self._levels = torch.full(cells, OPEN, dtype=torch.uint8, device=device)
-        self._doubts = torch.zeros(cells, dtype=torch.int16, device=device)
-        self._heights = torch.full(cells, UNSEEN, device=device)
-        self._clearance = clearance_of(robot)
+        self._state = torch.zeros(rows, sum(STATE), device=device)
+        self._evidence = torch.zeros(rows, cells, dtype=torch.uint8, device=device)
+        self._levels = torch.full_like(self._evidence, OPEN)
+        self._doubts = torch.zeros(rows, cells, dtype=torch.int16, device=device)
+        self._boxes = torch.zeros(rows, cells, 4, dtype=torch.uint8, device=device)
+        self._heights = torch.full((rows, cells), UNSEEN, device=device)
         # x and y of two corners, and the length.
         self._corners = torch.zeros(rows, 2, 2, device=device)
         self._lengths = torch.zeros(rows, device=device)
@@ -183,12 +105,11 @@ class SeenMap:
         on_gpu = device.type == "cuda"
         self._shares = [*pairwise(torch.linspace(0, rows, 1 + (1 if on_gpu else min(threads, rows))).long().tolist())]
         self._pool = ThreadPoolExecutor(len(self._shares) - 1) if len(self._shares) > 1 else None
-        sizes = (cells[1], BUCKETS, cells[1], cells[1])
+        sizes = (cells, BUCKETS, cells, cells)
         self._memory = [
             [torch.empty(rows if on_gpu else 1, size, dtype=torch.int32, device=device) for size in sizes]
             for _ in self._shares
         ]
-        self._directions = beam_directions(lidar, device)
 
     def __call__(
         self,
@@ -210,15 +131,14 @@ class SeenMap:
             the second corner, and the length (m). The goal counts as a corner. In the length, a meter beside an
             obstacle counts more, up to ten. Without a path, both corners are the goal, and the length is -1.
         """
-        rows = self._every if rows is None else rows
+        rows = self._every if rows is None else rows.contiguous()
         if renewed is not None:
-            self._renewed |= renewed
-        pose, imu, target = observation["pose"], observation["imu"], observation["target"]
-        goal = goal_positions(pose, imu, target)
-        bounds = self._unbounded if bounds is None else bounds
-        poses, readings = torch.cat((pose[:, :2], imu, pose[:, 2:]), -1), observation["lidar"].contiguous()
-        self._launch(poses, readings, goal, bounds.contiguous(), rows.contiguous())
-        self._renewed &= ~rows
+            self._state = self._state.masked_fill(renewed[:, None], 0.0)
+        lidar, pose, imu, target = (observation[key] for key in ROUTE_KEYS)
+        scan, state = self._reader(self._state, lidar, pose, imu)
+        bounds = self._unbounded if bounds is None else bounds.contiguous()
+        self._launch(scan, goal_positions(pose, imu, target), bounds, rows)
+        self._state = torch.where(rows[:, None], torch.cat((state, self._corners[:, 0]), -1), self._state)
         return relative_route(self._corners, self._lengths, pose, imu)
 
     def levels(self) -> tuple[Tensor, Tensor]:
@@ -229,30 +149,25 @@ class SeenMap:
             fit, 2 where it hardly fits or an obstacle is suspected, 3 where it should be slow, and 4 elsewhere. And x,
             y of the lower corner of cell ``[0, 0]`` of each row's window, float32 ``[N, 2]``, m.
         """
-        from rover_rl.envs.seen_map.cell_kernels import CELL, DOUBTFUL, HALF, SIZE
-
         levels = torch.where(self._doubts > 0, self._levels.clamp(max=DOUBTFUL), self._levels)
-        lowest = self._centers - HALF
+        lowest = self._state[:, :2].int() - HALF
         # A cell is stored at its number modulo the size.
         columns, rows = ((lowest[:, axis, None] + torch.arange(SIZE, device=lowest.device)) % SIZE for axis in range(2))
         address = rows[:, :, None] * SIZE + columns[:, None]
         return levels.gather(1, address.flatten(1).long()).reshape(address.shape), lowest * CELL
 
-    def _launch(self, poses: Tensor, readings: Tensor, goals: Tensor, bounds: Tensor, rows: Tensor) -> None:
-        """Launches the kernels. Poses are x, y, pitch, roll, yaw and z, ``[N, 6]``."""
+    def _launch(self, scan: Scan, goals: Tensor, bounds: Tensor, rows: Tensor) -> None:
+        """Launches the kernels."""
         from rover_rl.envs.seen_map.route_kernels import plan_routes
         from rover_rl.envs.seen_map.scan_kernels import add_scans
         from rover_rl.sims.native.warp import wp
 
-        device = wp.device_from_torch(poses.device)
-        options = {"device": device, "stream": wp.stream_from_torch(poses.device) if device.is_cuda else None}
-        centers = wp.from_torch(self._centers, dtype=wp.vec2i)
-        directions = wp.from_torch(self._directions, dtype=wp.vec2)
-        scans = [poses, readings, directions, self._mount, self._max_range, self._clearance, self._patience]
-        scans += [rows, self._renewed, self._rough, self._places, self._waits]
-        scans += [centers, self._evidence, self._boxes, self._levels, self._doubts]
-        scans += [self._heights, self._corners]
-        plans = [goals, bounds, rows, centers, self._levels, self._doubts]
+        device = wp.device_from_torch(rows.device)
+        options = {"device": device, "stream": wp.stream_from_torch(rows.device) if device.is_cuda else None}
+        before, center = self._state[:, :2].int(), scan.center.int()
+        scans = [rows, before, center, *scan[1:], wp.vec4i(*self._limits), self._limits.reach]
+        scans += [self._evidence, self._boxes, self._heights, self._levels, self._doubts]
+        plans = [goals, bounds, rows, center, self._levels, self._doubts]
 
         def launch(share: tuple[int, int], memory: list[Tensor]) -> None:
             first, last = share

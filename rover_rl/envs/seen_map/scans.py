@@ -1,0 +1,250 @@
+"""What a lidar scan tells about the ground around rovers: the rules that the map and its export share.
+
+A map is a window of ``SIZE x SIZE`` cells around the rover, which moves with it cell by cell. Cell (X, Y) of the world
+covers ``CELL * [X, X + 1)`` by ``CELL * [Y, Y + 1)``, m. Cells are as wide as a gap's tolerance. Occupied ones
+therefore also hold the box in which the obstacle has been seen.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from rover_rl.envs.config import LidarConfig
+from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.robots.footprint import footprint
+from rover_rl.sims.rotations import euler_to_matrix, wrap_angle
+
+SIZE = 128
+"""Number of cells along a side of the window. A power of two."""
+HALF = 64
+"""Number of cells on each side of the rover's."""
+CELL = 0.15
+"""Side length of a cell, m."""
+PARTS = 16
+"""Number of parts along a side of a cell, in which the ends of beams are told apart."""
+UNSEEN = -1.0e9
+"""Height of a cell whose ground has not been seen, m."""
+
+SUSPECTED = 1
+"""Evidence of a cell on rough ground in which a beam has ended: at an obstacle, or at a slope that can be climbed."""
+OCCUPIED = 2
+"""Evidence from which on a cell counts as occupied."""
+HIT = 4
+"""Evidence that a reading adds to the cell at its end."""
+MOST = 12
+"""Largest evidence from readings. Each beam that passes through a cell takes 1 away."""
+CLOSED = 15
+"""Evidence of a cell that is too steep, or that the rover could not get to. Beams do not change it."""
+
+OPEN = 4
+"""Level of a cell far from obstacles. Cells at obstacles have level 0, and :class:`Limits` tells the others."""
+DOUBTFUL = 2
+"""Highest level of a cell near a suspected one. A route crosses it if a detour is three times as long, or longer."""
+MARGINS = (0.01, 0.075, 0.225)
+"""Distances of a rover's side from obstacles below which it does not fit, hardly fits, and should be slow, m."""
+
+REACH = 60
+"""Number of cells along an axis up to which beams count: 9 m. All of them are in the window, if the lidar is at most
+3 cells, 0.45 m, from the rover's center along each axis."""
+FARTHEST_MOUNT = 0.45
+"""Largest distance of the lidar from the robot's center along x and along y, m."""
+NO_GAP = 4.0
+"""Distance between the ends of neighboring beams up to which nothing fits between them, cells: 0.6 m."""
+LOWEST = -4.0 / 3.0
+"""Height of the end of a beam, relative to the lidar, below which it is on the ground, cells: -0.2 m."""
+ROUGH_TILT = 0.05
+"""Tilt of the rover above which the ground is not level, rad: 3 degrees. On level ground, starting and stopping tilt it
+by 0.01 at most."""
+MAX_TILT = 0.42
+"""Slope above which ground is too steep, rad: 24 degrees. Tires of usual friction (0.5) slide at 26.6."""
+FARTHEST_HEIGHT = 20
+"""Number of cells along an axis up to which the ends of beams tell heights: 3 m. An error of 1 degree in the tilt
+changes the height there by 5 cm."""
+STRETCH = 4
+"""Number of cells between two heights that are compared, at most: 0.6 m."""
+AHEAD = 3.0
+"""Distance from the rover at which a cell is closed, in cells: 0.45 m."""
+WAY = 0.5
+"""Distance up to which a rover is still around a place, m."""
+PATIENCE = 8.0
+"""Time in which a rover makes half a meter of way, if it can get on, s. Turning around takes 3 s."""
+
+STATE = (2, 1, 2, 1, 2)
+"""Sizes of the parts of a rover's state: the cell in the middle of the window, whether the ground is rough, the place
+around which the rover is and its number of scans there, and the first corner of its route. Zeros before an episode."""
+
+
+class Scan(NamedTuple):
+    """What scans tell. x and y are in cells of the world.
+
+    Attributes:
+        center: cells in the middle of the windows, ``[N, 2]``.
+        cleared: whether the map is cleared first, bool ``[N]``: the episode begins, or the ground turns out to be
+            rough, so that what the map holds may be gentle slopes.
+        rough: whether the ground is rough, bool ``[N]``.
+        origin: x and y of the lidar, ``[N, 2]``.
+        beams: vectors from the lidar to the ends of the beams, ``[N, P, 3]``, in cells.
+        hits: whether the end of a beam is at an obstacle, bool ``[N, P]``.
+        doubts: whether it is at a suspected one, bool ``[N, P]``.
+        ground: x, y and z (m) of points on the ground, ``[N, P + 1, 3]``. z is ``UNSEEN`` at points that do not count.
+        closed: x and y of two places that the rover cannot get to, ``[N, 2, 2]``: uphill, and ahead on its route.
+        closes: which of these places count, bool ``[N, 2]``.
+    """
+
+    center: Tensor
+    cleared: Tensor
+    rough: Tensor
+    origin: Tensor
+    beams: Tensor
+    hits: Tensor
+    doubts: Tensor
+    ground: Tensor
+    closed: Tensor
+    closes: Tensor
+
+
+class ScanReader(nn.Module):
+    """Computes what scans tell, from the observation and a small state of each rover.
+
+    Args:
+        lidar: settings of the lidar.
+        robot: robot, or its name, for the position of the lidar.
+        interval: time from one scan to the next, s.
+
+    Raises:
+        ValueError: if the lidar is mounted too far from the robot's center.
+    """
+
+    _directions: Tensor
+    _mount: Tensor
+
+    def __init__(self, lidar: LidarConfig, robot: str | Robot, interval: float) -> None:
+        super().__init__()
+        # From this reading on, a beam has hit nothing.
+        self._no_return = lidar.max_range - 1e-3
+        self._patience = math.ceil(PATIENCE / interval)
+        # A reading is the minimum over several beams: the angle is that of their center.
+        share = lidar.beams / lidar.points
+        angles = (torch.arange(lidar.points) * share + (share - 1) / 2) * (2 * math.pi / lidar.beams)
+        self.register_buffer("_directions", torch.stack((angles.cos(), angles.sin()), -1))
+        self.register_buffer("_mount", torch.tensor(lidar_mount(robot)))
+
+    def forward(self, state: Tensor, lidar: Tensor, pose: Tensor, imu: Tensor) -> tuple[Scan, Tensor]:
+        """Returns what scans tell, and the next state up to the corner of the route, which is not known yet.
+
+        Args:
+            state: state before, ``[N, 8]``: see ``STATE``.
+            lidar: lidar readings, ``[N, P]``, m.
+            pose: x, y and z of the rovers, ``[N, 3]``, m.
+            imu: pitch, roll and yaw of the rovers, ``[N, 3]``, rad.
+        """
+        _, was_rough, place, waits, corner = state.split(STATE, -1)
+        axes, xy = euler_to_matrix(imu[:, [1, 0, 2]]), pose[:, :2]
+        up = axes[..., 2]
+        rough = (was_rough > 0) | (up[:, 2:] < math.cos(ROUGH_TILT))
+        origin, beams = self._beams(lidar, xy, imu[:, 2:], axes)
+        size = beams[..., :2].abs().amax(-1)
+        returned = lidar < self._no_return
+        ends = returned & (size < REACH)
+        hits = ends & (beams[..., 2] > LOWEST) & (self._is_steep(beams, up) | ~rough)
+        shown = torch.cat((rough, rough & returned & (size < FARTHEST_HEIGHT)), -1)
+        height = pose[:, 2:] + (axes[:, 2] * self._mount).sum(-1, keepdim=True)
+        z = torch.cat((pose[:, 2:], height + CELL * beams[..., 2]), -1)
+        points = torch.cat((xy[:, None] / CELL, origin[:, None] + beams[..., :2]), 1)
+        ground = torch.cat((points, torch.where(shown, z, UNSEEN)[..., None]), -1)
+        leaves = (waits == 0) | ((xy - place).norm(dim=-1, keepdim=True) > WAY)
+        place, scans = torch.where(leaves, xy, place), torch.where(leaves, 1.0, waits + 1)
+        halts = scans > self._patience
+        # The rover's vertical axis leans downhill.
+        ways = torch.stack((-up[:, :2], corner - xy), 1)
+        closed = xy[:, None] / CELL + AHEAD * ways / ways.norm(dim=-1, keepdim=True).clamp(min=1e-6)
+        closes = torch.cat((up[:, 2:] < math.cos(MAX_TILT), halts), -1)
+        center = (xy / CELL).floor()
+        cleared = ((waits == 0) | ((was_rough > 0) != rough))[:, 0]
+        scan = Scan(center, cleared, rough[:, 0], origin, beams, hits, ends & rough & ~hits, ground, closed, closes)
+        return scan, torch.cat((center, rough.to(xy.dtype), place, torch.where(halts, 1.0, scans)), -1)
+
+    def _beams(self, lidar: Tensor, xy: Tensor, yaw: Tensor, axes: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns the position of the lidar, and the vectors from there to the ends of the beams."""
+        cos, sin = yaw.cos(), yaw.sin()
+        offset = self._mount[0] * torch.cat((cos, sin), -1) + self._mount[1] * torch.cat((-sin, cos), -1)
+        ahead, left = axes[:, None, :, 0], axes[:, None, :, 1]
+        beams = self._directions[:, :1] * ahead + self._directions[:, 1:] * left
+        return (xy + offset) / CELL, (lidar / CELL)[..., None] * beams
+
+    def _is_steep(self, beams: Tensor, up: Tensor) -> Tensor:
+        """Returns whether beams end at an obstacle on rough ground, too, and not at a slope that the rover can climb.
+
+        Some of the ground from below the lidar to the end of the beam is at least as steep as the straight line between
+        them. So the end is an obstacle if that line is too steep: on a level rover with the lidar at 0.32 m, within
+        0.72 m. Farther ends are suspected ones.
+        """
+        rise = beams + (self._mount[2] / CELL * up)[:, None]
+        return rise[..., 2] > math.tan(MAX_TILT) * rise[..., :2].norm(dim=-1)
+
+
+class Limits(NamedTuple):
+    """Squares of the distances from obstacles, in parts of a cell, below which the middles of cells have levels 1 to 3.
+
+    Attributes:
+        tight: below it, the rover does not fit.
+        near: below it, it hardly fits.
+        wide: below it, it should be slow.
+        doubt: below it, the middles of a cell and of a suspected one are near each other.
+    """
+
+    tight: int
+    near: int
+    wide: int
+    doubt: int
+
+    @property
+    def reach(self) -> int:
+        """Number of cells within which an obstacle changes levels."""
+        return math.ceil(math.sqrt(self.wide) / PARTS)
+
+
+def limits_of(robot: str | Robot) -> Limits:
+    """Returns the distances from obstacles at which the levels of cells begin."""
+    half_width = footprint(get_robot(robot)).half_width
+    tight, near, wide = (math.ceil((half_width + margin) / CELL * PARTS) for margin in MARGINS)
+    # A suspected obstacle may be anywhere in its cell.
+    return Limits(tight**2, near**2, wide**2, (wide + PARTS // 2) ** 2)
+
+
+def lidar_mount(robot: str | Robot) -> tuple[float, float, float]:
+    """Returns the position of the lidar in the frame of the robot, whose origin is on the ground, m.
+
+    Raises:
+        ValueError: if the lidar is mounted too far from the robot's center.
+    """
+    x, y, z = get_robot(robot).lidar_position
+    if max(abs(x), abs(y)) > FARTHEST_MOUNT:
+        raise ValueError(
+            f"the lidar must be at most {FARTHEST_MOUNT} m from the robot's center along x and y, got {(x, y)}"
+        )
+    return x, y, z
+
+
+def goal_positions(pose: Tensor, imu: Tensor, target: Tensor) -> Tensor:
+    """Returns x and y of the goals, ``[N, 2]``, m, from entries of the observation ``[N, n]``."""
+    bearing = target[:, 1:] + imu[:, 2:]
+    return pose[:, :2] + target[:, :1] * torch.cat((bearing.cos(), bearing.sin()), -1)
+
+
+def relative_route(corners: Tensor, lengths: Tensor, pose: Tensor, imu: Tensor) -> Tensor:
+    """Returns routes as entries of the observation, ``[N, 5]``.
+
+    Args:
+        corners: x and y of two corners, ``[N, 2, 2]``, m.
+        lengths: lengths of the routes, ``[N]``, m.
+        pose: x, y and z of the rovers, ``[N, 3]``, m.
+        imu: pitch, roll and yaw of the rovers, ``[N, 3]``, rad.
+    """
+    offset = corners - pose[:, None, :2]
+    angle = wrap_angle(torch.atan2(offset[..., 1], offset[..., 0]) - imu[:, 2:])
+    return torch.cat((torch.stack((offset.norm(dim=-1), angle), -1).flatten(1), lengths[:, None]), -1)
