@@ -15,7 +15,6 @@ logs are means over the last epoch only.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -36,7 +35,7 @@ from rover_rl.algos.policy.networks import (
     mirrored,
 )
 from rover_rl.algos.train.progress import Stopwatch
-from rover_rl.algos.train.run import set_learning_rate
+from rover_rl.algos.train.run import Learner
 from rover_rl.algos.train.sequences import MirrorMemory, mirrored_sequences
 from rover_rl.envs.seen_map.seen_map import ROUTE
 from rover_rl.sims.robots import get_robot
@@ -48,7 +47,7 @@ LOGGED = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fractio
 """Values that are logged for each gradient step."""
 
 
-class PPOLearner:
+class PPOLearner(Learner):
     """Actor, critic and their PPO update."""
 
     def __init__(self, config: TrainingConfig) -> None:
@@ -87,7 +86,7 @@ class PPOLearner:
 
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
         """Updates the networks with a batch and returns the means of the logged values over the gradient steps."""
-        learning_rate = set_learning_rate(self._optimizer, self.config, share)
+        learning_rate = self._set_learning_rate(share)
         batch["next", "reward"] *= self._settings.reward_scale
         with torch.no_grad():
             self._advantage(batch)
@@ -161,19 +160,6 @@ class PPOLearner:
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self._loss.parameters(), self._settings.max_grad_norm)
         self._optimizer.step()
-
-    def weights(self) -> dict[str, Tensor]:
-        """Returns the weights of all networks, by name."""
-        return dict(self._loss.named_parameters())
-
-    def state_dict(self) -> dict[str, Any]:
-        """Returns the weights and the state of the optimizer."""
-        return {"loss": self._loss.state_dict(), "optimizer": self._optimizer.state_dict()}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Loads a state that :meth:`state_dict` returned."""
-        self._loss.load_state_dict(state["loss"])
-        self._optimizer.load_state_dict(state["optimizer"])
 
 
 def _make_expert(config: TrainingConfig) -> Callable[[TensorDictBase], Tensor]:

@@ -10,16 +10,18 @@ import secrets
 import signal
 import threading
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.modules import ProbabilisticActor
+from torchrl.objectives import LossModule
 
 from rover_rl.algos.archives import first_not_finite
 from rover_rl.algos.config import TrainingConfig, with_settings
@@ -40,26 +42,38 @@ from rover_rl.sims.worlds.names import check_training_seed
 from rover_rl.sims.worlds.pool import WorldPool, draws_worlds
 
 
-class Learner(Protocol):
-    """Interface between an algorithm and :class:`TrainingRun`."""
+class Learner(ABC):
+    """Actor, other networks and their update. The interface between an algorithm and :class:`TrainingRun`."""
 
+    config: TrainingConfig
     actor: ProbabilisticActor
+    _loss: LossModule
+    _optimizer: torch.optim.Optimizer
 
+    @abstractmethod
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
         """Learns from a batch ``[N, T]`` of decisions, after a fraction ``share`` of training; returns what to log."""
-        ...
 
     def weights(self) -> dict[str, Tensor]:
-        """Returns all trained weights, by name."""
-        ...
+        """Returns the weights of all networks, by name."""
+        return dict(self._loss.named_parameters())
 
     def state_dict(self) -> dict[str, Any]:
         """Returns the state from which training continues, as plain data and tensors."""
-        ...
+        return {"loss": self._loss.state_dict(), "optimizer": self._optimizer.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Loads a state that :meth:`state_dict` returned."""
-        ...
+        self._loss.load_state_dict(state["loss"])
+        self._optimizer.load_state_dict(state["optimizer"])
+
+    def _set_learning_rate(self, share: float) -> float:
+        """Sets the learning rate for the fraction ``share`` of training that is done, and returns it."""
+        settings = self.config.algorithm
+        learning_rate = settings.learning_rate * (1 - share if settings.anneal else 1.0)
+        for group in self._optimizer.param_groups:
+            group["lr"] = learning_rate
+        return learning_rate
 
 
 @dataclass(frozen=True)
@@ -345,11 +359,3 @@ def check_world(world: str | World) -> None:
     if isinstance(world, str):
         check_training_seed(world)
     WorldPool.of(world)[0]
-
-
-def set_learning_rate(optimizer: torch.optim.Optimizer, config: TrainingConfig, share: float) -> float:
-    """Sets the learning rate of the optimizer for the fraction ``share`` of training that is done, and returns it."""
-    learning_rate = config.algorithm.learning_rate * (1 - share if config.algorithm.anneal else 1.0)
-    for group in optimizer.param_groups:
-        group["lr"] = learning_rate
-    return learning_rate

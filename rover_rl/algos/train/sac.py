@@ -33,7 +33,7 @@ from rover_rl.algos.policy.networks import (
     on_features,
 )
 from rover_rl.algos.train.progress import Stopwatch
-from rover_rl.algos.train.run import set_learning_rate
+from rover_rl.algos.train.run import Learner
 
 __all__ = ["SACConfig", "SACLearner"]
 
@@ -41,7 +41,7 @@ LOGGED = ("loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy")
 """Values that are logged for each gradient step."""
 
 
-class SACLearner:
+class SACLearner(Learner):
     """Actor, two critics with target networks, a replay buffer and the SAC update."""
 
     def __init__(self, config: TrainingConfig) -> None:
@@ -81,7 +81,7 @@ class SACLearner:
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
         """Takes the gradient steps that are due and returns the means of the logged values, nan if none are due."""
         self._extend_buffer(batch)
-        learning_rate = set_learning_rate(self._optimizer, self.config, share)
+        learning_rate = self._set_learning_rate(share)
         count, self._gradient_steps_due = int(self._gradient_steps_due), self._gradient_steps_due % 1
         with stopwatch("gradient steps"):
             critic_alone = share < self._settings.critic_warmup
@@ -106,16 +106,11 @@ class SACLearner:
         self._target_update.step()
         return torch.stack([losses[key].detach() for key in LOGGED])
 
-    def weights(self) -> dict[str, Tensor]:
-        """Returns the weights of all networks, by name."""
-        return dict(self._loss.named_parameters())
-
     def state_dict(self) -> dict[str, Any]:
         """Returns the weights, the state of the optimizer, the replay buffer and the gradient steps that are due."""
         storage, count = self._replay_buffer.storage, len(self._replay_buffer)
         return {
-            "loss": self._loss.state_dict(),
-            "optimizer": self._optimizer.state_dict(),
+            **super().state_dict(),
             # Cloned: a slice would be saved with the whole storage.
             "memory": storage[:count].clone().flatten_keys("/").to_dict() if count else {},
             "cursor": self._replay_buffer.writer.state_dict()["_cursor"],
@@ -124,8 +119,7 @@ class SACLearner:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Loads a state that :meth:`state_dict` returned."""
-        self._loss.load_state_dict(state["loss"])
-        self._optimizer.load_state_dict(state["optimizer"])
+        super().load_state_dict(state)
         if state["memory"]:
             count = len(state["memory"]["action"])
             self._replay_buffer.extend(TensorDict(state["memory"], batch_size=[count]).unflatten_keys("/"))
