@@ -108,7 +108,9 @@ class Trajectories(NamedTuple):
         yaw_rate: yaw rate of the body that each approaches, ``[N, S]``, rad/s.
         time: time of the poses, ``[K]``, s.
         path: distance driven, negative backward, ``[N, S, K]``, m.
-        x, y, heading: poses, ``[N, S, K]``, m and rad.
+        x: positions along x, ``[N, S, K]``, m.
+        y: positions along y, ``[N, S, K]``, m.
+        heading: headings, ``[N, S, K]``, rad.
     """
 
     speed: Tensor
