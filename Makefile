@@ -22,9 +22,10 @@ venv: $(STAMP) ## install everything into .venv (the other targets do so when it
 demo: $(STAMP) ## watch a trained rover drive
 	$(BIN)/rover-rl demo $(ARGS)
 
-# One thread a worker: the workers share the cores already. As many open files as Ubuntu allows by default.
+# One thread a worker: the workers share the cores already. Four workers keep two cores busy while some wait for processes
+# and sensors. As many open files as Ubuntu allows by default.
 test: $(STAMP) ## run the tests
-	ulimit -S -n 1024 && OMP_NUM_THREADS=$${OMP_NUM_THREADS:-1} $(BIN)/python -m pytest -n 2 $(ARGS)
+	ulimit -S -n 1024 && OMP_NUM_THREADS=$${OMP_NUM_THREADS:-1} $(BIN)/python -m pytest -n 4 $(ARGS)
 
 lint: $(STAMP) ## check style, format and types
 	$(BIN)/ruff check

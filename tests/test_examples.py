@@ -141,7 +141,7 @@ def test_python_blocks_that_start_processes(tmp_path: Path) -> None:
         ("torchrl_ppo.py", {"STEPS": 256, "ROVERS": 2}, "256 steps"),
         ("sb3_sac.py", {"STEPS": 64, "ROVERS": 2, "EPISODE": 20}, "of 2 rovers reached a goal"),
         pytest.param("deploy_policy.py", {"STEPS": 20}, r"m from the goal after 1\.0 s", marks=pytest.mark.slow),
-        pytest.param("fine_tuning.py", {"EPISODES": 2, "STEPS": 2_000}, "fine-tuned: ", marks=pytest.mark.slow),
+        pytest.param("fine_tuning.py", {"EPISODES": 1, "STEPS": 1_000}, "fine-tuned: ", marks=pytest.mark.slow),
     ],
 )
 def test_programs_of_the_gallery(

@@ -66,7 +66,7 @@ class Backend(Protocol):
         ...     substeps: int = 20
         ...
         ...     def make(self, **arguments):
-        ...         return BulletSettings(substeps=self.substeps).make(**arguments)
+        ...         return make_simulator(BulletSettings(substeps=self.substeps), **arguments)
         >>> register_backend("mine", MySettings)
         >>> env = RoverEnv(backend="mine")
     """

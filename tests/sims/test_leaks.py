@@ -7,7 +7,7 @@ import pytest
 from benchmarks.leaks import in_fresh_process
 from tests.extras import needs_mujoco
 
-WARMUP, CYCLES = 5, 5
+WARMUP, CYCLES = 3, 4
 WORLDS = ("new",)
 """Another world each time, with meshes of the ground and of boulders: the built-in worlds have nothing else."""
 LIMIT = 5.0 * CYCLES

@@ -3,9 +3,9 @@
 Example:
     >>> config = training_config("ppo", world="maze", num_envs=8, total_steps=512)
     >>> sweep = Sweep(config, read_space(["gamma=0.9,0.99"], config), Path("runs/sweep-maze"), episodes=2)
-    >>> sweep.run(trials=2, say=print)
-    >>> sorted(sweep.settings(trial)["gamma"] for trial in sweep.finished)
-    [0.9, 0.99]
+    >>> sweep.run(trials=1, say=print)
+    >>> sweep.settings(sweep.finished[0])["gamma"] in (0.9, 0.99)
+    True
 """
 
 from __future__ import annotations

@@ -124,7 +124,8 @@ LEARNERS = {
 
 
 COLLECTED = {
-    **LEARNERS,
+    "ppo": LEARNERS["ppo"],
+    "sac": LEARNERS["sac"],
     "gru": training_config("ppo", memory="gru", memory_size=8),
     "pool": training_config("ppo", world=POOL),
 }
@@ -156,7 +157,7 @@ def _stepped(on: Accelerator | None) -> tuple[list[dict[str, Tensor]], list[str]
     env = _env(on)
     td = env.reset()
     seen, looks = [], []
-    for step in range(16):
+    for step in range(10):
         action = torch.tensor([[0.9, 0.3], [-0.5, 2.0]], device=env.device).repeat(ROVERS // 2, 1)
         if on is not None:
             on.looks.clear()

@@ -58,32 +58,18 @@ def test_results_do_not_depend_on_the_number_of_threads():
         assert (rollouts[0] == other).all()
 
 
-def test_several_threads_scan_for_a_rover():
-    scans = []
-    for lanes in (1, 8):
-        env = make_env(
-            backend=WarpSettings(threads=2, lidar_lanes=lanes), world_n=["inspect", "maze"], num_envs=40, seed=1
-        )
-        td = env.reset()
-        for _ in range(5):
-            td = env.step(td.set("action", torch.tensor([[0.8, 0.3]] * 40)))["next"]
-        scans.append(env.base_env.simulator.state().ranges)
-        env.close()
-    torch.testing.assert_close(*scans, rtol=5e-7, atol=0)
-
-
 @pytest.mark.slow
 def test_random_driving_stays_on_the_ground_and_out_of_obstacles():
     """Rovers are not launched, do not sink in or become NaN; wheels penetrate obstacles by at most 1 cm."""
     for name in ("inspect", "moon", "maze"):
         world = get_world(name)
-        env = make_env(backend="warp", world_n=name, num_envs=128, seed=0, lidar_beams=32, length=400)
+        env = make_env(backend="warp", world_n=name, num_envs=256, seed=0, lidar_beams=32, length=400)
         td = env.reset()
         generator = torch.Generator().manual_seed(0)
         space = env.action_spec.space
         for step in range(300):
             if step % 10 == 0:
-                action = space.low + (space.high - space.low) * torch.rand(128, 2, generator=generator)
+                action = space.low + (space.high - space.low) * torch.rand(256, 2, generator=generator)
             _, td = env.step_and_maybe_reset(td.set("action", action))
             position = env.base_env.rover_state.position
             assert torch.isfinite(position).all()
@@ -164,9 +150,3 @@ def test_scan_depends_on_the_pose_alone():
     assert (elsewhere[1:] == before[1:]).all()
     assert (simulator.reset(first, poses) == before).all()
     assert (simulator.state() == before).all()
-
-
-def test_close_is_idempotent():
-    simulator = make_simulator(WarpSettings(threads=2), worlds=[get_world("maze")] * 64, robot=ROVER, lidar_beams=8)
-    simulator.close()
-    simulator.close()
