@@ -45,7 +45,7 @@ class Drive(ABC):
     """A drive: its joints, its kinematics and its limits.
 
     A *command* is a twist: forward speed (m/s), counter-clockwise yaw rate (rad/s) and, for a drive that moves
-    :attr:`sideways`, speed to the left (m/s). A *set point* is what the drive holds between two commands, usually the
+    sideways, speed to the left (m/s). A *set point* is what the drive holds between two commands, usually the
     twist that it has reached. A subclass is a frozen dataclass, whose fields name its joints and state its limits. All
     methods are batched.
 
