@@ -71,7 +71,7 @@ class PlainRover(gymnasium.Env):
         for body in range(pybullet.getNumBodies(physicsClientId=client)):
             # Static bodies collide with rays and the rover, not with one another.
             pybullet.setCollisionFilterGroupMask(body, -1, _STATIC, _RAYS | _ROVER, physicsClientId=client)
-        self._body = load_rover(client, self._robot, settings)
+        self._body = load_rover(client, self._robot.urdf, settings)
         names = [*self._robot.drive.left, *self._robot.drive.right]
         joints = range(pybullet.getNumJoints(self._body, physicsClientId=client))
         index = {pybullet.getJointInfo(self._body, j, physicsClientId=client)[1].decode(): j for j in joints}

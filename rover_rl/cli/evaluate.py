@@ -61,10 +61,12 @@ class Evaluate:
     def __call__(self) -> int:
         """Evaluates the policies, and prints a table and the paths of the results."""
         from rover_rl.algos.deploy.drive_log import read_drives
+        from rover_rl.algos.evaluation.evaluate import check_options
         from rover_rl.algos.evaluation.plots import draw_paths
         from rover_rl.algos.evaluation.report import check_columns, print_table, write_evaluation
 
         check_columns(self.columns)
+        check_options(seconds=self.seconds)
         logs = {Path(word): read_drives(Path(word)) for word in self.policies if word.endswith(LOG)}
         if not self.policies:
             raise ValueError(NO_POLICY)

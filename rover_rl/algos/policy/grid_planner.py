@@ -1,7 +1,7 @@
 """``GridPlanner``: classical baseline that plans on a grid map of what the lidar has seen and follows the route.
 
 Example:
-    >>> env = make_env(world_n="maze", num_envs=4)
+    >>> env = make_env(world_n="maze", num_envs=4, lidar_points=128)
     >>> runner = PolicyRunner(GridPlanner())
     >>> runner(env.reset()).shape
     torch.Size([4, 2])

@@ -55,8 +55,7 @@ class WheelOdometry(Sensor):
 class SidewaysOdometry(Sensor):
     """Speed to the left by the wheels of a drive that moves sideways, ``[N, 1]``, m/s.
 
-    Example:
-        >>> robot = Robot.from_urdf("omni.urdf", drive=Mecanum(...), sensors=(SidewaysOdometry(),))
+    Add it to the robot: ``Robot.from_urdf("omni.urdf", drive=..., sensors=(SidewaysOdometry(),))``.
     """
 
     name: str = "sideways"

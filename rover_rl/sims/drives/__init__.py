@@ -1,8 +1,8 @@
 """Drives: how commands move the joints of a robot, and how its joints tell how it moves.
 
-``base``: ``Drive``, what a drive is, and ``Wheels``, the geometry that it drives. ``skid_steer``, ``ackermann``,
-    ``mecanum``: a
-drive each. ``simulated``: the drives of a batch of simulated rovers.
+- ``base``: ``Drive``, what a drive is, and ``Wheels``, the geometry that it drives.
+- ``skid_steer``, ``ackermann``, ``mecanum``: a drive each.
+- ``simulated``: the drives of a batch of simulated rovers.
 """
 
 from __future__ import annotations

@@ -73,7 +73,8 @@ class Ros2Simulator:
         ImportError: if a package that the transport requires is not installed.
     """
 
-    capabilities: frozenset[Capability] = frozenset({"live", "scan_period"})
+    # It senses no contacts, and reports none.
+    capabilities: frozenset[Capability] = frozenset({"contacts", "live", "scan_period"})
 
     def __init__(
         self,
