@@ -66,7 +66,7 @@ class Evaluate:
         from rover_rl.algos.evaluation.report import check_columns, print_table, write_evaluation
 
         check_columns(self.columns)
-        check_options(seconds=self.seconds)
+        check_options(seconds=self.seconds, action_repeat=1 if self.action_repeat is None else self.action_repeat)
         logs = {Path(word): read_drives(Path(word)) for word in self.policies if word.endswith(LOG)}
         if not self.policies:
             raise ValueError(NO_POLICY)
