@@ -90,6 +90,8 @@ class LagFreeRovers:
     Obstacles do not stop them. The body touches one where its outline is within 1 cm of it.
     """
 
+    capabilities = frozenset({"contacts"})
+
     def __init__(self, worlds: Sequence[World], robot: Robot, lidar_beams: int, settings: LagFree) -> None:
         self.num_envs, self.device, self.robot_connected = len(worlds), torch.device("cpu"), True
         self.control_dt = DT

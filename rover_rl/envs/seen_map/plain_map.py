@@ -322,7 +322,8 @@ def _corners(levels: Tensor, costs: Tensor, weights: Tensor, goal: Tensor, start
 
     def at(values: Tensor, cells: Tensor) -> Tensor:
         column, row = cells.clamp(0, SIZE - 1).unbind(-1)
-        return values[row, column]
+        # An index without dimensions cannot be exported.
+        return values.flatten().index_select(0, (SIZE * row + column).flatten()).reshape(row.shape)
 
     def going(n: Tensor, cell: Tensor, step: Tensor, first: Tensor, walked: Tensor, least: Tensor, found: Tensor):
         return (n < LONGEST) & (found[1, 0] < 0) & (cell != goal).any()
@@ -333,7 +334,7 @@ def _corners(levels: Tensor, costs: Tensor, weights: Tensor, goal: Tensor, start
         cost = torch.where(inside, at(costs, around) + lengths * at(weights, around), float(UNKNOWN_COST)).long()
         # Of equally cheap steps, the path takes that which goes on ahead, or the first.
         step = (16 * cost + torch.where(direction == step, -1, direction)).argmin()
-        following = cell + steps[step]
+        following = cell + steps.index_select(0, step.reshape(1))[0]
         level = at(levels, following)
         least, way = torch.minimum(least, level), following - first
         count = way.abs().amax()
