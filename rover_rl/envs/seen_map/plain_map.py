@@ -337,9 +337,9 @@ def _corners(levels: Tensor, costs: Tensor, weights: Tensor, goal: Tensor, start
         following = cell + steps.index_select(0, step.reshape(1))[0]
         level = at(levels, following)
         least, way = torch.minimum(least, level), following - first
-        count = way.abs().amax()
+        count = way.abs().amax(0)
         line = first + ((numbers / count)[:, None] * way + 0.5).floor().long()
-        lowest = torch.where(numbers < count, at(levels, line), float(OPEN)).amin()
+        lowest = torch.where(numbers < count, at(levels, line), float(OPEN)).amin(0)
         is_corner = (walked >= NEAREST) & (lowest < least)
         found = torch.where(is_corner & (index == (found[0, 0] >= 0).long()), cell, found)
         first, least = torch.where(is_corner, cell, first), torch.where(is_corner, level, least)
