@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from rich.console import Console
 from tensordict import TensorDict
 
 pytest.importorskip("stable_baselines3")
@@ -85,6 +86,14 @@ def test_ours_is_compared_at_the_success_that_theirs_ends_with():
     result = against_sb3.compare(curve("ours", 0.2, 0.6, 0.5, 0.9), curve("theirs", 0.1, 0.7, 0.4, 0.5))
     assert (result.success, result.minutes, result.first_minutes) == (0.5, 4, 2)
     assert (result.our_minutes, result.share) == (2, 0.5)
+
+
+def test_ours_may_never_get_there(tmp_path):
+    ours, theirs = curve("rover_rl", 0.1, 0.2), curve("SB3, our batch", 0.1, 0.3)
+    result = against_sb3.compare(ours, theirs)
+    assert (result.our_minutes, result.share) == (None, None)
+    against_sb3.draw(tmp_path / "picture.png", settings("ppo", tmp_path), 2, [ours, theirs], [result])
+    against_sb3.show(Console(), [ours, theirs])
 
 
 @pytest.mark.slow

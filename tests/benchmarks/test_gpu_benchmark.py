@@ -13,6 +13,7 @@ import torch
 from rich.console import Console
 
 from benchmarks import gpu
+from benchmarks.gpu import kernels
 from benchmarks.gpu.counters import METRICS, read_counters
 from benchmarks.options import Options
 
@@ -21,7 +22,7 @@ from benchmarks.options import Options
 def options(tmp_path: Path) -> Options:
     return Options(
         device="cpu",
-        gpu_rovers=(1,),
+        gpu_rovers=(8, 16),
         gpu_beams=(32,),
         gpu_worlds=("maze:0-3",),
         gpu_learners=(4,),
@@ -36,7 +37,7 @@ def test_a_rehearsal_on_the_cpu_measures_everything(options: Options, tmp_path: 
     results = gpu.measure(options)
     assert results is not None
     assert json.loads((tmp_path / "gpu.json").read_text()) == results
-    assert [(row["world"], row["rovers"]) for row in results["speed"]] == [("maze:0-3", 1)]
+    assert [(row["world"], row["rovers"]) for row in results["speed"]] == [("maze:0-3", 8), ("maze:0-3", 16)]
     for row in results["speed"]:
         # Physics and lidar are a part of the step.
         assert row["physics"] > row["environment"] > 0
@@ -112,3 +113,18 @@ def test_counters_are_read_from_nsight_compute() -> None:
     # Three of five warps wait for memory, one for an instruction before, and one issues.
     assert list(physics["waits"].values())[:2] == pytest.approx([0.6, 0.2])
     assert scan["kernel"] == "scan"
+
+
+def test_counters_that_cannot_be_read_do_not_lose_the_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError("ncu ended with 1: ERR_NVGPUCTRPERM")
+
+    monkeypatch.setattr(kernels, "count", fail)
+    found = kernels.counted("maze", 8, 32, {"flops_per_s": 1.0, "bytes_per_s": 1.0})
+    assert found == {"counters_error": "RuntimeError: ncu ended with 1: ERR_NVGPUCTRPERM"}
+    console = Console(width=160, file=io.StringIO())
+    case = {"world": "maze", "rovers": 8, "beams": 32, "seconds": {"scan": 0.004}}
+    console.print(kernels.table({**case, **found}))
+    told = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "4.000" in told
+    assert "ERR_NVGPUCTRPERM" in told

@@ -63,6 +63,12 @@ def test_the_environment_matches_its_specs(world, num_envs):
     with_contracts_reward.close()
 
 
+def test_the_environment_matches_its_specs_with_rows_in_several_worlds():
+    env = make_env(world_n=["maze", "moon"], num_envs=5, seed=0, lidar_beams=32)
+    check_env_specs(env, break_when_any_done="both")
+    env.close()
+
+
 def test_the_batch_has_a_row_per_rover_and_leaves_have_a_feature_dimension():
     env = rovers(3, reward="task")
     assert env.batch_size == torch.Size([3])
@@ -89,6 +95,14 @@ def test_the_bare_environment_has_one_reward_and_the_contracts_has_one_more_per_
     assert set(env.reward_keys) == {"reward", *COMPONENTS}
     bare.close()
     env.close()
+
+
+def test_observations_of_a_rollout_lie_in_the_spec():
+    env = rovers(4)
+    spec = env.observation_spec
+    td = rollout(env)
+    for k in range(12):
+        assert all(spec[key].is_in(td[key][:, k]) for key in OBSERVATION)
 
 
 def test_later_steps_do_not_write_to_returned_tensordicts():

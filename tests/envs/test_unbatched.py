@@ -108,6 +108,11 @@ def test_starts_and_goals_have_no_row_dimension():
         env.close()
 
 
+def test_it_takes_a_single_world():
+    with pytest.raises(ValueError, match="between 1 and num_envs=1 worlds, got 2"):
+        make(None, world_n=["maze", "moon"])
+
+
 @pytest.mark.parametrize("nested", [False, True])
 def test_it_takes_the_transforms_of_the_package(nested):
     rollouts = []

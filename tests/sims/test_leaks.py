@@ -7,9 +7,9 @@ import pytest
 from benchmarks.leaks import in_fresh_process
 from tests.extras import needs_mujoco
 
-WARMUP, CYCLES = 3, 4
-WORLDS = ("new",)
-"""Another world each time, with meshes of the ground and of boulders: the built-in worlds have nothing else."""
+WARMUP, CYCLES = 5, 5
+WORLDS = ("inspect", "new")
+"""The worlds with meshes of the ground and of boulders; the maze and the moon have nothing that these do not have."""
 LIMIT = 5.0 * CYCLES
 """Allowed growth in MB. The lists leaked by PyBullet's own functions take 21 to 115 MB per environment, except in the
 maze (`python -m benchmarks.leaks` measures all worlds)."""

@@ -136,6 +136,15 @@ def test_walls_stop_the_rover(backend):
     assert last.position[0, 0].item() == pytest.approx(2.0 - 0.25 - 0.2635, abs=0.05)
 
 
+def test_resting_pose_needs_no_settling(backend):
+    world = slope(15)
+    simulator = simulate(backend, world, [(0.0, 0.0, 0.7)])
+    before = simulator.state()
+    after = drive(simulator, [(0.0, 0.0)], 20)[-1]
+    assert (after.position - before.position).norm() < 0.005
+    assert (quaternion_to_euler(after.orientation) - quaternion_to_euler(before.orientation)).abs().max() < 0.01
+
+
 def test_base_frame_is_level_on_level_ground(backend, flat):
     # The chassis' principal axes of inertia are rotated by a degree against the base frame; the pose is not.
     state = drive(simulate(backend, flat, [(1.0, 2.0, 0.5)]), [(0.0, 0.0)], 20)[-1]

@@ -77,23 +77,25 @@ def test_what_is_recorded(driven: Evaluation) -> None:
     assert 0.8 < driven.metrics["spl"].value <= 1
 
 
+@pytest.mark.parametrize("rows", [3, 8])
 @pytest.mark.parametrize("kind", ["rule", "network", "random"])
-def test_an_episode_depends_neither_on_the_rows_nor_on_its_place(kind: str) -> None:
+def test_an_episode_depends_neither_on_the_rows_nor_on_its_place(kind: str, rows: int) -> None:
     torch.manual_seed(0)
     network = make_actor()
     policies: dict[str, Policy | None] = {"rule": straight, "network": network, "random": None}
     policy = policies[kind]
     together = evaluate(policy, MANY, seconds=1.5, rows=9)
-    assert_same(evaluate(policy, MANY, seconds=1.5, rows=3), together)
+    assert_same(evaluate(policy, MANY, seconds=1.5, rows=rows), together)
     if kind != "random":  # which draws for the number of an episode
         turned = EpisodeSet("field", FIELD, 1, MANY.start.flip(0), MANY.goal.flip(0), MANY.shortest.flip(0))
-        backwards = evaluate(policy, turned, seconds=1.5, rows=3)
+        backwards = evaluate(policy, turned, seconds=1.5, rows=rows)
         backwards.trajectories.reverse()
         assert_same(backwards, together)
 
 
-def test_an_episode_with_memory_depends_neither_on_the_rows_nor_on_its_place() -> None:
-    actor = recurrent_checkpoint("lstm").make_actor()
+@pytest.mark.parametrize("memory", ["gru", "lstm"])
+def test_an_episode_with_memory_depends_neither_on_the_rows_nor_on_its_place(memory: str) -> None:
+    actor = recurrent_checkpoint(memory).make_actor()
     together = evaluate(actor, MANY, seconds=1.5, rows=9)
     for rows in (1, 4):
         assert_same(evaluate(actor, MANY, seconds=1.5, rows=rows), together)

@@ -58,31 +58,37 @@ def assert_same(ours: Evaluation | EndlessEvaluation, theirs: Evaluation | Endle
 
 @pytest.mark.slow
 def test_results_in_two_processes_are_those_of_one_evaluation_after_another(checkpoint: Checkpoint) -> None:
-    env = EnvConfig(randomization=Randomization.typical())
     requests: list[Request] = []
-    randomized: list[Request] = []
     expected: list[Evaluation | EndlessEvaluation] = []
     for name, policy in policies(checkpoint).items():
         requests += [
             GoalRequest(policy, EPISODES, {"name": name, "seconds": SECONDS}),
             EndlessRequest(policy, WORLD, {"name": name, "steps": STEPS}, rows=10, seed=3),
         ]
-        randomized += [
-            GoalRequest(policy, EPISODES, {"seconds": SECONDS, "env": env}),
-            EndlessRequest(policy, WORLD, {"steps": STEPS, "env": env}, rows=10),
-        ]
         expected += [
             evaluate(policy, EPISODES, name=name, seconds=SECONDS),
             evaluate_endless(policy, WORLD, name=name, rows=10, seed=3, steps=STEPS),
         ]
-    # Parts of an evaluation are randomized differently.
-    expected += evaluate_all(randomized, workers=1)
-    assert not torch.equal(expected[6].trajectories[0].position, expected[0].trajectories[0].position)
     before = torch.random.get_rng_state()
-    for ours, theirs in zip(evaluate_all([*requests, *randomized], workers=2), expected, strict=True):
+    for ours, theirs in zip(evaluate_all(requests, workers=2), expected, strict=True):
         assert_same(ours, theirs)
         assert len(ours.trajectories) in (40, 10)
     assert torch.equal(torch.random.get_rng_state(), before)
+
+
+@pytest.mark.slow
+def test_results_in_a_randomized_environment_do_not_depend_on_the_number_of_processes(checkpoint: Checkpoint) -> None:
+    env = EnvConfig(randomization=Randomization.typical())
+    requests: list[Request] = []
+    for policy in policies(checkpoint).values():
+        requests.append(GoalRequest(policy, EPISODES, {"seconds": SECONDS, "env": env}))
+        requests.append(EndlessRequest(policy, WORLD, {"steps": STEPS, "env": env}, rows=10))
+    one, two = (evaluate_all(requests, workers) for workers in (1, 2))
+    for ours, theirs in zip(one, two, strict=True):
+        assert_same(ours, theirs)
+    # Parts of an evaluation are randomized differently.
+    (plain,) = evaluate_all([GoalRequest(ScriptedPolicy(), EPISODES, {"seconds": SECONDS})], 1)
+    assert not torch.equal(one[0].trajectories[0].position, plain.trajectories[0].position)
 
 
 @pytest.mark.slow

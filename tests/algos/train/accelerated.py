@@ -124,8 +124,7 @@ LEARNERS = {
 
 
 COLLECTED = {
-    "ppo": LEARNERS["ppo"],
-    "sac": LEARNERS["sac"],
+    **LEARNERS,
     "gru": training_config("ppo", memory="gru", memory_size=8),
     "pool": training_config("ppo", world=POOL),
 }
@@ -157,7 +156,7 @@ def _stepped(on: Accelerator | None) -> tuple[list[dict[str, Tensor]], list[str]
     env = _env(on)
     td = env.reset()
     seen, looks = [], []
-    for step in range(10):
+    for step in range(16):
         action = torch.tensor([[0.9, 0.3], [-0.5, 2.0]], device=env.device).repeat(ROVERS // 2, 1)
         if on is not None:
             on.looks.clear()

@@ -26,8 +26,6 @@ from tests.algos.train.memories import GRU, LSTM, check_states, joined, kept_bat
 from tests.algos.train.runs import FIELD, PPO, WALL, equal, field, progress_of
 
 BOTH = pytest.mark.parametrize("config", [GRU, LSTM], ids=["gru", "lstm"])
-LARGER = pytest.mark.parametrize("config", [LSTM], ids=["lstm"])
-"""An LSTM has two states where a GRU has one."""
 OBSERVATION = PPO.network.observation
 
 
@@ -39,7 +37,7 @@ def batches(config: TrainingConfig, count: int) -> tuple[PPOLearner, list[Tensor
         return learner, [next(collected).clone() for _ in range(count)]
 
 
-@LARGER
+@BOTH
 @torch.no_grad()
 def test_the_memory_moves_in_collected_data_and_is_cleared_at_resets(config: TrainingConfig) -> None:
     learner, collected = batches(config, 3)
@@ -53,7 +51,7 @@ def test_the_memory_moves_in_collected_data_and_is_cleared_at_resets(config: Tra
         torch.testing.assert_close(again[key], batch[key])
 
 
-@LARGER
+@BOTH
 @torch.no_grad()
 def test_a_policy_that_drives_has_the_memory_of_training(config: TrainingConfig) -> None:
     learner, (batch,) = batches(config, 1)
@@ -64,7 +62,7 @@ def test_a_policy_that_drives_has_the_memory_of_training(config: TrainingConfig)
         torch.testing.assert_close(runner(step.select(*OBSERVATION)), high * step["loc"].tanh())
 
 
-@LARGER
+@BOTH
 def test_the_first_gradient_step_finds_the_probabilities_of_the_collected_actions(config: TrainingConfig) -> None:
     settings = with_settings(config, mirror_augmentation=False, epochs=1, minibatch=32)
     learner, collected = batches(settings, 2)
@@ -120,7 +118,7 @@ def _policies(folder: Path) -> list[Path]:
     return sorted((folder / "snapshots").iterdir())
 
 
-@LARGER
+@BOTH
 def test_sequences_are_mirrored_and_imitated_as_a_whole(config: TrainingConfig) -> None:
     imitating = with_settings(config, imitation=1.0, epochs=15, learning_rate=3e-3, anneal=False, world=(FIELD, WALL))
     learner, (_, batch) = batches(imitating, 2)
@@ -130,7 +128,7 @@ def test_sequences_are_mirrored_and_imitated_as_a_whole(config: TrainingConfig) 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick_workers")
-@LARGER
+@BOTH
 def test_workers_carry_the_memory(config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     collected = kept_batches(monkeypatch)
     train(with_settings(config, workers=2, total_steps=384, runs=str(tmp_path)))

@@ -24,6 +24,7 @@ from tests.algos.train.memories import check_states, joined, kept_batches
 from tests.algos.train.runs import progress_of
 
 PPO = with_settings(runs.PPO, collector="ray", workers=None)
+SAC = with_settings(runs.SAC, collector="ray", workers=None)
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +58,12 @@ def _words(process: psutil.Process) -> list[str]:
 
 
 @pytest.mark.slow
+def test_sac_learns_from_one_worker_while_the_other_collects(cluster: None, tmp_path: Path) -> None:
+    progress = progress_of(train(with_settings(SAC, total_steps=128, runs=str(tmp_path))).folder)
+    assert progress["steps"] == list(range(16, 129, 16))
+
+
+@pytest.mark.slow
 def test_remote_workers_carry_the_memory_and_have_a_curriculum_of_their_own(
     cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -66,21 +73,20 @@ def test_remote_workers_carry_the_memory_and_have_a_curriculum_of_their_own(
     folder = train(config).folder
     assert len(collected) == 3
     check_states(joined(collected), "gru")
-    # Without the cluster, whose workers take seconds to start.
-    assert train(with_settings(config, collector="auto", workers=1, total_steps=512), folder).steps == 512
+    assert train(with_settings(config, total_steps=512), folder).steps == 512
     record = (folder / "curriculum.csv").read_text().splitlines()
     assert sum(int(row.split(",")[1]) for row in record[1:]) >= 8
 
 
-def kill_a_worker_at_the_third_update(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Lets PPO kill a worker and wait until that is noticed."""
+def kill_a_worker_at_the_third_update(monkeypatch: pytest.MonkeyPatch, wait: float) -> None:
+    """Lets PPO kill a worker and wait for some seconds."""
     update, calls = PPOLearner.update, []
 
     def killing(self: Any, *args: Any) -> dict[str, float]:
         calls.append(1)
         if len(calls) == 3:
             remote_workers()[0].send_signal(signal.SIGKILL)
-            time.sleep(2)
+            time.sleep(wait)
         return update(self, *args)
 
     monkeypatch.setattr(PPOLearner, "update", killing)
@@ -90,7 +96,7 @@ def kill_a_worker_at_the_third_update(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_ppo_takes_the_same_steps_as_on_one_machine_also_if_a_worker_was_killed(
     cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kill_a_worker_at_the_third_update(monkeypatch)
+    kill_a_worker_at_the_third_update(monkeypatch, wait=0)
     with pytest.raises(WorkerError, match="actor died"):
         train(with_settings(PPO, total_steps=UNLIMITED_STEPS, runs=str(tmp_path), name="dying"))
     folder = tmp_path / "dying"
@@ -104,6 +110,26 @@ def test_ppo_takes_the_same_steps_as_on_one_machine_also_if_a_worker_was_killed(
     # One worker per processor of the cluster.
     assert "workers: 2" in (folder / "config.yaml").read_text()
     assert not remote_workers()
+
+
+@pytest.mark.slow
+def test_a_run_in_warp_ends_resumably_if_a_worker_was_killed_a_while_ago(
+    cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = with_settings(PPO, backend="warp", runs=str(tmp_path), name="dying")
+    kill_a_worker_at_the_third_update(monkeypatch, wait=2)
+    with pytest.raises(WorkerError, match="actor died"):
+        train(with_settings(config, total_steps=UNLIMITED_STEPS))
+    folder = tmp_path / "dying"
+    assert load_state(folder / "training_state.pt")["updates"] >= 3
+    monkeypatch.undo()
+    checkpoint = Checkpoint.load(folder)
+    assert (checkpoint.env.backend, checkpoint.env.num_envs) == ("warp", PPO.num_envs)
+    steps = checkpoint.steps
+    # Without the cluster, whose workers take seconds to start.
+    config = with_settings(config, collector="auto", workers=1, total_steps=steps + 64)
+    assert train(config, folder).steps == steps + 64
+    assert progress_of(folder)["steps"] == list(range(64, steps + 65, 64))
 
 
 @pytest.mark.slow

@@ -46,8 +46,9 @@ def evaluated(folder: Path, env: EnvConfig | None = None) -> Evaluation:
 
 
 @pytest.mark.slow
-def test_an_episode_is_driven_as_in_the_evaluation(tmp_path: Path) -> None:
-    env = replace(environment_for(None, None), randomization=Randomization(range_noise=0.05))
+@pytest.mark.parametrize("randomized", [False, True])
+def test_an_episode_is_driven_as_in_the_evaluation(randomized: bool, tmp_path: Path) -> None:
+    env = replace(environment_for(None, None), randomization=Randomization(range_noise=0.05)) if randomized else None
     before = evaluated(tmp_path, env)
     stored = read_evaluation(tmp_path, "scripted")
     assert stored.endings == before.endings

@@ -75,5 +75,11 @@ def moving(steps: int, speed: float = 0.01, **values: float) -> list[Moment]:
     return [Moment(x=speed * k, **values) for k in range(steps + 1)]
 
 
+def random_actions(k: int, rows: int) -> Tensor:
+    """Actions of step ``k``: speeds from 0 to 1 m/s, heading offsets within 0.5 rad."""
+    generator = torch.Generator().manual_seed(k)
+    return torch.rand(rows, 2, generator=generator) - torch.tensor([0.0, 0.5])
+
+
 def assert_same_angle(actual: float, expected: float, tolerance: float = 1e-5) -> None:
     assert abs(contract.normalize(actual - expected)) < tolerance

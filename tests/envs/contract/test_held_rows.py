@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import torch
 
+from rover_rl import make_env
 from rover_rl.envs.task import StepEvent
-from tests.envs.contract.scripted_env import OBSERVATION, moving, pairs, play, scripted
+from tests.envs.contract.scripted_env import OBSERVATION, bare, moving, pairs, play, random_actions, scripted
 from tests.envs.scripted import Moment
 
 
@@ -25,6 +26,50 @@ def test_held_rows_keep_observation_and_counters_get_no_reward_and_do_not_move()
     assert after["reward"][1].item() == 0.0
     assert all(component[1].item() == 0.0 for component in after["reward_components"].values())
     assert after["reward"][0].item() > 0.0
+
+
+def test_held_rows_stand_still_in_bullet_and_then_go_on_as_if_nothing_had_happened():
+    rows, before, held_for, after = 4, 10, 5, 10
+    active, held = [0, 2], [1, 3]
+    mask = torch.tensor([True, False, True, False])
+    env, twin = (make_env(world_n="maze", num_envs=rows, seed=3, lidar_beams=32) for _ in range(2))
+    twin_td, twin_results = twin.reset(), []
+    for k in range(before + after):
+        twin_td["action"] = random_actions(k, rows)
+        twin_td = twin.step(twin_td)["next"]
+        twin_results.append(twin_td)
+
+    td = env.reset()
+    for k in range(before):
+        td["action"] = random_actions(k, rows)
+        td = env.step(td)["next"]
+    state, observation = bare(env).rover_state.clone(), td.select(*OBSERVATION).clone()
+    for k in range(before, before + held_for):
+        td.update({"action": random_actions(k, rows), "_step": mask})
+        td = env.step(td)["next"]
+        held_state = bare(env).rover_state
+        for raw in ("position", "orientation", "ranges", "linear_velocity", "angular_velocity", "stamp"):
+            assert torch.equal(getattr(held_state, raw)[held], getattr(state, raw)[held])
+        assert (td.select(*OBSERVATION)[held] == observation[held]).all()
+        assert not td["reward"][held].any()
+        assert td["outcome", "phase"][held].eq(StepEvent.NONE).all()
+        # The other rows are unaffected.
+        assert (
+            td.select(*OBSERVATION, "reward")[active] == twin_results[k].select(*OBSERVATION, "reward")[active]
+        ).all()
+    assert td["outcome", "steps"].flatten().tolist() == [15, 10, 15, 10]
+
+    # The held rows now follow the twin, except that the solver has to find its contacts again.
+    for k in range(before, before + after):
+        td["action"] = random_actions(k, rows)
+        td = env.step(td)["next"]
+        actual, expected = td[held], twin_results[k][held]
+        tolerance = 1e-3 if k == before else 1e-2
+        torch.testing.assert_close(actual["pose"], expected["pose"], atol=tolerance, rtol=0)
+        torch.testing.assert_close(actual["imu"], expected["imu"], atol=2e-2, rtol=0)
+        assert torch.equal(actual["outcome", "steps"], expected["outcome", "steps"])
+    env.close()
+    twin.close()
 
 
 def test_a_done_row_that_is_held_stays_done():

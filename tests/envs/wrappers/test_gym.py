@@ -107,10 +107,24 @@ def test_gymnasium_check_env(render_mode, pygame):
 # Reset and step
 
 
+def test_a_seed_reproduces_everything():
+    env = make(length=7)
+    first = rollout(env, 5, 30)
+    assert_same(rollout(env, 5, 30), first)
+    env.close()
+
+
 def test_a_seed_may_be_any_integer_in_range(env):
     first, _ = env.reset(seed=2**63 - 1)
     second, _ = env.reset(seed=np.uint64(2**63 - 1))
     assert_same(first, second)
+
+
+def test_reset_without_a_seed_starts_another_episode(env):
+    first, _ = env.reset(seed=3)
+    second, info = env.reset()
+    assert info == {}
+    assert (first["pose"] != second["pose"]).any()
 
 
 def test_a_seed_gives_the_episode_of_the_batched_environment(env):

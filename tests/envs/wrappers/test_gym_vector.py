@@ -120,6 +120,21 @@ def test_the_spaces_are_batches_of_the_single_ones(shared):
     single.close()
 
 
+def test_same_step_returns_the_final_observation():
+    envs = native(AutoresetMode.SAME_STEP, length=2)
+    envs.reset(seed=0)
+    envs.step(np.full((ROWS, 2), 0.5))
+    observation, _, terminated, _, infos = envs.step(np.full((ROWS, 2), 0.5))
+    assert terminated.all()
+    for row in range(ROWS):
+        assert infos["final_obs"][row] in envs.single_observation_space
+        assert (infos["final_obs"][row]["pose"] != observation["pose"][row]).any()
+    assert infos["_final_obs"].all()
+    assert infos["final_info"]["steps"].tolist() == [2] * ROWS
+    assert "steps" not in infos
+    envs.close()
+
+
 def test_disabled_requires_a_reset_of_ended_rows():
     envs = native(AutoresetMode.DISABLED, length=2)
     envs.reset(seed=0)
@@ -145,6 +160,13 @@ def test_a_partial_reset_leaves_other_rows_unchanged(envs):
 def test_a_bad_mask_is_refused(envs, mask):
     with pytest.raises(ValueError, match="reset_mask must be 3 bools"):
         envs.reset(options={"reset_mask": mask})
+
+
+def test_reset_takes_starts_and_goals(envs):
+    start = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 0.5], [0.0, 0.0, 1.0]])
+    observation, _ = envs.reset(options={"start": start, "goal": start[:, :2] + (2.0, 0.0)})
+    np.testing.assert_allclose(observation["pose"][:, :2], start[:, :2], atol=1e-5)
+    np.testing.assert_allclose(observation["target"][:, 0], 2.0, atol=1e-5)
 
 
 def test_seeds_can_be_a_list(envs):
@@ -202,6 +224,15 @@ def test_stateful_transforms_are_reset_by_row():
         ended_once |= bool(ended.any())
         np.testing.assert_allclose(envs._batch._root["sum"][:, 0], total, rtol=1e-4, atol=1e-5)
     assert ended_once
+    envs.close()
+
+
+def test_a_single_row_works():
+    envs = native(rows=1, length=2)
+    for _ in range(2):
+        envs.reset(seed=0)
+        flags = [bool(envs.step(np.zeros((1, 2)))[2][0]) for _ in range(5)]
+        assert flags == [False, True, False, False, True]
     envs.close()
 
 

@@ -59,6 +59,28 @@ def test_scaled_observations_are_one_vector_with_the_features_of_the_encoder() -
     assert vector in envs.observation_space
 
 
+def test_rows_equal_single_rovers_also_after_they_end() -> None:
+    ending = {"length": 24, "end_on_goal": True, "task": TaskConfig(success_distance=2.5), "time_limit": "truncated"}
+    envs = make_vec(LEARNING_ENV_ID, backend="bullet", autoreset_mode="SameStep", **ending)
+    single = [
+        gymnasium.make(LEARNING_ENV_ID, world_n="maze", seed=row, backend="bullet", **ending) for row in range(ROWS)
+    ]
+    np.testing.assert_array_equal(envs.reset(seed=0)[0], [env.reset(seed=i)[0] for i, env in enumerate(single)])
+    rng, endings = np.random.default_rng(0), 0
+    for _ in range(12):
+        actions = rng.uniform(-1, 1, (ROWS, 2)).astype(np.float32)
+        observations, rewards, terminated, truncated, infos = envs.step(actions)
+        for row, env in enumerate(single):
+            observation, *rest, _ = env.step(actions[row])
+            assert rest == [rewards[row], terminated[row], truncated[row]]
+            if terminated[row] or truncated[row]:
+                np.testing.assert_array_equal(infos["final_obs"][row], observation)
+                observation, _ = env.reset()
+                endings += 1
+            np.testing.assert_array_equal(observations[row], observation)
+    assert endings >= ROWS
+
+
 def test_a_program_needs_only_the_name_of_the_environment() -> None:
     """``module:id`` imports the package; an action every 0.2 s, Warp, and ``truncated`` are settings of the name."""
     env = gymnasium.make(f"rover_rl:{LEARNING_ENV_ID}", world_n="maze", length=8)

@@ -74,6 +74,15 @@ def test_a_termination_in_the_last_step_is_no_time_limit():
     envs.close()
 
 
+def test_the_contracts_time_limit_can_be_chosen():
+    envs = make(length=1, time_limit="terminated")
+    envs.reset()
+    _, _, dones, infos = envs.step(np.zeros((ROWS, 2)))
+    assert dones.all()
+    assert not any(info["TimeLimit.truncated"] for info in infos)
+    envs.close()
+
+
 def test_episodes_are_counted_by_vec_monitor(shared):
     monitored = VecMonitor(shared, info_keywords=("is_success",))
     monitored.reset()

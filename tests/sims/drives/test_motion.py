@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 
+import pytest
 import torch
 
 from rover_rl.sims import make_simulator
+from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.worlds import Terrain, World
 from tests.sims.drives.vehicles import TRACK, WHEELBASE, make_car, make_omni
@@ -93,6 +96,22 @@ def test_an_omnidirectional_robot_moves_in_every_direction(backend, tmp_path):
 def test_an_omnidirectional_robot_takes_commands_without_a_sideways_speed(tmp_path):
     poses, _ = drive("warp", make_omni(tmp_path), [[0.5, 0.0]])
     within(torch.stack(twist(poses), -1), [[0.5, 0.0, 0.0]], floor=0.5)
+
+
+def test_a_rover_with_spheres_for_wheels_drives_and_turns(backend, tmp_path):
+    rover = get_robot("rover_zero")
+    cylinder = '<cylinder radius="0.122" length="0.09"/></geometry>\n    </collision>'
+    text = rover.urdf.read_text()
+    assert cylinder in text
+    urdf = tmp_path / "spheres.urdf"
+    urdf.write_text(text.replace(cylinder, '<sphere radius="0.122"/></geometry>\n    </collision>'))
+    spheres = Robot.from_urdf(urdf, drive=rover.drive)
+    # The spheres reach 0.122 m to the sides of their hubs.
+    assert footprint(spheres).half_width == pytest.approx(0.18 + 0.122)
+    poses, _ = drive(backend, spheres, [[0.5, 0.0], [0.0, 1.0]])
+    forward, rate, _ = twist(poses)
+    within(forward[:1], [0.5])
+    assert rate[1] > 0.2
 
 
 def test_no_drive_depends_on_its_company(backend, tmp_path):

@@ -101,6 +101,14 @@ def test_passable_cells_are_within_the_bounds_and_not_on_steep_ground(name):
     assert world.normal_at(nudged)[:, 2].min() >= math.cos(math.radians(25)) - 1e-9
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_every_spawn_cell_has_a_heading(name):
+    free = free_space(get_world(name), ROVER)
+    assert free.spawn_headings.shape == (len(free.spawn_cells),)
+    assert free.spawn_headings.dtype == torch.int64
+    assert allowed(free.spawn_headings).any(1).all()
+
+
 def allowed(headings: torch.Tensor) -> torch.Tensor:
     """Whether each heading bin is allowed in each cell, bool ``[S, HEADINGS]``, from bit masks ``[S]``."""
     return ((headings[:, None] >> torch.arange(HEADINGS)) & 1).bool()

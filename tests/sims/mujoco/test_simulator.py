@@ -13,7 +13,7 @@ from rover_rl.sims import make_simulator
 from rover_rl.sims.base import Dynamics
 from rover_rl.sims.mujoco import MujocoSettings
 from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain, World, get_world
+from rover_rl.sims.worlds import Terrain, World, box, get_world
 
 ROVER = get_robot("rover_zero")
 FLAT = World("flat", Terrain.flat((40, 40)))
@@ -162,3 +162,19 @@ def test_the_height_of_the_edge_continues_outside_the_terrain(world):
     state = drive(sim, [(1.0, 0.0)], 60)
     assert state.position[0, 0] > 5.5
     assert state.position[0, 2].abs() < 0.02
+
+
+def test_friction_acts_on_its_row_alone():
+    # The coefficient is 0.5 in the first row and 0.2 in the second, and the gradient 0.3.
+    state = drive(randomized(slope(0.3), dynamics(friction=(7.0, 0.4))), [(0.0, 0.0)] * 2, 20)
+    moved = state.position[:, :2].norm(dim=-1)
+    assert moved[0] < 0.005
+    assert moved[1] > 0.1
+    assert torch.equal(state.position[0], unchanged(slope(0.3), (0.0, 0.0), 20).position[0])
+
+
+def test_a_wall_stops_the_rover_at_contact():
+    world = World("wall", Terrain.flat((20, 20)), [box((2.0, 0.0, 0.5), (0.5, 6.0, 1.0))])
+    state = drive(simulator([world]), [(1.0, 0.0)], 80)
+    # The front of the wheels is 0.2635 m ahead of the base frame.
+    assert state.position[0, 0].item() == pytest.approx(2.0 - 0.25 - 0.2635, abs=0.01)

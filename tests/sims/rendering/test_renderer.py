@@ -183,6 +183,11 @@ def test_sizes_out_of_range_are_rejected(size, message):
         render(size=size)
 
 
+def test_an_unknown_view_is_rejected():
+    with pytest.raises(ValueError, match=r"unknown view 'side'; use 'chase' or 'top'"):
+        render(view="side")
+
+
 def test_the_same_pose_gives_the_same_bytes_with_any_number_of_threads(monkeypatch):
     at, goal = pose(0.5, 0.5, 0.01, 0.05, 0.1, 0.8), torch.tensor((2.0, 2.0))
     images = []

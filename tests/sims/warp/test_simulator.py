@@ -58,6 +58,20 @@ def test_results_do_not_depend_on_the_number_of_threads():
         assert (rollouts[0] == other).all()
 
 
+def test_several_threads_scan_for_a_rover():
+    scans = []
+    for lanes in (1, 8):
+        env = make_env(
+            backend=WarpSettings(threads=2, lidar_lanes=lanes), world_n=["inspect", "maze"], num_envs=40, seed=1
+        )
+        td = env.reset()
+        for _ in range(5):
+            td = env.step(td.set("action", torch.tensor([[0.8, 0.3]] * 40)))["next"]
+        scans.append(env.base_env.simulator.state().ranges)
+        env.close()
+    torch.testing.assert_close(*scans, rtol=5e-7, atol=0)
+
+
 @pytest.mark.slow
 def test_random_driving_stays_on_the_ground_and_out_of_obstacles():
     """Rovers are not launched, do not sink in or become NaN; wheels penetrate obstacles by at most 1 cm."""
@@ -150,3 +164,9 @@ def test_scan_depends_on_the_pose_alone():
     assert (elsewhere[1:] == before[1:]).all()
     assert (simulator.reset(first, poses) == before).all()
     assert (simulator.state() == before).all()
+
+
+def test_close_is_idempotent():
+    simulator = make_simulator(WarpSettings(threads=2), worlds=[get_world("maze")] * 64, robot=ROVER, lidar_beams=8)
+    simulator.close()
+    simulator.close()
