@@ -70,7 +70,7 @@ class Localization:
         return self._localized(truth, sensed, keys, steps, begins, moves)
 
     def _dead_reckoning(self, truth: Perception, sensed: Perception, begins: Tensor, moves: Tensor) -> SensedPose:
-        """Adds the way of the wheels since the last step, along the mean of the headings at its begin and its end."""
+        """Adds the path of the wheels since the last step, along the mean of the headings at its start and its end."""
         rover = sensed.rover
         pitch, yaw = sensed.euler[:, 1:2], sensed.yaw
         last, last_yaw = self._pose or (truth.rover.position, yaw)

@@ -19,7 +19,8 @@ from rover_rl.envs.rng import random_bits, to_index, to_unit
 from rover_rl.sims.base import Dynamics
 
 _DYNAMICS, _LATENCY = 2, 3
-"""Streams of random numbers. :mod:`~rover_rl.envs.placement` uses 0 and 1, and sensors use 4 to 6."""
+"""Streams of random numbers. :mod:`~rover_rl.envs.placement` uses 0 and 1, and sensors and
+the sensed pose use 4 to 10."""
 
 
 def draw_dynamics(randomization: Randomization, keys: Tensor) -> Dynamics:

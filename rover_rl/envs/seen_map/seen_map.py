@@ -89,6 +89,7 @@ class SeenMap:
         from rover_rl.envs.seen_map.route_kernels import BUCKETS
 
         lidar, device, cells = lidar or LidarConfig(), torch.device(device or "cpu"), SIZE * SIZE
+        self._points = lidar.points
         self._reader, self._limits = ScanReader(lidar, robot, interval).to(device), limits_of(robot)
         self._every = torch.ones(rows, dtype=torch.bool, device=device)
         self._unbounded = torch.tensor(NO_BOUNDS, device=device).repeat(rows, 1)
@@ -130,11 +131,16 @@ class SeenMap:
             Routes, float32 ``[N, 5]``: distance (m) and angle (rad, relative to the rover's heading) of the first and
             the second corner, and the length (m). The goal counts as a corner. In the length, a meter beside an
             obstacle counts more, up to ten. Without a path, both corners are the goal, and the length is -1.
+
+        Raises:
+            ValueError: if the observation has another number of lidar readings than the map is made for.
         """
         rows = self._every if rows is None else rows.contiguous()
         if renewed is not None:
             self._state = self._state.masked_fill(renewed[:, None], 0.0)
         lidar, pose, imu, target = (observation[key] for key in ROUTE_KEYS)
+        if lidar.shape[-1] != self._points:
+            raise ValueError(f"the map is made for {self._points} lidar readings, got {lidar.shape[-1]}")
         scan, state = self._reader(self._state, lidar, pose, imu)
         bounds = self._unbounded if bounds is None else bounds.contiguous()
         self._launch(scan, goal_positions(pose, imu, target), bounds, rows)

@@ -13,8 +13,8 @@ from rover_rl.envs.sensors.base import Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
 from rover_rl.sims import RoverState
 
-_NOISE = 5
-"""Stream of random numbers. Sideways odometry uses 10."""
+_NOISE, _SIDEWAYS_NOISE = 5, 10
+"""Streams of random numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +75,7 @@ class SidewaysOdometry(Sensor):
         """Scales the speed by a random factor of about 1."""
         if not noise.odometry_noise or rover.lateral_velocity is None:
             return {}
-        factor = 1 + noise.odometry_noise * to_normal(random_bits(keys, 10, step, 1))
+        factor = 1 + noise.odometry_noise * to_normal(random_bits(keys, _SIDEWAYS_NOISE, step, 1))
         return {"lateral_velocity": rover.lateral_velocity * factor}
 
     def encode(self, value: Tensor) -> Tensor:

@@ -1,7 +1,7 @@
 """URDF of a robot as Bullet needs it: without bare frames, and with joints for the rollers of mecanum wheels.
 
-Bullet takes a link that states no inertia for one of 1 kg. Frames without
-mass and shape are dropped, and other links without inertia get a mass of 0.
+Bullet takes a link that states no inertia for one of 1 kg. Here, links without mass and shape are dropped, and other
+links without inertia get a mass of 0.
 
 Bullet has no friction that acts in one direction of a turning wheel. A mecanum wheel is a sphere instead, between which
 and the base is a free joint along the roller on the ground::

@@ -17,7 +17,7 @@ class Wheels:
     Attributes:
         hubs: center ``(x, y, z)`` of each wheel, in the order of :attr:`Drive.wheels`.
         radius: radius of a wheel.
-        width: width of a wheel.
+        width: width of a wheel; 0 for a sphere, which touches level ground in a point.
         steering: index in :attr:`Drive.steering` of the joint that carries each wheel, or -1 without one. Empty if no
             wheel steers.
     """
@@ -148,7 +148,7 @@ class Drive(ABC):
         """Returns the targets of the joints in a control step.
 
         Args:
-            before: set point at the begin of the step, ``[N, set_point_size]``.
+            before: set point at the start of the step, ``[N, set_point_size]``.
             after: set point at its end.
             wheels: geometry of the wheels.
         """

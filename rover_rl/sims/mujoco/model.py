@@ -168,14 +168,14 @@ def _set_inertia(body: Any, mass: float, center: np.ndarray, inertia: np.ndarray
 
 
 def _add_tires(spec: mujoco.MjSpec, wheel: Any, index: int, robot: Robot, settings: MujocoSettings) -> None:
-    """Adds the cylinders of a wheel: the full width for obstacles, and the tread for the ground."""
+    """Adds the shapes of a wheel: the full width for obstacles, and the tread for the ground."""
     radius, half = robot.wheels.radius, robot.wheels.width / 2
     friction = settings.ground_friction
     cylinder = {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "quat": _AXLE, "condim": 3, "contype": 0}
     sphere = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": (radius, 0, 0), "condim": 3, "contype": 0}
-    tread = sphere if robot.drive.rollers else {**cylinder, "size": (radius, half / math.sqrt(3), 0)}
-    wheel.add_geom(size=(radius, half, 0), conaffinity=_OBSTACLES, **cylinder)
-    wheel.add_geom(name=f"tread {index}", conaffinity=0, **tread)
+    body, tread = ({**cylinder, "size": (radius, side, 0)} for side in (half, half / math.sqrt(3)))
+    wheel.add_geom(conaffinity=_OBSTACLES, **(body if half else sphere))
+    wheel.add_geom(name=f"tread {index}", conaffinity=0, **(tread if half and not robot.drive.rollers else sphere))
     # Only explicit pairs have a reference of their own for friction.
     spec.add_pair(
         name=f"tread {index}",

@@ -109,8 +109,8 @@ class RoverPhysics:
         for _ in range(substeps):
             touched |= self._roll(rows, angles, 1)
             # A roller on the ground keeps its direction, in the mean of a step: only its speed counts.
-            speeds = self._states[rows[:, None], self._roller_speeds]
-            self._states[rows[:, None], self._rollers] = -0.5 * self._settings.substep * speeds
+            rolling = self._states[rows[:, None], self._roller_speeds]
+            self._states[rows[:, None], self._rollers] = -0.5 * self._settings.substep * rolling
         return touched
 
     def _roll(self, rows: np.ndarray, angles: np.ndarray, steps: int) -> np.ndarray:

@@ -49,7 +49,7 @@ class Footprint(NamedTuple):
 def footprint(robot: Robot) -> Footprint:
     """Returns the smallest rectangle around the wheels and the collision shapes fixed to the base of a robot.
 
-    Wheels are the boxes around their cylinders. Shapes without known sizes, such as meshes, do not count.
+    Wheels are the boxes around their cylinders or spheres. Shapes without known sizes, such as meshes, do not count.
 
     Args:
         robot: robot.
@@ -60,7 +60,7 @@ def footprint(robot: Robot) -> Footprint:
         >>> round(outline.half_length, 3), round(outline.half_width, 3)
         (0.267, 0.225)
     """
-    reach = np.array((robot.wheels.radius, robot.wheels.width / 2))
+    reach = np.array((robot.wheels.radius, robot.wheels.width / 2 or robot.wheels.radius))
     hubs = np.array(robot.wheels.hubs)[:, :2]
     boxes = [(hubs - reach, hubs + reach)]
     description = Description(robot.urdf)

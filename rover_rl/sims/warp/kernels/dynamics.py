@@ -343,7 +343,7 @@ def step_dynamics(scenes: wp.array[Scene], model: RobotModel, solver: Solver, ro
 def axle_of(model: RobotModel, rovers: RoverArrays, row: int, wheel: int, share: float) -> wp.vec3:
     """Direction of the axle of a wheel in the body frame, after a share of the control step.
 
-    Steering joints turn evenly from their angle at the begin of the step to their target: ``e = (-sin a, cos a, 0)``.
+    Steering joints turn evenly from their angle at the start of the step to their target: ``e = (-sin a, cos a, 0)``.
     """
     joint = model.steering_of_wheel[wheel]
     if joint < 0:
