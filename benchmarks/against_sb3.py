@@ -57,14 +57,7 @@ from torch import Tensor, nn
 from torchrl.envs import ActionScaling, EnvBase, RewardScaling
 
 from rover_rl import GymWrapper
-from rover_rl.algos.config import (
-    UNLIMITED_STEPS,
-    PPOConfig,
-    SACConfig,
-    TrainingConfig,
-    training_config,
-    with_settings,
-)
+from rover_rl.algos.config import UNLIMITED_STEPS, PPOConfig, SACConfig, TrainingConfig, training_config, with_settings
 from rover_rl.algos.config_files import plain
 from rover_rl.algos.evaluation.cores import over_cores
 from rover_rl.algos.evaluation.episodes import EpisodeSet, stored_episodes

@@ -124,15 +124,7 @@ def _speed(world: World, settings: BulletSettings, options: Options) -> dict[str
 
 def table(rows: list[dict[str, Any]]) -> Table:
     """Formats the rows for the terminal."""
-    headings = (
-        "ground",
-        "physics",
-        "substeps",
-        "cm after 5 s",
-        "yaw deg",
-        "tilt deg",
-        "speedup over all contacts",
-    )
+    headings = ("ground", "physics", "substeps", "cm after 5 s", "yaw deg", "tilt deg", "speedup over all contacts")
     table = Table(*headings, title="Physics: difference from steps of 1 ms, and speed")
     for row in rows:
         table.add_row(

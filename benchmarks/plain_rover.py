@@ -38,11 +38,7 @@ class PlainRover(gymnasium.Env):
     """
 
     def __init__(
-        self,
-        world: str = "inspect",
-        beams: int = 128,
-        settings: BulletSettings | None = None,
-        length: int = 2000,
+        self, world: str = "inspect", beams: int = 128, settings: BulletSettings | None = None, length: int = 2000
     ) -> None:
         self.action_space = spaces.Box(np.array([-1, -np.pi], np.float32), np.array([1, np.pi], np.float32))
         self.observation_space = spaces.Dict(

@@ -68,8 +68,7 @@ variants = {
 }
 for axes, (title, variant) in zip(panels, variants.items(), strict=True):
     draw_scan(
-        axes,
-        EnvConfig(world="maze", num_envs=1, seed=0, lidar=variant.lidar, randomization=variant.randomization),
+        axes, EnvConfig(world="maze", num_envs=1, seed=0, lidar=variant.lidar, randomization=variant.randomization)
     )
     axes.set(title=title, xlabel="", ylabel="")
 plt.show()

@@ -107,10 +107,7 @@ NAMES = f"use one of {COMMANDS}; see rover-rl --help"
         ("evaluate scripted --world maze --count -3", "count must be between 1 and 256, got -3"),
         ("evaluate scripted --world maze --seconds nan", "seconds must be at least 0.05 and at most 1e+06, got nan"),
         ("film scripted --seconds inf --out film.gif", "seconds must be positive and at most 1e+06, got inf"),
-        (
-            "film scripted --width 99999999 --out film.gif",
-            "width must be positive and at most 8192, got 99999999",
-        ),
+        ("film scripted --width 99999999 --out film.gif", "width must be positive and at most 8192, got 99999999"),
         ("train --num-envs 0", "num_envs must be at least 1 and at most 1e+06, got 0"),
         ("train --max-minutes nan", "max_minutes must be positive and at most 1e+30, got nan"),
         ("train --world nowhere", f"unknown world 'nowhere'; use one of {sorted(WORLDS)}, 'name:seed'"),
@@ -446,9 +443,7 @@ def test_the_demo_trains_in_warp_and_shows_the_policy_beside_planner_and_script_
     monkeypatch.setattr("rover_rl.cli.demo.FILMED", 0.2)
     make_config = Demo._config
     monkeypatch.setattr(
-        Demo,
-        "_config",
-        lambda demo, base: with_settings(make_config(demo, base), num_envs=4, workers=1, minibatch=32),
+        Demo, "_config", lambda demo, base: with_settings(make_config(demo, base), num_envs=4, workers=1, minibatch=32)
     )
     filmed: list[Any] = []
 
@@ -518,10 +513,7 @@ def test_drive_refuses_other_worlds_for_a_policy_that_knows_one_map_and_goals_ou
     ("options", "message"),
     [
         ("--backend my_parts:number", "backend must be one of ['bullet', 'mujoco', 'ros2', 'warp']"),
-        (
-            "--backend my_parts:needy",
-            "backend 'my_parts:needy' is called with 0 arguments: missing a required",
-        ),
+        ("--backend my_parts:needy", "backend 'my_parts:needy' is called with 0 arguments: missing a required"),
         ("--reward my_parts:needy", "reward 'my_parts:needy' is called with 0 arguments: missing a required"),
         ("--robot my_parts:needy", "robot 'my_parts:needy' is called with 0 arguments: missing a required"),
         ("--world my_parts:needier", "world 'my_parts:needier' is called with 1 arguments: missing a required"),

@@ -13,12 +13,7 @@ from rover_rl.algos.evaluation.plots import BLUE, GREEN, GREY, ORANGE
 from rover_rl.files import written_whole
 
 _STYLES = {"physics": GREEN, "lidar": ORANGE, "environment": BLUE}
-_SHARES = {
-    "device: simulation": GREEN,
-    "device: task and policy": BLUE,
-    "device: update": ORANGE,
-    "device: idle": GREY,
-}
+_SHARES = {"device: simulation": GREEN, "device: task and policy": BLUE, "device: update": ORANGE, "device: idle": GREY}
 _BELOW: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.15), "ncols": 4}
 """Place of a legend below its panel."""
 

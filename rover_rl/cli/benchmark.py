@@ -91,12 +91,7 @@ class JaxNavBenchmark(_Benchmark):
 
         courses, unsolvable = read_jaxnav(self.data)
         suite = JaxNav(
-            courses,
-            unsolvable,
-            runs=self.runs,
-            seed=self.seed,
-            goal_radius=self.goal_radius,
-            seconds=self.seconds,
+            courses, unsolvable, runs=self.runs, seed=self.seed, goal_radius=self.goal_radius, seconds=self.seconds
         )
         return _run(suite, self)
 

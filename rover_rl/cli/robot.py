@@ -82,11 +82,7 @@ class RobotCommand:
         start = draw_episodes(world, 1, self.seed, robot=robot).start[0].tolist()
         transport = make_transport("dds", robot.name)
         simulator = make_simulator(
-            described.backend,
-            worlds=[world],
-            robot=robot,
-            lidar_beams=self.lidar_beams,
-            physics=described.preset,
+            described.backend, worlds=[world], robot=robot, lidar_beams=self.lidar_beams, physics=described.preset
         )
         settings = Ros2Settings(
             odometry_topic=self.odometry_topic, pose_topic=self.pose_topic, reset_topic=self.reset_topic

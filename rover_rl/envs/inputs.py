@@ -38,11 +38,7 @@ def checked_action(action: Tensor, batch_size: Sequence[int], bounds: tuple[Tens
 
 
 def checked_place(
-    key: str,
-    value: Tensor | None,
-    tensordict: TensorDictBase | None,
-    shape: Sequence[int],
-    device: torch.device,
+    key: str, value: Tensor | None, tensordict: TensorDictBase | None, shape: Sequence[int], device: torch.device
 ) -> Tensor | None:
     """Validates start poses or goals. Returns ``[N, k]``, or ``None`` if the user gives none.
 

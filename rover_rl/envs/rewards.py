@@ -245,11 +245,7 @@ class ClearancePenalty(RewardComponent):
 
     name = "clearance"
 
-    def __init__(
-        self,
-        clearance_penalty: float,
-        clearance_distance: float = RewardConfig.clearance_distance,
-    ) -> None:
+    def __init__(self, clearance_penalty: float, clearance_distance: float = RewardConfig.clearance_distance) -> None:
         super().__init__()
         self.clearance_penalty = clearance_penalty
         self.clearance_distance = clearance_distance

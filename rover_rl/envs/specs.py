@@ -85,11 +85,7 @@ def _privileged_spec(batch_size: Sequence[int], device: torch.device | str | Non
 def done_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Composite:
     """Creates the spec of ``done``, ``terminated`` and ``truncated``, bool ``[*batch_size, 1]``."""
     keys = ("done", "terminated", "truncated")
-    return Composite(
-        **{key: _flag(batch_size, device) for key in keys},
-        shape=batch_size,
-        device=device,
-    )
+    return Composite(**{key: _flag(batch_size, device) for key in keys}, shape=batch_size, device=device)
 
 
 def reward_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Unbounded:

@@ -72,8 +72,7 @@ def matrix_to_quaternion(matrix: Tensor) -> Tensor:
     xw, yw, zw = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
     xx, yy, zz, ww = squares.unbind(-1)
     candidates = torch.stack(
-        [torch.stack(row, -1) for row in ((xx, xy, xz, xw), (xy, yy, yz, yw), (xz, yz, zz, zw), (xw, yw, zw, ww))],
-        -2,
+        [torch.stack(row, -1) for row in ((xx, xy, xz, xw), (xy, yy, yz, yw), (xz, yz, zz, zw), (xw, yw, zw, ww))], -2
     )
     best = squares.argmax(-1)[..., None, None].expand(*squares.shape[:-1], 1, 4)
     quaternion = candidates.gather(-2, best).squeeze(-2)

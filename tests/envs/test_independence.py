@@ -77,10 +77,7 @@ def test_a_rover_is_the_same_alone_and_in_a_batch(backend, world, batches):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "backend",
-    ["bullet", "warp", pytest.param("mujoco", marks=needs_mujoco)],
-)
+@pytest.mark.parametrize("backend", ["bullet", "warp", pytest.param("mujoco", marks=needs_mujoco)])
 @pytest.mark.parametrize("world", ["maze", "inspect"])
 def test_a_rover_is_the_same_after_fifty_resets_of_itself_and_others(world, backend):
     env = make_env(backend=backend, world_n=world, num_envs=8, seed=3, lidar_beams=32, length=100)

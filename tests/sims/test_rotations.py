@@ -10,11 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rover_rl.sims.rotations import (
-    matrix_to_quaternion,
-    quaternion_to_euler,
-    wrap_angle,
-)
+from rover_rl.sims.rotations import matrix_to_quaternion, quaternion_to_euler, wrap_angle
 
 
 def random_quaternions(count: int) -> torch.Tensor:

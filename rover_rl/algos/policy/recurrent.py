@@ -45,10 +45,7 @@ def recurrent_network(embedding: TensorDictModule, units: int, head: nn.Module, 
     """
     state = MEMORY_KEYS[kind]
     recurrent = {"gru": GRU, "lstm": LSTMModule}[kind](
-        units,
-        size,
-        in_keys=["embedding", *state, "is_init"],
-        out_keys=["recalled", *(("next", key) for key in state)],
+        units, size, in_keys=["embedding", *state, "is_init"], out_keys=["recalled", *(("next", key) for key in state)]
     )
     for name, parameter in recurrent.named_parameters():
         if "weight" in name:

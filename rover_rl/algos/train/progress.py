@@ -122,13 +122,7 @@ class ProgressLog:
         console: console to print to; ``None``: standard output.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        updates: int = 0,
-        steps: int = 0,
-        console: Console | None = None,
-    ) -> None:
+    def __init__(self, folder: Path, updates: int = 0, steps: int = 0, console: Console | None = None) -> None:
         self._path = folder / "progress.csv"
         self._recent: list[dict[str, float]] = []
         self._steps, self._clock = steps, time.perf_counter()

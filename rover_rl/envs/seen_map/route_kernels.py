@@ -123,11 +123,7 @@ def weight_of(x: int, y: int, window: Window):
 
 @wp.func
 def spread(
-    window: Window,
-    costs: wp.array[int],
-    heads: wp.array[int],
-    following: wp.array[int],
-    preceding: wp.array[int],
+    window: Window, costs: wp.array[int], heads: wp.array[int], following: wp.array[int], preceding: wp.array[int]
 ):
     """Computes the costs from the goal to all cells that may be on a cheapest path to the center.
 
@@ -183,13 +179,7 @@ def edge(coordinate: float, center: int):
 
 
 @wp.func
-def next_step(
-    x: int,
-    y: int,
-    before: int,
-    window: Window,
-    costs: wp.array[int],
-):
+def next_step(x: int, y: int, before: int, window: Window, costs: wp.array[int]):
     """Returns the step of a cheapest path from a cell: of equally cheap ones that which goes on ahead, or the first."""
     best = int(UNKNOWN_COST)
     chosen = int(0)
@@ -209,14 +199,7 @@ def next_step(
 
 
 @wp.func
-def is_open(
-    from_x: int,
-    from_y: int,
-    to_x: int,
-    to_y: int,
-    least: int,
-    window: Window,
-):
+def is_open(from_x: int, from_y: int, to_x: int, to_y: int, least: int, window: Window):
     """Returns whether all cells between two cells of the window have at least the level ``least``."""
     count = wp.max(wp.abs(to_x - from_x), wp.abs(to_y - from_y))
     free = bool(True)
@@ -230,11 +213,7 @@ def is_open(
 
 
 @wp.func
-def find_corners(
-    window: Window,
-    costs: wp.array[int],
-    corners: wp.array2d[float],
-):
+def find_corners(window: Window, costs: wp.array[int], corners: wp.array2d[float]):
     """Finds up to two corners of the cheapest path by string pulling, and returns their number.
 
     A corner is the last cell of the path up to which the straight line from the corner before, first from the rover, is

@@ -40,10 +40,7 @@ class WheelOdometry(Sensor):
             return {}
         factors = 1 + noise.odometry_noise * to_normal(random_bits(keys, _NOISE, step, 2))
         linear, angular = factors.split(1, -1)
-        return {
-            "linear_velocity": rover.linear_velocity * linear,
-            "angular_velocity": rover.angular_velocity * angular,
-        }
+        return {"linear_velocity": rover.linear_velocity * linear, "angular_velocity": rover.angular_velocity * angular}
 
     def encode(self, value: Tensor) -> Tensor:
         """Returns the speed, and the yaw rate in units of 3 rad/s."""

@@ -99,8 +99,5 @@ def _step_rows(env: EnvBase, tensordict: TensorDictBase) -> TensorDictBase:
     return env.transform._step(tensordict, following)
 
 
-_REDUCTIONS = {
-    ("outcome", "phase"): torch.minimum,
-    **{("outcome", event): torch.logical_or for event in EVENTS},
-}
+_REDUCTIONS = {("outcome", "phase"): torch.minimum, **{("outcome", event): torch.logical_or for event in EVENTS}}
 """Reductions of the accumulated entries over the steps of a repeat. All other entries are summed."""

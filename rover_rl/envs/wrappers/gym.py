@@ -158,13 +158,7 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         info = {key: value[0].item() for key, value in step.info.items()}
         self._reward, self._steps = info["reward"], info["steps"]
         self._show()
-        return (
-            row_of(step.observation, 0),
-            self._reward,
-            bool(step.terminated[0]),
-            bool(step.truncated[0]),
-            info,
-        )
+        return (row_of(step.observation, 0), self._reward, bool(step.terminated[0]), bool(step.truncated[0]), info)
 
     def render(self) -> NDArray[np.uint8] | None:
         """Returns an image, uint8 ``[480, 640, 3]``, if the render mode is ``"rgb_array"``, and ``None`` otherwise."""

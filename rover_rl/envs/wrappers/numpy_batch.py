@@ -98,11 +98,7 @@ class NumpyBatch:
         return in_rows(self._started("the observation")).get(key).numpy(force=True).copy()
 
     def reset(
-        self,
-        rows: Mask | None = None,
-        *,
-        seed: int | None = None,
-        options: Mapping[str, ArrayLike] | None = None,
+        self, rows: Mask | None = None, *, seed: int | None = None, options: Mapping[str, ArrayLike] | None = None
     ) -> Observation:
         """Begins the next episode in ``rows`` (bool ``[N]``), by default in all; returns the observation of every row.
 

@@ -37,11 +37,7 @@ class BulletSimulator:
     capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "scan_period"})
 
     def __init__(
-        self,
-        worlds: Sequence[World],
-        robot: Robot,
-        lidar_beams: int,
-        settings: BulletSettings | None = None,
+        self, worlds: Sequence[World], robot: Robot, lidar_beams: int, settings: BulletSettings | None = None
     ) -> None:
         self.num_envs = len(worlds)
         self.device = torch.device("cpu")

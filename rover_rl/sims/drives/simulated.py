@@ -22,12 +22,7 @@ class SimulatedDrives:
     """
 
     def __init__(
-        self,
-        drive: Drive,
-        wheels: Wheels,
-        dt: float,
-        num_envs: int,
-        device: torch.device | str | None = None,
+        self, drive: Drive, wheels: Wheels, dt: float, num_envs: int, device: torch.device | str | None = None
     ) -> None:
         self._drive, self._wheels = drive, wheels
         self._motors = len(drive.motors)

@@ -46,11 +46,7 @@ class PathDistances:
     """
 
     def __init__(
-        self,
-        worlds: Worlds,
-        robot: Robot,
-        device: torch.device | str | None = None,
-        caution: float = 0.0,
+        self, worlds: Worlds, robot: Robot, device: torch.device | str | None = None, caution: float = 0.0
     ) -> None:
         # Importing NVIDIA Warp takes half a second.
         from rover_rl.sims.free_space.path_grid import PathGrid

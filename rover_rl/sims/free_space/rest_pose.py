@@ -90,11 +90,6 @@ def _rims(robot: Robot, device: torch.device) -> Tensor:
     across = torch.tensor((-robot.wheels.width / 2, 0.0, robot.wheels.width / 2), dtype=torch.float64, device=device)
     arc = robot.wheels.radius * torch.stack((angle.sin(), -angle.cos()), -1)
     rim = torch.stack(
-        (
-            arc[:, None, 0].expand(-1, 3),
-            across.expand(angle.numel(), 3),
-            arc[:, None, 1].expand(-1, 3),
-        ),
-        -1,
+        (arc[:, None, 0].expand(-1, 3), across.expand(angle.numel(), 3), arc[:, None, 1].expand(-1, 3)), -1
     ).reshape(-1, 3)
     return (_hubs(robot, torch.float64, device)[:, None] + rim).reshape(-1, 3)

@@ -47,11 +47,7 @@ class MujocoSimulator:
     capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "scan_period"})
 
     def __init__(
-        self,
-        worlds: Sequence[World],
-        robot: Robot,
-        lidar_beams: int,
-        settings: MujocoSettings | None = None,
+        self, worlds: Sequence[World], robot: Robot, lidar_beams: int, settings: MujocoSettings | None = None
     ) -> None:
         self.num_envs = count = len(worlds)
         self.device = torch.device("cpu")
@@ -138,10 +134,7 @@ class MujocoSimulator:
         self._renderers.close()
 
     def _update(
-        self,
-        change: Callable[[_Share, np.ndarray], None],
-        mask: np.ndarray | None,
-        scanned: np.ndarray | None = None,
+        self, change: Callable[[_Share, np.ndarray], None], mask: np.ndarray | None, scanned: np.ndarray | None = None
     ) -> None:
         """Changes the selected rovers and reads their poses, joints and scans, on all threads.
 

@@ -45,13 +45,7 @@ class Renderer:
         self.sight = Sight(world)
 
     def render(
-        self,
-        position: Tensor,
-        orientation: Tensor,
-        view: View,
-        width: int,
-        height: int,
-        goal: Tensor | None = None,
+        self, position: Tensor, orientation: Tensor, view: View, width: int, height: int, goal: Tensor | None = None
     ) -> Tensor:
         """Renders a rover at a pose, with a post at its goal.
 
@@ -73,13 +67,7 @@ class Renderer:
         return self.render_from(camera, position, orientation, width, height, goal)
 
     def render_from(
-        self,
-        camera: Camera,
-        position: Tensor,
-        orientation: Tensor,
-        width: int,
-        height: int,
-        goal: Tensor | None = None,
+        self, camera: Camera, position: Tensor, orientation: Tensor, width: int, height: int, goal: Tensor | None = None
     ) -> Tensor:
         """Renders what a camera sees: see :meth:`render`. Several threads may call it."""
         pinhole = _pinhole(camera, height)

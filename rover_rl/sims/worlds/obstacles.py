@@ -307,14 +307,8 @@ def boulder(center: tuple[float, float, float], radius: float, rng: np.random.Ge
         raise ValueError(f"the radius of a boulder must be positive, got {radius}")
     # A Fibonacci sphere spaces the directions evenly, which avoids thin shapes.
     k = np.arange(points) + 0.5
-    polar, azimuth = (
-        np.arccos(1 - 2 * k / points),
-        math.pi * (1 + math.sqrt(5)) * k + rng.uniform(0, 2 * math.pi),
-    )
-    directions = np.stack(
-        (np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), 0.8 * np.cos(polar)),
-        -1,
-    )
+    polar, azimuth = (np.arccos(1 - 2 * k / points), math.pi * (1 + math.sqrt(5)) * k + rng.uniform(0, 2 * math.pi))
+    directions = np.stack((np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), 0.8 * np.cos(polar)), -1)
     lengths = radius * rng.uniform(0.75, 1.0, (points, 1))
     return Obstacle(torch.from_numpy(directions * lengths + np.asarray(center)))
 

@@ -180,10 +180,7 @@ def test_results_by_world() -> None:
 
 def test_ranges_have_a_table_each_and_the_worst_worlds_are_named() -> None:
     two = draw_episodes(WorldPool(WALL, CRATES, FIELD), 3, seed=1)
-    results = [
-        evaluation("mine", ENDINGS),
-        evaluation("mine", ["goal"] * 9, two),
-    ]
+    results = [evaluation("mine", ENDINGS), evaluation("mine", ["goal"] * 9, two)]
     console = Console(file=io.StringIO(), width=200)
     print_table(results, console)
     text = console.file.getvalue()  # type: ignore[attr-defined]

@@ -33,11 +33,7 @@ OwnRun = Callable[[TrainingConfig], Path]
 @BOTH
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_stopped_run_continues_where_it_was(
-    config: TrainingConfig,
-    number: signal.Signals,
-    trained: Trained,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    config: TrainingConfig, number: signal.Signals, trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = trained(config.algo)
     handlers = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]

@@ -29,8 +29,7 @@ def config(folder: Path, **settings: object) -> TrainingConfig:
 
 
 @pytest.mark.parametrize(
-    "settings",
-    [{"prior": "route"}, {"imitation": 1.0, "expert": "route"}, {"memory": "gru", "memory_size": 8}],
+    "settings", [{"prior": "route"}, {"imitation": 1.0, "expert": "route"}, {"memory": "gru", "memory_size": 8}]
 )
 def test_a_policy_with_routes_trains_and_drives_as_it_was_saved(tmp_path: Path, settings: dict[str, object]) -> None:
     summary = train(config(tmp_path, **settings))

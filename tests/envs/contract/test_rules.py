@@ -13,17 +13,7 @@ import torch
 
 from rover_rl import TaskConfig
 from rover_rl.envs.task import EVENTS, PositionHistory, StepEvent, compute_terminations, heading_alignment
-from tests.envs.contract.scripted_env import (
-    CPU,
-    OBSERVATION,
-    bare,
-    moving,
-    pairs,
-    play,
-    rewards,
-    scripted,
-    step_events,
-)
+from tests.envs.contract.scripted_env import CPU, OBSERVATION, bare, moving, pairs, play, rewards, scripted, step_events
 from tests.envs.scripted import Moment
 
 NEAR = Moment(ranges=0.1)

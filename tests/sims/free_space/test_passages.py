@@ -30,11 +30,7 @@ def with_gap(width: float, offset: float = 0.0, yaw: float = 0.0) -> World:
         center = (-math.sin(yaw) * along, math.cos(yaw) * along + offset, 0.5)
         halves.append(box(center, (0.2, 8.0, 1.0), yaw=yaw))
     return World(
-        "gap",
-        Terrain.flat((10, 10)),
-        halves,
-        spawn_range=((-4.5, -2.5), (-1, 1)),
-        goal_range=((2.5, 4.5), (-1, 1)),
+        "gap", Terrain.flat((10, 10)), halves, spawn_range=((-4.5, -2.5), (-1, 1)), goal_range=((2.5, 4.5), (-1, 1))
     )
 
 

@@ -247,10 +247,7 @@ def test_spawn_poses_keep_the_lidar_away_from_a_cliff():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        (
-            {"obstacles": [box((0, 0, 0.5), (20, 20, 1))]},
-            "world 'plain' has no free goal cell for 'rover_zero'",
-        ),
+        ({"obstacles": [box((0, 0, 0.5), (20, 20, 1))]}, "world 'plain' has no free goal cell for 'rover_zero'"),
         (
             {"obstacles": [box((-3, 0, 0.5), (2, 8, 1))], "spawn_range": ((-3, -2.5), (0, 1))},
             "world 'plain' has no free spawn cell for 'rover_zero'",

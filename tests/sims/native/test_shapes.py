@@ -38,10 +38,7 @@ def size(client: int, shape: int) -> np.ndarray:
 @pytest.mark.parametrize("kind", ["hull", "mesh"])
 def test_shapes_leak_no_python_objects(client, kind):
     vertices, faces = square(4.0)
-    make = {
-        "hull": lambda: make_hull(client, vertices),
-        "mesh": lambda: make_mesh(client, vertices, faces),
-    }[kind]
+    make = {"hull": lambda: make_hull(client, vertices), "mesh": lambda: make_mesh(client, vertices, faces)}[kind]
     make()
     gc.collect()
     before = sys.getallocatedblocks()

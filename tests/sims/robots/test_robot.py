@@ -59,11 +59,7 @@ def test_an_unknown_link_of_a_sensor_raises_with_the_links():
 
 @pytest.mark.parametrize(
     "wheels",
-    [
-        {"left": (), "right": ("a", "b")},
-        {"left": ("a", "a"), "right": ("b",)},
-        {"left": ("a",), "right": ("a",)},
-    ],
+    [{"left": (), "right": ("a", "b")}, {"left": ("a", "a"), "right": ("b",)}, {"left": ("a",), "right": ("a",)}],
 )
 def test_each_motor_must_have_separate_wheels(wheels):
     with pytest.raises(ValueError, match="each motor .* must have a wheel, and each joint must be named once, got"):
@@ -87,10 +83,7 @@ def with_drive(**changes):
     ("changes", "message"),
     [
         ({"radius": 0.2}, r"^radius of robot 'rover_zero' is 0.2 m, and its body and wheels reach 0.267 m .* 0.349 m"),
-        (
-            {"lidar": (0.6, 0.0, 0.3)},
-            r"is at x = 0.6, y = 0 m, 0.337 m outside of its body and outside of its",
-        ),
+        ({"lidar": (0.6, 0.0, 0.3)}, r"is at x = 0.6, y = 0 m, 0.337 m outside of its body and outside of its"),
         ({"lidar": (0.1, 0.0, -0.1)}, r"^the lidar of robot 'rover_zero' is at z = -0.1 m; it must be above"),
         (
             with_drive(torque=0.1),

@@ -11,13 +11,7 @@ import pytest
 from rover_rl import RoverEnv
 from rover_rl.sims.ros2 import Ros2Settings
 from rover_rl.sims.ros2.dds import DdsTransport, domain_id, domain_settings
-from rover_rl.sims.ros2.messages import (
-    Clock,
-    Header,
-    LaserScan,
-    Time,
-    Twist,
-)
+from rover_rl.sims.ros2.messages import Clock, Header, LaserScan, Time, Twist
 from tests.sims.ros2.processes import until
 
 pytestmark = pytest.mark.ros2

@@ -363,12 +363,7 @@ def test_a_topic_that_never_starts_is_reported(rover):
 
 @pytest.mark.parametrize(
     ("kind", "topic"),
-    [
-        ("scan", "/scan"),
-        ("imu", "/imu/data"),
-        ("odometry", "/odometry/wheels"),
-        ("pose", "/rover/pose_array"),
-    ],
+    [("scan", "/scan"), ("imu", "/imu/data"), ("odometry", "/odometry/wheels"), ("pose", "/rover/pose_array")],
 )
 def test_a_silent_topic_stops_the_rover(wire, rover, kind, topic):
     rover.start()

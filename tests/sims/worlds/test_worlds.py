@@ -77,10 +77,7 @@ class TestInspect:
         assert self.world().terrain.cell == 0.25
 
     def test_heights(self):
-        window, square = (
-            heights(self.world(), self.world().bounds),
-            heights(self.world(), self.world().spawn_range),
-        )
+        window, square = (heights(self.world(), self.world().bounds), heights(self.world(), self.world().spawn_range))
         assert window.min() >= 4.1
         assert window.max() <= 6.3
         assert square.min() >= 4.3

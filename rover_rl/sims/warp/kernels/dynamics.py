@@ -303,16 +303,7 @@ def step_dynamics(scenes: wp.array[Scene], model: RobotModel, solver: Solver, ro
                 motion, wheel_spins, contacts, count, solver.softness, body.inverse_mass, body.inverse_spin
             )
             motion = solve_motors(
-                motion,
-                wheel_spins,
-                motors,
-                model,
-                axles,
-                responses,
-                body.inverse_spin,
-                masses,
-                targets,
-                max_impulse,
+                motion, wheel_spins, motors, model, axles, responses, body.inverse_spin, masses, targets, max_impulse
             )
         for n in range(EXTRA_CONTACTS):
             impulses[n] = contacts[wheel_contacts + n].impulse

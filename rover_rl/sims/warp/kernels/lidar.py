@@ -240,13 +240,7 @@ def block_in_ring(column: int, line: int, ring: int, k: int) -> wp.vec2i:
 
 @wp.func
 def may_shorten(
-    scene: Scene,
-    visible: wp.array2d[float],
-    row: int,
-    plane: ScanPlane,
-    i: int,
-    j: int,
-    near: bool,
+    scene: Scene, visible: wp.array2d[float], row: int, plane: ScanPlane, i: int, j: int, near: bool
 ) -> bool:
     """Whether the ground of block (i, j) may shorten beams: it meets the scan plane and is not occluded.
 
@@ -442,12 +436,7 @@ def scan_share(
 
 @wp.kernel
 def scan(
-    scenes: wp.array[Scene],
-    model: RobotModel,
-    rovers: RoverArrays,
-    beams: wp.array[wp.vec2],
-    first: int,
-    lanes: int,
+    scenes: wp.array[Scene], model: RobotModel, rovers: RoverArrays, beams: wp.array[wp.vec2], first: int, lanes: int
 ):
     """One scan per rover that scans, from the pose in ``rovers.base_state``.
 

@@ -78,11 +78,7 @@ def read_map(path: Path, options: ImportOptions) -> WorldParts:
     unknown = [f"map: {100 * share:.0f} % of the cells are unknown, taken as {options.unknown}"] if share else []
     notes = [*renamed, f"map: {int(walls.sum()):,} wall cells in {len(rectangles):,} boxes", *unknown, *about]
     return WorldParts(
-        name=options.name or path.stem,
-        terrain=terrain,
-        obstacles=tuple(obstacles),
-        **vars(areas),
-        notes=tuple(notes),
+        name=options.name or path.stem, terrain=terrain, obstacles=tuple(obstacles), **vars(areas), notes=tuple(notes)
     )
 
 

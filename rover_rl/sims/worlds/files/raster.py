@@ -11,11 +11,7 @@ STEEPEST = 0.17
 
 
 def surface_heights(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    origin: tuple[float, float],
-    cell: float,
-    shape: tuple[int, int],
+    vertices: np.ndarray, faces: np.ndarray, origin: tuple[float, float], cell: float, shape: tuple[int, int]
 ) -> np.ndarray:
     """Returns the lowest height of a surface at each point of a grid, by vertical rays through its triangles.
 

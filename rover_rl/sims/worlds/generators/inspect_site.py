@@ -26,15 +26,7 @@ PANEL, TILT = (3.4, 2.0, 0.12), math.radians(28)
 """Dimensions of a panel (m) and its tilt toward the south (rad)."""
 PANEL_ROWS = (-17.9, -14.3, -10.7, -7.1)
 PANEL_COLUMNS = (-28.2, -23.4, -18.6, -13.8, -9.0)
-WALLS = (
-    (-25.8, -18.2),
-    (-16.2, -18.4),
-    (-21.0, -16.1),
-    (-30.0, -16.2),
-    (-11.5, -16.2),
-    (-25.8, -12.5),
-    (-16.2, -9.0),
-)
+WALLS = ((-25.8, -18.2), (-16.2, -18.4), (-21.0, -16.1), (-30.0, -16.2), (-11.5, -16.2), (-25.8, -12.5), (-16.2, -9.0))
 WALL_SIZE = (1.8, 0.3)
 HEIGHT_ABOVE, DEPTH_BELOW = 0.5, 0.3
 """Height of walls and panel fronts above the highest ground below them, so that the lidar sees them, and their depth

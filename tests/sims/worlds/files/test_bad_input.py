@@ -203,10 +203,7 @@ CASES: dict[str, Case] = {
     "no uri": (sdf("<include/>"), "has no uri"),
     "include loop": (loop, "includes itself"),
     "too many includes": (many_includes, "has more than 3,000 models"),
-    "no such model": (
-        sdf("<include><uri>model://no</uri></include>"),
-        "not here: model://no is not found",
-    ),
+    "no such model": (sdf("<include><uri>model://no</uri></include>"), "not here: model://no is not found"),
     "fuel": (sdf("<include><uri>https://fuel.org/m</uri></include>"), "https://fuel.org/m is not a local file"),
     "include outside": (sdf("<include><uri>../../../../etc</uri></include>"), OUTSIDE),
     "model outside": (sdf("<include><uri>model://../../../../etc/x.sdf</uri></include>"), OUTSIDE),
