@@ -6,9 +6,10 @@ Run it on both revisions, on the same machine, and compare the lines::
     git worktree add ../before REVISION && (cd ../before && python -m benchmarks.digests) > before.txt
     diff before.txt after.txt
 
-Rollouts take 200 random steps of 16 rovers in each world and simulator, with and without randomization. Evaluations
-drive the package's policies on stored start-goal pairs; their digests cover all metrics, without confidence intervals,
-and every episode. Trainings are short runs of PPO and SAC in both simulators; their digests cover the policy's weights.
+Rollouts take 200 random steps of 16 rovers in each world and simulator, with and without randomization, and in pools
+of unseen worlds. Evaluations drive the package's policies on stored start-goal pairs, and the baselines in unseen
+worlds; their digests cover all metrics, without confidence intervals, and every episode. Trainings are short runs of
+PPO and SAC in two simulators; their digests cover the policy's weights.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from contextlib import redirect_stdout
 from dataclasses import dataclass
 from itertools import product
 from tempfile import TemporaryDirectory
+from typing import Literal, TypeAlias, get_args
 
 import torch
 import tyro
@@ -27,16 +29,20 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from benchmarks.stored import stored_worlds
-from rover_rl import Randomization, make_env
+from rover_rl import EnvConfig, LidarConfig, Randomization, make_env
 from rover_rl.algos.config import training_config
-from rover_rl.algos.evaluation.episodes import STORED_WORLDS, stored_episodes
+from rover_rl.algos.evaluation.episodes import STORED_WORLDS, draw_episodes, stored_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
+from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.policy.names import BASELINES, make_baseline
 from rover_rl.algos.pretrained import load_pretrained, pretrained_names
 from rover_rl.algos.train import train
 
 ROVERS, STEPS = 16, 200
-BACKENDS = ("bullet", "warp")
+BACKENDS = ("bullet", "warp", "mujoco")
+POOLS = ("maze:50000-50063", "forest:50000-50063", "hills:50000-50063")
+Part: TypeAlias = Literal["rollouts", "pools", "policies", "baselines", "trainings"]
 
 
 @dataclass(frozen=True)
@@ -45,17 +51,32 @@ class Digests:
 
     count: int = 64
     """Number of stored episodes that each policy drives."""
+    parts: tuple[Part, ...] = get_args(Part)
+    """What to run."""
+    worlds: tuple[str, ...] = STORED_WORLDS
+    """Worlds of the rollouts, each with and without randomization."""
+    backends: tuple[str, ...] = BACKENDS
+    """Simulators of the rollouts."""
 
     def __call__(self) -> None:
         """Prints one line per rollout, evaluation and training."""
         torch.set_num_threads(1)
-        for world, backend, noise in product(STORED_WORLDS, BACKENDS, (None, Randomization.typical())):
-            name = "randomized" if noise else "plain"
-            print("rollout", world, backend, name, rollout_digest(world, backend, noise), flush=True)
-        for name in pretrained_names():
-            print("evaluation", name, *evaluation_digest(name, self.count), flush=True)
-        for algo, backend in product(("ppo", "sac"), BACKENDS):
-            print("training", algo, backend, training_digest(algo, backend), flush=True)
+        if "rollouts" in self.parts:
+            for world, backend, noise in product(self.worlds, self.backends, (None, Randomization.typical())):
+                name = "randomized" if noise else "plain"
+                print("rollout", world, backend, name, rollout_digest(world, backend, noise), flush=True)
+        if "pools" in self.parts:
+            for world in POOLS:
+                print("pool", world, rollout_digest(world, "warp", Randomization.typical()), flush=True)
+        if "policies" in self.parts:
+            for name in pretrained_names():
+                print("policy", name, *policy_digest(name, self.count), flush=True)
+        if "baselines" in self.parts:
+            for name in BASELINES:
+                print("baseline", name, *baseline_digest(name), flush=True)
+        if "trainings" in self.parts:
+            for algo, backend in product(("ppo", "sac"), ("bullet", "warp")):
+                print("training", algo, backend, training_digest(algo, backend), flush=True)
 
 
 def rollout_digest(world: str, backend: str, randomization: Randomization | None) -> str:
@@ -71,15 +92,25 @@ def rollout_digest(world: str, backend: str, randomization: Randomization | None
     return digest({str(key): value for key, value in rollout.items(True, True)})
 
 
-def evaluation_digest(name: str, count: int) -> tuple[str, float]:
-    """Digest of an evaluation, and its success rate."""
+def policy_digest(name: str, count: int) -> tuple[str, float]:
+    """Digest of the evaluation of a pretrained policy, and its success rate."""
     checkpoint = load_pretrained(name)
     world, *_ = stored_worlds(checkpoint.env)
-    result = evaluate(checkpoint.make_actor(), stored_episodes(world).first(count), name=name)
+    return evaluation_digest(evaluate(checkpoint.make_actor(), stored_episodes(world).first(count), name=name))
+
+
+def baseline_digest(name: str) -> tuple[str, float]:
+    """Digest of the evaluation of a baseline in unseen mazes, and its success rate."""
+    env = EnvConfig(backend="warp", lidar=LidarConfig(points=128))
+    return evaluation_digest(evaluate(make_baseline(name), draw_episodes("maze:50000-50015", 1), name=name, env=env))
+
+
+def evaluation_digest(result: Evaluation) -> tuple[str, float]:
+    """Digest of an evaluation, and its success rate."""
     values = {key: metric.value for key, metric in result.metrics.items()}
     text = json.dumps([values, result.to_json()["episodes"]], sort_keys=True)
     paths = {str(number): path for number, path in enumerate(result.paths)}
-    return hashlib.sha256((text + digest(paths)).encode()).hexdigest()[:16], result.success_rate
+    return hashlib.sha256((text + digest(paths)).encode()).hexdigest()[:16], values["success_rate"]
 
 
 def training_digest(algo: str, backend: str) -> str:
