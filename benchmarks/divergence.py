@@ -58,15 +58,15 @@ def drive(world: str, options: Options) -> RoverEnv:
 
 def times(env: RoverEnv, physics: bool, repeats: int) -> Tensor:
     """Time of a launch for each rover alone, without that of a launch for no rover, s: ``[N]``."""
-    simulator = env.base_env.simulator
-    buffers = simulator._buffers
-    chosen = buffers.active if physics else buffers.scanned
+    rover = env.base_env
+    chosen = rover.simulator._buffers.active if physics else rover.scanner.rows
+    work = rover.simulator.launch if physics else rover.scanner.launch
 
     def launch(row: int | None) -> float:
         if row is not None:
             chosen[row] = True
         begin = time.perf_counter()
-        simulator.launch(physics=physics, lidar=not physics)
+        work()
         passed = time.perf_counter() - begin
         chosen.fill_(False)
         return passed

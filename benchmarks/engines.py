@@ -24,7 +24,7 @@ def _is_installed(name: str) -> bool:
     """Builds a simulator of one rover, which fails if a library is missing."""
     world = World("flat", Terrain.flat((4, 4)))
     try:
-        make_simulator(name, worlds=[world], robot=get_robot("rover_zero"), lidar_beams=1).close()
+        make_simulator(name, worlds=[world], robot=get_robot("rover_zero")).close()
     except ImportError:
         return False
     return True

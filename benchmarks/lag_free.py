@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 import tyro
 from rich.console import Console
@@ -34,7 +33,6 @@ from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.envs.config import HeadingGains
 from rover_rl.files import write_json
 from rover_rl.sims.base import Dynamics, RoverState
-from rover_rl.sims.bullet.lidar import Lidar
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.native.bullet import pybullet
@@ -64,12 +62,11 @@ class LagFree:
         *,
         worlds: Sequence[World],
         robot: Robot,
-        lidar_beams: int,
         connection: Connection | None = None,
         device: torch.device | None = None,
     ) -> LagFreeRovers:
         """Creates the simulator."""
-        return LagFreeRovers(worlds, robot, lidar_beams, self)
+        return LagFreeRovers(worlds, robot, self)
 
     def reversals(self) -> float:
         """Returns the number of changes of the commanded turning direction per second."""
@@ -92,12 +89,10 @@ class LagFreeRovers:
 
     capabilities = frozenset({"contacts"})
 
-    def __init__(self, worlds: Sequence[World], robot: Robot, lidar_beams: int, settings: LagFree) -> None:
+    def __init__(self, worlds: Sequence[World], robot: Robot, settings: LagFree) -> None:
         self.num_envs, self.device, self.robot_connected = len(worlds), torch.device("cpu"), True
         self.control_dt = DT
-        self.ray_angles = torch.arange(lidar_beams, dtype=torch.float32) * (2 * math.pi / lidar_beams)
         self._world, self._robot, self._settings = worlds[0], robot, settings
-        self._lidar = Lidar(worlds[0], robot, self.ray_angles.double().numpy())
         limits = CommandLimits.from_robot(robot)
         self._limiters = [CommandLimiter(limits) for _ in worlds] if settings.limited else []
         self._pose = torch.zeros(self.num_envs, 3, dtype=torch.float64)
@@ -119,7 +114,7 @@ class LagFreeRovers:
         """
         raise ValueError("rovers without drive lag have no dynamics to vary")
 
-    def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
+    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         """Executes the commands for one control step."""
         active = torch.ones(self.num_envs, dtype=torch.bool) if active is None else active
         for row in active.nonzero().flatten().tolist() if self._limiters else ():
@@ -134,16 +129,14 @@ class LagFreeRovers:
         return self.state()
 
     def state(self) -> RoverState:
-        """Returns poses, velocities and scans."""
+        """Returns poses and velocities."""
         position, rotation = rest_on_ground(self._world, self._robot, self._pose)
-        ranges = self._lidar.scan(position.numpy(), np.ascontiguousarray(rotation.numpy()))
         orientation = matrix_to_quaternion(rotation).float()
         return RoverState.pack(
             position=position.float(),
             orientation=orientation,
             linear_velocity=self._twist[:, :1].clone(),
             angular_velocity=self._twist[:, 1:].clone(),
-            ranges=torch.from_numpy(ranges).float(),
             dt=torch.full((self.num_envs, 1), DT),
             stamp=torch.zeros(self.num_envs, 1, dtype=torch.float64),
             contact=is_touching(position.float(), quaternion_to_euler(orientation), self._world, self._robot)[:, None],

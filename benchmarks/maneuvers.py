@@ -79,7 +79,7 @@ def drive(
     Returns:
         Poses after each step. The first entry is the start.
     """
-    simulator = make_simulator(engine, worlds=worlds, robot=get_robot(robot), lidar_beams=1)
+    simulator = make_simulator(engine, worlds=worlds, robot=get_robot(robot))
     states = [simulator.reset(torch.ones(len(worlds), dtype=torch.bool), starts)]
     for command, seconds in commands:
         rows = command.expand(len(worlds), 2).contiguous()

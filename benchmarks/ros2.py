@@ -124,7 +124,7 @@ def latency(policy: Policy, world: str, seconds: float) -> dict[str, Any]:
 def backend_cpu(world: str, seconds: float) -> dict[str, Any]:
     """Measures the CPU usage of the backend alone, as a share of a core."""
     with robot(world, 1.0):
-        simulator = make_simulator(LIVE, worlds=[get_world(world)], robot=get_robot("rover_zero"), lidar_beams=128)
+        simulator = make_simulator(LIVE, worlds=[get_world(world)], robot=get_robot("rover_zero"))
         simulator.step(torch.zeros(1, 2))
         wall, cpu = time.perf_counter(), time.process_time()
         while time.perf_counter() - wall < seconds:

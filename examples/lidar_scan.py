@@ -30,9 +30,9 @@ def draw_scan(axes: Axes, config: EnvConfig) -> None:
     env = make_env(config)
     observation = env.reset(start=start, goal=goal)
     rover = env.base_env
-    ranges = rover.sensed_state.ranges[0].clamp(max=config.lidar.max_range).numpy()
+    ranges = rover.sensed_scan[0].clamp(max=config.lidar.max_range).numpy()
     x, y, yaw = start[0].tolist()
-    angles = rover.simulator.ray_angles.numpy() + yaw
+    angles = rover.scanner.angles.numpy() + yaw
     origin = np.array([x + MOUNT * np.cos(yaw), y + MOUNT * np.sin(yaw)])
     ends = origin + ranges[:, None] * np.stack((np.cos(angles), np.sin(angles)), -1)
     draw_map(axes, get_world("maze"), ((-4.5, 4.5), (-4.5, 4.5)))

@@ -60,8 +60,8 @@ plt.show()
 env = make_env(world_n=world, num_envs=1, seed=0)
 env.reset(start=torch.tensor([[-3.0, 0.0, 0.0]]), goal=torch.tensor([[3.0, 0.0]]))
 rover = env.base_env
-ranges = rover.rover_state.ranges[0].numpy()
-angles = rover.simulator.ray_angles.numpy()
+ranges = rover.scan[0].numpy()
+angles = rover.scanner.angles.numpy()
 seen = np.isfinite(ranges)
 print(f"{int(seen.sum())} of {len(ranges)} beams hit something, the nearest after {ranges.min():.2f} m")
 

@@ -1,8 +1,4 @@
-"""TensorDicts without checks, for the step of an environment.
-
-The public constructors of TensorDict check the shape and device of every entry, which takes longer than a step of a
-small batch. The callers guarantee both. This is the only use of TensorDict's private API.
-"""
+"""TensorDicts without checks, and with a batch dimension."""
 
 from __future__ import annotations
 
@@ -10,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
-from tensordict import TensorDict
+from tensordict import LazyStackedTensorDict, TensorDict, TensorDictBase
 
 
 def unchecked_tensordict(
@@ -18,9 +14,27 @@ def unchecked_tensordict(
 ) -> TensorDict:
     """Creates a TensorDict without checking its entries.
 
+    The public constructors of TensorDict check the shape and device of every entry, which takes longer than a step of a
+    small batch. The callers guarantee both. This is the only use of TensorDict's private API.
+
     Args:
         entries: tensors or nested TensorDicts by name, whose shapes start with ``batch_size``.
         batch_size: batch size of the TensorDict.
         device: device of all entries. ``None`` leaves the device of the TensorDict unset.
     """
     return TensorDict._new_unsafe(dict(entries), batch_size=torch.Size(batch_size), device=device)
+
+
+def in_rows(tensordict: TensorDictBase) -> TensorDictBase:
+    """Returns a read-only view with a batch dimension. A tensordict that has one is returned unchanged.
+
+    Args:
+        tensordict: tensordict of batch size ``[N, ...]`` or ``[]``.
+
+    Example:
+        >>> env = make_env(world_n="maze", num_envs=None)
+        >>> in_rows(env.reset())["lidar"].shape
+        torch.Size([1, 32])
+    """
+    # A lazy stack is faster than a view of every entry, because few entries are read.
+    return tensordict if tensordict.batch_dims else LazyStackedTensorDict(tensordict, stack_dim=0)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from functools import partial
 from typing import Any
 
 import torch
@@ -40,10 +39,10 @@ def measure(options: Options, device: torch.device, results: dict[str, Any]) -> 
     rovers, beams = min(ROVERS, max(options.gpu_rovers)), min(options.gpu_beams)
     world = options.gpu_worlds[0]
     with driving(world, rovers, beams, device) as drive:
-        launch = drive.env.base_env.simulator.launch
+        rover = drive.env.base_env
         works = {
-            "step_dynamics": partial(launch, lidar=False),
-            "scan": partial(launch, physics=False),
+            "step_dynamics": rover.simulator.launch,
+            "scan": rover.scanner.launch,
             "add_scans and plan_routes": map_work(drive, device),
         }
         times = {name: timed(work, device, options.gpu_seconds, drive.step).device for name, work in works.items()}

@@ -52,6 +52,7 @@ def main(options: Options) -> None:
             torch.cuda.synchronize(device)
             torch.cuda.profiler.start()
         drive.env.base_env.simulator.launch()
+        drive.env.base_env.scanner.launch()
         add_and_plan()
         if on_gpu:
             torch.cuda.synchronize(device)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from typing import Any
 
 import torch
@@ -40,8 +39,8 @@ def _case(options: Options, device: torch.device, world: str, rovers: int, beams
     case = {"world": world, "rovers": rovers, "beams": beams}
     try:
         with driving(world, rovers, beams, device) as drive:
-            launch, used = drive.env.base_env.simulator.launch, drive.used
-            kernels = {"physics": partial(launch, lidar=False), "lidar": partial(launch, physics=False)}
+            rover, used = drive.env.base_env, drive.used
+            kernels = {"physics": rover.simulator.launch, "lidar": rover.scanner.launch}
             times = {name: timed(work, device, options.gpu_seconds, drive.step) for name, work in kernels.items()}
             step = timed(drive.step, device, options.gpu_seconds)
     except (MemoryError, RuntimeError) as error:

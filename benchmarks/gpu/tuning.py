@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import torch
@@ -39,8 +38,8 @@ def _case(
 ) -> dict[str, Any]:
     settings = WarpSettings(block_size=block_size, lidar_lanes=lanes)
     with driving(world, rovers, beams, device, settings) as drive:
-        launch = drive.env.base_env.simulator.launch
-        kernels = {"physics": partial(launch, lidar=False), "lidar": partial(launch, physics=False)}
+        rover = drive.env.base_env
+        kernels = {"physics": rover.simulator.launch, "lidar": rover.scanner.launch}
         times = {name: timed(work, device, options.gpu_seconds / 2, drive.step) for name, work in kernels.items()}
     rates = {name: rovers / timing.device for name, timing in times.items()}
     return {"world": world, "rovers": rovers, "beams": beams, "block_size": block_size, "lanes": lanes, **rates}

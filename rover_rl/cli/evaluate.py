@@ -111,7 +111,7 @@ class Evaluate:
             for name in names:
                 env = self.environment.description(None, name)
                 robot = get_robot(env.robot)
-                make_simulator(name, worlds=[world], robot=robot, lidar_beams=1, physics=env.preset).close()
+                make_simulator(name, worlds=[world], robot=robot, physics=env.preset).close()
                 for policy in policies:
                     self.environment.description(policy.module, name)
         return [*names] or [None]

@@ -65,7 +65,7 @@ class RobotCommand:
         self._check()
         described = self._environment()
         from rover_rl.algos.evaluation.episodes import draw_episodes
-        from rover_rl.sims import make_simulator
+        from rover_rl.sims import make_scanner, make_simulator
         from rover_rl.sims.robots import get_robot
         from rover_rl.sims.ros2.robot import RobotNode
         from rover_rl.sims.ros2.transport import make_transport
@@ -81,16 +81,17 @@ class RobotCommand:
         world, robot = get_world(described.worlds[0]), get_robot(described.robot)
         start = draw_episodes(world, 1, self.seed, robot=robot).start[0].tolist()
         transport = make_transport("dds", robot.name)
-        simulator = make_simulator(
-            described.backend, worlds=[world], robot=robot, lidar_beams=self.lidar_beams, physics=described.preset
-        )
+        simulator = make_simulator(described.backend, worlds=[world], robot=robot, physics=described.preset)
+        scanner = make_scanner(simulator, [world], robot, self.lidar_beams)
         settings = Ros2Settings(
             odometry_topic=self.odometry_topic, pose_topic=self.pose_topic, reset_topic=self.reset_topic
         )
         view = math.radians(self.lidar_view)
         connection = described.connection
         try:
-            node = RobotNode(simulator, transport, world, robot.lidar_range, settings, connection, tuple(start), view)
+            node = RobotNode(
+                simulator, scanner, transport, world, robot.lidar_range, settings, connection, tuple(start), view
+            )
             print(
                 f"Rover in {described.world_names[0]} on ROS 2: publishes {connection.scan_topic}, receives "
                 f"{connection.cmd_vel_topic}",

@@ -174,7 +174,7 @@ def _file_name(world: str) -> str:
 
 def _description(world: World) -> str:
     """Returns lines about a world: its size, and what the importer has to say."""
-    from rover_rl.envs.sensors.pose import clipped_pose
+    from rover_rl.envs.sensors.standard import clipped_pose
 
     terrain = world.terrain
     (x_low, x_high), (y_low, y_high) = world.bounds

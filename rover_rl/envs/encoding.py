@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from rover_rl.envs.config import LidarConfig
-from rover_rl.envs.sensors.imu import Imu
+from rover_rl.envs.sensors.standard import Imu
 from rover_rl.envs.sensors.suite import policy_sensors
 
 if TYPE_CHECKING:

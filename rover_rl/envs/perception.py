@@ -1,70 +1,125 @@
-"""State of the environment between two steps: rover state, quantities derived from it, and state of the task."""
+"""State of the rovers, as it is and as their sensors report it, and the sensed pose.
+
+The error of a localization is the sum of two parts. One drifts: an Ornstein-Uhlenbeck process, exact in discrete time,
+``e' = a e + s sqrt(1 - a^2) n`` with ``a = exp(-dt / drift_time)``, the standard deviation ``s`` and a standard normal
+number ``n`` (C. Gardiner, *Stochastic Methods*, 2009, section 3.8.4). The other is constant until a jump draws it anew;
+jumps are a Poisson process. Random numbers depend on the row's seed, its episode and the step alone.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import NamedTuple
 
-from tensordict import TensorDict
+import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
-from rover_rl.envs.task import TaskState
+from rover_rl.envs.config import PoseConfig
+from rover_rl.envs.rng import random_bits, to_normal, to_unit
 from rover_rl.sims.base import RoverState
-from rover_rl.sims.rotations import quaternion_to_euler
+from rover_rl.sims.rotations import quaternion_to_euler, wrap_angle
 
-if TYPE_CHECKING:
-    from rover_rl.envs.localization import SensedPose
-    from rover_rl.envs.sensors.lidar import LidarPooling
+_DRIFT, _JUMP, _JUMPS = 7, 8, 9
+"""Streams of random numbers."""
 
 
 class Perception:
-    """Rover state with the attitude, heading, position and pooled lidar scan derived from it.
-
-    Args:
-        rover: state of the rovers, ``[N]``.
-        lidar: pooling of the raw scan.
+    """State of the rovers with the attitude, heading, position and pooled lidar scan derived from it.
 
     Attributes:
         rover: state of the rovers, ``[N]``.
+        ranges: raw lidar scan, ``[N, beams]``, m; ``inf`` for no return, 0 for a beam that starts inside a solid.
         euler: roll, pitch and yaw, ``[N, 3]``, rad.
         yaw: heading, ``[N, 1]``, rad.
         position: horizontal position (x, y), ``[N, 2]``, m.
         readings: pooled lidar scan, ``[N, lidar_points]``, m.
     """
 
-    def __init__(self, rover: RoverState, lidar: LidarPooling) -> None:
-        self.rover = rover
+    def __init__(self, rover: RoverState, ranges: Tensor, pooling: Callable[[Tensor], Tensor]) -> None:
+        self.rover, self.ranges = rover, ranges
         self.euler = quaternion_to_euler(rover.orientation)
         self.yaw = self.euler[:, 2:]
         self.position = rover.position[:, :2]
-        self.readings = lidar(rover.ranges)
+        self.readings = pooling(ranges)
 
 
-class StepState:
-    """State of the environment between two steps.
-
-    This is a plain object because ``EnvBase`` is a ``torch.nn.Module``, in which assigning attributes is slow.
+class SensedPose(NamedTuple):
+    """Pose as the sensors report it.
 
     Attributes:
-        truth: perception from the true state of the simulator.
-        sensed: perception from the sensor readings. The same object as ``truth`` if there is no sensor noise.
-        pose: pose as the sensors report it.
-        reference: the one of ``truth`` and ``sensed`` that events and rewards are computed from.
-        task: goals, targets and counters.
-        world: index of each row's world in the pool, int64 ``[N, 1]``. ``None`` if there is only one.
-        outcome: events and measurements of the last step.
-        terminated, truncated: whether the last step ended the episode, bool ``[N, 1]``.
+        position: position, ``[N, 3]``, m.
+        yaw: heading, ``[N, 1]``, rad.
     """
 
-    truth: Perception
-    sensed: Perception
-    pose: SensedPose
-    reference: Perception
-    task: TaskState
-    world: Tensor | None
-    outcome: TensorDict
-    terminated: Tensor
-    truncated: Tensor
+    position: Tensor
+    yaw: Tensor
 
-    def __init__(self, task: TaskState, world: Tensor | None) -> None:
-        self.task = task
-        self.world = world
+
+class Localization:
+    """Sensed poses of a batch of rovers, from step to step.
+
+    Args:
+        config: where the pose comes from.
+    """
+
+    def __init__(self, config: PoseConfig) -> None:
+        self._config = config
+        self._steps: Tensor | None = None
+        # Position and heading of dead reckoning.
+        self._pose: tuple[Tensor, Tensor] | None = None
+        # Error of a localization that drifts (x, y, heading), and the one that jumps (x, y).
+        self._error: tuple[Tensor, Tensor] | None = None
+
+    def __call__(self, truth: Perception, sensed: Perception, keys: Tensor, steps: Tensor) -> SensedPose:
+        """Returns the sensed poses.
+
+        Args:
+            truth: true state of the rovers, ``[N]``.
+            sensed: their state as the other sensors report it, ``[N]``.
+            keys: random keys of the episodes, int64 ``[N, 1]``.
+            steps: number of steps of each row's episode, int64 ``[N, 1]``. A row whose number is that of the last call
+                keeps its pose, and 0 begins an episode.
+        """
+        if self._config.source == "truth":
+            return SensedPose(sensed.rover.position, sensed.yaw)
+        begins = steps == 0
+        moves = torch.ones_like(begins) if self._steps is None else (steps != self._steps) & ~begins
+        self._steps = steps.clone()
+        if self._config.source == "odometry":
+            return self._dead_reckoning(truth, sensed, begins, moves)
+        return self._localized(truth, sensed, keys, steps, begins, moves)
+
+    def _dead_reckoning(self, truth: Perception, sensed: Perception, begins: Tensor, moves: Tensor) -> SensedPose:
+        """Adds the path of the wheels since the last step, along the mean of the headings at its start and its end."""
+        rover = sensed.rover
+        pitch, yaw = sensed.euler[:, 1:2], sensed.yaw
+        last, last_yaw = self._pose or (truth.rover.position, yaw)
+        heading = last_yaw + wrap_angle(yaw - last_yaw) / 2
+        forward = rover.dt * rover.linear_velocity
+        cos, sin = heading.cos(), heading.sin()
+        way = torch.cat((forward * pitch.cos() * cos, forward * pitch.cos() * sin, -forward * pitch.sin()), -1)
+        if rover.lateral_velocity is not None:
+            left = rover.dt * rover.lateral_velocity
+            way = way + torch.cat((-left * sin, left * cos, torch.zeros_like(left)), -1)
+        position = torch.where(begins, truth.rover.position, torch.where(moves, last + way, last))
+        self._pose = position, torch.where(begins | moves, yaw, last_yaw)
+        return SensedPose(position, yaw)
+
+    def _localized(
+        self, truth: Perception, sensed: Perception, keys: Tensor, steps: Tensor, begins: Tensor, moves: Tensor
+    ) -> SensedPose:
+        """Adds the drifting error, and the one that jumps."""
+        config, dt = self._config, truth.rover.dt
+        deviations = dt.new_tensor((config.drift, config.drift, config.drift_heading))
+        drawn = deviations * to_normal(random_bits(keys, _DRIFT, steps, 3))
+        offset = config.jump * to_normal(random_bits(keys, _JUMP, steps, 2))
+        last_drift, last_offset = self._error or (drawn, offset)
+        kept = (-dt / config.drift_time).exp()
+        drift = torch.where(moves, kept * last_drift + (1 - kept.square()).sqrt() * drawn, last_drift)
+        jumps = to_unit(random_bits(keys, _JUMPS, steps, 1)) < 1 - (-config.jump_rate * dt).exp()
+        drift = torch.where(begins, drawn, drift)
+        offset = torch.where(begins | (moves & jumps), offset, last_offset)
+        self._error = drift, offset
+        shift = pad(drift[:, :2] + offset, (0, 1))
+        return SensedPose(sensed.rover.position + shift, wrap_angle(sensed.yaw + drift[:, 2:]))

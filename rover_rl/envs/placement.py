@@ -1,21 +1,30 @@
-"""Random start poses and goals, drawn for each row from the free cells of its world."""
+"""What episodes begin with: random starts and goals in the free cells of each row's world, and random dynamics.
+
+Simulators differ from each other and from a real robot. A policy that is trained on many variations of the dynamics is
+less sensitive to these differences (J. Tobin et al., "Domain randomization for transferring deep neural networks from
+simulation to the real world", IROS 2017; X. B. Peng et al., "Sim-to-real transfer of robotic control with dynamics
+randomization", ICRA 2018).
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 
 import torch
 from torch import Tensor
 
+from rover_rl.envs.config import Randomization
 from rover_rl.envs.rng import random_bits, to_index, to_unit
+from rover_rl.sims.base import Dynamics
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.space import HEADINGS
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.slot_table import SlotTable
 from rover_rl.sims.worlds.table import WorldTable
 
-_START, _GOAL = 0, 1
-"""Streams of random numbers."""
+_START, _GOAL, _DYNAMICS = 0, 1, 2
+"""Streams of random numbers. Other modules of this package use 3 to 10 and 16."""
 
 _CANDIDATES = 8
 """Number of goals drawn at once. The first that is far enough is used, so that no loop is needed."""
@@ -30,9 +39,11 @@ class Placement:
         min_goal_distance: minimum distance from the rover to a new goal, m.
 
     Attributes:
-        bounds_low, bounds_high: lower and upper corners of the bounds of each row's world, ``[N, 2]``, m.
+        bounds: bounds of each row's world: lower x and y, and upper x and y, ``[N, 4]``, m.
+        bounds_low, bounds_high: the lower and the upper corners among them, ``[N, 2]``, m.
     """
 
+    bounds: Tensor
     bounds_low: Tensor
     bounds_high: Tensor
 
@@ -48,11 +59,6 @@ class Placement:
         self._cells = SlotTable((), torch.float32, device)
         self.enter_worlds()
 
-    @property
-    def bounds(self) -> Tensor:
-        """Bounds of each row's world: lower x and y, and upper x and y, ``[N, 4]``, m."""
-        return torch.cat((self.bounds_low, self.bounds_high), -1)
-
     def enter_worlds(self) -> None:
         """Moves rows to their worlds in the table, after these have changed."""
         for slot, world in self._entered().items():
@@ -61,7 +67,8 @@ class Placement:
             self._goal_cells[slot], self._extremes[slot] = space.goal_cells, space.goal_extremes
             self._bounds[slot] = torch.tensor(world.bounds).T
             self._cells[slot] = torch.tensor([space.cell])
-        self.bounds_low, self.bounds_high = self._bounds.values[self._worlds.slots].unbind(1)
+        self.bounds_low, self.bounds_high = corners = self._bounds.values[self._worlds.slots].unbind(1)
+        self.bounds = torch.cat(corners, -1)
 
     def draw_start(self, keys: Tensor, mask: Tensor | None = None) -> Tensor:
         """Draws start poses ``[N, 3]`` (x, y in m, yaw in rad) from the keys of the episodes ``[N, 1]``.
@@ -101,6 +108,20 @@ class Placement:
         far = (offset * offset).sum(-1, keepdim=True) >= self._min_goal_distance**2
         first = far.to(torch.uint8).argmax(1, keepdim=True).expand(-1, 1, 2)
         return _scattered(candidates.gather(1, first).squeeze(1), rows, len(keys))
+
+
+def draw_dynamics(randomization: Randomization, keys: Tensor) -> Dynamics:
+    """Draws the scale factors of each row's dynamics, float32 ``[N]`` each.
+
+    Args:
+        randomization: ranges of the factors.
+        keys: random keys of the episodes, ``[N, 1]``.
+    """
+    names = [item.name for item in fields(Dynamics)]
+    fractions = to_unit(random_bits(keys, _DYNAMICS, 0, len(names))).unbind(-1)
+    ranges = {name: getattr(randomization, name) for name in names}
+    pairs = zip(fractions, ranges.items(), strict=True)
+    return Dynamics(**{name: low + fraction * (high - low) for fraction, (name, (low, high)) in pairs})
 
 
 def _chosen(mask: Tensor | None) -> Tensor | slice:

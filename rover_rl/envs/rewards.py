@@ -18,11 +18,10 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
 from rover_rl.envs.config import RewardConfig
-from rover_rl.envs.rows import in_rows
 from rover_rl.envs.task import StepEvent
 from rover_rl.registry import Registry
 from rover_rl.sims.rotations import wrap_angle
-from rover_rl.tensordicts import unchecked_tensordict
+from rover_rl.tensordicts import in_rows, unchecked_tensordict
 
 _LAST_ACTION = "last_action"
 

@@ -17,26 +17,19 @@ from rover_rl.checks import MAX_COUNT, MAX_ROVERS, check_seed
 from rover_rl.envs import specs
 from rover_rl.envs.arguments import SIGNATURE, EnvSettings, config_from
 from rover_rl.envs.config import EnvConfig, Randomization, TaskConfig
-from rover_rl.envs.control import HeadingController
-from rover_rl.envs.devices import available_device
-from rover_rl.envs.inputs import checked_action, checked_place
-from rover_rl.envs.localization import Localization
-from rover_rl.envs.navigation import Navigation
-from rover_rl.envs.perception import Perception, StepState
-from rover_rl.envs.placement import Placement
+from rover_rl.envs.control import CommandDelay, HeadingController, checked_action, checked_place
+from rover_rl.envs.perception import Localization, Perception
+from rover_rl.envs.placement import Placement, draw_dynamics
 from rover_rl.envs.privileged import PrivilegedObservation
-from rover_rl.envs.randomization import CommandDelay, draw_dynamics
-from rover_rl.envs.requirements import check_requirements
 from rover_rl.envs.rng import episode_keys, row_keys
 from rover_rl.envs.row_worlds import RowWorlds
-from rover_rl.envs.sensors.base import SensorInput
-from rover_rl.envs.sensors.lidar import LidarPooling, scanning
-from rover_rl.envs.sensors.pose import clipped_pose
-from rover_rl.envs.sensors.suite import Observer, environment_sensors
-from rover_rl.envs.sensors.surroundings import Surroundings
-from rover_rl.envs.task import TaskState, target_info
+from rover_rl.envs.sensors.base import Observer, Rig, SensorInput, Surroundings
+from rover_rl.envs.sensors.standard import LidarPooling, clipped_pose
+from rover_rl.envs.sensors.suite import environment_sensors
+from rover_rl.envs.task import Navigation, StepState, TaskState, target_info
 from rover_rl.sims import Connection, RoverState, Simulator, make_simulator
-from rover_rl.sims.base import DynamicsChanger, View, WorldChanger
+from rover_rl.sims.backends import make_scanner
+from rover_rl.sims.base import Capability, DynamicsChanger, Scanner, View, WorldChanger
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.worlds import World
@@ -111,6 +104,7 @@ class RoverEnv(EnvBase):
         num_envs: number of rovers, and of rows of :attr:`goal`, :attr:`rover_state` and ``worlds``. 1 if unbatched.
         sensors: sensors that it reads, by name.
         simulator: simulator. A reset after ``close()`` replaces it.
+        scanner: its lidar, which makes the raw scans.
 
     Raises:
         ValueError: if the world, backend or robot is unknown, the device is not available, there are fewer beams than
@@ -135,7 +129,7 @@ class RoverEnv(EnvBase):
         _require_count("length", config.length, MAX_COUNT)
         seed = secrets.randbits(31) if config.seed is None else check_seed(config.seed, num_envs)
         super().__init__(
-            device=None if config.device is None else available_device(config.device),
+            device=None if config.device is None else specs.available_device(config.device),
             batch_size=() if config.num_envs is None else (num_envs,),
         )
         self._tensor_device = torch.device("cpu") if self.device is None else self.device
@@ -143,6 +137,7 @@ class RoverEnv(EnvBase):
         self.size = config.size
         self.num_envs = num_envs
         self._row_shape = torch.Size([num_envs])
+        self._every = torch.ones(num_envs, dtype=torch.bool, device=self._tensor_device)
         self.robot = get_robot(config.robot)
         first_keys = episode_keys(row_keys(seed, num_envs, self._tensor_device), 1)
         self._row_worlds = RowWorlds(config.world, first_keys)
@@ -156,7 +151,6 @@ class RoverEnv(EnvBase):
             make_simulator,
             config.backend,
             robot=self.robot,
-            lidar_beams=config.lidar.beams,
             physics=config.preset,
             connection=config.connection,
             device=self._tensor_device,
@@ -241,6 +235,18 @@ class RoverEnv(EnvBase):
         return self._state.sensed.rover
 
     @property
+    def scan(self) -> Tensor:
+        """Raw scan of every lidar, without noise, ``[N, beams]``, m; ``inf`` for no return."""
+        self._require_started("scan")
+        return self._state.truth.ranges
+
+    @property
+    def sensed_scan(self) -> Tensor:
+        """Raw scan of every lidar, including sensor noise, ``[N, beams]``, m."""
+        self._require_started("sensed_scan")
+        return self._state.sensed.ranges
+
+    @property
     def robot_connected(self) -> bool:
         """Whether the rovers are connected. Always true in simulation."""
         return self.simulator.robot_connected
@@ -287,10 +293,13 @@ class RoverEnv(EnvBase):
         """Builds the simulator. The next reset must include all rows."""
         self.simulator: Simulator = self._make_simulator(worlds=self._row_worlds.table)
         try:
-            check_requirements(self.config, self.robot, self.simulator)
+            _check_requirements(self.config, self.robot, self.simulator)
         except ValueError:
             self.simulator.close()
             raise
+        self.scanner: Scanner = make_scanner(
+            self.simulator, self._row_worlds.table, self.robot, self.config.lidar.beams
+        )
         self._surroundings.is_live = "live" in self.simulator.capabilities
         self._started = False
         self.is_closed = False
@@ -306,7 +315,8 @@ class RoverEnv(EnvBase):
         self.action_spec = specs.bounded_spec(action, batch_size, device)
         self.reward_spec = specs.reward_spec(batch_size, device)
         self.full_done_spec = specs.done_spec(batch_size, device)
-        self._observer = Observer(self.sensors, self._tensor_device)
+        rig = Rig(self.num_envs, self.robot, self.config.lidar, self.control_dt, self._tensor_device)
+        self._observer = Observer(self.sensors, rig)
         self._action_clip = action.tensors(self._tensor_device)
 
     def _set_seed(self, seed: int | None) -> None:
@@ -343,14 +353,14 @@ class RoverEnv(EnvBase):
             self._dynamics = draw_dynamics(self.randomization, self._keys)
         self._delay.reset(mask, self._keys)
         steps = self._state.task.steps.masked_fill(mask, 0)
-        self._perceive(self.simulator.reset(rows, poses.to(device)), steps)
+        self._perceive(self.simulator.reset(rows, poses.to(device)), rows, steps)
         self.controller.reset(mask)
         self._navigation.begin(self._state, mask, goal, self._keys, first=not self._started)
         self._started = True
         state = self._state
         # All rows are returned. EnvBase keeps the previous values of the rows that were not reset.
         return self._pack(
-            self._observation(),
+            self._observation(mask.squeeze(-1)),
             outcome=state.outcome,
             done=state.terminated | state.truncated,
             terminated=state.terminated,
@@ -381,8 +391,7 @@ class RoverEnv(EnvBase):
         rows = None if active is None else active.squeeze(-1).to(device)
         steps = self._state.task.steps + (1 if active is None else active)
         with self._row_worlds.preparing():
-            rover = self.simulator.step(command.to(device), rows, *scanning(steps, self.config.lidar.period, device))
-        self._perceive(rover, steps)
+            self._perceive(self.simulator.step(command.to(device), rows), rows, steps)
 
         self._navigation.advance(self._state, invalid, active, self._keys)
         state = self._state
@@ -390,7 +399,7 @@ class RoverEnv(EnvBase):
         if active is not None:
             reward = reward * active
         return self._pack(
-            self._observation(),
+            self._observation(self._every if active is None else active.squeeze(-1)),
             outcome=state.outcome,
             reward=reward,
             done=state.terminated | state.truncated,
@@ -398,22 +407,43 @@ class RoverEnv(EnvBase):
             truncated=state.truncated,
         )
 
-    def _perceive(self, rover: RoverState, steps: Tensor) -> None:
-        """Stores the true and the sensed state after ``steps`` steps of each row's episode."""
-        if rover.device is not None and rover.device != self._tensor_device:
-            rover = rover.to(self._tensor_device)
-        state = self._state
-        sensed = self._observer.sense(self.randomization, rover, self._keys, steps)
-        state.truth = Perception(rover, self.lidar)
-        state.sensed = state.truth if sensed is rover else Perception(sensed, self.lidar)
-        state.pose = self._localization(state.truth, state.sensed, self._keys, steps)
-        state.reference = state.truth if self.config.outcome_from == "truth" else state.sensed
+    def _perceive(self, rover: RoverState, rows: Tensor | None, steps: Tensor) -> None:
+        """Scans, and stores the true and the sensed state after ``steps`` steps of each row's episode.
 
-    def _observation(self) -> dict[str, Any]:
+        ``rows`` have moved, bool ``[N]`` on the simulator's device; ``None``: all.
+        """
+        state, config = self._state, self.config
+        ranges = self.scanner.scan(self._scanning(rows, steps))
+        if self.simulator.device != self._tensor_device:
+            rover, ranges = rover.to(self._tensor_device), ranges.to(self._tensor_device)
+        state.truth = Perception(rover, ranges, self.lidar)
+        state.sensed = self._observer.sense(config.randomization, state.truth, self._keys, steps, self.lidar)
+        state.pose = self._localization(state.truth, state.sensed, self._keys, steps)
+        state.reference = state.truth if config.outcome_from == "truth" else state.sensed
+
+    def _scanning(self, rows: Tensor | None, steps: Tensor) -> Tensor | None:
+        """Returns which of the ``rows`` scan after ``steps`` steps of their episodes."""
+        period = self.config.lidar.period
+        if period == 1:
+            return rows
+        due = (steps % period == 0).squeeze(-1).to(self.simulator.device)
+        return due if rows is None else due & rows
+
+    def _observation(self, rows: Tensor) -> dict[str, Any]:
+        """Returns the observation, in which ``rows`` (bool ``[N]``) are new."""
         state, pose, goal = self._state, self._state.pose, self._state.task.goal
         same = state.sensed is state.reference and self.config.pose.source == "truth"
-        target = state.task.target if same else target_info(pose.position[:, :2], pose.yaw, goal)
-        inputs = SensorInput(state.truth, state.sensed, pose, target, state.task.steps, self._keys, self._surroundings)
+        inputs = SensorInput(
+            truth=state.truth,
+            sensed=state.sensed,
+            pose=pose,
+            target=state.task.target if same else target_info(pose.position[:, :2], pose.yaw, goal),
+            steps=state.task.steps,
+            keys=self._keys,
+            surroundings=self._surroundings,
+            bounds=self.placement.bounds,
+            rows=rows,
+        )
         observation: dict[str, Any] = self._observer(inputs)
         if self._privileged is not None:
             observation["privileged"] = self._privileged(
@@ -454,3 +484,20 @@ def _prepare(robot: Robot, simulator: WorldChanger, world: World) -> None:
 def _require_count(name: str, value: int, most: int) -> None:
     if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= most:
         raise ValueError(f"{name} must be a whole number of at least 1 and at most {most}, got {value!r}")
+
+
+def _check_requirements(config: EnvConfig, robot: Robot, simulator: Simulator) -> None:
+    """Raises an error for the first thing that an environment needs and its simulator or robot cannot do."""
+    needs: dict[Capability, str] = {}
+    if config.task.collision_from == "contact":
+        needs["contacts"] = "a task with collision_from='contact' needs a backend that reports contacts"
+    if config.randomization.varies_dynamics:
+        needs["dynamics"] = "randomized friction, mass and motors need a backend in which they can be varied"
+    for capability, need in needs.items():
+        if capability not in simulator.capabilities:
+            raise ValueError(f"{need}: {type(simulator).__name__} does not state the capability {capability!r}")
+    if config.action.max_sideways and "live" in simulator.capabilities:
+        raise ValueError("max_sideways must be 0 with a live rover, whose commands are speed and yaw rate")
+    if config.action.max_sideways and not robot.drive.sideways:
+        drive = type(robot.drive).__name__
+        raise ValueError(f"max_sideways needs a drive that moves sideways, and robot {robot.name!r} has a {drive}")

@@ -8,7 +8,15 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from rover_rl.sims.backends import BACKENDS, Backend, BackendLike, backend_names, make_simulator, register_backend
+from rover_rl.sims.backends import (
+    BACKENDS,
+    Backend,
+    BackendLike,
+    backend_names,
+    make_scanner,
+    make_simulator,
+    register_backend,
+)
 from rover_rl.sims.connection import Connection
 
 if TYPE_CHECKING:
@@ -29,6 +37,7 @@ __all__ = [
     "RoverState",
     "Simulator",
     "backend_names",
+    "make_scanner",
     "make_simulator",
     "register_backend",
 ]

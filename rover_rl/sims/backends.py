@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from importlib import import_module
 from inspect import isfunction, signature
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, cast, runtime_checkable
 
 from rover_rl.registry import Registry
 from rover_rl.sims.connection import Connection
@@ -13,7 +13,7 @@ from rover_rl.sims.connection import Connection
 if TYPE_CHECKING:
     import torch
 
-    from rover_rl.sims.base import Simulator
+    from rover_rl.sims.base import LidarCarrier, Scanner, Simulator
     from rover_rl.sims.robots import Robot
     from rover_rl.sims.worlds import World
 
@@ -51,7 +51,7 @@ BackendLike: TypeAlias = Any
 """A backend: its name, its settings, or a :class:`Backend` object."""
 
 _REGISTRY = Registry("backend", BACKENDS)
-_MAKE = "make(worlds=, robot=, lidar_beams=, connection=, device=)"
+_MAKE = "make(worlds=, robot=, connection=, device=)"
 """The method of a :class:`Backend`, for messages."""
 
 
@@ -76,7 +76,6 @@ class Backend(Protocol):
         *,
         worlds: Sequence[World],
         robot: Robot,
-        lidar_beams: int,
         connection: Connection | None = None,
         device: torch.device | None = None,
     ) -> Simulator:
@@ -122,7 +121,6 @@ def make_simulator(
     *,
     worlds: Sequence[World],
     robot: Robot,
-    lidar_beams: int,
     physics: str | None = None,
     connection: Connection | None = None,
     device: torch.device | None = None,
@@ -134,7 +132,6 @@ def make_simulator(
             example ``BulletSettings(substeps=20)``; or a :class:`Backend`.
         worlds: world of each rover, N entries. Consecutive rovers in the same world share a simulation.
         robot: robot model.
-        lidar_beams: number of beams of a raw scan over the full turn.
         physics: name of a physics preset of a backend that is given by name. ``None`` uses the default settings.
         connection: topics of a real rover. ``None`` uses those of the contract.
         device: device of the task's tensors, on which the backend runs if it can. ``None`` is the CPU.
@@ -146,11 +143,34 @@ def make_simulator(
     settings = resolve_backend(backend, physics)
     options: dict[str, Any] = {"connection": connection, "device": device}
     if isinstance(settings, Backend):
-        return _make_custom(settings, {"worlds": worlds, "robot": robot, "lidar_beams": lidar_beams, **options})
+        return _make_custom(settings, {"worlds": worlds, "robot": robot, **options})
     built_in = _BUILT_IN[name_of(settings)]
     module, _, simulator = built_in.simulator.partition(":")
     taken = {option: options[option] for option in built_in.options}
-    return getattr(import_module(module), simulator)(worlds, robot, lidar_beams, settings, **taken)
+    return getattr(import_module(module), simulator)(worlds, robot, settings, **taken)
+
+
+def make_scanner(simulator: Simulator, worlds: Sequence[World], robot: Robot, beams: int) -> Scanner:
+    """Creates the lidar of the rovers in a simulator: the simulator's own, or one that casts rays in their worlds.
+
+    Args:
+        simulator: simulator of the rovers.
+        worlds: world of each rover.
+        robot: robot, at whose :attr:`~rover_rl.Robot.lidar_position` the lidar is.
+        beams: number of beams, equally spaced over a full turn.
+
+    Example:
+        >>> worlds, robot = [get_world("maze")], get_robot("rover_zero")
+        >>> simulator = make_simulator("warp", worlds=worlds, robot=robot)
+        >>> make_scanner(simulator, worlds, robot, beams=128).scan().shape
+        torch.Size([1, 128])
+    """
+    if "lidar" in simulator.capabilities:
+        return cast("LidarCarrier", simulator).scanner(beams)
+    from rover_rl.sims.rays import RayScanner
+    from rover_rl.sims.worlds.table import WorldTable
+
+    return RayScanner(simulator, WorldTable.of(worlds, simulator.device), robot, beams)
 
 
 def resolve_backend(backend: BackendLike, physics: str | None = None) -> Any:

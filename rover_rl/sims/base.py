@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, runtime_checkable
 
@@ -15,23 +16,21 @@ if TYPE_CHECKING:
     from rover_rl.sims.worlds import World
 
 View: TypeAlias = Literal["chase", "top"]
-Capability: TypeAlias = Literal["contacts", "dynamics", "scan_period", "live"]
-"""What not every backend does: it reports contacts, scales the dynamics of each rover, has lidars that scan less often
-than in every step, or drives a live rover, around which nothing is known but the map of its world."""
+Capability: TypeAlias = Literal["contacts", "dynamics", "lidar", "live"]
+"""What not every backend does: it reports contacts, scales the dynamics of each rover, has a lidar of its own (a
+:class:`LidarCarrier`; else, rays are cast), or drives a live rover, around which nothing is known but the map."""
 
 
 class RoverState(TensorClass):
-    """Batched rover state and sensor readings, with batch size ``[N]``. Tensors are float32 unless stated otherwise.
+    """Batched rover state, with batch size ``[N]``. Tensors are float32 unless stated otherwise.
 
     Attributes:
         position: position of the base frame in the world frame, ``[N, 3]``, m.
         orientation: orientation of the base frame, unit quaternion (x, y, z, w), ``[N, 4]``.
         linear_velocity: forward speed from wheel odometry, ``[N, 1]``, m/s.
         angular_velocity: counter-clockwise yaw rate from wheel odometry, ``[N, 1]``, rad/s.
-        ranges: raw lidar scan, ``[N, beams]``, m. Beam 0 points forward, the beams are ordered counter-clockwise.
-            ``inf`` means no return, 0 a beam that starts inside a solid.
-        dt: time since the previous scan, ``[N, 1]``, s.
-        stamp: time of the scan, ``[N, 1]``, s, float64.
+        dt: duration of the last step, ``[N, 1]``, s.
+        stamp: time of the state, ``[N, 1]``, s, float64.
         contact: whether any part of the rover, chassis or wheel, touched an obstacle in the last control step, in any
             of its physics steps, bool ``[N, 1]``. The ground is no obstacle, whether it carries the wheels or scrapes
             the chassis. False after a reset. ``None`` if the backend does not report contacts.
@@ -43,7 +42,6 @@ class RoverState(TensorClass):
     orientation: Tensor
     linear_velocity: Tensor
     angular_velocity: Tensor
-    ranges: Tensor
     dt: Tensor
     stamp: Tensor
     contact: Tensor | None = None
@@ -70,6 +68,32 @@ class Dynamics:
     motor_torque: Tensor
 
 
+def beam_angles(beams: int) -> Tensor:
+    """Returns directions that are equally spaced over a full turn, from straight ahead, float64 ``[beams]``, rad."""
+    return torch.arange(beams, dtype=torch.float64) * (2 * math.pi / beams)
+
+
+class Scanner(Protocol):
+    """A planar lidar on every rover.
+
+    Attributes:
+        angles: direction of each beam in the rover's frame, counter-clockwise from straight ahead, ``[beams]``, rad.
+    """
+
+    angles: Tensor
+
+    def scan(self, rows: Tensor | None = None) -> Tensor:
+        """Scans from where the rovers are, and returns the ranges, ``[N, beams]``, m, in a new tensor.
+
+        ``inf`` means no return, 0 a beam that starts inside a solid.
+
+        Args:
+            rows: rovers whose lidar scans, bool ``[N]``. The others keep their last scan. ``None``: all. A real lidar
+                has its own period.
+        """
+        ...
+
+
 @runtime_checkable
 class Simulator(Protocol):
     """Interface of a backend: a batch of simulated rovers, or one real rover.
@@ -80,14 +104,12 @@ class Simulator(Protocol):
         num_envs: number of rovers N, the number of rows of every tensor.
         control_dt: duration of a control step, s.
         device: device of the tensors.
-        ray_angles: direction of each lidar beam in the rover's frame, counter-clockwise from 0, ``[beams]``, rad.
         capabilities: what the backend does besides what every backend does.
     """
 
     num_envs: int
     control_dt: float
     device: torch.device
-    ray_angles: Tensor
     capabilities: frozenset[Capability]
 
     @property
@@ -111,15 +133,13 @@ class Simulator(Protocol):
         """Returns the current state without advancing time."""
         ...
 
-    def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
+    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         """Advances the rovers by one control step.
 
         Args:
             commands: forward speed (m/s) and counter-clockwise yaw rate (rad/s), ``[N, 2]``; for a drive that moves
                 sideways, also with the speed to the left (m/s), ``[N, 3]``.
             active: rovers to advance, bool ``[N]``. No time passes for the others. ``None`` advances all.
-            scanned: rovers whose lidar scans, if they advance, bool ``[N]``. The others keep their last scan. ``None``:
-                all. Only passed with ``"scan_period"``. A real lidar has its own period.
 
         Returns:
             The state of all rovers.
@@ -143,6 +163,14 @@ class Simulator(Protocol):
 
     def close(self) -> None:
         """Releases all resources. Idempotent."""
+        ...
+
+
+class LidarCarrier(Protocol):
+    """Interface of a simulator with the capability ``"lidar"``."""
+
+    def scanner(self, beams: int) -> Scanner:
+        """Creates a lidar at :attr:`~rover_rl.Robot.lidar_position` whose beams are equally spaced over a full turn."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""``RayCaster``: distances along rays to the ground and the obstacles of each row's world, the same in every simulator.
+"""Rays to the ground and the obstacles of each row's world, the same in every simulator, and a lidar that casts them.
 
 Example:
     >>> caster = RayCaster(WorldTable([World("flat", Terrain.flat((20.0, 20.0)))]))
@@ -15,8 +15,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rover_rl.sims.base import Simulator, beam_angles
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.ray_kernels import cast_rays
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.rotations import rotate
 from rover_rl.sims.worlds import Terrain, World
 from rover_rl.sims.worlds.obstacles import groups_of
 from rover_rl.sims.worlds.table import WorldTable
@@ -68,6 +71,37 @@ class RayCaster:
             points = wp.array(vertices.astype(np.float32), dtype=wp.vec3, device=device)
             self._meshes[world] = wp.Mesh(points, wp.array(faces.flatten().astype(np.int32), dtype=int, device=device))
         return self._meshes[world]
+
+
+class RayScanner:
+    """Lidar of a simulator that has none of its own: see :class:`~rover_rl.sims.base.Scanner`.
+
+    Args:
+        simulator: simulator of the rovers.
+        worlds: world of each row.
+        robot: robot that carries the lidar.
+        beams: number of beams, equally spaced over a full turn.
+    """
+
+    def __init__(self, simulator: Simulator, worlds: WorldTable, robot: Robot, beams: int) -> None:
+        angles = beam_angles(beams)
+        self.angles = angles.float().to(simulator.device)
+        self._simulator, self._caster, self._range = simulator, RayCaster(worlds), robot.lidar_range
+        self._mount = torch.tensor(robot.lidar_position, device=simulator.device)
+        directions = torch.stack((angles.cos(), angles.sin(), torch.zeros_like(angles)), -1)
+        self._directions = directions.float().to(simulator.device)
+        self._ranges = torch.full((simulator.num_envs, beams), math.inf, device=simulator.device)
+
+    def scan(self, rows: Tensor | None = None) -> Tensor:
+        """Scans: see :meth:`~rover_rl.sims.base.Scanner.scan`."""
+        state = self._simulator.state()
+        position, orientation = state.position[:, None], state.orientation[:, None]
+        rays = rotate(orientation, self._directions)
+        origins = position + rotate(orientation, self._mount)
+        ranges = self._caster.cast(origins.expand_as(rays), rays)
+        ranges = ranges.masked_fill(ranges >= self._range, math.inf)
+        self._ranges = ranges if rows is None else torch.where(rows[:, None], ranges, self._ranges)
+        return self._ranges
 
 
 def world_mesh(world: World) -> tuple[np.ndarray, np.ndarray]:

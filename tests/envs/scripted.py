@@ -49,11 +49,10 @@ class ScriptedBackend:
         *,
         worlds: Sequence[World],
         robot: Robot,
-        lidar_beams: int,
         connection: Connection | None = None,
         device: torch.device | None = None,
     ) -> ScriptedSimulator:
-        return ScriptedSimulator(worlds, robot, lidar_beams, self.contacts)
+        return ScriptedSimulator(worlds, self.contacts)
 
 
 class ScriptedSimulator:
@@ -68,16 +67,15 @@ class ScriptedSimulator:
     """
 
     robot_connected = True
-    capabilities = frozenset({"scan_period"})
+    capabilities = frozenset({"lidar"})
 
-    def __init__(self, worlds: Sequence[World], robot: Robot, lidar_beams: int, contacts: bool = False) -> None:
+    def __init__(self, worlds: Sequence[World], contacts: bool = False) -> None:
         self._contacts = contacts
         if contacts:
             self.capabilities = self.capabilities | {"contacts"}
         self.num_envs = len(worlds)
         self.control_dt = DT
         self.device = torch.device("cpu")
-        self.ray_angles = torch.arange(lidar_beams) * (2 * math.pi / lidar_beams)
         self.scripts: Sequence[Sequence[Moment]] = [[Moment()]] * self.num_envs
         self.commands: list[Tensor] = []
         self.poses = torch.zeros(self.num_envs, 3)
@@ -90,23 +88,27 @@ class ScriptedSimulator:
         self.poses = poses
         return self.state()
 
-    def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
+    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         active = torch.ones(self.num_envs, dtype=torch.bool) if active is None else active
         self.commands.append(commands)
         self._step = [step + int(moves) for step, moves in zip(self._step, active.tolist(), strict=True)]
         self._stamp = self._stamp + DT * active[:, None]
         return self.state()
 
+    def moments(self) -> list[Moment]:
+        return [script[min(step, len(script) - 1)] for script, step in zip(self.scripts, self._step, strict=True)]
+
+    def scanner(self, beams: int) -> ScriptedScanner:
+        return ScriptedScanner(self, beams)
+
     def state(self) -> RoverState:
-        moments = [script[min(step, len(script) - 1)] for script, step in zip(self.scripts, self._step, strict=True)]
-        beams = len(self.ray_angles)
+        moments = self.moments()
         contact = {"contact": torch.tensor([[m.contact] for m in moments])} if self._contacts else {}
         return RoverState.pack(
             position=torch.tensor([(m.x, m.y, m.z) for m in moments], dtype=torch.float32),
             orientation=torch.tensor([_quaternion(m.roll, m.pitch, m.yaw) for m in moments], dtype=torch.float32),
             linear_velocity=torch.tensor([[m.v] for m in moments], dtype=torch.float32),
             angular_velocity=torch.tensor([[m.w] for m in moments], dtype=torch.float32),
-            ranges=torch.stack([torch.as_tensor(m.ranges, dtype=torch.float32).expand(beams) for m in moments]),
             dt=torch.full((self.num_envs, 1), DT),
             stamp=self._stamp,
             **contact,
@@ -117,6 +119,18 @@ class ScriptedSimulator:
 
     def close(self) -> None:
         pass
+
+
+class ScriptedScanner:
+    """Lidar of a scripted rover."""
+
+    def __init__(self, simulator: ScriptedSimulator, beams: int) -> None:
+        self.angles = torch.arange(beams) * (2 * math.pi / beams)
+        self._simulator = simulator
+
+    def scan(self, rows: Tensor | None = None) -> Tensor:
+        ranges = [torch.as_tensor(moment.ranges, dtype=torch.float32) for moment in self._simulator.moments()]
+        return torch.stack([each.expand(len(self.angles)) for each in ranges])
 
 
 def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:

@@ -8,8 +8,6 @@ from torch import Tensor
 
 from rover_rl import RoverEnv
 from rover_rl.envs.config import LidarConfig, Randomization, TaskConfig
-from rover_rl.sims.warp.settings import WarpSettings
-from rover_rl.sims.warp.simulator import WarpSimulator
 from tests.extras import needs_mujoco
 
 BACKENDS = ["bullet", "warp", pytest.param("mujoco", marks=needs_mujoco)]
@@ -60,39 +58,3 @@ def test_a_scan_keeps_its_noise() -> None:
 def test_the_period_is_at_least_one_step() -> None:
     with pytest.raises(ValueError, match="period must be at least 1 .*got 0"):
         LidarConfig(period=0)
-
-
-def test_a_simulator_that_always_scans_needs_a_period_of_one_step() -> None:
-    settings = AlwaysScanning(WarpSettings())
-    RoverEnv(world_n="maze", num_envs=1, backend=settings).close()
-    with pytest.raises(
-        ValueError,
-        match="lidar_period must be 1, got 4, .* AlwaysScanningSimulator does not state the capability 'scan_period'",
-    ):
-        RoverEnv(world_n="maze", num_envs=1, backend=settings, lidar_period=4)
-
-
-class AlwaysScanning:
-    """Settings of Warp, for a simulator whose step takes no mask of scans."""
-
-    def __init__(self, settings: WarpSettings) -> None:
-        self.settings = settings
-
-    def make(self, **arguments):
-        worlds, robot, beams = (arguments[name] for name in ("worlds", "robot", "lidar_beams"))
-        return AlwaysScanningSimulator(WarpSimulator(worlds, robot, beams, self.settings))
-
-
-class AlwaysScanningSimulator:
-    """A simulator whose step takes no mask of scans."""
-
-    capabilities = frozenset({"contacts", "dynamics"})
-
-    def __init__(self, simulator: WarpSimulator) -> None:
-        self.simulator = simulator
-
-    def __getattr__(self, name: str):
-        return getattr(self.simulator, name)
-
-    def step(self, commands: Tensor, active: Tensor | None = None):
-        return self.simulator.step(commands, active)

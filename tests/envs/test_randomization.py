@@ -10,7 +10,7 @@ import torch
 
 from rover_rl import RoverEnv, make_env
 from rover_rl.envs import Randomization
-from rover_rl.envs.randomization import draw_dynamics
+from rover_rl.envs.placement import draw_dynamics
 from rover_rl.sims.base import Dynamics
 from rover_rl.sims.ros2 import Ros2Settings
 from rover_rl.sims.worlds import Terrain, World
@@ -112,8 +112,8 @@ def test_sensors_have_the_noise_that_was_asked_for():
         states = []
         for _ in range(10):
             td = env.step(td.set("action", action))["next"]
-            states.append(env.sensed_state)
-        return torch.stack([state.ranges for state in states]), torch.stack([state.orientation for state in states])
+            states.append((env.sensed_scan, env.sensed_state.orientation))
+        return tuple(torch.stack(column) for column in zip(*states, strict=True))
 
     true_ranges, true_orientation = standing(None)
     ranges, orientation = standing(Randomization(range_noise=0.02, dropout=0.1, imu_noise=0.01))

@@ -172,12 +172,12 @@ def test_a_policy_needs_its_sensors() -> None:
 
 
 class LiveSimulator(ScriptedSimulator):
-    capabilities = frozenset({"live"})
+    capabilities = frozenset({"lidar", "live"})
 
 
 class LiveBackend(ScriptedBackend):
     def make(self, **arguments: Any) -> LiveSimulator:
-        return LiveSimulator(arguments["worlds"], arguments["robot"], arguments["lidar_beams"])
+        return LiveSimulator(arguments["worlds"])
 
 
 def test_a_live_rover_has_heights_and_no_rays() -> None:

@@ -29,13 +29,13 @@ def test_states_are_the_same_without_noise():
 def test_observations_are_sensed_and_outcomes_are_true():
     rollout, env = rollouts(randomization=NOISY)
     truth, sensed = env.rover_state, env.sensed_state
-    assert not torch.equal(truth.ranges, sensed.ranges)
+    assert not torch.equal(env.scan, env.sensed_scan)
     assert torch.equal(truth.position, sensed.position)
     last = rollout[:, -1]["next"]
     assert torch.equal(last["velocities"][:, :1], sensed.linear_velocity)
     assert torch.equal(last["outcome", "linear_velocity"], truth.linear_velocity)
-    assert torch.equal(last["lidar"], env.lidar(sensed.ranges))
-    collision = env.lidar(truth.ranges).amin(-1, keepdim=True) < env.task.collision_threshold
+    assert torch.equal(last["lidar"], env.lidar(env.sensed_scan))
+    collision = env.lidar(env.scan).amin(-1, keepdim=True) < env.task.collision_threshold
     assert torch.equal(last["outcome", "collision"], collision)
 
 

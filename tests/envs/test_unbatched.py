@@ -127,7 +127,7 @@ def test_it_takes_the_transforms_of_the_package(nested):
             ends := SpreadEnds(50),
             AttemptCounter(ends, 4, 200),
             InitTracker(),
-            StepClock(bare.simulator),
+            StepClock(bare),
         ]
         if nested:
             env = TransformedEnv(env, Compose(*transforms))

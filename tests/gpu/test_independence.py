@@ -45,7 +45,7 @@ def test_scans_do_not_depend_on_the_number_of_threads(gpu: torch.device) -> None
     for lanes in (2, 8, 32):
         env = environment(gpu, 192, world_n=ROUGH, backend=WarpSettings(lidar_lanes=lanes))
         env.reset()
-        scans.append(env.base_env.rover_state.ranges.cpu())
+        scans.append(env.base_env.scan.cpu())
         env.close()
     assert all(torch.equal(scan, scans[0]) for scan in scans[1:])
 

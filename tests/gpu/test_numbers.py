@@ -22,7 +22,7 @@ def test_the_lidar_measures_the_same_within_a_millimeter(gpu: torch.device, beam
     for device in ("cpu", gpu):
         env = environment(device, ROVERS, world_n=ROUGH, lidar_beams=beams)
         env.reset()
-        scans.append(env.base_env.rover_state.ranges.cpu())
+        scans.append(env.base_env.scan.cpu())
         env.close()
     # Beams that meet nothing are infinite on both.
     same = scans[0].isclose(scans[1], rtol=0, atol=1e-3)

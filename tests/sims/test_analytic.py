@@ -22,7 +22,7 @@ DT, GRAVITY = 0.05, 9.81
 
 
 def simulate(world: World, poses: list[tuple[float, float, float]], settings: Backend | None = None):
-    simulator = make_simulator(settings or WarpSettings(), worlds=[world] * len(poses), robot=ROVER, lidar_beams=1)
+    simulator = make_simulator(settings or WarpSettings(), worlds=[world] * len(poses), robot=ROVER)
     simulator.reset(torch.ones(len(poses), dtype=torch.bool), torch.tensor(poses))
     return simulator
 

@@ -28,7 +28,7 @@ def walled() -> World:
 
 
 def placed(backend: str, world: World, poses: list[tuple[float, float, float]]):
-    simulator = make_simulator(backend, worlds=[world] * len(poses), robot=ROVER, lidar_beams=4)
+    simulator = make_simulator(backend, worlds=[world] * len(poses), robot=ROVER)
     simulator.reset(torch.ones(len(poses), dtype=torch.bool), torch.tensor(poses))
     return simulator
 

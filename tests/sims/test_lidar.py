@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from rover_rl.sims import make_simulator
+from rover_rl.sims import make_scanner, make_simulator
 from rover_rl.sims.bullet.lidar import RAYS_PER_CALL
+from rover_rl.sims.rays import RayScanner
 from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain, World, box, cylinder
+from rover_rl.sims.worlds import Terrain, World, box, cylinder, get_world
+from rover_rl.sims.worlds.table import WorldTable
 
 ROVER = get_robot("rover_zero")
 MOUNT = ROVER.lidar_position[0]
@@ -24,9 +26,16 @@ def room(width: float, depth: float, height: float = 6.0) -> list:
     ]
 
 
+def scans(backend: str, world: World, poses: torch.Tensor, beams: int) -> torch.Tensor:
+    """Scans ``[N, beams]`` from poses ``[N, 3]``."""
+    worlds = [world] * len(poses)
+    simulator = make_simulator(backend, worlds=worlds, robot=ROVER)
+    simulator.reset(torch.ones(len(poses), dtype=torch.bool), poses)
+    return make_scanner(simulator, worlds, ROVER, beams).scan()
+
+
 def scan(backend: str, world: World, pose: tuple[float, float, float], beams: int = 64) -> torch.Tensor:
-    simulator = make_simulator(backend, worlds=[world], robot=ROVER, lidar_beams=beams)
-    return simulator.reset(torch.ones(1, dtype=torch.bool), torch.tensor([pose])).ranges[0]
+    return scans(backend, world, torch.tensor([pose]), beams)[0]
 
 
 def to_walls(x: float, y: float, angles: np.ndarray, width: float, depth: float) -> np.ndarray:
@@ -92,17 +101,14 @@ def test_scan_from_inside_an_obstacle_is_zero(backend):
 
 def test_rovers_are_invisible_to_one_another(backend):
     world = World("plain", Terrain.flat((60, 60)))
-    simulator = make_simulator(backend, worlds=[world] * 2, robot=ROVER, lidar_beams=32)
-    state = simulator.reset(torch.ones(2, dtype=torch.bool), torch.tensor([[0.0, 0, 0], [1.0, 0, math.pi]]))
-    assert torch.isinf(state.ranges).all()
+    assert torch.isinf(scans(backend, world, torch.tensor([[0.0, 0, 0], [1.0, 0, math.pi]]), 32)).all()
 
 
 def test_large_batches_match_single_scans(backend):
     world = World("room", Terrain.flat((30, 30)), room(8, 6))
     rovers = RAYS_PER_CALL // 640 + 40
     poses = torch.stack([torch.linspace(-2, 2, rovers), torch.zeros(rovers), torch.linspace(-3, 3, rovers)], 1)
-    simulator = make_simulator(backend, worlds=[world] * rovers, robot=ROVER, lidar_beams=640)
-    ranges = simulator.reset(torch.ones(rovers, dtype=torch.bool), poses).ranges
+    ranges = scans(backend, world, poses, 640)
     assert torch.equal(ranges[-1], scan(backend, world, tuple(poses[-1].tolist()), 640))
     assert torch.equal(ranges[0], scan(backend, world, tuple(poses[0].tolist()), 640))
 
@@ -112,3 +118,20 @@ def test_terrain_blocks_beams(backend):
     heights[:, 52:] = 3.0  # a step up between x = 2.75 and x = 3
     ranges = scan(backend, World("step", Terrain(heights, 0.25)), (0.0, 0.0, 0.0), 4)
     assert 2.75 - MOUNT < ranges[0] < 2.85 - MOUNT
+
+
+def test_cast_rays_see_what_the_lidars_of_the_simulators_see(backend):
+    world = get_world("moon")
+    poses = torch.tensor([[0.0, 0.0, 0.3], [2.0, -1.0, 2.0], [-3.0, 2.0, -1.0]])
+    simulator = make_simulator(backend, worlds=[world] * 3, robot=ROVER)
+    simulator.reset(torch.ones(3, dtype=torch.bool), poses)
+    table = WorldTable.of([world] * 3, "cpu")
+    cast = RayScanner(simulator, table, ROVER, 256)
+    own = make_scanner(simulator, table, ROVER, 256)
+    assert torch.equal(cast.angles, own.angles)
+    near = torch.isclose(cast.scan(), own.scan(), atol=0.01, rtol=0)
+    # A beam along an edge may hit or miss it.
+    assert near.float().mean() > 0.99
+    before = cast.scan()
+    simulator.reset(torch.ones(3, dtype=torch.bool), poses.flip(0))
+    assert torch.equal(cast.scan(torch.tensor([True, False, True]))[1], before[1])

@@ -24,7 +24,7 @@ def slope(degrees: float, size: float = 40.0, cell: float = 0.25) -> World:
 
 
 def simulate(backend: str | Backend, world: World, poses: list[tuple[float, float, float]]):
-    simulator = make_simulator(backend, worlds=[world] * len(poses), robot=ROVER, lidar_beams=1)
+    simulator = make_simulator(backend, worlds=[world] * len(poses), robot=ROVER)
     simulator.reset(torch.ones(len(poses), dtype=torch.bool), torch.tensor(poses))
     return simulator
 

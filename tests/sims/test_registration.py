@@ -19,7 +19,7 @@ from rover_rl.sims.worlds import Terrain, World
 
 ROVER = get_robot("rover_zero")
 FLAT = World("flat", Terrain.flat((20, 20)))
-MAKE = re.escape("make(worlds=, robot=, lidar_beams=, connection=, device=)")
+MAKE = re.escape("make(worlds=, robot=, connection=, device=)")
 WANTED = rf"backend must be one of \[.*\], settings of one, or an object with a method {MAKE} that returns a Simulator"
 """Patterns of the error messages."""
 
@@ -32,8 +32,8 @@ class CustomSettings:
 
     substeps: int = 4
 
-    def make(self, *, worlds, robot, lidar_beams, connection=None, device=None) -> Simulator:
-        return BulletSimulator(worlds, robot, lidar_beams, BulletSettings(substeps=self.substeps))
+    def make(self, *, worlds, robot, connection=None, device=None) -> Simulator:
+        return BulletSimulator(worlds, robot, BulletSettings(substeps=self.substeps))
 
     @classmethod
     def preset(cls, name: str) -> CustomSettings:
@@ -43,13 +43,13 @@ class CustomSettings:
 class PlainBackend:
     """Backend without settings and presets."""
 
-    def make(self, *, worlds, robot, lidar_beams, connection=None, device=None) -> Simulator:
-        return BulletSimulator(worlds, robot, lidar_beams)
+    def make(self, *, worlds, robot, connection=None, device=None) -> Simulator:
+        return BulletSimulator(worlds, robot)
 
 
 def substeps(backend: Any, **arguments: Any) -> int:
     """Builds and closes a simulator. Returns the number of its substeps."""
-    simulator = make_simulator(backend, worlds=[FLAT], robot=ROVER, lidar_beams=8, **arguments)
+    simulator = make_simulator(backend, worlds=[FLAT], robot=ROVER, **arguments)
     simulator.close()
     return simulator.settings.substeps
 
@@ -68,8 +68,8 @@ def test_backends_by_import_path(tmp_path, monkeypatch):
         "from rover_rl.sims.bullet import BulletSettings\n"
         "from rover_rl.sims.bullet.simulator import BulletSimulator\n"
         "class Settings:\n"
-        "    def make(self, *, worlds, robot, lidar_beams, connection=None, device=None):\n"
-        "        return BulletSimulator(worlds, robot, lidar_beams, BulletSettings(substeps=12))\n"
+        "    def make(self, *, worlds, robot, connection=None, device=None):\n"
+        "        return BulletSimulator(worlds, robot, BulletSettings(substeps=12))\n"
         "backend = Settings()\n"
     )
     (tmp_path / "registration_test_backends.py").write_text(source)
@@ -110,20 +110,20 @@ def test_objects_that_are_no_backend_raise_before_anything_is_built(backend):
         make_env(world_n=FLAT, backend=backend)
 
 
-class WithoutLidar:
+class WithoutRobot:
     """Backend that lacks a keyword of make()."""
 
-    def make(self, *, worlds, robot, connection=None, device=None) -> Simulator:
+    def make(self, *, worlds, connection=None, device=None) -> Simulator:
         raise AssertionError("never called")
 
 
 def test_a_backend_whose_make_lacks_a_keyword_raises_before_it_is_called():
     with pytest.raises(
         ValueError,
-        match=f"^backend .*WithoutLidar object.* must have a method {MAKE}: got an unexpected keyword argument "
-        "'lidar_beams'$",
+        match=f"^backend .*WithoutRobot object.* must have a method {MAKE}: got an unexpected keyword argument "
+        "'robot'$",
     ):
-        make_env(world_n=FLAT, backend=WithoutLidar())
+        make_env(world_n=FLAT, backend=WithoutRobot())
 
 
 def test_a_class_in_place_of_a_backend_raises():
@@ -151,7 +151,7 @@ class Returning:
 
 
 def test_a_make_that_returns_no_simulator_raises():
-    members = "capabilities, close, control_dt, device, num_envs, ray_angles, reset, robot_connected, state, step"
+    members = "capabilities, close, control_dt, device, num_envs, reset, robot_connected, state, step"
     for simulator in (None, object()):
         with pytest.raises(
             ValueError,
@@ -163,10 +163,10 @@ def test_a_make_that_returns_no_simulator_raises():
 
 @pytest.mark.parametrize("missing", [("step",), ("control_dt", "reset")])
 def test_the_missing_attributes_of_a_simulator_are_named(missing):
-    whole = make_simulator("bullet", worlds=[FLAT], robot=ROVER, lidar_beams=8)
+    whole = make_simulator("bullet", worlds=[FLAT], robot=ROVER)
     names = (*Simulator.__annotations__, "robot_connected", "reset", "state", "step", "render", "close")
     part = SimpleNamespace(**{name: getattr(whole, name) for name in names})
-    arguments = {"worlds": [FLAT], "robot": ROVER, "lidar_beams": 8}
+    arguments = {"worlds": [FLAT], "robot": ROVER}
     assert make_simulator(Returning(part), **arguments) is part
     for name in missing:
         delattr(part, name)

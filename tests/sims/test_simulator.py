@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from rover_rl.sims import Simulator, make_simulator
+from rover_rl.sims import Simulator, make_scanner, make_simulator
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, World, box, get_world
 from tests.extras import needs_mujoco
@@ -14,8 +14,8 @@ ROVER = get_robot("rover_zero")
 FLAT = World("flat", Terrain.flat((20, 20)))
 
 
-def simulator(backend, worlds, beams=8):
-    return make_simulator(backend, worlds=worlds, robot=ROVER, lidar_beams=beams)
+def simulator(backend, worlds):
+    return make_simulator(backend, worlds=worlds, robot=ROVER)
 
 
 def all_rows(count):
@@ -29,15 +29,7 @@ def test_backend_implements_the_simulator_interface(backend):
 def test_state_has_the_shapes_and_dtypes_of_the_interface(backend):
     state = simulator(backend, [FLAT] * 3).state()
     assert state.batch_size == (3,)
-    shapes = {
-        "position": 3,
-        "orientation": 4,
-        "linear_velocity": 1,
-        "angular_velocity": 1,
-        "ranges": 8,
-        "dt": 1,
-        "stamp": 1,
-    }
+    shapes = {"position": 3, "orientation": 4, "linear_velocity": 1, "angular_velocity": 1, "dt": 1, "stamp": 1}
     for name, width in shapes.items():
         assert getattr(state, name).shape == (3, width)
         assert getattr(state, name).dtype == (torch.float64 if name == "stamp" else torch.float32)
@@ -58,12 +50,14 @@ def test_reset_changes_only_the_selected_rows(backend):
     sim = simulator(backend, [FLAT] * 3)
     poses = torch.tensor([[0.0, 0, 0], [2.0, 0, 0], [4.0, 0, 0]])
     sim.reset(all_rows(3), poses)
+    scanner = make_scanner(sim, [FLAT] * 3, ROVER, beams=8)
     for _ in range(10):
         before = sim.step(torch.tensor([[1.0, 0.5]] * 3))
-    after = sim.reset(torch.tensor([False, True, False]), poses)
+    scan, only = scanner.scan(), torch.tensor([False, True, False])
+    after = sim.reset(only, poses)
+    assert torch.equal(scanner.scan(only)[[0, 2]], scan[[0, 2]])
     for row in (0, 2):
         assert torch.equal(after.position[row], before.position[row])
-        assert torch.equal(after.ranges[row], before.ranges[row])
     assert after.position[1, 0] == pytest.approx(2.0, abs=1e-3)
     assert after.linear_velocity[1] == 0
 
@@ -85,10 +79,13 @@ def test_no_time_passes_for_inactive_rows(backend):
 
 def test_rows_may_be_in_different_worlds(backend):
     walled = World("walled", Terrain.flat((20, 20)), [box((3, 0, 1), (1, 10, 2))])
-    sim = simulator(backend, [FLAT, FLAT, walled])
-    state = sim.reset(all_rows(3), torch.zeros(3, 3))
-    assert torch.isinf(state.ranges[:2, 0]).all()
-    assert state.ranges[2, 0] == pytest.approx(2.5 - 0.174, abs=0.01)
+    worlds = [FLAT, FLAT, walled]
+    sim = simulator(backend, worlds)
+    sim.reset(all_rows(3), torch.zeros(3, 3))
+    ranges = make_scanner(sim, worlds, ROVER, beams=8).scan()
+    assert (ranges.shape, ranges.dtype) == ((3, 8), torch.float32)
+    assert torch.isinf(ranges[:2, 0]).all()
+    assert ranges[2, 0] == pytest.approx(2.5 - 0.174, abs=0.01)
 
 
 def test_render_has_a_chase_view_and_a_top_view(backend):

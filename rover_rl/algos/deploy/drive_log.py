@@ -61,19 +61,21 @@ class DriveLog:
     ) -> None:
         self._file.close()
 
-    def begin(self, rover: RoverState, goal: tuple[float, float]) -> None:
+    def begin(self, rover: RoverState, scan: Tensor, goal: tuple[float, float]) -> None:
         """Writes the start of a drive.
 
         Args:
             rover: state of the rover at the start.
+            scan: raw scan, ``[1, beams]``, m.
             goal: x, y, m.
         """
         self._turns = []
-        self._write({"goal": goal, **_pose(rover)})
+        self._write({"goal": goal, **_pose(rover, scan)})
 
     def add(
         self,
         rover: RoverState,
+        scan: Tensor,
         outcome: TensorDictBase,
         command: tuple[float, float],
         latency: float,
@@ -83,6 +85,7 @@ class DriveLog:
 
         Args:
             rover: state of the rover after the step.
+            scan: raw scan, ``[1, beams]``, m.
             outcome: entry ``"outcome"`` of the step.
             command: forward speed (m/s) and yaw rate (rad/s) that were sent.
             latency: time from the arrival of the scan to the command, s.
@@ -91,7 +94,7 @@ class DriveLog:
         self._turns.append(command[1])
         events = {"collision": bool(outcome["collision"]), "reached": bool(outcome["goal_reached"]), "held": held}
         measurements = {"dt": round(rover.dt.item(), 5), "command": command, "latency": round(latency, 5)}
-        self._write({**_pose(rover), **events, **measurements})
+        self._write({**_pose(rover, scan), **events, **measurements})
 
     def end(self, ending: str) -> None:
         """Writes the ending of the drive and the number of reversals of its turning direction."""
@@ -101,10 +104,10 @@ class DriveLog:
         self._file.write(json.dumps(entry) + "\n")
 
 
-def _pose(rover: RoverState) -> dict[str, list[float] | list[float | None]]:
+def _pose(rover: RoverState, scan: Tensor) -> dict[str, list[float] | list[float | None]]:
     """Pose and lidar scan of a rover. At most :data:`BEAMS` readings are kept, to the centimeter; no return is null."""
-    step = -(-rover.ranges.shape[1] // BEAMS)
-    ranges = [round(value, 2) if math.isfinite(value) else None for value in rover.ranges[0, ::step].tolist()]
+    step = -(-scan.shape[1] // BEAMS)
+    ranges = [round(value, 2) if math.isfinite(value) else None for value in scan[0, ::step].tolist()]
     angles = _rounded(quaternion_to_euler(rover.orientation)[0])
     return {"position": _rounded(rover.position[0]), "angles": angles, "ranges": ranges}
 

@@ -116,7 +116,7 @@ def drive_to(
             PolicyRunner(runner.policy, env=env)(env.fake_tensordict())  # warm-up: the first call is slow
             tensordict = env.reset(goal=torch.tensor([goal]))
             if log is not None:
-                log.begin(env.rover_state, goal)
+                log.begin(env.rover_state, env.scan, goal)
             while not ending:
                 before = env.rover_state
                 due = runner.action_repeat == 1 or held > (runner.action_repeat - 0.5) * CONTROL_DT
@@ -127,7 +127,8 @@ def drive_to(
                 moment = _moment(rover, tensordict, elapsed)
                 watch(moment)
                 if log is not None:
-                    log.add(env.rover_state, tensordict["outcome"], moment.command, moment.latency, moment.held)
+                    state = env.rover_state, env.scan, tensordict["outcome"]
+                    log.add(*state, moment.command, moment.latency, moment.held)
                 if reason := restart(before, env.rover_state):
                     _log.warning("the robot seems to have been restarted: %s", reason)
                 ending = RESTARTED if reason else _ending(tensordict, clearance, elapsed >= seconds)

@@ -14,7 +14,8 @@ from rover_rl.algos.config import NetworkConfig
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import action_spec, middle_and_half
 from rover_rl.algos.policy.recurrent import RecurrentStep
-from rover_rl.envs.seen_map.seen_map import BOUNDS, ROUTE, ROUTE_KEYS
+from rover_rl.envs.seen_map.seen_map import BOUNDS, ROUTE_KEYS
+from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.sims.timing import CONTROL_DT
 
 STATE_IN, STATE_OUT = "state_in", "state_out"

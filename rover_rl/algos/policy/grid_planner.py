@@ -19,7 +19,7 @@ from torch import Tensor
 
 from rover_rl.algos.policy.baselines import hit_points, slowest_turn
 from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike, TaskConfig
-from rover_rl.envs.seen_map.seen_map import ROUTE
+from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.robots.footprint import footprint
 

@@ -21,9 +21,8 @@ from rover_rl.algos.policy.privileged import MIRROR, PrivilegedEncoder
 from rover_rl.algos.policy.recurrent import recurrent_network
 from rover_rl.envs.config import ActionConfig, LidarConfig
 from rover_rl.envs.encoding import ObservationEncoder
-from rover_rl.envs.seen_map.seen_map import ROUTE
 from rover_rl.envs.sensors.base import Sensor, mirrored_signs
-from rover_rl.envs.sensors.suite import policy_sensors
+from rover_rl.envs.sensors.suite import ROUTE, policy_sensors
 from rover_rl.envs.specs import action_bounds, bounded_spec
 from rover_rl.sims.robots import Robot
 

@@ -11,8 +11,7 @@ from torch import Tensor, nn
 
 from rover_rl.envs.privileged import FEATURES, MAP_BEARINGS, MAP_DISTANCES
 from rover_rl.envs.sensors.base import mirrored_signs
-from rover_rl.envs.sensors.target import Target
-from rover_rl.envs.sensors.wheel_odometry import WheelOdometry
+from rover_rl.envs.sensors.standard import Target, WheelOdometry
 
 
 def mirrored_map(local_map: Tensor) -> Tensor:

@@ -22,7 +22,8 @@ from torch import Tensor
 from rover_rl.algos.policy.recurrent import state_keys
 from rover_rl.envs.config import EnvConfig, LidarConfig
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.seen_map.seen_map import BOUNDS, NO_BOUNDS, ROUTE, SeenMap
+from rover_rl.envs.seen_map.seen_map import BOUNDS, NO_BOUNDS, SeenMap
+from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.sims.timing import CONTROL_DT
 
 Policy: TypeAlias = Callable[[TensorDictBase], TensorDictBase]
@@ -56,8 +57,9 @@ class PolicyRunner:
 
     The runner calls the policy when a row is due for a decision, and holds its actions in between. It carries the
     memory of a policy from decision to decision, row by row. Policies without memory pass through. For a policy that
-    reads ``route``, it keeps the maps of what the rovers have seen, and adds the routes on them to the observation. For
-    one that reads ``bounds``, such as an exported policy that keeps its own map, it adds the bounds of the world.
+    reads ``route``, in an environment without this sensor, it keeps the maps of what the rovers have seen, and adds the
+    routes on them to the observation. For one that reads ``bounds``, such as an exported policy that keeps its own map,
+    it adds the bounds of the world.
 
     Args:
         policy: policy to run.
@@ -113,7 +115,7 @@ class PolicyRunner:
     def _start(self, observation: TensorDictBase) -> Tensor:
         """Takes the first decision of all rows."""
         self._is_init = torch.ones(len(observation), dtype=torch.bool, device=observation.device)
-        if reads_route(self.policy):
+        if reads_route(self.policy) and observation.get(ROUTE, None) is None:
             self._seen = self._new_map(observation)
         self._action, self._state = self._decide(observation, self._is_init)
         self._held = torch.ones(len(observation), dtype=torch.int64, device=self._action.device)

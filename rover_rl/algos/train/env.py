@@ -17,10 +17,10 @@ from rover_rl.envs.config import EnvConfig
 from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import reward_components
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.seen_map.seen_map import ROUTE
+from rover_rl.envs.sensors.route import Route
+from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward, RouteReward
-from rover_rl.envs.transforms.route_observation import RouteObservation
 from rover_rl.envs.transforms.step_clock import StepClock
 from rover_rl.sims.backends import find_settings
 
@@ -45,8 +45,6 @@ def make_training_env(
     env = add_reward(rovers, env_config.reward, env_config)
     action_repeat = config.collection.action_repeat
     env = env.append_transform(ActionRepeat(action_repeat))
-    if ROUTE in config.network.observation:
-        env = env.append_transform(RouteObservation(rovers, _threads(config), action_repeat))
     if config.collection.route_reward:
         env = env.append_transform(RouteReward(config.collection.route_reward))
     if config.collection.path_reward:
@@ -62,7 +60,7 @@ def make_training_env(
     env = env.append_transform(AttemptCounter(ends, action_repeat, env_config.length))
     for transform in memory_transforms(config.network.memory, config.network.memory_size):
         env = env.append_transform(transform)
-    return env.append_transform(StepClock(rovers.simulator, worker, per_batch))
+    return env.append_transform(StepClock(rovers, worker, per_batch))
 
 
 def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> EnvConfig:
@@ -72,8 +70,14 @@ def _worker_env_config(config: TrainingConfig, worker: int, session: int) -> Env
     if backend in ("mujoco", "warp"):
         # The workers share the cores. Networks of this size need only one thread per worker.
         backend = find_settings(backend)(threads=_threads(config))
+    sensors = env.sensors
+    if ROUTE in config.network.observation:
+        # The map changes with each decision.
+        route = Route(period=config.collection.action_repeat, threads=_threads(config))
+        sensors = (*(sensor for sensor in sensors if sensor != ROUTE), route)
     return replace(
         env,
+        sensors=sensors,
         num_envs=rovers,
         seed=config.seed + worker * rovers + session * SESSION_SEEDS,
         backend=backend,

@@ -37,7 +37,7 @@ from rover_rl.algos.policy.networks import (
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import Learner
 from rover_rl.algos.train.sequences import MirrorMemory, mirrored_sequences
-from rover_rl.envs.seen_map.seen_map import ROUTE
+from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds.pool import WorldPool
 

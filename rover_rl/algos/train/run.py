@@ -33,9 +33,9 @@ from rover_rl.algos.train.progress import ProgressLog, Stopwatch, batch_statisti
 from rover_rl.algos.train.run_folder import STATE, RunRecord, default_name, load_state, new_run_folder, save_run
 from rover_rl.algos.train.trackers import Trackers, check_trackers
 from rover_rl.algos.workers import default_workers
-from rover_rl.envs.devices import available_device
 from rover_rl.envs.goal_pay import pays_for_goals
 from rover_rl.envs.rewards import reward_components
+from rover_rl.envs.specs import available_device
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.names import check_training_seed

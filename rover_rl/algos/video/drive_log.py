@@ -35,7 +35,8 @@ def recording_of_log(path: Path, number: int | None = None, world: str | None = 
     if place.name == NO_WORLD:
         position[:, 2] = 0.0
     orientation = matrix_to_quaternion(euler_to_matrix(driven.angles))
-    states = [_state(*row, driven.dt) for row in zip(position, orientation, scans, _speeds(driven), strict=True)]
+    poses = zip(position, orientation, _speeds(driven), strict=True)
+    states = [(_state(*pose, driven.dt), scan[None]) for pose, scan in zip(poses, scans, strict=True)]
     angles = torch.arange(scans.shape[1]) * (2 * math.pi / max(1, scans.shape[1]))
     moments = moments_of(states, goal, driven.dt, drive.ending)
     return Recording(moments, place, get_robot(drive.robot), angles, driven.dt, drive.ending, number)
@@ -59,14 +60,13 @@ def _speeds(driven: Trajectory) -> Tensor:
     return torch.cat((torch.zeros(1), driven.signed_speed))
 
 
-def _state(position: Tensor, orientation: Tensor, ranges: Tensor, speed: Tensor, dt: float) -> RoverState:
+def _state(position: Tensor, orientation: Tensor, speed: Tensor, dt: float) -> RoverState:
     nothing = torch.zeros(1, 1)
     return RoverState.pack(
         position=position[None],
         orientation=orientation[None],
         linear_velocity=speed.reshape(1, 1),
         angular_velocity=nothing,
-        ranges=ranges[None],
         dt=torch.full((1, 1), dt),
         stamp=nothing.double(),
     )

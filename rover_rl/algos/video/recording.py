@@ -34,6 +34,7 @@ class Moment:
     Attributes:
         seconds: time since the start of the video, s.
         rover: states of the rovers, ``[N]``.
+        scan: their raw scans, ``[N, beams]``, m.
         goal: current goal of each rover, ``[N, 2]``, m.
         goals: number of goals that each rover has reached, int64 ``[N]``.
         episodes: number of episodes that each rover has started, int64 ``[N]``.
@@ -43,6 +44,7 @@ class Moment:
 
     seconds: float
     rover: RoverState
+    scan: Tensor
     goal: Tensor
     goals: Tensor
     episodes: Tensor
@@ -104,7 +106,7 @@ def record_endless(
     event = "", 0.0
     with closing(rewarded), set_exploration_type(ExplorationType.DETERMINISTIC), ProgressDisplay("driving") as display:
         tensordict = rewarded.reset()
-        moments = [Moment(0.0, rovers.rover_state, rovers.goal, goals, episodes)]
+        moments = [Moment(0.0, rovers.rover_state, rovers.scan, rovers.goal, goals, episodes)]
         for _ in display.track(range(steps), steps):
             step, tensordict = rewarded.step_and_maybe_reset(tensordict.set("action", runner(tensordict)))
             driven.append(step[0])
@@ -117,8 +119,9 @@ def record_endless(
             seconds = len(driven) * rovers.control_dt
             if done[0] or reached[0]:
                 event = f"{ended[0]}: new start" if done[0] else "goal reached", seconds
-            moments.append(Moment(seconds, rovers.rover_state, rovers.goal, goals, episodes, endings, event))
-        angles = rovers.simulator.ray_angles.cpu()
+            seen = rovers.rover_state, rovers.scan
+            moments.append(Moment(seconds, *seen, rovers.goal, goals, episodes, endings, event))
+        angles = rovers.scanner.angles.cpu()
         return Recording(moments, rovers.worlds[0], rovers.robot, angles, rovers.control_dt, steps=driven)
 
 
@@ -130,15 +133,15 @@ def record_episodes(
     ``options`` are further arguments of :func:`~rover_rl.algos.evaluation.evaluate.evaluate`, except for ``rows``.
     """
     wanted = range(len(episodes)) if wanted is None else wanted
-    states: dict[int, list[RoverState]] = {index: [] for index in wanted}
+    states: dict[int, list[tuple[RoverState, Tensor]]] = {index: [] for index in wanted}
     angles, dt = torch.zeros(0), 0.0
 
     def watch(rovers: RoverEnv, episode: Tensor, rows: Tensor) -> None:
         nonlocal angles, dt
-        angles, dt = rovers.simulator.ray_angles.cpu(), rovers.control_dt
+        angles, dt = rovers.scanner.angles.cpu(), rovers.control_dt
         for row in rows.nonzero().squeeze(-1).tolist():
             if (index := int(episode[row])) in states:
-                states[index].append(rovers.rover_state[row : row + 1].cpu())
+                states[index].append((rovers.rover_state[row : row + 1].cpu(), rovers.scan[row : row + 1].cpu()))
 
     # As in an evaluation: a randomized drive depends on its row.
     rows = len(episodes) if episodes.several_worlds else ROWS
@@ -158,10 +161,10 @@ def record_episodes(
     ]
 
 
-def moments_of(states: Sequence[RoverState], goal: Tensor, dt: float, ending: str) -> list[Moment]:
-    """Returns the moments of an episode of one rover."""
+def moments_of(states: Sequence[tuple[RoverState, Tensor]], goal: Tensor, dt: float, ending: str) -> list[Moment]:
+    """Returns the moments of an episode of one rover, from its states and scans."""
     none, one = torch.zeros(1, dtype=torch.int64), torch.ones(1, dtype=torch.int64)
-    moments = [Moment(step * dt, rover, goal, none, none) for step, rover in enumerate(states)]
+    moments = [Moment(step * dt, *state, goal, none, none) for step, state in enumerate(states)]
     reached, end = ending == "goal", moments[-1].seconds
     event = "goal reached" if reached else ending, end
     endings = () if reached else (ending,)

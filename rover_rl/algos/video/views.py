@@ -118,7 +118,7 @@ class ChaseView:
         pose = rover.position.double(), rover.orientation.double()
         camera = Camera.on(*pose, renderer.sight, "chase")
         image = renderer.render_from(camera, *pose, *self._size, moment.goal[0]).numpy()
-        start, hits = lidar_hits(rover, self._recording.robot, self._recording.ray_angles)
+        start, hits = lidar_hits(rover, moment.scan[0], self._recording.robot, self._recording.ray_angles)
         return Rendered(image, *camera.see(_points(start, hits), *self._size))
 
     def picture(self, moment: Moment, rendered: Rendered) -> np.ndarray:
@@ -152,10 +152,10 @@ _ARROWS = "↑↖←↙↓↘→↗"
 """Arrows for directions relative to the rover, counterclockwise from straight ahead."""
 
 
-def lidar_hits(rover: RoverState, robot: Robot, angles: Tensor) -> tuple[Tensor, Tensor]:
+def lidar_hits(rover: RoverState, ranges: Tensor, robot: Robot, angles: Tensor) -> tuple[Tensor, Tensor]:
     """Computes the origin ``[3]`` and the hit points ``[hits, 3]`` of the lidar beams of one rover, m."""
-    hit = torch.isfinite(rover.ranges)
-    rays = torch.stack((angles.cos(), angles.sin(), torch.zeros_like(angles)), -1)[hit] * rover.ranges[hit, None]
+    hit = torch.isfinite(ranges)
+    rays = torch.stack((angles.cos(), angles.sin(), torch.zeros_like(angles)), -1)[hit] * ranges[hit, None]
     mount = torch.tensor(robot.lidar_position)
     points = rover.position + _rotated(rover.orientation, torch.cat((mount[None], mount + rays)))
     return points[0], points[1:]
@@ -208,7 +208,7 @@ class TopView:
         rover, recording = moment.rover, self._recording
         self._past = [*(past for past in self._past if past.seconds > moment.seconds - _TRAIL_SECONDS), moment]
         self._draw_trails()
-        start, hits = lidar_hits(rover[0], recording.robot, recording.ray_angles)
+        start, hits = lidar_hits(rover[0], moment.scan[0], recording.robot, recording.ray_angles)
         self._beams.set_segments(torch.stack((start.expand_as(hits), hits), 1)[..., :2].tolist())
         self._hits.set_offsets(hits[:, :2].numpy())
         self._goals.set_offsets(moment.goal.numpy())

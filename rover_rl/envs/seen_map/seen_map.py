@@ -9,6 +9,7 @@ Example:
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
@@ -33,8 +34,6 @@ from rover_rl.envs.seen_map.scans import (
 )
 from rover_rl.sims.robots import Robot
 
-ROUTE = "route"
-"""Name of the route in an observation."""
 ROUTE_KEYS = ("lidar", "pose", "imu", "target")
 """Entries of an observation that the map and the route are computed from."""
 BOUNDS = "bounds"
@@ -114,7 +113,7 @@ class SeenMap:
 
     def __call__(
         self,
-        observation: TensorDictBase,
+        observation: TensorDictBase | Mapping[str, Tensor],
         rows: Tensor | None = None,
         renewed: Tensor | None = None,
         bounds: Tensor | None = None,
@@ -122,7 +121,7 @@ class SeenMap:
         """Adds the scans of an observation to the maps and plans the routes to the goals.
 
         Args:
-            observation: observation ``[N]`` with ``lidar``, ``pose``, ``imu`` and ``target``.
+            observation: observation, ``[N]`` each, with ``lidar``, ``pose``, ``imu`` and ``target``.
             rows: rows whose scan is added, bool ``[N]``; ``None``: all. The maps of the others stay as they are.
             renewed: rows whose episode begins, bool ``[N]``. Their maps are cleared before.
             bounds: area that the routes stay in: lower x and y and upper x and y, ``[N, 4]``, m; ``None``: no bounds.

@@ -1,26 +1,93 @@
-"""``Sensor``: an entry of the observation, what it reads, and how networks read it."""
+"""``Sensor``: an entry of the observation, what it reads from, and how networks read it."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cache
-from typing import ClassVar
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+from typing import TYPE_CHECKING, ClassVar
 from zlib import crc32
 
 import torch
 from torch import Tensor
 
 from rover_rl.checks import MAX_COUNT, check_at_least
-from rover_rl.envs.config import Randomization
-from rover_rl.envs.localization import SensedPose
-from rover_rl.envs.perception import Perception
+from rover_rl.envs.config import LidarConfig, Randomization
+from rover_rl.envs.perception import Perception, SensedPose
 from rover_rl.envs.rng import random_bits, to_normal, to_unit
-from rover_rl.envs.sensors.surroundings import Surroundings
 from rover_rl.envs.specs import Bounds
 from rover_rl.sims import RoverState
+from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import rotate
+from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds.slot_table import TerrainTable
+from rover_rl.sims.worlds.table import WorldTable
+
+if TYPE_CHECKING:
+    from rover_rl.sims.rays import RayCaster
+
+
+class Surroundings:
+    """Ground and obstacles of the world of each row. Nothing is built until a sensor asks for it.
+
+    Args:
+        worlds: world of each row.
+
+    Attributes:
+        is_live: whether the rover is a live one, around which nothing is known but the map of its world.
+    """
+
+    def __init__(self, worlds: WorldTable) -> None:
+        self._worlds = worlds
+        self.is_live = False
+
+    def cast(self, origins: Tensor, directions: Tensor) -> Tensor:
+        """Casts rays: see :meth:`rover_rl.sims.rays.RayCaster.cast`.
+
+        Raises:
+            ValueError: for a live rover.
+        """
+        if self.is_live:
+            raise ValueError("a sensor casts rays, which needs a simulated world: a live rover has none")
+        return self._caster.cast(origins, directions)
+
+    def height_at(self, xy: Tensor) -> Tensor:
+        """Returns the height of the ground (m) at points ``xy [N, ..., 2]`` (m) of each row's world: ``[N, ...]``."""
+        table, entered = self._terrains
+        for slot, world in entered().items():
+            table[slot] = world.terrain
+        return table.of(self._worlds.slots).height_at(xy.double()).to(xy.dtype)
+
+    @cached_property
+    def _caster(self) -> RayCaster:
+        # Importing NVIDIA Warp takes half a second.
+        from rover_rl.sims.rays import RayCaster
+
+        return RayCaster(self._worlds)
+
+    @cached_property
+    def _terrains(self) -> tuple[TerrainTable, Callable[[], dict[int, World]]]:
+        return TerrainTable(self._worlds.slots.device), self._worlds.follow()
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What a sensor with a memory is mounted on.
+
+    Attributes:
+        rows: number N of rovers.
+        robot: robot of all of them.
+        lidar: settings of its lidar.
+        control_dt: duration of a step, s.
+        device: device of the readings.
+    """
+
+    rows: int
+    robot: Robot
+    lidar: LidarConfig
+    control_dt: float
+    device: torch.device
 
 
 @dataclass(frozen=True)
@@ -35,6 +102,9 @@ class SensorInput:
         steps: number of steps of each row's episode, int64 ``[N, 1]``.
         keys: random keys of the episodes, int64 ``[N, 1]``.
         surroundings: ground and obstacles: heights and rays in the world frame.
+        bounds: bounds of each row's world: lower x and y, and upper x and y, ``[N, 4]``, m.
+        rows: rows that have moved or begun an episode since the last reading, bool ``[N]``.
+        observation: entries of the sensors that have been read before in this step.
     """
 
     truth: Perception
@@ -44,6 +114,13 @@ class SensorInput:
     steps: Tensor
     keys: Tensor
     surroundings: Surroundings
+    bounds: Tensor
+    rows: Tensor
+    observation: dict[str, Tensor] = field(default_factory=dict)
+
+    def due(self, period: int) -> Tensor:
+        """Returns the rows in which a sensor with a period reads in this step, bool ``[N]``."""
+        return self.rows & (self.steps % period == 0).squeeze(-1)
 
     def scan(self, mount: Sequence[float], directions: Sequence[Sequence[float]]) -> Tensor:
         """Casts rays from a point of the rover, and returns their ranges, ``[N, K]``, m; ``inf`` for no return.
@@ -116,12 +193,19 @@ class Sensor(ABC):
     def read(self, inputs: SensorInput) -> Tensor:
         """Returns the value of every row, float32 ``[N, k]``."""
 
-    def sense(self, noise: Randomization, rover: RoverState, keys: Tensor, step: Tensor) -> dict[str, Tensor]:
-        """Returns the fields of the rovers' state that the noise of this sensor changes, by name.
+    def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
+        """Returns what reads this sensor on a batch of rovers: :meth:`read`, or, for a sensor with a memory, its own.
+
+        It is called in each step in which :meth:`SensorInput.due` has rows, and the other rows keep their values.
+        """
+        return self.read
+
+    def sense(self, noise: Randomization, truth: Perception, keys: Tensor, step: Tensor) -> dict[str, Tensor]:
+        """Returns what the noise of this sensor changes: ``ranges``, or fields of the rovers' state, by name.
 
         Args:
             noise: parameters of the noise.
-            rover: true state of the rovers, ``[N]``.
+            truth: true state of the rovers and their scans, ``[N]``.
             keys: random keys of the episodes, ``[N, 1]``.
             step: index of the step in its episode, ``[N, 1]``.
         """
@@ -150,3 +234,74 @@ def mirrored_signs(signs: tuple[float, ...], value: Tensor) -> Tensor:
 @cache
 def _signs(signs: tuple[float, ...], device: torch.device) -> Tensor:
     return torch.tensor(signs, device=device)
+
+
+class Observer:
+    """Computes observations.
+
+    Args:
+        sensors: sensors to read, by key.
+        rig: what they are mounted on.
+    """
+
+    def __init__(self, sensors: Mapping[str, Sensor], rig: Rig) -> None:
+        self._sensors = sensors
+        self._readers = {key: sensor.reader(rig) for key, sensor in sensors.items()}
+        self._held: dict[str, Tensor] = {}
+        self._is_checked = False
+        self._limits = {key: each.bounds.tensors(rig.device) for key, each in sensors.items() if each.clips}
+
+    def sense(
+        self, noise: Randomization, truth: Perception, keys: Tensor, step: Tensor, pooling: Callable[[Tensor], Tensor]
+    ) -> Perception:
+        """Adds the noise of the sensors to the true state. Returns the same object if there is none.
+
+        Args:
+            noise: parameters of the noise.
+            truth: true state of the rovers, ``[N]``.
+            keys: random keys of the episodes, ``[N, 1]``.
+            step: index of the step in its episode, ``[N, 1]``.
+            pooling: pooling of the scan.
+        """
+        sensed: dict[str, Tensor] = {}
+        for sensor in self._sensors.values():
+            sensed |= sensor.sense(noise, truth, keys, step)
+        if not sensed:
+            return truth
+        ranges = sensed.pop("ranges", truth.ranges)
+        return Perception(RoverState.pack(**(dict(truth.rover.items()) | sensed)), ranges, pooling)
+
+    def __call__(self, inputs: SensorInput) -> dict[str, Tensor]:
+        """Returns the observation, each entry ``[N, k]``.
+
+        Raises:
+            ValueError: if a reading does not fit the bounds of its sensor.
+        """
+        for key, sensor in self._sensors.items():
+            inputs.observation[key] = self._read(key, inputs) if sensor.period == 1 else self._held_or_read(key, inputs)
+        self._is_checked = True
+        return inputs.observation
+
+    def _read(self, key: str, inputs: SensorInput) -> Tensor:
+        value = self._readers[key](inputs)
+        if not self._is_checked:
+            _check(self._sensors[key], value, len(inputs.steps))
+        return value.clamp(*self._limits[key]) if key in self._limits else value
+
+    def _held_or_read(self, key: str, inputs: SensorInput) -> Tensor:
+        """Reads the rows whose sensor is due. The others keep their last reading."""
+        due, last = inputs.due(self._sensors[key].period), self._held.get(key)
+        # On the CPU, the check is cheap and may save the reading. On an accelerator it would synchronize.
+        if last is None or due.device.type != "cpu" or due.any():
+            value = self._read(key, inputs)
+            self._held[key] = value if last is None else torch.where(due[:, None], value, last)
+        return self._held[key]
+
+
+def _check(sensor: Sensor, value: Tensor, rows: int) -> None:
+    """Raises an error for a reading that does not fit the bounds of its sensor."""
+    shape = rows, len(sensor.bounds.low)
+    if value.shape != shape or value.dtype != torch.float32:
+        raise ValueError(
+            f"sensor {sensor.name!r} must read float32 {shape} by its bounds, got {value.dtype} {(*value.shape,)}"
+        )

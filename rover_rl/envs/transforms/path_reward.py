@@ -14,9 +14,9 @@ from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.rows import in_rows
-from rover_rl.envs.seen_map.seen_map import ROUTE
+from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.sims.free_space.path_distance import PathDistances
+from rover_rl.tensordicts import in_rows
 
 CAUTION = 4.0
 """Relative extra cost of a path right beside an obstacle: a meter there counts as five."""

@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
-from rover_rl.sims.base import Simulator
+from rover_rl.envs.rover import RoverEnv
 
 _KEY = "clock"
 NAMES = ("worker", "simulator", "environment")
@@ -30,22 +30,22 @@ class StepClock(Transform):
     measurement synchronizes with the device, unless the times are summed per batch.
 
     Args:
-        simulator: simulator whose methods are timed from now on.
+        env (rover_rl.RoverEnv): environment whose simulator and lidar are timed from now on.
         worker: index of this process.
         per_batch: whether the times are those at the end of the batch, and 0 before :meth:`batch_collected`. They are
             measured with events of the device, without waiting for it. On the CPU, there are no events.
     """
 
-    def __init__(self, simulator: Simulator, worker: int = 0, per_batch: bool = False) -> None:
+    def __init__(self, env: RoverEnv, worker: int = 0, per_batch: bool = False) -> None:
         super().__init__()
-        self._device = simulator.device
+        self._device = env.simulator.device
         self._values = torch.tensor((worker, 0.0, 0.0), dtype=torch.float64)
         self._events: dict[int, list[tuple[Any, Any]]] | None = None
         if per_batch and self._device.type != "cpu":
             self._events = {1: [], 2: []}
         self._started: Any = 0.0
-        for method in ("step", "reset"):
-            setattr(simulator, method, self._timed(getattr(simulator, method)))
+        for part, method in ((env.simulator, "step"), (env.simulator, "reset"), (env.scanner, "scan")):
+            setattr(part, method, self._timed(getattr(part, method)))
 
     def _timed(self, method: Callable[..., Any]) -> Callable[..., Any]:
         def call(*args: Any, **kwargs: Any) -> Any:

@@ -16,11 +16,11 @@ from torchrl.data import Bounded, TensorSpec
 from torchrl.envs import EnvBase
 
 from rover_rl.checks import check_seed
-from rover_rl.envs.rows import in_rows
 from rover_rl.envs.task import EVENTS
 from rover_rl.envs.transforms.encoded_observation import EncodedObservation
 from rover_rl.envs.wrappers.learning_options import LearningOptions, Reward, base_env, steps_per_action, with_options
 from rover_rl.sims.base import View
+from rover_rl.tensordicts import in_rows
 
 Observation: TypeAlias = Any
 """A dictionary of arrays by entry, or one array if observations are scaled. All arrays are float32."""

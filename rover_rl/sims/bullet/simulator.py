@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import weakref
 from collections.abc import Sequence
 from itertools import groupby
@@ -11,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import Capability, Dynamics, RoverState, View
+from rover_rl.sims.base import Capability, Dynamics, RoverState, View, beam_angles
 from rover_rl.sims.bullet.lidar import Lidar
 from rover_rl.sims.bullet.physics import RoverPhysics
 from rover_rl.sims.bullet.settings import BulletSettings
@@ -30,18 +29,14 @@ class BulletSimulator:
     Args:
         worlds: world of each rover. Consecutive rovers in the same world share clients and do not interact.
         robot: robot model.
-        lidar_beams: number of beams of a scan, evenly spaced counter-clockwise over the full turn, the first forward.
         settings: settings of the physics. ``None`` uses the defaults.
     """
 
-    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "scan_period"})
+    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "lidar"})
 
-    def __init__(
-        self, worlds: Sequence[World], robot: Robot, lidar_beams: int, settings: BulletSettings | None = None
-    ) -> None:
+    def __init__(self, worlds: Sequence[World], robot: Robot, settings: BulletSettings | None = None) -> None:
         self.num_envs = len(worlds)
         self.device = torch.device("cpu")
-        self.ray_angles = torch.arange(lidar_beams, dtype=torch.float32) * (2 * math.pi / lidar_beams)
         self.settings = settings or BulletSettings()
         self.control_dt = self.settings.control_dt
         self._robot = robot
@@ -49,20 +44,16 @@ class BulletSimulator:
         self._renderers = RendererCache(robot)
         self._clients: list[int] = []
         self._finalizer = weakref.finalize(self, disconnect, self._clients)
-        angles = np.arange(lidar_beams) * (2 * math.pi / lidar_beams)
         self._groups: list[_WorldGroup] = []
         for world, block in groupby(range(self.num_envs), key=worlds.__getitem__):
             rows = np.array(list(block))
             physics = RoverPhysics(world, robot, len(rows), self.settings)
             self._clients.extend(physics.clients)
-            lidar = Lidar(world, robot, angles)
-            self._clients.append(lidar.client)
-            self._groups.append(_WorldGroup(world, rows, physics, lidar))
+            self._groups.append(_WorldGroup(world, rows, physics))
 
         count = self.num_envs
         # Position (3), orientation (4) and joints in one array, which is copied at once.
         self._body = np.zeros((count, 7 + len(robot.drive.motors) + len(robot.drive.steering)), dtype=np.float32)
-        self._ranges = np.full((count, lidar_beams), np.inf, dtype=np.float32)
         self._contact = np.zeros((count, 1), dtype=bool)
         self.reset(torch.ones(count, dtype=torch.bool), torch.zeros(count, 3))
 
@@ -88,20 +79,26 @@ class BulletSimulator:
             for row, scales in zip(local.tolist(), factors[torch.from_numpy(group.rows[local])].tolist(), strict=True):
                 group.physics.set_dynamics(row, *scales)
 
-    def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
+    def scanner(self, beams: int) -> BulletScanner:
+        """Creates a lidar. See :meth:`LidarCarrier.scanner`."""
+        lidars = [Lidar(group.world, self._robot, beam_angles(beams).numpy()) for group in self._groups]
+        self._clients.extend(lidar.client for lidar in lidars)
+        return BulletScanner(self._groups, lidars, beams)
+
+    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         """Advances the rovers by one control step of ``substeps`` physics steps. See :meth:`Simulator.step`."""
         speeds, angles = (targets.tolist() for targets in self._drive.advance(commands, active))
         for group in self._groups:
             held = [] if active is None else np.flatnonzero(~active.numpy()[group.rows]).tolist()
             touched = group.physics.step(speeds[group.block], angles[group.block], self._body[group.block, :7], held)
             local = group.local if not held else np.setdiff1d(group.local, held)
-            self._read(group, local, None if scanned is None else scanned.numpy())
+            self._read(group, local)
             self._contact[group.rows[local], 0] = touched[local]
         return self.state()
 
     def state(self) -> RoverState:
         """Returns the current state in new tensors."""
-        return self._drive.state(*(torch.from_numpy(a.copy()) for a in (self._body, self._ranges, self._contact)))
+        return self._drive.state(*(torch.from_numpy(a.copy()) for a in (self._body, self._contact)))
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders one rover. See :meth:`Simulator.render`."""
@@ -118,35 +115,43 @@ class BulletSimulator:
         self._finalizer()
         self._renderers.close()
 
-    def _read(self, group: _WorldGroup, local: np.ndarray, scanned: np.ndarray | None = None) -> None:
-        """Reads the poses and joints of rovers and updates their scans.
-
-        Args:
-            group: group of the rovers.
-            local: indices of the rovers within the group.
-            scanned: rovers of the batch that scan, bool ``[N]``; ``None``: all.
-        """
+    def _read(self, group: _WorldGroup, local: np.ndarray) -> None:
+        """Reads the poses and joints of the rovers with indices ``local`` within their group."""
         if not len(local):
             return
         reading = group.physics.read(local.tolist())
         rows = group.block if len(local) == len(group.local) else group.rows[local]
-        self._body[rows, :3] = reading.position
+        self._body[rows, :3] = group.position[local] = reading.position
         self._body[rows, 3:7] = reading.orientation
         self._body[rows, 7:] = reading.joints
-        if scanned is None:
-            self._ranges[rows] = group.lidar.scan(reading.position, reading.rotation)
-        elif len(chosen := np.flatnonzero(scanned[group.rows[local]])):
-            ranges = group.lidar.scan(reading.position[chosen], reading.rotation[chosen])
-            self._ranges[group.rows[local[chosen]]] = ranges
+        group.rotation[local] = reading.rotation
+
+
+class BulletScanner:
+    """Lidar on every rover, an implementation of :class:`rover_rl.sims.base.Scanner`."""
+
+    def __init__(self, groups: list[_WorldGroup], lidars: list[Lidar], beams: int) -> None:
+        self.angles = beam_angles(beams).float()
+        self._groups, self._lidars = groups, lidars
+        self._ranges = np.full((sum(len(group.rows) for group in groups), beams), np.inf, dtype=np.float32)
+
+    def scan(self, rows: Tensor | None = None) -> Tensor:
+        """Scans. See :meth:`Scanner.scan`."""
+        for group, lidar in zip(self._groups, self._lidars, strict=True):
+            local = group.local if rows is None else np.flatnonzero(rows.numpy()[group.rows])
+            if len(local):
+                self._ranges[group.rows[local]] = lidar.scan(group.position[local], group.rotation[local])
+        return torch.from_numpy(self._ranges.copy())
 
 
 class _WorldGroup:
-    """Consecutive rows of the batch that are in the same world, with their physics and lidar."""
+    """Consecutive rows of the batch that are in the same world, their physics and their poses."""
 
-    def __init__(self, world: World, rows: np.ndarray, physics: RoverPhysics, lidar: Lidar) -> None:
+    def __init__(self, world: World, rows: np.ndarray, physics: RoverPhysics) -> None:
         self.world = world
         self.rows = rows
         self.block = slice(int(rows[0]), int(rows[-1]) + 1)
         self.local = np.arange(len(rows))
         self.physics = physics
-        self.lidar = lidar
+        self.position = np.zeros((len(rows), 3))
+        self.rotation = np.zeros((len(rows), 3, 3))

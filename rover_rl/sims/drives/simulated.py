@@ -57,13 +57,12 @@ class SimulatedDrives:
         self._set_point, self._stamp = set_point, stamp
         return targets
 
-    def state(self, body: Tensor, ranges: Tensor, contact: Tensor | None = None) -> RoverState:
+    def state(self, body: Tensor, contact: Tensor | None = None) -> RoverState:
         """Returns the state of the rovers.
 
         Args:
             body: position (m), orientation (x, y, z, w), speed of each motor (rad/s) and angle of each steering joint
                 (rad), ``[N, 7 + M + S]``.
-            ranges: lidar scans, ``[N, beams]``, m.
             contact: whether the rovers touched an obstacle, bool ``[N, 1]``. ``None`` if the simulator does not know.
         """
         first_angle = 7 + self._motors
@@ -76,7 +75,6 @@ class SimulatedDrives:
             orientation=body[:, 3:7],
             linear_velocity=twist[:, :1],
             angular_velocity=twist[:, 1:2],
-            ranges=ranges,
             dt=self._dt,
             stamp=self._stamp,
             **optional,

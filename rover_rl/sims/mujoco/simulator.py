@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import groupby
@@ -11,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import Capability, Dynamics, RoverState, View
+from rover_rl.sims.base import Capability, Dynamics, RoverState, View, beam_angles
 from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.mujoco.lidar import Lidar, Scene
@@ -31,12 +30,11 @@ MIN_ROVERS_PER_THREAD = 4
 class MujocoSimulator:
     """Simulator in MuJoCo. Rovers in the same world share a model and do not interact.
 
-    Threads work on shares of the rovers of every world: each steps the physics of its rovers and then scans.
+    Threads work on shares of the rovers of every world.
 
     Args:
         worlds: world of each rover. Consecutive rovers in the same world share models.
         robot: robot model.
-        lidar_beams: number of beams of a scan, evenly spaced counter-clockwise over the full turn, the first forward.
         settings: settings of the physics. ``None`` uses the defaults.
 
     Raises:
@@ -44,14 +42,11 @@ class MujocoSimulator:
             :func:`rover_rl.sims.robots.inertial_model.read_inertial_model`.
     """
 
-    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "scan_period"})
+    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "lidar"})
 
-    def __init__(
-        self, worlds: Sequence[World], robot: Robot, lidar_beams: int, settings: MujocoSettings | None = None
-    ) -> None:
+    def __init__(self, worlds: Sequence[World], robot: Robot, settings: MujocoSettings | None = None) -> None:
         self.num_envs = count = len(worlds)
         self.device = torch.device("cpu")
-        self.ray_angles = torch.arange(lidar_beams, dtype=torch.float32) * (2 * math.pi / lidar_beams)
         self.settings = settings or MujocoSettings()
         self.control_dt = self.settings.control_dt
         self._robot = robot
@@ -59,28 +54,34 @@ class MujocoSimulator:
         self._drive = SimulatedDrives(robot.drive, robot.wheels, self.control_dt, count)
         self._renderers = RendererCache(robot)
         threads = self.settings.threads or torch.get_num_threads()
-        self._threads = self._divide(min(threads, max(1, count // MIN_ROVERS_PER_THREAD)), lidar_beams)
+        self._threads = self._divide(min(threads, max(1, count // MIN_ROVERS_PER_THREAD)))
         self._pool = ThreadPoolExecutor(len(self._threads) - 1) if len(self._threads) > 1 else None
         # Position (3), orientation (4) and joints in one array, which is copied at once.
         self._body = np.zeros((count, 7 + len(robot.drive.motors) + len(robot.drive.steering)), dtype=np.float32)
-        self._ranges = np.full((count, lidar_beams), np.inf, dtype=np.float32)
         self._contact = np.zeros((count, 1), dtype=bool)
         self.reset(torch.ones(count, dtype=torch.bool), torch.zeros(count, 3))
 
-    def _divide(self, threads: int, beams: int) -> list[list[_Share]]:
+    def _divide(self, threads: int) -> list[list[_Share]]:
         """Returns the shares of each thread: a share of the rovers of every world."""
         inertial_model = read_inertial_model(self._robot)
-        angles = np.arange(beams) * (2 * math.pi / beams)
         shares: list[list[_Share]] = [[] for _ in range(threads)]
         for world, block in groupby(range(self.num_envs), key=self._worlds.__getitem__):
             rows = list(block)
-            model, scene = make_model(world, self._robot, inertial_model, self.settings), Scene(world)
+            model = make_model(world, self._robot, inertial_model, self.settings)
             ends = np.linspace(rows[0], rows[-1] + 1, threads + 1).astype(int).tolist()
             for own, first, last in zip(shares, ends[:-1], ends[1:], strict=True):
                 if last > first:
                     physics = RoverPhysics(model, self._robot, last - first, self.settings)
-                    own.append(_Share(world, slice(first, last), physics, Lidar(scene, self._robot, angles)))
+                    own.append(_Share(world, slice(first, last), physics))
         return shares
+
+    def scanner(self, beams: int) -> MujocoScanner:
+        """Creates a lidar. See :meth:`LidarCarrier.scanner`."""
+        scenes = {world: Scene(world) for world in dict.fromkeys(self._worlds)}
+        angles = beam_angles(beams)
+        shares = (share for shares in self._threads for share in shares)
+        lidars = {share: Lidar(scenes[share.world], self._robot, angles.numpy()) for share in shares}
+        return MujocoScanner(self._run, lidars, np.full((self.num_envs, beams), np.inf, dtype=np.float32))
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
         """Places the selected rovers on the ground, at rest. See :meth:`Simulator.reset`."""
@@ -102,7 +103,7 @@ class MujocoSimulator:
             for row in np.flatnonzero(mask.numpy()[share.rows]).tolist():
                 share.physics.set_dynamics(row, factors[share.rows.start + row].tolist())
 
-    def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
+    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         """Advances the rovers by one control step of ``substeps`` physics steps. See :meth:`Simulator.step`."""
         speeds, angles = (targets.numpy() for targets in self._drive.advance(commands, active))
 
@@ -110,12 +111,12 @@ class MujocoSimulator:
             rows = share.rows.start + local
             self._contact[rows, 0] = share.physics.step(local, speeds[rows], angles[rows])
 
-        self._update(advance, *(None if mask is None else mask.numpy() for mask in (active, scanned)))
+        self._update(advance, None if active is None else active.numpy())
         return self.state()
 
     def state(self) -> RoverState:
         """Returns the current state in new tensors."""
-        return self._drive.state(*(torch.from_numpy(a.copy()) for a in (self._body, self._ranges, self._contact)))
+        return self._drive.state(*(torch.from_numpy(a.copy()) for a in (self._body, self._contact)))
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders one rover. See :meth:`Simulator.render`."""
@@ -133,46 +134,65 @@ class MujocoSimulator:
             self._pool.shutdown()
         self._renderers.close()
 
-    def _update(
-        self, change: Callable[[_Share, np.ndarray], None], mask: np.ndarray | None, scanned: np.ndarray | None = None
-    ) -> None:
-        """Changes the selected rovers and reads their poses, joints and scans, on all threads.
+    def _update(self, change: Callable[[_Share, np.ndarray], None], mask: np.ndarray | None) -> None:
+        """Changes the rovers of a mask (bool ``[N]``; ``None``: all) and reads their poses and joints.
 
-        Args:
-            change: function of a share and the indices ``[k]`` of the selected rovers within it.
-            mask: selected rovers, bool ``[N]``. ``None`` selects all.
-            scanned: those that scan, bool ``[N]``. ``None``: all.
+        ``change`` takes a share and the indices ``[k]`` of the selected rovers within it.
         """
+
+        def update(share: _Share, local: np.ndarray) -> None:
+            change(share, local)
+            reading = share.physics.read(local)
+            rows = share.rows.start + local
+            self._body[rows, :3] = share.position[local] = reading.position
+            self._body[rows, 3:7] = np.roll(reading.orientation, -1, axis=1)
+            self._body[rows, 7:] = reading.joints
+            share.orientation[local] = reading.orientation
+
+        self._run(update, mask)
+
+    def _run(self, function: Callable[[_Share, np.ndarray], None], mask: np.ndarray | None) -> None:
+        """Calls a function of a share and the indices ``[k]`` of its rovers in the mask, on all threads."""
 
         def run(shares: list[_Share]) -> None:
             for share in shares:
                 local = share.all if mask is None else np.flatnonzero(mask[share.rows])
                 if len(local):
-                    change(share, local)
-                    self._read(share, local, scanned)
+                    function(share, local)
 
         others = [self._pool.submit(run, shares) for shares in self._threads[1:]] if self._pool else []
         run(self._threads[0])
         for other in others:
             other.result()
 
-    def _read(self, share: _Share, local: np.ndarray, scanned: np.ndarray | None) -> None:
-        reading = share.physics.read(local)
-        rows = share.rows.start + local
-        self._body[rows, :3] = reading.position
-        self._body[rows, 3:7] = np.roll(reading.orientation, -1, axis=1)
-        self._body[rows, 7:] = reading.joints
-        chosen = np.arange(len(local)) if scanned is None else np.flatnonzero(scanned[rows])
-        if len(chosen):
-            self._ranges[rows[chosen]] = share.lidar.scan(reading.position[chosen], reading.orientation[chosen])
+
+class MujocoScanner:
+    """Lidar on every rover, an implementation of :class:`rover_rl.sims.base.Scanner`."""
+
+    def __init__(self, run: Callable[..., None], lidars: dict[_Share, Lidar], ranges: np.ndarray) -> None:
+        self.angles = beam_angles(ranges.shape[1]).float()
+        self._run, self._lidars, self._ranges = run, lidars, ranges
+
+    def scan(self, rows: Tensor | None = None) -> Tensor:
+        """Scans. See :meth:`Scanner.scan`."""
+
+        def scan(share: _Share, local: np.ndarray) -> None:
+            ranges = self._lidars[share].scan(share.position[local], share.orientation[local])
+            self._ranges[share.rows.start + local] = ranges
+
+        self._run(scan, None if rows is None else rows.numpy())
+        return torch.from_numpy(self._ranges.copy())
 
 
 class _Share:
-    """Consecutive rovers in the same world that one thread simulates."""
+    """Consecutive rovers in the same world that one thread simulates, and their poses."""
 
-    def __init__(self, world: World, rows: slice, physics: RoverPhysics, lidar: Lidar) -> None:
+    def __init__(self, world: World, rows: slice, physics: RoverPhysics) -> None:
+        count = rows.stop - rows.start
         self.world = world
         self.rows = rows
-        self.all = np.arange(rows.stop - rows.start)
+        self.all = np.arange(count)
         self.physics = physics
-        self.lidar = lidar
+        self.position = np.zeros((count, 3))
+        # Quaternions (w, x, y, z), as MuJoCo has them.
+        self.orientation = np.zeros((count, 4))

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import RoverState, Simulator
+from rover_rl.sims.base import RoverState, Scanner, Simulator
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2 import messages as ros
 from rover_rl.sims.ros2.readings import read_orientation, read_position
@@ -36,6 +36,7 @@ class RobotNode:
 
     Args:
         simulator: simulator of one rover.
+        scanner: its lidar.
         transport: transport to publish and subscribe on.
         world: world of the simulator.
         lidar_range: maximum range of the lidar, m.
@@ -48,6 +49,7 @@ class RobotNode:
     def __init__(
         self,
         simulator: Simulator,
+        scanner: Scanner,
         transport: Transport,
         world: World,
         lidar_range: float,
@@ -57,7 +59,7 @@ class RobotNode:
         view: float = 2 * math.pi,
     ) -> None:
         settings, connection = settings or Ros2Settings(), connection or Connection()
-        self._simulator, self._world = simulator, world
+        self._simulator, self._scanner, self._world = simulator, scanner, world
         self._lidar_yaw, self._lidar_range, self._view = settings.lidar_yaw, lidar_range, view
         self._lock = threading.Lock()
         # Forward speed (m/s) and yaw rate (rad/s), whether they have just arrived, and the time since then.
@@ -140,7 +142,7 @@ class RobotNode:
         pose = ros.PoseWithCovariance(ros.Pose(ros.Point(self._odometry_x, self._odometry_y), heading))
         twist = ros.TwistWithCovariance(ros.Twist(ros.Vector3(x=speed), ros.Vector3(z=yaw_rate)))
         self._publish_odometry(ros.Odometry(ros.Header(stamp, "odom"), "base_link", pose, twist))
-        self._publish_scan(self._scan(state.ranges[0], stamp))
+        self._publish_scan(self._scan(self._scanner.scan()[0], stamp))
 
     def _advance_odometry(self, speed: float, yaw_rate: float, dt: float) -> None:
         middle = self._odometry_yaw + yaw_rate * dt / 2

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import Capability, RoverState, View
+from rover_rl.sims.base import Capability, RoverState, View, beam_angles
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2 import PoseResetError, RobotLostError
@@ -36,6 +36,8 @@ BRAKE_TIMEOUT = 0.25
 """Time without a usable scan after which the rover is stopped, s. The step continues to wait for a scan."""
 BRAKE_PERIODS = 1.5
 """The same time in periods of the last two scans. The longer of both applies."""
+GUARD_BEAMS = 128
+"""Number of beams of a simulator without a scanner: the guard looks at them."""
 MAX_UNUSABLE_SCANS = 20
 """Number of consecutive unusable scans after which waiting for the first usable one ends."""
 PUBLISHER_CHECK_INTERVAL = 1.0
@@ -59,7 +61,6 @@ class Ros2Simulator:
     Args:
         worlds: world of the rover: exactly one, whose name is that of Gazebo's world.
         robot: description of the rover; its limits apply to the commands, unless the settings override them.
-        lidar_beams: number of beams in the environment's scans.
         settings: settings of the connection.
         connection: topics, and the time to wait for the first scan.
 
@@ -74,13 +75,12 @@ class Ros2Simulator:
     """
 
     # It senses no contacts, and reports none.
-    capabilities: frozenset[Capability] = frozenset({"contacts", "live", "scan_period"})
+    capabilities: frozenset[Capability] = frozenset({"contacts", "lidar", "live"})
 
     def __init__(
         self,
         worlds: Sequence[World],
         robot: Robot,
-        lidar_beams: int,
         settings: Ros2Settings | None = None,
         connection: Connection | None = None,
     ) -> None:
@@ -91,20 +91,13 @@ class Ros2Simulator:
         self.num_envs = 1
         self.control_dt = CONTROL_DT
         self.device = torch.device("cpu")
-        self.ray_angles = torch.arange(lidar_beams, dtype=torch.float32) * (2 * math.pi / lidar_beams)
         self._world = worlds[0]
         self._limiter = CommandLimiter(settings.limits(robot))
-        self._align = ScanAlignment(lidar_beams, settings.lidar_yaw)
-        self._guard = UnseenGuard(self.ray_angles)
-        # Before the first scan, every range is infinite as in an empty world, but no beam is seen, so that the guard
-        # blocks all motion.
-        self._aligned_scan = AlignedScan(
-            torch.full((lidar_beams,), math.inf), torch.zeros(lidar_beams, dtype=torch.bool)
-        )
         self._publishers_checked = -math.inf
         self._pose_estimator = PoseEstimator(settings.pose)
         self._throttled_log = ThrottledLogger(_log)
         self._scan: ReceivedMessage | None = None
+        self._set_beams(GUARD_BEAMS)
         self._dt = self.control_dt
         self.latency, self.held = 0.0, False
         self._transport = make_transport(settings.transport, settings.node)
@@ -175,7 +168,7 @@ class Ros2Simulator:
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
         """Stops the rover, moves it to ``poses``, and waits until it is at rest: see :meth:`Simulator.reset`.
 
-        Without a robot, warns and returns zeros and infinite ranges.
+        Without a robot, warns and returns zeros.
 
         Raises:
             PoseResetError: if the rover does not come to rest at the pose in time.
@@ -201,7 +194,25 @@ class Ros2Simulator:
         self._dt = self.control_dt
         return self.state()
 
-    def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
+    def scanner(self, beams: int) -> Ros2Scanner:
+        """Creates a lidar whose scans are the rover's with ``beams`` beams: see :meth:`LidarCarrier.scanner`."""
+        self._set_beams(beams)
+        return Ros2Scanner(self, beams)
+
+    def _set_beams(self, beams: int) -> None:
+        self._align = ScanAlignment(beams, self.settings.lidar_yaw)
+        self._guard = UnseenGuard(beam_angles(beams).float())
+        # Before the first scan, every range is infinite as in an empty world, but no beam is seen, so that the guard
+        # blocks all motion.
+        nothing = AlignedScan(torch.full((beams,), math.inf), torch.zeros(beams, dtype=torch.bool))
+        self._aligned_scan = self._align(self._scan.value) if self._scan else nothing
+
+    def ranges(self) -> Tensor:
+        """Returns the latest scan, ``[1, beams]``, m. Directions that no beam covers are unknown, never free."""
+        scan = self._aligned_scan
+        return scan.ranges.masked_fill(~scan.seen & (self._scan is not None), self.settings.unseen_range)[None]
+
+    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         """Sends a command within the limits, and waits for the next scan: see :meth:`Simulator.step`.
 
         Without recent scans, sends a stop command instead.
@@ -234,17 +245,15 @@ class Ros2Simulator:
         self._commands.stop()
 
     def state(self) -> RoverState:
-        """Returns the state from the latest messages; zeros and infinite ranges before the first ones."""
+        """Returns the state from the latest messages; zeros before the first ones."""
         twist = self._sensors.wheel_velocity[None]
         position, orientation = self._world_pose()
-        scan, aligned = self._scan.value if self._scan else None, self._aligned_scan
+        scan = self._scan.value if self._scan else None
         return RoverState.pack(
             position=position[None],
             orientation=orientation[None],
             linear_velocity=twist[:, :1],
             angular_velocity=twist[:, 1:],
-            # Directions that no beam covers are unknown, never free.
-            ranges=aligned.ranges.masked_fill(~aligned.seen & (scan is not None), self.settings.unseen_range)[None],
             dt=torch.full((1, 1), self._dt),
             stamp=torch.full((1, 1), scan.stamp if scan else 0.0, dtype=torch.float64),
             # A live rover does not sense contacts. A policy of a task whose collision is the contact drives anyway.
@@ -346,6 +355,18 @@ class Ros2Simulator:
             return True
         pose, is_new = self._sensors.pose, self._sensors.messages.count("pose") > poses_before
         return is_new and self._pose_estimator.matches_target(pose, target, self.settings.pose_tolerance)
+
+
+class Ros2Scanner:
+    """Lidar of a live rover: see :class:`rover_rl.sims.base.Scanner`. It scans when the rover's does."""
+
+    def __init__(self, simulator: Ros2Simulator, beams: int) -> None:
+        self.angles = beam_angles(beams).float()
+        self._simulator = simulator
+
+    def scan(self, rows: Tensor | None = None) -> Tensor:
+        """Returns the latest scan, infinite ranges before the first one."""
+        return self._simulator.ranges()
 
 
 def _stop_and_close(commands: CommandPublisher, transport: Transport) -> None:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import Capability, Dynamics, RoverState, View
+from rover_rl.sims.base import Capability, Dynamics, RoverState, View, beam_angles
 from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.native.warp import wp
@@ -23,6 +21,7 @@ from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.rotations import matrix_to_quaternion
 from rover_rl.sims.warp.kernels.dynamics import place, step_dynamics
 from rover_rl.sims.warp.kernels.lidar import scan
+from rover_rl.sims.warp.kernels.scan_plane import SECTORS
 from rover_rl.sims.warp.kernels.types import Solver
 from rover_rl.sims.warp.scene import SceneTable, make_robot_model
 from rover_rl.sims.warp.settings import WarpSettings
@@ -40,15 +39,13 @@ GPU_LIDAR_LANES = 8
 
 
 class WarpSimulator:
-    """Batch of rovers simulated by Warp kernels: one for the physics of a control step and one for the lidar.
+    """Batch of rovers simulated by Warp kernels, a thread each.
 
-    A kernel thread simulates one rover; on a GPU, several threads share its scan. All rovers share a launch, whatever
-    world they are in; they do not interact.
+    All rovers share a launch, whatever world they are in; they do not interact.
 
     Args:
         worlds: world of each rover.
         robot: robot to simulate.
-        lidar_beams: number of beams of a scan, equally spaced counter-clockwise from straight ahead.
         settings: settings of the physics; ``None`` uses the defaults.
         device: device of the simulation and of its tensors; ``None`` is the CPU.
 
@@ -57,13 +54,12 @@ class WarpSimulator:
             :func:`rover_rl.sims.robots.inertial_model.read_inertial_model`.
     """
 
-    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "scan_period"})
+    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "lidar"})
 
     def __init__(
         self,
         worlds: Sequence[World],
         robot: Robot,
-        lidar_beams: int,
         settings: WarpSettings | None = None,
         device: torch.device | str | None = None,
     ) -> None:
@@ -73,14 +69,12 @@ class WarpSimulator:
             self.device = torch.device("cuda", torch.cuda.current_device())
         self.settings = settings or WarpSettings()
         self.control_dt = self.settings.control_dt
-        angles = np.arange(lidar_beams) * (2 * math.pi / lidar_beams)
-        self.ray_angles = torch.tensor(angles, dtype=torch.float32, device=self.device)
-        self._robot = robot
+        self.robot = robot
         self._drive = SimulatedDrives(robot.drive, robot.wheels, self.control_dt, count, self.device)
         self._renderers = RendererCache(robot)
 
         inertial_model = read_inertial_model(robot)
-        self._buffers = StateBuffers(inertial_model, robot, count, lidar_beams, self.device)
+        self._buffers = StateBuffers(inertial_model, robot, count, self.device)
         self._model = make_robot_model(robot, inertial_model, self._wp_device)
         self._worlds = WorldTable.of(worlds, self.device)
         self._entered = self._worlds.follow()
@@ -88,10 +82,9 @@ class WarpSimulator:
         self._terrains = TerrainTable(self.device)
         self.enter_worlds()
         self._poses = wp.from_torch(self._buffers.poses)
-        directions = np.stack((np.cos(angles), np.sin(angles)), -1)
-        self._lanes = self.settings.lidar_lanes or (GPU_LIDAR_LANES if self.device.type == "cuda" else 1)
-        self._shards = self._record(wp.array(directions, dtype=wp.vec2, device=self._wp_device))
+        self._shards = self._divide()
         self._pool = ThreadPoolExecutor(len(self._shards) - 1) if len(self._shards) > 1 else None
+        self._dynamics = self._record(step_dynamics, _solver(self.settings), self._buffers.rovers)
         self.reset(torch.ones(count, dtype=torch.bool, device=self.device), torch.zeros(count, 3, device=self.device))
 
     @property
@@ -104,21 +97,31 @@ class WarpSimulator:
         blocks = {"block_dim": self.settings.block_size or GPU_BLOCK_SIZE} if self.device.type == "cuda" else {}
         return {"device": self._wp_device, **blocks}
 
-    def _record(self, beams: wp.array) -> list[_Shard]:
-        """Records the launches of each CPU thread, for a share of the rovers."""
+    def _divide(self) -> list[tuple[int, int]]:
+        """Returns the first rover and the number of rovers of each CPU thread."""
         threads = self.settings.threads or torch.get_num_threads()
         # Launches on a GPU are asynchronous: one host thread suffices.
         max_threads = 1 if self.device.type == "cuda" else max(1, self.num_envs // MIN_ROVERS_PER_THREAD)
         ends = np.linspace(0, self.num_envs, min(threads, max_threads) + 1).astype(int).tolist()
-        scenes, rovers, solver = self._scenes.scenes, self._buffers.rovers, _solver(self.settings)
-        shards = []
-        for first, last in pairwise(ends):
-            launch = {"dim": last - first, "record_cmd": True, **self._launch_options}
-            dynamics = wp.launch(step_dynamics, inputs=[scenes, self._model, solver, rovers, first], **launch)
-            launch["dim"] = (last - first, self._lanes)
-            inputs = [scenes, self._model, rovers, beams, first, self._lanes]
-            shards.append(_Shard(dynamics, wp.launch(scan, inputs=inputs, **launch)))
-        return shards
+        return [(first, last - first) for first, last in pairwise(ends)]
+
+    def _record(self, kernel: wp.Kernel, *inputs: Any, lanes: tuple[int, ...] = ()) -> list[wp.Launch]:
+        """Records the launches of a kernel, one per CPU thread, with ``lanes`` threads of the device per rover."""
+        options = {"record_cmd": True, **self._launch_options}
+        inputs = (self._scenes.scenes, self._model, *inputs)
+        return [
+            wp.launch(kernel, dim=(count, *lanes), inputs=[*inputs, first, *lanes], **options)
+            for first, count in self._shards
+        ]
+
+    def scanner(self, beams: int) -> WarpScanner:
+        """Creates a lidar: see :meth:`LidarCarrier.scanner`."""
+        scanner = WarpScanner(self, beams)
+        angles = beam_angles(beams).numpy()
+        directions = wp.array(np.stack((np.cos(angles), np.sin(angles)), -1), dtype=wp.vec2, device=self._wp_device)
+        rovers = self._buffers.struct(scanned=scanner.rows, ranges=scanner.ranges, visible=scanner.visible)
+        scanner.launches = self._record(scan, rovers, directions, lanes=(scanner.lanes,))
+        return scanner
 
     def enter_worlds(self) -> None:
         """Copies new worlds to the device, and moves rovers: see :meth:`WorldChanger.enter_worlds`."""
@@ -137,10 +140,8 @@ class WarpSimulator:
         """Places the rovers of ``mask`` at rest on the ground at ``poses``: see :meth:`Simulator.reset`."""
         self._set_rest_poses(mask, poses)
         self._buffers.active.copy_(mask)
-        self._buffers.scanned.copy_(mask)
         inputs = [self._model, self._buffers.rovers, self._poses]
         wp.launch(place, dim=self.num_envs, inputs=inputs, stream=self._stream, **self._launch_options)
-        self.launch(physics=False)
         self._drive.reset(mask)
         return self.state()
 
@@ -149,7 +150,7 @@ class WarpSimulator:
         # On the CPU, computes only the rows of the mask. On a GPU, selecting rows would synchronize with the device.
         chosen = mask.nonzero().squeeze(-1) if self.device.type == "cpu" else slice(None)
         ground = self._terrains.of(self._buffers.scene[chosen].long())
-        position, rotation = rest_on_ground(ground, self._robot, poses[chosen])
+        position, rotation = rest_on_ground(ground, self.robot, poses[chosen])
         target = self._buffers.poses
         target[chosen] = torch.cat((position, matrix_to_quaternion(rotation)), -1).to(target.dtype)
 
@@ -157,7 +158,7 @@ class WarpSimulator:
         """Sets the dynamics of the rovers of ``mask``: see :meth:`Simulator.set_dynamics`."""
         self._buffers.set_dynamics(mask, dynamics)
 
-    def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
+    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         """Simulates one control step of ``settings.substeps`` substeps: see :meth:`Simulator.step`."""
         targets = self._drive.advance(commands, active)
         self._buffers.target_speeds.copy_(targets.speeds)
@@ -166,14 +167,12 @@ class WarpSimulator:
             self._buffers.active.fill_(True)
         else:
             self._buffers.active.copy_(active)
-        self._buffers.scanned.copy_(self._buffers.active if scanned is None else self._buffers.active & scanned)
         self.launch()
         return self.state()
 
     def state(self) -> RoverState:
         """Returns a copy of the current state."""
-        buffers = self._buffers
-        return self._drive.state(buffers.base_state.clone(), buffers.ranges.clone(), buffers.contact.clone())
+        return self._drive.state(self._buffers.base_state.clone(), self._buffers.contact.clone())
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders an image: see :meth:`Simulator.render`."""
@@ -195,33 +194,55 @@ class WarpSimulator:
         """Torch's current CUDA stream, which orders kernels and tensor operations; ``None`` on the CPU."""
         return wp.stream_from_torch(self.device) if self.device.type == "cuda" else None
 
-    def launch(self, *, physics: bool = True, lidar: bool = True) -> None:
-        """Launches the kernels for all active rovers and waits for them on the CPU; on a GPU, returns immediately.
+    def launch(self) -> None:
+        """Launches the physics of a control step for the active rovers: see :meth:`run`."""
+        self.run(self._dynamics)
 
-        Args:
-            physics: launch the physics of a control step.
-            lidar: launch the lidar scan.
-        """
-        if lidar and self._lanes > 1:
-            self._buffers.clear_scans()
-        run = partial(_Shard.launch, physics=physics, lidar=lidar, stream=self._stream)
-        others = [self._pool.submit(run, shard) for shard in self._shards[1:]] if self._pool else []
-        run(self._shards[0])
+    def run(self, recorded: Sequence[wp.Launch]) -> None:
+        """Launches a recorded kernel on each thread and waits for them on the CPU; on a GPU, returns immediately."""
+        stream = self._stream
+        others = [self._pool.submit(launch.launch, stream) for launch in recorded[1:]] if self._pool else []
+        recorded[0].launch(stream)
         for other in others:
             other.result()
 
 
-class _Shard(NamedTuple):
-    """Recorded launches of one CPU thread, for a share of the rovers."""
+class WarpScanner:
+    """Lidar on every rover: see :class:`rover_rl.sims.base.Scanner`. On a GPU, several threads share the scan of one.
 
-    dynamics: wp.Launch
-    scan: wp.Launch
+    Attributes:
+        rows: rovers that the next launch scans for, bool ``[N]``.
+        ranges: last scan of each rover, ``[N, beams]``, m.
+        visible: working memory of the kernel.
+        lanes: number of threads per rover.
+        launches: recorded launches of the kernel.
+    """
 
-    def launch(self, *, physics: bool, lidar: bool, stream: wp.Stream | None) -> None:
-        if physics:
-            self.dynamics.launch(stream)
-        if lidar:
-            self.scan.launch(stream)
+    def __init__(self, simulator: WarpSimulator, beams: int) -> None:
+        count, device = simulator.num_envs, simulator.device
+        self.angles = beam_angles(beams).float().to(device)
+        self.rows = torch.ones(count, dtype=torch.bool, device=device)
+        self.ranges = torch.zeros(count, beams, device=device)
+        self.visible = torch.zeros(count, SECTORS, device=device)
+        self.lanes = simulator.settings.lidar_lanes or (GPU_LIDAR_LANES if device.type == "cuda" else 1)
+        self.launches: list[wp.Launch] = []
+        self._run, self._max_range = simulator.run, simulator.robot.lidar_range
+
+    def scan(self, rows: Tensor | None = None) -> Tensor:
+        """Scans: see :meth:`Scanner.scan`."""
+        if rows is None:
+            self.rows.fill_(True)
+        else:
+            self.rows.copy_(rows)
+        self.launch()
+        return self.ranges.clone()
+
+    def launch(self) -> None:
+        """Launches the kernel for the rovers of :attr:`rows`."""
+        if self.lanes > 1:
+            self.ranges.masked_fill_(self.rows[:, None], torch.inf)
+            self.visible.fill_(self._max_range)
+        self._run(self.launches)
 
 
 def _solver(settings: WarpSettings) -> Solver:

@@ -12,9 +12,9 @@ from rover_rl.sims.bullet import BulletSettings
 class Slippery:
     friction: float = 0.01
 
-    def make(self, *, worlds, robot, lidar_beams, connection=None, device=None) -> Simulator:
+    def make(self, *, worlds, robot, connection=None, device=None) -> Simulator:
         settings = BulletSettings(ground_friction=self.friction)
-        return make_simulator(settings, worlds=worlds, robot=robot, lidar_beams=lidar_beams)
+        return make_simulator(settings, worlds=worlds, robot=robot)
 
 
 class NotInstalled:

@@ -19,7 +19,7 @@ from rover_rl.algos.train.collectors import collect
 from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.sac import SACLearner
-from rover_rl.envs.randomization import Randomization
+from rover_rl.envs.config import Randomization
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward
 from rover_rl.sims import RoverState
@@ -53,22 +53,20 @@ class SlidingBackend:
         *,
         worlds: Sequence[World],
         robot: Robot,
-        lidar_beams: int,
         connection: Connection | None = None,
         device: torch.device | None = None,
     ) -> SlidingSimulator:
-        return SlidingSimulator(worlds, robot, lidar_beams, device or torch.device("cpu"))
+        return SlidingSimulator(worlds, robot, device or torch.device("cpu"))
 
 
 class SlidingSimulator:
     robot_connected = True
-    capabilities = frozenset({"dynamics", "scan_period"})
+    capabilities = frozenset({"dynamics", "lidar"})
 
-    def __init__(self, worlds: Sequence[World], robot: Robot, beams: int, device: torch.device) -> None:
+    def __init__(self, worlds: Sequence[World], robot: Robot, device: torch.device) -> None:
         self.num_envs = count = len(worlds)
         self.device = device
         self.control_dt = 0.05
-        self.ray_angles = torch.arange(beams, device=device) * (2 * math.pi / beams)
         self._drive = SimulatedDrives(robot.drive, robot.wheels, 0.05, count, device)
         self._pose = torch.zeros(count, 3, device=device)
         self._height = torch.zeros(count, 1, device=device)
@@ -98,7 +96,7 @@ class SlidingSimulator:
         mass, _, _ = self._model.total(self._model.chassis_mass * dynamics.chassis_mass.double())
         self._height = torch.where(mask[:, None], mass[:, None].float(), self._height)
 
-    def step(self, commands: Tensor, active: Tensor | None = None, scanned: Tensor | None = None) -> RoverState:
+    def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         self._drive.advance(commands, active)
         x, y, yaw = self._pose.split(1, -1)
         speed, turn = commands.split(1, -1)
@@ -110,10 +108,24 @@ class SlidingSimulator:
         x, y, yaw = self._pose.split(1, -1)
         zero = torch.zeros_like(x)
         body = torch.cat((x, y, self._height, zero, zero, (yaw / 2).sin(), (yaw / 2).cos(), zero, zero), -1)
-        ranges = 0.4 * self._length + (3 * self.ray_angles + yaw).cos()
-        return self._drive.state(body, ranges)
+        return self._drive.state(body)
+
+    def scanner(self, beams: int) -> SlidingScanner:
+        return SlidingScanner(self, beams)
+
+    def ranges(self, angles: Tensor) -> Tensor:
+        return 0.4 * self._length + (3 * angles + self._pose[:, 2:]).cos()
 
     def close(self) -> None: ...
+
+
+class SlidingScanner:
+    def __init__(self, simulator: SlidingSimulator, beams: int) -> None:
+        self.angles = torch.arange(beams, device=simulator.device) * (2 * math.pi / beams)
+        self._simulator = simulator
+
+    def scan(self, rows: Tensor | None = None) -> Tensor:
+        return self._simulator.ranges(self.angles)
 
 
 LEARNERS = {

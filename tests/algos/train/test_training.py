@@ -18,7 +18,7 @@ from rover_rl.algos.train import train
 from rover_rl.algos.train.run import TrainingSummary
 from rover_rl.algos.train.run_folder import load_state
 from rover_rl.envs import EnvConfig
-from rover_rl.envs.randomization import Randomization
+from rover_rl.envs.config import Randomization
 from tests.algos.train.runs import BOTH, FIELD, PPO, WALL, equal, progress_of
 
 Trained = Callable[[str], TrainingSummary]

@@ -157,10 +157,10 @@ def log(tmp_path: Path) -> Path:
     with DriveLog(path, "my_lab", "scripted", 60.0) as written:
         for goal in ((1.0, 3.0), (-1.0, 3.0)):
             td = env.reset(start=torch.tensor([[0.0, 0.0, 0.5]]), goal=torch.tensor([goal]))
-            written.begin(env.rover_state, goal)
+            written.begin(env.rover_state, env.scan, goal)
             for _ in range(12):
                 td = env.step(td.set("action", torch.tensor([[1.0, 0.0]])))["next"]
-                written.add(env.rover_state, td["outcome"], (1.0, 0.0), 0.01)
+                written.add(env.rover_state, env.scan, td["outcome"], (1.0, 0.0), 0.01)
             written.end("obstacle too near")
     env.close()
     return path
@@ -173,9 +173,10 @@ def test_a_drive_of_a_log_is_filmed_with_its_readings(log: Path, capsys: pytest.
     first, last = (drive.moments[step].rover for step in (0, -1))
     assert first.linear_velocity == 0
     assert 0.5 < last.linear_velocity.item() < 1.1
-    beams = first.ranges[0].isfinite()
+    scan = drive.moments[0].scan[0]
+    beams = scan.isfinite()
     assert 10 < beams.sum() < len(beams)
-    hits = (first.ranges[0] * (drive.ray_angles + 0.5).cos() + 0.174 * math.cos(0.5))[beams]
+    hits = (scan * (drive.ray_angles + 0.5).cos() + 0.174 * math.cos(0.5))[beams]
     torch.testing.assert_close(hits, torch.full_like(hits, 1.8), atol=0.05, rtol=0)
     assert recording_of_log(log, 0, "maze").world.name == "maze"
     out = log.with_name("log.gif")

@@ -9,7 +9,7 @@ import pytest
 import torch
 from hypothesis import strategies as st
 
-from rover_rl.envs.sensors.lidar import LidarPooling
+from rover_rl.envs.sensors.standard import LidarPooling
 from rover_rl.envs.task import target_info
 from tests.envs import transcription as contract
 from tests.envs.contract.scripted_env import assert_same_angle, play, scripted

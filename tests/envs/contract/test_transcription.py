@@ -60,7 +60,7 @@ EDGES = {"inspect": (-13.7, -20.0, 0.0), "moon": (9.5, 3.0, 0.0), "maze": (0.0, 
 def mixed_policies(td: TensorDict, env: RoverEnv, k: int) -> Tensor:
     """One policy per row: two drive to the goal, two to an obstacle, two at random, one straight on, one in curves."""
     angle = td["target"][:, 1]
-    ranges, angles = env.rover_state.ranges, env.simulator.ray_angles
+    ranges, angles = env.scan, env.scanner.angles
     nearest = angles[ranges.nan_to_num(posinf=99.0).argmin(-1)]
     nearest = torch.atan2(nearest.sin(), nearest.cos())
     generator = torch.Generator().manual_seed(k)

@@ -80,7 +80,7 @@ class Witness:
         columns = zip(
             raw.position.tolist(),
             raw.orientation.tolist(),
-            raw.ranges.tolist(),
+            bare(self.env).scan.tolist(),
             raw.linear_velocity.flatten().tolist(),
             raw.angular_velocity.flatten().tolist(),
             raw.dt.flatten().tolist(),

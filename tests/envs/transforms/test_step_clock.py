@@ -9,7 +9,7 @@ from rover_rl.envs.transforms.step_clock import StepClock
 
 def test_the_clock_goes_with_the_data() -> None:
     base = RoverEnv(world_n="maze", num_envs=3, seed=0)
-    env = base.append_transform(StepClock(base.simulator))
+    env = base.append_transform(StepClock(base))
     rollout = env.rollout(5, break_when_any_done=False)
     simulator, environment = (rollout["next", "clock", name].squeeze(-1) for name in ("simulator", "environment"))
     assert simulator.dtype == torch.float64
@@ -21,4 +21,4 @@ def test_the_clock_goes_with_the_data() -> None:
 
 def test_the_environment_stays_one_by_its_specs() -> None:
     base = RoverEnv(world_n="maze", num_envs=2, seed=0)
-    check_env_specs(base.append_transform(StepClock(base.simulator)), check_dtype=True)
+    check_env_specs(base.append_transform(StepClock(base)), check_dtype=True)

@@ -65,7 +65,7 @@ def test_accurate_has_a_smaller_error_than_fast() -> None:
     commands = torch.rand(12, 2, generator=random) * torch.tensor((1.6, 3.0)) - torch.tensor((0.6, 1.5))
 
     def final_positions(settings: BulletSettings) -> torch.Tensor:
-        simulator = make_simulator(settings, worlds=[world] * 12, robot=get_robot("rover_zero"), lidar_beams=1)
+        simulator = make_simulator(settings, worlds=[world] * 12, robot=get_robot("rover_zero"))
         simulator.reset(torch.ones(12, dtype=torch.bool), starts)
         states = [simulator.step(commands) for _ in range(40)]
         simulator.close()

@@ -20,7 +20,7 @@ FLAT = World("flat", Terrain.flat((40, 40)))
 
 def drive(backend, robot, commands, settle=40, steps=20):
     """Returns poses (x, y, yaw) ``[steps + 1, N, 3]`` and the last state of rovers that hold their commands."""
-    simulator = make_simulator(backend, worlds=[FLAT] * len(commands), robot=robot, lidar_beams=1)
+    simulator = make_simulator(backend, worlds=[FLAT] * len(commands), robot=robot)
     simulator.reset(torch.ones(len(commands), dtype=torch.bool), torch.zeros(len(commands), 3))
     for _ in range(settle):
         state = simulator.step(torch.tensor(commands))

@@ -50,7 +50,7 @@ def test_the_ground_of_the_wheels_and_of_the_lidar_has_the_triangles_of_the_terr
 def test_wheels_rest_on_the_triangles_of_the_terrain():
     world = hills()
     poses = torch.tensor([(0.4 * k - 2, 0.3 * k - 1, 1.3 * k) for k in range(10)])
-    simulator = make_simulator(MujocoSettings(), worlds=[world] * 10, robot=ROVER, lidar_beams=1)
+    simulator = make_simulator(MujocoSettings(), worlds=[world] * 10, robot=ROVER)
     simulator.reset(torch.ones(10, dtype=torch.bool), poses)
     for _ in range(30):
         state = simulator.step(torch.zeros(10, 2))
@@ -78,9 +78,9 @@ def test_scans_match_those_of_bullet(name):
     poses = torch.cat((cells, 0.8 * torch.arange(len(cells))[:, None]), 1).float()
     scans = []
     for backend in ("bullet", "mujoco"):
-        simulator = make_simulator(backend, worlds=[world] * len(poses), robot=ROVER, lidar_beams=64)
-        state = simulator.reset(torch.ones(len(poses), dtype=torch.bool), poses)
-        scans.append(state.ranges.clamp(max=ROVER.lidar_range))
+        simulator = make_simulator(backend, worlds=[world] * len(poses), robot=ROVER)
+        simulator.reset(torch.ones(len(poses), dtype=torch.bool), poses)
+        scans.append(simulator.scanner(64).scan().clamp(max=ROVER.lidar_range))
         simulator.close()
     close = (scans[0] - scans[1]).abs() < 0.01
     assert close.float().mean() > 0.998

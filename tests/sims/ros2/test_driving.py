@@ -34,8 +34,8 @@ GOAL = (-20.4, -24.2)
 def robot(wire: Wire) -> Iterator[RobotNode]:
     """A rover in inspect that steps at each command, or after 0.2 s without one."""
     world, kind = get_world("inspect"), get_robot("rover_zero")
-    simulator = make_simulator("bullet", worlds=[world], robot=kind, lidar_beams=128)
-    node = RobotNode(simulator, wire, world, kind.lidar_range, start=START)
+    simulator = make_simulator("bullet", worlds=[world], robot=kind)
+    node = RobotNode(simulator, simulator.scanner(128), wire, world, kind.lidar_range, start=START)
     commanded, stop = threading.Event(), threading.Event()
     wire.subscribe("/cmd_vel", Twist, lambda twist: commanded.set())
 
@@ -135,7 +135,7 @@ def log(env, tmp_path) -> Path:
         drive_to(env, ScriptedPolicy(), GOAL, log=log)
         with pytest.raises(KeyboardInterrupt):
             drive_to(env, ScriptedPolicy(), (-23.0, -24.0), watch=interrupt, log=log)
-        log.begin(env.rover_state, (-23.0, -23.0))
+        log.begin(env.rover_state, env.scan, (-23.0, -23.0))
     return path
 
 

@@ -42,8 +42,9 @@ class Robot:
 
     def __init__(self, wire: Wire, view: float = 2 * math.pi, yaw: float = 0.0) -> None:
         kind = get_robot("rover_zero")
-        self._simulator = make_simulator("bullet", worlds=[COURSE], robot=kind, lidar_beams=128)
-        self.node = RobotNode(self._simulator, wire, COURSE, kind.lidar_range, start=(0.0, 0.0, yaw), view=view)
+        self._simulator = make_simulator("bullet", worlds=[COURSE], robot=kind)
+        scanner, start = self._simulator.scanner(128), (0.0, 0.0, yaw)
+        self.node = RobotNode(self._simulator, scanner, wire, COURSE, kind.lidar_range, start=start, view=view)
         self.driven: list[float] = []
         self._commanded, self._stop = threading.Event(), threading.Event()
         wire.subscribe("/cmd_vel", Twist, lambda twist: self._commanded.set())

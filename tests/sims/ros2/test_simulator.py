@@ -120,17 +120,17 @@ def rover(wire: Wire) -> Iterator[Rover]:
     rover.stop()
 
 
-def simulator(timeout: float = 2.0, lidar_beams: int = BEAMS, **settings: Any) -> Ros2Simulator:
+def simulator(timeout: float = 2.0, beams: int = BEAMS, **settings: Any) -> Ros2Simulator:
     quick = {"max_acceleration": 100.0, "max_yaw_acceleration": 100.0}  # sends commands unchanged
     settings = {"reset": "topic", "step_timeout": 0.3, "reset_timeout": 1.0, "settle": 0.05, **quick, **settings}
     made = make_simulator(
         Ros2Settings(**settings),
         worlds=[get_world("maze")],
         robot=get_robot("rover_zero"),
-        lidar_beams=lidar_beams,
         connection=Connection(timeout=timeout),
     )
     assert isinstance(made, Ros2Simulator)
+    made.scanner(beams)
     return made
 
 
@@ -153,8 +153,8 @@ def test_step_sends_the_command_and_returns_the_next_state(wire, rover):
     assert (command.linear.x, command.angular.z) == (0.5, -0.25)
     assert state.position[0].tolist() == pytest.approx([1.0, 2.0, 0.1])
     assert yaw_of(state) == pytest.approx(0.5, abs=1e-5)
-    assert state.ranges.shape == (1, BEAMS)
-    assert state.ranges[0, 0] == 1.5
+    assert sim.ranges().shape == (1, BEAMS)
+    assert sim.ranges()[0, 0] == 1.5
     assert sim.last_command == (0.5, -0.25)
     assert 0 < sim.latency < 0.3
     state = sim.step(torch.tensor([[0.5, -0.25]]))
@@ -326,7 +326,7 @@ def test_without_a_robot_observations_are_empty_with_a_warning(wire, caplog):
     assert not sim.robot_connected
     state = sim.reset(ALL, torch.zeros(1, 3))
     assert "no robot has appeared" in caplog.text
-    assert torch.isposinf(state.ranges).all()
+    assert torch.isposinf(sim.ranges()).all()
     assert (state.position == 0).all()
     assert state.orientation.tolist() == [[0, 0, 0, 1]]
     with pytest.raises(RobotLostError, match=r"/scan \(scan\): no message has arrived yet"):
@@ -474,7 +474,7 @@ def ranges_with(front: float, behind: float) -> np.ndarray:
 def test_a_rover_does_not_move_towards_unseen_directions(wire, rover, caplog, front, behind, speed, sent):
     rover.ranges = ranges_with(front, behind)
     rover.start()
-    sim = simulator(reset="none", lidar_yaw=0.0, lidar_beams=64)
+    sim = simulator(reset="none", lidar_yaw=0.0, beams=64)
     sim.reset(ALL, torch.zeros(1, 3))
     assert sent_speed(sim, wire, speed) == sent
     assert sim.held == (sent == 0.0)
@@ -485,13 +485,14 @@ def test_directions_without_beams_are_unknown_not_free(wire, rover):
     """With a lidar of 180 degrees, directions behind read 1 m, and the rover does not back up."""
     rover.ranges, rover.layout = np.full(64, 5.0, np.float32), (-math.pi / 2, math.pi / 64)
     rover.start()
-    sim = simulator(reset="none", lidar_yaw=0.0, lidar_beams=64)
-    state = sim.reset(ALL, torch.zeros(1, 3))
+    sim = simulator(reset="none", lidar_yaw=0.0, beams=64)
+    sim.reset(ALL, torch.zeros(1, 3))
+    scanner = sim.scanner(64)
     assert sim.field_of_view == pytest.approx(math.pi)
-    ahead = sim.ray_angles.cos() > 0.1
-    behind = sim.ray_angles.cos() < -0.1
-    assert (state.ranges[0, ahead] == 5.0).all()
-    assert (state.ranges[0, behind] == 1.0).all()
+    ahead = scanner.angles.cos() > 0.1
+    behind = scanner.angles.cos() < -0.1
+    assert (scanner.scan()[0, ahead] == 5.0).all()
+    assert (scanner.scan()[0, behind] == 1.0).all()
     assert sent_speed(sim, wire, 0.5) == 0.5
     assert sent_speed(sim, wire, -0.5) == 0.0
 
@@ -571,7 +572,7 @@ def test_automatic_reset_selects_an_available_placer(wire, rover, monkeypatch, c
 
 def test_several_rovers_are_rejected(wire):
     with pytest.raises(ValueError, match="drives one live rover, got num_envs=2"):
-        make_simulator("ros2", worlds=[get_world("maze")] * 2, robot=get_robot("rover_zero"), lidar_beams=8)
+        make_simulator("ros2", worlds=[get_world("maze")] * 2, robot=get_robot("rover_zero"))
 
 
 def test_close_stops_the_rover_and_closes_the_connection(wire, rover):

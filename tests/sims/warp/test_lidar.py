@@ -15,6 +15,7 @@ from rover_rl.sims.native.warp import wp
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.warp.kernels.lidar import scan, scan_share
+from rover_rl.sims.warp.kernels.scan_plane import SECTORS
 from rover_rl.sims.warp.kernels.types import RobotModel, RoverArrays, Scene
 from rover_rl.sims.warp.scene import SceneTable, make_robot_model
 from rover_rl.sims.warp.state_buffers import StateBuffers
@@ -61,23 +62,25 @@ def warp_scan(
     """Launches the scan kernel for any poses; a simulator scans only from poses that a rover can have."""
     inertial_model = read_inertial_model(ROVER)
     model = make_robot_model(ROVER, inertial_model, "cpu")
-    buffers = StateBuffers(inertial_model, ROVER, len(position), beams, torch.device("cpu"))
+    count = len(position)
+    buffers = StateBuffers(inertial_model, ROVER, count, torch.device("cpu"))
     buffers.base_state[:, :3] = torch.from_numpy(position)
     buffers.base_state[:, 3:7] = torch.from_numpy(rotation.as_quat())
-    if scanned is not None:
-        buffers.scanned.copy_(scanned)
+    rows = torch.ones(count, dtype=torch.bool) if scanned is None else scanned
+    ranges = torch.zeros(count, beams).masked_fill(rows[:, None], torch.inf)
+    visible = torch.full((count, SECTORS), ROVER.lidar_range)
     angles = np.arange(beams) * (2 * math.pi / beams)
     directions = wp.array(np.stack((np.cos(angles), np.sin(angles)), -1), dtype=wp.vec2, device="cpu")
     table = SceneTable(1, model.bounding_radius, "cpu")
     table[0] = world
-    buffers.clear_scans()
-    inputs = [table.scenes, model, buffers.rovers, directions]
+    rovers = buffers.struct(scanned=rows, ranges=ranges, visible=visible)
+    inputs = [table.scenes, model, rovers, directions]
     if order is None:
         wp.launch(scan, dim=(len(position), lanes), inputs=[*inputs, 0, lanes], device="cpu")
     else:
         order = wp.array(order, dtype=int, device="cpu")
         wp.launch(scan_in_order, dim=(len(position), lanes), inputs=[*inputs, order, lanes], device="cpu")
-    return buffers.ranges.numpy()
+    return ranges.numpy()
 
 
 @pytest.mark.parametrize("beams", [20, 640])

@@ -67,7 +67,7 @@ def test_several_threads_scan_for_a_rover():
         td = env.reset()
         for _ in range(5):
             td = env.step(td.set("action", torch.tensor([[0.8, 0.3]] * 40)))["next"]
-        scans.append(env.base_env.simulator.state().ranges)
+        scans.append(env.base_env.scan)
         env.close()
     torch.testing.assert_close(*scans, rtol=5e-7, atol=0)
 
@@ -114,7 +114,7 @@ def _hubs(state) -> torch.Tensor:
 def test_boulder_stops_the_rover(yaw):
     rock = boulder((2.0, 0.0, 0.2), 0.8, np.random.default_rng(0))
     world = World("rock", Terrain.flat((20, 20)), [rock])
-    simulator = make_simulator("warp", worlds=[world], robot=ROVER, lidar_beams=8)
+    simulator = make_simulator("warp", worlds=[world], robot=ROVER)
     simulator.reset(torch.ones(1, dtype=torch.bool), torch.tensor([[0.0, 0.0, 0.1 * yaw]]))
     for _ in range(100):
         state = simulator.step(torch.tensor([[1.0, 0.0]]))
@@ -130,7 +130,7 @@ def test_ridge_between_the_wheels_carries_the_rover():
     world = World("ridge", Terrain(heights, 0.25))
     x = 0.0
     ridge = world.terrain.origin[1] + 81 * 0.25
-    simulator = make_simulator("warp", worlds=[world], robot=ROVER, lidar_beams=8)
+    simulator = make_simulator("warp", worlds=[world], robot=ROVER)
     simulator.reset(torch.ones(1, dtype=torch.bool), torch.tensor([[x, ridge, 0.0]]))
     for _ in range(60):
         state = simulator.step(torch.tensor([[0.0, 0.0]]))
@@ -144,9 +144,9 @@ def test_worlds_without_obstacles_and_with_one_outside_the_terrain():
         World("plain", Terrain.flat((8, 8))),
         World("edge", Terrain.flat((8, 8)), [box((30.0, 30.0, 0.5), (1.0, 1.0, 1.0))]),
     ]
-    simulator = make_simulator("warp", worlds=worlds, robot=ROVER, lidar_beams=16)
-    state = simulator.reset(torch.ones(2, dtype=torch.bool), torch.tensor([[0.0, 0.0, 0.0], [3.0, 3.0, 1.0]]))
-    assert torch.isinf(state.ranges).all()
+    simulator = make_simulator("warp", worlds=worlds, robot=ROVER)
+    simulator.reset(torch.ones(2, dtype=torch.bool), torch.tensor([[0.0, 0.0, 0.0], [3.0, 3.0, 1.0]]))
+    assert torch.isinf(simulator.scanner(16).scan()).all()
     for _ in range(100):
         # The rovers leave the terrain, where the height of the nearest edge continues.
         state = simulator.step(torch.tensor([[1.0, 0.0]] * 2))
@@ -155,18 +155,21 @@ def test_worlds_without_obstacles_and_with_one_outside_the_terrain():
 
 def test_scan_depends_on_the_pose_alone():
     world = get_world("maze")
-    simulator = make_simulator("warp", worlds=[world] * 3, robot=ROVER, lidar_beams=32)
+    simulator = make_simulator("warp", worlds=[world] * 3, robot=ROVER)
     poses = torch.tensor([[0.0, 0.0, 0.0], [0.5, 0.0, 1.0], [0.0, 0.5, 2.0]])
     everyone, first = torch.ones(3, dtype=torch.bool), torch.tensor([True, False, False])
-    before = simulator.reset(everyone, poses)
-    elsewhere = simulator.reset(first, poses + torch.tensor((0.3, 0.2, 0.0)))
-    assert not torch.equal(elsewhere.ranges[0], before.ranges[0])
-    assert (elsewhere[1:] == before[1:]).all()
-    assert (simulator.reset(first, poses) == before).all()
-    assert (simulator.state() == before).all()
+    scanner = simulator.scanner(32)
+    simulator.reset(everyone, poses)
+    before = scanner.scan()
+    simulator.reset(first, poses + torch.tensor((0.3, 0.2, 0.0)))
+    elsewhere = scanner.scan()
+    assert not torch.equal(elsewhere[0], before[0])
+    assert torch.equal(elsewhere[1:], before[1:])
+    simulator.reset(first, poses)
+    assert torch.equal(scanner.scan(), before)
 
 
 def test_close_is_idempotent():
-    simulator = make_simulator(WarpSettings(threads=2), worlds=[get_world("maze")] * 64, robot=ROVER, lidar_beams=8)
+    simulator = make_simulator(WarpSettings(threads=2), worlds=[get_world("maze")] * 64, robot=ROVER)
     simulator.close()
     simulator.close()

@@ -41,13 +41,14 @@ def cast(origins: np.ndarray, directions: np.ndarray, triangles: np.ndarray, lim
 
 def lidar_errors(world: World, triangles: np.ndarray, poses: list[tuple[float, float, float]]) -> np.ndarray:
     """Differences between the simulated lidar and rays in a mesh: ``[poses * beams]``, m."""
-    simulator = make_simulator("bullet", worlds=[world] * len(poses), robot=ROVER, lidar_beams=BEAMS)
+    simulator = make_simulator("bullet", worlds=[world] * len(poses), robot=ROVER)
     try:
         state = simulator.reset(torch.ones(len(poses), dtype=torch.bool), torch.tensor(poses))
-        angles = simulator.ray_angles.double()
+        scanner = simulator.scanner(BEAMS)
+        angles = scanner.angles.double()
         local = torch.stack((angles.cos(), angles.sin(), torch.zeros_like(angles)), -1)
         errors = []
-        for ranges, position, orientation in zip(state.ranges, state.position, state.orientation, strict=True):
+        for ranges, position, orientation in zip(scanner.scan(), state.position, state.orientation, strict=True):
             rotation = torch.from_numpy(Rotation.from_quat(orientation.numpy()).as_matrix())
             origin = position.double() + rotation @ torch.tensor(ROVER.lidar_position, dtype=torch.float64)
             directions = (local @ rotation.T).numpy()

@@ -1,24 +1,24 @@
-"""``RouteObservation`` and ``RouteReward``."""
+"""The sensor ``route``, and ``RouteReward``."""
 
 from __future__ import annotations
 
 import torch
+from tensordict import TensorDict
 from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from rover_rl import RoverEnv
+from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs.seen_map.seen_map import SeenMap
+from rover_rl.envs.sensors.route import Route
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import RouteReward
-from rover_rl.envs.transforms.route_observation import RouteObservation
 
 
-def routed(rovers: RoverEnv, repeat: int = 4) -> EnvBase:
-    return TransformedEnv(rovers, ActionRepeat(repeat)).append_transform(RouteObservation(rovers, action_repeat=repeat))
-
-
-def maze(num_envs: int | None = 4, seed: int = 0) -> RoverEnv:
-    return RoverEnv(world_n="maze", num_envs=num_envs, seed=seed, backend="warp")
+def routed(num_envs: int | None = 4, seed: int = 0, repeat: int = 4) -> EnvBase:
+    sensors = [Route(period=repeat)]
+    rovers = RoverEnv(world_n="maze", num_envs=num_envs, seed=seed, backend="warp", sensors=sensors)
+    return TransformedEnv(rovers, ActionRepeat(repeat))
 
 
 def driven(env: EnvBase, decisions: int) -> torch.Tensor:
@@ -33,20 +33,20 @@ def driven(env: EnvBase, decisions: int) -> torch.Tensor:
 
 
 def test_it_keeps_the_specs() -> None:
-    check_env_specs(routed(maze()))
+    check_env_specs(routed())
 
 
 def test_an_unbatched_rover_has_the_route_of_a_batch_of_one() -> None:
-    assert torch.equal(driven(routed(maze(None)), 3), driven(routed(maze(1)), 3)[0])
+    assert torch.equal(driven(routed(None), 3), driven(routed(1), 3)[0])
 
 
 def test_a_rows_route_does_not_depend_on_the_other_rows() -> None:
-    together, alone = driven(routed(maze(4)), 5), driven(routed(maze(1, seed=2)), 5)
+    together, alone = driven(routed(4), 5), driven(routed(1, seed=2), 5)
     assert torch.equal(together[2], alone[0])
 
 
 def test_a_partial_reset_forgets_the_map_of_the_rows_that_it_resets_only() -> None:
-    env = routed(maze())
+    env = routed()
     observation = env.reset()
     action = torch.tensor([0.1, 0.0]).expand(4, 2)
     for _ in range(3):
@@ -59,9 +59,31 @@ def test_a_partial_reset_forgets_the_map_of_the_rows_that_it_resets_only() -> No
     assert torch.equal(after["route"][0], fresh(after)[0])
 
 
+def test_the_route_is_that_of_a_policy_which_keeps_its_own_map() -> None:
+    seen = []
+
+    def policy(td: TensorDict) -> TensorDict:
+        seen.append(td["route"])
+        return td.set("action", torch.tensor([[0.3, 0.2]]).expand(len(td), 2))
+
+    policy.in_keys = ["route"]
+    env = RoverEnv(world_n="maze", num_envs=3, seed=1, backend="warp", sensors=["route"])
+    observation, runner = env.reset(), PolicyRunner(policy, action_repeat=1, env=env)
+    for step in range(8):
+        runner(observation.exclude("route"))
+        assert torch.equal(seen[step], observation["route"])
+        observation = env.step(observation.set("action", torch.tensor([[0.3, 0.2]]).expand(3, 2)))["next"]
+
+
+def test_the_route_is_held_between_its_readings() -> None:
+    env = RoverEnv(world_n="maze", num_envs=2, seed=1, backend="warp", sensors=[Route(period=3)])
+    routes = env.rollout(9, lambda td: td.set("action", torch.tensor([[0.3, 0.2]] * 2)))["route"].unbind(1)
+    assert all(torch.equal(routes[k], routes[k - k % 3]) for k in range(9))
+    assert not torch.equal(routes[3], routes[2])
+
+
 def test_the_reward_pays_for_meters_of_the_route_except_at_goals() -> None:
-    rovers = maze(64)
-    env = routed(rovers).append_transform(RouteReward(2.0))
+    env = routed(64).append_transform(RouteReward(2.0))
     observation = env.reset()
     action = torch.tensor([1.0, 0.0]).expand(64, 2)
     reached = paid = 0

@@ -1,0 +1,296 @@
+"""Sensors that every rover has: lidar, pose, IMU, target and wheel odometry."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from rover_rl.envs.config import LidarConfig, Randomization
+from rover_rl.envs.perception import Perception
+from rover_rl.envs.rng import random_bits, to_normal
+from rover_rl.envs.sensors.base import Sensor, SensorInput
+from rover_rl.envs.specs import Bounds
+from rover_rl.sims.rotations import quaternion_product
+from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds.region import overlap
+
+_LIDAR_NOISE, _ODOMETRY_NOISE, _IMU_NOISE, _SIDEWAYS_NOISE = 4, 5, 6, 10
+"""Streams of random numbers."""
+WAVELENGTHS = (64.0, 16.0, 4.0)
+"""Wavelengths of the sine and cosine features of a position, m. The largest world is 64 m wide."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lidar(Sensor):
+    """Nearest reading of each segment of the scan, ``[N, points]``, m.
+
+    Args:
+        name: key of the entry.
+        period: number of steps from one scan to the next.
+        points: number of readings.
+        max_range: maximum of a reading, m.
+    """
+
+    name: str = "lidar"
+    points: int = LidarConfig.points
+    max_range: float = LidarConfig.max_range
+    clips = False
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of the readings, m."""
+        return Bounds((0.0,) * self.points, (self.max_range,) * self.points)
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        """Returns the pooled scan."""
+        return inputs.sensed.readings
+
+    def sense(self, noise: Randomization, truth: Perception, keys: Tensor, step: Tensor) -> dict[str, Tensor]:
+        """Changes the ranges at random, and loses some of them. A scan keeps its noise."""
+        if not (noise.range_noise or noise.dropout):
+            return {}
+        ranges = truth.ranges
+        bits = random_bits(keys, _LIDAR_NOISE, step - step % self.period, ranges.shape[-1])
+        if noise.range_noise:
+            # A range stays positive, a 0 (beam that starts inside a solid) stays 0, and inf (no return) stays inf.
+            changed = (ranges + noise.range_noise * to_normal(bits)).clamp_min(0.001)
+            ranges = torch.where(ranges > 0, changed, ranges)
+        if noise.dropout:
+            # The upper 16 bits. The noise uses the lower 48.
+            lost = (bits >> 48 & 0xFFFF) < round(noise.dropout * 0x10000)
+            ranges = ranges.masked_fill(lost, math.inf)
+        return {"ranges": ranges}
+
+    def encode(self, value: Tensor) -> Tensor:
+        """Returns the logarithm of the readings, since centimeters matter only at short range."""
+        return value.log1p() / 1.3 - 1
+
+    def mirror(self, value: Tensor) -> Tensor:
+        """Reverses the order of the readings.
+
+        They are minima over segments of the scan, the first of which begins straight ahead, so that the mirror image is
+        exact to one beam of the raw scan.
+        """
+        return value.flip(-1)
+
+
+class LidarPooling:
+    """Cleans raw scans and reduces each of ``points`` segments to its minimum.
+
+    Segments consist of neighboring beams. The first segment starts straight ahead. Sizes differ by at most one beam and
+    no beam is dropped. ``+inf`` and NaN become ``max_range``. ``-inf`` means that an obstacle is too close to measure
+    (REP 117) and becomes 0. All readings are clipped to ``[0, max_range]``.
+
+    Args:
+        beams: number of beams of a raw scan.
+        points: number of segments (the contract's ``lidar_points``).
+        max_range: maximum of a reading (the contract's ``max_lidar_range``), m.
+        device: device of the scans.
+
+    Raises:
+        ValueError: if there are fewer beams than points, no points, or the range is not positive and finite.
+
+    Example:
+        >>> pool = LidarPooling(beams=4, points=2, max_range=12.0)
+        >>> pool(torch.tensor([[3.0, float("inf"), 1.0, 2.0]]))
+        tensor([[3., 1.]])
+    """
+
+    def __init__(self, beams: int, points: int, max_range: float, device: torch.device | str | None = None) -> None:
+        if points < 1:
+            raise ValueError(f"lidar_points must be at least 1, got {points}")
+        if beams < points:
+            raise ValueError(f"lidar_beams must be at least lidar_points, got {beams} beams for {points} points")
+        if not 0 < max_range < float("inf"):
+            raise ValueError(f"max_lidar_range must be a positive number of meters, got {max_range}")
+        self.beams = beams
+        self.points = points
+        self.max_range = float(max_range)
+        self._gather = None if beams % points == 0 else _segments(beams, points).to(device)
+
+    def __call__(self, ranges: Tensor) -> Tensor:
+        """Pools ``ranges [N, beams]`` (m) to ``[N, points]``."""
+        # NaN must be replaced before the minimum, which it would win. Clipping the fewer pooled readings is faster.
+        ranges = torch.nan_to_num(ranges, nan=self.max_range, posinf=self.max_range, neginf=0.0)
+        grouped = ranges.unflatten(-1, (self.points, -1)) if self._gather is None else ranges[..., self._gather]
+        return grouped.amin(-1).clamp(0.0, self.max_range)
+
+
+def _segments(beams: int, points: int) -> Tensor:
+    """Returns the beam indices of each segment, ``[points, longest]``. Short segments repeat their last beam."""
+    parts = torch.arange(beams).tensor_split(points)
+    longest = max(len(part) for part in parts)
+    return torch.stack([torch.cat((part, part[-1:].expand(longest - len(part)))) for part in parts])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pose(Sensor):
+    """Position in the world frame as :class:`~rover_rl.envs.config.PoseConfig` has it, ``[N, 3]``, m.
+
+    With it, a policy would memorize the map.
+    """
+
+    name: str = "pose"
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of the position, m."""
+        return Bounds((-30.0, -30.0, -10.0), (30.0, 30.0, 10.0))
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        """Returns the position."""
+        return inputs.pose.position
+
+    def encode(self, value: Tensor) -> Tensor:
+        """Encodes x and y as waves of several lengths."""
+        wave_numbers = 2 * math.pi / value.new_tensor(WAVELENGTHS)
+        phase = (value[..., :2, None] * wave_numbers).flatten(-2)
+        return torch.cat((phase.sin(), phase.cos(), value[..., 2:]), -1)
+
+
+def clipped_pose(world: World) -> list[str]:
+    """Returns a sentence about a world in which ``pose`` is clipped; an empty list for another world.
+
+    ``pose`` is clipped where the rover may drive and is farther from the origin than its bounds.
+    """
+    bounds = Pose().bounds
+    (x_low, y_low, _), (x_high, y_high, _) = bounds.low, bounds.high
+    driven = overlap(world.bounds, world.terrain.extent)
+    if overlap(driven, ((x_low, x_high), (y_low, y_high))) == driven:
+        return []
+    reach = max(abs(end) for axis in driven for end in axis)
+    return [
+        f"pose: {world.name!r} reaches {reach:.0f} m from the origin, and the observation `pose` is clipped at "
+        f"{x_high:.0f} m: set closer bounds, move the world to the origin, or train without `pose` "
+        "(`target` stays exact)"
+    ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imu(Sensor):
+    """Pitch, roll and yaw, ``[N, 3]``, rad.
+
+    Args:
+        name: key of the entry.
+        period: number of steps from one reading to the next.
+        heading: whether networks read the yaw. Only policies of one map need it.
+    """
+
+    name: str = "imu"
+    heading: bool = False
+    clips = False
+    mirror_signs = (1.0, -1.0, -1.0)
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of the angles, rad."""
+        return Bounds((-math.pi,) * 3, (math.pi,) * 3)
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        """Returns the angles."""
+        roll, pitch, yaw = inputs.sensed.euler.split(1, -1)
+        return torch.cat((pitch, roll, yaw), -1)
+
+    def sense(self, noise: Randomization, truth: Perception, keys: Tensor, step: Tensor) -> dict[str, Tensor]:
+        """Turns the rover by a small angle about a random axis."""
+        if not noise.imu_noise:
+            return {}
+        # The vector part of the quaternion of a small rotation is half the rotation vector.
+        turn = 0.5 * noise.imu_noise * to_normal(random_bits(keys, _IMU_NOISE, step, 3))
+        turn = torch.cat((turn, torch.ones_like(turn[:, :1])), -1)
+        return {"orientation": quaternion_product(truth.rover.orientation, turn / turn.norm(dim=-1, keepdim=True))}
+
+    def encode(self, value: Tensor) -> Tensor:
+        """Encodes tilts in units of about 20 degrees, and the yaw, if networks read it, as sine and cosine."""
+        tilt, yaw = value[..., :2] * 3, value[..., 2:]
+        return torch.cat((tilt, yaw.sin(), yaw.cos()), -1) if self.heading else tilt
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target(Sensor):
+    """Distance (m) and relative angle (rad) of the goal, ``[N, 2]``."""
+
+    name: str = "target"
+    mirror_signs = (1.0, -1.0)
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of distance (m) and angle (rad)."""
+        return Bounds((0.0, -math.pi), (100.0, math.pi))
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        """Returns distance and angle."""
+        return inputs.target
+
+    def encode(self, value: Tensor) -> Tensor:
+        """Encodes the distance on a linear and a logarithmic scale, and the angle also as sine and cosine."""
+        distance, angle = value.split(1, -1)
+        return torch.cat((distance / 5 - 1, distance.log1p() - 1, angle.sin(), angle.cos(), angle / math.pi), -1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WheelOdometry(Sensor):
+    """Forward speed (m/s) and yaw rate (rad/s), ``[N, 2]``."""
+
+    name: str = "velocities"
+    mirror_signs = (1.0, -1.0)
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of speed (m/s) and yaw rate (rad/s)."""
+        return Bounds((-10.0, -10.0), (10.0, 10.0))
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        """Returns speed and yaw rate."""
+        rover = inputs.sensed.rover
+        return torch.cat((rover.linear_velocity, rover.angular_velocity), -1)
+
+    def sense(self, noise: Randomization, truth: Perception, keys: Tensor, step: Tensor) -> dict[str, Tensor]:
+        """Scales the velocities by random factors of about 1."""
+        if not noise.odometry_noise:
+            return {}
+        factors = 1 + noise.odometry_noise * to_normal(random_bits(keys, _ODOMETRY_NOISE, step, 2))
+        linear, angular = factors.split(1, -1)
+        rover = truth.rover
+        return {"linear_velocity": rover.linear_velocity * linear, "angular_velocity": rover.angular_velocity * angular}
+
+    def encode(self, value: Tensor) -> Tensor:
+        """Returns the speed, and the yaw rate in units of 3 rad/s."""
+        speed, yaw_rate = value.split(1, -1)
+        return torch.cat((speed, yaw_rate / 3), -1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SidewaysOdometry(Sensor):
+    """Speed to the left by the wheels of a drive that moves sideways, ``[N, 1]``, m/s.
+
+    Add it to the robot: ``Robot.from_urdf("omni.urdf", drive=..., sensors=(SidewaysOdometry(),))``.
+    """
+
+    name: str = "sideways"
+    mirror_signs = (-1.0,)
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of the speed, m/s."""
+        return Bounds((-10.0,), (10.0,))
+
+    def read(self, inputs: SensorInput) -> Tensor:
+        """Returns the speed to the left; 0 for a drive that does not move sideways."""
+        rover = inputs.sensed.rover
+        return torch.zeros_like(rover.dt) if rover.lateral_velocity is None else rover.lateral_velocity
+
+    def sense(self, noise: Randomization, truth: Perception, keys: Tensor, step: Tensor) -> dict[str, Tensor]:
+        """Scales the speed by a random factor of about 1."""
+        sideways = truth.rover.lateral_velocity
+        if not noise.odometry_noise or sideways is None:
+            return {}
+        factor = 1 + noise.odometry_noise * to_normal(random_bits(keys, _SIDEWAYS_NOISE, step, 1))
+        return {"lateral_velocity": sideways * factor}
+
+    def encode(self, value: Tensor) -> Tensor:
+        """Returns the speed in m/s."""
+        return value
