@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from rover_rl.sims.drives.base import Drive, Wheels
-from rover_rl.sims.robots.description import Description, Frame, Inertial, Joint, Link, Shape
+from rover_rl.sims.robots.description import Description, Frame, Inertial, Joint, Link
 
 LENGTH_TOLERANCE = 1e-3
 """Tolerance of positions and widths, m."""
@@ -19,6 +21,17 @@ AXIS_TOLERANCE = 0.01
 _LEFT, _UP = np.array((0.0, 1.0, 0.0)), np.array((0.0, 0.0, 1.0))
 
 
+class _Wheel(NamedTuple):
+    """A wheel: center (m), radius, width (``None`` for a sphere), mass, and inertia ``[3, 3]`` in the base frame."""
+
+    joint: str
+    hub: tuple[float, float, float]
+    radius: float
+    width: float | None
+    mass: float
+    inertia: np.ndarray
+
+
 def read_wheels(description: Description, drive: Drive) -> Wheels:
     """Reads the wheels of a drive from a URDF.
 
@@ -29,19 +42,11 @@ def read_wheels(description: Description, drive: Drive) -> Wheels:
     for name in (*drive.wheels, *drive.steering):
         if name not in description.joints:
             raise ValueError(f"the drive names joint {name!r}, the URDF has the joints {sorted(description.joints)}")
-    _check_inertial(description.links[description.base], "base link")
-    hubs, sizes, inertials = [], [], []
-    for name in drive.wheels:
-        joint, frame = _wheel_joint(description, drive, name)
-        link = description.links[joint.child]
-        hubs.append(tuple(frame.position.tolist()))
-        sizes.append((name, *_wheel_size(link, frame)))
-        inertial = _check_inertial(link, "wheel link")
-        rotation = (frame @ inertial.frame).rotation
-        inertials.append((name, inertial.mass, rotation @ inertial.inertia @ rotation.T))
-    _check_alike(sizes, inertials)
-    widths = [width for _, _, width in sizes if width is not None]
-    wheels = Wheels(tuple(hubs), sizes[0][1], widths[0] if widths else 0.0, _steering(description, drive))
+    _checked_inertial(description.links[description.base], "base link")
+    read = [_read_wheel(description, drive, description.joints[name]) for name in drive.wheels]
+    _check_alike(read)
+    width = next((wheel.width for wheel in read if wheel.width is not None), 0.0)
+    wheels = Wheels(tuple(wheel.hub for wheel in read), read[0].radius, width, _steering(description, drive))
     drive.check(wheels)
     return wheels
 
@@ -53,20 +58,20 @@ def _steering(description: Description, drive: Drive) -> tuple[int, ...]:
     return tuple(carriers.index(parent) if parent in carriers else -1 for parent in parents) if carriers else ()
 
 
-def _wheel_joint(description: Description, drive: Drive, name: str) -> tuple[Joint, Frame]:
-    """Returns the joint of a wheel, and its frame in the base frame."""
-    joint = description.joints[name]
-    wheel = f"wheel joint {name!r}"
+def _read_wheel(description: Description, drive: Drive, joint: Joint) -> _Wheel:
     if joint.kind != "continuous":
-        raise ValueError(f"{wheel} is {joint.kind}, it must be continuous")
+        raise ValueError(f"wheel joint {joint.name!r} is {joint.kind}, it must be continuous")
     if joint.parent in description.fixed:
         frame = description.fixed[joint.parent] @ joint.frame
     else:
         frame = _steered_frame(description, drive, joint)
-    axis = frame.rotation @ joint.axis
-    if not np.linalg.norm(axis - _LEFT) <= AXIS_TOLERANCE:
-        raise ValueError(f"{wheel} must turn about +y, (0, 1, 0), of the base frame, it turns about {_rounded(axis)}")
-    return joint, frame
+    _check_axis(f"wheel joint {joint.name!r}", "+y, (0, 1, 0)", frame.rotation @ joint.axis, _LEFT)
+    link = description.links[joint.child]
+    radius, width = _wheel_size(link, frame)
+    inertial = _checked_inertial(link, "wheel link")
+    rotation = (frame @ inertial.frame).rotation
+    hub = tuple(frame.position.tolist())
+    return _Wheel(joint.name, hub, radius, width, inertial.mass, rotation @ inertial.inertia @ rotation.T)
 
 
 def _steered_frame(description: Description, drive: Drive, wheel: Joint) -> Frame:
@@ -80,12 +85,7 @@ def _steered_frame(description: Description, drive: Drive, wheel: Joint) -> Fram
     if steering.kind not in ("revolute", "continuous"):
         raise ValueError(f"steering joint {steering.name!r} is {steering.kind}, it must be revolute or continuous")
     frame = description.fixed[steering.parent] @ steering.frame
-    axis = frame.rotation @ steering.axis
-    if not np.linalg.norm(axis - _UP) <= AXIS_TOLERANCE:
-        raise ValueError(
-            f"steering joint {steering.name!r} must turn about +z, (0, 0, 1), of the base frame, it turns about "
-            f"{_rounded(axis)}"
-        )
+    _check_axis(f"steering joint {steering.name!r}", "+z, (0, 0, 1)", frame.rotation @ steering.axis, _UP)
     hub = frame @ wheel.frame
     offset = np.linalg.norm(hub.position[:2] - frame.position[:2])
     if not offset <= STEERING_TOLERANCE:
@@ -96,6 +96,11 @@ def _steered_frame(description: Description, drive: Drive, wheel: Joint) -> Fram
     return hub
 
 
+def _check_axis(joint: str, allowed: str, axis: np.ndarray, expected: np.ndarray) -> None:
+    if not np.linalg.norm(axis - expected) <= AXIS_TOLERANCE:
+        raise ValueError(f"{joint} must turn about {allowed}, of the base frame, it turns about {_rounded(axis)}")
+
+
 def _wheel_size(link: Link, frame: Frame) -> tuple[float, float | None]:
     """Returns the radius of a wheel whose link has the pose ``frame``, and its width; ``None`` for a sphere."""
     wheel = f"wheel link {link.name!r}"
@@ -103,23 +108,21 @@ def _wheel_size(link: Link, frame: Frame) -> tuple[float, float | None]:
     if kinds not in (["cylinder"], ["sphere"]):
         raise ValueError(f"{wheel} must have one collision shape, a cylinder or a sphere, it has {kinds or 'none'}")
     (shape,) = link.shapes
-    _check_shape_pose(wheel, shape, frame)
-    return shape.sizes[0], shape.sizes[1] if shape.kind == "cylinder" else None
-
-
-def _check_shape_pose(wheel: str, shape: Shape, frame: Frame) -> None:
     offset = np.linalg.norm(shape.frame.position)
     if not offset <= LENGTH_TOLERANCE:
         raise ValueError(
             f"the {shape.kind} of {wheel} is {offset:.6g} m from its joint; {LENGTH_TOLERANCE} m is allowed"
         )
+    if shape.kind == "sphere":
+        return shape.sizes[0], None
     axis = (frame @ shape.frame).rotation[:, 2]
-    if shape.kind == "cylinder" and not np.linalg.norm(np.cross(axis, _LEFT)) <= AXIS_TOLERANCE:
+    if not np.linalg.norm(np.cross(axis, _LEFT)) <= AXIS_TOLERANCE:
         raise ValueError(f"the cylinder of {wheel} must lie along y of the base frame, it lies along {_rounded(axis)}")
+    return shape.sizes[0], shape.sizes[1]
 
 
-def _check_inertial(link: Link, kind: str) -> Inertial:
-    """Checks that a link has the mass and inertia of a rigid body. Returns them."""
+def _checked_inertial(link: Link, kind: str) -> Inertial:
+    """Returns the mass and inertia of a link, if they are those of a rigid body."""
     inertial = link.inertial
     if inertial is None or not inertial.mass > 0:
         mass = "none" if inertial is None else f"{inertial.mass} kg"
@@ -138,31 +141,28 @@ def _check_inertial(link: Link, kind: str) -> Inertial:
     return inertial
 
 
-def _check_alike(sizes: list[tuple[str, float, float | None]], inertials: list[tuple[str, float, np.ndarray]]) -> None:
-    """Checks that all wheels have the radius, width, mass (kg) and inertia (kg m^2, ``[3, 3]``) of the first."""
-    first = sizes[0][0]
-    for label, unit, values in (
-        ("radius", "m", [(name, radius) for name, radius, _ in sizes]),
-        ("width", "m", [(name, width) for name, _, width in sizes if width is not None]),
-        ("mass", "kg", [(name, mass) for name, mass, _ in inertials]),
-    ):
-        for name, value in values[1:]:
-            if not abs(value - values[0][1]) <= RELATIVE_TOLERANCE * values[0][1]:
+def _check_alike(wheels: list[_Wheel]) -> None:
+    """Checks that all wheels have the radius, width, mass and inertia of the first."""
+    for label, unit in (("radius", "m"), ("width", "m"), ("mass", "kg")):
+        named = [(wheel.joint, getattr(wheel, label)) for wheel in wheels if getattr(wheel, label) is not None]
+        for joint, value in named[1:]:
+            first, expected = named[0]
+            if not abs(value - expected) <= RELATIVE_TOLERANCE * expected:
                 raise ValueError(
-                    f"its wheels are not alike: {values[0][0]!r} has a {label} of {values[0][1]} {unit}, {name!r} of "
+                    f"its wheels are not alike: {first!r} has a {label} of {expected} {unit}, {joint!r} of "
                     f"{value} {unit}; they may differ by {RELATIVE_TOLERANCE:.0%}"
                 )
-    reference, upper = inertials[0][2], np.triu_indices(3)
-    for name, _, inertia in inertials[1:]:
-        if not np.abs(inertia - reference).max() <= RELATIVE_TOLERANCE * np.abs(reference).max():
+    reference, upper = wheels[0].inertia, np.triu_indices(3)
+    for wheel in wheels[1:]:
+        if not np.abs(wheel.inertia - reference).max() <= RELATIVE_TOLERANCE * np.abs(reference).max():
             raise ValueError(
-                f"its wheels are not alike: {first!r} has the inertia (xx, xy, xz, yy, yz, zz) = "
-                f"{_rounded(reference[upper])} kg m^2, {name!r} {_rounded(inertia[upper])}; "
+                f"its wheels are not alike: {wheels[0].joint!r} has the inertia (xx, xy, xz, yy, yz, zz) = "
+                f"{_rounded(reference[upper])} kg m^2, {wheel.joint!r} {_rounded(wheel.inertia[upper])}; "
                 f"they may differ by {RELATIVE_TOLERANCE:.0%} of the largest"
             )
 
 
-def _rounded(values: np.ndarray | tuple[float, ...]) -> tuple[float, ...]:
+def _rounded(values: np.ndarray) -> tuple[float, ...]:
     """Returns values rounded for an error message."""
     # Adding 0 turns -0.0 into 0.0.
     return tuple(round(float(value), 9) + 0.0 for value in values)
