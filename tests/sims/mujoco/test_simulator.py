@@ -37,7 +37,7 @@ def test_settings_out_of_range_raise(settings, message):
 
 
 def test_presets_of_bullet_are_unknown():
-    with pytest.raises(ValueError, match="unknown physics 'fast'; backend 'mujoco' has one preset, 'default'"):
+    with pytest.raises(ValueError, match=r"unknown physics 'fast'; use one of \['default'\]"):
         RoverEnv(backend="mujoco", physics="fast")
 
 
