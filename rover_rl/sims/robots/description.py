@@ -159,22 +159,22 @@ def _link(name: str, element: ET.Element, materials: Mapping[str | None, Color])
 
 
 def _joint(name: str, element: ET.Element) -> Joint:
-    parent, child = (_attribute(_child(element, end), "link") for end in ("parent", "child"))
+    parent, below = (_attribute(child(element, end), "link") for end in ("parent", "child"))
     axis = element.find("axis")
     # The default axis of URDF is x.
     direction = np.array((1.0, 0.0, 0.0) if axis is None else _numbers(axis, "xyz", 3))
-    return Joint(name, _attribute(element, "type"), parent, child, _frame(element), direction)
+    return Joint(name, _attribute(element, "type"), parent, below, _frame(element), direction)
 
 
 def _inertial(element: ET.Element) -> Inertial:
-    mass = _numbers(_child(element, "mass"), "value", 1)[0]
-    moments = _child(element, "inertia")
+    mass = _numbers(child(element, "mass"), "value", 1)[0]
+    moments = child(element, "inertia")
     xx, xy, xz, yy, yz, zz = (_numbers(moments, f"i{axes}", 1, "0")[0] for axes in ("xx", "xy", "xz", "yy", "yz", "zz"))
     return Inertial(mass, _frame(element), np.array(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))))
 
 
 def _shape(element: ET.Element, materials: Mapping[str | None, Color]) -> Shape:
-    geometry = next(iter(_child(element, "geometry")), None)
+    geometry = next(iter(child(element, "geometry")), None)
     if geometry is None:
         raise ValueError(f"a {element.tag} shape has an empty geometry")
     material = element.find("material")
@@ -210,7 +210,8 @@ def _rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
     return about_z @ about_y @ about_x
 
 
-def _child(element: ET.Element, tag: str) -> ET.Element:
+def child(element: ET.Element, tag: str) -> ET.Element:
+    """Returns the first child with a tag. Raises a ``ValueError`` if there is none."""
     part = element.find(tag)
     if part is None:
         raise ValueError(f"{element.tag} has no {tag}")
