@@ -99,7 +99,7 @@ class RoverPhysics:
                 pybullet.setJointMotorControl2(body, joint, mode, force=0.0, physicsClientId=client)
 
     def place(self, rows: Sequence[int], positions: np.ndarray, orientations: np.ndarray) -> None:
-        """Places the base frames of rovers at positions ``[k, 3]`` and orientations (x, y, z, w) ``[k, 4]``, at rest."""
+        """Places base frames at positions ``[k, 3]`` and orientations (x, y, z, w) ``[k, 4]``, at rest."""
         inertial = _quaternion_products(orientations, self._inertial_orientation)
         centers = positions + (_rotation_matrices(orientations) * self._inertial_position).sum(-1)
         zeros, still = [0.0] * len(self._joints), [0.0] * len(self._wheels)

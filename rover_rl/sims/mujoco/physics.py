@@ -64,7 +64,7 @@ class RoverPhysics:
         return [1 + self._model.nq + self._model.joint(name).dofadr[0] for name in joints]
 
     def place(self, rows: np.ndarray, positions: np.ndarray, orientations: np.ndarray) -> None:
-        """Places the base frames of rovers at positions ``[k, 3]`` and orientations (x, y, z, w) ``[k, 4]``, at rest."""
+        """Places base frames at positions ``[k, 3]`` and orientations (x, y, z, w) ``[k, 4]``, at rest."""
         self._states[rows] = 0.0
         self._states[rows, _POSITION] = positions
         self._states[rows, _ORIENTATION] = np.roll(orientations, 1, axis=1)
