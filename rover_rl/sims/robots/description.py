@@ -5,22 +5,20 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-_SIZES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}
-"""URDF attributes with the dimensions of a shape, by kind of shape."""
+_SIZES = {"box": {"size": 3}, "cylinder": {"radius": 1, "length": 1}, "sphere": {"radius": 1}}
+"""URDF attributes with the dimensions of a shape, and how many numbers each has, by kind of shape."""
 
 Color: TypeAlias = tuple[float, ...]
 """Red, green and blue, 0 to 1."""
 
 
-@dataclass(frozen=True)
-class Frame:
+class Frame(NamedTuple):
     """Pose in a parent frame: origin ``[3]``, m, and rotation matrix ``[3, 3]``, whose columns are the axes."""
 
     position: np.ndarray
@@ -39,8 +37,7 @@ class Frame:
 _IDENTITY = Frame(np.zeros(3), np.eye(3))
 
 
-@dataclass(frozen=True)
-class Inertial:
+class Inertial(NamedTuple):
     """Mass of a link, kg, and its inertia about the center of mass, the origin of ``frame``: ``[3, 3]``, kg m^2."""
 
     mass: float
@@ -48,8 +45,7 @@ class Inertial:
     inertia: np.ndarray
 
 
-@dataclass(frozen=True)
-class Shape:
+class Shape(NamedTuple):
     """Collision or visual shape of a link.
 
     ``kind`` is ``"box"``, ``"cylinder"`` (along z), ``"sphere"``, ``"mesh"``, or another element of URDF's
@@ -60,12 +56,11 @@ class Shape:
     kind: str
     frame: Frame
     sizes: tuple[float, ...]
-    file: str = ""
-    color: Color | None = None
+    file: str
+    color: Color | None
 
 
-@dataclass(frozen=True)
-class Link:
+class Link(NamedTuple):
     """Rigid part of a robot, with its collision shapes and its visual shapes."""
 
     name: str
@@ -74,8 +69,7 @@ class Link:
     visuals: tuple[Shape, ...]
 
 
-@dataclass(frozen=True)
-class Joint:
+class Joint(NamedTuple):
     """Connection of two links: ``frame`` is that of the child in the parent, and ``axis [3]`` is in this frame."""
 
     name: str
@@ -113,7 +107,7 @@ class Description:
         if not self.links:
             raise ValueError("it has no links")
         self.base = self._find_base()
-        self.fixed = self._place(joint for joint in self.joints.values() if joint.kind == "fixed")
+        self.fixed = self._place([joint for joint in self.joints.values() if joint.kind == "fixed"])
         self.frames = self._place(self.joints.values())
 
     def _find_base(self) -> str:
@@ -128,7 +122,7 @@ class Description:
 
     def _place(self, joints: Iterable[Joint]) -> dict[str, Frame]:
         """Returns the poses of the base and of all links that ``joints`` connect to it."""
-        frames, joints = {self.base: _IDENTITY}, list(joints)
+        frames = {self.base: _IDENTITY}
         # A URDF may list a link before its parent, so one pass is not enough.
         for _ in joints:
             for joint in joints:
@@ -167,8 +161,7 @@ def _joint(name: str, element: ET.Element) -> Joint:
 
 
 def _inertial(element: ET.Element) -> Inertial:
-    mass = _numbers(child(element, "mass"), "value", 1)[0]
-    moments = child(element, "inertia")
+    (mass,), moments = _numbers(child(element, "mass"), "value", 1), child(element, "inertia")
     xx, xy, xz, yy, yz, zz = (_numbers(moments, f"i{axes}", 1, "0")[0] for axes in ("xx", "xy", "xz", "yy", "yz", "zz"))
     return Inertial(mass, _frame(element), np.array(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))))
 
@@ -182,8 +175,8 @@ def _shape(element: ET.Element, materials: Mapping[str | None, Color]) -> Shape:
     if geometry.tag == "mesh":
         sizes, file = _numbers(geometry, "scale", 3, "1 1 1"), _attribute(geometry, "filename")
     else:
-        file, names = "", _SIZES.get(geometry.tag, ())
-        sizes = [size for name in names for size in _numbers(geometry, name, 3 if name == "size" else 1)]
+        counts, file = _SIZES.get(geometry.tag, {}), ""
+        sizes = [size for name, count in counts.items() for size in _numbers(geometry, name, count)]
     return Shape(geometry.tag, _frame(element), tuple(sizes), file, color)
 
 
@@ -197,17 +190,12 @@ def _frame(element: ET.Element) -> Frame:
     origin = element.find("origin")
     if origin is None:
         return _IDENTITY
-    position, angles = (_numbers(origin, name, 3, "0 0 0") for name in ("xyz", "rpy"))
-    return Frame(np.array(position), _rotation(*angles))
-
-
-def _rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
-    """Returns the matrix ``[3, 3]`` of successive rotations about the fixed axes x, y and z (rad)."""
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(angle), math.sin(angle)) for angle in (roll, pitch, yaw))
+    # Successive rotations about the fixed axes x, y and z.
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a), math.sin(a)) for a in _numbers(origin, "rpy", 3, "0 0 0"))
     about_x = np.array(((1, 0, 0), (0, cr, -sr), (0, sr, cr)))
     about_y = np.array(((cp, 0, sp), (0, 1, 0), (-sp, 0, cp)))
     about_z = np.array(((cy, -sy, 0), (sy, cy, 0), (0, 0, 1)))
-    return about_z @ about_y @ about_x
+    return Frame(np.array(_numbers(origin, "xyz", 3, "0 0 0")), about_z @ about_y @ about_x)
 
 
 def child(element: ET.Element, tag: str) -> ET.Element:

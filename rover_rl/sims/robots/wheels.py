@@ -22,7 +22,7 @@ _LEFT, _UP = np.array((0.0, 1.0, 0.0)), np.array((0.0, 0.0, 1.0))
 
 
 class _Wheel(NamedTuple):
-    """A wheel: center (m), radius, width (``None`` for a sphere), mass, and inertia ``[3, 3]`` in the base frame."""
+    """A wheel: center, radius and width (``None`` for a sphere), m; mass, kg, and inertia ``[3, 3]``, kg m^2."""
 
     joint: str
     hub: tuple[float, float, float]
@@ -30,6 +30,7 @@ class _Wheel(NamedTuple):
     width: float | None
     mass: float
     inertia: np.ndarray
+    steering: int
 
 
 def read_wheels(description: Description, drive: Drive) -> Wheels:
@@ -46,54 +47,49 @@ def read_wheels(description: Description, drive: Drive) -> Wheels:
     read = [_read_wheel(description, drive, description.joints[name]) for name in drive.wheels]
     _check_alike(read)
     width = next((wheel.width for wheel in read if wheel.width is not None), 0.0)
-    wheels = Wheels(tuple(wheel.hub for wheel in read), read[0].radius, width, _steering(description, drive))
+    steering = tuple(wheel.steering for wheel in read) if drive.steering else ()
+    wheels = Wheels(tuple(wheel.hub for wheel in read), read[0].radius, width, steering)
     drive.check(wheels)
     return wheels
-
-
-def _steering(description: Description, drive: Drive) -> tuple[int, ...]:
-    """Returns the index of the steering joint of each wheel, or -1; nothing if no wheel steers."""
-    carriers = [description.joints[name].child for name in drive.steering]
-    parents = [description.joints[name].parent for name in drive.wheels]
-    return tuple(carriers.index(parent) if parent in carriers else -1 for parent in parents) if carriers else ()
 
 
 def _read_wheel(description: Description, drive: Drive, joint: Joint) -> _Wheel:
     if joint.kind != "continuous":
         raise ValueError(f"wheel joint {joint.name!r} is {joint.kind}, it must be continuous")
-    if joint.parent in description.fixed:
-        frame = description.fixed[joint.parent] @ joint.frame
-    else:
-        frame = _steered_frame(description, drive, joint)
+    carriers = [description.joints[name].child for name in drive.steering]
+    carrier = carriers.index(joint.parent) if joint.parent in carriers else -1
+    mount = joint if carrier < 0 else description.joints[drive.steering[carrier]]
+    if mount.parent not in description.fixed:
+        raise ValueError(
+            f"wheel joint {joint.name!r} must be on the base link {description.base!r}, on a link fixed to it or on "
+            f"the link of a steering joint of these, it is on {joint.parent!r}"
+        )
+    frame = description.fixed[mount.parent] @ mount.frame
+    if mount is not joint:
+        _check_steering(mount, frame, joint)
+        frame = frame @ joint.frame
     _check_axis(f"wheel joint {joint.name!r}", "+y, (0, 1, 0)", frame.rotation @ joint.axis, _LEFT)
     link = description.links[joint.child]
-    radius, width = _wheel_size(link, frame)
-    inertial = _checked_inertial(link, "wheel link")
+    inertial, size, hub = (
+        _checked_inertial(link, "wheel link"),
+        _wheel_size(link, frame),
+        tuple(frame.position.tolist()),
+    )
     rotation = (frame @ inertial.frame).rotation
-    hub = tuple(frame.position.tolist())
-    return _Wheel(joint.name, hub, radius, width, inertial.mass, rotation @ inertial.inertia @ rotation.T)
+    return _Wheel(joint.name, hub, *size, inertial.mass, rotation @ inertial.inertia @ rotation.T, carrier)
 
 
-def _steered_frame(description: Description, drive: Drive, wheel: Joint) -> Frame:
-    """Returns the frame of a wheel that a steering joint carries, while the wheel points ahead."""
-    steering = next((j for j in map(description.joints.__getitem__, drive.steering) if j.child == wheel.parent), None)
-    if steering is None or steering.parent not in description.fixed:
-        raise ValueError(
-            f"wheel joint {wheel.name!r} must be on the base link {description.base!r}, on a link fixed to it or on "
-            f"the link of a steering joint of these, it is on {wheel.parent!r}"
-        )
+def _check_steering(steering: Joint, frame: Frame, wheel: Joint) -> None:
+    """Checks a steering joint, whose pose is ``frame`` while the wheel that it carries points ahead."""
+    name = f"steering joint {steering.name!r}"
     if steering.kind not in ("revolute", "continuous"):
-        raise ValueError(f"steering joint {steering.name!r} is {steering.kind}, it must be revolute or continuous")
-    frame = description.fixed[steering.parent] @ steering.frame
-    _check_axis(f"steering joint {steering.name!r}", "+z, (0, 0, 1)", frame.rotation @ steering.axis, _UP)
-    hub = frame @ wheel.frame
-    offset = np.linalg.norm(hub.position[:2] - frame.position[:2])
+        raise ValueError(f"{name} is {steering.kind}, it must be revolute or continuous")
+    _check_axis(name, "+z, (0, 0, 1)", frame.rotation @ steering.axis, _UP)
+    offset = np.linalg.norm((frame @ wheel.frame).position[:2] - frame.position[:2])
     if not offset <= STEERING_TOLERANCE:
         raise ValueError(
-            f"the axis of steering joint {steering.name!r} is {offset:.3g} m from the hub of its wheel; "
-            f"{STEERING_TOLERANCE} m is allowed"
+            f"the axis of {name} is {offset:.3g} m from the hub of its wheel; {STEERING_TOLERANCE} m is allowed"
         )
-    return hub
 
 
 def _check_axis(joint: str, allowed: str, axis: np.ndarray, expected: np.ndarray) -> None:
@@ -142,24 +138,18 @@ def _checked_inertial(link: Link, kind: str) -> Inertial:
 
 
 def _check_alike(wheels: list[_Wheel]) -> None:
-    """Checks that all wheels have the radius, width, mass and inertia of the first."""
-    for label, unit in (("radius", "m"), ("width", "m"), ("mass", "kg")):
-        named = [(wheel.joint, getattr(wheel, label)) for wheel in wheels if getattr(wheel, label) is not None]
-        for joint, value in named[1:]:
-            first, expected = named[0]
-            if not abs(value - expected) <= RELATIVE_TOLERANCE * expected:
+    units = {"radius": "m", "width": "m", "mass": "kg", "inertia": "kg m^2 (xx, xy, xz, yy, yz, zz)"}
+    for name, unit in units.items():
+        stated = [(wheel.joint, getattr(wheel, name)) for wheel in wheels if getattr(wheel, name) is not None]
+        for joint, value in stated[1:]:
+            first, expected = stated[0]
+            if not np.abs(value - expected).max() <= RELATIVE_TOLERANCE * np.abs(expected).max():
+                upper = np.triu_indices(3)
+                one, other = (_rounded(v[upper]) if name == "inertia" else v for v in (expected, value))
                 raise ValueError(
-                    f"its wheels are not alike: {first!r} has a {label} of {expected} {unit}, {joint!r} of "
-                    f"{value} {unit}; they may differ by {RELATIVE_TOLERANCE:.0%}"
+                    f"its wheels are not alike: the {name} of {first!r} is {one} {unit}, that of {joint!r} {other} "
+                    f"{unit}; they may differ by {RELATIVE_TOLERANCE:.0%}"
                 )
-    reference, upper = wheels[0].inertia, np.triu_indices(3)
-    for wheel in wheels[1:]:
-        if not np.abs(wheel.inertia - reference).max() <= RELATIVE_TOLERANCE * np.abs(reference).max():
-            raise ValueError(
-                f"its wheels are not alike: {wheels[0].joint!r} has the inertia (xx, xy, xz, yy, yz, zz) = "
-                f"{_rounded(reference[upper])} kg m^2, {wheel.joint!r} {_rounded(wheel.inertia[upper])}; "
-                f"they may differ by {RELATIVE_TOLERANCE:.0%} of the largest"
-            )
 
 
 def _rounded(values: np.ndarray) -> tuple[float, ...]:

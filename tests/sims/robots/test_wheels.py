@@ -76,9 +76,13 @@ def test_joints_that_the_urdf_does_not_have_raise(joints, message):
         (
             CYLINDER,
             f'<sphere radius="0.125"/>{END}',
-            "wheels are not alike: 'front_left_wheel' has a radius of 0.125 m, 'rear_left_wheel' of 0.122 m; .* by 1%",
+            "wheels are not alike: the radius of 'front_left_wheel' is 0.125 m, that of 'rear_left_wheel' 0.122 m; .* by 1%",
         ),
-        (CYLINDER, CYLINDER.replace("0.09", "0.05"), "'front_left_wheel' has a width of 0.05 m, 'rear_left_wheel' of"),
+        (
+            CYLINDER,
+            CYLINDER.replace("0.09", "0.05"),
+            "the width of 'front_left_wheel' is 0.05 m, that of 'rear_left_wheel'",
+        ),
         (
             CYLINDER,
             f'<mesh filename="wheel.stl"/>{END}',
@@ -121,7 +125,7 @@ def test_joints_that_the_urdf_does_not_have_raise(joints, message):
         (
             MASS,
             '<mass value="1.5"/>',
-            "wheels are not alike: 'front_left_wheel' has a mass of 1.5 kg, 'rear_left_wheel' of 1.25 ",
+            "wheels are not alike: the mass of 'front_left_wheel' is 1.5 kg, that of 'rear_left_wheel' 1.25 ",
         ),
         # Inertias.
         (
@@ -135,7 +139,7 @@ def test_joints_that_the_urdf_does_not_have_raise(joints, message):
         (
             'iyy="0.01008"',
             'iyy="0.009"',
-            "'front_left_wheel' has the inertia .*0.009.* 'rear_left_wheel' .*0.01008.* differ by 1%",
+            "the inertia of 'front_left_wheel' is .*0.009.* 'rear_left_wheel' .*0.01008.* differ by 1%",
         ),
         # Files.
         ("</robot>", "", "it is not XML .no element found"),
