@@ -15,8 +15,8 @@ import pybullet
 import torch
 from gymnasium import spaces
 
-from rover_rl.sims.bullet.geometry import friction_scales
-from rover_rl.sims.bullet.physics import connect, load_rover, load_world
+from rover_rl.sims.bullet.geometry import connect, friction_scales, load_world
+from rover_rl.sims.bullet.rover import load_rover
 from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.free_space import free_space, rest_on_ground
 from rover_rl.sims.robots import get_robot

@@ -22,6 +22,7 @@ LAYERS = (
         "sims.native",
         "sims.robots",
         "sims.rotations",
+        "sims.settings",
         "sims.timing",
         "sims.worlds",
     ),

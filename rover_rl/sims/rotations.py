@@ -38,14 +38,26 @@ def quaternion_to_euler(quaternion: Tensor) -> Tensor:
     return torch.stack((roll, pitch, yaw), -1)
 
 
-@lru_cache(maxsize=16)
-def _euler_forms(device: torch.device, dtype: torch.dtype) -> Tensor:
-    """Coefficients of cosine and sine of roll and yaw, and sine of pitch, in a quaternion's products: ``[5, 16]``."""
+def rotation_forms() -> Tensor:
+    """Coefficients of a rotation matrix's entries in the products of the quaternion's components: ``[3, 3, 16]``."""
     x, y, z, w = torch.eye(4)
     xx, yy, zz, ww = (torch.outer(a, a) for a in (x, y, z, w))
     xy, xz, yz, xw, yw, zw = (2 * torch.outer(*pair) for pair in ((x, y), (x, z), (y, z), (x, w), (y, w), (z, w)))
-    forms = (ww - xx - yy + zz, xw + yz, ww + xx - yy - zz, zw + xy, yw - xz)
-    return torch.stack(forms).reshape(5, 16).to(device, dtype)
+    rows = (
+        (ww + xx - yy - zz, xy - zw, xz + yw),
+        (xy + zw, ww - xx + yy - zz, yz - xw),
+        (xz - yw, yz + xw, ww - xx - yy + zz),
+    )
+    return torch.stack([torch.stack(row) for row in rows]).reshape(3, 3, 16)
+
+
+@lru_cache(maxsize=16)
+def _euler_forms(device: torch.device, dtype: torch.dtype) -> Tensor:
+    """Coefficients of cosine and sine of roll and yaw, and sine of pitch, in a quaternion's products: ``[5, 16]``."""
+    forms = rotation_forms()
+    # 0 - x is 0 where x is 0; -x would be -0.
+    rows = (forms[2, 2], forms[2, 1], forms[0, 0], forms[1, 0], 0 - forms[2, 0])
+    return torch.stack(rows).to(device, dtype)
 
 
 def euler_to_matrix(angles: Tensor) -> Tensor:

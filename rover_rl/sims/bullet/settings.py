@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
-from rover_rl.registry import perhaps
+from rover_rl.sims.settings import PhysicsSettings
 from rover_rl.sims.timing import CONTROL_DT
 
 
 @dataclass(frozen=True)
-class BulletSettings:
+class BulletSettings(PhysicsSettings):
     """Settings of the Bullet physics.
 
     With the defaults a standing rover stays in place, and friction agrees with Coulomb's law within 5 %, except that
@@ -35,6 +36,13 @@ class BulletSettings:
         ValueError: if a number is out of range.
     """
 
+    positive: ClassVar[tuple[str, ...]] = ("control_dt", "ground_stiffness")
+    presets: ClassVar[dict[str, dict[str, Any]]] = {
+        "default": {},
+        "accurate": {"substeps": 26, "solver_iterations": 50},
+        "fast": {"substeps": 6, "solver_iterations": 30},
+    }
+
     control_dt: float = CONTROL_DT
     substeps: int = 10
     solver_iterations: int = 40
@@ -46,38 +54,10 @@ class BulletSettings:
     obstacle_friction: float = 0.25
 
     def __post_init__(self) -> None:
-        if self.substeps < 2 or self.substeps % 2:
+        super().__post_init__()
+        if self.substeps % 2:
             raise ValueError(f"substeps must be an even number of at least 2, got {self.substeps}")
-        if self.solver_iterations < 1:
-            raise ValueError(f"solver_iterations must be at least 1, got {self.solver_iterations}")
-        if not self.control_dt > 0:
-            raise ValueError(f"control_dt must be positive, got {self.control_dt}")
-        if not self.ground_stiffness > 0:
-            raise ValueError(f"ground_stiffness must be positive, got {self.ground_stiffness}")
-        for name in ("solver_residual", "contact_threshold", "ground_friction", "ground_damping", "obstacle_friction"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
-
-    @property
-    def substep(self) -> float:
-        """Duration of a physics step, s."""
-        return self.control_dt / self.substeps
-
-    @classmethod
-    def preset(cls, name: str) -> BulletSettings:
-        """Returns the settings of the given name in :data:`PRESETS`.
-
-        Raises:
-            ValueError: if the name is unknown.
-        """
-        if name not in PRESETS:
-            raise ValueError(f"unknown physics {name!r}{perhaps(name, PRESETS)}; use one of {list(PRESETS)}")
-        return PRESETS[name]
 
 
-PRESETS: dict[str, BulletSettings] = {
-    "default": BulletSettings(),
-    "accurate": BulletSettings(substeps=26, solver_iterations=50),
-    "fast": BulletSettings(substeps=6, solver_iterations=30),
-}
+PRESETS = {name: BulletSettings.preset(name) for name in BulletSettings.presets}
 """Physics presets by name: the default, steps of about 2 ms, and fewer steps with a larger error."""

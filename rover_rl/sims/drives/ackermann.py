@@ -29,7 +29,7 @@ class Ackermann(Drive):
         max_steering_rate: largest rate of that angle, rad/s.
 
     Raises:
-        ValueError: as :class:`Drive`, or if there are not two joints of each kind, or a steering limit is out of range.
+        ValueError: as :class:`Drive`, or if a steering limit is out of range.
     """
 
     knuckles: tuple[str, str]
@@ -39,11 +39,9 @@ class Ackermann(Drive):
     max_steering_rate: float = 3.0
 
     turns_in_place: ClassVar[bool] = False
+    pairs: ClassVar[tuple[str, ...]] = ("knuckles", "front", "rear")
 
     def __post_init__(self) -> None:
-        for name in ("knuckles", "front", "rear"):
-            if len(joints := getattr(self, name)) != 2:
-                raise ValueError(f"{name} of an Ackermann drive must name a left and a right joint, got {joints}")
         super().__post_init__()
         if not 0 < self.max_steering < math.pi / 2:
             raise ValueError(f"max_steering must be between 0 and pi/2 rad, got {self.max_steering}")
@@ -78,11 +76,9 @@ class Ackermann(Drive):
         """Checks that the front wheels are ahead of the rear wheels, and left ones to the left."""
         if not self.wheelbase(wheels) > 0:
             raise ValueError(f"the front wheels {self.front} must be ahead of the rear wheels {self.rear}")
-        for (left, right), (one, other) in zip(
-            (self.rear, self.front), (wheels.hubs[:2], wheels.hubs[2:]), strict=True
-        ):
-            if not one[1] > other[1]:
-                raise ValueError(f"wheel {left!r} must be to the left of wheel {right!r}")
+        for left, right in ((0, 1), (2, 3)):
+            if not wheels.hubs[left][1] > wheels.hubs[right][1]:
+                raise ValueError(f"wheel {self.wheels[left]!r} must be to the left of wheel {self.wheels[right]!r}")
         if wheels.steering != (-1, -1, 0, 1):
             raise ValueError(f"the steering joints {self.knuckles} must carry the front wheels {self.front}")
         if self.min_radius(wheels) <= max(abs(hub[1]) for hub in wheels.hubs):
@@ -96,9 +92,8 @@ class Ackermann(Drive):
         side = torch.where(desired < 0, -yaw_rate, yaw_rate)
         wanted = torch.atan2(side * self.wheelbase(wheels), desired.abs()).clamp(-self.max_steering, self.max_steering)
         gain, turn = self.max_linear_acceleration * dt, self.max_steering_rate * dt
-        return torch.cat(
-            (speed + (desired - speed).clamp(-gain, gain), angle + (wanted - angle).clamp(-turn, turn)), -1
-        )
+        steps = (desired - speed).clamp(-gain, gain), (wanted - angle).clamp(-turn, turn)
+        return torch.cat((speed + steps[0], angle + steps[1]), -1)
 
     def targets(self, before: Tensor, after: Tensor, wheels: Wheels) -> Joints:
         """Returns the speeds of the rear wheels ``[N, 2]`` and the angles of the front wheels ``[N, 2]``."""

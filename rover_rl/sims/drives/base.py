@@ -60,9 +60,10 @@ class Drive(ABC):
         sideways: whether commands and odometry have a third component, the speed to the left.
         turns_in_place: whether the robot turns without driving.
         set_point_size: number of components of a set point.
+        pairs: fields that name a left and a right joint.
 
     Raises:
-        ValueError: if a limit is not positive and finite, or a joint is named twice.
+        ValueError: if a limit is not positive and finite, a joint is named twice, or a pair has not two joints.
     """
 
     torque: float
@@ -74,8 +75,12 @@ class Drive(ABC):
     sideways: ClassVar[bool] = False
     turns_in_place: ClassVar[bool] = True
     set_point_size: ClassVar[int] = 2
+    pairs: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
+        for name in self.pairs:
+            if len(joints := getattr(self, name)) != 2:
+                raise ValueError(f"{name} of {type(self).__name__} must name a left and a right joint, got {joints}")
         for name in ("torque", "max_linear_acceleration", "max_angular_acceleration", "max_speed", "max_yaw_rate"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
@@ -110,8 +115,7 @@ class Drive(ABC):
     @property
     def motor_of_wheel(self) -> tuple[int, ...]:
         """Index of the motor of each wheel; -1 without one."""
-        turned = tuple(index for index, motor in enumerate(self.motors) for _ in motor)
-        return turned + (-1,) * len(self.passive)
+        return (*(index for index, motor in enumerate(self.motors) for _ in motor), *(-1 for _ in self.passive))
 
     @property
     def rollers(self) -> tuple[float, ...]:

@@ -25,9 +25,6 @@ class Mecanum(Drive):
     Args:
         front: names of the joints of the left and the right front wheel.
         rear: names of the joints of the left and the right rear wheel.
-
-    Raises:
-        ValueError: as :class:`Drive`, or if there are not two joints of each kind.
     """
 
     front: tuple[str, str]
@@ -35,12 +32,7 @@ class Mecanum(Drive):
 
     sideways: ClassVar[bool] = True
     set_point_size: ClassVar[int] = 3
-
-    def __post_init__(self) -> None:
-        for name in ("front", "rear"):
-            if len(joints := getattr(self, name)) != 2:
-                raise ValueError(f"{name} of a Mecanum drive must name a left and a right joint, got {joints}")
-        super().__post_init__()
+    pairs: ClassVar[tuple[str, ...]] = ("front", "rear")
 
     @property
     def motors(self) -> tuple[tuple[str, ...], ...]:

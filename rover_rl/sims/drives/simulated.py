@@ -24,9 +24,8 @@ class SimulatedDrives:
     def __init__(
         self, drive: Drive, wheels: Wheels, dt: float, num_envs: int, device: torch.device | str | None = None
     ) -> None:
-        self._drive, self._wheels = drive, wheels
-        self._motors = len(drive.motors)
-        self._step = dt
+        self._drive, self._wheels, self._step = drive, wheels, dt
+        self._first_angle = 7 + len(drive.motors)
         self._dt = torch.full((num_envs, 1), dt, device=device)
         self._set_point = torch.zeros(num_envs, drive.set_point_size, device=device)
         self._stamp = torch.zeros(num_envs, 1, dtype=torch.float64, device=device)
@@ -65,8 +64,8 @@ class SimulatedDrives:
                 (rad), ``[N, 7 + M + S]``.
             contact: whether the rovers touched an obstacle, bool ``[N, 1]``. ``None`` if the simulator does not know.
         """
-        first_angle = 7 + self._motors
-        twist = self._drive.odometry(Joints(body[:, 7:first_angle], body[:, first_angle:]), self._wheels)
+        joints = Joints(body[:, 7 : self._first_angle], body[:, self._first_angle :])
+        twist = self._drive.odometry(joints, self._wheels)
         optional = {} if contact is None else {"contact": contact}
         if self._drive.sideways:
             optional["lateral_velocity"] = twist[:, 2:]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -66,15 +65,15 @@ class SkidSteer(Drive):
         They are those of the mean twist, so that the distance driven matches the limited acceleration.
         """
         twist = (before + after) * 0.5
-        factors = _factors(self._separation(wheels), wheels.radius, twist.device)
-        speeds = torch.addcmul(twist[:, :1] * factors.inverse_radius, twist[:, 1:], factors.left_right)
+        inverse_radius, left_right, _, _ = _factors(self._separation(wheels), wheels.radius, twist.device)
+        speeds = torch.addcmul(twist[:, :1] * inverse_radius, twist[:, 1:], left_right)
         return Joints(speeds, speeds[:, :0])
 
     def odometry(self, joints: Joints, wheels: Wheels) -> Tensor:
         """Returns ``v = r (wR + wL) / 2`` (m/s) and ``w = r (wR - wL) / separation`` (rad/s), ``[N, 2]``."""
         speeds = joints.speeds
-        factors = _factors(self._separation(wheels), wheels.radius, speeds.device)
-        return torch.addcmul(speeds[:, :1] * factors.from_left, speeds[:, 1:], factors.from_right)
+        _, _, from_left, from_right = _factors(self._separation(wheels), wheels.radius, speeds.device)
+        return torch.addcmul(speeds[:, :1] * from_left, speeds[:, 1:], from_right)
 
     def _separation(self, wheels: Wheels) -> float:
         if self.separation is not None:
@@ -84,23 +83,15 @@ class SkidSteer(Drive):
         return sum(sides[:left]) / left - sum(sides[left:]) / len(self.right)
 
 
-class _Factors(NamedTuple):
-    """Factors of the kinematics, copied to a device once."""
-
-    inverse_radius: Tensor
-    left_right: Tensor
-    from_left: Tensor
-    from_right: Tensor
-
-
 @lru_cache(maxsize=32)
-def _factors(separation: float, radius: float, device: torch.device) -> _Factors:
+def _factors(separation: float, radius: float, device: torch.device) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Copies the factors of the wheel speeds in the twist, and of the twist in the wheel speeds, to a device once."""
     linear, angular = radius / 2, radius / separation
-    return _Factors(
-        inverse_radius=torch.tensor(1 / radius, device=device),
-        left_right=torch.tensor((-separation / 2, separation / 2), device=device) / radius,
-        from_left=torch.tensor((linear, -angular), device=device),
-        from_right=torch.tensor((linear, angular), device=device),
+    return (
+        torch.tensor(1 / radius, device=device),
+        torch.tensor((-separation / 2, separation / 2), device=device) / radius,
+        torch.tensor((linear, -angular), device=device),
+        torch.tensor((linear, angular), device=device),
     )
 
 

@@ -28,12 +28,7 @@ def add_ground(spec: mujoco.MjSpec, world: World, **options: Any) -> None:
     """Adds the ground for contacts, named ``"ground"``: an infinite plane if it is flat, a height field otherwise.
 
     A height field covers :data:`GROUND_MARGIN` beyond the world's bounds. Outside the terrain, the height of its edge
-    continues, as in :meth:`Terrain.height_at`.
-
-    Args:
-        spec: model to extend.
-        world: world that defines the ground.
-        options: further attributes of the geom.
+    continues, as in :meth:`Terrain.height_at`. ``options`` are further attributes of the geom.
     """
     terrain = world.terrain
     if terrain.is_flat:
@@ -61,19 +56,9 @@ def add_ground(spec: mujoco.MjSpec, world: World, **options: Any) -> None:
         size=(depth / 2, width / 2, rise, BASE_THICKNESS),
         userdata=((data - lowest) / rise).ravel().tolist(),
     )
-    center = [
-        start + terrain.cell * (axis[0] + axis[-1]) / 2
-        for start, axis in zip(terrain.origin, (columns, rows), strict=True)
-    ]
-    _add_geom(
-        spec,
-        mujoco.mjtGeom.mjGEOM_HFIELD,
-        name="ground",
-        hfieldname="ground",
-        pos=(*center, lowest),
-        quat=_QUARTER_TURN,
-        **options,
-    )
+    x, y = (start + terrain.cell * (k[0] + k[-1]) / 2 for start, k in zip(terrain.origin, (columns, rows), strict=True))
+    field = {"name": "ground", "hfieldname": "ground", "pos": (x, y, lowest), "quat": _QUARTER_TURN}
+    _add_geom(spec, mujoco.mjtGeom.mjGEOM_HFIELD, **field, **options)
 
 
 def add_ground_tiles(spec: mujoco.MjSpec, terrain: Terrain) -> None:
@@ -82,10 +67,9 @@ def add_ground_tiles(spec: mujoco.MjSpec, terrain: Terrain) -> None:
     Rays against a height field take 40 times as long, because MuJoCo tests all cells of the rectangle that the ray
     spans.
     """
-    (x_low, x_high), (y_low, y_high) = terrain.extent
     if terrain.is_flat:
-        center = ((x_low + x_high) / 2, (y_low + y_high) / 2, terrain.heights[0, 0].item())
-        size = ((x_high - x_low) / 2, (y_high - y_low) / 2, 1)
+        center = (*((low + high) / 2 for low, high in terrain.extent), terrain.heights[0, 0].item())
+        size = (*((high - low) / 2 for low, high in terrain.extent), 1)
         _add_geom(spec, mujoco.mjtGeom.mjGEOM_PLANE, pos=center, size=size)
         return
     step = max(1, round(TILE / terrain.cell))
@@ -100,13 +84,7 @@ def add_ground_tiles(spec: mujoco.MjSpec, terrain: Terrain) -> None:
 
 
 def add_obstacles(spec: mujoco.MjSpec, world: World, **options: Any) -> None:
-    """Adds the obstacles: boxes, to which rays are three times as fast, and convex meshes.
-
-    Args:
-        spec: model to extend.
-        world: world with the obstacles.
-        options: further attributes of the geoms.
-    """
+    """Adds the obstacles: boxes, to which rays are three times as fast, and convex meshes."""
     for index, obstacle in enumerate(world.obstacles):
         frame = _box_frame(obstacle)
         if frame is None:

@@ -38,6 +38,7 @@ _GROUND, _OBSTACLES = 1, 2
 """Collision groups, bits of ``contype`` of static geoms and of ``conaffinity`` of the rover's geoms."""
 _AXLE = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 """Rotation that turns a cylinder's axis from z to y, quaternion (w, x, y, z)."""
+_HINGE = mujoco.mjtJoint.mjJNT_HINGE
 STEERING_STIFFNESS = 300.0
 """Torque of a steering joint per angle of error, N m/rad: a wheel that stands turns to within a degree."""
 LINK_SHARE = 1e-3
@@ -48,7 +49,8 @@ def make_model(world: World, robot: Robot, inertial_model: InertialModel, settin
     """Creates the model of one rover in a world.
 
     The generalized coordinates are the pose of the base frame, the angles of the wheels, each after that of its
-    steering or roller joint, and the angle of a shaft for each motor.
+    steering or roller joint, and the angle of a shaft for each motor. The joints are ``"wheel 0"``, ``"roller 0"`` and
+    ``"shaft 0"``, by the index of the wheel or motor, and the steering joints have their own names.
 
     A wheel with ideal rollers is a sphere on a free joint along the roller on the ground: it rolls freely across the
     axle of the roller, and is driven along it. :class:`~rover_rl.sims.mujoco.physics.RoverPhysics` keeps that joint at
@@ -63,8 +65,7 @@ def make_model(world: World, robot: Robot, inertial_model: InertialModel, settin
     _add_rover(spec, robot, inertial_model, settings)
     _add_contact_sensors(spec)
     model = spec.compile()
-    _set_contacts(model, settings)
-    _set_scale(model)
+    _scale_to_mass(model, settings)
     return model
 
 
@@ -80,8 +81,7 @@ def scaled_model(
     scaled.body_mass[base] = chassis_mass * model.body_mass[base]
     scaled.body_inertia[base] = chassis_mass * model.body_inertia[base]
     mujoco.mj_setConst(scaled, mujoco.MjData(scaled))
-    _set_contacts(scaled, settings)
-    _set_scale(scaled)
+    _scale_to_mass(scaled, settings)
     return scaled
 
 
@@ -102,54 +102,38 @@ def _add_rover(spec: mujoco.MjSpec, robot: Robot, inertial_model: InertialModel,
     for center, half in zip(inertial_model.box_centers, inertial_model.box_halves, strict=True):
         kind = mujoco.mjtGeom.mjGEOM_BOX
         base.add_geom(type=kind, pos=center, size=half, condim=3, contype=0, conaffinity=_GROUND | _OBSTACLES)
-    for motor in range(len(robot.drive.motors)):
-        shaft = spec.worldbody.add_body(name=shaft_name(motor))
+    shafts = [spec.worldbody.add_body(name=f"shaft {motor}") for motor in range(len(robot.drive.motors))]
+    for shaft in shafts:
         _set_inertia(shaft, 1.0, np.zeros(3), SHAFT_INERTIA * np.eye(3))
     for index, motor in enumerate(robot.drive.motor_of_wheel):
         wheel = _add_wheel(spec, base, index, robot, inertial_model)
         _add_tires(spec, wheel, index, robot, settings)
         if motor >= 0:
-            _add_motor(spec, index, motor, robot)
+            _add_motor(spec, index, motor, robot.drive.torque)
     # After the wheels, so that the order of the coordinates is that of make_model().
-    for motor in range(len(robot.drive.motors)):
-        joint = {"name": shaft_name(motor), "type": mujoco.mjtJoint.mjJNT_HINGE, "axis": (0, 1, 0)}
-        spec.body(shaft_name(motor)).add_joint(**joint)
-
-
-def wheel_name(wheel: int) -> str:
-    """Returns the name of a wheel's body, and of its joint."""
-    return f"wheel {wheel}"
-
-
-def shaft_name(motor: int) -> str:
-    """Returns the name of the body of a motor's shaft, and of its joint."""
-    return f"shaft {motor}"
-
-
-def roller_name(wheel: int) -> str:
-    """Returns the name of the free joint of a wheel with rollers."""
-    return f"roller {wheel}"
+    for motor, shaft in enumerate(shafts):
+        shaft.add_joint(name=f"shaft {motor}", type=_HINGE, axis=(0, 1, 0))
 
 
 def _add_wheel(spec: mujoco.MjSpec, base: Any, index: int, robot: Robot, inertial_model: InertialModel) -> Any:
     """Adds the body of a wheel, on a steering joint or on the free joint of its rollers if it has one."""
     parent, place, drive = base, {"pos": inertial_model.hubs[index]}, robot.drive
     turn, spin, mass = inertial_model.wheel_turn_inertia, inertial_model.wheel_spin_inertia, inertial_model.wheel_mass
-    joint: dict[str, Any] | None = None
+    joint: dict[str, Any] = {}
     if robot.wheels.steering and robot.wheels.steering[index] >= 0:
         joint = {"name": drive.steering[robot.wheels.steering[index]], "axis": (0, 0, 1)}
         _add_servo(spec, joint["name"], turn)
     elif drive.rollers:
         angle = drive.rollers[index]
-        joint = {"name": roller_name(index), "axis": (math.cos(angle), math.sin(angle), 0)}
-    if joint is not None:
+        joint = {"name": f"roller {index}", "axis": (math.cos(angle), math.sin(angle), 0)}
+    if joint:
         parent = base.add_body(name=f"carrier {index}", **place)
         _set_inertia(parent, LINK_SHARE * mass, np.zeros(3), LINK_SHARE * np.diag((turn, turn, turn)))
-        parent.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, **joint)
+        parent.add_joint(type=_HINGE, **joint)
         place = {}
-    wheel = parent.add_body(name=wheel_name(index), **place)
+    wheel = parent.add_body(name=f"wheel {index}", **place)
     _set_inertia(wheel, mass, np.zeros(3), np.diag((turn, spin, turn)))
-    wheel.add_joint(name=wheel_name(index), type=mujoco.mjtJoint.mjJNT_HINGE, axis=(0, 1, 0))
+    wheel.add_joint(name=f"wheel {index}", type=_HINGE, axis=(0, 1, 0))
     return wheel
 
 
@@ -188,11 +172,11 @@ def _add_tires(spec: mujoco.MjSpec, wheel: Any, index: int, robot: Robot, settin
     )
 
 
-def _add_motor(spec: mujoco.MjSpec, wheel: int, motor: int, robot: Robot) -> None:
+def _add_motor(spec: mujoco.MjSpec, wheel: int, motor: int, torque: float) -> None:
     """Couples a wheel to the shaft of its motor by dry friction of at most the torque of the motor."""
-    clutch = spec.add_tendon(name=f"motor {wheel}", frictionloss=robot.drive.torque)
-    clutch.wrap_joint(wheel_name(wheel), 1.0)
-    clutch.wrap_joint(shaft_name(motor), -1.0)
+    clutch = spec.add_tendon(name=f"motor {wheel}", frictionloss=torque)
+    clutch.wrap_joint(f"wheel {wheel}", 1.0)
+    clutch.wrap_joint(f"shaft {motor}", -1.0)
     clutch.solref_friction = _rate(MOTOR_RATE, MOTOR_IMPEDANCE)
     clutch.solimp_friction = _impedance(MOTOR_IMPEDANCE)
 
@@ -223,13 +207,13 @@ def _rate(rate: float, impedance: float) -> tuple[float, float]:
     return (-1.0, -rate * impedance)
 
 
-def _set_contacts(model: mujoco.MjModel, settings: MujocoSettings) -> None:
-    """Sets the stiffness and damping of all contacts, which MuJoCo scales by the mobility of the bodies.
+def _scale_to_mass(model: mujoco.MjModel, settings: MujocoSettings) -> None:
+    """Sets what depends on the mass of the rover: stiffness and damping of contacts, and the scale of the tolerance.
 
-    With the impedance d and the mobility A (1/kg), MuJoCo regularizes a contact by R = A (1 - d) / d, and its force is
-    (k d x + b v) / R, with k = stiffness / d^2 and b = damping / d for the penetration x, its rate v and
-    ``solref = (-stiffness, -damping)`` (MuJoCo documentation, Computation, Constraint model). A wheel rests on two
-    contacts.
+    MuJoCo scales contacts by the mobility of the bodies. With the impedance d and the mobility A (1/kg), it regularizes
+    a contact by R = A (1 - d) / d, and its force is (k d x + b v) / R, with k = stiffness / d^2 and b = damping / d for
+    the penetration x, its rate v and ``solref = (-stiffness, -damping)`` (MuJoCo documentation, Computation, Constraint
+    model). A wheel rests on two contacts.
     """
     wheels = [model.body(f"wheel {index}").id for index in range(model.npair)]
     mobility = (1 - IMPEDANCE) * model.body_invweight0[wheels, 0]
@@ -237,8 +221,5 @@ def _set_contacts(model: mujoco.MjModel, settings: MujocoSettings) -> None:
     model.pair_solref[:] = -mobility[:, None] * reference
     model.geom_solref[:] = -mobility.mean() * reference
     model.geom_solimp[:] = _impedance(IMPEDANCE)
-
-
-def _set_scale(model: mujoco.MjModel) -> None:
-    """Sets the scale of the solver's tolerance to the mass of the rover; by default, it is that of the shafts."""
+    # By default, the scale is the mass of the shafts.
     model.stat.meaninertia = model.body_subtreemass[model.body("base").id]

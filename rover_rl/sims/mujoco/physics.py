@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from rover_rl.sims.drives.base import Drive
-from rover_rl.sims.mujoco.model import roller_name, scaled_model, shaft_name, wheel_name
+from rover_rl.sims.mujoco.model import scaled_model
 from rover_rl.sims.mujoco.settings import MujocoSettings
 from rover_rl.sims.native.mujoco import Rollout, mujoco
 from rover_rl.sims.robots import Robot
@@ -17,14 +16,11 @@ _POSITION, _ORIENTATION = slice(1, 4), slice(4, 8)
 """Position (m) and orientation (w, x, y, z) of the base frame in a state. The time comes first."""
 
 
-@dataclass(frozen=True)
-class Reading:
-    """Poses and joints of ``k`` rovers, as float64 arrays.
+class Reading(NamedTuple):
+    """Poses and joints of ``k`` rovers, float64.
 
-    Attributes:
-        position: positions of the base frames, ``[k, 3]``, m.
-        orientation: orientations of the base frames, quaternions (w, x, y, z), ``[k, 4]``.
-        joints: mean speed of the wheels of each motor (rad/s) and angle of each steering joint (rad), ``[k, M + S]``.
+    Positions ``[k, 3]`` (m) and quaternions (w, x, y, z) ``[k, 4]`` of the base frames; mean speed of the wheels of
+    each motor (rad/s) and angle of each steering joint (rad), ``[k, M + S]``.
     """
 
     position: np.ndarray
@@ -33,17 +29,11 @@ class Reading:
 
 
 class RoverPhysics:
-    """Physics of a number of rovers in one world. The rovers do not interact.
+    """Physics of ``count`` rovers in one world, from :func:`~rover_rl.sims.mujoco.model.make_model`.
 
     A rover is one row of MuJoCo's state: time, coordinates and velocities. All rovers share one ``MjData``, into which
     MuJoCo loads a row for each control step, and the solver starts each control step from zero. Nothing else carries
     over, so a rover does not depend on other rovers or on earlier episodes.
-
-    Args:
-        model: model of a rover in the world, from :func:`rover_rl.sims.mujoco.model.make_model`.
-        robot: robot of the model.
-        count: number of rovers.
-        settings: settings of the physics.
     """
 
     def __init__(self, model: mujoco.MjModel, robot: Robot, count: int, settings: MujocoSettings) -> None:
@@ -57,11 +47,12 @@ class RoverPhysics:
         # The number of all contacts and of those with the ground, in each physics step.
         self._contacts = np.empty((count, settings.substeps, model.nsensordata))
         self._states[:, _ORIENTATION.start] = 1.0
-        drive = robot.drive
-        self._motors = [self._velocities(map(wheel_name, _indices(drive, motor))) for motor in range(len(drive.motors))]
-        self._shafts = self._velocities(map(shaft_name, range(len(drive.motors))))
+        drive, motors = robot.drive, range(len(robot.drive.motors))
+        owners = [[f"wheel {k}" for k, own in enumerate(drive.motor_of_wheel) if own == motor] for motor in motors]
+        self._motors = [self._velocities(wheels) for wheels in owners]
+        self._shafts = self._velocities(f"shaft {motor}" for motor in motors)
         self._steering = self._coordinates(drive.steering)
-        rollers = [roller_name(wheel) for wheel in range(len(drive.rollers))]
+        rollers = [f"roller {wheel}" for wheel in range(len(drive.rollers))]
         self._rollers, self._roller_speeds = self._coordinates(rollers), self._velocities(rollers)
 
     def _coordinates(self, joints: Iterable[str]) -> list[int]:
@@ -73,13 +64,7 @@ class RoverPhysics:
         return [1 + self._model.nq + self._model.joint(name).dofadr[0] for name in joints]
 
     def place(self, rows: np.ndarray, positions: np.ndarray, orientations: np.ndarray) -> None:
-        """Places rovers at rest.
-
-        Args:
-            rows: indices of the rovers, ``[k]``.
-            positions: positions of the base frames, ``[k, 3]``, m.
-            orientations: orientations of the base frames, quaternions (x, y, z, w), ``[k, 4]``.
-        """
+        """Places base frames at positions ``[k, 3]`` and orientations (x, y, z, w) ``[k, 4]``, at rest."""
         self._states[rows] = 0.0
         self._states[rows, _POSITION] = positions
         self._states[rows, _ORIENTATION] = np.roll(orientations, 1, axis=1)
@@ -91,15 +76,10 @@ class RoverPhysics:
             self._models[row] = scaled_model(self._model, self._settings, *scales)
 
     def step(self, rows: np.ndarray, speeds: np.ndarray, angles: np.ndarray) -> np.ndarray:
-        """Advances rovers by one control step.
+        """Advances the rovers ``rows [k]`` by one control step.
 
-        Args:
-            rows: indices of the rovers, ``[k]``.
-            speeds: speed of each motor of these rovers, ``[k, M]``, rad/s.
-            angles: angle of each of their steering joints, ``[k, S]``, rad.
-
-        Returns:
-            Whether each of these rovers touched an obstacle in any of the physics steps, bool ``[k]``.
+        ``speeds`` of their motors are ``[k, M]``, rad/s, ``angles`` of their steering joints ``[k, S]``, rad. Returns
+        which of them touched an obstacle in any of the physics steps, bool ``[k]``.
         """
         self._states[rows[:, None], self._shafts] = speeds
         substeps = self._settings.substeps
@@ -137,16 +117,5 @@ class RoverPhysics:
     def read(self, rows: np.ndarray) -> Reading:
         """Returns the poses and joints of the given rovers."""
         states = self._states[rows]
-        return Reading(
-            position=states[:, _POSITION],
-            orientation=states[:, _ORIENTATION],
-            joints=np.stack(
-                [states[:, wheels].mean(1) for wheels in self._motors] + [states[:, angle] for angle in self._steering],
-                1,
-            ),
-        )
-
-
-def _indices(drive: Drive, motor: int) -> list[int]:
-    """Returns the indices of the wheels of a motor."""
-    return [wheel for wheel, own in enumerate(drive.motor_of_wheel) if own == motor]
+        joints = [states[:, wheels].mean(1) for wheels in self._motors] + [states[:, angle] for angle in self._steering]
+        return Reading(states[:, _POSITION], states[:, _ORIENTATION], np.stack(joints, 1))

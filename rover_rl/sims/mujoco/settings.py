@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
+from rover_rl.sims.settings import PhysicsSettings
 from rover_rl.sims.timing import CONTROL_DT
 
 
 @dataclass(frozen=True)
-class MujocoSettings:
+class MujocoSettings(PhysicsSettings):
     """Settings of the MuJoCo backend.
 
     The defaults are chosen to reproduce Coulomb's law of friction, not to match another simulator:
@@ -46,6 +48,8 @@ class MujocoSettings:
         ValueError: for a number that is out of range.
     """
 
+    positive: ClassVar[tuple[str, ...]] = ("control_dt", "stiffness", "damping")
+
     control_dt: float = CONTROL_DT
     substeps: int = 10
     solver_iterations: int = 50
@@ -55,32 +59,3 @@ class MujocoSettings:
     ground_friction: float = 0.5
     obstacle_friction: float = 0.25
     threads: int | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("substeps", "solver_iterations"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if self.threads is not None and self.threads < 1:
-            raise ValueError(f"threads must be at least 1, got {self.threads}")
-        for name in ("control_dt", "stiffness", "damping"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
-        for name in ("solver_tolerance", "ground_friction", "obstacle_friction"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
-
-    @property
-    def substep(self) -> float:
-        """Duration of a substep, s."""
-        return self.control_dt / self.substeps
-
-    @classmethod
-    def preset(cls, name: str) -> MujocoSettings:
-        """Returns the settings of a preset by name; the only preset is ``"default"``.
-
-        Raises:
-            ValueError: for an unknown name.
-        """
-        if name != "default":
-            raise ValueError(f"unknown physics {name!r}; backend 'mujoco' has one preset, 'default'")
-        return cls()

@@ -4,29 +4,22 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-_SIZES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}
-"""URDF attributes with the dimensions of a shape, by kind of shape."""
-
+_SIZES = {"box": {"size": 3}, "cylinder": {"radius": 1, "length": 1}, "sphere": {"radius": 1}}
+"""URDF attributes with the dimensions of a shape, and how many numbers each has, by kind of shape."""
 
 Color: TypeAlias = tuple[float, ...]
 """Red, green and blue, 0 to 1."""
 
 
-@dataclass(frozen=True)
-class Frame:
-    """Pose of a frame in a parent frame.
-
-    Attributes:
-        position: position of the origin, ``[3]``, m.
-        rotation: rotation matrix ``[3, 3]``, whose columns are the axes of the frame.
-    """
+class Frame(NamedTuple):
+    """Pose in a parent frame: origin ``[3]``, m, and rotation matrix ``[3, 3]``, whose columns are the axes."""
 
     position: np.ndarray
     rotation: np.ndarray
@@ -41,51 +34,34 @@ class Frame:
         return Frame(self.position + self.rotation @ inner.position, self.rotation @ inner.rotation)
 
 
-@dataclass(frozen=True)
-class Inertial:
-    """Mass and inertia of a link.
+_IDENTITY = Frame(np.zeros(3), np.eye(3))
 
-    Attributes:
-        mass: mass, kg.
-        frame: pose of the inertial frame in the frame of the link. Its origin is the center of mass.
-        inertia: inertia matrix about the center of mass, along the axes of ``frame``, ``[3, 3]``, kg m^2.
-    """
+
+class Inertial(NamedTuple):
+    """Mass of a link, kg, and its inertia about the center of mass, the origin of ``frame``: ``[3, 3]``, kg m^2."""
 
     mass: float
     frame: Frame
     inertia: np.ndarray
 
 
-@dataclass(frozen=True)
-class Shape:
+class Shape(NamedTuple):
     """Collision or visual shape of a link.
 
-    Attributes:
-        kind: ``"box"``, ``"cylinder"``, ``"sphere"``, ``"mesh"``, or another element of URDF's ``geometry``.
-        frame: pose of the shape in the frame of the link. The axis of a cylinder is z.
-        sizes: dimensions, m: x, y, z of a box; radius, length of a cylinder; radius of a sphere. Factors of the x, y
-            and z coordinates of a mesh. Empty for others.
-        file: file of a mesh, as the URDF states it. Empty for others.
-        color: color of a visual shape. ``None`` if the URDF states none.
+    ``kind`` is ``"box"``, ``"cylinder"`` (along z), ``"sphere"``, ``"mesh"``, or another element of URDF's
+    ``geometry``. ``sizes`` are x, y, z of a box; radius, length of a cylinder; the radius of a sphere, m; or the
+    factors of the coordinates of a mesh, whose ``file`` is as the URDF states it. Only a visual shape has a color.
     """
 
     kind: str
     frame: Frame
     sizes: tuple[float, ...]
-    file: str = ""
-    color: Color | None = None
+    file: str
+    color: Color | None
 
 
-@dataclass(frozen=True)
-class Link:
-    """Rigid part of a robot.
-
-    Attributes:
-        name: name of the link.
-        inertial: mass and inertia. ``None`` if the URDF states none.
-        shapes: collision shapes.
-        visuals: visual shapes.
-    """
+class Link(NamedTuple):
+    """Rigid part of a robot, with its collision shapes and its visual shapes."""
 
     name: str
     inertial: Inertial | None
@@ -93,18 +69,8 @@ class Link:
     visuals: tuple[Shape, ...]
 
 
-@dataclass(frozen=True)
-class Joint:
-    """Connection of two links.
-
-    Attributes:
-        name: name of the joint.
-        kind: ``"fixed"``, ``"continuous"``, or another joint type of URDF.
-        parent: name of the parent link.
-        child: name of the child link.
-        frame: pose of the child link in the frame of the parent link.
-        axis: axis of rotation in ``frame``, ``[3]``.
-    """
+class Joint(NamedTuple):
+    """Connection of two links: ``frame`` is that of the child in the parent, and ``axis [3]`` is in this frame."""
 
     name: str
     kind: str
@@ -114,14 +80,8 @@ class Joint:
     axis: np.ndarray
 
 
-Part = TypeVar("Part", Link, Joint)
-
-
 class Description:
     """Contents of a URDF file.
-
-    Args:
-        path: path of the file.
 
     Attributes:
         name: name of the robot. Empty if the file states none.
@@ -141,30 +101,28 @@ class Description:
         except ET.ParseError as error:
             raise ValueError(f"it is not XML ({error})") from error
         self.name = root.get("name", "")
-        materials = {
-            material.get("name"): color for material in root.iter("material") if (color := _color(material)) is not None
-        }
-        self.links = _by_name(_link(link, materials) for link in root.findall("link"))
-        self.joints = _by_name(map(_joint, root.findall("joint")))
+        materials = {each.get("name"): color for each in root.iter("material") if (color := _color(each))}
+        self.links: dict[str, Link] = _read(root, "link", partial(_link, materials=materials))
+        self.joints: dict[str, Joint] = _read(root, "joint", _joint)
         if not self.links:
             raise ValueError("it has no links")
         self.base = self._find_base()
-        self.fixed = self._place(joint for joint in self.joints.values() if joint.kind == "fixed")
+        self.fixed = self._place([joint for joint in self.joints.values() if joint.kind == "fixed"])
         self.frames = self._place(self.joints.values())
 
     def _find_base(self) -> str:
-        ends = {joint.parent for joint in self.joints.values()} | {joint.child for joint in self.joints.values()}
+        children = {joint.child for joint in self.joints.values()}
+        ends = children | {joint.parent for joint in self.joints.values()}
         if unknown := sorted(ends - self.links.keys()):
             raise ValueError(f"a joint names link {unknown[0]!r}, its links are {sorted(self.links)}")
-        bases = self.links.keys() - {joint.child for joint in self.joints.values()}
+        bases = self.links.keys() - children
         if len(bases) != 1:
             raise ValueError(f"one link must be the child of no joint, it has {sorted(bases)}")
         return bases.pop()
 
     def _place(self, joints: Iterable[Joint]) -> dict[str, Frame]:
         """Returns the poses of the base and of all links that ``joints`` connect to it."""
-        frames = {self.base: Frame(np.zeros(3), np.eye(3))}
-        joints = list(joints)
+        frames = {self.base: _IDENTITY}
         # A URDF may list a link before its parent, so one pass is not enough.
         for _ in joints:
             for joint in joints:
@@ -173,53 +131,53 @@ class Description:
         return frames
 
 
-def _by_name(parts: Iterable[Part]) -> dict[str, Part]:
-    named: dict[str, Part] = {}
-    for part in parts:
-        if part.name in named:
-            raise ValueError(f"two {type(part).__name__.lower()}s are named {part.name!r}")
-        named[part.name] = part
-    return named
+def _read(root: ET.Element, tag: str, read: Callable[[str, ET.Element], Any]) -> dict[str, Any]:
+    """Reads all links or joints, by name."""
+    parts: dict[str, Any] = {}
+    for element in root.findall(tag):
+        name = _attribute(element, "name")
+        if name in parts:
+            raise ValueError(f"two {tag}s are named {name!r}")
+        try:
+            parts[name] = read(name, element)
+        except ValueError as error:
+            raise ValueError(f"{tag} {name!r}: {error}") from error
+    return parts
 
 
-def _link(element: ET.Element, materials: Mapping[str | None, Color]) -> Link:
-    name = _attribute(element, "name")
+def _link(name: str, element: ET.Element, materials: Mapping[str | None, Color]) -> Link:
     inertial = element.find("inertial")
-    try:
-        return Link(
-            name,
-            None if inertial is None else _inertial(inertial),
-            tuple(_shape(collision) for collision in element.findall("collision")),
-            tuple(_visual(visual, materials) for visual in element.findall("visual")),
-        )
-    except ValueError as error:
-        raise ValueError(f"link {name!r}: {error}") from error
+    shapes = (_shape(each, {}) for each in element.findall("collision"))
+    visuals = (_shape(each, materials) for each in element.findall("visual"))
+    return Link(name, None if inertial is None else _inertial(inertial), tuple(shapes), tuple(visuals))
+
+
+def _joint(name: str, element: ET.Element) -> Joint:
+    parent, below = (_attribute(child(element, end), "link") for end in ("parent", "child"))
+    axis = element.find("axis")
+    # The default axis of URDF is x.
+    direction = np.array((1.0, 0.0, 0.0) if axis is None else _numbers(axis, "xyz", 3))
+    return Joint(name, _attribute(element, "type"), parent, below, _frame(element), direction)
 
 
 def _inertial(element: ET.Element) -> Inertial:
-    mass = _numbers(_child(element, "mass"), "value", 1)[0]
-    moments = _child(element, "inertia")
+    (mass,), moments = _numbers(child(element, "mass"), "value", 1), child(element, "inertia")
     xx, xy, xz, yy, yz, zz = (_numbers(moments, f"i{axes}", 1, "0")[0] for axes in ("xx", "xy", "xz", "yy", "yz", "zz"))
     return Inertial(mass, _frame(element), np.array(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))))
 
 
-def _shape(element: ET.Element) -> Shape:
-    geometry = next(iter(_child(element, "geometry")), None)
+def _shape(element: ET.Element, materials: Mapping[str | None, Color]) -> Shape:
+    geometry = next(iter(child(element, "geometry")), None)
     if geometry is None:
         raise ValueError(f"a {element.tag} shape has an empty geometry")
-    if geometry.tag == "mesh":
-        scale = _numbers(geometry, "scale", 3, "1 1 1")
-        return Shape(geometry.tag, _frame(element), tuple(scale), _attribute(geometry, "filename"))
-    sizes: list[float] = []
-    for name in _SIZES.get(geometry.tag, ()):
-        sizes += _numbers(geometry, name, 3 if name == "size" else 1)
-    return Shape(geometry.tag, _frame(element), tuple(sizes))
-
-
-def _visual(element: ET.Element, materials: Mapping[str | None, Color]) -> Shape:
     material = element.find("material")
     color = None if material is None else _color(material) or materials.get(material.get("name"))
-    return replace(_shape(element), color=color)
+    if geometry.tag == "mesh":
+        sizes, file = _numbers(geometry, "scale", 3, "1 1 1"), _attribute(geometry, "filename")
+    else:
+        counts, file = _SIZES.get(geometry.tag, {}), ""
+        sizes = [size for name, count in counts.items() for size in _numbers(geometry, name, count)]
+    return Shape(geometry.tag, _frame(element), tuple(sizes), file, color)
 
 
 def _color(material: ET.Element) -> Color | None:
@@ -228,36 +186,20 @@ def _color(material: ET.Element) -> Color | None:
     return None if color is None else tuple(_numbers(color, "rgba", 4)[:3])
 
 
-def _joint(element: ET.Element) -> Joint:
-    name = _attribute(element, "name")
-    try:
-        parent, child = (_attribute(_child(element, end), "link") for end in ("parent", "child"))
-        axis = element.find("axis")
-        # The default axis of URDF is x.
-        direction = np.array((1.0, 0.0, 0.0) if axis is None else _numbers(axis, "xyz", 3))
-        return Joint(name, _attribute(element, "type"), parent, child, _frame(element), direction)
-    except ValueError as error:
-        raise ValueError(f"joint {name!r}: {error}") from error
-
-
 def _frame(element: ET.Element) -> Frame:
     origin = element.find("origin")
     if origin is None:
-        return Frame(np.zeros(3), np.eye(3))
-    position, angles = (_numbers(origin, name, 3, "0 0 0") for name in ("xyz", "rpy"))
-    return Frame(np.array(position), _rotation(*angles))
-
-
-def _rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
-    """Returns the matrix ``[3, 3]`` of successive rotations about the fixed axes x, y and z (rad)."""
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(angle), math.sin(angle)) for angle in (roll, pitch, yaw))
+        return _IDENTITY
+    # Successive rotations about the fixed axes x, y and z.
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a), math.sin(a)) for a in _numbers(origin, "rpy", 3, "0 0 0"))
     about_x = np.array(((1, 0, 0), (0, cr, -sr), (0, sr, cr)))
     about_y = np.array(((cp, 0, sp), (0, 1, 0), (-sp, 0, cp)))
     about_z = np.array(((cy, -sy, 0), (sy, cy, 0), (0, 0, 1)))
-    return about_z @ about_y @ about_x
+    return Frame(np.array(_numbers(origin, "xyz", 3, "0 0 0")), about_z @ about_y @ about_x)
 
 
-def _child(element: ET.Element, tag: str) -> ET.Element:
+def child(element: ET.Element, tag: str) -> ET.Element:
+    """Returns the first child with a tag. Raises a ``ValueError`` if there is none."""
     part = element.find(tag)
     if part is None:
         raise ValueError(f"{element.tag} has no {tag}")

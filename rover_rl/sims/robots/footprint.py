@@ -51,9 +51,6 @@ def footprint(robot: Robot) -> Footprint:
 
     Wheels are the boxes around their cylinders or spheres. Shapes without known sizes, such as meshes, do not count.
 
-    Args:
-        robot: robot.
-
     Example:
         >>> from rover_rl.sims.robots import get_robot
         >>> outline = footprint(get_robot("rover_zero"))
@@ -62,16 +59,16 @@ def footprint(robot: Robot) -> Footprint:
     """
     reach = np.array((robot.wheels.radius, robot.wheels.width / 2 or robot.wheels.radius))
     hubs = np.array(robot.wheels.hubs)[:, :2]
-    boxes = [(hubs - reach, hubs + reach)]
+    low, high = [*(hubs - reach)], [*(hubs + reach)]
     description = Description(robot.urdf)
     for name, frame in description.fixed.items():
         for shape in description.links[name].shapes:
             placed = frame @ shape.frame
             half = _half_sizes(placed, shape)
             if half is not None:
-                boxes.append(((placed.position - half)[None, :2], (placed.position + half)[None, :2]))
-    low, high = np.concatenate([box[0] for box in boxes]), np.concatenate([box[1] for box in boxes])
-    (back, right), (front, left) = low.min(0).tolist(), high.max(0).tolist()
+                low.append((placed.position - half)[:2])
+                high.append((placed.position + half)[:2])
+    (back, right), (front, left) = np.min(low, 0).tolist(), np.max(high, 0).tolist()
     return Footprint(back, front, right, left)
 
 
@@ -94,14 +91,9 @@ def covering_discs(robot: Robot, excess: float = 0.01) -> tuple[np.ndarray, floa
 
     The footprint is extended to a rectangle of half length a and half width b that is symmetric about the origin. n
     discs with centers at ``a (2 i + 1 - n) / n`` and the radius ``sqrt(b^2 + (a / n)^2)`` cover it. n is the smallest
-    number for which they exceed the sides of the rectangle by at most ``excess``.
+    number for which they exceed the sides of the rectangle by at most ``excess`` (m).
 
-    Args:
-        robot: robot.
-        excess: largest distance by which the discs may exceed the sides, m.
-
-    Returns:
-        x of the centers, in the base frame, ``[n]``, m, and the radius, m.
+    Returns x of the centers, in the base frame, ``[n]``, m, and the radius, m.
     """
     outline = footprint(robot)
     a, b = outline.half_length, outline.half_width

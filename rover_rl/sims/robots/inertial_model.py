@@ -63,10 +63,7 @@ class InertialModel:
         return mass, center, inertia
 
     def _on(self, device: torch.device) -> list[Tensor]:
-        """Returns the tensors of :meth:`total` on a device: chassis center and inertia, hubs, inertia of a wheel.
-
-        They are copied once, because a copy from the host waits for the device.
-        """
+        """Returns the tensors of :meth:`total`, copied to a device once: a copy from the host waits for the device."""
         if device not in self._copies:
             turn = np.diag((self.wheel_turn_inertia, 0.0, self.wheel_turn_inertia))
             arrays = (self.chassis_center, self.chassis_inertia, self.hubs, turn)
@@ -88,15 +85,10 @@ class InertialModel:
             axes = [np.linspace(-side, side, count + 1) for side, count in zip(half, counts, strict=True)]
             grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
             # The ground touches the bottom, or the top of a rover that has rolled over.
-            points.append(self._outside(center + grid[np.abs(grid[:, 2]) > half[2] - 1e-9], index))
+            own = center + grid[np.abs(grid[:, 2]) > half[2] - 1e-9]
+            others = np.delete(self.box_centers, index, 0), np.delete(self.box_halves, index, 0) + 5e-3
+            points.append(own[(np.abs(own[:, None] - others[0]) > others[1]).any(2).all(1)])
         return np.concatenate(points)
-
-    def _outside(self, points: np.ndarray, own: int) -> np.ndarray:
-        """The points that are neither inside nor on a box other than box ``own``."""
-        for index, (center, half) in enumerate(zip(self.box_centers, self.box_halves, strict=True)):
-            if index != own:
-                points = points[(np.abs(points - center) > half + 5e-3).any(1)]
-        return points
 
 
 def read_inertial_model(robot: Robot) -> InertialModel:
@@ -105,13 +97,7 @@ def read_inertial_model(robot: Robot) -> InertialModel:
     Raises:
         ValueError: if the chassis has another collision shape than axis-aligned boxes.
     """
-    try:
-        return _inertial_model(robot, Description(robot.urdf))
-    except ValueError as error:
-        raise ValueError(f"robot file {robot.urdf} is not supported by this backend: {error}") from error
-
-
-def _inertial_model(robot: Robot, description: Description) -> InertialModel:
+    description = Description(robot.urdf)
     # All wheels of a Robot are alike.
     joint = description.joints[robot.drive.wheels[0]]
     wheel = description.links[joint.child].inertial
@@ -119,7 +105,7 @@ def _inertial_model(robot: Robot, description: Description) -> InertialModel:
     rotation = (description.frames[joint.child] @ wheel.frame).rotation
     inertia = rotation @ wheel.inertia @ rotation.T if description.frames[joint.child].is_turned else wheel.inertia
     mass, center, chassis_inertia = _chassis(robot, description)
-    boxes = _boxes(description)
+    boxes = _boxes(robot, description)
     return InertialModel(
         chassis_mass=mass,
         chassis_center=center,
@@ -135,10 +121,9 @@ def _inertial_model(robot: Robot, description: Description) -> InertialModel:
 
 def _chassis(robot: Robot, description: Description) -> tuple[float, np.ndarray, np.ndarray]:
     """Mass, center of mass and inertia about it of the base, the links fixed to it and those of the steering joints."""
-    steered = {name: description.frames[description.joints[name].child] for name in robot.drive.steering}
-    links = [(description.links[name].inertial, frame) for name, frame in description.fixed.items()]
-    links += [(description.links[description.joints[name].child].inertial, frame) for name, frame in steered.items()]
-    parts = [(each, frame @ each.frame) for each, frame in links if each is not None and each.mass > 0]
+    names = [*description.fixed, *(description.joints[name].child for name in robot.drive.steering)]
+    stated = [(description.links[name].inertial, description.frames[name]) for name in names]
+    parts = [(each, frame @ each.frame) for each, frame in stated if each is not None and each.mass > 0]
     if len(parts) == 1 and not parts[0][1].is_turned:
         return parts[0][0].mass, parts[0][1].position, parts[0][0].inertia
     masses = np.array([each.mass for each, _ in parts])
@@ -152,18 +137,21 @@ def _chassis(robot: Robot, description: Description) -> tuple[float, np.ndarray,
     return mass, center, inertia
 
 
-def _boxes(description: Description) -> list[tuple[np.ndarray, np.ndarray]]:
+def _boxes(robot: Robot, description: Description) -> list[tuple[np.ndarray, np.ndarray]]:
     """Center and half extents of each box of the chassis: the base link and all links fixed to it."""
-    boxes = []
+    boxes, unsupported = [], f"robot file {robot.urdf} is not supported by this backend"
     for name, frame in description.fixed.items():
         for shape in description.links[name].shapes:
+            pose = frame @ shape.frame
             if shape.kind != "box":
                 raise ValueError(
-                    f"a collision shape of {name!r} is a {shape.kind}, but the chassis must be made of boxes"
+                    f"{unsupported}: a collision shape of {name!r} is a {shape.kind}, but the chassis must be made of "
+                    "boxes"
                 )
-            pose = frame @ shape.frame
             if pose.is_turned:
-                raise ValueError(f"a collision box of {name!r} must be aligned with the base link, it is rotated")
+                raise ValueError(
+                    f"{unsupported}: a collision box of {name!r} must be aligned with the base link, it is rotated"
+                )
             boxes.append((pose.position, np.array(shape.sizes) / 2))
     return boxes
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import warnings
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -10,11 +12,16 @@ from typing import Any, TypeAlias
 from rover_rl.sims.drives.base import Drive, Wheels
 from rover_rl.sims.robots.description import Description
 from rover_rl.sims.robots.footprint import footprint
-from rover_rl.sims.robots.plausibility import check_plausibility
 from rover_rl.sims.robots.wheels import read_wheels
 
 Mount: TypeAlias = str | tuple[float, float, float]
 """Place of a sensor: the name of a link of the URDF, or its position (x, y, z) in the base frame, m."""
+
+TOLERANCE = 0.01
+"""Tolerance of positions and lengths in :func:`check_plausibility`, m."""
+WEAKEST, WEAK = 2.0, 15.0
+"""Slopes that the motors must be able to climb, and usually can, degrees."""
+_GRAVITY = 9.81
 
 
 @dataclass(frozen=True)
@@ -46,7 +53,7 @@ class Robot:
 
     Raises:
         ValueError: if a length is not positive, the drive or a mount contradicts the URDF, or the robot cannot drive
-            (:mod:`rover_rl.sims.robots.plausibility`, which also warns of what is unusual).
+            (:func:`check_plausibility`, which also warns of what is unusual).
         FileNotFoundError: if ``urdf`` does not exist.
 
     Example:
@@ -83,8 +90,7 @@ class Robot:
         except ValueError as error:
             raise ValueError(f"robot {self.name!r} cannot be driven with its URDF {self.urdf}: {error}") from error
         if self.radius is None:
-            outline = footprint(self)
-            object.__setattr__(self, "radius", math.ceil(100 * outline.corner - 1e-9) / 100)
+            object.__setattr__(self, "radius", math.ceil(100 * footprint(self).corner - 1e-9) / 100)
         check_plausibility(self)
 
     @classmethod
@@ -101,16 +107,11 @@ class Robot:
             ValueError: as :class:`Robot`.
             FileNotFoundError: if the file does not exist.
         """
-        return cls(name or _name(Path(path)), Path(path), drive, **settings)
-
-
-def _name(path: Path) -> str:
-    """Returns the name that a URDF states, or that of the file."""
-    try:
-        return Description(path).name or path.stem
-    except (ValueError, OSError):
-        # The robot reports what is wrong.
-        return path.stem
+        path = Path(path)
+        # The robot reports what is wrong with the file.
+        with suppress(ValueError, OSError):
+            name = name or Description(path).name
+        return cls(name or path.stem, path, drive, **settings)
 
 
 def _position(description: Description, sensor: str, mount: Mount) -> tuple[float, float, float]:
@@ -125,3 +126,65 @@ def _position(description: Description, sensor: str, mount: Mount) -> tuple[floa
     if len(mount) != 3 or not all(map(math.isfinite, mount)):
         raise ValueError(f"{sensor} must have finite coordinates (x, y, z) in meters, got {mount}")
     return mount
+
+
+def check_plausibility(robot: Robot) -> None:
+    """Checks that a robot fits into its disc, that its lidar is on it, and that its motors can move it.
+
+    Raises:
+        ValueError: if ``radius`` is less than the reach of the body forward or sideways, if the lidar is below the
+            ground, or outside of both the body and the disc, or if the motors cannot climb a slope of 2 degrees.
+
+    Warns:
+        UserWarning: if a corner of the body is outside of the disc, if the lidar is outside of the body, or if the
+            motors cannot climb a slope of 15 degrees.
+    """
+    _check_radius(robot)
+    _check_lidar(robot)
+    _check_motors(robot)
+
+
+def _check_radius(robot: Robot) -> None:
+    outline = footprint(robot)
+    reach = max(outline.half_length, outline.half_width)
+    if robot.radius < reach - TOLERANCE:
+        raise ValueError(
+            f"radius of robot {robot.name!r} is {robot.radius:g} m, and its body and wheels reach {reach:.3g} m from "
+            f"the origin: it would start in obstacles; {outline.corner:.3g} m holds all of it"
+        )
+    if robot.radius < outline.corner - TOLERANCE:
+        warnings.warn(
+            f"radius of robot {robot.name!r} is {robot.radius:g} m, and its corners are {outline.corner:.3g} m from "
+            "the origin: they may start in obstacles",
+            stacklevel=5,
+        )
+
+
+def _check_lidar(robot: Robot) -> None:
+    outline, (x, y, z) = footprint(robot), robot.lidar_position
+    if not z > 0:
+        raise ValueError(f"the lidar of robot {robot.name!r} is at z = {z:g} m; it must be above the ground, at z > 0")
+    beside = max(outline.back - x, x - outline.front, outline.right - y, y - outline.left)
+    if beside <= TOLERANCE:
+        return
+    place = f"the lidar of robot {robot.name!r} is at x = {x:g}, y = {y:g} m, {beside:.3g} m outside of its body"
+    if math.hypot(x, y) > robot.radius + TOLERANCE:
+        raise ValueError(f"{place} and outside of its radius of {robot.radius:g} m: it would start in obstacles")
+    warnings.warn(f"{place}: check lidar", stacklevel=5)
+
+
+def _check_motors(robot: Robot) -> None:
+    links = Description(robot.urdf).links.values()
+    mass = sum(link.inertial.mass for link in links if link.inertial is not None)
+    driven = sum(map(len, robot.drive.motors))
+    force = driven * robot.drive.torque / robot.wheels.radius
+    slope = math.degrees(math.asin(min(1.0, force / (mass * _GRAVITY))))
+    if slope >= WEAK:
+        return
+    problem = (
+        f"the motors of robot {robot.name!r} push with {force:.3g} N ({driven} x "
+        f"{robot.drive.torque:g} N m on a radius of {robot.wheels.radius:g} m), and it has {mass:.3g} kg"
+    )
+    if slope < WEAKEST:
+        raise ValueError(f"{problem}: it cannot climb a slope of {WEAKEST:g} degrees; raise the torque of its drive")
+    warnings.warn(f"{problem}: it cannot climb a slope of more than {slope:.0f} degrees", stacklevel=5)

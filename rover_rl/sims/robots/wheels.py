@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from rover_rl.sims.drives.base import Drive, Wheels
-from rover_rl.sims.robots.description import Description, Frame, Inertial, Joint, Link, Shape
+from rover_rl.sims.robots.description import Description, Frame, Inertial, Joint, Link
 
 LENGTH_TOLERANCE = 1e-3
 """Tolerance of positions and widths, m."""
@@ -19,6 +21,18 @@ AXIS_TOLERANCE = 0.01
 _LEFT, _UP = np.array((0.0, 1.0, 0.0)), np.array((0.0, 0.0, 1.0))
 
 
+class _Wheel(NamedTuple):
+    """A wheel: center, radius and width (``None`` for a sphere), m; mass, kg, and inertia ``[3, 3]``, kg m^2."""
+
+    joint: str
+    hub: tuple[float, float, float]
+    radius: float
+    width: float | None
+    mass: float
+    inertia: np.ndarray
+    steering: int
+
+
 def read_wheels(description: Description, drive: Drive) -> Wheels:
     """Reads the wheels of a drive from a URDF.
 
@@ -29,71 +43,58 @@ def read_wheels(description: Description, drive: Drive) -> Wheels:
     for name in (*drive.wheels, *drive.steering):
         if name not in description.joints:
             raise ValueError(f"the drive names joint {name!r}, the URDF has the joints {sorted(description.joints)}")
-    _check_inertial(description.links[description.base], "base link")
-    hubs, sizes, inertials = [], [], []
-    for name in drive.wheels:
-        joint, frame = _wheel_joint(description, drive, name)
-        link = description.links[joint.child]
-        hubs.append(tuple(frame.position.tolist()))
-        sizes.append((name, *_wheel_size(link, frame)))
-        inertial = _check_inertial(link, "wheel link")
-        rotation = (frame @ inertial.frame).rotation
-        inertials.append((name, inertial.mass, rotation @ inertial.inertia @ rotation.T))
-    _check_alike(sizes, inertials)
-    widths = [width for _, _, width in sizes if width is not None]
-    wheels = Wheels(tuple(hubs), sizes[0][1], widths[0] if widths else 0.0, _steering(description, drive))
+    _checked_inertial(description.links[description.base], "base link")
+    read = [_read_wheel(description, drive, description.joints[name]) for name in drive.wheels]
+    _check_alike(read)
+    width = next((wheel.width for wheel in read if wheel.width is not None), 0.0)
+    steering = tuple(wheel.steering for wheel in read) if drive.steering else ()
+    wheels = Wheels(tuple(wheel.hub for wheel in read), read[0].radius, width, steering)
     drive.check(wheels)
     return wheels
 
 
-def _steering(description: Description, drive: Drive) -> tuple[int, ...]:
-    """Returns the index of the steering joint of each wheel, or -1; nothing if no wheel steers."""
-    carriers = [description.joints[name].child for name in drive.steering]
-    parents = [description.joints[name].parent for name in drive.wheels]
-    return tuple(carriers.index(parent) if parent in carriers else -1 for parent in parents) if carriers else ()
-
-
-def _wheel_joint(description: Description, drive: Drive, name: str) -> tuple[Joint, Frame]:
-    """Returns the joint of a wheel, and its frame in the base frame."""
-    joint = description.joints[name]
-    wheel = f"wheel joint {name!r}"
+def _read_wheel(description: Description, drive: Drive, joint: Joint) -> _Wheel:
     if joint.kind != "continuous":
-        raise ValueError(f"{wheel} is {joint.kind}, it must be continuous")
-    if joint.parent in description.fixed:
-        frame = description.fixed[joint.parent] @ joint.frame
-    else:
-        frame = _steered_frame(description, drive, joint)
-    axis = frame.rotation @ joint.axis
-    if not np.linalg.norm(axis - _LEFT) <= AXIS_TOLERANCE:
-        raise ValueError(f"{wheel} must turn about +y, (0, 1, 0), of the base frame, it turns about {_rounded(axis)}")
-    return joint, frame
-
-
-def _steered_frame(description: Description, drive: Drive, wheel: Joint) -> Frame:
-    """Returns the frame of a wheel that a steering joint carries, while the wheel points ahead."""
-    steering = next((j for j in map(description.joints.__getitem__, drive.steering) if j.child == wheel.parent), None)
-    if steering is None or steering.parent not in description.fixed:
+        raise ValueError(f"wheel joint {joint.name!r} is {joint.kind}, it must be continuous")
+    carriers = [description.joints[name].child for name in drive.steering]
+    carrier = carriers.index(joint.parent) if joint.parent in carriers else -1
+    mount = joint if carrier < 0 else description.joints[drive.steering[carrier]]
+    if mount.parent not in description.fixed:
         raise ValueError(
-            f"wheel joint {wheel.name!r} must be on the base link {description.base!r}, on a link fixed to it or on "
-            f"the link of a steering joint of these, it is on {wheel.parent!r}"
+            f"wheel joint {joint.name!r} must be on the base link {description.base!r}, on a link fixed to it or on "
+            f"the link of a steering joint of these, it is on {joint.parent!r}"
         )
+    frame = description.fixed[mount.parent] @ mount.frame
+    if mount is not joint:
+        _check_steering(mount, frame, joint)
+        frame = frame @ joint.frame
+    _check_axis(f"wheel joint {joint.name!r}", "+y, (0, 1, 0)", frame.rotation @ joint.axis, _LEFT)
+    link = description.links[joint.child]
+    inertial, size, hub = (
+        _checked_inertial(link, "wheel link"),
+        _wheel_size(link, frame),
+        tuple(frame.position.tolist()),
+    )
+    rotation = (frame @ inertial.frame).rotation
+    return _Wheel(joint.name, hub, *size, inertial.mass, rotation @ inertial.inertia @ rotation.T, carrier)
+
+
+def _check_steering(steering: Joint, frame: Frame, wheel: Joint) -> None:
+    """Checks a steering joint, whose pose is ``frame`` while the wheel that it carries points ahead."""
+    name = f"steering joint {steering.name!r}"
     if steering.kind not in ("revolute", "continuous"):
-        raise ValueError(f"steering joint {steering.name!r} is {steering.kind}, it must be revolute or continuous")
-    frame = description.fixed[steering.parent] @ steering.frame
-    axis = frame.rotation @ steering.axis
-    if not np.linalg.norm(axis - _UP) <= AXIS_TOLERANCE:
-        raise ValueError(
-            f"steering joint {steering.name!r} must turn about +z, (0, 0, 1), of the base frame, it turns about "
-            f"{_rounded(axis)}"
-        )
-    hub = frame @ wheel.frame
-    offset = np.linalg.norm(hub.position[:2] - frame.position[:2])
+        raise ValueError(f"{name} is {steering.kind}, it must be revolute or continuous")
+    _check_axis(name, "+z, (0, 0, 1)", frame.rotation @ steering.axis, _UP)
+    offset = np.linalg.norm((frame @ wheel.frame).position[:2] - frame.position[:2])
     if not offset <= STEERING_TOLERANCE:
         raise ValueError(
-            f"the axis of steering joint {steering.name!r} is {offset:.3g} m from the hub of its wheel; "
-            f"{STEERING_TOLERANCE} m is allowed"
+            f"the axis of {name} is {offset:.3g} m from the hub of its wheel; {STEERING_TOLERANCE} m is allowed"
         )
-    return hub
+
+
+def _check_axis(joint: str, allowed: str, axis: np.ndarray, expected: np.ndarray) -> None:
+    if not np.linalg.norm(axis - expected) <= AXIS_TOLERANCE:
+        raise ValueError(f"{joint} must turn about {allowed}, of the base frame, it turns about {_rounded(axis)}")
 
 
 def _wheel_size(link: Link, frame: Frame) -> tuple[float, float | None]:
@@ -103,23 +104,21 @@ def _wheel_size(link: Link, frame: Frame) -> tuple[float, float | None]:
     if kinds not in (["cylinder"], ["sphere"]):
         raise ValueError(f"{wheel} must have one collision shape, a cylinder or a sphere, it has {kinds or 'none'}")
     (shape,) = link.shapes
-    _check_shape_pose(wheel, shape, frame)
-    return shape.sizes[0], shape.sizes[1] if shape.kind == "cylinder" else None
-
-
-def _check_shape_pose(wheel: str, shape: Shape, frame: Frame) -> None:
     offset = np.linalg.norm(shape.frame.position)
     if not offset <= LENGTH_TOLERANCE:
         raise ValueError(
             f"the {shape.kind} of {wheel} is {offset:.6g} m from its joint; {LENGTH_TOLERANCE} m is allowed"
         )
+    if shape.kind == "sphere":
+        return shape.sizes[0], None
     axis = (frame @ shape.frame).rotation[:, 2]
-    if shape.kind == "cylinder" and not np.linalg.norm(np.cross(axis, _LEFT)) <= AXIS_TOLERANCE:
+    if not np.linalg.norm(np.cross(axis, _LEFT)) <= AXIS_TOLERANCE:
         raise ValueError(f"the cylinder of {wheel} must lie along y of the base frame, it lies along {_rounded(axis)}")
+    return shape.sizes[0], shape.sizes[1]
 
 
-def _check_inertial(link: Link, kind: str) -> Inertial:
-    """Checks that a link has the mass and inertia of a rigid body. Returns them."""
+def _checked_inertial(link: Link, kind: str) -> Inertial:
+    """Returns the mass and inertia of a link, if they are those of a rigid body."""
     inertial = link.inertial
     if inertial is None or not inertial.mass > 0:
         mass = "none" if inertial is None else f"{inertial.mass} kg"
@@ -138,31 +137,22 @@ def _check_inertial(link: Link, kind: str) -> Inertial:
     return inertial
 
 
-def _check_alike(sizes: list[tuple[str, float, float | None]], inertials: list[tuple[str, float, np.ndarray]]) -> None:
-    """Checks that all wheels have the radius, width, mass (kg) and inertia (kg m^2, ``[3, 3]``) of the first."""
-    first = sizes[0][0]
-    for label, unit, values in (
-        ("radius", "m", [(name, radius) for name, radius, _ in sizes]),
-        ("width", "m", [(name, width) for name, _, width in sizes if width is not None]),
-        ("mass", "kg", [(name, mass) for name, mass, _ in inertials]),
-    ):
-        for name, value in values[1:]:
-            if not abs(value - values[0][1]) <= RELATIVE_TOLERANCE * values[0][1]:
+def _check_alike(wheels: list[_Wheel]) -> None:
+    units = {"radius": "m", "width": "m", "mass": "kg", "inertia": "kg m^2 (xx, xy, xz, yy, yz, zz)"}
+    for name, unit in units.items():
+        stated = [(wheel.joint, getattr(wheel, name)) for wheel in wheels if getattr(wheel, name) is not None]
+        for joint, value in stated[1:]:
+            first, expected = stated[0]
+            if not np.abs(value - expected).max() <= RELATIVE_TOLERANCE * np.abs(expected).max():
+                upper = np.triu_indices(3)
+                one, other = (_rounded(v[upper]) if name == "inertia" else v for v in (expected, value))
                 raise ValueError(
-                    f"its wheels are not alike: {values[0][0]!r} has a {label} of {values[0][1]} {unit}, {name!r} of "
-                    f"{value} {unit}; they may differ by {RELATIVE_TOLERANCE:.0%}"
+                    f"its wheels are not alike: the {name} of {first!r} is {one} {unit}, that of {joint!r} {other} "
+                    f"{unit}; they may differ by {RELATIVE_TOLERANCE:.0%}"
                 )
-    reference, upper = inertials[0][2], np.triu_indices(3)
-    for name, _, inertia in inertials[1:]:
-        if not np.abs(inertia - reference).max() <= RELATIVE_TOLERANCE * np.abs(reference).max():
-            raise ValueError(
-                f"its wheels are not alike: {first!r} has the inertia (xx, xy, xz, yy, yz, zz) = "
-                f"{_rounded(reference[upper])} kg m^2, {name!r} {_rounded(inertia[upper])}; "
-                f"they may differ by {RELATIVE_TOLERANCE:.0%} of the largest"
-            )
 
 
-def _rounded(values: np.ndarray | tuple[float, ...]) -> tuple[float, ...]:
+def _rounded(values: np.ndarray) -> tuple[float, ...]:
     """Returns values rounded for an error message."""
     # Adding 0 turns -0.0 into 0.0.
     return tuple(round(float(value), 9) + 0.0 for value in values)

@@ -1,10 +1,11 @@
-"""The Bullet simulator: clients and memory."""
+"""The Bullet simulator: clients, memory, and what it refuses."""
 
 from __future__ import annotations
 
 import gc
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 import torch
@@ -100,3 +101,11 @@ def test_a_closed_or_deleted_simulator_leaves_no_client_connected(end):
     else:
         del sim
     assert connected() == before
+
+
+def test_a_link_with_several_collision_shapes_raises(tmp_path):
+    shape = "<collision><geometry><sphere radius='0.1'/></geometry></collision>"
+    urdf = tmp_path / "rover.urdf"
+    urdf.write_text(ROVER.urdf.read_text().replace("</link>", f"{shape}</link>", 1))
+    with pytest.raises(ValueError, match=r"rover\.urdf: a link may have one collision shape, link -1 has 2"):
+        make_simulator("bullet", worlds=[FLAT], robot=replace(ROVER, urdf=urdf), lidar_beams=1)

@@ -62,41 +62,36 @@ def test_masses_shapes_and_joints_of_rover_zero():
     np.testing.assert_array_equal(description.fixed["payload_link"].position, (0.012, 0, 0.275))
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", r"it is not XML \(no element found"),
-        ("wheels: 4", "it is not XML"),
-        ("<robot/>", "it has no links"),
-        ("<sdf><model><link name='a'/></model></sdf>", "it has no links"),
-        ("<robot><link/></robot>", "link has no name"),
-        ("<robot><link name='a'/><link name='a'/></robot>", "two links are named 'a'"),
-        (
-            "<robot><link name='a'/><link name='b'/></robot>",
-            r"one link must be the child of no joint, it has \['a', 'b'\]",
-        ),
-        (
-            "<robot><link name='a'/><joint name='j' type='fixed'><parent link='a'/><child link='b'/></joint></robot>",
-            r"a joint names link 'b', its links are \['a'\]",
-        ),
-        (
-            "<robot><link name='a'/><joint name='j' type='fixed'><parent link='a'/></joint></robot>",
-            "joint 'j': joint has no child",
-        ),
-        (
-            "<robot><link name='a'><inertial><mass value='nan'/><inertia/></inertial></link></robot>",
-            "link 'a': value of mass must be a finite number, got 'nan'",
-        ),
-        (
-            "<robot><link name='a'><inertial><mass value='1'/><inertia/><origin xyz='1 2'/></inertial></link></robot>",
-            "link 'a': xyz of origin must be 3 finite numbers, got '1 2'",
-        ),
-        (
-            "<robot><link name='a'><collision><geometry/></collision></link></robot>",
-            "link 'a': a collision shape has an empty geometry",
-        ),
-    ],
-)
+A = "<robot><link name='a'/>"
+INVALID = [
+    ("", r"it is not XML \(no element found"),
+    ("wheels: 4", "it is not XML"),
+    ("<robot/>", "it has no links"),
+    ("<sdf><model><link name='a'/></model></sdf>", "it has no links"),
+    ("<robot><link/></robot>", "link has no name"),
+    (f"{A}<link name='a'/></robot>", "two links are named 'a'"),
+    (f"{A}<link name='b'/></robot>", r"one link must be the child of no joint, it has \['a', 'b'\]"),
+    (
+        f"{A}<joint name='j' type='fixed'><parent link='a'/><child link='b'/></joint></robot>",
+        r"a joint names link 'b', its links are \['a'\]",
+    ),
+    (f"{A}<joint name='j' type='fixed'><parent link='a'/></joint></robot>", "joint 'j': joint has no child"),
+    (
+        "<robot><link name='a'><inertial><mass value='nan'/><inertia/></inertial></link></robot>",
+        "link 'a': value of mass must be a finite number, got 'nan'",
+    ),
+    (
+        "<robot><link name='a'><inertial><mass value='1'/><inertia/><origin xyz='1 2'/></inertial></link></robot>",
+        "link 'a': xyz of origin must be 3 finite numbers, got '1 2'",
+    ),
+    (
+        "<robot><link name='a'><collision><geometry/></collision></link></robot>",
+        "link 'a': a collision shape has an empty geometry",
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), INVALID)
 def test_an_invalid_urdf_raises(tmp_path, text, message):
     path = tmp_path / "robot.urdf"
     path.write_text(text)

@@ -64,28 +64,19 @@ def test_sample_points_lie_on_boxes_and_outside_other_boxes():
             assert (np.abs(points - (x, y, 0.065)).max(1) < 1e-9).any()
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        (
-            '<box size="0.40 0.26 0.14"/></geometry>\n    </collision>',
-            '<sphere radius="0.2"/></geometry></collision>',
-            "is a sphere, but the chassis must be made of boxes",
-        ),
-        (
-            '<origin xyz="0.012 0 0.275"/>',
-            '<origin xyz="0.012 0 0.275" rpy="0 0.1 0"/>',
-            "must be aligned with the base link",
-        ),
-    ],
-)
-def test_unsupported_robots_are_rejected_with_a_reason(tmp_path, old, new, message):
-    urdf = tmp_path / "rover.urdf"
-    text = ROVER.urdf.read_text()
-    assert old in text
-    urdf.write_text(text.replace(old, new, 1))
+BOX, END = '<box size="0.40 0.26 0.14"/>', "</geometry>\n    </collision>"
+PAYLOAD = '<origin xyz="0.012 0 0.275"/>'
+UNSUPPORTED = [
+    (BOX + END, f'<sphere radius="0.2"/>{END}', "is a sphere, but the chassis must be made of boxes"),
+    (PAYLOAD, '<origin xyz="0.012 0 0.275" rpy="0 0.1 0"/>', "must be aligned with the base link"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), UNSUPPORTED)
+def test_unsupported_robots_are_rejected_with_a_reason(edited, old, new, message):
+    robot = replace(ROVER, urdf=edited((old, new)))
     with pytest.raises(ValueError, match=f"robot file .*rover.urdf is not supported by this backend: .*{message}"):
-        read_inertial_model(replace(ROVER, urdf=urdf))
+        read_inertial_model(robot)
 
 
 def test_masses_of_fixed_links_and_turned_inertias_belong_to_the_chassis(edited):

@@ -14,15 +14,11 @@ SLOW_ROVER = replace(ROVER, name="slow", drive=replace(ROVER.drive, max_speed=0.
 pytestmark = pytest.mark.usefixtures("own_registries")
 
 
-def test_a_registered_robot():
-    register_robot("registered-robot", SLOW_ROVER)
+@pytest.mark.parametrize("part", [SLOW_ROVER, lambda: SLOW_ROVER])
+def test_a_registered_robot_or_function(part):
+    register_robot("registered-robot", part)
     assert "registered-robot" in robot_names()
-    assert get_robot("registered-robot") is SLOW_ROVER
-
-
-def test_a_registered_function():
-    register_robot("registered-function", lambda: SLOW_ROVER)
-    assert get_robot("registered-function") is SLOW_ROVER
+    assert get_robot("registered-robot") is get_robot(SLOW_ROVER) is SLOW_ROVER
 
 
 def test_robots_by_import_path(tmp_path, monkeypatch):
@@ -40,18 +36,13 @@ def test_robots_by_import_path(tmp_path, monkeypatch):
         assert get_robot(name).name == "fast"
 
 
-def test_a_robot_is_returned_unchanged():
-    assert get_robot(SLOW_ROVER) is SLOW_ROVER
-
-
 @pytest.mark.parametrize(
     ("name", "part", "kind"), [("registered-number", 4, "int"), ("registered-none", lambda: None, "NoneType")]
 )
 def test_anything_else_than_a_robot_raises(name, part, kind):
     register_robot(name, part)
-    with pytest.raises(
-        ValueError, match=f"^robot '{name}' must be a Robot or a function that returns one, got {kind}$"
-    ):
+    message = f"^robot '{name}' must be a Robot or a function that returns one, got {kind}$"
+    with pytest.raises(ValueError, match=message):
         get_robot(name)
 
 
@@ -62,7 +53,6 @@ def test_the_name_of_the_built_in_robot_is_taken():
 
 
 def test_an_unknown_robot_raises_with_the_known_names():
-    with pytest.raises(
-        ValueError, match=r"^unknown robot 'tank'; use one of \[.*'rover_zero'.*\], a Robot, or 'module:"
-    ):
+    message = r"^unknown robot 'tank'; use one of \[.*'rover_zero'.*\], a Robot, or 'module:"
+    with pytest.raises(ValueError, match=message):
         get_robot("tank")
