@@ -16,11 +16,5 @@ from tensordict import TensorDict
 def unchecked_tensordict(
     entries: Mapping[str, Any], batch_size: Sequence[int], device: torch.device | None = None
 ) -> TensorDict:
-    """Creates a TensorDict without checking its entries.
-
-    Args:
-        entries: tensors or nested TensorDicts by name, whose shapes start with ``batch_size``.
-        batch_size: batch size of the TensorDict.
-        device: device of all entries. ``None`` leaves the device of the TensorDict unset.
-    """
+    """Creates a TensorDict of entries on ``device`` whose shapes start with ``batch_size``, which is not checked."""
     return TensorDict._new_unsafe(dict(entries), batch_size=torch.Size(batch_size), device=device)
