@@ -65,31 +65,6 @@ if ENV_ID not in gymnasium.registry:
             kwargs=defaults,
         )
 
-_HOMES = {
-    "rover_rl.envs": (
-        "ActionConfig",
-        "Bounds",
-        "EnvConfig",
-        "LidarConfig",
-        "PoseConfig",
-        "Randomization",
-        "RewardComponent",
-        "RewardConfig",
-        "RoverEnv",
-        "Sensor",
-        "TaskConfig",
-        "contract_reward",
-        "make_env",
-        "register_reward",
-        "register_sensor",
-    ),
-    "rover_rl.envs.gym": ("GymVectorWrapper", "GymWrapper"),
-    "rover_rl.sims.backends": ("register_backend",),
-    "rover_rl.sims.robots": ("Robot", "register_robot"),
-    "rover_rl.sims.worlds": ("Terrain", "World", "box", "cylinder", "register_world"),
-}
-_HOME = {name: module for module, names in _HOMES.items() for name in names}
-
 __all__ = [
     "ENV_ID",
     "LEARNING_DEFAULTS",
@@ -123,11 +98,21 @@ __all__ = [
 ]
 
 
+_OUTSIDE_OF_ENVS = {
+    "rover_rl.envs.gym": ("GymVectorWrapper", "GymWrapper"),
+    "rover_rl.sims.backends": ("register_backend",),
+    "rover_rl.sims.robots": ("Robot", "register_robot"),
+    "rover_rl.sims.worlds": ("Terrain", "World", "box", "cylinder", "register_world"),
+}
+"""Public names that are not in ``rover_rl.envs``, by module."""
+_HOMES = {name: module for module, names in _OUTSIDE_OF_ENVS.items() for name in names}
+
+
 def __getattr__(name: str) -> Any:
     """Imports a public name on first use."""
-    if name not in _HOME:
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = globals()[name] = getattr(import_module(_HOME[name]), name)
+    value = globals()[name] = getattr(import_module(_HOMES.get(name, "rover_rl.envs")), name)
     return value
 
 

@@ -18,11 +18,7 @@ MAX_SECONDS = 1e6
 
 
 def check_seed(seed: Any, count: int = 1) -> int:
-    """Validates a seed and returns it as an ``int``.
-
-    Args:
-        seed: whole number of any integer type.
-        count: number of consecutive seeds used from ``seed`` on, for example one per row. All must be in range.
+    """Returns a seed of any integer type as an ``int``, from which on ``count`` seeds are in range.
 
     Raises:
         ValueError: if the seed is not a whole number or out of range.
@@ -39,22 +35,14 @@ def check_seed(seed: Any, count: int = 1) -> int:
 
 
 def check_at_least(least: float, most: float, **numbers: float) -> None:
-    """Checks that all numbers are between ``least`` and ``most``.
-
-    Raises:
-        ValueError: for the first number that is NaN or out of range, with its name.
-    """
+    """Raises ``ValueError`` for the first number that is NaN or not between ``least`` and ``most``, with its name."""
     for name, number in numbers.items():
         if not least <= number <= most:
             raise ValueError(f"{name} must be at least {least:g} and at most {most:g}, got {number}")
 
 
 def check_positive(most: float, **numbers: float) -> None:
-    """Checks that all numbers are positive and at most ``most``.
-
-    Raises:
-        ValueError: for the first number that is NaN or out of range, with its name.
-    """
+    """Raises ``ValueError`` for the first number that is NaN, not positive or above ``most``, with its name."""
     for name, number in numbers.items():
         if not 0 < number <= most:
             raise ValueError(f"{name} must be positive and at most {most:g}, got {number}")

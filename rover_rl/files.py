@@ -46,11 +46,7 @@ def errors_name(path: Path, temporary: Path | None = None) -> Iterator[None]:
 
 
 def write_through(path: Path, data: bytes | memoryview) -> None:
-    """Writes a file and flushes it to disk (``fsync``).
-
-    Raises:
-        OSError: if the file cannot be written. The error names ``path``.
-    """
+    """Writes a file and flushes it to disk (``fsync``). Errors name ``path``."""
     with errors_name(path), path.open("wb") as file:
         file.write(data)
         file.flush()

@@ -14,11 +14,7 @@ _FLAGS = {"spawn_range": "spawn", "goal_range": "goal"}
 
 @contextmanager
 def options_of_command(command: str) -> Iterator[None]:
-    """Messages in the block name options as on the command line.
-
-    Args:
-        command: command that takes the options, with a space at its end; empty if it is the one that runs.
-    """
+    """Messages in the block name options as on the command line, after ``command``, which ends with a space."""
     token = _command.set(command)
     try:
         yield

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import fields
 from functools import cache
 from types import NoneType, UnionType
@@ -19,16 +21,11 @@ def to_plain(settings: Any) -> dict[str, Any]:
 
 
 def from_plain(data: Any, kind: type[Settings], source: str) -> Settings:
-    """Creates a dataclass from plain data. Fields that are missing in the data get their defaults.
-
-    Args:
-        data: values of the fields, by name.
-        kind: type of the dataclass.
-        source: origin of the data for error messages, for example the path of a file.
+    """Creates a dataclass from its fields by name, those that are missing with their defaults.
 
     Raises:
         ValueError: if a field does not exist, or a value has the wrong type or is out of range. The message is one
-            sentence that names the field.
+            sentence that names the field and ``source``, the origin of the data, such as the path of a file.
     """
     if not isinstance(data, dict):
         raise ValueError(f"{source} must hold settings by name, got {data!r}")
@@ -41,7 +38,6 @@ def from_plain(data: Any, kind: type[Settings], source: str) -> Settings:
 
 
 def _describe_error(error: BaseException, kind: type | None) -> str:
-    """Describes the error of one field."""
     if isinstance(error, ForbiddenExtraKeysError):
         unknown, known = sorted(map(str, error.extra_fields)), sorted(item.name for item in fields(error.cl))
         return f"there is no setting {', '.join(unknown)}; use some of {known}"
@@ -54,9 +50,15 @@ def _converter() -> Converter:
     converter = Converter(forbid_extra_keys=True, unstruct_collection_overrides={tuple: list})
     for kind in (bool, int, float, str):
         converter.register_structure_hook(kind, _structure_strictly)
-    converter.register_structure_hook_func(_is_literal, _structure_literal)
-    converter.register_structure_hook_func(_is_union, lambda value, hint: _structure_union(converter, value, hint))
+    converter.register_structure_hook_func(_origin_in(Literal), _structure_literal)
+    converter.register_structure_hook_func(
+        _origin_in(Union, UnionType), lambda value, hint: _structure_union(converter, value, hint)
+    )
     return converter
+
+
+def _origin_in(*origins: Any) -> Callable[[Any], bool]:
+    return lambda hint: get_origin(hint) in origins
 
 
 def _structure_strictly(value: Any, kind: type) -> Any:
@@ -67,32 +69,19 @@ def _structure_strictly(value: Any, kind: type) -> Any:
     return value
 
 
-def _is_literal(hint: Any) -> bool:
-    origin: Any = get_origin(hint)
-    return origin is Literal
-
-
 def _structure_literal(value: Any, hint: Any) -> Any:
     if value not in get_args(hint):
         raise ValueError(f"one of {list(get_args(hint))} is needed, got {value!r}")
     return value
 
 
-def _is_union(hint: Any) -> bool:
-    return get_origin(hint) in (Union, UnionType)
-
-
 def _structure_union(converter: Converter, value: Any, hint: Any) -> Any:
     """Structures a value as the first type of a union that accepts it."""
+    if value is None and NoneType in get_args(hint):
+        return None
     for kind in get_args(hint):
-        if kind is NoneType:
-            if value is None:
-                return None
-            continue
-        if isinstance(value, str) and kind is not str:
-            continue  # Otherwise a string would be accepted as a tuple of characters.
-        try:
-            return converter.structure(value, kind)
-        except (ValueError, TypeError, BaseValidationError):
-            continue
+        # Otherwise a string would be accepted as a tuple of characters.
+        if kind is str or not (kind is NoneType or isinstance(value, str)):
+            with suppress(ValueError, TypeError, BaseValidationError):
+                return converter.structure(value, kind)
     raise ValueError(f"a value of type {hint} is needed, got {value!r}")

@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from types import TracebackType
 from typing import TypeVar
 
 from rich.console import Console
@@ -18,9 +17,6 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rover_rl.files import STANDARD_OUTPUT, errors_name
 
 Item = TypeVar("Item")
-
-LINE_INTERVAL = 4.0
-"""Longest time between two lines if the output is not a terminal, s."""
 
 _SPEED_PERIOD = 600.0
 """Recent time from which the remaining time is estimated, s. Some operations advance only every minute."""
@@ -40,11 +36,6 @@ class ProgressDisplay:
         tenths: whether lines are also printed after each tenth of the operation.
         console: console to print to; ``None``: standard output.
         interval: longest time between two lines, s.
-
-    Example:
-        >>> with ProgressDisplay("measuring") as display:
-        ...     for step in range(100):
-        ...         display.update((step + 1) / 100)
     """
 
     def __init__(
@@ -54,7 +45,7 @@ class ProgressDisplay:
         keep: bool = False,
         tenths: bool = False,
         console: Console | None = None,
-        interval: float = LINE_INTERVAL,
+        interval: float = 4.0,
     ) -> None:
         self._description, self._tenths, self._interval = description, tenths, interval
         self._redirect = _redirected.get()
@@ -89,9 +80,7 @@ class ProgressDisplay:
             self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._ended.set()
         if self._thread.is_alive():
             # A line must not appear below the results of the operation.
@@ -101,8 +90,7 @@ class ProgressDisplay:
     def update(self, fraction: float, status: str = "") -> None:
         """Shows the fraction of the operation that is done, and figures or the current activity.
 
-        Raises:
-            OSError: if the output cannot be written, for example after ``| head``.
+        Like :meth:`say`, it raises ``OSError`` if the output cannot be written, for example after ``| head``.
         """
         if self._redirect is not None:
             self._redirect(fraction)
@@ -116,11 +104,7 @@ class ProgressDisplay:
             self._print_line()
 
     def say(self, text: str) -> None:
-        """Prints a line, on a terminal above the bar.
-
-        Raises:
-            OSError: if the output cannot be written, for example after ``| head``.
-        """
+        """Prints a line, on a terminal above the bar."""
         with self._lock, errors_name(STANDARD_OUTPUT):
             self._printed = time.monotonic()
             try:
@@ -137,15 +121,11 @@ class ProgressDisplay:
 
     def _print_line(self) -> None:
         share = "" if self._fraction is None else f" {self._fraction:4.0%}"
+        left, seconds = "", self._bar.tasks[0].time_remaining
+        if seconds:
+            left = f", about {seconds:.0f} s left" if seconds < 120 else f", about {seconds / 60:.0f} min left"
         status = f": {self._status}" if self._status else ""
-        self.say(f"{self._description}{share} after {time.monotonic() - self._started:.0f} s{self._left()}{status}")
-
-    def _left(self) -> str:
-        """Returns the end of a line about the remaining time, if it can be estimated."""
-        seconds = self._bar.tasks[0].time_remaining
-        if not seconds:
-            return ""
-        return f", about {seconds:.0f} s left" if seconds < 120 else f", about {seconds / 60:.0f} min left"
+        self.say(f"{self._description}{share} after {time.monotonic() - self._started:.0f} s{left}{status}")
 
     def _print_regularly(self) -> None:
         """Prints a line whenever nothing was printed for ``interval``."""
@@ -160,11 +140,7 @@ class ProgressDisplay:
 
 @contextmanager
 def redirected_progress(report: Callable[[float], None]) -> Iterator[None]:
-    """Sends the progress of all displays that are created in the block to ``report``; they show nothing themselves.
-
-    Args:
-        report: function of the fraction that is done.
-    """
+    """Sends the fractions of all displays that are created in the block to ``report``; they show nothing themselves."""
     token = _redirected.set(report)
     try:
         yield

@@ -39,14 +39,9 @@ class Registry:
         self._parts = dict(built_in)
 
     def register(self, name: str, part: Any) -> None:
-        """Registers a part. Registering the same object again under its name has no effect.
+        """Registers a part, or its ``"module:attribute"``, which is imported on first use.
 
-        Args:
-            name: name of letters, digits, ``_``, ``-`` and ``.``.
-            part: part to register, or its ``"module:attribute"``, which is imported on first use.
-
-        Raises:
-            ValueError: if the name has other characters, or another part has this name.
+        Registering the same object again under its name has no effect.
         """
         if not re.fullmatch(r"[\w.-]+", name):
             raise ValueError(
@@ -61,11 +56,7 @@ class Registry:
         return sorted({*self._parts, *(entry.name for entry in self._entry_points())})
 
     def find(self, name: str) -> Any:
-        """Returns the part of the given name.
-
-        Raises:
-            ValueError: if the name is unknown, or its module or attribute cannot be imported.
-        """
+        """Returns a part. Raises ``ValueError`` if its name is unknown, or it cannot be imported."""
         if name in self._parts:
             part = self._parts[name]
             return self._import(name, part) if isinstance(part, str) else part
@@ -78,16 +69,7 @@ class Registry:
         raise ValueError(self._unknown(name, name))
 
     def call(self, name: str, factory: Callable[..., Any], *arguments: Any) -> Any:
-        """Calls the function or class that makes a part.
-
-        Args:
-            name: name of the part, for messages.
-            factory: function or class.
-            *arguments: arguments of the call.
-
-        Raises:
-            ValueError: if ``factory`` does not take these arguments.
-        """
+        """Calls the function or class that makes the part ``name``. Names it if it does not take these arguments."""
         try:
             signature(factory).bind(*arguments)
         except TypeError as error:
@@ -127,12 +109,7 @@ class Registry:
 
 
 def perhaps(name: str, known: Iterable[str]) -> str:
-    """Returns the end of a message about an unknown name: the most similar known name, or nothing.
-
-    Example:
-        >>> perhaps("mooon", ["maze", "moon"])
-        ", perhaps 'moon'"
-    """
+    """Returns the end of a message about an unknown name: the most similar known name, or nothing."""
     similar = get_close_matches(name, [*known], n=1)
     return f", perhaps {similar[0]!r}" if similar else ""
 

@@ -12,15 +12,10 @@ from tensordict import LazyStackedTensorDict, TensorDict, TensorDictBase
 def unchecked_tensordict(
     entries: Mapping[str, Any], batch_size: Sequence[int], device: torch.device | None = None
 ) -> TensorDict:
-    """Creates a TensorDict without checking its entries.
+    """Creates a TensorDict of entries on ``device`` whose shapes start with ``batch_size``, which is not checked.
 
-    The public constructors of TensorDict check the shape and device of every entry, which takes longer than a step of a
-    small batch. The callers guarantee both. This is the only use of TensorDict's private API.
-
-    Args:
-        entries: tensors or nested TensorDicts by name, whose shapes start with ``batch_size``.
-        batch_size: batch size of the TensorDict.
-        device: device of all entries. ``None`` leaves the device of the TensorDict unset.
+    The public constructors of TensorDict check every entry, which takes longer than a step of a small batch. This is
+    the only use of TensorDict's private API.
     """
     return TensorDict._new_unsafe(dict(entries), batch_size=torch.Size(batch_size), device=device)
 

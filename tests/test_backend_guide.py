@@ -10,7 +10,6 @@ import torch
 from torchrl.envs.utils import check_env_specs
 
 from rover_rl import RoverEnv, make_env
-from rover_rl.cli import main
 from rover_rl.envs.config import Randomization
 from rover_rl.sims import RoverState, Simulator, make_scanner, make_simulator
 from rover_rl.sims.robots import get_robot
@@ -27,16 +26,11 @@ FIELDS = ("position", "orientation", "linear_velocity", "angular_velocity", "sta
 
 
 @pytest.fixture
-def my_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own_registries: None) -> str:
-    """Name of a module that consists of the page's backend."""
+def backend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own_registries: None) -> str:
+    """Path of the page's backend, in a module of its own."""
     (tmp_path / "guide_backend.py").write_text(BACKEND.code)
     monkeypatch.syspath_prepend(tmp_path)
-    return "guide_backend"
-
-
-@pytest.fixture
-def backend(my_package: str) -> str:
-    return f"{my_package}:Kinematic"
+    return "guide_backend:Kinematic"
 
 
 def simulator(backend: str, worlds: list[World]) -> Simulator:
@@ -156,16 +150,5 @@ def test_environment_specs_and_rendering(backend):
     assert image.float().std() > 1
     env.close()
     env.reset()
-    env.close()
-
-
-def test_randomized_dynamics_raise_when_the_environment_is_built(backend):
     with pytest.raises(ValueError, match="friction, mass and motors need a backend .*'dynamics'$"):
         RoverEnv(world_n="maze", backend=backend, randomization=Randomization(friction=(0.5, 1.0)))
-
-
-def test_training_from_the_command_line(backend, tmp_path):
-    size = ["--total-steps", "64", "--num-envs", "4", "--workers", "1", "--rollout-length", "4", "--hidden", "8"]
-    arguments = ["--world", "maze", "--backend", backend, "--runs", str(tmp_path), "--name", "toy"]
-    assert main(["train", *arguments, *size]) == 0
-    assert f"backend: {backend}" in (tmp_path / "toy" / "config.yaml").read_text()

@@ -1,7 +1,7 @@
 """All examples run: those of docstrings, the Python blocks of the pages, and the programs of the gallery.
 
-A docstring may use the names of its module and those of ``NAMES`` without an import, and the runs in ``runs/``. What it
-prints counts only where it shows a result.
+A docstring may use the names of its module and of ``MODULES`` without an import, and the runs in ``runs/``.
+What it prints counts only where it shows a result.
 """
 
 from __future__ import annotations
@@ -24,28 +24,14 @@ from rover_rl.algos.train import train
 from tests.algos.train.runs import PPO, SAC
 from tests.pages import NEEDS, ROOT, blocks, name_of, pages
 
-NAMES = {
-    "": ["GymWrapper", "RoverEnv", "Terrain", "World", "make_env", "register_backend"],
-    "algos.config": ["training_config"],
-    "algos.evaluation.episodes": ["draw_episodes", "stored_episodes"],
-    "algos.evaluation.evaluate": ["evaluate"],
-    "algos.evaluation.report": ["print_table"],
-    "algos.experiments.runs": ["find_runs"],
-    "algos.experiments.space": ["read_space"],
-    "algos.policy.checkpoint": ["Checkpoint"],
-    "algos.policy.networks": ["make_actor"],
-    "algos.policy.runner": ["PolicyRunner"],
-    "algos.pretrained": ["load_pretrained"],
-    "algos.train.ppo": ["PPOLearner"],
-    "envs": ["EnvConfig", "LidarConfig", "Randomization", "contract_reward"],
-    "sims.bullet": ["BulletSettings"],
-    "sims.free_space": ["free_space"],
-    "sims.robots": ["get_robot"],
-    "sims.worlds": ["get_world"],
-    "sims.worlds.pool": ["WorldPool"],
-    "sims.worlds.table": ["WorldTable"],
-}
-"""Names that examples of docstrings use, by the module that has them."""
+MODULES = """
+rover_rl rover_rl.algos.config rover_rl.algos.evaluation.episodes rover_rl.algos.evaluation.evaluate
+rover_rl.algos.evaluation.report rover_rl.algos.experiments.runs rover_rl.algos.experiments.space
+rover_rl.algos.policy.checkpoint rover_rl.algos.policy.networks rover_rl.algos.policy.runner rover_rl.algos.pretrained
+rover_rl.algos.train.ppo rover_rl.envs rover_rl.sims.bullet rover_rl.sims.free_space rover_rl.sims.robots
+rover_rl.sims.worlds rover_rl.sims.worlds.pool rover_rl.sims.worlds.table
+"""
+"""Modules whose public names examples of docstrings may use."""
 DOCSTRINGS = [path for path in sorted((ROOT / "rover_rl").rglob("*.py")) if ">>> " in path.read_text(encoding="utf-8")]
 PAGES = [page for page in pages() if blocks(page.read_text(encoding="utf-8"), "python")]
 EXAMPLES, RSL_RL = ROOT / "examples", "rover_rl.envs.wrappers.rsl_rl"
@@ -83,8 +69,9 @@ def test_examples_of_docstrings(path: Path) -> None:
     except ImportError as error:
         pytest.skip(str(error))
     known: dict[str, Any] = {"Path": Path, "torch": torch}
-    for place, names in NAMES.items():
-        known |= {each: getattr(import_module(f"rover_rl.{place}".rstrip(".")), each) for each in names}
+    for known_module in map(import_module, MODULES.split()):
+        names = getattr(known_module, "__all__", None) or vars(known_module)
+        known |= {each: getattr(known_module, each) for each in names if not each.startswith("__")}
     flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
     for test in doctest.DocTestFinder().find(module, globs={**known, **vars(module)}):
         told: list[str] = []

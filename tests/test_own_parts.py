@@ -196,14 +196,12 @@ def test_the_robot_drives_and_is_filmed_in_every_simulator(folder: Path, backend
 
 @pytest.mark.slow
 def test_a_mismatch_or_a_mistake_is_one_sentence(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (folder / "other.yaml").write_text(
-        "lidar: {points: 32}\nrobot: my_package.robot:scout\nsensors: [" + SENSOR + "]\n"
-    )
+    (folder / "other.yaml").write_text(f"lidar: {{points: 32}}\nrobot: my_package.robot:scout\nsensors: [{SENSOR}]\n")
     (folder / "forward.yaml").write_text("action: {min_speed: 0.0}\n")
+    scout = "--robot my_package.robot:scout"
     mistakes = {
         "evaluate runs/own --env other.yaml": "made for lidar points 16, and the environment has 32",
-        "evaluate pretrained:moon-ppo --robot my_package.robot:scout": "made for the robot rover_zero, and the "
-        "environment has my_package.robot:scout",
+        f"evaluate pretrained:moon-ppo {scout}": "robot rover_zero, and the environment has my_package.robot:scout",
         "evaluate pretrained:moon-ppo --env forward.yaml": "and the environment has (0.0, 1.0,",
         "train --observation lidar range": "observation must be some of ('lidar', ",
         "train --sensors my_package.sensors:Nothing": "has no 'Nothing'",

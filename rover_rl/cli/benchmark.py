@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Union
 
 import tyro
 
-from rover_rl.cli.environment import BACKEND, EnvOptions
-from rover_rl.cli.policies import SEVERAL_POLICIES, resolve_policies
+from rover_rl.cli.policies import BACKEND, SEVERAL_POLICIES, EnvOptions, resolve_policies
 
 if TYPE_CHECKING:
     from rover_rl.algos.benchmarks.suite import Suite
@@ -43,7 +42,7 @@ class BarnBenchmark(_Benchmark):
     """Folder to write to."""
 
     def __call__(self) -> int:
-        """Runs the policies, and prints a table and the paths of the results."""
+        """Runs the command."""
         from rover_rl.algos.benchmarks.barn import Barn, read_barn
 
         courses = read_barn(self.data, self._numbers())
@@ -56,16 +55,15 @@ class BarnBenchmark(_Benchmark):
         sets = {"test": [*TEST_WORLDS], "train": [n for n in range(WORLDS) if n not in TEST_WORLDS], "all": None}
         if self.worlds in sets:
             return sets[self.worlds]
-        numbers: dict[int, None] = {}
+        numbers: list[int] = []
         for part in self.worlds.split(","):
             ends = re.fullmatch(r"([0-9]{1,3})(?:-([0-9]{1,3}))?", part, re.ASCII)
             first, last = (int(ends[1]), int(ends[2] or ends[1])) if ends else (1, 0)
             if not first <= last < WORLDS:
-                raise ValueError(
-                    f"--worlds takes test, train, all, or numbers below {WORLDS}, such as 1,7,20-29, got {part!r}"
-                )
-            numbers |= dict.fromkeys(range(first, last + 1))
-        return [*numbers]
+                allowed = f"test, train, all, or numbers below {WORLDS}, such as 1,7,20-29"
+                raise ValueError(f"--worlds takes {allowed}, got {part!r}")
+            numbers += range(first, last + 1)
+        return [*dict.fromkeys(numbers)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,14 +84,12 @@ class JaxNavBenchmark(_Benchmark):
     """Folder to write to."""
 
     def __call__(self) -> int:
-        """Runs the policies, and prints a table and the paths of the results."""
+        """Runs the command."""
         from rover_rl.algos.benchmarks.jaxnav import JaxNav, read_jaxnav
 
         courses, unsolvable = read_jaxnav(self.data)
-        suite = JaxNav(
-            courses, unsolvable, runs=self.runs, seed=self.seed, goal_radius=self.goal_radius, seconds=self.seconds
-        )
-        return _run(suite, self)
+        limits = {"goal_radius": self.goal_radius, "seconds": self.seconds}
+        return _run(JaxNav(courses, unsolvable, runs=self.runs, seed=self.seed, **limits), self)
 
 
 @dataclass(frozen=True)
@@ -123,13 +119,11 @@ def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark) -> int:
 
     environment, out = options.environment, options.out
     resolved = resolve_policies(options.policies, (suite.name,), environment.robot)
-    policies = {
-        policy.name: (policy.module, environment.description(policy.module, options.backend)) for policy in resolved
-    }
+    policies = {each.name: (each.module, environment.description(each.module, options.backend)) for each in resolved}
     # Fails before the runs, which can take minutes.
     out.mkdir(parents=True, exist_ok=True)
     results = run_suite(suite, policies, options.workers)
-    pictures = {out / f"worst-{_file_name(result.name)}.png": result for result in results}
+    pictures = {out / f"worst-{re.sub('[:/]', '-', result.name)}.png": result for result in results}
     try:
         write_results(out / "benchmark.json", results)
         for picture, result in pictures.items():
@@ -140,8 +134,3 @@ def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark) -> int:
     print(f"Results: {out / 'benchmark.json'}, benchmark.csv")
     print("Worst runs: " + ", ".join(map(str, pictures)))
     return 0
-
-
-def _file_name(policy: str) -> str:
-    """Returns the name of a policy as a part of a file's name."""
-    return policy.replace(":", "-").replace("/", "-")

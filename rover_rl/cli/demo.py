@@ -47,8 +47,11 @@ class Demo:
     """Folder that the run is written to."""
 
     def __call__(self) -> int:
-        """Trains, evaluates, plots and films, and prints the paths of the results."""
-        self._check()
+        """Runs the command."""
+        # Before PyTorch is imported and a policy is trained.
+        training_config("ppo", max_minutes=self.minutes, seed=self.seed).check()
+        check_at_least(1, MAX_WORLDS, count=self.count)
+        check_at_least(CONTROL_DT, MAX_SECONDS, seconds=self.seconds)
         print(f"Training PPO in generated worlds ({self.world}) for {self.minutes:g} minutes", flush=True)
         with ProgressDisplay("preparing"):
             from rover_rl.algos.pretrained import load_pretrained
@@ -63,19 +66,9 @@ class Demo:
         self._evaluate(summary.folder)
         return 0
 
-    @property
-    def unseen(self) -> str:
-        """Worlds to evaluate in."""
-        return f"{self.world}:{FIRST_UNSEEN}-{FIRST_UNSEEN + self.count - 1}"
-
-    def _check(self) -> None:
-        """Checks the options, before PyTorch is imported and a policy is trained."""
-        training_config("ppo", max_minutes=self.minutes, seed=self.seed).check()
-        check_at_least(1, MAX_WORLDS, count=self.count)
-        check_at_least(CONTROL_DT, MAX_SECONDS, seconds=self.seconds)
-
     def _config(self, base: TrainingConfig) -> TrainingConfig:
         """Returns the settings of the training: those of a pretrained policy, but for the worlds and the duration."""
+        names = (f"demo-{self.world}" if number == 1 else f"demo-{self.world}-{number}" for number in count(1))
         return with_settings(
             base,
             world=f"{self.world}:{TRAINED_IN}",
@@ -83,13 +76,8 @@ class Demo:
             max_minutes=self.minutes,
             seed=self.seed,
             runs=self.runs,
-            name=self._unused_name(),
+            name=next(name for name in names if not Path(self.runs, name).exists()),
         )
-
-    def _unused_name(self) -> str:
-        """Returns the name of a new folder."""
-        names = (f"demo-{self.world}" if number == 1 else f"demo-{self.world}-{number}" for number in count(1))
-        return next(name for name in names if not (Path(self.runs) / name).exists())
 
     def _evaluate(self, folder: Path) -> None:
         """Evaluates the trained policy beside others, draws its learning curve, and films it."""
@@ -99,7 +87,8 @@ class Demo:
 
         policies = (str(folder), "gridplanner", "scripted")
         print(f"Driving {len(policies)} policies from the same starts in {self.count} unseen worlds", flush=True)
-        Evaluate(policies, world=(self.unseen,), count=1, seconds=self.seconds, out=folder)()
+        unseen = f"{self.world}:{FIRST_UNSEEN}-{FIRST_UNSEEN + self.count - 1}"
+        Evaluate(policies, world=(unseen,), count=1, seconds=self.seconds, out=folder)()
         curve, moving = folder / "learning_curve.png", folder / "film.gif"
         draw_learning_curve([folder], curve)
         trained, world = Checkpoint.load(folder).make_actor(), f"{self.world}:{FIRST_UNSEEN}"

@@ -17,8 +17,7 @@ from rich.console import Console
 from rich.live import Live
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, MAX_SECONDS, check_at_least, check_positive, check_seed
-from rover_rl.cli.environment import read_env
-from rover_rl.cli.policies import LIVE_POLICY
+from rover_rl.cli.policies import LIVE_POLICY, read_env
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2.settings import Command, PoseSource, Ros2Settings, TransportName
 

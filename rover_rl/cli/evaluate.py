@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from rover_rl.algos.config_files import experiments
-from rover_rl.cli.environment import EnvOptions
-from rover_rl.cli.policies import LOG, NO_POLICY, SEVERAL_POLICIES, ResolvedPolicy, resolve_policies
+from rover_rl.cli.policies import LOG, NO_POLICY, SEVERAL_POLICIES, EnvOptions, ResolvedPolicy, resolve_policies
 from rover_rl.sims.robots import get_robot
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class Evaluate:
     """Folder to write to. Default: the folder of the first checkpoint, or runs/evaluation."""
 
     def __call__(self) -> int:
-        """Evaluates the policies, and prints a table and the paths of the results."""
+        """Runs the command."""
         from rover_rl.algos.deploy.drive_log import read_drives
         from rover_rl.algos.evaluation.evaluate import check_options
         from rover_rl.algos.evaluation.plots import draw_paths
@@ -78,7 +78,7 @@ class Evaluate:
         # Fails before the evaluation, which can take minutes.
         out.mkdir(parents=True, exist_ok=True)
         results = self._evaluate(policies, sets, backends)
-        pictures = self._pictures(results, out, len(backends) > 1)
+        pictures = _pictures(results, out, len(backends) > 1)
         for log, drives in logs.items():
             results += drives
             for number, drive in enumerate(drives):
@@ -141,37 +141,28 @@ class Evaluate:
 
         requests: list[GoalRequest | EndlessRequest] = []
         for world, episodes in sets.items():
-            runs = [
-                (policy, self._settings(policy, backend))
-                for policy in policies
-                if world in (policy.worlds or sets)
-                for backend in backends
-            ]
+            runs: list[tuple[ResolvedPolicy, dict[str, Any]]] = []
+            for policy, backend in product(policies, backends):
+                if world in (policy.worlds or sets):
+                    env = self.environment.description(policy.module, backend)
+                    runs.append((policy, {"name": policy.name, "action_repeat": self.action_repeat, "env": env}))
             requests += [GoalRequest(policy.module, episodes, {**s, "seconds": self.seconds}) for policy, s in runs]
             if self.endless:
                 requests += [EndlessRequest(policy.module, world, {**s, "jam": self.jam}) for policy, s in runs]
         return evaluate_all(requests, self.workers)
 
-    @staticmethod
-    def _pictures(
-        results: list[Evaluation | EndlessEvaluation], out: Path, several_backends: bool
-    ) -> dict[Path, list[Evaluation]]:
-        """Returns the evaluations to draw in each picture: one picture per world and backend."""
-        from rover_rl.algos.evaluation.results import Evaluation
 
-        driven = [result for result in results if isinstance(result, Evaluation)]
-        worlds = {evaluation.episodes.name for evaluation in driven}
-        pictures: dict[Path, list[Evaluation]] = {}
-        for evaluation in driven:
-            world = evaluation.episodes.name if len(worlds) > 1 else None
-            parts = ["paths", world, evaluation.backend if several_backends else None]
-            name = "-".join(part for part in parts if part).replace(":", "-")
-            pictures.setdefault(out / f"{name}.png", []).append(evaluation)
-        return pictures
+def _pictures(
+    results: list[Evaluation | EndlessEvaluation], out: Path, several_backends: bool
+) -> dict[Path, list[Evaluation]]:
+    """Returns the evaluations to draw in each picture: one picture per world and backend."""
+    from rover_rl.algos.evaluation.results import Evaluation
 
-    def _settings(self, policy: ResolvedPolicy, backend: str | None) -> dict[str, Any]:
-        return {
-            "name": policy.name,
-            "action_repeat": self.action_repeat,
-            "env": self.environment.description(policy.module, backend),
-        }
+    driven = [result for result in results if isinstance(result, Evaluation)]
+    several_worlds = len({evaluation.episodes.name for evaluation in driven}) > 1
+    pictures: dict[Path, list[Evaluation]] = {}
+    for evaluation in driven:
+        world, backend = several_worlds and evaluation.episodes.name, several_backends and evaluation.backend
+        name = "-".join(part for part in ("paths", world, backend) if part).replace(":", "-")
+        pictures.setdefault(out / f"{name}.png", []).append(evaluation)
+    return pictures

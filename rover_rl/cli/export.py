@@ -25,7 +25,7 @@ class Export:
     """File to write. Default: the name of the policy with the suffix .onnx or .pt2."""
 
     def __call__(self) -> int:
-        """Exports the policy and prints the largest difference of an action."""
+        """Runs the command."""
         from rover_rl.algos.deploy.export import SUFFIXES, export
         from rover_rl.cli.policies import load_checkpoint
 

@@ -1,16 +1,19 @@
-"""The command ``rover-rl film``."""
+"""The commands ``rover-rl film`` and ``rover-rl play``."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+import sys
+import webbrowser
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from rover_rl.cli.environment import BACKEND, EnvOptions
-from rover_rl.cli.policies import LOG, ONE_POLICY, ResolvedPolicy, resolve_policy
+from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least, check_positive
+from rover_rl.cli.policies import BACKEND, LOG, ONE_POLICY, EnvOptions, ResolvedPolicy, resolve_policy
 
 if TYPE_CHECKING:
     from rover_rl.algos.evaluation.stored import StoredEvaluation
@@ -19,6 +22,11 @@ if TYPE_CHECKING:
 
 FILMED = 20.0
 """Default duration of a film in endless mode, s."""
+PLAY_FOLDER = Path("runs/play")
+"""Folder of the films of ``play`` of policies that have no folder of their own."""
+PLAY_WIDTH, PLAY_HEIGHT = 400, 300
+"""Size of the films of ``play``, pixels."""
+_POLICY = tyro.conf.arg(metavar="POLICY", help=f"{ONE_POLICY} Or a log of rover-rl drive ({LOG}).")
 
 
 @dataclass(frozen=True)
@@ -29,10 +37,7 @@ class Film:
     drive from goal to goal.
     """
 
-    policy: Annotated[
-        tyro.conf.Positional[str],
-        tyro.conf.arg(metavar="POLICY", help=f"{ONE_POLICY} Or a log of rover-rl drive ({LOG})."),
-    ]
+    policy: Annotated[tyro.conf.Positional[str], _POLICY]
     out: Path = Path("film.mp4")
     """File to write: .mp4 (needs the extra video) or .gif."""
     episode: int | None = None
@@ -69,7 +74,7 @@ class Film:
     backend: Annotated[str | None, tyro.conf.arg(help=BACKEND)] = None
 
     def __call__(self) -> int:
-        """Films, and prints the path of each video and what it shows."""
+        """Runs the command."""
         self._check()
         if self.policy.endswith(LOG):
             from rover_rl.algos.video.drive_log import recording_of_log
@@ -82,9 +87,7 @@ class Film:
         return 0
 
     def _check(self) -> None:
-        """Checks the settings before the imports and the drive, which take seconds."""
-        from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least, check_positive
-
+        """Checks the settings before the drive, which takes seconds."""
         self._style.check(self.out)
         check_at_least(1, MAX_COUNT, count=self.count)
         if self.seconds is not None:
@@ -105,32 +108,32 @@ class Film:
         return Style(self.view, self.width, self.height, self.fps, self.speed)
 
     def _film(self, recording: Recording, out: Path, of: str) -> None:
-        """Films a drive, and says which one and how it ended."""
         from rover_rl.algos.video.film import film_recording
 
         shown = recording if self.seconds is None else recording.last(self.seconds)
         film_recording(shown, out, self._style)
         where = f" in {recording.world.name}" if recording.world.name != "none" else ""
-        print(f"Film: {out}: episode {recording.episode} {of}{where}, {how_it_ended(recording)}", flush=True)
+        print(f"Film: {out}: episode {recording.episode} {of}{where}, {_how_it_ended(recording)}", flush=True)
+
+    def _resolve(self) -> ResolvedPolicy:
+        return resolve_policy(self.policy, () if self.world is None else (self.world,), self.environment.robot)
 
     def _film_episodes(self) -> None:
         """Films one episode, or those that failed."""
-        worlds = () if self.world is None else (self.world,)
-        policy = resolve_policy(self.policy, worlds, self.environment.robot)
+        policy = self._resolve()
         stored = self._stored(policy)
         if stored is None:
             self._film_undriven(policy)
             return
-        drive = _driver(policy, stored)
         of = f"of {stored.policy}'s evaluation"
-        if not self.failures:
-            assert self.episode is not None
-            self._film(drive(self.episode), self.out, of)
+        if self.episode is not None:
+            self._film(_drive_again(policy, stored, self.episode), self.out, of)
             return
         failed = stored.failures
         print(f"{len(failed)} of {len(stored.endings)} episodes do not reach their goal", flush=True)
         for episode in failed[: self.count]:
-            self._film(drive(episode), self.out.with_stem(f"{self.out.stem}-{episode}"), of)
+            out = self.out.with_stem(f"{self.out.stem}-{episode}")
+            self._film(_drive_again(policy, stored, episode), out, of)
         if left := failed[self.count :]:
             print(f"Not filmed: {', '.join(f'{one} ({stored.endings[one]})' for one in left)}; see --count, --episode")
 
@@ -167,7 +170,7 @@ class Film:
         from rover_rl.algos.evaluation.plots import draw_reward_components
         from rover_rl.algos.video.film import film
 
-        policy = resolve_policy(self.policy, () if self.world is None else (self.world,), self.environment.robot)
+        policy = self._resolve()
         rollout = film(
             policy.module,
             self.out,
@@ -188,26 +191,81 @@ class Film:
             print(f"Rewards: {self.rewards}")
 
 
-def _driver(policy: ResolvedPolicy, stored: StoredEvaluation) -> Callable[[int], Recording]:
-    """Returns a function that drives an episode of an evaluation again."""
+def _drive_again(policy: ResolvedPolicy, stored: StoredEvaluation, episode: int) -> Recording:
+    """Drives an episode of an evaluation again, and says so if it ends otherwise."""
     from rover_rl.algos.video.recording import record_episodes
 
-    def drive(episode: int) -> Recording:
-        episodes = stored.to_drive(episode)
-        options: dict[str, Any] = {"action_repeat": stored.action_repeat, "seconds": stored.seconds, "env": stored.env}
-        wanted = [episode - episodes.offset]
-        (driven,) = record_episodes(policy.module, episodes, name=f"episode {episode}", wanted=wanted, **options)
-        before = stored.endings[episode], stored.durations[episode]
-        if (driven.ending, round(driven.seconds, 3)) != before:
-            print(
-                f"Episode {episode} ended otherwise in the evaluation: {before[0]} after {before[1]:.1f} s", flush=True
-            )
-        return driven
-
-    return drive
+    episodes = stored.to_drive(episode)
+    options: dict[str, Any] = {"action_repeat": stored.action_repeat, "seconds": stored.seconds, "env": stored.env}
+    wanted = [episode - episodes.offset]
+    (driven,) = record_episodes(policy.module, episodes, name=f"episode {episode}", wanted=wanted, **options)
+    ending, seconds = stored.endings[episode], stored.durations[episode]
+    if (driven.ending, round(driven.seconds, 3)) != (ending, seconds):
+        print(f"Episode {episode} ended otherwise in the evaluation: {ending} after {seconds:.1f} s", flush=True)
+    return driven
 
 
-def how_it_ended(recording: Recording) -> str:
-    """Returns how a drive ended and when."""
+def _how_it_ended(recording: Recording) -> str:
     ending = "goal reached" if recording.ending == "goal" else recording.ending
     return f"{ending} after {recording.seconds:.1f} s"
+
+
+@dataclass(frozen=True)
+class Play:
+    """Watch a policy drive to a goal, or a drive of a log: films it, and opens the film.
+
+    ``rover-rl film`` has more options.
+    """
+
+    policy: Annotated[tyro.conf.Positional[str], _POLICY] = "pretrained:anywhere"
+    world: str | None = None
+    """World to drive in. Default: the one that the policy was trained in, or moon.
+    After training in a range, it is one that was not in it."""
+    seconds: float = 12.0
+    """Time in which the policy must reach the goal, s. Of a log, the last seconds are shown."""
+    seed: int | None = None
+    """Seed of starts and goals. Default: the stored ones."""
+    show: bool = True
+    """Open the film in the default viewer, if there is a display."""
+
+    def __call__(self) -> int:
+        """Runs the command."""
+        print(f"Filming {self.policy}", flush=True)
+        with ThreadPoolExecutor(1) as background:
+            # The first film compiles the renderer, which takes some seconds, as do the imports.
+            background.submit(_compile_renderer)
+            import rover_rl.algos.video.film  # noqa: F401
+        path, drive = self._film_log() if self.policy.endswith(LOG) else self._film_policy()
+        print(f"Film: {path}: {_how_it_ended(drive)}")
+        has_display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+        if self.show and (has_display or sys.platform in ("darwin", "win32")):
+            webbrowser.open(path.resolve().as_uri())
+        return 0
+
+    def _film_log(self) -> tuple[Path, Recording]:
+        from rover_rl.algos.video.drive_log import recording_of_log
+        from rover_rl.algos.video.film import Style, film_recording
+
+        path, drive = Path(self.policy).with_suffix(".gif"), recording_of_log(Path(self.policy), world=self.world)
+        film_recording(drive.last(self.seconds), path, Style(width=PLAY_WIDTH, height=PLAY_HEIGHT))
+        return path, drive
+
+    def _film_policy(self) -> tuple[Path, Recording]:
+        from rover_rl.algos.video.film import CANDIDATES, film_to_goal
+
+        policy = resolve_policy(self.policy, () if self.world is None else (self.world,))
+        world = policy.worlds[0] if policy.worlds else "moon"
+        path = (policy.folder or PLAY_FOLDER) / f"{policy.name}-{Path(world).name}.gif".replace(":", "-")
+        size: dict[str, Any] = {"width": PLAY_WIDTH, "height": PLAY_HEIGHT}
+        drive = film_to_goal(policy.module, path, world=world, seconds=self.seconds, seed=self.seed, **size)
+        if drive.ending != "goal":
+            print(f"From none of {CANDIDATES} starts, a goal was reached within {self.seconds:g} s: this is the first")
+        return path, drive
+
+
+def _compile_renderer() -> None:
+    from rover_rl.sims.native.warp import wp
+    from rover_rl.sims.rendering.kernels import light, pictures
+
+    for module in (pictures, light):
+        wp.load_module(module, device="cpu")

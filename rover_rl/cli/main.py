@@ -12,15 +12,13 @@ from typing import Any
 import tyro
 
 from rover_rl.cli.benchmark import Benchmark
-from rover_rl.cli.compare import Compare
 from rover_rl.cli.demo import Demo
 from rover_rl.cli.drive import Drive
 from rover_rl.cli.evaluate import Evaluate
+from rover_rl.cli.experiments import Compare, sweep_defaults
 from rover_rl.cli.export import Export
-from rover_rl.cli.film import Film
-from rover_rl.cli.play import Play
+from rover_rl.cli.film import Film, Play
 from rover_rl.cli.robot import RobotCommand
-from rover_rl.cli.sweep import sweep_defaults
 from rover_rl.cli.train import FAILED, INTERRUPTED, train_defaults
 from rover_rl.cli.worlds import Worlds
 from rover_rl.files import STANDARD_OUTPUT, errors_name
@@ -63,7 +61,8 @@ def read_command(args: Sequence[str]) -> Any:
         print(f"{PROGRAM} {version(PROGRAM)}")
         raise SystemExit(0)
     if name in ("-h", "--help"):
-        print(_help(known))
+        lines = [f"  {name:10} {command.__doc__.splitlines()[0]}" for name, command in known.items()]
+        print(f"Usage: {PROGRAM} COMMAND [OPTIONS]", "", *lines, "", f"See {PROGRAM} COMMAND --help.", sep="\n")
         raise SystemExit(0)
     if name not in known:
         wrong = f"unknown command {name!r}{perhaps(name, known)}" if name else "a command is missing"
@@ -72,12 +71,6 @@ def read_command(args: Sequence[str]) -> Any:
     default = {} if isinstance(command, type) else {"default": command}
     kind = command if isinstance(command, type) else type(command)
     return tyro.cli(kind, args=args[1:], prog=f"{PROGRAM} {name}", **default)
-
-
-def _help(known: dict[str, Any]) -> str:
-    """Returns the help of the program: each command with the first line of its description."""
-    lines = [f"  {name:10} {command.__doc__.splitlines()[0]}" for name, command in known.items()]
-    return "\n".join((f"Usage: {PROGRAM} COMMAND [OPTIONS]", "", *lines, "", f"See {PROGRAM} COMMAND --help."))
 
 
 def main(args: list[str] | None = None) -> int:

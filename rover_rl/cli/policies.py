@@ -1,4 +1,4 @@
-"""Policies as named on the command line."""
+"""Policies as named on the command line, and options of the environment that they drive in."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from rover_rl.algos.config_files import read_yaml
 from rover_rl.algos.policy.names import BASELINES, PRETRAINED, load_policy, make_baseline
+from rover_rl.envs.config import EnvConfig, env_from_plain
 from rover_rl.registry import perhaps
 
 if TYPE_CHECKING:
@@ -40,21 +42,18 @@ NO_POLICY = f"name a policy: the folder of a run, a checkpoint, {_NAMES}"
 
 @dataclass(frozen=True)
 class ResolvedPolicy:
-    """A policy that an argument of the command line names.
-
-    Attributes:
-        name: name of the policy in tables.
-        module: the policy; ``None`` acts at random.
-        worlds: worlds to drive in; if empty, the policy drives in the worlds of the other policies.
-        folder: folder of the checkpoint; ``None`` if the policy has none.
-        config: settings that the policy was trained with; ``None`` if it was not trained.
-    """
+    """A policy that an argument of the command line names."""
 
     name: str
+    """Name of the policy in tables."""
     module: Policy | None
+    """The policy; ``None`` acts at random."""
     worlds: tuple[str, ...]
+    """Worlds to drive in; if empty, the policy drives in the worlds of the other policies."""
     folder: Path | None = None
+    """Folder of the checkpoint; ``None`` if the policy has none."""
     config: TrainingConfig | None = None
+    """Settings that the policy was trained with; ``None`` if it was not trained."""
 
 
 def resolve_policies(words: Sequence[str], worlds: tuple[str, ...], robot: str | None = None) -> list[ResolvedPolicy]:
@@ -67,14 +66,10 @@ def resolve_policies(words: Sequence[str], worlds: tuple[str, ...], robot: str |
 
 
 def resolve_policy(word: str, worlds: tuple[str, ...], robot: str | None = None) -> ResolvedPolicy:
-    """Resolves the name of a policy on the command line.
+    """Resolves one word: see :data:`ONE_POLICY`. ``robot`` is that of a baseline.
 
-    Args:
-        word: ``random``, name of a baseline (:data:`rover_rl.algos.policy.names.BASELINES`), ``pretrained:NAME``, or
-            the path of a run's folder, checkpoint, ONNX file or file of Stable-Baselines3.
-        worlds: worlds to drive in; if empty, the ones that the policy was trained in. For a range of seeds, it is one
-            world that was not in the training.
-        robot: robot of a baseline; ``None``: the default robot.
+    The policy drives in ``worlds``; if empty, in the ones that it was trained in, and for a range of seeds in one world
+    that was not in the training.
     """
     if word == RANDOM:
         return ResolvedPolicy(word, None, worlds)
@@ -90,17 +85,12 @@ def resolve_policy(word: str, worlds: tuple[str, ...], robot: str | None = None)
 
         return ResolvedPolicy(Path(word).stem, SB3Policy(Path(word)), worlds)
     checkpoint, name = load_checkpoint(word)
-    return ResolvedPolicy(
-        name=name,
-        module=checkpoint.make_actor(),
-        worlds=worlds or _unseen(checkpoint.config),
-        folder=None if word.startswith(PRETRAINED) else _folder(word),
-        config=checkpoint.config,
-    )
+    config, folder = checkpoint.config, None if word.startswith(PRETRAINED) else _folder(word)
+    return ResolvedPolicy(name, checkpoint.make_actor(), worlds or _unseen(config), folder, config)
 
 
 def load_checkpoint(word: str) -> tuple[Checkpoint, str]:
-    """Loads the checkpoint that an argument of the command line names, and returns it with its name."""
+    """Loads the checkpoint that a word of the command line names, and returns it with its name."""
     from rover_rl.algos.pretrained import pretrained_names
 
     if word.startswith(PRETRAINED):
@@ -122,3 +112,36 @@ def _unseen(config: TrainingConfig) -> tuple[str, ...]:
 
 def _folder(word: str) -> Path:
     return Path(word) if Path(word).is_dir() else Path(word).parent
+
+
+BACKEND = "Simulator: bullet, warp, mujoco (an extra), or module:attribute. Default: that of --env, else bullet."
+"""Help of an option that names the backend."""
+
+
+@dataclass(frozen=True)
+class EnvOptions:
+    """Environment to drive in. Default: the one that the policy was made for, in Bullet, without randomization."""
+
+    env: Path | None = None
+    """YAML file of EnvConfig, or a run's config.yaml. Default: the policy's environment in Bullet, not randomized."""
+    robot: str | None = None
+    """Robot: rover_zero, or module:attribute. Default: that of --env, else of the policy."""
+    physics: str | None = None
+    """Preset of Bullet's physics: default, accurate or fast (docs/physics.md)."""
+
+    def description(self, policy: Policy | None, backend: str | None) -> EnvConfig:
+        """Returns the environment for a policy, in a backend."""
+        from rover_rl.algos.evaluation.evaluate import environment_for
+
+        config = environment_for(policy, None if self.env is None else read_env(self.env))
+        options = {"robot": self.robot, "backend": backend, "physics": self.physics}
+        changes: dict[str, Any] = {key: given for key, given in options.items() if given}
+        return environment_for(policy, replace(config, **changes))
+
+
+def read_env(path: Path) -> EnvConfig:
+    """Reads fields of :class:`EnvConfig` from YAML, or from ``env`` in the settings of a training run."""
+    data = read_yaml(path)
+    if isinstance(data, dict) and isinstance(data.get("env"), dict):
+        data = data["env"]
+    return env_from_plain(data, str(path))

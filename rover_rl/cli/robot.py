@@ -11,7 +11,7 @@ from types import FrameType
 from typing import Any
 
 from rover_rl.checks import check_at_least, check_positive, check_seed
-from rover_rl.cli.environment import read_env
+from rover_rl.cli.policies import read_env
 from rover_rl.envs.config import EnvConfig
 from rover_rl.sims.ros2.settings import Ros2Settings
 

@@ -38,8 +38,8 @@ FAILED = 2
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 
-# Options have no prefix of their part: --world and --hidden, not --env.world and --network.hidden.
-_Flat = tyro.conf.arg(name="")
+FLAT = tyro.conf.arg(name="")
+"""Options have no prefix of their part: --world and --hidden, not --env.world and --network.hidden."""
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,11 @@ class Train:
     The same command continues runs that were interrupted."""
     randomize: bool = False
     """Randomize dynamics and sensors by typical ranges (docs/warp.md). --randomization options override them."""
-    run: Annotated[RunOptions, _Flat] = field(default_factory=RunOptions)
-    env: Annotated[EnvConfig, _Flat] = field(default_factory=EnvConfig)
-    network: Annotated[NetworkConfig, _Flat] = field(default_factory=NetworkConfig)
-    collection: Annotated[CollectionConfig, _Flat] = field(default_factory=CollectionConfig)
-    algorithm: Annotated[AlgorithmConfig, _Flat] = field(default_factory=PPOConfig)
+    run: Annotated[RunOptions, FLAT] = field(default_factory=RunOptions)
+    env: Annotated[EnvConfig, FLAT] = field(default_factory=EnvConfig)
+    network: Annotated[NetworkConfig, FLAT] = field(default_factory=NetworkConfig)
+    collection: Annotated[CollectionConfig, FLAT] = field(default_factory=CollectionConfig)
+    algorithm: Annotated[AlgorithmConfig, FLAT] = field(default_factory=PPOConfig)
     backend_settings: tyro.conf.Suppress[Any] = None
     """Settings of the backend that a file provides. The command line has no options for them."""
 
@@ -87,7 +87,7 @@ class Train:
         return TrainingConfig(env, self.network, self.collection, self.algorithm, RunConfig(**vars(self.run)))
 
     def __call__(self) -> int:
-        """Trains a policy for each seed, plots its learning curve and prints a summary."""
+        """Runs the command."""
         config = self.config
         # Checks the settings before importing PyTorch, which takes seconds.
         config.check()
@@ -114,10 +114,9 @@ class Train:
                 print(f"Run {number} of {len(runs)} was interrupted. The same command continues it and those after it.")
                 return code
         names = [str(Path(run.run.runs, run.run.name or "")) for run, _ in runs]
+        together = names[0].removesuffix(f"{SEED_SUFFIX}{runs[0][0].seed}")
         print(f"To evaluate them: rover-rl evaluate {' '.join(names)}")
-        print(
-            f"To compare them with others: rover-rl compare {names[0].removesuffix(f'{SEED_SUFFIX}{runs[0][0].seed}')}"
-        )
+        print(f"To compare them with others: rover-rl compare {together}")
         return failed
 
 
@@ -157,16 +156,15 @@ def train_defaults(args: Sequence[str]) -> Train:
     if given.randomize:
         config = with_settings(config, randomization=Randomization.typical())
     parts = {part: getattr(config, part) for part in PARTS} | {"run": RunOptions(**vars(config.run))}
-    settings = None
-    if not isinstance(config.env.backend, str):
-        settings = config.env.backend
+    settings = None if isinstance(config.env.backend, str) else config.env.backend
+    if settings is not None:
         parts["env"] = replace(config.env, backend=name_of(settings))
     # tyro makes options of the fields that the default has: those of the algorithm.
     return Train(algo=config.algo, backend_settings=settings, **parts)  # type: ignore[arg-type]
 
 
 def _early_options(args: Sequence[str]) -> argparse.Namespace:
-    """Parses the options that determine the defaults of the others."""
+    """Parses the options that determine the defaults of the others. They are parsed again with the others."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     for option in ("--algo", "--config", "--resume", "--backend", "--total-steps"):
         parser.add_argument(option, nargs="?")
@@ -178,32 +176,23 @@ def _early_options(args: Sequence[str]) -> argparse.Namespace:
 
 def _starting_settings(given: argparse.Namespace) -> TrainingConfig:
     """Returns the settings that the other options override."""
+    if given.config is not None and given.config.startswith(PRETRAINED):
+        return with_settings(load_policy(given.config).config, runs=RunConfig.runs, name=None)
     if given.config is not None:
-        return _read_settings(given.config)
+        return read_config(given.config)
     if given.resume is not None:
         return run_config(given.resume)
     if given.source is not None:
         from rover_rl.algos.train.fine_tuning import fine_tuning_config
 
-        # These determine other defaults. Their values are parsed with the other options.
         steering: dict[str, Any] = {"world": tuple(given.world)} if given.world else {}
         return fine_tuning_config(given.source, **steering, **({"total_steps": 1} if given.total_steps else {}))
     return default_config(given.algo if given.algo in ALGORITHMS else PPOConfig.name, given.backend or "warp")
 
 
-def _read_settings(source: str) -> TrainingConfig:
-    """Reads settings from a YAML file or from a pretrained policy."""
-    if not source.startswith(PRETRAINED):
-        return read_config(source)
-    config = load_policy(source).config
-    return with_settings(config, runs=RunConfig.runs, name=None)
-
-
 def format_summary(summary: TrainingSummary) -> str:
     """Formats the result of a training run and the shares of its time."""
     stopped = "Interrupted" if summary.interrupted else "Finished"
+    took = f"{summary.steps:,} steps in {summary.minutes:.1f} minutes"
     shares = ", ".join(f"{name} {share:.0%}" for name, share in summary.shares.items())
-    return (
-        f"{stopped} after {summary.steps:,} steps in {summary.minutes:.1f} minutes: {summary.checkpoint}\n"
-        f"Time went into: {shares}"
-    )
+    return f"{stopped} after {took}: {summary.checkpoint}\nTime went into: {shares}"

@@ -6,18 +6,16 @@ import math
 import warnings
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 import tyro
 
 from rover_rl.checks import check_seed
+from rover_rl.files import written_whole
 from rover_rl.option_names import options_of_command
 
 if TYPE_CHECKING:
     from rover_rl.sims.worlds import World
-
-Corners: TypeAlias = tuple[float, float, float, float]
-Place: TypeAlias = tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -34,11 +32,11 @@ class ImportWorld:
     """World file to write, whose name ends in .world.npz. Default: FILE's name with this ending, in this folder."""
     name: str | None = None
     """Name of the world. Default: that in the file, else the file's name."""
-    spawn: Place | None = None
+    spawn: tuple[float, ...] | None = None
     """Area of starts: x y (the room there), x_low x_high y_low y_high, or corners of a polygon, m. Default: found."""
-    goal: Place | None = None
+    goal: tuple[float, ...] | None = None
     """Area of the goals, in the same forms. Default: the spawn area."""
-    bounds: Corners | None = None
+    bounds: tuple[float, float, float, float] | None = None
     """Area whose exit ends the episode: x_low x_high y_low y_high, m. Default: automatic."""
     cell: float | None = None
     """Spacing of the ground's grid, m. Default: that of the data; for meshes, as fine as 1 cm of error takes."""
@@ -66,7 +64,7 @@ class ImportWorld:
     """Height of the walls of a map, m."""
 
     def __call__(self) -> int:
-        """Imports the world, prints what was understood, and writes the file."""
+        """Runs the command."""
         from rover_rl.sims.worlds import World
 
         out = self.out or Path(f"{self.file.name.partition('.')[0]}.world.npz")
@@ -80,12 +78,10 @@ class ImportWorld:
         return 0
 
     def _options(self) -> dict[str, Any]:
-        areas = {"spawn": "spawn_range", "goal": "goal_range", "bounds": "bounds"}
-        own = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in ("file", "out")}
-        return {
-            areas.get(name, name): _place(name, value) if name in areas and value is not None else value
-            for name, value in own.items()
-        }
+        options = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in ("file", "out")}
+        for name, argument in {"spawn": "spawn_range", "goal": "goal_range", "bounds": "bounds"}.items():
+            options[argument] = _place(name, options.pop(name))
+        return options
 
 
 @dataclass(frozen=True)
@@ -102,8 +98,7 @@ class ShowWorld:
     """Seed of the start and the goal."""
 
     def __call__(self) -> int:
-        """Draws the picture, and prints what was understood."""
-        from rover_rl.files import written_whole
+        """Runs the command."""
         from rover_rl.sims.free_space.draw_task import draw_task
         from rover_rl.sims.robots import get_robot
         from rover_rl.sims.worlds import get_world
@@ -141,17 +136,16 @@ class Worlds:
     """Import a world from a file, or show it. Default: list and draw worlds."""
 
     def __call__(self) -> int:
-        """Runs the action. Without one, draws the maps and prints a line about each world."""
+        """Runs the command."""
         if self.action is not None:
             return self.action()
-        from rover_rl.files import written_whole
         from rover_rl.sims.free_space.draw import draw_world
         from rover_rl.sims.robots import get_robot
         from rover_rl.sims.worlds import get_world, world_names
 
         robot = get_robot(self.robot)
         for name in self.world or world_names():
-            world, path = get_world(name), self.out / f"{_file_name(name)}.png"
+            world, path = get_world(name), self.out / f"{Path(name).name.removesuffix('.npz').replace(':', '-')}.png"
             with written_whole(path) as temporary:
                 draw_world(world, robot, temporary)
             width, depth = (f"{high - low:.0f}" for low, high in world.spawn_range)
@@ -159,21 +153,18 @@ class Worlds:
         return 0
 
 
-def _place(name: str, numbers: Place) -> Any:
+def _place(name: str, numbers: tuple[float, ...] | None) -> Any:
     """Returns a point, a rectangle or a polygon from the numbers on the command line."""
+    if numbers is None:
+        return None
     if len(numbers) < 2 or len(numbers) % 2:
         raise ValueError(f"--{name} takes 2 numbers (a point), 4 (a rectangle) or an even number from 6 (a polygon)")
     pairs = [*zip(numbers[::2], numbers[1::2], strict=True)]
     return pairs[0] if len(pairs) == 1 else pairs
 
 
-def _file_name(world: str) -> str:
-    """Returns the name of a picture for a world: its name, or the file's without its ending."""
-    return Path(world).name.removesuffix(".npz").replace(":", "-")
-
-
 def _description(world: World) -> str:
-    """Returns lines about a world: its size, and what the importer has to say."""
+    """Describes a world: its size, and what the importer has to say."""
     from rover_rl.envs.sensors.standard import clipped_pose
 
     terrain = world.terrain

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import reduce
 from typing import Any, ClassVar
 
 import torch
@@ -69,10 +71,7 @@ class RewardComponent(Transform):
     def _active(self, phase: Tensor) -> Tensor:
         if not self.phases:
             return phase != StepEvent.NONE
-        active = phase == self.phases[0]
-        for other in self.phases[1:]:
-            active = active | (phase == other)
-        return active
+        return reduce(torch.logical_or, (phase == active for active in self.phases))
 
     def transform_reward_spec(self, reward_spec: TensorSpec) -> TensorSpec:
         """Adds the component to the reward spec."""
@@ -85,41 +84,42 @@ class RewardComponent(Transform):
         return reward_spec
 
 
-class GoalReward(RewardComponent):
+class _ConfiguredComponent(RewardComponent):
+    """Component that is a dataclass: its fields are parameters with the names and defaults of :class:`RewardConfig`."""
+
+    def __post_init__(self) -> None:
+        super().__init__()
+
+    @classmethod
+    def from_config(cls, config: RewardConfig) -> RewardComponent:
+        """Creates the component with its parameters in a configuration."""
+        return cls(**{field.name: getattr(config, field.name) for field in fields(cls)})
+
+
+@dataclass(eq=False, repr=False)
+class GoalReward(_ConfiguredComponent):
     """Reward for reaching a goal."""
 
     name = "goal"
     phases = (StepEvent.GOAL,)
-
-    def __init__(self, goal_reward: float = RewardConfig.goal_reward) -> None:
-        super().__init__()
-        self.goal_reward = goal_reward
+    goal_reward: float = RewardConfig.goal_reward
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> float:
         """Returns ``goal_reward``."""
         return self.goal_reward
 
 
-class ProgressReward(RewardComponent):
+@dataclass(eq=False, repr=False)
+class ProgressReward(_ConfiguredComponent):
     """Reward for progress toward the goal, or idle penalty if there is too little or the rover faces away."""
 
     name = "progress"
     phases = (StepEvent.DENSE,)
-
-    def __init__(
-        self,
-        distance_delta_scale: float = RewardConfig.distance_delta_scale,
-        final_reward_multiplier: float = RewardConfig.final_reward_multiplier,
-        idle_penalty: float = RewardConfig.idle_penalty,
-        min_progress: float = RewardConfig.min_progress,
-        min_alignment: float = RewardConfig.min_alignment,
-    ) -> None:
-        super().__init__()
-        self.distance_delta_scale = distance_delta_scale
-        self.final_reward_multiplier = final_reward_multiplier
-        self.idle_penalty = idle_penalty
-        self.min_progress = min_progress
-        self.min_alignment = min_alignment
+    distance_delta_scale: float = RewardConfig.distance_delta_scale
+    final_reward_multiplier: float = RewardConfig.final_reward_multiplier
+    idle_penalty: float = RewardConfig.idle_penalty
+    min_progress: float = RewardConfig.min_progress
+    min_alignment: float = RewardConfig.min_alignment
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
         """Returns ``final_reward_multiplier * (distance_delta_scale * progress or idle_penalty)``."""
@@ -129,80 +129,66 @@ class ProgressReward(RewardComponent):
         return torch.where(counts, progress * (multiplier * self.distance_delta_scale), multiplier * self.idle_penalty)
 
 
-class VelocityBonus(RewardComponent):
+@dataclass(eq=False, repr=False)
+class VelocityBonus(_ConfiguredComponent):
     """Reward proportional to the forward speed from wheel odometry."""
 
     name = "velocity"
     phases = (StepEvent.DENSE,)
-
-    def __init__(self, velocity_scale: float = RewardConfig.velocity_scale) -> None:
-        super().__init__()
-        self.velocity_scale = velocity_scale
+    velocity_scale: float = RewardConfig.velocity_scale
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
         """Returns ``velocity_scale * v``."""
         return outcome.get("linear_velocity") * self.velocity_scale
 
 
-class TurnPenalty(RewardComponent):
+@dataclass(eq=False, repr=False)
+class TurnPenalty(_ConfiguredComponent):
     """Penalty proportional to the absolute yaw rate from wheel odometry."""
 
     name = "turn"
     phases = (StepEvent.DENSE,)
-
-    def __init__(self, turn_scale: float = RewardConfig.turn_scale) -> None:
-        super().__init__()
-        self.turn_scale = turn_scale
+    turn_scale: float = RewardConfig.turn_scale
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
         """Returns ``turn_scale * |w|``."""
         return outcome.get("angular_velocity").abs() * self.turn_scale
 
 
-class CollisionPenalty(RewardComponent):
+@dataclass(eq=False, repr=False)
+class CollisionPenalty(_ConfiguredComponent):
     """Penalty for each step with a lidar reading below the collision threshold."""
 
     name = "collision"
     phases = (StepEvent.COLLISION,)
-
-    def __init__(self, collision_penalty: float = RewardConfig.collision_penalty) -> None:
-        super().__init__()
-        self.collision_penalty = collision_penalty
+    collision_penalty: float = RewardConfig.collision_penalty
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> float:
         """Returns ``collision_penalty``."""
         return self.collision_penalty
 
 
-class StuckPenalty(RewardComponent):
+@dataclass(eq=False, repr=False)
+class StuckPenalty(_ConfiguredComponent):
     """Penalty for an episode that ends because the rover is stuck."""
 
     name = "stuck"
     phases = (StepEvent.STUCK,)
-
-    def __init__(self, stuck_penalty: float = RewardConfig.stuck_penalty) -> None:
-        super().__init__()
-        self.stuck_penalty = stuck_penalty
+    stuck_penalty: float = RewardConfig.stuck_penalty
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> float:
         """Returns ``stuck_penalty``."""
         return self.stuck_penalty
 
 
-class GeneralPenalty(RewardComponent):
+@dataclass(eq=False, repr=False)
+class GeneralPenalty(_ConfiguredComponent):
     """Penalty for an episode that ends in a jam, or in a flip after the first ``flip_grace_steps`` steps."""
 
     name = "general"
     phases = (StepEvent.FLIP, StepEvent.JAM)
-
-    def __init__(
-        self,
-        general_penalty: float = RewardConfig.general_penalty,
-        flip_grace_steps: int = RewardConfig.flip_grace_steps,
-    ) -> None:
-        super().__init__()
-        self.general_penalty = general_penalty
-        self.flip_grace_steps = flip_grace_steps
+    general_penalty: float = RewardConfig.general_penalty
+    flip_grace_steps: int = RewardConfig.flip_grace_steps
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
         """Returns the penalty, or 0 for a flip in the first ``flip_grace_steps`` steps."""
@@ -210,22 +196,21 @@ class GeneralPenalty(RewardComponent):
         return torch.where(early_flip, 0.0, self.general_penalty)
 
 
-class OutOfBoundsPenalty(RewardComponent):
+@dataclass(eq=False, repr=False)
+class OutOfBoundsPenalty(_ConfiguredComponent):
     """Penalty for an episode that ends because the rover leaves the world's bounds."""
 
     name = "out_of_bounds"
     phases = (StepEvent.OUT_OF_BOUNDS,)
-
-    def __init__(self, out_of_bounds_penalty: float = RewardConfig.out_of_bounds_penalty) -> None:
-        super().__init__()
-        self.out_of_bounds_penalty = out_of_bounds_penalty
+    out_of_bounds_penalty: float = RewardConfig.out_of_bounds_penalty
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> float:
         """Returns ``out_of_bounds_penalty``."""
         return self.out_of_bounds_penalty
 
 
-class ClearancePenalty(RewardComponent):
+@dataclass(eq=False, repr=False)
+class ClearancePenalty(_ConfiguredComponent):
     """Penalty that grows as the nearest lidar reading falls below a distance. Not a part of the contract.
 
     With the nearest reading ``d`` of the observation and the distance ``D``, the value is
@@ -243,11 +228,8 @@ class ClearancePenalty(RewardComponent):
     """
 
     name = "clearance"
-
-    def __init__(self, clearance_penalty: float, clearance_distance: float = RewardConfig.clearance_distance) -> None:
-        super().__init__()
-        self.clearance_penalty = clearance_penalty
-        self.clearance_distance = clearance_distance
+    clearance_penalty: float
+    clearance_distance: float = RewardConfig.clearance_distance
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
         """Returns ``clearance_penalty * max(0, 1 - d / clearance_distance)``."""
@@ -255,7 +237,8 @@ class ClearancePenalty(RewardComponent):
         return self.clearance_penalty * (1 - nearest / self.clearance_distance).clamp_min(0)
 
 
-class ActionRatePenalty(RewardComponent):
+@dataclass(eq=False, repr=False)
+class ActionRatePenalty(_ConfiguredComponent):
     """Penalty for changes of the action between steps. Not a part of the contract.
 
     The value is ``action_rate_penalty * |a_t - a_(t-1)|^2`` in every step but the first of an episode, with actions in
@@ -271,11 +254,7 @@ class ActionRatePenalty(RewardComponent):
     """
 
     name = "action_rate"
-
-    def __init__(self, action_rate_penalty: float) -> None:
-        super().__init__()
-        self.action_rate_penalty = action_rate_penalty
-        self._change: Tensor
+    action_rate_penalty: float
 
     def value(self, outcome: TensorDictBase, observation: TensorDictBase) -> Tensor:
         """Returns ``action_rate_penalty * |a_t - a_(t-1)|^2``, or 0 in the first step of an episode."""
@@ -325,30 +304,18 @@ def contract_reward(config: RewardConfig | None = None) -> list[Transform]:
         ['goal', 'progress', 'velocity', 'turn', 'collision', 'stuck', 'general', 'out_of_bounds']
     """
     config = config or RewardConfig()
-    added: list[Transform] = []
+    kinds: list[type[_ConfiguredComponent]] = [*_CONTRACT]
     if config.clearance_penalty:
-        added.append(ClearancePenalty(config.clearance_penalty, config.clearance_distance))
+        kinds.append(ClearancePenalty)
     if config.action_rate_penalty:
-        added.append(ActionRatePenalty(config.action_rate_penalty))
-    return [
-        GoalReward(config.goal_reward),
-        ProgressReward(
-            config.distance_delta_scale,
-            config.final_reward_multiplier,
-            config.idle_penalty,
-            config.min_progress,
-            config.min_alignment,
-        ),
-        VelocityBonus(config.velocity_scale),
-        TurnPenalty(config.turn_scale),
-        CollisionPenalty(config.collision_penalty),
-        StuckPenalty(config.stuck_penalty),
-        GeneralPenalty(config.general_penalty, config.flip_grace_steps),
-        OutOfBoundsPenalty(config.out_of_bounds_penalty),
-        *added,
-    ]
+        kinds.append(ActionRatePenalty)
+    return [kind.from_config(config) for kind in kinds]
 
 
+_CONTRACT = (
+    *(GoalReward, ProgressReward, VelocityBonus, TurnPenalty),
+    *(CollisionPenalty, StuckPenalty, GeneralPenalty, OutOfBoundsPenalty),
+)
 _REGISTRY = Registry("reward", {"contract": contract_reward, "task": list})
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import inspect
+import os
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -13,23 +15,87 @@ from numpy.typing import ArrayLike, NDArray
 from torchrl.envs import EnvBase
 
 from rover_rl.checks import check_seed
-from rover_rl.envs.rewards import RewardConfig
 from rover_rl.envs.rover import RoverEnv as BatchedRoverEnv
-from rover_rl.envs.wrappers.gym_vector import GymVectorWrapper, make_vector_env
-from rover_rl.envs.wrappers.learning_options import LearningOptions, Reward, base_env, learning_transforms, pop_options
-from rover_rl.envs.wrappers.numpy_batch import NumpyBatch, Observation, TimeLimit, row_of
-from rover_rl.envs.wrappers.original_names import OriginalNames
-from rover_rl.envs.wrappers.window import Window
-from rover_rl.sims.base import View
+from rover_rl.envs.wrappers.learning_options import base_env, learning_transforms
+from rover_rl.envs.wrappers.numpy_batch import (
+    NumpyBatch,
+    Observation,
+    WrapperOptions,
+    pop_options,
+    require_one_of,
+    row_of,
+)
+from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.timing import CONTROL_DT
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-__all__ = ["GymVectorWrapper", "GymWrapper", "RoverEnv", "make_vector_env"]
+
+def _original(get: Callable[[BatchedRoverEnv], Any], doc: str) -> property:
+    return property(lambda wrapper: get(wrapper.base_env), doc=doc)
 
 
-class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
+def _reward(name: str, doc: str) -> property:
+    def get(wrapper: GymWrapper) -> float:
+        if wrapper.reward_config is None:
+            raise AttributeError(
+                "the parameters of the contract's reward are only known if this class has added the reward; "
+                "pass a bare RoverEnv, with reward='contract' or a RewardConfig"
+            )
+        return getattr(wrapper.reward_config, name)
+
+    return property(get, doc=doc)
+
+
+def _euler(axis: int, doc: str) -> property:
+    return _original(lambda env: quaternion_to_euler(env.rover_state.orientation)[0, axis].item(), doc)
+
+
+class _OriginalNames:
+    """Read-only attributes of the original environment, with its names and spelling."""
+
+    size = _original(lambda env: env.size, "Size of the camera buffer, pixels. Reserved for vision.")
+    length = _length = _original(lambda env: env.length, "Number of steps after which an episode ends.")
+    lidar_points = _original(lambda env: env.lidar.points, "Number of lidar readings in an observation.")
+    max_lidar_range = _original(lambda env: env.lidar.max_range, "Maximum of a lidar reading, m.")
+
+    world_n = _original(lambda env: env.worlds[0].name, "Name of the world.")
+    rand_x_range = _original(lambda env: env.worlds[0].spawn_range[0], "Range of starts in x, (low, high), m.")
+    rand_y_range = _original(lambda env: env.worlds[0].spawn_range[1], "Range of starts in y, (low, high), m.")
+    rand_goal_x_range = _original(lambda env: env.worlds[0].goal_range[0], "Range of goals in x, (low, high), m.")
+    rand_goal_y_range = _original(lambda env: env.worlds[0].goal_range[1], "Range of goals in y, (low, high), m.")
+    too_far_away_low_x = _original(lambda env: env.worlds[0].bounds[0][0], "Lower bound of the world in x, m.")
+    too_far_away_high_x = _original(lambda env: env.worlds[0].bounds[0][1], "Upper bound of the world in x, m.")
+    too_far_away_low_y = _original(lambda env: env.worlds[0].bounds[1][0], "Lower bound of the world in y, m.")
+    too_far_away_high_y = _original(lambda env: env.worlds[0].bounds[1][1], "Upper bound of the world in y, m.")
+
+    success_distance = _original(lambda env: env.task.success_distance, "Distance below which a goal is reached, m.")
+    collision_threshold = _original(lambda env: env.task.collision_threshold, "Reading below which it collides, m.")
+    collision_window = _original(lambda env: env.task.collision_window, "Steps in collision that are not yet a jam.")
+    stuck_window = _original(lambda env: env.task.stuck_window, "Number of positions that tell a stuck rover.")
+    stuck_threshold = _original(lambda env: env.task.stuck_threshold, "Displacement of a stuck rover, less than, m.")
+
+    goal_reward = _reward("goal_reward", "Reward for reaching a goal.")
+    distance_delta_scale = _reward("distance_delta_scale", "Reward per meter of progress toward the goal.")
+    final_reward_multiplier = _reward("final_reward_multiplier", "Factor of progress reward and idle penalty.")
+    collision_penalty = _reward("collision_penalty", "Reward for each step in collision.")
+    stuck_penilty = _reward("stuck_penalty", "Reward for an episode that ends with a stuck rover.")
+    general_penility = _reward("general_penalty", "Reward for an episode that ends in a flip or a jam.")
+    too_far_away_penilty = _reward("out_of_bounds_penalty", "Reward for leaving the world's bounds.")
+
+    current_roll = _euler(0, "Roll, rad.")
+    current_pitch = _euler(1, "Pitch, rad.")
+    current_yaw = _euler(2, "Yaw, rad.")
+    current_linear_velocity = _original(lambda env: env.rover_state.linear_velocity.item(), "Wheel odometry, m/s.")
+    current_angular_velocity = _original(lambda env: env.rover_state.angular_velocity.item(), "Wheel odometry, rad/s.")
+    rover_position = _original(lambda env: env.rover_state.position[0].numpy(force=True).copy(), "float32 [3], m.")
+    lidar_data = property(lambda wrapper: wrapper.get_observation()["lidar"], doc="float32 [lidar_points], m.")
+    target_positions_x = _original(lambda env: env.goal[0, 0].item(), "Position of the goal in x, m.")
+    target_positions_y = _original(lambda env: env.goal[0, 1].item(), "Position of the goal in y, m.")
+
+
+class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
     """Wraps a :class:`rover_rl.RoverEnv` of one rover as a ``gymnasium.Env`` with all methods of the contract.
 
     The observation is a dictionary of the contract's five float32 arrays. The action is forward speed (m/s) and heading
@@ -48,12 +114,16 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         render_mode: ``None``; ``"rgb_array"``: :meth:`render` returns an image; or ``"human"``: each reset and step
             shows an image in a window, in real time (requires the extra ``human``).
         camera: camera position: behind the rover (``"chase"``) or above it (``"top"``).
-        **options: ``action_repeat``, ``reward_scale`` and ``scale_observations``, with which algorithms learn at their
-            default settings: see :class:`~rover_rl.envs.wrappers.learning_options.LearningOptions`.
+        action_repeat, reward_scale, scale_observations: options with which algorithms learn at their default settings:
+            see :class:`~rover_rl.envs.wrappers.learning_options.LearningOptions`.
+
+    Attributes:
+        base_env: the ``RoverEnv`` under the transforms.
+        reward_config: parameters of the contract's reward. ``None`` if this class has not added it.
 
     Raises:
-        TypeError: if ``env`` has another type.
-        ValueError: if there is more than one rover, or an option is unknown.
+        TypeError: if ``env`` has another type, or an option does not exist.
+        ValueError: if there is more than one rover, or an option is out of range.
         ImportError: if ``render_mode="human"`` and pygame is not installed.
         RuntimeError: if ``render_mode="human"`` and there is no display.
 
@@ -68,44 +138,20 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
 
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": round(1 / CONTROL_DT)}  # noqa: RUF012
 
-    def __init__(
-        self,
-        env: EnvBase,
-        *,
-        reward: Reward | None = None,
-        time_limit: TimeLimit = "terminated",
-        render_mode: str | None = None,
-        camera: View = "chase",
-        **options: Unpack[LearningOptions],
-    ) -> None:
+    def __init__(self, env: EnvBase, **options: Unpack[WrapperOptions]) -> None:
         rovers = base_env(env).num_envs
         if rovers != 1:
             raise ValueError(f"GymWrapper is for one rover, got num_envs={rovers}; use GymVectorWrapper for a batch")
-        modes = [None, *self.metadata["render_modes"]]
-        if render_mode not in modes:
-            raise ValueError(f"render_mode must be one of {modes}, got {render_mode!r}")
-        human = render_mode == "human"
-        batch_mode = "rgb_array" if human else render_mode
-        self._batch = NumpyBatch(
-            env, reward=reward, time_limit=time_limit, render_mode=batch_mode, camera=camera, options=options
-        )
+        self.render_mode = options.get("render_mode")
+        require_one_of("render_mode", self.render_mode, (None, *self.metadata["render_modes"]))
+        if self.render_mode == "human":
+            options["render_mode"] = "rgb_array"
+        self._batch = NumpyBatch(env, **options)
+        self.base_env, self.reward_config = self._batch.base_env, self._batch.reward_config
+        self.observation_space, self.action_space = self._batch.observation_space, self._batch.action_space
         self.metadata = {**self.metadata, "render_fps": self._batch.frames_per_second}
-        self._window = Window("rover_rl", self.metadata["render_fps"]) if human else None
-        self.observation_space = self._batch.observation_space
-        self.action_space = self._batch.action_space
-        self.render_mode = render_mode
-        self._reward = 0.0
-        self._steps = 0
-
-    @property
-    def base_env(self) -> BatchedRoverEnv:
-        """The ``RoverEnv`` under the transforms."""
-        return self._batch.base_env
-
-    @property
-    def reward_config(self) -> RewardConfig | None:
-        """Parameters of the contract's reward. ``None`` if this class has not added it."""
-        return self._batch.reward_config
+        self._window = _Window(self.metadata["render_fps"]) if self.render_mode == "human" else None
+        self._reward, self._steps = 0.0, 0
 
     @property
     def _step(self) -> int:
@@ -252,13 +298,11 @@ class GymWrapper(OriginalNames, gymnasium.Env[Any, Any]):
         self._pass_message("odometry", msg)
 
     def _pass_message(self, kind: str, msg: Any) -> None:
-        receive = getattr(self.base_env.simulator, "receive", None)
-        if receive is None:
-            raise RuntimeError(
-                f"{type(self.base_env.simulator).__name__}: this backend makes its own sensor data; "
-                "callbacks are for backend='ros2'"
-            )
-        receive(kind, msg)
+        simulator = self.base_env.simulator
+        if not hasattr(simulator, "receive"):
+            name = type(simulator).__name__
+            raise RuntimeError(f"{name}: this backend makes its own sensor data; callbacks are for backend='ros2'")
+        simulator.receive(kind, msg)
 
 
 class RoverEnv(GymWrapper):
@@ -266,9 +310,8 @@ class RoverEnv(GymWrapper):
 
     Args:
         *args: positional arguments of :class:`rover_rl.RoverEnv`: the contract's ten.
-        reward, time_limit, render_mode, camera: see :class:`GymWrapper`.
-        **kwargs: ``action_repeat``, ``reward_scale`` and ``scale_observations`` of :class:`GymWrapper`, and keyword
-            arguments of :class:`rover_rl.RoverEnv` except ``num_envs``.
+        **kwargs: options of :class:`GymWrapper`, and keyword arguments of :class:`rover_rl.RoverEnv` except
+            ``num_envs``.
 
     Example:
         >>> env = RoverEnv(world_n="maze", length=500)
@@ -277,31 +320,63 @@ class RoverEnv(GymWrapper):
         -10.0
     """
 
-    def __init__(
-        self,
-        *args: Any,
-        reward: Reward = "contract",
-        time_limit: TimeLimit = "terminated",
-        render_mode: str | None = None,
-        camera: View = "chase",
-        **kwargs: Any,
-    ) -> None:
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
         if "num_envs" in kwargs:
             raise TypeError("this class is for one rover and takes no num_envs; use GymVectorWrapper for a batch")
         options = pop_options(kwargs)
-        env = BatchedRoverEnv(*args, **kwargs)
-        super().__init__(env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera, **options)
+        super().__init__(BatchedRoverEnv(*args, **kwargs), **options)
 
 
 def _signature() -> inspect.Signature:
     """Returns the arguments of the batched environment except ``num_envs``, followed by those of the wrapper."""
     batched = inspect.signature(BatchedRoverEnv).parameters
-    own = inspect.signature(RoverEnv.__init__).parameters
-    forwarded = [parameter for name, parameter in batched.items() if name != "num_envs"]
-    added = [parameter for parameter in own.values() if parameter.kind is parameter.KEYWORD_ONLY]
-    options = [*inspect.signature(learning_transforms).parameters.values()][1:]
-    options = [parameter.replace(kind=parameter.KEYWORD_ONLY) for parameter in options]
-    return inspect.Signature([*forwarded, *added, *options])
+    wrapper = [each for each in inspect.signature(NumpyBatch).parameters.values() if each.kind is each.KEYWORD_ONLY]
+    learning = [*inspect.signature(learning_transforms).parameters.values()][1:]
+    options = [each.replace(kind=each.KEYWORD_ONLY) for each in (*wrapper, *learning)]
+    return inspect.Signature([*(each for name, each in batched.items() if name != "num_envs"), *options])
 
 
 RoverEnv.__signature__ = _signature()  # type: ignore[attr-defined]
+
+
+class _Window:
+    """Window of pygame for ``render_mode="human"``, of which a process has one.
+
+    :meth:`show` waits so that there are at most ``fps`` images per second. The window is not opened again after the
+    user has closed it, which ``dismissed`` tells.
+    """
+
+    def __init__(self, fps: float) -> None:
+        # Prevents pygame from printing a greeting to standard output.
+        os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+        try:
+            import pygame
+        except ImportError as error:
+            raise ImportError('render_mode="human" needs pygame: pip install "rover_rl[human]"') from error
+        self._pygame, self._clock, self._fps = pygame, pygame.time.Clock(), fps
+        self.dismissed = False
+        try:
+            pygame.display.init()
+        except pygame.error as error:
+            raise RuntimeError(f'render_mode="human" needs a display: {error}; "rgb_array" needs none') from error
+
+    def show(self, picture: NDArray[np.uint8]) -> None:
+        """Shows an image, uint8 ``[height, width, 3]``."""
+        display = self._pygame.display
+        size = picture.shape[1], picture.shape[0]
+        screen = display.get_surface() if display.get_init() else None
+        if screen is None or screen.get_size() != size:
+            display.init()
+            screen = display.set_mode(size)
+            display.set_caption("rover_rl")
+        if self._pygame.event.get(self._pygame.QUIT):
+            self.dismissed = True
+            self.close()
+            return
+        self._pygame.event.pump()
+        screen.blit(self._pygame.image.frombytes(picture.tobytes(), size, "RGB"), (0, 0))
+        display.flip()
+        self._clock.tick(self._fps)
+
+    def close(self) -> None:
+        self._pygame.display.quit()

@@ -13,9 +13,7 @@ from torchrl.envs import EnvBase
 
 from rover_rl.checks import check_seed
 from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.wrappers.learning_options import LearningOptions, Reward, pop_options
-from rover_rl.envs.wrappers.numpy_batch import Mask, NumpyBatch, Observation, Step, TimeLimit, row_of
-from rover_rl.sims.base import View
+from rover_rl.envs.wrappers.numpy_batch import Mask, NumpyBatch, Observation, Step, WrapperOptions, pop_options, row_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -32,11 +30,13 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
 
     Args:
         env: ``RoverEnv``, or a ``TransformedEnv`` of one, for example from :func:`rover_rl.make_env`.
-        reward, time_limit, render_mode, camera: see :class:`~rover_rl.envs.wrappers.gym.GymWrapper`.
-        **options: see :class:`~rover_rl.envs.wrappers.gym.GymWrapper`.
         autoreset_mode: time at which rows whose episode ended are reset, as defined by Gymnasium: in the next step,
             which ignores their action (``NEXT_STEP``); in the same step, with ``final_obs`` and ``final_info`` in
             ``infos`` (``SAME_STEP``); or by ``reset(options={"reset_mask": ...})`` (``DISABLED``).
+        **options: options of :class:`~rover_rl.envs.wrappers.gym.GymWrapper`.
+
+    Attributes:
+        base_env: the ``RoverEnv`` under the transforms.
 
     Example:
         >>> import rover_rl
@@ -50,34 +50,23 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
         self,
         env: EnvBase,
         *,
-        reward: Reward | None = None,
-        time_limit: TimeLimit = "terminated",
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        render_mode: str | None = None,
-        camera: View = "chase",
-        **options: Unpack[LearningOptions],
+        **options: Unpack[WrapperOptions],
     ) -> None:
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self._batch = NumpyBatch(
-            env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera, options=options
-        )
-        self.num_envs = self._batch.num_envs
+        self._batch = NumpyBatch(env, **options)
+        self.base_env, self.num_envs = self._batch.base_env, self._batch.num_envs
         self.single_observation_space = self._batch.observation_space
         self.single_action_space = self._batch.action_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self.render_mode = render_mode
+        self.render_mode = self._batch.render_mode
         self.metadata = {
             "render_modes": ["rgb_array"],
             "render_fps": self._batch.frames_per_second,
             "autoreset_mode": self.autoreset_mode,
         }
         self._ended = np.zeros(self.num_envs, np.bool_)
-
-    @property
-    def base_env(self) -> RoverEnv:
-        """The ``RoverEnv`` under the transforms."""
-        return self._batch.base_env
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -180,10 +169,8 @@ def make_vector_env(num_envs: int = 1, **kwargs: Any) -> GymVectorWrapper:
         num_envs: number of rovers.
         **kwargs: arguments of :class:`rover_rl.RoverEnv` and of :class:`GymVectorWrapper`.
     """
-    options = pop_options(kwargs)
-    names = ("reward", "time_limit", "autoreset_mode", "render_mode", "camera")
-    wrapper = {key: kwargs.pop(key) for key in names if key in kwargs}
-    return GymVectorWrapper(RoverEnv(num_envs=num_envs, **kwargs), **wrapper, **options)
+    options, mode = pop_options(kwargs), kwargs.pop("autoreset_mode", AutoresetMode.NEXT_STEP)
+    return GymVectorWrapper(RoverEnv(num_envs=num_envs, **kwargs), autoreset_mode=mode, **options)
 
 
 def _first_seed(seed: int | Sequence[int | None] | None, num_envs: int) -> int | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, TypeAlias, TypedDict
+from typing import TypeAlias, TypedDict
 
 from torchrl.envs import Compose, EnvBase, RewardScaling, TransformedEnv
 from torchrl.envs.transforms import Transform
@@ -41,12 +41,7 @@ class LearningOptions(TypedDict, total=False):
 def with_options(env: EnvBase, reward: Reward | None, options: LearningOptions) -> tuple[EnvBase, RewardConfig | None]:
     """Adds the reward, by default the contract's, to a bare environment, and then the transforms of the options.
 
-    Returns:
-        The environment, and the parameters of the contract's reward: ``None`` if it was not added here.
-
-    Raises:
-        TypeError: if ``env`` has another type, or an option does not exist.
-        ValueError: if a ``TransformedEnv`` is given another reward, or an option is out of range.
+    Returns the environment, and the parameters of the contract's reward: ``None`` if it was not added here.
     """
     if unknown := options.keys() - LearningOptions.__annotations__:
         raise TypeError(f"unknown options {sorted(unknown)}; use some of {[*LearningOptions.__annotations__]}")
@@ -79,12 +74,6 @@ def learning_transforms(
     return transforms
 
 
-def pop_options(arguments: dict[str, Any]) -> LearningOptions:
-    """Removes the options of :class:`LearningOptions` from arguments, and returns them."""
-    given: Any = {key: arguments.pop(key) for key in LearningOptions.__annotations__ if key in arguments}
-    return given
-
-
 def steps_per_action(env: EnvBase) -> int:
     """Returns the number of steps of 0.05 s that an environment holds each action for."""
     modules = env.transform.modules() if isinstance(env, TransformedEnv) else ()
@@ -92,11 +81,7 @@ def steps_per_action(env: EnvBase) -> int:
 
 
 def base_env(env: EnvBase) -> RoverEnv:
-    """Returns the :class:`RoverEnv` under the transforms of ``env``.
-
-    Raises:
-        TypeError: if there is none.
-    """
+    """Returns the :class:`RoverEnv` under the transforms of ``env``, or raises ``TypeError`` if there is none."""
     inner = env
     while isinstance(inner, TransformedEnv):
         inner = inner.base_env

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 import torch
@@ -22,10 +22,22 @@ from rover_rl.envs.wrappers.learning_options import LearningOptions, Reward, bas
 from rover_rl.sims.base import View
 from rover_rl.tensordicts import in_rows
 
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
 Observation: TypeAlias = Any
 """A dictionary of arrays by entry, or one array if observations are scaled. All arrays are float32."""
 Mask: TypeAlias = NDArray[np.bool_]
 TimeLimit: TypeAlias = Literal["terminated", "truncated"]
+
+
+class WrapperOptions(LearningOptions, total=False):
+    """Keyword arguments of the classes that wrap an environment: see :class:`~rover_rl.GymWrapper`."""
+
+    reward: Reward | None
+    time_limit: TimeLimit
+    render_mode: str | None
+    camera: View
 
 
 @dataclass(frozen=True)
@@ -59,14 +71,14 @@ class NumpyBatch:
         time_limit: TimeLimit = "terminated",
         render_mode: str | None = None,
         camera: View = "chase",
-        options: LearningOptions | None = None,
+        **options: Unpack[LearningOptions],
     ) -> None:
-        _require_one_of("time_limit", time_limit, get_args(TimeLimit))
-        _require_one_of("render_mode", render_mode, (None, "rgb_array"))
-        _require_one_of("camera", camera, get_args(View))
+        require_one_of("time_limit", time_limit, get_args(TimeLimit))
+        require_one_of("render_mode", render_mode, (None, "rgb_array"))
+        require_one_of("camera", camera, get_args(View))
         self.base_env = base_env(env)
-        self.env, self.reward_config = with_options(env, reward, options or {})
-        self._flat = bool(options and options.get("scale_observations"))
+        self.env, self.reward_config = with_options(env, reward, options)
+        self._flat = bool(options.get("scale_observations"))
         self.num_envs: int = self.base_env.num_envs
         self.observation_space = _observation_space(self.env, self._flat)
         self.action_space = _box(self.env.action_spec_unbatched)
@@ -183,6 +195,12 @@ class NumpyBatch:
         return torch.tensor(rows, device=self.env.device).reshape(*self.env.batch_size, 1)
 
 
+def pop_options(arguments: dict[str, Any]) -> WrapperOptions:
+    """Removes the options of :class:`WrapperOptions` from arguments, and returns them."""
+    given: Any = {key: arguments.pop(key) for key in [*arguments] if key in WrapperOptions.__annotations__}
+    return given
+
+
 def row_of(observation: Observation, row: int) -> Observation:
     """Returns a copy of one row of an observation."""
     if isinstance(observation, np.ndarray):
@@ -190,12 +208,17 @@ def row_of(observation: Observation, row: int) -> Observation:
     return {key: value[row].copy() for key, value in observation.items()}
 
 
+def require_one_of(name: str, value: object, allowed: tuple[object, ...]) -> None:
+    """Raises ``ValueError`` unless an option has one of the allowed values."""
+    if value not in allowed:
+        raise ValueError(f"{name} must be one of {list(allowed)}, got {value!r}")
+
+
 def _observation_space(env: EnvBase, flat: bool) -> spaces.Space[Any]:
     if flat:
         return _box(env.observation_spec_unbatched[EncodedObservation.KEY])
     keys = [*base_env(env).sensors]
-    missing = [key for key in keys if key not in env.observation_spec]
-    if missing:
+    if missing := [key for key in keys if key not in env.observation_spec]:
         raise ValueError(f"the observation lacks {missing}, which a transform has removed; {keys} are needed")
     return spaces.Dict({key: _box(env.observation_spec_unbatched[key]) for key in keys})
 
@@ -211,8 +234,3 @@ def _box(spec: TensorSpec) -> spaces.Box:
 def _flat(column: Tensor) -> NDArray[Any]:
     """Copies ``[N, 1]``, or ``[1]`` of an unbatched environment, to an array ``[N]``."""
     return column.reshape(-1).numpy(force=True).copy()
-
-
-def _require_one_of(name: str, value: object, allowed: tuple[object, ...]) -> None:
-    if value not in allowed:
-        raise ValueError(f"{name} must be one of {list(allowed)}, got {value!r}")

@@ -11,7 +11,6 @@ from torch import Tensor
 from torchrl.data import Composite
 from torchrl.envs import EnvBase
 
-from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.wrappers.learning_options import LearningOptions, Reward, base_env, steps_per_action, with_options
 
 if TYPE_CHECKING:
@@ -36,17 +35,12 @@ class RslRlVecEnv(VecEnv):
         **options: see :class:`~rover_rl.envs.wrappers.learning_options.LearningOptions`.
 
     Attributes:
-        env: environment with its reward.
-        num_envs: number of rovers.
-        num_actions: number of entries of an action.
+        env, base_env: environment with its reward, and the ``RoverEnv`` under the transforms.
+        num_envs, num_actions: number of rovers, and of entries of an action.
         device: device of all tensors.
         max_episode_length: number of actions after which an episode is truncated.
         episode_length_buf: number of actions in the episode of each row, int64 ``[N]``. The runner sets it to random
             numbers, so that episodes do not end at the same time.
-
-    Raises:
-        TypeError: if ``env`` has another type, or an option does not exist.
-        ValueError: if the environment has no batch dimension, or an option is out of range.
 
     Example:
         >>> envs = RslRlVecEnv(rover_rl.RoverEnv(num_envs=64, backend="warp"), action_repeat=4, scale_observations=True)
@@ -65,29 +59,22 @@ class RslRlVecEnv(VecEnv):
         if len(env.batch_size) != 1:
             raise ValueError(f"rsl_rl needs a batch of rovers, got the batch size {[*env.batch_size]}; give num_envs")
         self.env, _ = with_options(env, reward, options)
+        self.base_env = base_env(env)
         self.num_envs = self.base_env.num_envs
         self.num_actions = self.env.action_spec.shape[-1]
         self.device = self.env.device or torch.device("cpu")
         self.max_episode_length = math.ceil(self.base_env.length / steps_per_action(self.env))
-        self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
         self.cfg = {} if cfg is None else cfg
         spec = self.env.observation_spec
-        self._groups = [
-            key for key in spec if not isinstance(spec[key], Composite) and spec[key].dtype.is_floating_point
-        ]
-        self._root: TensorDictBase = self.env.reset()
-        self._reached = torch.zeros_like(self.episode_length_buf, dtype=torch.bool)
-
-    @property
-    def base_env(self) -> RoverEnv:
-        """The ``RoverEnv`` under the transforms."""
-        return base_env(self.env)
+        leaves = [key for key in spec if not isinstance(spec[key], Composite)]
+        self._groups = [key for key in leaves if spec[key].dtype.is_floating_point]
+        self.reset()
 
     def reset(self) -> tuple[TensorDict, dict[str, Any]]:
         """Begins the next episode in every row. Returns the observations and no extras."""
-        self._root = self.env.reset()
-        self.episode_length_buf = torch.zeros_like(self.episode_length_buf)
-        self._reached = torch.zeros_like(self._reached)
+        self._root: TensorDictBase = self.env.reset()
+        self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
+        self._reached = torch.zeros_like(self.episode_length_buf, dtype=torch.bool)
         return self.get_observations(), {}
 
     def get_observations(self) -> TensorDict:

@@ -8,10 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torchrl.envs import EnvBase
 
-from rover_rl.envs.rover import RoverEnv
-from rover_rl.envs.wrappers.learning_options import LearningOptions, Reward
-from rover_rl.envs.wrappers.numpy_batch import NumpyBatch, Observation, TimeLimit, row_of
-from rover_rl.sims.base import View
+from rover_rl.envs.wrappers.numpy_batch import NumpyBatch, Observation, WrapperOptions, row_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -31,10 +28,11 @@ class SB3VecEnv(VecEnv):
 
     Args:
         env: ``RoverEnv``, or a ``TransformedEnv`` of one, for example from :func:`rover_rl.make_env`.
-        reward, render_mode, camera: see :class:`~rover_rl.envs.wrappers.gym.GymWrapper`.
-        **options: see :class:`~rover_rl.envs.wrappers.gym.GymWrapper`.
-        time_limit: signal at the end of an episode's length: ``"truncated"``, so that algorithms bootstrap the value
-            there, or ``"terminated"`` as in the contract.
+        **options: options of :class:`~rover_rl.envs.wrappers.gym.GymWrapper`. The default of ``time_limit`` is
+            ``"truncated"``, so that algorithms bootstrap the value at the end of an episode's length.
+
+    Attributes:
+        base_env: the ``RoverEnv`` under the transforms.
 
     Example:
         >>> import rover_rl
@@ -45,27 +43,13 @@ class SB3VecEnv(VecEnv):
 
     metadata: dict[str, Any]
 
-    def __init__(
-        self,
-        env: EnvBase,
-        *,
-        reward: Reward | None = None,
-        time_limit: TimeLimit = "truncated",
-        render_mode: str | None = None,
-        camera: View = "chase",
-        **options: Unpack[LearningOptions],
-    ) -> None:
-        self._batch = NumpyBatch(
-            env, reward=reward, time_limit=time_limit, render_mode=render_mode, camera=camera, options=options
-        )
+    def __init__(self, env: EnvBase, **options: Unpack[WrapperOptions]) -> None:
+        options.setdefault("time_limit", "truncated")
+        self._batch = NumpyBatch(env, **options)
+        self.base_env = self._batch.base_env
         self._actions: np.ndarray | None = None
         super().__init__(self._batch.num_envs, self._batch.observation_space, self._batch.action_space)
         self.metadata["render_fps"] = self._batch.frames_per_second
-
-    @property
-    def base_env(self) -> RoverEnv:
-        """The ``RoverEnv`` under the transforms."""
-        return self._batch.base_env
 
     def reset(self) -> Observation:
         """Begins the next episode in every row, with the values from ``seed()`` and ``set_options()``.
@@ -73,11 +57,10 @@ class SB3VecEnv(VecEnv):
         The options of a row are ``"start"`` (x, y in m, yaw in rad) and ``"goal"`` (x, y in m), both optional. All rows
         must have the same options.
         """
-        keys = self._options[0].keys()
-        if any(options.keys() != keys for options in self._options):
-            names = [sorted(options) for options in self._options]
+        names = [sorted(options) for options in self._options]
+        if any(each != names[0] for each in names):
             raise ValueError(f"every row must have the same options, got {names}")
-        options = {key: [options[key] for options in self._options] for key in keys}
+        options = {key: [options[key] for options in self._options] for key in names[0]}
         observation = self._batch.reset(seed=self._seeds[0], options=options)
         self.reset_infos = [{} for _ in range(self.num_envs)]
         self._reset_seeds()
@@ -89,24 +72,18 @@ class SB3VecEnv(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> tuple[Observation, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Takes one step: 0.05 s, or ``action_repeat`` times as long.
-
-        Returns:
-            Observations, rewards, dones and infos.
-        """
+        """Takes one step, 0.05 s or ``action_repeat`` times as long: returns observations, rewards, dones and infos."""
         if self._actions is None:
             raise RuntimeError("step_wait() needs actions; call step_async() first")
         step = self._batch.step(self._actions)
-        observation, ended = step.observation, step.ended
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        if ended.any():
-            for row in np.flatnonzero(ended).tolist():
-                infos[row] = {key: value[row].item() for key, value in step.info.items()}
-                infos[row]["terminal_observation"] = row_of(observation, row)
-                # As in SB3, termination has priority over truncation. Otherwise the value would be bootstrapped.
-                infos[row]["TimeLimit.truncated"] = bool(step.truncated[row] and not step.terminated[row])
-            observation = self._batch.reset(ended)
-        return observation, step.reward.astype(np.float32), ended, infos
+        for row in np.flatnonzero(step.ended).tolist():
+            infos[row] = {key: value[row].item() for key, value in step.info.items()}
+            infos[row]["terminal_observation"] = row_of(step.observation, row)
+            # As in SB3, termination has priority over truncation. Otherwise the value would be bootstrapped.
+            infos[row]["TimeLimit.truncated"] = bool(step.truncated[row] and not step.terminated[row])
+        observation = self._batch.reset(step.ended) if step.ended.any() else step.observation
+        return observation, step.reward.astype(np.float32), step.ended, infos
 
     def close(self) -> None:
         """Releases the simulator. Idempotent."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
-
 import gymnasium
 import numpy as np
 import pytest
@@ -108,25 +106,6 @@ def test_other_lidars_and_environments_with_transforms() -> None:
     encoder = ObservationEncoder(("lidar", "target"), lidar_points=16)
     rollout = make_env(world_n="maze", num_envs=2, lidar_points=16).append_transform(EncodedObservation(encoder))
     assert rollout.rollout(2)["next", "observation"].shape == (2, 2, encoder.features)
-
-
-@pytest.mark.parametrize(
-    ("options", "error", "message"),
-    [
-        ({"action_repeat": 0}, ValueError, "repeat must be at least 1 step, got 0"),
-        ({"reward_scale": 0.0}, ValueError, "reward_scale"),
-        ({"reward_scal": 0.1}, TypeError, r"unknown options \['reward_scal'\]; use some of \['action_repeat'"),
-    ],
-)
-def test_wrong_options_are_named(options, error, message) -> None:
-    env = BatchedRoverEnv(world_n="maze", seed=0)
-    with pytest.raises(error, match=message):
-        GymWrapper(env, **options)
-    env.close()
-
-
-def test_the_signature_names_the_options() -> None:
-    assert set(OPTIONS) <= set(inspect.signature(RoverEnv).parameters)
 
 
 def test_sb3_takes_vectors() -> None:

@@ -38,7 +38,6 @@ def shared():
 def test_sb3_check_env():
     env = RoverEnv(world_n="maze")
     check_env(env)
-    env.close()
 
 
 def test_it_equals_sb3s_vector_environment_of_single_rovers(shared):
@@ -71,7 +70,6 @@ def test_a_termination_in_the_last_step_is_no_time_limit():
     _, _, dones, infos = envs.step(np.zeros((ROWS, 2)))
     assert dones.all()
     assert not any(info["TimeLimit.truncated"] for info in infos)
-    envs.close()
 
 
 def test_the_contracts_time_limit_can_be_chosen():
@@ -80,7 +78,6 @@ def test_the_contracts_time_limit_can_be_chosen():
     _, _, dones, infos = envs.step(np.zeros((ROWS, 2)))
     assert dones.all()
     assert not any(info["TimeLimit.truncated"] for info in infos)
-    envs.close()
 
 
 def test_episodes_are_counted_by_vec_monitor(shared):
@@ -142,14 +139,12 @@ def test_step_wait_needs_actions():
     envs.reset()
     with pytest.raises(RuntimeError, match="step_async"):
         envs.step_wait()
-    envs.close()
 
 
 def test_render_tiles_the_rows(tmp_path):
     envs = make(rows=2, render_mode="rgb_array")
     envs.reset()
     assert envs.render().shape == (480 * 2, 640, 3)
-    envs.close()
 
 
 def test_ppo_learns_on_the_batch():
@@ -158,7 +153,6 @@ def test_ppo_learns_on_the_batch():
     model.learn(256)
     assert model.num_timesteps == 256
     assert [info["l"] for info in model.ep_info_buffer][-1] <= 20
-    envs.close()
 
 
 def test_a_missing_library_is_named(monkeypatch):

@@ -108,4 +108,4 @@ def test_a_link_with_several_collision_shapes_raises(tmp_path):
     urdf = tmp_path / "rover.urdf"
     urdf.write_text(ROVER.urdf.read_text().replace("</link>", f"{shape}</link>", 1))
     with pytest.raises(ValueError, match=r"rover\.urdf: a link may have one collision shape, link -1 has 2"):
-        make_simulator("bullet", worlds=[FLAT], robot=replace(ROVER, urdf=urdf), lidar_beams=1)
+        make_simulator("bullet", worlds=[FLAT], robot=replace(ROVER, urdf=urdf))
