@@ -15,9 +15,10 @@ from tensordict import TensorDict
 
 from rover_rl import RewardConfig, TaskConfig
 from rover_rl.algos.config import training_config, with_settings
+from rover_rl.algos.deploy import comparison
 from rover_rl.algos.deploy import export as exporting
+from rover_rl.algos.deploy.comparison import random_observations
 from rover_rl.algos.deploy.export import OnnxPolicy, export, onnx_function, program_function
-from rover_rl.algos.deploy.trial_inputs import random_observations
 from rover_rl.algos.evaluation.episodes import stored_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.policy.checkpoint import Checkpoint
@@ -51,7 +52,7 @@ def program_file(tmp_path_factory) -> Path:
 @pytest.fixture
 def few_checks(monkeypatch) -> None:
     """Exported policies are compared on 100 observations: other tests compare them on all."""
-    monkeypatch.setattr(exporting, "CHECKED", 100)
+    monkeypatch.setattr(comparison, "CHECKED", 100)
 
 
 def expected(observations: dict[str, torch.Tensor]) -> torch.Tensor:

@@ -1,8 +1,9 @@
-"""Conversion of ROS messages to tensors. Accepts any object with a message's attributes, such as ROS's own classes."""
+"""Lidar scans of a live rover: reading, conversion to the environment's layout, and the guard of unseen directions."""
 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -52,27 +53,12 @@ class AlignedScan(NamedTuple):
     seen: Tensor
 
 
-class MeasuredPose(NamedTuple):
-    """A position ``[3]`` (m) and an orientation ``[4]`` as (x, y, z, w); ``None`` if it is unknown.
-
-    ``imu_yaw_offset`` is the yaw of the IMU's frame in the frame of the pose, rad.
-    """
-
-    position: Tensor
-    orientation: Tensor | None
-    imu_yaw_offset: float = 0.0
-
-
 def read_scan(msg: Any, max_invalid: float = Ros2Settings.max_invalid) -> Scan:
-    """Reads a ``sensor_msgs/LaserScan``.
+    """Reads a ``sensor_msgs/LaserScan``, of which a share of at most ``max_invalid`` readings may be invalid.
 
     A reading is invalid if it is NaN, or a finite number outside of the message's limits ``range_min`` and
     ``range_max`` (REP 117). Readings that the angles announce and ``ranges`` lacks also count as invalid. The limits
     apply only if ``range_max`` is greater than ``range_min``.
-
-    Args:
-        msg: message to read.
-        max_invalid: maximum share of invalid readings, from 0 to 1.
 
     Raises:
         ValueError: if the scan has no readings, unusable angles, or too many invalid readings.
@@ -104,61 +90,6 @@ def read_scan(msg: Any, max_invalid: float = Ros2Settings.max_invalid) -> Scan:
     return Scan(ranges, valid, angle_min, increment, msg.header.stamp.sec + msg.header.stamp.nanosec * 1e-9)
 
 
-def read_orientation(q: Any) -> Tensor:
-    """Reads and normalizes a ``geometry_msgs/Quaternion``: float32 ``[4]`` as (x, y, z, w).
-
-    Raises:
-        ValueError: if the quaternion is zero or not finite.
-    """
-    quaternion = torch.tensor([q.x, q.y, q.z, q.w], dtype=torch.float64)
-    norm = torch.linalg.vector_norm(quaternion)
-    if not 0.0 < norm < math.inf:
-        raise ValueError(f"an orientation must be a finite quaternion other than zero, got {quaternion.tolist()}")
-    return (quaternion / norm).float()
-
-
-def read_pose(pose: Any) -> MeasuredPose:
-    """Reads a ``geometry_msgs/Pose``. See :func:`read_position` and :func:`read_orientation` for errors."""
-    return MeasuredPose(read_position(pose.position), read_orientation(pose.orientation))
-
-
-def read_position(point: Any) -> Tensor:
-    """Reads a ``geometry_msgs/Point``: float32 ``[3]``, m. Raises ``ValueError`` if a number is not finite."""
-    return _finite("position", point.x, point.y, point.z)
-
-
-def read_pose_array(msg: Any) -> MeasuredPose:
-    """Reads the first pose of a ``geometry_msgs/PoseArray``. Its orientation may be missing or invalid.
-
-    Raises:
-        ValueError: if the array is empty, or the position is not finite.
-    """
-    if not len(msg.poses):
-        raise ValueError("a pose array must have at least one pose, got none")
-    pose = msg.poses[0]
-    position = read_position(pose.position)
-    try:
-        return MeasuredPose(position, read_orientation(pose.orientation))
-    except (ValueError, AttributeError):
-        return MeasuredPose(position, None)
-
-
-def read_twist(msg: Any) -> Tensor:
-    """Reads forward speed (m/s) and yaw rate (rad/s) of a ``nav_msgs/Odometry``: float32 ``[2]``.
-
-    Raises:
-        ValueError: if a number is not finite.
-    """
-    return _finite("velocity", msg.twist.twist.linear.x, msg.twist.twist.angular.z)
-
-
-def _finite(name: str, *numbers: float) -> Tensor:
-    values = torch.tensor(numbers, dtype=torch.float32)
-    if not torch.isfinite(values).all():
-        raise ValueError(f"a {name} must be finite, got {values.tolist()}")
-    return values
-
-
 class ScanAlignment:
     """Converts scans to the environment's layout: a full turn of beams, counter-clockwise from straight ahead.
 
@@ -173,38 +104,34 @@ class ScanAlignment:
 
     def __init__(self, beams: int, yaw: float) -> None:
         self._beams, self._yaw = beams, yaw
-        self._layout: tuple[int, float, float] | None = None
-        self._beam_of_reading = self._nearest_reading = torch.zeros(0, dtype=torch.int64)
 
     def __call__(self, scan: Scan) -> AlignedScan:
         """Converts a scan to the environment's layout."""
-        layout = (len(scan.ranges), scan.angle_min, scan.angle_increment)
-        if layout != self._layout:
-            self._layout = layout
-            self._beam_of_reading, self._nearest_reading = self._indices(*layout)
+        first = scan.angle_min + self._yaw
+        beam_of_reading, nearest = _beams_and_readings(self._beams, len(scan.ranges), first, scan.angle_increment)
         ranges = scan.ranges.masked_fill(~scan.valid, math.inf)
-        closest = torch.full((self._beams,), math.inf).scatter_reduce(0, self._beam_of_reading, ranges, "amin")
+        closest = torch.full((self._beams,), math.inf).scatter_reduce(0, beam_of_reading, ranges, "amin")
         covered = torch.zeros(self._beams, dtype=torch.bool)
-        covered[self._beam_of_reading[scan.valid]] = True
+        covered[beam_of_reading[scan.valid]] = True
         # The padded entry stands for beams without a reading nearby.
-        nearest = torch.nn.functional.pad(ranges, (0, 1), value=math.inf)[self._nearest_reading]
-        nearest_valid = torch.nn.functional.pad(scan.valid, (0, 1), value=False)[self._nearest_reading]
-        return AlignedScan(torch.where(covered, closest, nearest), covered | nearest_valid)
+        near = torch.nn.functional.pad(ranges, (0, 1), value=math.inf)[nearest]
+        near_is_valid = torch.nn.functional.pad(scan.valid, (0, 1), value=False)[nearest]
+        return AlignedScan(torch.where(covered, closest, near), covered | near_is_valid)
 
-    def _indices(self, count: int, angle_min: float, increment: float) -> tuple[Tensor, Tensor]:
-        """Indices between readings and beams.
 
-        Returns:
-            Beam whose sector contains each reading, ``[count]``.
-            Reading nearest to each beam, ``[beams]``; ``count`` if none is near enough.
-        """
-        turn = 2 * math.pi
-        angles = angle_min + self._yaw + increment * torch.arange(count, dtype=torch.float64)
-        beams = turn / self._beams * torch.arange(self._beams, dtype=torch.float64)
-        beam_of_reading = (angles * self._beams / turn).round().long() % self._beams
-        distances = (turn / 2 - (beams[:, None] - angles).remainder(turn)).abs().neg() + turn / 2
-        distance, nearest = distances.min(-1)
-        return beam_of_reading, torch.where(distance <= increment / 2 + 1e-6, nearest, count)
+@lru_cache(maxsize=1)  # the layout of a lidar's scans seldom changes
+def _beams_and_readings(beam_count: int, count: int, first: float, increment: float) -> tuple[Tensor, Tensor]:
+    """Returns the beam whose sector contains each reading, and the reading nearest to each beam.
+
+    The first reading is in direction ``first`` (rad). Where none is near enough, the nearest reading is ``count``.
+    """
+    turn = 2 * math.pi
+    angles = first + increment * torch.arange(count, dtype=torch.float64)
+    beams = turn / beam_count * torch.arange(beam_count, dtype=torch.float64)
+    beam_of_reading = (angles * beam_count / turn).round().long() % beam_count
+    distances = turn / 2 - (turn / 2 - (beams[:, None] - angles).remainder(turn)).abs()
+    distance, nearest = distances.min(-1)
+    return beam_of_reading, torch.where(distance <= increment / 2 + 1e-6, nearest, count)
 
 
 class UnseenGuard:
