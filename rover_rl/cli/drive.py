@@ -7,7 +7,7 @@ import math
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
@@ -191,20 +191,9 @@ class Drive:
     def _settings(self) -> Ros2Settings:
         """Returns the settings of the connection to the rover."""
         command: Command = "twist_stamped" if self.stamped else "twist"
-        return Ros2Settings(
-            transport=self.transport,
-            odometry_topic=self.odometry_topic,
-            pose=self.pose,
-            pose_topic=self.pose_topic,
-            command="none" if self.dry_run else command,
-            lidar_yaw=self.lidar_yaw,
-            max_speed=self.max_speed,
-            max_yaw_rate=self.max_yaw_rate,
-            max_acceleration=self.max_acceleration,
-            max_yaw_acceleration=self.max_yaw_acceleration,
-            reset="none",
-            step_timeout=SENSOR_TIMEOUT,
-        )
+        options = {field.name: getattr(self, field.name) for field in fields(Ros2Settings) if hasattr(self, field.name)}
+        given = Ros2Settings(**options)  # the options of the same names
+        return replace(given, command="none" if self.dry_run else command, reset="none", step_timeout=SENSOR_TIMEOUT)
 
     def _description(self, policy: ResolvedPolicy, settings: Ros2Settings) -> EnvConfig:
         """Describes the environment of the live rover, without a limit on the steps of an episode."""

@@ -53,11 +53,7 @@ class DdsTransport:
     """:class:`Transport` through Cyclone DDS.
 
     Messages are read in a thread of its own, which :meth:`close` stops. All connections of a process share one DDS
-    participant for each domain.
-
-    Args:
-        node: name of the node.
-        environment: environment variables that select domain and discovery range; ``None``: those of the process.
+    participant for each domain. ``environment`` has the variables that select it, by default those of the process.
 
     Raises:
         ValueError: if ``ROS_DOMAIN_ID`` is invalid.

@@ -47,6 +47,11 @@ def read_finite(name: str, *numbers: float) -> Tensor:
     return values
 
 
+def read_position(point: Any) -> Tensor:
+    """Reads a ``geometry_msgs/Point``: float32 ``[3]``, m."""
+    return read_finite("position", point.x, point.y, point.z)
+
+
 def read_orientation(q: Any) -> Tensor:
     """Reads and normalizes a ``geometry_msgs/Quaternion`` other than zero: float32 ``[4]`` as (x, y, z, w)."""
     quaternion = torch.tensor([q.x, q.y, q.z, q.w], dtype=torch.float64)
@@ -58,18 +63,16 @@ def read_orientation(q: Any) -> Tensor:
 
 def read_pose(pose: Any) -> MeasuredPose:
     """Reads a ``geometry_msgs/Pose``."""
-    position = pose.position
-    return MeasuredPose(read_finite("position", position.x, position.y, position.z), read_orientation(pose.orientation))
+    return MeasuredPose(read_position(pose.position), read_orientation(pose.orientation))
 
 
 def read_pose_array(msg: Any) -> MeasuredPose:
     """Reads the first pose of a ``geometry_msgs/PoseArray``. Its orientation may be missing or invalid."""
     if not len(msg.poses):
         raise ValueError("a pose array must have at least one pose, got none")
-    pose = msg.poses[0]
-    position = read_finite("position", pose.position.x, pose.position.y, pose.position.z)
+    position = read_position(msg.poses[0].position)
     try:
-        return MeasuredPose(position, read_orientation(pose.orientation))
+        return MeasuredPose(position, read_orientation(msg.poses[0].orientation))
     except (ValueError, AttributeError):
         return MeasuredPose(position, None)
 
@@ -89,9 +92,6 @@ class PoseEstimator:
     The positions of a pose array and the IMU's heading are in the world's frame. A localizer provides the heading in
     its map; between two of its poses the IMU provides the change. Wheel odometry has a frame of its own, which is
     aligned with the world at the start of each episode. All orientations of the IMU are the latest ones, ``[4]``.
-
-    Args:
-        source: source of the poses.
     """
 
     def __init__(self, source: PoseSource) -> None:

@@ -34,9 +34,9 @@ class RobotNode:
     """ROS 2 node of a simulated rover: publishes scan, IMU, odometry, pose array and clock; subscribes to commands.
 
     Args:
-        simulator: simulator of one rover.
+        simulator: simulator of one rover in ``world``.
         transport: transport to publish and subscribe on.
-        world: world of the simulator.
+        world: world, on whose terrain reset poses must be.
         lidar_range: maximum range of the lidar, m.
         settings: topics of odometry, pose and reset, and the direction of the lidar.
         connection: topics of scan, IMU and command.
@@ -50,12 +50,11 @@ class RobotNode:
         transport: Transport,
         world: World,
         lidar_range: float,
-        settings: Ros2Settings | None = None,
-        connection: Connection | None = None,
+        settings: Ros2Settings = Ros2Settings(),  # noqa: B008  (it is frozen)
+        connection: Connection = Connection(),  # noqa: B008
         start: tuple[float, float, float] = (0.0, 0.0, 0.0),
         view: float = 2 * math.pi,
     ) -> None:
-        settings, connection = settings or Ros2Settings(), connection or Connection()
         self._simulator, self._world = simulator, world
         self._lidar_yaw, self._lidar_range, self._view = settings.lidar_yaw, lidar_range, view
         self._lock = threading.Lock()

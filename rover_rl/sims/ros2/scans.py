@@ -20,15 +20,10 @@ it has not already seen from farther away."""
 
 
 class Scan(NamedTuple):
-    """A lidar scan in the lidar's own layout, counter-clockwise.
+    """A lidar scan in the lidar's own layout: ranges ``[beams]`` (m), counter-clockwise from ``angle_min`` (rad).
 
-    Attributes:
-        ranges: ranges of the beams, ``[beams]``, m; ``inf`` is no return, ``-inf`` an object that is too close
-            (REP 117).
-        valid: whether each reading is valid, bool ``[beams]``.
-        angle_min: angle of the first beam in the lidar's frame, rad.
-        angle_increment: angle between two beams, rad, positive.
-        stamp: time of the scan by the sender's clock, s.
+    A range of ``inf`` is no return, one of ``-inf`` an object that is too close (REP 117). ``valid``, bool ``[beams]``,
+    says whether each reading is. ``stamp`` is the time by the sender's clock, s.
     """
 
     ranges: Tensor
@@ -95,11 +90,8 @@ class ScanAlignment:
 
     Each beam has a sector, its equal share of the turn. It gets the minimum of the valid readings in its sector. A beam
     without a valid reading in its sector gets the reading nearest in angle, if that is valid and at most half an angle
-    increment away. Otherwise the beam is unseen, never free.
-
-    Args:
-        beams: number of beams of the environment.
-        yaw: direction of the lidar's zero angle, counter-clockwise from straight ahead, rad.
+    increment away. Otherwise the beam is unseen, never free. The lidar's zero angle has the direction ``yaw`` (rad),
+    counter-clockwise from straight ahead.
     """
 
     def __init__(self, beams: int, yaw: float) -> None:
@@ -137,8 +129,7 @@ def _beams_and_readings(beam_count: int, count: int, first: float, increment: fl
 class UnseenGuard:
     """Blocks forward speeds towards unseen directions. Turning on the spot stays allowed, to look around.
 
-    Args:
-        angles: direction of each beam, counter-clockwise from straight ahead, ``[beams]``, rad.
+    The beams have the directions ``angles [beams]``, counter-clockwise from straight ahead, rad.
     """
 
     def __init__(self, angles: Tensor) -> None:

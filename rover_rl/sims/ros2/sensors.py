@@ -37,12 +37,9 @@ _log = logging.getLogger(__name__)
 
 
 class ReceivedMessage(NamedTuple):
-    """A value that was read from a message.
+    """A value that was read from a message, the ``number``-th of its kind, from 1 on.
 
-    Attributes:
-        value: value.
-        time: arrival by :func:`time.monotonic`, s. The message's own stamp may be simulation time.
-        number: sequence number among messages of its kind, starting at 1.
+    ``time`` is its arrival by :func:`time.monotonic`, s. The message's own stamp may be simulation time.
     """
 
     value: Any
@@ -95,13 +92,7 @@ class Sensors:
     """Subscribes to scan, IMU, odometry and pose, and stores the latest valid values.
 
     Messages arrive in the transport's thread. A malformed message is ignored with a warning; the last valid value
-    remains.
-
-    Args:
-        transport: transport to subscribe on.
-        settings: settings of the connection.
-        connection: topics of scan and IMU.
-        pose_estimator: estimator that aligns poses with the IMU.
+    remains. ``pose_estimator`` aligns poses with the IMU.
 
     Attributes:
         topics: topic of each kind of message: ``"scan"``, ``"imu"``, ``"odometry"``, and ``"pose"`` unless the pose

@@ -70,16 +70,9 @@ def make_transport(name: TransportName, node: str) -> Transport:
 
 
 class CommandPublisher:
-    """Publishes a rover's velocity commands and keeps the last one.
+    """Publishes a rover's velocity commands; with ``kind="none"``, it sends nothing.
 
-    Args:
-        transport: transport to publish on.
-        topic: topic of the commands.
-        kind: message type of the commands; ``"none"`` sends nothing.
-        frame_id: frame of stamped commands.
-
-    Attributes:
-        last: forward speed (m/s) and yaw rate (rad/s) of the last command.
+    ``last`` is the last command: forward speed (m/s) and yaw rate (rad/s). ``frame_id`` is the frame of stamped ones.
     """
 
     def __init__(self, transport: Transport, topic: str, kind: Command, frame_id: str) -> None:

@@ -38,13 +38,8 @@ EXIT_TIMEOUT = 5.0
 class Watchdog:
     """Starts and supervises the watchdog process. A context manager, to be entered before the rover moves.
 
-    Args:
-        topic: topic of the rover's commands.
-        settings: settings of the connection to the rover.
-        timeout: time without a heartbeat after which the rover is stopped, s.
-
-    Raises:
-        ChildProcessError: if the process does not start.
+    The process sends stop commands on ``topic`` after ``timeout`` (s) without a heartbeat. Entering raises
+    ``ChildProcessError`` if it does not start.
     """
 
     def __init__(self, topic: str, settings: Ros2Settings, timeout: float = 0.5) -> None:
