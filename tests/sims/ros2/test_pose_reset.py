@@ -41,7 +41,7 @@ def test_reset_stops_the_rover_and_moves_it_to_the_pose(wire, rover):
 def test_reset_fails_if_the_rover_does_not_come_to_rest_at_the_pose(wire, rover, moved, message):
     wire.receivers["/rover/set_pose"] = [lambda msg: vars(rover).update(moved)]
     with pytest.raises(PoseResetError, match=message):
-        simulator(reset_timeout=0.3).reset(ALL, START)
+        simulator(reset_timeout=0.3, settle=5.0).reset(ALL, START)  # a pause of the process is no rest
 
 
 def test_reset_fails_if_the_rover_is_lost(wire, rover):
