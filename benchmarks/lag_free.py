@@ -3,7 +3,7 @@
     python -m benchmarks.lag_free
 
 In training, the drive accelerates at a limited rate and the wheels slip. Here, a rover follows its commands exactly.
-Without the limits (``rover_rl.sims.ros2.limits``), the yaw rate of the heading PID then changes its sign in nearly
+Without the limits (``rover_rl.sims.ros2.settings``), the yaw rate of the heading PID then changes its sign in nearly
 every step. The table shows success, SPL, reversals per second and the share of steps at the PID's maximum,
 without and with the limits, over the same stored episodes. Writes the results to ``runs/lag_free/lag_free.json``.
 """
@@ -37,7 +37,7 @@ from rover_rl.sims.connection import Connection
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.native.bullet import pybullet
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.ros2.limits import CommandLimiter, CommandLimits
+from rover_rl.sims.ros2.settings import CommandLimiter, Ros2Settings
 from rover_rl.sims.rotations import matrix_to_quaternion, quaternion_to_euler
 from rover_rl.sims.worlds import World
 
@@ -93,7 +93,7 @@ class LagFreeRovers:
         self.num_envs, self.device, self.robot_connected = len(worlds), torch.device("cpu"), True
         self.control_dt = DT
         self._world, self._robot, self._settings = worlds[0], robot, settings
-        limits = CommandLimits.from_robot(robot)
+        limits = Ros2Settings().limits(robot)
         self._limiters = [CommandLimiter(limits) for _ in worlds] if settings.limited else []
         self._pose = torch.zeros(self.num_envs, 3, dtype=torch.float64)
         self._twist = torch.zeros(self.num_envs, 2)

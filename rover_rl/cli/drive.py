@@ -7,7 +7,7 @@ import math
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
@@ -119,9 +119,9 @@ class Drive:
             assert policy.module is not None
             goals, settings = self._goals(policy.worlds[0]), self._settings()
             described = self._description(policy, settings)
-            watchdog = (
-                None if self.dry_run else stack.enter_context(Watchdog(self.cmd_vel_topic, settings, SENSOR_TIMEOUT))
-            )
+            checks = [raise_if_interrupted]
+            if not self.dry_run:
+                checks.append(stack.enter_context(Watchdog(self.cmd_vel_topic, settings, SENSOR_TIMEOUT)).alive)
             env = RoverEnv(described)
             stack.callback(env.close)
             runner = PolicyRunner(policy.module, env=env)
@@ -129,15 +129,13 @@ class Drive:
             show_status = stack.enter_context(_status_display(Console(), each_step=self.dry_run))
             for number, goal in enumerate(goals, 1):
 
-                def on_step(moment: Moment, label: str = f"goal {number} of {len(goals)}") -> None:
-                    raise_if_interrupted()
-                    if watchdog is not None:
-                        watchdog.alive()
-                    show_status(label, moment)
+                def on_step(moment: Moment | None, label: str = f"goal {number} of {len(goals)}") -> None:
+                    for check in checks:
+                        check()
+                    if moment is not None:
+                        show_status(label, moment)
 
-                raise_if_interrupted()
-                if watchdog is not None:
-                    watchdog.alive()  # arms the watchdog: it stops the rover if the next call is late
+                on_step(None)  # arms the watchdog: it stops the rover if the next call is late
                 ending = drive_to(
                     env,
                     runner,
@@ -169,48 +167,32 @@ class Drive:
         self._settings()
 
     def _policy(self) -> ResolvedPolicy:
-        """Loads the policy and determines its world."""
+        """Loads the policy and determines its world, which is that of a policy that has learned one map by heart."""
         from rover_rl.cli.policies import resolve_policy
+        from rover_rl.sims.worlds.names import WorldRange
 
         policy = resolve_policy(self.policy, (self.world,) if self.world else (), self.robot)
         if policy.module is None or not policy.worlds:
             raise ValueError(
                 f"{self.policy} cannot drive a live rover; say which --world it is in, or name a checkpoint"
             )
-        self._check_world(policy)
-        return policy
-
-    def _check_world(self, policy: ResolvedPolicy) -> None:
-        """Checks that a policy that has learned one map by heart is in this map."""
         if policy.config is None or self.allow_other_world:
-            return
+            return policy
         trained, network = policy.config.env.world_names, policy.config.network
         reads_place = "pose" in network.observation or network.north_up
-        from rover_rl.sims.worlds.names import WorldRange
-
         if reads_place and policy.worlds[0] not in trained and not any(map(WorldRange.parse, trained)):
             raise ValueError(
                 f"{self.policy} recognizes the places of {', '.join(trained)}, where it was trained, and --world is "
                 f"{policy.worlds[0]}; use another policy, or --allow-other-world"
             )
+        return policy
 
     def _settings(self) -> Ros2Settings:
         """Returns the settings of the connection to the rover."""
         command: Command = "twist_stamped" if self.stamped else "twist"
-        return Ros2Settings(
-            transport=self.transport,
-            odometry_topic=self.odometry_topic,
-            pose=self.pose,
-            pose_topic=self.pose_topic,
-            command="none" if self.dry_run else command,
-            lidar_yaw=self.lidar_yaw,
-            max_speed=self.max_speed,
-            max_yaw_rate=self.max_yaw_rate,
-            max_acceleration=self.max_acceleration,
-            max_yaw_acceleration=self.max_yaw_acceleration,
-            reset="none",
-            step_timeout=SENSOR_TIMEOUT,
-        )
+        options = {field.name: getattr(self, field.name) for field in fields(Ros2Settings) if hasattr(self, field.name)}
+        given = Ros2Settings(**options)  # the options of the same names
+        return replace(given, command="none" if self.dry_run else command, reset="none", step_timeout=SENSOR_TIMEOUT)
 
     def _description(self, policy: ResolvedPolicy, settings: Ros2Settings) -> EnvConfig:
         """Describes the environment of the live rover, without a limit on the steps of an episode."""
@@ -233,6 +215,9 @@ class Drive:
 
     def _goals(self, world: str) -> list[tuple[float, float]]:
         """Returns all goals: those of the command line, of the file, and the random ones."""
+        from rover_rl.algos.evaluation.episodes import draw_episodes
+        from rover_rl.sims.worlds import get_world
+
         goals = list(self.goal)
         if self.goals is not None:
             with self.goals.open(newline="") as file:
@@ -242,13 +227,9 @@ class Drive:
             except ValueError as error:
                 raise ValueError(f"{self.goals} must have two numbers a line: x, y") from error
         if self.random:
-            from rover_rl.algos.evaluation.episodes import draw_episodes
-
             goals += [(x, y) for x, y in draw_episodes(world, self.random, self.seed).goal.tolist()]
         if not goals or not all(math.isfinite(number) for goal in goals for number in goal):
             raise ValueError(f"{self.goals} must have at least one goal, with finite coordinates")
-        from rover_rl.sims.worlds import get_world
-
         (left, right), (bottom, top) = get_world(world).bounds
         for x, y in goals:
             if not (left <= x <= right and bottom <= y <= top):

@@ -7,7 +7,6 @@ import signal
 import threading
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from rover_rl.checks import check_at_least, check_positive, check_seed
@@ -62,7 +61,10 @@ class RobotCommand:
 
     def __call__(self) -> int:
         """Runs the robot until it is interrupted."""
-        self._check()
+        check_positive(MAX_RATE, rate=self.rate)
+        check_at_least(1, MAX_BEAMS, lidar_beams=self.lidar_beams)
+        check_positive(360, lidar_view=self.lidar_view)
+        check_seed(self.seed)
         described = self._environment()
         from rover_rl.algos.evaluation.episodes import draw_episodes
         from rover_rl.sims import make_scanner, make_simulator
@@ -72,13 +74,9 @@ class RobotCommand:
         from rover_rl.sims.worlds import get_world
 
         stop = threading.Event()
-
-        def request_stop(number: int, frame: FrameType | None) -> None:
-            stop.set()
-
         for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, request_stop)
-        world, robot = get_world(described.worlds[0]), get_robot(described.robot)
+            signal.signal(number, lambda *_: stop.set())
+        world, robot, connection = get_world(described.worlds[0]), get_robot(described.robot), described.connection
         start = draw_episodes(world, 1, self.seed, robot=robot).start[0].tolist()
         transport = make_transport("dds", robot.name)
         simulator = make_simulator(described.backend, worlds=[world], robot=robot, physics=described.preset)
@@ -87,7 +85,6 @@ class RobotCommand:
             odometry_topic=self.odometry_topic, pose_topic=self.pose_topic, reset_topic=self.reset_topic
         )
         view = math.radians(self.lidar_view)
-        connection = described.connection
         try:
             node = RobotNode(
                 simulator, scanner, transport, world, robot.lidar_range, settings, connection, tuple(start), view
@@ -111,10 +108,3 @@ class RobotCommand:
         parts = {"world": self.world, "robot": self.robot, "backend": self.backend, "physics": self.physics}
         changes: dict[str, Any] = {name: part for name, part in parts.items() if part}
         return replace(config, connection=replace(config.connection, **given), **changes)
-
-    def _check(self) -> None:
-        """Checks that all options are in range."""
-        check_positive(MAX_RATE, rate=self.rate)
-        check_at_least(1, MAX_BEAMS, lidar_beams=self.lidar_beams)
-        check_positive(360, lidar_view=self.lidar_view)
-        check_seed(self.seed)

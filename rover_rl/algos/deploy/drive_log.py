@@ -6,9 +6,9 @@ import json
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
-from types import TracebackType
 from typing import Any, TextIO
 
 import torch
@@ -56,19 +56,11 @@ class DriveLog:
     def __enter__(self) -> DriveLog:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._file.close()
 
     def begin(self, rover: RoverState, scan: Tensor, goal: tuple[float, float]) -> None:
-        """Writes the start of a drive.
-
-        Args:
-            rover: state of the rover at the start.
-            scan: raw scan, ``[1, beams]``, m.
-            goal: x, y, m.
-        """
+        """Writes the start of a drive to ``goal`` (x, y, m), with the raw scan there, ``[1, beams]``, m."""
         self._turns = []
         self._write({"goal": goal, **_pose(rover, scan)})
 
@@ -142,14 +134,68 @@ def read_drives(path: Path) -> list[Evaluation]:
     ]
 
 
-def logged_drives(path: Path) -> list[LoggedDrive]:
-    """Reads the drives of a log that have ended.
+def _episodes(world_name: str, robot: str, drives: list[LoggedDrive]) -> EpisodeSet:
+    """Returns the starts and goals of the drives as a set of episodes."""
+    world = get_world(world_name)
+    start = torch.tensor([[*drive.entries[0]["position"][:2], drive.entries[0]["angles"][2]] for drive in drives])
+    goal = torch.tensor([drive.goal for drive in drives])
+    straight = ((goal - start[:, :2]).norm(dim=-1) - TaskConfig().success_distance).clamp(min=0.0)
+    shortest = shortest_paths(world, get_robot(robot), start, goal)
+    lengths = torch.where(shortest.isfinite(), shortest, straight)
+    return EpisodeSet(world_name, WorldPool(world), 0, start, goal, lengths)
 
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if the file is no log of drives, or no drive in it has ended.
-    """
-    entries = _entries(path)
+
+@dataclass
+class LoggedDrive:
+    """One drive of a log, with the entries of the log at the start and after each step."""
+
+    world: str
+    policy: str
+    robot: str
+    seconds: float
+    goal: list[float]
+    entries: list[dict[str, Any]]
+    ending: str = ""
+
+    def trajectory(self) -> Trajectory:
+        """Resamples the drive to 20 Hz. Late and missing steps are filled with the nearest pose."""
+        nearest, after = self._nearest(), self.entries[1:]
+        steps = len(nearest) - 1
+        step_of = (torch.tensor(self._times()[1:]) / CONTROL_DT).round().long().clamp(1, steps) - 1
+
+        def in_steps(event: str) -> Tensor:
+            happened = torch.zeros(steps, dtype=torch.bool)
+            happened[step_of[torch.tensor([entry[event] for entry in after], dtype=torch.bool)]] = True
+            return happened
+
+        return Trajectory(
+            position=torch.tensor([entry["position"] for entry in self.entries])[nearest],
+            angles=torch.tensor([entry["angles"] for entry in self.entries])[nearest],
+            collision=in_steps("collision"),
+            goal=in_steps("reached"),
+            ending=self.ending,
+            reversals=count_reversals([entry["command"][1] for entry in after]),
+        )
+
+    def scans(self) -> Tensor:
+        """Resamples the lidar readings like :meth:`trajectory`: ``[T + 1, beams]``, m, ``inf`` without a return."""
+        scans = (self.entries[k]["ranges"] for k in self._nearest())
+        return torch.tensor([[math.inf if reading is None else reading for reading in scan] for scan in scans])
+
+    def _times(self) -> list[float]:
+        """Times of the entries since the start, s."""
+        return list(accumulate((entry["dt"] for entry in self.entries[1:]), initial=0.0))
+
+    def _nearest(self) -> Tensor:
+        """Index of the entry nearest to each step of 20 Hz, int64 ``[T + 1]``."""
+        times = self._times()
+        grid = CONTROL_DT * torch.arange(max(1, round(times[-1] / CONTROL_DT)) + 1)
+        return (torch.tensor(times)[None] - grid[:, None]).abs().argmin(-1)
+
+
+def logged_drives(path: Path) -> list[LoggedDrive]:
+    """Reads the drives of a log that have ended. Raises the errors of :func:`read_drives`."""
+    entries = list(_entries(path))
     if not entries or entries[0].get("format") != FORMAT:
         raise ValueError(f"{path} is no log of drives")
     drives = list(_drives(entries))
@@ -158,100 +204,28 @@ def logged_drives(path: Path) -> list[LoggedDrive]:
     return drives
 
 
-def _entries(path: Path) -> list[dict[str, Any]]:
+def _entries(path: Path) -> Iterator[dict[str, Any]]:
     """Reads the lines of a log and skips incomplete ones."""
-    entries = []
     for line in path.read_text(errors="replace").splitlines():
         try:
             entry = json.loads(line)
         except ValueError:
             continue
         if isinstance(entry, dict):
-            entries.append(entry)
-    return entries
-
-
-@dataclass
-class LoggedDrive:
-    """One drive of a log, with the poses and scans at the start and after each step."""
-
-    world: str
-    policy: str
-    robot: str
-    seconds: float
-    goal: list[float]
-    position: list[list[float]]
-    angles: list[list[float]]
-    ranges: list[list[float | None]]
-    time: list[float] = field(default_factory=lambda: [0.0])
-    collision: list[bool] = field(default_factory=list)
-    reached: list[bool] = field(default_factory=list)
-    turns: list[float] = field(default_factory=list)
-    ending: str = ""
-
-    def trajectory(self) -> Trajectory:
-        """Resamples the drive to 20 Hz. Late and missing steps are filled with the nearest pose."""
-        times, nearest = torch.tensor(self.time), self._nearest()
-        steps = len(nearest) - 1
-        step_of = (times[1:] / CONTROL_DT).round().long().clamp(1, steps) - 1
-        return Trajectory(
-            position=torch.tensor(self.position)[nearest],
-            angles=torch.tensor(self.angles)[nearest],
-            collision=_any_in(step_of, self.collision, steps),
-            goal=_any_in(step_of, self.reached, steps),
-            ending=self.ending,
-            reversals=count_reversals(self.turns),
-        )
-
-    def scans(self) -> Tensor:
-        """Resamples the lidar readings like :meth:`trajectory`: ``[T + 1, beams]``, m, ``inf`` without a return."""
-        return torch.tensor(
-            [[math.inf if reading is None else reading for reading in self.ranges[k]] for k in self._nearest()]
-        )
-
-    def _nearest(self) -> Tensor:
-        """Index of the pose nearest to each step of 20 Hz, int64 ``[T + 1]``."""
-        steps = max(1, round(self.time[-1] / CONTROL_DT))
-        grid = CONTROL_DT * torch.arange(steps + 1)
-        return (torch.tensor(self.time)[None] - grid[:, None]).abs().argmin(-1)
-
-
-def _any_in(step_of: Tensor, events: list[bool], steps: int) -> Tensor:
-    """Returns in which of ``steps`` resampled steps an event happened, bool ``[steps]``."""
-    happened = torch.zeros(steps, dtype=torch.bool)
-    happened[step_of[torch.tensor(events, dtype=torch.bool)]] = True
-    return happened
+            yield entry
 
 
 def _drives(entries: list[dict[str, Any]]) -> Iterator[LoggedDrive]:
-    """Yields the drives that have ended."""
-    header: tuple[str, str, str, float] = ("", "", "", 0.0)
+    header: dict[str, Any] = {}
     drive: LoggedDrive | None = None
     for entry in entries:
         if entry.get("format") == FORMAT:
-            header, drive = (entry["world"], entry["policy"], entry["robot"], entry["seconds"]), None
+            header, drive = {key: entry[key] for key in ("world", "policy", "robot", "seconds")}, None
         elif "goal" in entry:
-            drive = LoggedDrive(*header, entry["goal"], [entry["position"]], [entry["angles"]], [entry["ranges"]])
+            drive = LoggedDrive(**header, goal=entry["goal"], entries=[entry])
         elif drive is not None and "ending" in entry:
             drive.ending = entry["ending"]
             yield drive
             drive = None
         elif drive is not None:
-            drive.position.append(entry["position"])
-            drive.angles.append(entry["angles"])
-            drive.ranges.append(entry["ranges"])
-            drive.time.append(drive.time[-1] + entry["dt"])
-            drive.collision.append(entry["collision"])
-            drive.reached.append(entry["reached"])
-            drive.turns.append(entry["command"][1])
-
-
-def _episodes(world_name: str, robot: str, drives: list[LoggedDrive]) -> EpisodeSet:
-    """Returns the starts and goals of the drives as a set of episodes."""
-    world = get_world(world_name)
-    start = torch.tensor([[*drive.position[0][:2], drive.angles[0][2]] for drive in drives])
-    goal = torch.tensor([drive.goal for drive in drives])
-    straight = ((goal - start[:, :2]).norm(dim=-1) - TaskConfig().success_distance).clamp(min=0.0)
-    shortest = shortest_paths(world, get_robot(robot), start, goal)
-    lengths = torch.where(shortest.isfinite(), shortest, straight)
-    return EpisodeSet(world_name, WorldPool(world), 0, start, goal, lengths)
+            drive.entries.append(entry)

@@ -103,13 +103,19 @@ def drive_to(
         ValueError: if the environment has another backend, the policy was made for another environment, or the lidar
             covers less than in training.
     """
-    rover = live_rover(env)
+    rover = env.simulator
+    if not isinstance(rover, Ros2Simulator):
+        raise ValueError(f"only backend 'ros2' has a live rover, got {type(rover).__name__}")
     runner = policy if isinstance(policy, PolicyRunner) else PolicyRunner(policy, env=env)
     if made_for := getattr(runner.policy, "made_for", None):
         require_match(made_for, env.config)
     rover.require_robot()
-    if not allow_unseen:
-        require_view(rover.field_of_view)
+    if not allow_unseen and rover.field_of_view < TRAINED_VIEW - VIEW_TOLERANCE:
+        raise ValueError(
+            f"the scan covers {math.degrees(rover.field_of_view):.0f} degrees, and the policy was trained with "
+            f"{math.degrees(TRAINED_VIEW):.0f}; --allow-unseen accepts it, but the rover does not drive in uncovered "
+            "directions"
+        )
     ending, elapsed, held = "", 0.0, math.inf
     try:
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
@@ -129,62 +135,14 @@ def drive_to(
                 if log is not None:
                     state = env.rover_state, env.scan, tensordict["outcome"]
                     log.add(*state, moment.command, moment.latency, moment.held)
-                if reason := restart(before, env.rover_state):
+                if reason := _restart(before, env.rover_state):
                     _log.warning("the robot seems to have been restarted: %s", reason)
-                ending = RESTARTED if reason else _ending(tensordict, clearance, elapsed >= seconds)
+                ending = RESTARTED if reason else _ending(tensordict, moment, clearance, seconds)
     finally:
         rover.stop()
         if log is not None:
             log.end(ending or STOPPED)
     return ending
-
-
-def require_view(field_of_view: float) -> None:
-    """Checks that a lidar covers at least the field of view of training.
-
-    Args:
-        field_of_view: field of view of the lidar, rad.
-
-    Raises:
-        ValueError: if the lidar covers less.
-    """
-    if field_of_view < TRAINED_VIEW - VIEW_TOLERANCE:
-        raise ValueError(
-            f"the scan covers {math.degrees(field_of_view):.0f} degrees, and the policy was trained with "
-            f"{math.degrees(TRAINED_VIEW):.0f}; --allow-unseen accepts it, but the rover does not drive in uncovered "
-            "directions"
-        )
-
-
-def restart(before: RoverState, after: RoverState) -> str:
-    """Returns why the robot seems to have been restarted or moved by hand between two steps; empty if it does not."""
-    elapsed = (after.stamp - before.stamp).item()
-    if elapsed < -CLOCK_TOLERANCE:
-        return f"its clock went back by {-elapsed:.1f} s"
-    moved = torch.dist(before.position, after.position).item()
-    if moved > POSE_TOLERANCE + 2 * max(elapsed, 0.0):  # 2 m/s, twice the top speed
-        return f"its pose jumped by {moved:.1f} m"
-    return ""
-
-
-def live_rover(env: RoverEnv) -> Ros2Simulator:
-    """Returns the live rover of an environment.
-
-    Raises:
-        ValueError: if the environment has another backend.
-    """
-    if not isinstance(env.simulator, Ros2Simulator):
-        raise ValueError(f"only backend 'ros2' has a live rover, got {type(env.simulator).__name__}")
-    return env.simulator
-
-
-def _ending(tensordict: TensorDictBase, clearance: float, timed_out: bool) -> str:
-    """Returns how the drive has ended; empty if it has not ended."""
-    if bool(tensordict["terminated"]):
-        return ENDINGS[StepEvent(int(tensordict["outcome", "phase"]))]
-    if bool(tensordict["truncated"]) or timed_out:
-        return TIME_LIMIT
-    return TOO_NEAR if tensordict["lidar"].min().item() < clearance else ""
 
 
 def _moment(rover: Ros2Simulator, tensordict: TensorDictBase, seconds: float) -> Moment:
@@ -197,3 +155,23 @@ def _moment(rover: Ros2Simulator, tensordict: TensorDictBase, seconds: float) ->
         held=rover.held,
         seconds=seconds,
     )
+
+
+def _restart(before: RoverState, after: RoverState) -> str:
+    """Returns why the robot seems to have been restarted or moved by hand between two steps; empty if it does not."""
+    elapsed = (after.stamp - before.stamp).item()
+    if elapsed < -CLOCK_TOLERANCE:
+        return f"its clock went back by {-elapsed:.1f} s"
+    moved = torch.dist(before.position, after.position).item()
+    if moved > POSE_TOLERANCE + 2 * max(elapsed, 0.0):  # 2 m/s, twice the top speed
+        return f"its pose jumped by {moved:.1f} m"
+    return ""
+
+
+def _ending(tensordict: TensorDictBase, moment: Moment, clearance: float, seconds: float) -> str:
+    """Returns how the drive has ended; empty if it has not ended."""
+    if bool(tensordict["terminated"]):
+        return ENDINGS[StepEvent(int(tensordict["outcome", "phase"]))]
+    if bool(tensordict["truncated"]) or moment.seconds >= seconds:
+        return TIME_LIMIT
+    return TOO_NEAR if moment.nearest < clearance else ""

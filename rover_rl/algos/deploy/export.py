@@ -22,42 +22,48 @@ from __future__ import annotations
 
 import io
 import json
+import logging
+import re
+import warnings
+from hashlib import sha256
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import torch
-from tensordict import NestedKey, TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torch.export import ExportedProgram
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl.algos.archives import checked_copy
 from rover_rl.algos.config_files import config_from, plain
-from rover_rl.algos.deploy.onnx_files import SETTINGS_PROPERTY, open_onnx, session_function, write_onnx
-from rover_rl.algos.deploy.plain_policy import STATE_IN, ExportedFunction, PlainPolicy, finite_arrays, input_names
-from rover_rl.algos.deploy.trial_inputs import drive_observations, random_observations
+from rover_rl.algos.deploy.comparison import action_difference, random_observations
+from rover_rl.algos.deploy.plain_policy import (
+    STATE_IN,
+    STATE_OUT,
+    ExportedFunction,
+    PlainPolicy,
+    finite_arrays,
+    input_names,
+)
 from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.algos.policy.runner import PolicyRunner
-from rover_rl.envs.seen_map.seen_map import BOUNDS
 from rover_rl.files import written_whole
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
 
 Format: TypeAlias = Literal["onnx", "torch"]
 
 SUFFIXES: dict[str, str] = {"onnx": ".onnx", "torch": ".pt2"}
 """File suffix of each format."""
-CHECKED = 1000
-"""Number of observations on which an exported policy is compared with the original."""
-CHECKED_DRIVE, CHECKED_JUMPS = 100, 20
-"""Number of decisions of a drive, and of random observations after it, on which a policy with a map is compared."""
 TOLERANCE = 1e-4
 """Largest accepted difference of an action, m/s or rad."""
-EQUAL_SHARE = 0.99
-"""Share of the decisions of a policy with a map that must be within the tolerance.
-
-Sines and cosines of other libraries may differ in the last bit. If a beam ends that close to the edge of a cell,
-another cell is marked, and the route may differ for a while."""
 _STATE = "memory"
 """Entry of a tensordict that holds the state of a policy from a file, float32 ``[N, s]``."""
+_SETTINGS, _CHECKSUM = "rover_rl", "rover_rl_sha256"
+"""Properties of an ONNX file that hold the settings, as JSON, and its checksum."""
+_ZEROS = "0" * 64
+_CHECKSUM_BYTES = re.compile(_CHECKSUM.encode() + rb"\x12\x40([0-9a-f]{64})")
+"""Checksum in the bytes of an ONNX file: name of the property, tag and length of the value, value."""
 
 
 def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
@@ -81,53 +87,20 @@ def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
     """
     policy = PlainPolicy(checkpoint).eval()
     settings = json.dumps(plain(checkpoint.config))
+    example = {STATE_IN: torch.zeros(1, policy.state_size), **random_observations(checkpoint, 1)}
     with torch.no_grad():
-        program = torch.export.export(policy, _example(policy, checkpoint))
+        program = torch.export.export(policy, tuple(example[key] for key in policy.inputs))
     with written_whole(path) as temporary:
         if form == "onnx":
-            write_onnx(program, policy.inputs, policy.outputs, settings, temporary)
+            _write_onnx(program, policy, settings, temporary)
             exported = onnx_function(temporary)
         else:
             _write_program(program, settings, temporary)
             exported = program_function(temporary)
-        difference = _difference(checkpoint, exported, policy)
+        difference = action_difference(checkpoint, exported, policy)
         if not difference <= TOLERANCE:
             raise RuntimeError(f"the exported policy acts otherwise: its actions differ by up to {difference:.2g}")
     return difference
-
-
-def _difference(checkpoint: Checkpoint, exported: ExportedFunction, policy: PlainPolicy) -> float:
-    """Returns the largest difference between the actions of the checkpoint's policy and the exported one.
-
-    For a policy with a map, it is the largest in a share of the decisions: see ``EQUAL_SHARE``.
-    """
-    if BOUNDS not in policy.inputs:
-        return float(_differences(checkpoint, exported, policy, random_observations(checkpoint, CHECKED)).max())
-    drive, jumps = drive_observations(checkpoint, CHECKED_DRIVE), random_observations(checkpoint, CHECKED_JUMPS)
-    observations = {key: torch.cat((drive[key], jumps[key])) for key in drive}
-    differences = _differences(checkpoint, exported, policy, observations)
-    return float(differences.quantile(EQUAL_SHARE, interpolation="lower"))
-
-
-def _differences(
-    checkpoint: Checkpoint, exported: ExportedFunction, policy: PlainPolicy, observations: dict[str, Tensor]
-) -> Tensor:
-    """Returns the difference of the actions in each decision of an episode; NaN if an action is."""
-    rows = TensorDict(observations).auto_batch_size_(1).split(1)
-    runner, state = PolicyRunner(checkpoint.make_actor(), action_repeat=1), torch.zeros(1, policy.state_size)
-    differences = []
-    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        for row in rows:
-            action = exported({**row, STATE_IN: state})
-            if policy.state_size:
-                action, state = action
-            differences.append((action - runner(row)).abs().max())
-    return torch.stack(differences)
-
-
-def _example(policy: PlainPolicy, checkpoint: Checkpoint) -> tuple[Tensor, ...]:
-    example = {STATE_IN: torch.zeros(1, policy.state_size), **random_observations(checkpoint, 1)}
-    return tuple(example[key] for key in policy.inputs)
 
 
 def _write_program(program: ExportedProgram, settings: str, path: Path) -> None:
@@ -137,23 +110,11 @@ def _write_program(program: ExportedProgram, settings: str, path: Path) -> None:
     path.write_bytes(written.getvalue())
 
 
-def onnx_function(path: Path) -> ExportedFunction:
-    """Loads an ONNX file as a function, on one thread.
-
-    Raises:
-        ImportError: if ``onnxruntime`` is not installed.
-        ValueError: if the file is no ONNX policy, or damaged. The function raises it for NaN or infinity in an
-            observation.
-    """
-    return session_function(open_onnx(path))
-
-
 def program_function(path: Path) -> ExportedFunction:
-    """Loads a ``torch.export`` program as a function.
+    """Loads a ``torch.export`` program as a function, which raises ``ValueError`` for NaN or infinity.
 
     Raises:
-        ValueError: if the file is no such program, or damaged. The function raises it for NaN or infinity in an
-            observation.
+        ValueError: if the file is no such program, or damaged.
     """
     content, extra = path.read_bytes(), {"rover_rl.json": ""}
     try:
@@ -169,6 +130,73 @@ def program_function(path: Path) -> ExportedFunction:
             return module(*map(torch.from_numpy, finite_arrays(inputs, names)))
 
     return act
+
+
+def _write_onnx(program: ExportedProgram, policy: PlainPolicy, settings: str, path: Path) -> None:
+    try:
+        import onnxscript  # noqa: F401  (torch.onnx needs it)
+    except ImportError as error:
+        raise ImportError('export to ONNX needs the extra onnx: pip install "rover_rl[onnx]"') from error
+    # It logs a message for each operator of packages that are not installed.
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    names: dict[str, Any] = {"input_names": policy.inputs, "output_names": policy.outputs}
+    with warnings.catch_warnings():
+        # PyTorch warns about its own code.
+        warnings.simplefilter("ignore", FutureWarning)
+        written = torch.onnx.export(program, **names, dynamo=True, verbose=False)
+    assert written is not None
+    written.model.metadata_props.update({_SETTINGS: settings, _CHECKSUM: _ZEROS})
+    written.save(str(path), external_data=False)
+    content = path.read_bytes()
+    place = _CHECKSUM_BYTES.search(content)
+    assert place is not None
+    path.write_bytes(_with_checksum(content, place, sha256(content).hexdigest()))
+
+
+def _with_checksum(content: bytes, place: re.Match[bytes], checksum: str) -> bytes:
+    return content[: place.start(1)] + checksum.encode() + content[place.end(1) :]
+
+
+def _open_onnx(path: Path) -> InferenceSession:
+    """Opens an ONNX file in ONNX Runtime, on one thread, after verifying its checksum."""
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise ImportError('ONNX policies need the package onnxruntime: pip install "rover_rl[onnx]"') from error
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    content = path.read_bytes()
+    place = _CHECKSUM_BYTES.search(content)
+    if place is None:
+        raise ValueError(f"{path} is damaged, or was not written by rover-rl export: it has no checksum")
+    if sha256(_with_checksum(content, place, _ZEROS)).hexdigest().encode() != place[1]:
+        raise ValueError(f"{path} is damaged: it differs from its checksum")
+    try:
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:
+        raise ValueError(f"{path} is no ONNX policy: {' '.join(str(error).split())}") from error
+
+
+def _session_function(session: InferenceSession) -> ExportedFunction:
+    names = [entry.name for entry in session.get_inputs()]
+    outputs = ["action", STATE_OUT] if STATE_IN in names else ["action"]
+
+    def act(inputs: dict[str, Any]) -> Tensor | tuple[Tensor, ...]:
+        results = session.run(outputs, dict(zip(names, finite_arrays(inputs, names), strict=True)))
+        action, *state = map(torch.from_numpy, results)
+        return (action, *state) if state else action
+
+    return act
+
+
+def onnx_function(path: Path) -> ExportedFunction:
+    """Loads an ONNX file as a function, on one thread, which raises ``ValueError`` for NaN or infinity.
+
+    Raises:
+        ImportError: if ``onnxruntime`` is not installed.
+        ValueError: if the file is no ONNX policy, or damaged.
+    """
+    return _session_function(_open_onnx(path))
 
 
 class OnnxPolicy:
@@ -198,9 +226,9 @@ class OnnxPolicy:
         if not path.is_file():
             raise FileNotFoundError(f"no ONNX policy at {path}")
         self._path = path
-        session = open_onnx(path)
+        session = _open_onnx(path)
         try:
-            settings = json.loads(session.get_modelmeta().custom_metadata_map.get(SETTINGS_PROPERTY, "null"))
+            settings = json.loads(session.get_modelmeta().custom_metadata_map.get(_SETTINGS, "null"))
         except ValueError as error:  # invalid encoding or JSON
             raise ValueError(f"{path} is damaged: its settings cannot be read") from error
         if settings is None:
@@ -215,7 +243,7 @@ class OnnxPolicy:
         if self._state_size is not None:
             self.in_keys += [_STATE, "is_init"]
             self.out_keys += [("next", _STATE)]
-        self._act = session_function(session)
+        self._act = _session_function(session)
 
     def __reduce__(self) -> tuple[type[OnnxPolicy], tuple[Path]]:
         # Sessions of onnxruntime cannot be pickled: other processes read the file again.

@@ -31,19 +31,15 @@ def input_names(network: NetworkConfig) -> list[str]:
     A policy that reads ``route`` reads what the route is computed from instead, and the bounds of the area.
     """
     with_map = ROUTE in network.observation
-    has_state = with_map or network.memory != "none"
-    read = dict.fromkeys(key for key in network.observation if key != ROUTE)
-    read |= dict.fromkeys((*ROUTE_KEYS, BOUNDS) if with_map else ())
-    return [*([STATE_IN] if has_state else []), *read]
+    state = [STATE_IN] if with_map or network.memory != "none" else []
+    of_map = (*ROUTE_KEYS, BOUNDS) if with_map else ()
+    return [*state, *dict.fromkeys((*(key for key in network.observation if key != ROUTE), *of_map))]
 
 
 class PlainPolicy(nn.Module):
     """A checkpoint's policy as a module that maps tensors of observations to a tensor of actions.
 
     Its state holds the map of what the lidar has seen, if the policy reads ``route``, and then the state of the memory.
-
-    Args:
-        checkpoint: checkpoint of the policy.
 
     Attributes:
         inputs: names of the arguments, in their order.
@@ -94,10 +90,9 @@ class PlainPolicy(nn.Module):
 
 
 def finite_arrays(inputs: Mapping[str, Any], names: Sequence[str]) -> list[NDArray[np.float32]]:
-    """Returns inputs of a policy, in the order of ``names``, after checking that they are finite.
+    """Returns inputs of a policy, in the order of ``names``.
 
-    Raises:
-        ValueError: for the first one with NaN or infinity, which a network would accept silently.
+    Raises ``ValueError`` for the first one with NaN or infinity, which a network would accept silently.
     """
     arrays = [np.asarray(inputs[name], np.float32) for name in names]
     for name, array in zip(names, arrays, strict=True):

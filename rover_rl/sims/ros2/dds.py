@@ -11,11 +11,10 @@ import logging
 import os
 import threading
 import time
-import weakref
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from typing import Any
-from uuid import UUID
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -35,8 +34,8 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from rover_rl.sims.ros2.messages import TYPES, decode, encode
-from rover_rl.sims.ros2.transport import Publisher, ThrottledLogger
+from rover_rl.sims.ros2.messages import Message, decode, encode, message_class
+from rover_rl.sims.ros2.transport import HISTORY_DEPTH, Publisher, ThrottledLogger
 
 MAX_DOMAIN_ID = 232
 """Highest domain ID. Higher ones exceed the range of port numbers (DDSI-RTPS 2.3, 9.6.1)."""
@@ -46,23 +45,15 @@ NODE_LIST = "ros_discovery_info"
 """DDS name of the topic that announces nodes. Unlike the names of ROS topics, it has no prefix."""
 LONG_IDENTIFIERS = ("foxy", "galactic", "humble")
 """Distributions with identifiers of 24 bytes; later ones have 16. Only their names distinguish them."""
-_HISTORY_DEPTH = 5
-"""Number of unread messages that a topic keeps."""
-_RELIABLE = Policy.Reliability.Reliable(duration(milliseconds=100))
-_XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
 
 _log = logging.getLogger(__name__)
 
 
 class DdsTransport:
-    """Transport through Cyclone DDS: see :class:`~rover_rl.sims.ros2.transport.Transport`.
+    """:class:`Transport` through Cyclone DDS.
 
     Messages are read in a thread of its own, which :meth:`close` stops. All connections of a process share one DDS
-    participant for each domain.
-
-    Args:
-        node: name of the node.
-        environment: environment variables that select domain and discovery range; ``None``: those of the process.
+    participant for each domain. ``environment`` has the variables that select it, by default those of the process.
 
     Raises:
         ValueError: if ``ROS_DOMAIN_ID`` is invalid.
@@ -86,8 +77,7 @@ class DdsTransport:
     def subscribe(self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False) -> None:
         """See :meth:`Transport.subscribe`."""
         # Best effort and volatile matches every publisher. Further policies, such as deadlines, may not match.
-        reliability = _RELIABLE if reliable else Policy.Reliability.BestEffort
-        qos = Qos(reliability, Policy.Durability.Volatile, Policy.History.KeepLast(_HISTORY_DEPTH), _XCDR1)
+        qos = _qos(reliable, HISTORY_DEPTH)
         reader = _Reader(topic, DataReader(self._require_open().entity, self._topic(topic, kind), qos), receive)
         with self._lock:
             self._readers.append(reader)
@@ -96,13 +86,14 @@ class DdsTransport:
 
     def publisher(self, topic: str, kind: Any, *, reliable: bool = False) -> Publisher:
         """See :meth:`Transport.publisher`."""
-        writer = DataWriter(self._require_open().entity, self._topic(topic, kind), _writer_qos(reliable))
+        qos = _qos(reliable, 1 if reliable else HISTORY_DEPTH)
+        writer = DataWriter(self._require_open().entity, self._topic(topic, kind), qos)
         self._writers[topic] = writer
         self._announce()
 
         def publish(message: Any) -> None:
             self._require_open()
-            _write(writer, message, kind.ros_type)
+            _write(writer, message)
 
         return publish
 
@@ -126,13 +117,11 @@ class DdsTransport:
         self._stop.set(True)
         if threading.current_thread() is not self._thread:
             self._thread.join()
-        if self._participant.nodes is not None:
-            self._participant.nodes.remove(id(self))
+        self._participant.announce(id(self), None)
         # Cyclone deletes entities without references: the participant when the last connection is closed.
         del self._wait_set, self._stop
-        self._readers.clear()
-        self._writers.clear()
-        self._topics.clear()
+        for entities in (self._readers, self._writers, self._topics):
+            entities.clear()
         self._participant = None
 
     def _require_open(self) -> _Participant:
@@ -142,7 +131,7 @@ class DdsTransport:
 
     def _topic(self, name: str, kind: Any) -> Topic[Any]:
         if name not in self._topics:
-            topic = Topic(self._require_open().entity, "rt/" + name.removeprefix("/"), _sample_type(kind.ros_type))
+            topic = Topic(self._require_open().entity, "rt/" + name.removeprefix("/"), _sample_type(kind))
             self._topics[name] = (kind.ros_type, topic)
         known, topic = self._topics[name]
         if known != kind.ros_type:
@@ -150,10 +139,8 @@ class DdsTransport:
         return topic
 
     def _announce(self) -> None:
-        nodes = self._require_open().nodes
-        if nodes is not None:
-            readers = [reader.reader.guid for reader in self._readers]
-            nodes.update(id(self), self.node, readers, [writer.guid for writer in self._writers.values()])
+        readers = [reader.reader for reader in self._readers]
+        self._require_open().announce(id(self), self.node, readers, self._writers.values())
 
     def _read(self) -> None:
         stop, wait_set = self._stop, self._wait_set
@@ -182,7 +169,7 @@ class _Reader:
 
     def take(self) -> None:
         """Passes new messages on. One that is malformed, or raises an error there, is ignored with a warning."""
-        for sample in self.reader.take(_HISTORY_DEPTH, self.condition):
+        for sample in self.reader.take(HISTORY_DEPTH, self.condition):
             if not sample.sample_info.valid_data:
                 continue
             try:
@@ -197,54 +184,52 @@ class _Reader:
 
 
 class _Participant:
-    """A process's DDS participant in a domain, with the list of its nodes."""
+    """A process's DDS participant in a domain.
+
+    In a ROS distribution it announces its nodes for ``ros2 node list``, at each change. Topics work without that.
+    """
 
     def __init__(self, number: int, settings: str, distribution: str) -> None:
         self.pid = os.getpid()
         self._domain = Domain(number, settings)
         # As in rmw_cyclonedds_cpp: the user data names the security enclave and marks the participant as one of ROS 2.
         self.entity = DomainParticipant(number, Qos(Policy.Userdata(b"enclave=/;")))
-        self.nodes = _NodeList(self.entity, distribution) if distribution else None
+        self._nodes: dict[int, Any] = {}
+        self._distribution = distribution
+        if distribution:
+            self._gid, self._node, self._message = announcement_messages(distribution)
+            topic = Topic(self.entity, NODE_LIST, _sample_type(self._message))
+            # Late subscribers receive the last announcement.
+            self._writer = DataWriter(self.entity, topic, _qos(True, 1, Policy.Durability.TransientLocal))
 
+    def announce(self, owner: int, name: str | None, readers: Iterable[Any] = (), writers: Iterable[Any] = ()) -> None:
+        """Announces the node of a transport with its DDS entities, or the end of the node if ``name`` is ``None``."""
+        if not self._distribution:
+            return
+        if name is None:
+            del self._nodes[owner]
+        else:
+            gids = ([self._identifier(entity) for entity in entities] for entities in (readers, writers))
+            self._nodes[owner] = self._node("/", name, *gids)
+        _write(self._writer, self._message(self._identifier(self.entity), [*self._nodes.values()]))
 
-class _NodeList:
-    """List of a participant's nodes for ``ros2 node list``, published at each change. Topics work without it."""
-
-    def __init__(self, participant: DomainParticipant, distribution: str) -> None:
-        self._types = announcement_types(distribution)
-        self._size = 24 if distribution in LONG_IDENTIFIERS else 16
-        self._participant, self._nodes = participant.guid, dict[int, Any]()
-        topic = Topic(participant, NODE_LIST, _sample_type("rmw_dds_common/msg/ParticipantEntitiesInfo", self._types))
-        self._writer = DataWriter(participant, topic, _writer_qos(reliable=True, transient_local=True))
-
-    def update(self, owner: int, name: str, readers: Iterable[UUID], writers: Iterable[UUID]) -> None:
-        gids = ([self._gid(entity) for entity in entities] for entities in (readers, writers))
-        self._nodes[owner] = self._message("NodeEntitiesInfo", "/", name, *gids)
-        self._publish()
-
-    def remove(self, owner: int) -> None:
-        del self._nodes[owner]
-        self._publish()
-
-    def _publish(self) -> None:
-        nodes = [*self._nodes.values()]
-        message = self._message("ParticipantEntitiesInfo", self._gid(self._participant), nodes)
-        _write(self._writer, message, "rmw_dds_common/msg/ParticipantEntitiesInfo", self._types)
-
-    def _gid(self, identifier: UUID) -> Any:
-        return self._message("Gid", np.frombuffer(identifier.bytes.ljust(self._size, b"\0"), np.uint8))
-
-    def _message(self, name: str, *values: Any) -> Any:
-        return self._types.types[f"rmw_dds_common/msg/{name}"](*values)
+    def _identifier(self, entity: Any) -> Any:
+        size = 24 if self._distribution in LONG_IDENTIFIERS else 16
+        return self._gid(np.frombuffer(entity.guid.bytes.ljust(size, b"\0"), np.uint8))
 
 
 @cache
-def announcement_types(distribution: str) -> Typestore:
-    """Returns the message definitions that announce nodes in a ROS distribution, for example ``"jazzy"``."""
-    return get_typestore(Stores.ROS2_HUMBLE if distribution in LONG_IDENTIFIERS else Stores.ROS2_JAZZY)
+def announcement_messages(distribution: str) -> tuple[Any, Any, Any]:
+    """Returns the classes of an identifier, a node and a participant in a ROS distribution, such as ``"jazzy"``."""
+    types = get_typestore(Stores.ROS2_HUMBLE if distribution in LONG_IDENTIFIERS else Stores.ROS2_JAZZY)
+    gid, node, participant = (
+        message_class(f"rmw_dds_common/msg/{name}", types)
+        for name in ("Gid", "NodeEntitiesInfo", "ParticipantEntitiesInfo")
+    )
+    return gid, node, participant
 
 
-_participants: dict[int, Any] = {}
+_participants: WeakValueDictionary[int, _Participant] = WeakValueDictionary()
 _participants_lock = threading.Lock()
 
 
@@ -252,22 +237,17 @@ def _participant(environment: Mapping[str, str]) -> _Participant:
     """Returns the participant of the environment's domain, and creates it if there is none."""
     number = domain_id(environment)
     with _participants_lock:
-        known = _participants.get(number)
-        participant = known() if known else None
+        participant = _participants.get(number)
         if participant is None:
             participant = _Participant(number, domain_settings(environment), environment.get("ROS_DISTRO", ""))
-            _participants[number] = weakref.ref(participant)
+            _participants[number] = participant
         if participant.pid != os.getpid():
             raise RuntimeError("DDS does not survive a fork: start processes with the method 'spawn' or 'forkserver'")
         return participant
 
 
 def domain_id(environment: Mapping[str, str]) -> int:
-    """Returns the domain ID from ``ROS_DOMAIN_ID``, 0 by default.
-
-    Raises:
-        ValueError: if it is not a whole number from 0 to 232.
-    """
+    """Returns the domain ID from ``ROS_DOMAIN_ID``, 0 by default; raises ``ValueError`` if it is out of range."""
     text = environment.get("ROS_DOMAIN_ID", "").strip() or "0"
     if not text.isdecimal() or int(text) > MAX_DOMAIN_ID:
         raise ValueError(f"ROS_DOMAIN_ID must be a whole number from 0 to {MAX_DOMAIN_ID}, got {text!r}")
@@ -290,19 +270,14 @@ def domain_settings(environment: Mapping[str, str]) -> str:
     return ",".join(filter(None, (own, environment.get("CYCLONEDDS_URI", "").strip())))
 
 
-def _writer_qos(reliable: bool, transient_local: bool = False) -> Qos:
-    """Returns the quality of service of a writer.
-
-    Args:
-        reliable: whether the writer is reliable, with a history of one message.
-        transient_local: whether late subscribers receive the last message.
-    """
+def _qos(reliable: bool, depth: int, durability: Any = Policy.Durability.Volatile) -> Qos:
+    """Returns the quality of service of a reader or a writer that keeps ``depth`` messages."""
     return Qos(
-        _RELIABLE if reliable else Policy.Reliability.BestEffort,
-        Policy.Durability.TransientLocal if transient_local else Policy.Durability.Volatile,
-        Policy.History.KeepLast(1 if reliable else _HISTORY_DEPTH),
+        Policy.Reliability.Reliable(duration(milliseconds=100)) if reliable else Policy.Reliability.BestEffort,
+        durability,
+        Policy.History.KeepLast(depth),
         Policy.WriterDataLifecycle(autodispose=False),
-        _XCDR1,
+        Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
     )
 
 
@@ -312,9 +287,8 @@ class _SerializedSample(IdlStruct):
     Cyclone's own serialization takes ten times as long, and produces objects of its own classes.
     """
 
-    # Not annotated, as annotations declare fields of the DDS type. Subclasses set the first two, samples set ``data``.
-    ros_type = ""
-    definitions = TYPES
+    # Not annotated, as annotations declare fields of the DDS type. Subclasses set the class, samples their data.
+    kind = Message
     data = b""
 
     def serialize(self, *_: Any, **__: Any) -> bytes:
@@ -324,15 +298,16 @@ class _SerializedSample(IdlStruct):
     def deserialize(cls, data: bytes, *_: Any, **__: Any) -> Any:
         """Returns the message, or the error of a malformed one."""
         try:
-            return decode(cls.ros_type, data, cls.definitions)
+            return decode(cls.kind, data)
         except ValueError as error:
             return error
 
 
-def _write(writer: DataWriter[Any], message: Any, ros_type: str, definitions: Typestore = TYPES) -> None:
-    sample_type = _sample_type(ros_type, definitions)
+def _write(writer: DataWriter[Any], message: Any) -> None:
+    kind: Any = type(message)
+    sample_type = _sample_type(kind)
     sample = sample_type.__new__(sample_type)
-    sample.data = encode(message, ros_type, definitions)
+    sample.data = encode(message)
     writer.write(sample)
 
 
@@ -344,14 +319,14 @@ _BASE_TYPES: dict[str, Any] = {"string": str, "char": types.uint8} | {
 }
 
 
-def _sample_type(ros_type: str, definitions: Typestore = TYPES) -> type[_SerializedSample]:
+@cache
+def _sample_type(kind: type[Message]) -> type[_SerializedSample]:
     """Returns the DDS type of a message; ``sensor_msgs/msg/Imu`` becomes ``sensor_msgs::msg::dds_::Imu_``."""
-    sample_type: Any = _struct(ros_type, definitions, _SerializedSample)
-    sample_type.ros_type, sample_type.definitions = ros_type, definitions
+    sample_type: Any = _struct(kind.ros_type, kind.types, _SerializedSample)
+    sample_type.kind = kind
     return sample_type
 
 
-@cache
 def _struct(ros_type: str, definitions: Typestore, *bases: type) -> type[IdlStruct]:
     """Returns Cyclone's type of a message."""
     package, folder, name = ros_type.split("/")

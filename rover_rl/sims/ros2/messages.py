@@ -4,7 +4,7 @@ The package rosbags, which requires no ROS, has the definitions and serializes. 
 text or list, and the identity as orientation.
 
 Example:
-    >>> decode("geometry_msgs/msg/Twist", encode(Twist(Vector3(x=0.5)))).linear.x
+    >>> decode(Twist, encode(Twist(Vector3(x=0.5)))).linear.x
     0.5
 """
 
@@ -34,83 +34,71 @@ class Message:
 
     Attributes:
         ros_type: ROS 2 name of the type, for example ``"geometry_msgs/msg/Twist"``.
+        types: definitions of the type and those of its fields.
     """
 
     ros_type: ClassVar[str]
+    types: ClassVar[Typestore]
 
 
 class _Time(Message):
     @classmethod
     def from_seconds(cls, seconds: float) -> Any:
         """Converts seconds."""
-        nanoseconds = round(seconds * 1e9)
-        return cls(nanoseconds // 1_000_000_000, nanoseconds % 1_000_000_000)  # type: ignore[call-arg]
+        return cls(*divmod(round(seconds * 1e9), 1_000_000_000))  # type: ignore[call-arg]
 
 
-def _message(ros_type: str, base: type[Message] = Message, **defaults: float) -> Any:
+def message_class(ros_type: str, types: Typestore = TYPES, base: type[Message] = Message, **defaults: float) -> Any:
     """Makes the class of a message from those of its fields, and decodes messages of the type to it."""
     fields: list[Any] = [
-        (name, Any, field(default=defaults[name]) if name in defaults else field(default_factory=_zero(*layout)))
-        for name, layout in TYPES.fielddefs[ros_type][1]
+        (name, Any, field(default=defaults[name]) if name in defaults else field(default_factory=_zero(types, *layout)))
+        for name, layout in types.fielddefs[ros_type][1]
     ]
-    kind = make_dataclass(ros_type.split("/")[-1], fields, bases=(base,), namespace={"ros_type": ros_type})
-    TYPES.types[ros_type] = kind
+    namespace = {"ros_type": ros_type, "types": types}
+    kind = make_dataclass(ros_type.split("/")[-1], fields, bases=(base,), namespace=namespace)
+    types.types[ros_type] = kind
     return kind
 
 
-def _zero(node: Nodetype, content: Any) -> Callable[[], Any]:
+def _zero(types: Typestore, node: Nodetype, content: Any) -> Callable[[], Any]:
     """Returns the function that makes the default of a field."""
     if node == Nodetype.NAME:
-        return TYPES.types[content]
+        return types.types[content]
     if node == Nodetype.BASE:
         return {"string": str, "float32": float, "float64": float}.get(content[0], int)
     (element, name), length = content
     return list if element == Nodetype.NAME else partial(np.zeros, length, name[0])
 
 
-Time = _message("builtin_interfaces/msg/Time", _Time)
-Header = _message("std_msgs/msg/Header")
-Vector3 = _message("geometry_msgs/msg/Vector3")
-Point = _message("geometry_msgs/msg/Point")
-Quaternion = _message("geometry_msgs/msg/Quaternion", w=1.0)
-Pose = _message("geometry_msgs/msg/Pose")
-PoseStamped = _message("geometry_msgs/msg/PoseStamped")
-PoseArray = _message("geometry_msgs/msg/PoseArray")
-PoseWithCovariance = _message("geometry_msgs/msg/PoseWithCovariance")
-Twist = _message("geometry_msgs/msg/Twist")
-TwistStamped = _message("geometry_msgs/msg/TwistStamped")
-TwistWithCovariance = _message("geometry_msgs/msg/TwistWithCovariance")
-Odometry = _message("nav_msgs/msg/Odometry")
-Imu = _message("sensor_msgs/msg/Imu")
-LaserScan = _message("sensor_msgs/msg/LaserScan")
-Clock = _message("rosgraph_msgs/msg/Clock")
+Time = message_class("builtin_interfaces/msg/Time", base=_Time)
+Header = message_class("std_msgs/msg/Header")
+Vector3 = message_class("geometry_msgs/msg/Vector3")
+Point = message_class("geometry_msgs/msg/Point")
+Quaternion = message_class("geometry_msgs/msg/Quaternion", w=1.0)
+Pose = message_class("geometry_msgs/msg/Pose")
+PoseStamped = message_class("geometry_msgs/msg/PoseStamped")
+PoseArray = message_class("geometry_msgs/msg/PoseArray")
+PoseWithCovariance = message_class("geometry_msgs/msg/PoseWithCovariance")
+Twist = message_class("geometry_msgs/msg/Twist")
+TwistStamped = message_class("geometry_msgs/msg/TwistStamped")
+TwistWithCovariance = message_class("geometry_msgs/msg/TwistWithCovariance")
+Odometry = message_class("nav_msgs/msg/Odometry")
+Imu = message_class("sensor_msgs/msg/Imu")
+LaserScan = message_class("sensor_msgs/msg/LaserScan")
+Clock = message_class("rosgraph_msgs/msg/Clock")
 
 
-def encode(message: Any, ros_type: str = "", types: Typestore = TYPES) -> bytes:
-    """Serializes a message, little endian.
-
-    Args:
-        message: message.
-        ros_type: ROS 2 name of its type; empty: that of its class.
-        types: definitions of messages.
-
-    Raises:
-        ValueError: if an array has the wrong length or the wrong type of numbers.
-    """
-    ros_type = ros_type or message.ros_type
+def encode(message: Message) -> bytes:
+    """Serializes a message, little endian. Raises ``ValueError`` if an array has the wrong length or number type."""
     try:
-        return bytes(types.serialize_cdr(message, ros_type, little_endian=True))
+        return bytes(message.types.serialize_cdr(message, message.ros_type, little_endian=True))
     except SerdeError as error:
-        raise ValueError(f"{ros_type}: {error}") from error
+        raise ValueError(f"{message.ros_type}: {error}") from error
 
 
-def decode(ros_type: str, data: bytes, types: Typestore = TYPES) -> Any:
-    """Deserializes a message of type ``ros_type``. Its arrays are read-only.
-
-    Raises:
-        ValueError: if ``data`` is not such a message.
-    """
+def decode(kind: type[Message], data: bytes) -> Any:
+    """Deserializes a message of class ``kind``, with read-only arrays. Raises ``ValueError`` if ``data`` is no such."""
     try:
-        return types.deserialize_cdr(data, ros_type)
+        return kind.types.deserialize_cdr(data, kind.ros_type)
     except SerdeError as error:
-        raise ValueError(f"{ros_type}: {error}") from error
+        raise ValueError(f"{kind.ros_type}: {error}") from error

@@ -46,12 +46,7 @@ class Placer:
     """Moves the rover to the start of an episode in the way that the settings select.
 
     With ``reset="auto"``, the first reset selects the way: the reset topic if a node subscribes to it, Gazebo's command
-    if it is installed, none.
-
-    Args:
-        settings: settings of the connection.
-        world: name of the world in Gazebo.
-        transport: transport to publish on.
+    if it is installed, none. ``world`` is the name of the world in Gazebo.
 
     Raises:
         FileNotFoundError: if Gazebo's command is selected and not installed.
@@ -75,11 +70,7 @@ class Placer:
         return self._way not in ("auto", "none")
 
     def place(self, target: TargetPose) -> None:
-        """Requests the move. The topic of the pose shows its completion.
-
-        Raises:
-            PoseResetError: if the request fails.
-        """
+        """Requests the move, whose completion the pose shows. Raises ``PoseResetError`` if the request fails."""
         if self._way == "auto":
             self._way = self._select()
         if self._way in GAZEBO_MESSAGES:
@@ -114,23 +105,17 @@ class Placer:
 
     def _send(self, target: TargetPose) -> None:
         """Publishes the pose to a node that moves the rover, such as ``rover-rl robot``, once it subscribes."""
-        topic = self._settings.reset_topic
         if not self._has_subscriber(_SUBSCRIBER_TIMEOUT):
+            topic = self._settings.reset_topic
             raise PoseResetError(f"no node subscribes to {topic}, so the rover cannot be moved to the start")
         pose = Pose(Point(target.x, target.y, target.z), Quaternion(*target.quaternion))
         self._publish(PoseStamped(Header(frame_id="world"), pose))
 
 
 def place_in_gazebo(command: str, world: str, model: str, target: TargetPose) -> None:
-    """Moves a model by Gazebo's service ``/world/<world>/set_pose``, through Gazebo's command.
+    """Moves a model by Gazebo's service ``/world/<world>/set_pose``, through the command ``"ign"`` or ``"gz"``.
 
     The exit code is 0 for every outcome. A call that succeeds answers ``data: true`` and prints no failure.
-
-    Args:
-        command: ``"ign"`` (Fortress) or ``"gz"`` (Harmonic).
-        world: name of the world in Gazebo.
-        model: name of the rover in Gazebo.
-        target: pose to move it to.
 
     Raises:
         PoseResetError: if the pose is not finite, or the call fails.

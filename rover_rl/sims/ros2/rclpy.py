@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from importlib import import_module
 from typing import Any
@@ -19,13 +20,13 @@ except ImportError as error:
         "Python that it was built for; transport='dds' requires no ROS"
     ) from error
 
-from rover_rl.sims.ros2.transport import Publisher
+from rover_rl.sims.ros2.transport import HISTORY_DEPTH, Publisher
 
 
 class RclpyTransport:
-    """Transport through an rclpy node, which spins in a thread of its own.
+    """:class:`Transport` through an rclpy node, which spins in a thread of its own.
 
-    Received messages are instances of ROS's own classes. See :class:`~rover_rl.sims.ros2.transport.Transport`.
+    Received messages are instances of ROS's own classes.
     """
 
     def __init__(self, node: str) -> None:
@@ -41,20 +42,20 @@ class RclpyTransport:
 
     def subscribe(self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False) -> None:
         """See :meth:`Transport.subscribe`."""
-        self._node.create_subscription(_ros_type(kind), topic, receive, _qos_profile(reliable))
+        self._node.create_subscription(_ros_class(kind), topic, receive, _qos_profile(reliable))
 
     def publisher(self, topic: str, kind: Any, *, reliable: bool = False) -> Publisher:
         """See :meth:`Transport.publisher`."""
-        ros_type = _ros_type(kind)
-        publisher = self._publishers[topic] = self._node.create_publisher(ros_type, topic, _qos_profile(reliable))
-        return lambda message: publisher.publish(_to_ros(message, ros_type()))
+        publisher = self._node.create_publisher(_ros_class(kind), topic, _qos_profile(reliable))
+        self._publishers[topic] = publisher
+        return lambda message: publisher.publish(_to_ros(message))
 
     def subscribers(self, topic: str) -> int:
         """See :meth:`Transport.subscribers`."""
         return self._publishers[topic].get_subscription_count()
 
     def publishers(self, topic: str) -> int:
-        """Returns the number of publishers of ``topic``."""
+        """Returns the number of publishers of ``topic``, whether they send or not."""
         return self._node.count_publishers(topic)
 
     def close(self) -> None:
@@ -68,10 +69,8 @@ class RclpyTransport:
         self._context.try_shutdown()
 
     def _spin(self) -> None:
-        try:
+        with suppress(ExternalShutdownException):
             self._executor.spin()
-        except ExternalShutdownException:
-            return
 
 
 def _qos_profile(reliable: bool) -> QoSProfile:
@@ -79,24 +78,21 @@ def _qos_profile(reliable: bool) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.VOLATILE,
         history=HistoryPolicy.KEEP_LAST,
-        depth=1 if reliable else 5,
+        depth=1 if reliable else HISTORY_DEPTH,
     )
 
 
-def _ros_type(kind: Any) -> Any:
-    """Returns ROS's class for a message type."""
+def _ros_class(kind: Any) -> Any:
+    """Returns ROS's class for a message class or message."""
     package, folder, name = kind.ros_type.split("/")
     return getattr(import_module(f"{package}.{folder}"), name)
 
 
-def _to_ros(message: Any, ros: Any) -> Any:
-    """Copies a message into an instance of ROS's class, and returns that."""
-    for field in fields(message):
-        value = getattr(message, field.name)
-        if is_dataclass(value):
-            _to_ros(value, getattr(ros, field.name))
-        elif isinstance(value, list):
-            setattr(ros, field.name, [_to_ros(item, _ros_type(item)()) for item in value])
-        else:
-            setattr(ros, field.name, value)
-    return ros
+def _to_ros(value: Any) -> Any:
+    """Returns a message, in fields and lists too, as an instance of ROS's class; other values unchanged."""
+    if is_dataclass(value):
+        ros = _ros_class(value)()
+        for field in fields(value):
+            setattr(ros, field.name, _to_ros(getattr(value, field.name)))
+        return ros
+    return [_to_ros(item) for item in value] if isinstance(value, list) else value

@@ -17,10 +17,9 @@ from torch import Tensor
 from rover_rl.sims.base import RoverState, Scanner, Simulator
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2 import messages as ros
-from rover_rl.sims.ros2.readings import read_orientation, read_position
+from rover_rl.sims.ros2.poses import read_finite, read_pose, yaw_of
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import Transport
-from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.worlds import World
 
 COMMAND_LIFETIME = 0.5
@@ -35,10 +34,10 @@ class RobotNode:
     """ROS 2 node of a simulated rover: publishes scan, IMU, odometry, pose array and clock; subscribes to commands.
 
     Args:
-        simulator: simulator of one rover.
+        simulator: simulator of one rover in ``world``.
         scanner: its lidar.
         transport: transport to publish and subscribe on.
-        world: world of the simulator.
+        world: world, on whose terrain reset poses must be.
         lidar_range: maximum range of the lidar, m.
         settings: topics of odometry, pose and reset, and the direction of the lidar.
         connection: topics of scan, IMU and command.
@@ -53,37 +52,34 @@ class RobotNode:
         transport: Transport,
         world: World,
         lidar_range: float,
-        settings: Ros2Settings | None = None,
-        connection: Connection | None = None,
+        settings: Ros2Settings = Ros2Settings(),  # noqa: B008  (it is frozen)
+        connection: Connection = Connection(),  # noqa: B008
         start: tuple[float, float, float] = (0.0, 0.0, 0.0),
         view: float = 2 * math.pi,
     ) -> None:
-        settings, connection = settings or Ros2Settings(), connection or Connection()
         self._simulator, self._scanner, self._world = simulator, scanner, world
         self._lidar_yaw, self._lidar_range, self._view = settings.lidar_yaw, lidar_range, view
         self._lock = threading.Lock()
-        # Forward speed (m/s) and yaw rate (rad/s), whether they have just arrived, and the time since then.
-        self._command, self._is_commanded, self._time_without_command = (0.0, 0.0), False, 0.0
+        # Forward speed (m/s) and yaw rate (rad/s), and the time since they arrived.
+        self._command, self._command_age = (0.0, 0.0), 0.0
         self._reset_pose: tuple[float, float, float] | None = start
         self._yaw = start[2]
         # Pose relative to the start by wheel odometry, the integral of the wheels' velocities.
-        self._odometry_x = self._odometry_y = self._odometry_yaw = 0.0
+        self._odometry = (0.0, 0.0, 0.0)
         # Reliable publishers match every subscription, including those of RViz and of ROS's default profile.
-        self._publish_scan = transport.publisher(connection.scan_topic, ros.LaserScan, reliable=True)
-        self._publish_imu = transport.publisher(connection.imu_topic, ros.Imu, reliable=True)
-        self._publish_odometry = transport.publisher(settings.odometry_topic, ros.Odometry, reliable=True)
-        self._publish_poses = transport.publisher(settings.pose_topic, ros.PoseArray, reliable=True)
-        self._publish_clock = transport.publisher("/clock", ros.Clock, reliable=True)
+        self._publish = {
+            kind: transport.publisher(topic, kind, reliable=True)
+            for topic, kind in (
+                (connection.scan_topic, ros.LaserScan),
+                (connection.imu_topic, ros.Imu),
+                (settings.odometry_topic, ros.Odometry),
+                (settings.pose_topic, ros.PoseArray),
+                ("/clock", ros.Clock),
+            )
+        }
         transport.subscribe(connection.cmd_vel_topic, ros.Twist, self._receive_command)
         # Reliable, as a reset pose is sent only once.
         transport.subscribe(settings.reset_topic, ros.PoseStamped, self._receive_reset_pose, reliable=True)
-
-    @property
-    def pose(self) -> tuple[float, float, float]:
-        """Pose of the rover: x, y (m) and yaw (rad)."""
-        state = self._simulator.state()
-        x, y, _ = state.position[0].tolist()
-        return x, y, quaternion_to_euler(state.orientation)[0, 2].item()
 
     def run(self, rate: float, stop: threading.Event) -> None:
         """Steps the simulator until ``stop`` is set, at ``rate`` times real time."""
@@ -99,60 +95,57 @@ class RobotNode:
             reset_pose, self._reset_pose = self._reset_pose, None
             if reset_pose is not None:  # a reset discards earlier commands
                 self._command = (0.0, 0.0)
-            command = self._command
-            is_commanded, self._is_commanded = self._is_commanded, False
+            command = self._command if self._command_age < COMMAND_LIFETIME else (0.0, 0.0)
+            self._command_age += self._simulator.state().dt.item()
         if reset_pose is not None:
             self._simulator.reset(torch.ones(1, dtype=torch.bool), torch.tensor([reset_pose]))
             self._yaw = reset_pose[2]
-        self._time_without_command += self._simulator.state().dt.item()
-        if is_commanded:
-            self._time_without_command = 0.0
-        if self._time_without_command >= COMMAND_LIFETIME:
-            command = (0.0, 0.0)
         state = self._simulator.step(torch.tensor([command]))
-        self._publish(state)
+        self._publish_state(state)
         return state.dt.item()
 
     def _receive_command(self, msg: Any) -> None:
-        if not (math.isfinite(msg.linear.x) and math.isfinite(msg.angular.z)):
-            raise ValueError(f"a command must be finite, got {msg.linear.x}, {msg.angular.z}")
+        read_finite("command", msg.linear.x, msg.angular.z)
         with self._lock:
-            self._command, self._is_commanded = (msg.linear.x, msg.angular.z), True
+            self._command, self._command_age = (msg.linear.x, msg.angular.z), 0.0
 
     def _receive_reset_pose(self, msg: Any) -> None:
-        x, y, _ = read_position(msg.pose.position).tolist()
-        yaw = quaternion_to_euler(read_orientation(msg.pose.orientation))[2].item()
+        position, orientation, _ = read_pose(msg.pose)
+        x, y, _ = position.tolist()
         extent = self._world.terrain.extent
         if not all(low <= value <= high for value, (low, high) in zip((x, y), extent, strict=True)):
             raise ValueError(f"a reset pose must be on the world's terrain, {extent}, got {x}, {y}")
         with self._lock:
-            self._reset_pose = (x, y, yaw)
+            self._reset_pose = (x, y, yaw_of(orientation))
 
-    def _publish(self, state: RoverState) -> None:
+    def _publish_state(self, state: RoverState) -> None:
         """Publishes a state. The scan comes last, as subscribers wait for it."""
         stamp = ros.Time.from_seconds(state.stamp.item())
         orientation = ros.Quaternion(*state.orientation[0].tolist())
-        speed, yaw_rate = state.linear_velocity.item(), state.angular_velocity.item()
-        self._advance_odometry(speed, yaw_rate, state.dt.item())
-        self._publish_clock(ros.Clock(stamp))
         pose = ros.Pose(ros.Point(*state.position[0].tolist()), orientation)
-        self._publish_poses(ros.PoseArray(ros.Header(stamp, "world"), [pose]))
-        self._publish_imu(self._imu(state, stamp, orientation))
-        heading = ros.Quaternion(z=math.sin(self._odometry_yaw / 2), w=math.cos(self._odometry_yaw / 2))
-        pose = ros.PoseWithCovariance(ros.Pose(ros.Point(self._odometry_x, self._odometry_y), heading))
-        twist = ros.TwistWithCovariance(ros.Twist(ros.Vector3(x=speed), ros.Vector3(z=yaw_rate)))
-        self._publish_odometry(ros.Odometry(ros.Header(stamp, "odom"), "base_link", pose, twist))
-        self._publish_scan(self._scan(self._scanner.scan()[0], stamp))
+        for message in (
+            ros.Clock(stamp),
+            ros.PoseArray(ros.Header(stamp, "world"), [pose]),
+            self._imu(state, stamp, orientation),
+            self._wheel_odometry(state, stamp),
+            self._scan(self._scanner.scan()[0], stamp),
+        ):
+            self._publish[type(message)](message)
 
-    def _advance_odometry(self, speed: float, yaw_rate: float, dt: float) -> None:
-        middle = self._odometry_yaw + yaw_rate * dt / 2
-        self._odometry_x += speed * dt * math.cos(middle)
-        self._odometry_y += speed * dt * math.sin(middle)
-        self._odometry_yaw += yaw_rate * dt
+    def _wheel_odometry(self, state: RoverState, stamp: Any) -> Any:
+        speed, yaw_rate, dt = state.linear_velocity.item(), state.angular_velocity.item(), state.dt.item()
+        x, y, yaw = self._odometry
+        middle = yaw + yaw_rate * dt / 2
+        x, y, yaw = x + speed * dt * math.cos(middle), y + speed * dt * math.sin(middle), yaw + yaw_rate * dt
+        self._odometry = (x, y, yaw)
+        heading = ros.Quaternion(z=math.sin(yaw / 2), w=math.cos(yaw / 2))
+        pose = ros.PoseWithCovariance(ros.Pose(ros.Point(x, y), heading))
+        twist = ros.TwistWithCovariance(ros.Twist(ros.Vector3(x=speed), ros.Vector3(z=yaw_rate)))
+        return ros.Odometry(ros.Header(stamp, "odom"), "base_link", pose, twist)
 
     def _imu(self, state: RoverState, stamp: Any, orientation: Any) -> Any:
         """Builds an IMU message without acceleration. The body turns more slowly than wheel odometry reports."""
-        yaw = quaternion_to_euler(state.orientation)[0, 2].item()
+        yaw = yaw_of(state.orientation[0])
         yaw_rate, self._yaw = math.remainder(yaw - self._yaw, 2 * math.pi) / state.dt.item(), yaw
         imu = ros.Imu(ros.Header(stamp, "imu_link"), orientation, angular_velocity=ros.Vector3(z=yaw_rate))
         imu.linear_acceleration_covariance[0] = NOT_MEASURED
@@ -163,9 +156,8 @@ class RobotNode:
 
         A full turn begins straight ahead; a narrower view begins at its right edge.
         """
-        beams = len(ranges)
-        increment = 2 * math.pi / beams
-        first, count = 0, beams
+        increment = 2 * math.pi / len(ranges)
+        first, count = 0, len(ranges)
         if self._view < 2 * math.pi:
             half = int(self._view / 2 / increment)
             first, count = -half, 2 * half + 1

@@ -15,8 +15,16 @@ from torch import Tensor
 
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.ros2.messages import Imu, LaserScan, Odometry
-from rover_rl.sims.ros2.pose_estimator import IDENTITY_ORIENTATION, ORIGIN_POSE, POSE_MESSAGES, PoseEstimator
-from rover_rl.sims.ros2.readings import MeasuredPose, read_orientation, read_scan, read_twist
+from rover_rl.sims.ros2.poses import (
+    IDENTITY_ORIENTATION,
+    ORIGIN_POSE,
+    POSE_MESSAGES,
+    MeasuredPose,
+    PoseEstimator,
+    read_finite,
+    read_orientation,
+)
+from rover_rl.sims.ros2.scans import read_scan
 from rover_rl.sims.ros2.settings import Ros2Settings
 from rover_rl.sims.ros2.transport import ThrottledLogger, Transport
 
@@ -29,12 +37,9 @@ _log = logging.getLogger(__name__)
 
 
 class ReceivedMessage(NamedTuple):
-    """A value that was read from a message.
+    """A value that was read from a message, the ``number``-th of its kind, from 1 on.
 
-    Attributes:
-        value: value.
-        time: arrival by :func:`time.monotonic`, s. The message's own stamp may be simulation time.
-        number: sequence number among messages of its kind, starting at 1.
+    ``time`` is its arrival by :func:`time.monotonic`, s. The message's own stamp may be simulation time.
     """
 
     value: Any
@@ -62,8 +67,7 @@ class LatestMessages:
 
     def latest(self, kind: str) -> ReceivedMessage | None:
         """Returns the latest message of a kind, or ``None`` before the first one."""
-        with self._changed:
-            return self._latest.get(kind)
+        return self._latest.get(kind)
 
     def value(self, kind: str, default: Any) -> Any:
         """Returns the latest value of a kind, or ``default`` before the first one."""
@@ -76,10 +80,9 @@ class LatestMessages:
         return message.number if message else 0
 
     def wait(self, kind: str, after: int, timeout: float) -> ReceivedMessage | None:
-        """Waits at most ``timeout`` (s) for a message of a kind whose sequence number exceeds ``after``.
+        """Returns the latest message of a kind once its sequence number exceeds ``after``.
 
-        Returns:
-            The latest message, or ``None`` if none arrives in time.
+        Returns ``None`` if there is none within ``timeout`` (s).
         """
         with self._changed:
             return self.latest(kind) if self._changed.wait_for(lambda: self.count(kind) > after, timeout) else None
@@ -89,13 +92,7 @@ class Sensors:
     """Subscribes to scan, IMU, odometry and pose, and stores the latest valid values.
 
     Messages arrive in the transport's thread. A malformed message is ignored with a warning; the last valid value
-    remains.
-
-    Args:
-        transport: transport to subscribe on.
-        settings: settings of the connection.
-        connection: topics of scan and IMU.
-        pose_estimator: estimator that aligns poses with the IMU.
+    remains. ``pose_estimator`` aligns poses with the IMU.
 
     Attributes:
         topics: topic of each kind of message: ``"scan"``, ``"imu"``, ``"odometry"``, and ``"pose"`` unless the pose
@@ -114,23 +111,20 @@ class Sensors:
         self._scan_times: deque[tuple[float, float]] = deque(maxlen=RATE_WINDOW + 1)
         self._rejections: dict[str, str] = {}
         self._throttled_log = ThrottledLogger(_log)
-        # Functions that read the values of a message, by the kind that each value is stored under.
-        self._readers: dict[str, dict[str, Callable[[Any], Any]]] = {
-            "imu": {"imu": lambda msg: read_orientation(msg.orientation)},
-            "odometry": {"odometry": read_twist},
-        }
-        sources = {"imu": (connection.imu_topic, Imu), "odometry": (settings.odometry_topic, Odometry)}
+        # Topic and type of each kind of message, and the functions that read values, by the kinds of these values. The
+        # scan is last, as a rover publishes it last: when it wakes a step, the other messages have arrived.
         pose_type, read_pose = POSE_MESSAGES[settings.pose]
+        sources: dict[str, tuple[str, Any, dict[str, Callable[[Any], Any]]]] = {
+            "imu": (connection.imu_topic, Imu, {"imu": lambda msg: read_orientation(msg.orientation)}),
+            "odometry": (settings.odometry_topic, Odometry, {"odometry": read_twist}),
+            "pose": (settings.pose_topic, pose_type, {"pose": read_pose}),
+            "scan": (connection.scan_topic, LaserScan, {"scan": partial(read_scan, max_invalid=settings.max_invalid)}),
+        }
         if settings.pose == "wheels":
-            self._readers["odometry"]["pose"] = read_pose
-        else:
-            self._readers["pose"] = {"pose": read_pose}
-            sources["pose"] = (settings.pose_topic, pose_type)
-        # Last, as a rover publishes the scan last: when a scan wakes a step, the other messages have arrived.
-        self._readers["scan"] = {"scan": partial(read_scan, max_invalid=settings.max_invalid)}
-        sources["scan"] = (connection.scan_topic, LaserScan)
-        self.topics = {kind: topic for kind, (topic, _) in sources.items()}
-        for kind, (topic, message) in sources.items():
+            sources["odometry"][2].update(sources.pop("pose")[2])
+        self._readers = {kind: readers for kind, (_, _, readers) in sources.items()}
+        self.topics = {kind: topic for kind, (topic, _, _) in sources.items()}
+        for kind, (topic, message, _) in sources.items():
             transport.subscribe(topic, message, partial(self.receive, kind))
 
     @property
@@ -193,3 +187,8 @@ class Sensors:
         if span > 0 and not low <= RATE_WINDOW / span <= high:
             text = "%s: %.1f scans per second; policies require %g to %g"
             self._throttled_log.warning("rate", text, self.topics["scan"], RATE_WINDOW / span, low, high)
+
+
+def read_twist(msg: Any) -> Tensor:
+    """Reads forward speed (m/s) and yaw rate (rad/s) of a ``nav_msgs/Odometry``: float32 ``[2]``."""
+    return read_finite("velocity", msg.twist.twist.linear.x, msg.twist.twist.angular.z)

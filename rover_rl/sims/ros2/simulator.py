@@ -16,12 +16,11 @@ from rover_rl.sims.base import Capability, RoverState, View, beam_angles
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2 import PoseResetError, RobotLostError
-from rover_rl.sims.ros2.limits import CommandLimiter
-from rover_rl.sims.ros2.pose_estimator import PoseEstimator
 from rover_rl.sims.ros2.pose_reset import Placer, TargetPose
-from rover_rl.sims.ros2.readings import AlignedScan, ScanAlignment, UnseenGuard
+from rover_rl.sims.ros2.poses import PoseEstimator
+from rover_rl.sims.ros2.scans import AlignedScan, ScanAlignment, UnseenGuard
 from rover_rl.sims.ros2.sensors import ReceivedMessage, Sensors
-from rover_rl.sims.ros2.settings import Ros2Settings
+from rover_rl.sims.ros2.settings import CommandLimiter, Ros2Settings
 from rover_rl.sims.ros2.transport import CommandPublisher, ThrottledLogger, Transport, make_transport
 from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World

@@ -14,11 +14,10 @@ from rover_rl.sims.ros2.settings import Command, TransportName
 
 Publisher: TypeAlias = Callable[[Any], None]
 """Function that publishes a message."""
-TRANSPORTS: dict[TransportName, str] = {
-    "dds": "rover_rl.sims.ros2.dds:DdsTransport",
-    "rclpy": "rover_rl.sims.ros2.rclpy:RclpyTransport",
-}
-"""Import path of each transport's class, by name. Only the selected transport is imported."""
+TRANSPORTS: dict[TransportName, str] = {"dds": "DdsTransport", "rclpy": "RclpyTransport"}
+"""Class of each transport, in the module of its name. Only the selected one is imported."""
+HISTORY_DEPTH = 5
+"""Number of unread messages of a best-effort topic that are kept. Reliable publishers keep one."""
 STOP_REPEATS = 3
 """Number of times that a stop command is sent, as a message may be lost."""
 WARNING_INTERVAL = 5.0
@@ -32,9 +31,7 @@ class Transport(Protocol):
     """
 
     def subscribe(self, topic: str, kind: Any, receive: Callable[[Any], object], *, reliable: bool = False) -> None:
-        """Subscribes to a topic.
-
-        A message that cannot be decoded is ignored with a warning.
+        """Subscribes to a topic. A message that cannot be decoded is ignored with a warning.
 
         Args:
             topic: ROS 2 name of the topic.
@@ -47,13 +44,10 @@ class Transport(Protocol):
         ...
 
     def publisher(self, topic: str, kind: Any, *, reliable: bool = False) -> Publisher:
-        """Creates a publisher.
+        """Creates a publisher of messages of class ``kind``.
 
-        Args:
-            topic: ROS 2 name of the topic.
-            kind: class of the messages.
-            reliable: whether to use reliable quality of service with a history of one message. The default is best
-                effort with a history of five messages, as for sensor data.
+        The quality of service is best effort with a history of five messages, as for sensor data; if ``reliable``, it
+        is reliable with a history of one.
         """
         ...
 
@@ -71,30 +65,14 @@ class Transport(Protocol):
 
 
 def make_transport(name: TransportName, node: str) -> Transport:
-    """Creates a transport.
-
-    Args:
-        name: name of the transport.
-        node: name of the node.
-
-    Raises:
-        ImportError: if a package that the transport requires is not installed.
-    """
-    module, kind = TRANSPORTS[name].split(":")
-    return getattr(import_module(module), kind)(node)
+    """Creates a transport for a node. Raises ``ImportError`` if a package that it requires is not installed."""
+    return getattr(import_module(f"{__package__}.{name}"), TRANSPORTS[name])(node)
 
 
 class CommandPublisher:
-    """Publishes a rover's velocity commands and keeps the last one.
+    """Publishes a rover's velocity commands; with ``kind="none"``, it sends nothing.
 
-    Args:
-        transport: transport to publish on.
-        topic: topic of the commands.
-        kind: message type of the commands; ``"none"`` sends nothing.
-        frame_id: frame of stamped commands.
-
-    Attributes:
-        last: forward speed (m/s) and yaw rate (rad/s) of the last command.
+    ``last`` is the last command: forward speed (m/s) and yaw rate (rad/s). ``frame_id`` is the frame of stamped ones.
     """
 
     def __init__(self, transport: Transport, topic: str, kind: Command, frame_id: str) -> None:

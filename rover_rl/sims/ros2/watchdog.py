@@ -38,13 +38,8 @@ EXIT_TIMEOUT = 5.0
 class Watchdog:
     """Starts and supervises the watchdog process. A context manager, to be entered before the rover moves.
 
-    Args:
-        topic: topic of the rover's commands.
-        settings: settings of the connection to the rover.
-        timeout: time without a heartbeat after which the rover is stopped, s.
-
-    Raises:
-        ChildProcessError: if the process does not start.
+    The process sends stop commands on ``topic`` after ``timeout`` (s) without a heartbeat. Entering raises
+    ``ChildProcessError`` if it does not start.
     """
 
     def __init__(self, topic: str, settings: Ros2Settings, timeout: float = 0.5) -> None:
@@ -53,13 +48,14 @@ class Watchdog:
         # A new session, so that Ctrl-C does not end the watchdog before the driving process.
         self._process = subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
         assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._input, self._output = self._process.stdin, self._process.stdout
         # A full pipe means that the watchdog hangs. It must not block the driving process.
-        os.set_blocking(self._process.stdin.fileno(), False)
+        os.set_blocking(self._input.fileno(), False)
 
     def __enter__(self) -> Watchdog:
-        assert self._process.stdout is not None
-        ready, _, _ = select.select([self._process.stdout], [], [], START_TIMEOUT)
-        if not ready or self._process.stdout.readline() != READY:
+        ready, _, _ = select.select([self._output], [], [], START_TIMEOUT)
+        if not ready or self._output.readline() != READY:
             self.close()
             raise ChildProcessError("the watchdog did not start, so the rover is not driven")
         return self
@@ -81,27 +77,20 @@ class Watchdog:
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                pipe.close()
+        self._input.close()
+        self._output.close()
 
     def _send(self, data: bytes) -> None:
-        assert self._process.stdin is not None
         try:
-            os.write(self._process.stdin.fileno(), data)
+            os.write(self._input.fileno(), data)
         except (OSError, ValueError) as error:
             raise ChildProcessError("the watchdog is gone, so the rover is no longer driven") from error
 
 
 def watch(topic: str, command: Command, name: TransportName, frame_id: str, timeout: float) -> None:
-    """Reads heartbeats from standard input, and stops the rover if they cease. Runs until the driving process ends.
+    """Reads heartbeats from standard input, and stops the rover ``timeout`` (s) after the last one.
 
-    Args:
-        topic: topic of the rover's commands.
-        command: message type of the commands.
-        name: name of the transport.
-        frame_id: frame of stamped commands.
-        timeout: time without a heartbeat after which the rover is stopped, s.
+    Runs until the driving process ends. The other arguments are those of the rover's commands.
     """
     transport = make_transport(name, "rover_rl_watchdog")
     commands = CommandPublisher(transport, topic, command, frame_id)

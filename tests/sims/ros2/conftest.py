@@ -2,11 +2,15 @@ from __future__ import annotations
 
 import os
 import random
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.sims.ros2.wire import Wire
+if TYPE_CHECKING:
+    from tests.sims.ros2.wire import Rover, SimulatedRobot, Wire
 
 # The tests need rover_rl[ros2].
 collect_ignore_glob = [] if find_spec("rosbags") and find_spec("cyclonedds") else ["test_*.py"]
@@ -33,7 +37,34 @@ def in_domain(domain: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> dict[s
 
 @pytest.fixture
 def wire(monkeypatch: pytest.MonkeyPatch) -> Wire:
-    """Transport of all simulators in the test."""
+    """Transport of all simulators in the test, whose waiting steps the rovers on it."""
+    from tests.sims.ros2.wire import Wire
+
     wire = Wire()
     monkeypatch.setattr("rover_rl.sims.ros2.simulator.make_transport", lambda name, node: wire)
+    monkeypatch.setattr(
+        "rover_rl.sims.ros2.sensors.LatestMessages.wait", lambda *args, **kwargs: wire.wait(*args, **kwargs)
+    )
     return wire
+
+
+@pytest.fixture
+def rover(wire: Wire) -> Rover:
+    from tests.sims.ros2.wire import Rover
+
+    return Rover(wire)
+
+
+@pytest.fixture
+def start_robot(wire: Wire) -> Iterator[Callable[..., SimulatedRobot]]:
+    """Starts a simulated robot on the wire: see :class:`SimulatedRobot`. Closes it at the end."""
+    from tests.sims.ros2.wire import SimulatedRobot
+
+    with ExitStack() as stack:
+
+        def start(*arguments: Any, **keywords: Any) -> SimulatedRobot:
+            robot = SimulatedRobot(wire, *arguments, **keywords)
+            stack.callback(robot.simulator.close)
+            return robot
+
+        yield start

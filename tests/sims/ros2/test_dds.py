@@ -7,10 +7,22 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.qos import Policy
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
 
 from rover_rl import RoverEnv
 from rover_rl.sims.ros2 import Ros2Settings
-from rover_rl.sims.ros2.dds import DdsTransport, domain_id, domain_settings
+from rover_rl.sims.ros2.dds import (
+    NODE_LIST,
+    DdsTransport,
+    _qos,
+    _sample_type,
+    announcement_messages,
+    domain_id,
+    domain_settings,
+)
 from rover_rl.sims.ros2.messages import Clock, Header, LaserScan, Time, Twist
 from tests.sims.ros2.processes import until
 
@@ -56,11 +68,6 @@ def test_a_failing_callback_does_not_affect_others(pair, caplog):
         time.sleep(0.02)
     until(lambda: len(received) == 3)
     assert "the callback failed" in caplog.text
-
-
-def open_resources() -> tuple[int, int, int]:
-    """Returns the numbers of Python threads, open files and sockets, and all threads of this process."""
-    return threading.active_count(), len(os.listdir("/proc/self/fd")), len(os.listdir("/proc/self/task"))
 
 
 def test_a_closed_connection_raises_an_error(domain):
@@ -110,7 +117,12 @@ def test_domain_and_discovery_range_follow_ros_variables():
     assert domain_settings({"CYCLONEDDS_URI": "file:///mine.xml"}).endswith(",file:///mine.xml")
 
 
-def test_a_hundred_environments_release_threads_and_files(in_domain):
+def open_resources() -> tuple[int, int, int]:
+    """Returns the numbers of Python threads, open files and sockets, and all threads of this process."""
+    return threading.active_count(), len(os.listdir("/proc/self/fd")), len(os.listdir("/proc/self/task"))
+
+
+def test_environments_release_threads_and_files(in_domain):
     def once() -> None:
         env = RoverEnv(world_n="maze", backend=Ros2Settings(reset="none"), connection_check_timeout=0.0)
         assert not env.robot_connected
@@ -118,6 +130,56 @@ def test_a_hundred_environments_release_threads_and_files(in_domain):
 
     once()
     before = open_resources()
-    for _ in range(100):
+    for _ in range(20):
         once()
-    assert open_resources() == before
+    until(lambda: open_resources() == before)
+
+
+def node_reader(participant: DomainParticipant, distribution: str) -> DataReader:
+    """Returns a reader of node announcements, as ``ros2 node list``, that also receives earlier ones."""
+    *_, kind = announcement_messages(distribution)
+    qos = _qos(True, 1, Policy.Durability.TransientLocal)
+    return DataReader(participant, Topic(participant, NODE_LIST, _sample_type(kind)), qos)
+
+
+def nodes(reader: DataReader):
+    """Returns the next announcement of nodes and the names in it."""
+    samples: list = []
+    until(lambda: samples.extend(reader.take(10)) or samples)
+    return samples[-1], {node.node_name for node in samples[-1].node_entities_info_seq}
+
+
+@pytest.mark.parametrize(("distribution", "length"), [("humble", 24), ("jazzy", 16)])
+def test_nodes_are_announced_with_their_readers_and_writers(domain, distribution, length):
+    transport = DdsTransport("rover_rl", {**domain, "ROS_DISTRO": distribution})
+    transport.subscribe("/scan", LaserScan, print)
+    transport.publisher("/cmd_vel", Twist)
+    transport.publisher("/cmd_vel_2", Twist)
+    reader = node_reader(DomainParticipant(int(domain["ROS_DOMAIN_ID"])), distribution)
+    participant, _ = nodes(reader)
+    (node,) = participant.node_entities_info_seq
+    assert (node.node_namespace, node.node_name) == ("/", "rover_rl")
+    assert (len(node.reader_gid_seq), len(node.writer_gid_seq)) == (1, 2)
+    assert participant.gid.data.shape == (length,)
+    entities = [participant.gid, *node.reader_gid_seq, *node.writer_gid_seq]
+    # Identifiers of one participant share their first twelve bytes (DDSI-RTPS 2.3, 8.2.4.1).
+    assert len({gid.data[:12].tobytes() for gid in entities}) == 1
+    assert len({gid.data.tobytes() for gid in entities}) == 4
+    assert not np.any(participant.gid.data[16:])
+    other = DdsTransport("other", {**domain, "ROS_DISTRO": distribution})
+    assert nodes(reader)[1] == {"rover_rl", "other"}
+    transport.close()
+    assert nodes(reader)[1] == {"other"}
+    other.close()
+
+
+def test_nothing_is_announced_without_a_distribution(domain):
+    transport = DdsTransport("quiet", domain)
+    transport.publisher("/cmd_vel", Twist, reliable=True)
+    participant = DomainParticipant(int(domain["ROS_DOMAIN_ID"]))
+    announcements = node_reader(participant, "jazzy")
+    commands = DataReader(participant, Topic(participant, "rt/cmd_vel", _sample_type(Twist)), _qos(True, 1))
+    # Writers are discovered in their order: that of announcements would come first.
+    until(lambda: commands.get_subscription_matched_status().current_count)
+    assert not announcements.get_subscription_matched_status().current_count
+    transport.close()

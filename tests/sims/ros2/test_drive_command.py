@@ -28,6 +28,8 @@ pytestmark = [pytest.mark.ros2, pytest.mark.slow]
 
 FAR = ("--goal", "9", "9")
 """Arguments with a goal that is not reached soon."""
+LONG = ("scripted", "--world", "maze", *FAR)
+"""Arguments of a drive that does not end soon."""
 
 
 @pytest.fixture(scope="module")
@@ -85,12 +87,17 @@ def observer(environment, robot) -> Iterator[Observer]:
 
 
 @pytest.fixture
-def driving(environment) -> Iterator[Callable[..., Command]]:
-    """Starts ``rover-rl drive`` with arguments; kills all started processes at the end."""
+def log(tmp_path) -> Path:
+    return tmp_path / "drive.jsonl"
+
+
+@pytest.fixture
+def driving(environment, log) -> Iterator[Callable[..., Command]]:
+    """Starts ``rover-rl drive`` with arguments and a log; kills all started processes at the end."""
     started: list[Command] = []
 
     def drive(*arguments: str) -> Command:
-        started.append(Command(environment, "drive", *arguments))
+        started.append(Command(environment, "drive", *arguments, "--log", str(log)))
         return started[-1]
 
     yield drive
@@ -98,10 +105,9 @@ def driving(environment) -> Iterator[Callable[..., Command]]:
         process.kill()
 
 
-def test_drive_writes_a_log_that_evaluate_reads(driving, observer, tmp_path):
-    log = tmp_path / "drive.jsonl"
+def test_drive_writes_a_log_that_evaluate_reads(driving, observer, log, tmp_path):
     goals = ("--random", "2", "--seconds", "5", "--clearance", "0")
-    drive = driving("pretrained:anywhere", "--world", "maze", *goals, "--log", str(log))
+    drive = driving("pretrained:anywhere", "--world", "maze", *goals)
     code = drive.wait(90)
     assert code in (0, 1), drive.output
     assert drive.output.count("goal 1,") == drive.output.count("goal 2,") == 1
@@ -114,8 +120,8 @@ def test_drive_writes_a_log_that_evaluate_reads(driving, observer, tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_stops_the_rover(driving, observer, tmp_path, number):
-    drive = driving("scripted", "--world", "maze", *FAR, "--log", str(tmp_path / "drive.jsonl"))
+def test_a_signal_stops_the_rover(driving, observer, number):
+    drive = driving(*LONG)
     until(lambda: observer.speed > 0.1)
     drive.send_signal(number)
     assert drive.wait(20) == 130, drive.output
@@ -123,9 +129,7 @@ def test_a_signal_stops_the_rover(driving, observer, tmp_path, number):
     until(lambda: observer.speed < 0.01, seconds=5)
 
 
-def test_an_interrupt_suppressed_by_a_library_stops_the_rover_at_the_next_step(
-    environment, observer, tmp_path, monkeypatch
-):
+def test_an_interrupt_suppressed_by_a_library_stops_the_rover_at_the_next_step(environment, observer, log, monkeypatch):
     def steer(lidar: Tensor, target: Tensor) -> Tensor:
         if observer.speed > 0.1:
             with suppress(KeyboardInterrupt):
@@ -139,15 +143,14 @@ def test_an_interrupt_suppressed_by_a_library_stops_the_rover_at_the_next_step(
     for key, value in environment.items():
         monkeypatch.setenv(key, value)
     before = signal.getsignal(signal.SIGINT)
-    assert main(["drive", "scripted", "--world", "maze", *FAR, "--log", str(tmp_path / "drive.jsonl")]) == 130
+    assert main(["drive", *LONG, "--log", str(log)]) == 130
     assert signal.getsignal(signal.SIGINT) is before
     assert observer.twists[-1] == observer.twists[-2] == Twist()
     until(lambda: observer.speed < 0.01, seconds=5)
 
 
-def test_a_dry_run_sends_nothing(driving, observer, tmp_path):
-    options = ("--dry-run", "--seconds", "1", "--log", str(tmp_path / "drive.jsonl"))
-    drive = driving("scripted", "--world", "maze", *FAR, *options)
+def test_a_dry_run_sends_nothing(driving, observer):
+    drive = driving(*LONG, "--dry-run", "--seconds", "1")
     assert drive.wait(60) == 1, drive.output
     assert drive.output.count("m/s") >= 2 * 5
     assert "goal 1, 9.00 9.00: time limit" in drive.output
@@ -155,9 +158,8 @@ def test_a_dry_run_sends_nothing(driving, observer, tmp_path):
     assert observer.speed < 0.01
 
 
-def test_silent_sensors_stop_the_rover(driving, robot, observer, tmp_path):
-    log = tmp_path / "drive.jsonl"
-    drive = driving("scripted", "--world", "maze", *FAR, "--log", str(log))
+def test_silent_sensors_stop_the_rover(driving, robot, observer, log):
+    drive = driving(*LONG)
     until(lambda: observer.speed > 0.1)
     robot.send_signal(signal.SIGSTOP)
     try:
@@ -170,8 +172,8 @@ def test_silent_sensors_stop_the_rover(driving, robot, observer, tmp_path):
     until(lambda: observer.speed < 0.01)
 
 
-def test_the_watchdog_stops_the_rover_if_the_process_is_killed(driving, observer, tmp_path):
-    drive = driving("scripted", "--world", "maze", *FAR, "--log", str(tmp_path / "drive.jsonl"))
+def test_the_watchdog_stops_the_rover_if_the_process_is_killed(driving, observer):
+    drive = driving(*LONG)
     until(lambda: observer.speed > 0.1)
     drive.kill()
     observer.twists.clear()
@@ -181,10 +183,9 @@ def test_the_watchdog_stops_the_rover_if_the_process_is_killed(driving, observer
     until(observer.is_silent)
 
 
-def test_drive_without_a_robot_reports_an_error(tmp_path, domain):
+def test_drive_without_a_robot_reports_an_error(log, domain):
     alone = {**os.environ, **domain, "ROS_DOMAIN_ID": str(int(domain["ROS_DOMAIN_ID"]) + 4)}
-    options = ("--wait", "0.2", "--log", str(tmp_path / "drive.jsonl"))
-    drive = Command(alone, "drive", "scripted", "--world", "maze", *FAR, *options)
+    drive = Command(alone, "drive", *LONG, "--wait", "0.2", "--log", str(log))
     assert drive.wait(60) == 2, drive.output
     assert "rover-rl: lost the robot: /scan (scan): no message has arrived yet" in drive.output
 
@@ -192,52 +193,35 @@ def test_drive_without_a_robot_reports_an_error(tmp_path, domain):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("scripted", "--goal", "1", "1"), "say which --world"),
-        (("random", "--world", "maze", "--goal", "1", "1"), "cannot drive a live rover"),
-        (("scripted", "--world", "maze"), "say where to"),
-        (("scripted", "--world", "maze", "--goal", "nan", "1"), "--goal must be finite numbers, got nan 1"),
+        ("drive scripted --goal 1 1", "say which --world"),
+        ("drive random --world maze --goal 1 1", "cannot drive a live rover"),
+        ("drive scripted --world maze", "say where to"),
+        ("drive scripted --world maze --goal nan 1", "--goal must be finite numbers, got nan 1"),
         (
-            ("scripted", "--world", "maze", "--goal", "1", "1", "--goal", "40", "0"),
+            "drive scripted --world maze --goal 1 1 --goal 40 0",
             "the goal 40 0 is outside of the bounds of maze: x from -30 to 30 m, y from -30 to 30 m; name the --world",
         ),
-        (("scripted", *FAR, "--clearance", "-1"), "clearance must be at least 0 and at most 1e+30, got -1.0"),
-        (("scripted", *FAR, "--wait", "nan"), "wait must be at least 0 and at most 1e+06, got nan"),
-        (("scripted", "--random", "-1"), "random must be at least 0 and at most 1e+12, got -1"),
-        (("scripted", *FAR, "--seconds", "0"), "seconds must be positive and at most 1e+06, got 0"),
-        (("scripted", *FAR, "--lidar-yaw", "nan"), "lidar_yaw must be a finite angle in rad, got nan"),
-        (("scripted", *FAR, "--max-speed", "0"), "max_speed must be positive and finite, got 0"),
-        (("scripted", *FAR, "--max-acceleration", "inf"), "max_acceleration must be positive and finite, got inf"),
+        ("drive scripted --goal 1 1 --clearance -1", "clearance must be at least 0 and at most 1e+30, got -1.0"),
+        ("drive scripted --goal 1 1 --wait nan", "wait must be at least 0 and at most 1e+06, got nan"),
+        ("drive scripted --random -1", "random must be at least 0 and at most 1e+12, got -1"),
+        ("drive scripted --goal 1 1 --seconds 0", "seconds must be positive and at most 1e+06, got 0"),
+        ("drive scripted --goal 1 1 --lidar-yaw nan", "lidar_yaw must be a finite angle in rad, got nan"),
+        ("drive scripted --goal 1 1 --max-speed 0", "max_speed must be positive and finite, got 0"),
+        ("drive scripted --goal 1 1 --max-acceleration inf", "max_acceleration must be positive and finite, got inf"),
+        ("drive scripted --world maze --goals goals.csv", "goals.csv must have two numbers a line"),
+        ("robot --rate 0", "rate must be positive and at most 1000, got 0"),
+        ("robot --rate nan", "rate must be positive and at most 1000, got nan"),
+        ("robot --seed -1", "seed must be a whole number from 0 to"),
+        ("robot --lidar-beams 0", "lidar_beams must be at least 1 and at most 16383, got 0"),
+        ("robot --lidar-view 0", "lidar_view must be positive and at most 360, got 0"),
     ],
 )
-def test_invalid_drive_options_are_rejected_before_connecting(arguments, message, capsys, monkeypatch):
-    monkeypatch.setattr("rover_rl.sims.ros2.watchdog.Watchdog", None)
-    monkeypatch.setattr("rover_rl.envs.RoverEnv", None)
-    assert main(["drive", *arguments]) == 2
+def test_invalid_options_are_rejected_before_connecting(arguments, message, capsys, tmp_path, monkeypatch):
+    for part in ("sims.ros2.watchdog.Watchdog", "envs.RoverEnv", "sims.ros2.transport.make_transport"):
+        monkeypatch.setattr(f"rover_rl.{part}", None)
+    monkeypatch.chdir(tmp_path)
+    Path("goals.csv").write_text("1.0, 2.0\nx, y\n")
+    assert main(arguments.split()) == 2
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--rate", "0"), "rate must be positive and at most 1000, got 0"),
-        (("--seed", "-1"), "seed must be a whole number from 0 to"),
-        (("--rate", "nan"), "rate must be positive and at most 1000, got nan"),
-        (("--lidar-beams", "0"), "lidar_beams must be at least 1 and at most 16383, got 0"),
-        (("--lidar-view", "0"), "lidar_view must be positive and at most 360, got 0"),
-    ],
-)
-def test_invalid_robot_options_are_rejected_before_publishing(arguments, message, capsys, monkeypatch):
-    monkeypatch.setattr("rover_rl.sims.ros2.transport.make_transport", None)
-    assert main(["robot", *arguments]) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
-
-
-def test_a_malformed_file_of_goals_is_rejected(tmp_path: Path, capsys):
-    goals = tmp_path / "goals.csv"
-    goals.write_text("1.0, 2.0\nx, y\n")
-    assert main(["drive", "scripted", "--world", "maze", "--goals", str(goals)]) == 2
-    assert "must have two numbers a line" in capsys.readouterr().err

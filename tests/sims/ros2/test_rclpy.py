@@ -5,8 +5,6 @@ from __future__ import annotations
 import importlib
 import sys
 import threading
-from dataclasses import dataclass, field
-from enum import Enum, auto
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -18,15 +16,6 @@ from rover_rl.sims.ros2.messages import Header, LaserScan, Pose, PoseArray, Time
 from rover_rl.sims.ros2.transport import make_transport
 
 
-class Reliability(Enum):
-    RELIABLE = auto()
-    BEST_EFFORT = auto()
-
-
-class Durability(Enum):
-    VOLATILE = auto()
-
-
 class ShutDown(Exception):
     pass
 
@@ -34,7 +23,6 @@ class ShutDown(Exception):
 class Executor:
     def __init__(self, context: Any) -> None:
         self._stop = threading.Event()
-        context.executors.append(self)
 
     def add_node(self, node: Any) -> None: ...
 
@@ -46,10 +34,8 @@ class Executor:
         self._stop.set()
 
 
-@dataclass
 class Context:
-    executors: list[Executor] = field(default_factory=list)
-    open: bool = False
+    open = False
 
     def try_shutdown(self) -> None:
         self.open = False
@@ -75,8 +61,7 @@ class Node:
             publish=lambda message: self.sent.append((topic, message)), get_subscription_count=lambda: 2
         )
 
-    def destroy_node(self) -> None:
-        self.context.executors.clear()
+    def destroy_node(self) -> None: ...
 
 
 @pytest.fixture
@@ -98,8 +83,8 @@ def ros(monkeypatch: pytest.MonkeyPatch) -> None:
     module("rclpy.executors", SingleThreadedExecutor=Executor, ExternalShutdownException=ShutDown)
     module(
         "rclpy.qos",
-        DurabilityPolicy=Durability,
-        ReliabilityPolicy=Reliability,
+        DurabilityPolicy=SimpleNamespace(VOLATILE="volatile"),
+        ReliabilityPolicy=SimpleNamespace(RELIABLE="reliable", BEST_EFFORT="best effort"),
         HistoryPolicy=SimpleNamespace(KEEP_LAST="keep last"),
         QoSProfile=SimpleNamespace,
     )
@@ -126,8 +111,8 @@ def test_published_messages_are_instances_of_ros_classes(ros):
     assert [type(pose) for pose in poses.poses] == [geometry_msgs.Pose]
     assert transport.subscribers("/cmd_vel") == 2
     qos = {topic: qos for topic, (_, qos) in node.topics.items()}
-    assert (qos["/cmd_vel"].reliability, qos["/cmd_vel"].depth) == (Reliability.RELIABLE, 1)
-    assert (qos["/scan"].reliability, qos["/scan"].durability) == (Reliability.BEST_EFFORT, Durability.VOLATILE)
+    assert (qos["/cmd_vel"].reliability, qos["/cmd_vel"].depth) == ("reliable", 1)
+    assert (qos["/scan"].reliability, qos["/scan"].durability) == ("best effort", "volatile")
     transport.close()
 
 
@@ -137,9 +122,9 @@ def test_subscriptions_are_best_effort_by_default(ros):
     transport.subscribe("/scan", LaserScan, received.append)
     (node,) = Node.made
     kind, qos = node.topics["/scan"]
-    assert qos.reliability is Reliability.BEST_EFFORT
+    assert qos.reliability == "best effort"
     transport.subscribe("/rover/set_pose", PoseArray, received.append, reliable=True)
-    assert node.topics["/rover/set_pose"][1].reliability is Reliability.RELIABLE
+    assert node.topics["/rover/set_pose"][1].reliability == "reliable"
     node.receivers["/scan"](kind())
     assert len(received) == 1
     transport.close()

@@ -30,7 +30,7 @@ from tests.sims.ros2 import raw_payloads
 from tests.sims.ros2.processes import Command, start_fresh_robot, start_robot, until
 from tests.sims.ros2.raw_payloads import IGNORE_TYPES
 
-pytestmark = pytest.mark.ros2
+pytestmark = [pytest.mark.ros2, pytest.mark.slow]
 
 OBSERVATIONS = ("lidar", "imu", "target", "velocities", "pose")
 LIVE = Ros2Settings(reset="topic", reset_timeout=20.0, step_timeout=10.0)
@@ -74,14 +74,12 @@ def with_robot(real_time, monkeypatch) -> None:
         monkeypatch.setenv(key, value)
 
 
-@pytest.mark.slow
 def test_the_environment_matches_its_specs(with_robot):
     env = rover_rl.make_env(world_n="maze", backend=LIVE, seed=0)
     check_env_specs(env, break_when_any_done="both")
     env.close()
 
 
-@pytest.mark.slow
 def test_the_gymnasium_env_checker_passes(with_robot):
     env = gymnasium.make(rover_rl.ENV_ID, world_n="maze", backend=LIVE, seed=0).unwrapped
     env.spec.nondeterministic = True  # as every live rover is
@@ -91,7 +89,6 @@ def test_the_gymnasium_env_checker_passes(with_robot):
     env.close()
 
 
-@pytest.mark.slow
 def test_the_environment_fulfills_the_contract(with_robot):
     env = rover_rl.make_env(world_n="maze", backend=LIVE, seed=0, length=20)
     rng = np.random.default_rng(0)
@@ -106,7 +103,6 @@ def test_the_environment_fulfills_the_contract(with_robot):
     assert sum(verdict.truncated for verdict in seen.verdicts) == 2
 
 
-@pytest.mark.slow
 def test_a_policy_performs_as_in_bullet(with_robot):
     policy, episodes = load_pretrained("anywhere").make_actor(), stored_episodes("maze").part(26, 28)
     live = evaluate(policy, episodes, rows=1, env=replace(environment_for(policy, None), backend=LIVE))
@@ -116,7 +112,6 @@ def test_a_policy_performs_as_in_bullet(with_robot):
         assert a.length == pytest.approx(b.length, rel=0.25)
 
 
-@pytest.mark.slow
 def test_a_suspended_robot_may_resume(robot):
     env = make_env(SHORT_TIMEOUT)
     env.reset()
@@ -132,7 +127,6 @@ def test_a_suspended_robot_may_resume(robot):
     env.close()
 
 
-@pytest.mark.slow
 def test_a_robot_may_start_after_the_environment(in_domain):
     env = RoverEnv(world_n="maze", backend=LIVE, seed=0, connection_check_timeout=0.1)
     assert not env.robot_connected
@@ -147,13 +141,11 @@ def test_a_robot_may_start_after_the_environment(in_domain):
         terminate(robot)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_robot_exits_cleanly(in_domain, number):
     assert terminate(start_fresh_robot(in_domain), number) == 0
 
 
-@pytest.mark.slow
 def test_the_robot_stops_without_commands_and_its_clock_is_regular(robot, domain):
     transport = DdsTransport("test", domain)
     clock: list[float] = []
@@ -169,7 +161,6 @@ def test_the_robot_stops_without_commands_and_its_clock_is_regular(robot, domain
     assert steps == pytest.approx([0.05 * round(step / 0.05) for step in steps], abs=1e-6)
 
 
-@pytest.mark.slow
 def test_random_payloads_on_every_topic_are_ignored(domain, monkeypatch):
     number = int(domain["ROS_DOMAIN_ID"]) + 1
     for key, value in {**domain, "ROS_DOMAIN_ID": str(number), "CYCLONEDDS_URI": IGNORE_TYPES}.items():

@@ -1,9 +1,44 @@
-"""In-process transport."""
+"""In-process transport, and rovers on it, whose time passes while the simulator waits for their messages."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
+
+import numpy as np
+import torch
+
+from rover_rl.sims import make_simulator
+from rover_rl.sims.connection import Connection
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.ros2 import Ros2Settings
+from rover_rl.sims.ros2.messages import (
+    Header,
+    Imu,
+    LaserScan,
+    Odometry,
+    Point,
+    Pose,
+    PoseArray,
+    PoseStamped,
+    PoseWithCovariance,
+    Quaternion,
+    Time,
+    Twist,
+    TwistWithCovariance,
+    Vector3,
+)
+from rover_rl.sims.ros2.robot import RobotNode
+from rover_rl.sims.ros2.sensors import LatestMessages, ReceivedMessage
+from rover_rl.sims.ros2.simulator import Ros2Simulator
+from rover_rl.sims.rotations import quaternion_to_euler
+from rover_rl.sims.worlds import World, get_world
+
+BEAMS = 8
+ALL = torch.ones(1, dtype=torch.bool)
+STEP = 0.05
+"""Time between two messages of a rover, s."""
 
 
 class Wire:
@@ -14,6 +49,7 @@ class Wire:
         sent: published messages, by topic.
         robots: number of publishers that :meth:`publishers` reports.
         tamper: function that modifies the messages of a topic, by topic.
+        rovers: functions that step the rovers, which then publish.
         closed: whether the transport is closed.
     """
 
@@ -22,6 +58,7 @@ class Wire:
         self.sent: dict[str, list[Any]] = {}
         self.robots = 1
         self.tamper: dict[str, Callable[[Any], Any]] = {}
+        self.rovers: list[Callable[[], object]] = []
         self.closed = False
 
     def subscribe(self, topic: str, kind: type, receive: Callable[[Any], None], *, reliable: bool = False) -> None:
@@ -45,3 +82,114 @@ class Wire:
 
     def close(self) -> None:
         self.closed = True
+
+    def wait(self, messages: LatestMessages, kind: str, after: int, timeout: float) -> ReceivedMessage | None:
+        """Replaces :meth:`LatestMessages.wait`: steps the rovers for the given time."""
+        for _ in range(math.ceil(timeout / STEP)):
+            for step in self.rovers:
+                step()
+            if messages.count(kind) > after:
+                return messages.latest(kind)
+        return None
+
+
+class Rover:
+    """A rover that follows commands immediately, without moving."""
+
+    def __init__(self, wire: Wire) -> None:
+        self.stamp_step = STEP
+        self.x, self.y, self.yaw, self.speed, self.turn = 1.0, 2.0, 0.5, 0.0, 0.0
+        self.z = 0.1
+        self.imu_offset = self.climb = 0.0
+        self.ranges = np.full(BEAMS, 5.0, np.float32)
+        self.layout: tuple[float, float] | None = None  # angle of the first beam, and angle increment
+        self.silent: set[str] = set()
+        self.stamp = 0.0
+        self._publish = {
+            "scan": wire.publisher("/scan", LaserScan),
+            "imu": wire.publisher("/imu/data", Imu),
+            "odometry": wire.publisher("/odometry/wheels", Odometry),
+            "pose": wire.publisher("/rover/pose_array", PoseArray),
+            "localizer": wire.publisher("/pose", PoseStamped),
+        }
+        wire.subscribe("/cmd_vel", Twist, self.obey)
+        wire.subscribe("/rover/set_pose", PoseStamped, self.move_to)
+        wire.rovers.append(self.publish)
+
+    def obey(self, twist: Twist) -> None:
+        self.speed, self.turn = twist.linear.x, twist.angular.z
+
+    def move_to(self, msg: PoseStamped) -> None:
+        self.x, self.y = msg.pose.position.x, msg.pose.position.y
+        self.yaw = 2 * math.atan2(msg.pose.orientation.z, msg.pose.orientation.w)
+
+    def silence(self) -> None:
+        self.silent = {*self._publish}
+
+    def publish(self) -> None:
+        self.stamp += self.stamp_step
+        header = Header(Time.from_seconds(self.stamp))
+        heading = Quaternion(z=math.sin(self.yaw / 2), w=math.cos(self.yaw / 2))
+        imu_yaw = self.yaw + self.imu_offset
+        self.z += self.climb
+        pose = Pose(Point(self.x, self.y, self.z), heading)
+        twist = Twist(Vector3(x=self.speed), Vector3(z=self.turn))
+        messages = {
+            "imu": Imu(header, Quaternion(z=math.sin(imu_yaw / 2), w=math.cos(imu_yaw / 2))),
+            "odometry": Odometry(header, pose=PoseWithCovariance(pose), twist=TwistWithCovariance(twist)),
+            "pose": PoseArray(header, [pose]),
+            "localizer": PoseStamped(header, pose),
+            "scan": self.scan(header, self.ranges.copy()),
+        }
+        for kind, message in messages.items():
+            if kind not in self.silent:
+                self._publish[kind](message)
+
+    def scan(self, header: Header, ranges: np.ndarray) -> LaserScan:
+        first, increment = self.layout or (-math.pi, 2 * math.pi / len(ranges))
+        last = first + increment * (len(ranges) - 1)
+        return LaserScan(header, angle_min=first, angle_max=last, angle_increment=increment, ranges=ranges)
+
+
+class SimulatedRobot:
+    """The node of a rover in PyBullet. ``driven`` has its x after each step."""
+
+    def __init__(self, wire: Wire, world: World, start: tuple[float, float, float], view: float = 2 * math.pi) -> None:
+        kind = get_robot("rover_zero")
+        self.simulator = make_simulator("bullet", worlds=[world], robot=kind)
+        scanner = self.simulator.scanner(128)
+        self._node = RobotNode(self.simulator, scanner, wire, world, kind.lidar_range, start=start, view=view)
+        self.driven: list[float] = []
+        wire.rovers.append(self._step)
+
+    @property
+    def position(self) -> torch.Tensor:
+        return self.simulator.state().position[0]
+
+    def _step(self) -> None:
+        self._node.step()
+        self.driven.append(self.position[0].item())
+
+
+def simulator(timeout: float = 2.0, beams: int = BEAMS, **settings: Any) -> Ros2Simulator:
+    """Connects to the rovers on the wire, and sends commands without limits of the accelerations."""
+    quick = {"max_acceleration": 100.0, "max_yaw_acceleration": 100.0}
+    settings = {"reset": "topic", "step_timeout": 20.0, "settle": 0.05, **quick, **settings}
+    made = make_simulator(
+        Ros2Settings(**settings),
+        worlds=[get_world("maze")],
+        robot=get_robot("rover_zero"),
+        connection=Connection(timeout=timeout),
+    )
+    assert isinstance(made, Ros2Simulator)
+    made.scanner(beams)
+    return made
+
+
+def drive(sim: Ros2Simulator, steps: int = 1, speed: float = 0.5) -> None:
+    for _ in range(steps):
+        sim.step(torch.tensor([[speed, 0.2]]))
+
+
+def yaw_of(state) -> float:
+    return quaternion_to_euler(state.orientation)[0, 2].item()

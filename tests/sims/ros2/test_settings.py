@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.ros2 import Ros2Settings
-from rover_rl.sims.ros2.limits import MIN_REVERSAL, CommandLimiter, CommandLimits
+from rover_rl.sims.ros2.settings import MIN_REVERSAL, CommandLimiter, CommandLimits
 
 LIMITS = CommandLimits(speed=1.0, yaw_rate=2.0, acceleration=5.0, yaw_acceleration=4.0)
 
@@ -20,7 +20,7 @@ LIMITS = CommandLimits(speed=1.0, yaw_rate=2.0, acceleration=5.0, yaw_accelerati
     yaw_rate=st.floats(0.05, 8.0),
 )
 def test_commands_never_exceed_the_limits(wanted, speed, yaw_rate):
-    limits = replace(LIMITS, speed=speed, yaw_rate=yaw_rate)
+    limits = LIMITS._replace(speed=speed, yaw_rate=yaw_rate)
     limiter, last = CommandLimiter(limits), (0.0, 0.0)
     for v, w, dt in wanted:
         sent = limiter(last, (v, w), dt)
@@ -45,13 +45,9 @@ def test_a_large_reversal_is_executed_and_a_small_one_stops_turning():
     assert limiter((0.0, 0.0), (0.0, -MIN_REVERSAL + 0.01), 0.05)[1] == 0.0
     assert limiter((0.0, 0.0), (0.0, -MIN_REVERSAL - 0.01), 0.05)[1] == pytest.approx(-0.2)
     assert limiter((0.0, -0.2), (0.0, -0.01), 0.05)[1] == pytest.approx(-0.01)  # the same direction
-
-
-def test_reset_clears_the_turning_direction():
-    limiter = CommandLimiter(LIMITS)
-    limiter((0.0, 0.0), (0.0, 0.2), 0.05)
+    assert limiter((0.0, 0.0), (0.0, 0.1), 0.05)[1] == 0.0
     limiter.reset()
-    assert limiter((0.0, 0.0), (0.0, -0.1), 0.05)[1] == pytest.approx(-0.1)
+    assert limiter((0.0, 0.0), (0.0, 0.1), 0.05)[1] == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("wanted", [(math.nan, 0.0), (0.0, math.inf)])
@@ -73,3 +69,18 @@ def test_settings_override_the_limits_of_the_robot():
 def test_an_invalid_limit_is_rejected(name, value):
     with pytest.raises(ValueError, match=f"{name} must be positive and finite"):
         Ros2Settings(**{name: value})
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"reset": "later"}, "reset must be one of"),
+        ({"transport": "zenoh"}, "transport must be one of"),
+        ({"step_timeout": 0.0}, "step_timeout must be positive and finite"),
+        ({"lidar_yaw": math.nan}, "lidar_yaw must be a finite angle"),
+        ({"max_invalid": 1.0}, "max_invalid must be at least 0 and less than 1"),
+    ],
+)
+def test_invalid_settings_are_rejected(settings, message):
+    with pytest.raises(ValueError, match=message):
+        Ros2Settings(**settings)

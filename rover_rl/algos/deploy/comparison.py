@@ -1,24 +1,58 @@
-"""Inputs on which exported policies are compared with the original: random ones, and those of a drive."""
+"""Comparison of exported policies with the original, on random observations and on those of a drive."""
 
 from __future__ import annotations
 
 import math
 
 import torch
+from tensordict import TensorDict
 from torch import Tensor
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from rover_rl.algos.deploy.plain_policy import STATE_IN, input_names
+from rover_rl.algos.deploy.plain_policy import STATE_IN, ExportedFunction, PlainPolicy, input_names
 from rover_rl.algos.policy.checkpoint import Checkpoint
+from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.envs.seen_map.scans import lidar_mount
 from rover_rl.envs.seen_map.seen_map import BOUNDS
 from rover_rl.envs.sensors.suite import policy_sensors
 
+CHECKED = 1000
+"""Number of observations on which an exported policy is compared with the original."""
+CHECKED_DRIVE, CHECKED_JUMPS = 100, 20
+"""Number of decisions of a drive, and of random observations after it, on which a policy with a map is compared."""
+EQUAL_SHARE = 0.99
+"""Share of the decisions of a policy with a map that must be within the tolerance.
+
+Sines and cosines of other libraries may differ in the last bit. If a beam ends that close to the edge of a cell,
+another cell is marked, and the route may differ for a while."""
 _DECISION = 0.2
 """Time between two decisions of the drive, s."""
 _YARD = 7.0
 """Half of the width of the yard, m."""
 _WALLS = 24
 """Number of walls in the yard."""
+
+
+def action_difference(checkpoint: Checkpoint, exported: ExportedFunction, policy: PlainPolicy) -> float:
+    """Returns the largest difference between the actions of a checkpoint's policy and the exported one; NaN if one is.
+
+    For a policy with a map, it is the largest in a share of the decisions: see ``EQUAL_SHARE``.
+    """
+    if BOUNDS in policy.inputs:
+        drive, jumps = drive_observations(checkpoint, CHECKED_DRIVE), random_observations(checkpoint, CHECKED_JUMPS)
+        observations = {key: torch.cat((drive[key], jumps[key])) for key in drive}
+    else:
+        observations = random_observations(checkpoint, CHECKED)
+    runner, state = PolicyRunner(checkpoint.make_actor(), action_repeat=1), torch.zeros(1, policy.state_size)
+    differences = []
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        for row in TensorDict(observations).auto_batch_size_(1).split(1):
+            action = exported({**row, STATE_IN: state})
+            if policy.state_size:
+                action, state = action
+            differences.append((action - runner(row)).abs().max())
+    share = EQUAL_SHARE if BOUNDS in policy.inputs else 1.0
+    return float(torch.stack(differences).quantile(share, interpolation="lower"))
 
 
 def random_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]:

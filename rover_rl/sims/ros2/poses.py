@@ -1,4 +1,8 @@
-"""Pose of a live rover in the world, estimated from pose messages and the IMU."""
+"""Pose of a live rover in the world, from pose messages and the IMU.
+
+The functions that read messages accept any object with a message's attributes, such as ROS's own classes. They raise
+``ValueError`` for numbers that are not finite.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +15,68 @@ from torch import Tensor
 
 from rover_rl.sims.ros2.messages import Odometry, PoseArray, PoseStamped
 from rover_rl.sims.ros2.pose_reset import TargetPose
-from rover_rl.sims.ros2.readings import MeasuredPose, read_pose, read_pose_array
 from rover_rl.sims.ros2.settings import PoseSource
 from rover_rl.sims.rotations import quaternion_product, quaternion_to_euler
 
 IDENTITY_ORIENTATION = torch.tensor([0.0, 0.0, 0.0, 1.0])
 """Level orientation with yaw 0, as (x, y, z, w)."""
-ORIGIN_POSE = MeasuredPose(torch.zeros(3), IDENTITY_ORIENTATION)
-"""Pose before the first pose message."""
 YAW_TOLERANCE = 0.3
 """Maximum yaw error of a rover that has reached its target pose, rad."""
+
+
+class MeasuredPose(NamedTuple):
+    """A position ``[3]`` (m) and an orientation ``[4]`` as (x, y, z, w); ``None`` if it is unknown.
+
+    ``imu_yaw_offset`` is the yaw of the IMU's frame in the frame of the pose, rad.
+    """
+
+    position: Tensor
+    orientation: Tensor | None
+    imu_yaw_offset: float = 0.0
+
+
+ORIGIN_POSE = MeasuredPose(torch.zeros(3), IDENTITY_ORIENTATION)
+"""Pose before the first pose message."""
+
+
+def read_finite(name: str, *numbers: float) -> Tensor:
+    """Returns numbers of a message as float32 ``[n]``."""
+    values = torch.tensor(numbers, dtype=torch.float32)
+    if not torch.isfinite(values).all():
+        raise ValueError(f"a {name} must be finite, got {values.tolist()}")
+    return values
+
+
+def read_position(point: Any) -> Tensor:
+    """Reads a ``geometry_msgs/Point``: float32 ``[3]``, m."""
+    return read_finite("position", point.x, point.y, point.z)
+
+
+def read_orientation(q: Any) -> Tensor:
+    """Reads and normalizes a ``geometry_msgs/Quaternion`` other than zero: float32 ``[4]`` as (x, y, z, w)."""
+    quaternion = torch.tensor([q.x, q.y, q.z, q.w], dtype=torch.float64)
+    norm = torch.linalg.vector_norm(quaternion)
+    if not 0.0 < norm < math.inf:
+        raise ValueError(f"an orientation must be a finite quaternion other than zero, got {quaternion.tolist()}")
+    return (quaternion / norm).float()
+
+
+def read_pose(pose: Any) -> MeasuredPose:
+    """Reads a ``geometry_msgs/Pose``."""
+    return MeasuredPose(read_position(pose.position), read_orientation(pose.orientation))
+
+
+def read_pose_array(msg: Any) -> MeasuredPose:
+    """Reads the first pose of a ``geometry_msgs/PoseArray``. Its orientation may be missing or invalid."""
+    if not len(msg.poses):
+        raise ValueError("a pose array must have at least one pose, got none")
+    position = read_position(msg.poses[0].position)
+    try:
+        return MeasuredPose(position, read_orientation(msg.poses[0].orientation))
+    except (ValueError, AttributeError):
+        return MeasuredPose(position, None)
+
+
 POSE_MESSAGES: dict[PoseSource, tuple[Any, Callable[[Any], MeasuredPose]]] = {
     "pose_array": (PoseArray, read_pose_array),
     "pose_stamped": (PoseStamped, lambda msg: read_pose(msg.pose)),
@@ -36,9 +92,6 @@ class PoseEstimator:
     The positions of a pose array and the IMU's heading are in the world's frame. A localizer provides the heading in
     its map; between two of its poses the IMU provides the change. Wheel odometry has a frame of its own, which is
     aligned with the world at the start of each episode. All orientations of the IMU are the latest ones, ``[4]``.
-
-    Args:
-        source: source of the poses.
     """
 
     def __init__(self, source: PoseSource) -> None:
@@ -48,7 +101,7 @@ class PoseEstimator:
     def align_imu(self, pose: MeasuredPose, imu_orientation: Tensor) -> MeasuredPose:
         """Adds the yaw offset of the IMU to a localizer's pose that has just arrived; returns other poses unchanged."""
         if self._source in ("pose_stamped", "odometry"):
-            return pose._replace(imu_yaw_offset=_yaw(pose.orientation) - _yaw(imu_orientation))
+            return pose._replace(imu_yaw_offset=yaw_of(pose.orientation) - yaw_of(imu_orientation))
         return pose
 
     def estimate(self, pose: MeasuredPose, imu_orientation: Tensor) -> tuple[Tensor, Tensor]:
@@ -63,13 +116,10 @@ class PoseEstimator:
     ) -> None:
         """Aligns the frame of the wheel odometry with the world.
 
-        Args:
-            pose: latest pose.
-            imu_orientation: latest orientation of the IMU.
-            target: pose that the rover was moved to; ``None`` if it was not moved: the odometry's frame is the world's.
-            ground: height of the ground at the target, m.
+        The rover is at ``target``, where the ground is at height ``ground`` (m). If it was not moved, ``target`` is
+        ``None``, and the odometry's frame is the world's.
         """
-        odometry_yaw, imu_yaw = _yaw(pose.orientation), _yaw(imu_orientation)
+        odometry_yaw, imu_yaw = yaw_of(pose.orientation), yaw_of(imu_orientation)
         if target is None:
             self._frame = _OdometryFrame(imu_yaw_offset=odometry_yaw - imu_yaw)
         else:
@@ -82,7 +132,7 @@ class PoseEstimator:
             return True
         x, y, _ = pose.position.tolist()
         near = math.hypot(x - target.x, y - target.y) <= tolerance
-        yaw_error = 0.0 if pose.orientation is None else _yaw(pose.orientation) - target.yaw
+        yaw_error = 0.0 if pose.orientation is None else yaw_of(pose.orientation) - target.yaw
         return near and abs(math.remainder(yaw_error, 2 * math.pi)) <= YAW_TOLERANCE
 
 
@@ -103,7 +153,7 @@ class _OdometryFrame(NamedTuple):
         return self.world_origin + torch.tensor([cosine * dx - sine * dy, sine * dx + cosine * dy, dz])
 
 
-def _yaw(orientation: Tensor | None) -> float:
+def yaw_of(orientation: Tensor | None) -> float:
     """Returns the yaw of an orientation ``[4]``, rad; 0 for ``None``."""
     return 0.0 if orientation is None else quaternion_to_euler(orientation)[2].item()
 

@@ -1,0 +1,142 @@
+"""Lidar scans of a live rover: reading, conversion to the environment's layout, and the guard of unseen directions."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rover_rl.sims.ros2.settings import Ros2Settings
+
+SECTOR = math.radians(45)
+"""Half-angle of the sector around the direction of travel in which every beam must be seen, rad.
+
+A rover with a footprint radius of 0.35 m and a stopping distance of 0.35 m sweeps no area outside of this sector that
+it has not already seen from farther away."""
+
+
+class Scan(NamedTuple):
+    """A lidar scan in the lidar's own layout: ranges ``[beams]`` (m), counter-clockwise from ``angle_min`` (rad).
+
+    A range of ``inf`` is no return, one of ``-inf`` an object that is too close (REP 117). ``valid``, bool ``[beams]``,
+    says whether each reading is. ``stamp`` is the time by the sender's clock, s.
+    """
+
+    ranges: Tensor
+    valid: Tensor
+    angle_min: float
+    angle_increment: float
+    stamp: float
+
+    @property
+    def field_of_view(self) -> float:
+        """Angle that the scan covers, at most a full turn, rad."""
+        return min(2 * math.pi, len(self.ranges) * self.angle_increment)
+
+
+class AlignedScan(NamedTuple):
+    """A scan in the environment's layout: ranges ``[beams]`` (m), counter-clockwise from straight ahead.
+
+    ``seen``, bool ``[beams]``, says whether a valid reading covers each beam. Where none does, the range is ``inf``.
+    """
+
+    ranges: Tensor
+    seen: Tensor
+
+
+def read_scan(msg: Any, max_invalid: float = Ros2Settings.max_invalid) -> Scan:
+    """Reads a ``sensor_msgs/LaserScan``, of which a share of at most ``max_invalid`` readings may be invalid.
+
+    A reading is invalid if it is NaN, or a finite number outside of the message's limits ``range_min`` and
+    ``range_max`` (REP 117). Readings that the angles announce and ``ranges`` lacks also count as invalid. The limits
+    apply only if ``range_max`` is greater than ``range_min``.
+
+    Raises:
+        ValueError: if the scan has no readings, unusable angles, or too many invalid readings.
+    """
+    ranges = torch.from_numpy(np.array(msg.ranges, np.float32))
+    if ranges.ndim != 1 or not len(ranges):
+        raise ValueError(f"a scan must have a list of ranges, got shape {tuple(ranges.shape)}")
+    angle_min, increment = float(msg.angle_min), float(msg.angle_increment)
+    if not math.isfinite(angle_min) or not 1e-6 < abs(increment) < math.inf:
+        raise ValueError(
+            "a scan must have a finite angle_min and a finite angle_increment other than 0, "
+            f"got angle_min {angle_min}, angle_increment {increment}"
+        )
+    low, high = float(msg.range_min), float(msg.range_max)
+    valid = ~ranges.isnan()
+    if high > low:
+        valid &= ranges.isinf() | ((ranges >= low) & (ranges <= high))
+    steps = (float(msg.angle_max) - angle_min) / increment
+    announced = max(len(ranges), round(steps) + 1 if 0 <= steps < math.inf else 0)  # 0: the angles are inconsistent
+    invalid = announced - int(valid.sum())
+    if invalid > max_invalid * announced:
+        raise ValueError(
+            f"{invalid} of {announced} readings of the scan are missing, NaN or outside of its limits of {low:g} to "
+            f"{high:g} m; the limit is {max_invalid:.0%}"
+        )
+    if increment < 0:
+        ranges, valid = ranges.flip(0), valid.flip(0)
+        angle_min, increment = angle_min + increment * (len(ranges) - 1), -increment
+    return Scan(ranges, valid, angle_min, increment, msg.header.stamp.sec + msg.header.stamp.nanosec * 1e-9)
+
+
+class ScanAlignment:
+    """Converts scans to the environment's layout: a full turn of beams, counter-clockwise from straight ahead.
+
+    Each beam has a sector, its equal share of the turn. It gets the minimum of the valid readings in its sector. A beam
+    without a valid reading in its sector gets the reading nearest in angle, if that is valid and at most half an angle
+    increment away. Otherwise the beam is unseen, never free. The lidar's zero angle has the direction ``yaw`` (rad),
+    counter-clockwise from straight ahead.
+    """
+
+    def __init__(self, beams: int, yaw: float) -> None:
+        self._beams, self._yaw = beams, yaw
+
+    def __call__(self, scan: Scan) -> AlignedScan:
+        """Converts a scan to the environment's layout."""
+        first = scan.angle_min + self._yaw
+        beam_of_reading, nearest = _beams_and_readings(self._beams, len(scan.ranges), first, scan.angle_increment)
+        ranges = scan.ranges.masked_fill(~scan.valid, math.inf)
+        closest = torch.full((self._beams,), math.inf).scatter_reduce(0, beam_of_reading, ranges, "amin")
+        covered = torch.zeros(self._beams, dtype=torch.bool)
+        covered[beam_of_reading[scan.valid]] = True
+        # The padded entry stands for beams without a reading nearby.
+        near = torch.nn.functional.pad(ranges, (0, 1), value=math.inf)[nearest]
+        near_is_valid = torch.nn.functional.pad(scan.valid, (0, 1), value=False)[nearest]
+        return AlignedScan(torch.where(covered, closest, near), covered | near_is_valid)
+
+
+@lru_cache(maxsize=1)  # the layout of a lidar's scans seldom changes
+def _beams_and_readings(beam_count: int, count: int, first: float, increment: float) -> tuple[Tensor, Tensor]:
+    """Returns the beam whose sector contains each reading, and the reading nearest to each beam.
+
+    The first reading is in direction ``first`` (rad). Where none is near enough, the nearest reading is ``count``.
+    """
+    turn = 2 * math.pi
+    angles = first + increment * torch.arange(count, dtype=torch.float64)
+    beams = turn / beam_count * torch.arange(beam_count, dtype=torch.float64)
+    beam_of_reading = (angles * beam_count / turn).round().long() % beam_count
+    distances = turn / 2 - (turn / 2 - (beams[:, None] - angles).remainder(turn)).abs()
+    distance, nearest = distances.min(-1)
+    return beam_of_reading, torch.where(distance <= increment / 2 + 1e-6, nearest, count)
+
+
+class UnseenGuard:
+    """Blocks forward speeds towards unseen directions. Turning on the spot stays allowed, to look around.
+
+    The beams have the directions ``angles [beams]``, counter-clockwise from straight ahead, rad.
+    """
+
+    def __init__(self, angles: Tensor) -> None:
+        self._ahead = angles.cos() >= math.cos(SECTOR) - 1e-6
+        self._behind = angles.cos() <= -math.cos(SECTOR) + 1e-6
+
+    def blocks(self, speed: float, seen: Tensor) -> bool:
+        """Whether a forward speed (m/s), backward if negative, leads towards a beam that is not ``seen [beams]``."""
+        sector = self._ahead if speed > 0 else self._behind
+        return speed != 0.0 and bool((sector & ~seen).any())
