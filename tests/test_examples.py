@@ -36,7 +36,6 @@ NAMES = {
     "algos.policy.networks": ["make_actor"],
     "algos.policy.runner": ["PolicyRunner"],
     "algos.pretrained": ["load_pretrained"],
-    "algos.train.ppo": ["PPOLearner"],
     "envs": ["EnvConfig", "LidarConfig", "Randomization", "contract_reward"],
     "sims.bullet": ["BulletSettings"],
     "sims.free_space": ["free_space"],
