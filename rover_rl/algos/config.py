@@ -1,10 +1,4 @@
-"""Settings of training. Imports no PyTorch, so that the command line can show them at once.
-
-Example:
-    >>> config = training_config("ppo", world="maze", num_envs=32, max_minutes=5)
-    >>> config.env.world, config.algorithm.clip
-    ('maze', 0.2)
-"""
+"""Settings of training. Imports no PyTorch, so that the command line can show them at once."""
 
 from __future__ import annotations
 
@@ -25,10 +19,8 @@ PriorKind: TypeAlias = Literal["none", "route"]
 ExpertKind: TypeAlias = Literal["map", "route"]
 TrackerName: TypeAlias = Literal["csv", "tensorboard", "wandb", "trackio", "mlflow"]
 """Experiment trackers that training can send its progress to."""
-UNLIMITED_STEPS = 10**9
-"""Effectively unlimited step budget: the time limit ends the training."""
-_SEEDS_OF_A_RUN = 2**32
-"""Number of seeds that a training may use: one per rover, and others each time it is resumed."""
+UNLIMITED_STEPS = 10**9  # effectively unlimited step budget: the time limit ends the training
+_SEEDS_OF_A_RUN = 2**32  # number of seeds that a training may use: one per rover, and others each time it is resumed
 
 
 @dataclass(frozen=True)
@@ -41,14 +33,12 @@ class NetworkConfig:
     "route" is the shortest way to the goal on a map of what the lidar has seen in the episode, for mazes."""
     north_up: bool = False
     """Also give the policy lidar and target rotated into the world's frame by the IMU's yaw.
-    The policy can recognize places of one map by them without the pose.
-    Needs --no-mirror-augmentation."""
+    It can recognize places of one map by them without the pose. Needs --no-mirror-augmentation."""
     hidden: tuple[int, ...] = (128, 128)
     """Number of units in each hidden layer of the actor and the critic."""
     max_std: float = 2.0
     """Largest standard deviation of an action before it is squashed to its bounds.
-    Large values explore fast.
-    Small ones (0.6) keep the policy from relying on chance to leave a corner."""
+    Large values explore fast. Small ones (0.6) keep the policy from relying on chance to leave a corner."""
     memory: MemoryKind = "none"
     """Memory of the actor, in PPO: a GRU or an LSTM after the hidden layers.
     The policy then decides every action_repeat steps wherever it drives, as in training."""
@@ -60,26 +50,6 @@ class NetworkConfig:
     privileged_critic: bool = False
     """Let the critic, in PPO, also read what is known only in simulation: true state, local map and path length.
     The actor never reads it."""
-
-    def check(self) -> None:
-        """Checks the settings.
-
-        Raises:
-            ValueError: for a setting out of range, by its name.
-        """
-        check_positive(MAX_NUMBER, max_std=self.max_std)
-        check_at_least(1, MAX_COUNT, memory_size=self.memory_size)
-        _check_choice("memory", self.memory, MemoryKind)
-        _check_choice("prior", self.prior, PriorKind)
-        if not self.hidden or not all(1 <= units <= MAX_COUNT for units in self.hidden):
-            raise ValueError(f"hidden must name at least one layer of at least 1 unit, got {self.hidden}")
-        if self.prior == "route" and (self.memory != "none" or not {"lidar", "imu", "route"} <= set(self.observation)):
-            raise ValueError(
-                f"prior='route' needs lidar, imu and route in observation and memory='none', got {self.observation} "
-                f"and {self.memory!r}"
-            )
-        if self.north_up and not {"lidar", "imu", "target"} <= set(self.observation):
-            raise ValueError(f"north_up needs lidar, imu and target in observation, got {self.observation}")
 
 
 @dataclass(frozen=True)
@@ -96,8 +66,7 @@ class CollectionConfig:
     action_repeat: int = 4
     """Number of steps that each action is held for in training: 4 lets the policy decide at 5 Hz."""
     path_reward: float = 0.0
-    """Additional reward in training, per meter gained on the shortest free path to the goal.
-    It leads around the walls of a maze."""
+    """Additional reward in training, per meter gained on the shortest free path to the goal, around walls."""
     route_reward: float = 0.0
     """Additional reward in training, per meter by which the route on what has been seen gets shorter.
     Needs "route" in observation. Unlike path_reward, it takes no time in many worlds."""
@@ -141,16 +110,6 @@ class AlgorithmConfig:
     mirror_augmentation: bool = True
     """Replace every other decision, at random, by its mirror image: left and right are alike."""
 
-    def check(self) -> None:
-        """Checks the settings.
-
-        Raises:
-            ValueError: for a setting out of range, by its name.
-        """
-        _check_counts(self, "rollout_length", "minibatch")
-        _check_positive(self, "learning_rate", "reward_scale", "max_grad_norm")
-        _check_fractions(self, "gamma", "critic_warmup")
-
 
 @dataclass(frozen=True)
 class PPOConfig(AlgorithmConfig):
@@ -172,20 +131,10 @@ class PPOConfig(AlgorithmConfig):
     entropy_coef: float = 0.003
     """Coefficient of the entropy bonus."""
     imitation: float = 0.0
-    """Fraction of training that imitates an expert (DAgger), from the start.
-    0 learns from the reward alone."""
+    """Fraction of training that imitates an expert (DAgger), from the start. 0 learns from the reward alone."""
     expert: ExpertKind = "map"
     """Expert to imitate: map (knows the world) or route (follows the route on what has been seen).
     route needs "route" in observation."""
-
-    def check(self) -> None:
-        """Checks the settings: see :meth:`AlgorithmConfig.check`."""
-        super().check()
-        _check_counts(self, "epochs")
-        _check_positive(self, "clip")
-        _check_fractions(self, "lmbda", "imitation")
-        _check_choice("expert", self.expert, ExpertKind)
-        check_at_least(0, MAX_NUMBER, entropy_coef=self.entropy_coef)
 
 
 @dataclass(frozen=True)
@@ -208,14 +157,6 @@ class SACConfig(AlgorithmConfig):
     target_entropy: float = -3.0
     """Target entropy of the policy, in nats, for actions scaled to [-1, 1]."""
 
-    def check(self) -> None:
-        """Checks the settings: see :meth:`AlgorithmConfig.check`."""
-        super().check()
-        _check_counts(self, "gradient_steps", "buffer_size", "learning_starts")
-        _check_positive(self, "tau", "alpha")
-        _check_fractions(self, "tau")
-        check_at_least(-MAX_NUMBER, MAX_NUMBER, target_entropy=self.target_entropy)
-
 
 @dataclass(frozen=True)
 class RunConfig:
@@ -236,22 +177,7 @@ class RunConfig:
     logger: tuple[TrackerName, ...] = ()
     """Trackers that get what progress.csv gets: csv, tensorboard, wandb, trackio, mlflow (extras of these names)."""
     started_from: str | None = None
-    """Policy that the training starts from: pretrained:NAME, folder of a run, or checkpoint.
-    Default: a new policy."""
-
-    def check(self) -> None:
-        """Checks the settings.
-
-        Raises:
-            ValueError: for a setting out of range, by its name.
-        """
-        _check_counts(self, "total_steps")
-        _check_positive(self, "checkpoint_minutes")
-        check_at_least(0, MAX_COUNT, snapshots=self.snapshots)
-        if self.max_minutes is not None:
-            _check_positive(self, "max_minutes")
-        if isinstance(self.logger, str) or not {*self.logger} <= {*(names := get_args(TrackerName))}:
-            raise ValueError(f"logger must be a tuple of some of {names}, got {self.logger!r}")
+    """Policy that the training starts from: pretrained:NAME, folder of a run, or checkpoint. Default: a new policy."""
 
 
 @dataclass(frozen=True)
@@ -323,37 +249,42 @@ class TrainingConfig:
             ValueError: for a setting out of range, by its name.
         """
         require_entries(self.network.observation, self.env.own_sensors)
-        self.network.check()
-        self.algorithm.check()
-        self.run.check()
-        _check_counts(self.collection, "action_repeat")
-        check_at_least(0, MAX_NUMBER, path_reward=self.collection.path_reward)
-        self._check_route()
-        self._check_curriculum()
+        _check_ranges({name: value for part in PARTS for name, value in vars(getattr(self, part)).items()})
+        self._check_network()
         self._check_env()
-        self._check_workers()
-        mirror = self.algorithm.mirror_augmentation
-        if mirror and (self.network.north_up or "pose" in self.network.observation):
+        self._check_collection()
+        if isinstance(self.run.logger, str) or not {*self.run.logger} <= {*get_args(TrackerName)}:
+            raise ValueError(f"logger must be a tuple of some of {get_args(TrackerName)}, got {self.run.logger!r}")
+
+    def _check_network(self) -> None:
+        network, entries = self.network, {*self.network.observation}
+        if not network.hidden or not all(1 <= units <= MAX_COUNT for units in network.hidden):
+            raise ValueError(f"hidden must name at least one layer of at least 1 unit, got {network.hidden}")
+        if network.prior == "route" and (network.memory != "none" or not {"lidar", "imu", "route"} <= entries):
+            raise ValueError(
+                "prior='route' needs lidar, imu and route in observation and memory='none', got "
+                f"{network.observation} and {network.memory!r}"
+            )
+        if network.north_up and not {"lidar", "imu", "target"} <= entries:
+            raise ValueError(f"north_up needs lidar, imu and target in observation, got {network.observation}")
+        if self.algorithm.mirror_augmentation and (network.north_up or "pose" in entries):
             raise ValueError(
                 "mirror_augmentation does not go with north_up, nor with pose in observation: a map is not its mirror "
                 "image"
             )
-        network = self.network
-        if self.algo != PPOConfig.name and (
-            network.memory != "none" or network.prior != "none" or network.privileged_critic
-        ):
+        for_ppo = network.memory != "none" or network.prior != "none" or network.privileged_critic
+        if for_ppo and not isinstance(self.algorithm, PPOConfig):
             raise ValueError(
                 f"memory, prior and privileged_critic are for PPO, and the algorithm is {self.algo.upper()}"
             )
-        decisions = self.num_envs * self.algorithm.rollout_length
-        if isinstance(self.algorithm, SACConfig) and self.algorithm.buffer_size < decisions:
+        imitated = isinstance(self.algorithm, PPOConfig) and self.algorithm.expert == "route"
+        if (self.collection.route_reward or imitated) and "route" not in entries:
             raise ValueError(
-                f"buffer_size={self.algorithm.buffer_size} cannot hold the {decisions} decisions of a rollout"
+                f"route_reward and expert='route' need \"route\" in observation, got {network.observation}"
             )
 
     def _check_env(self) -> None:
         env = self.env
-        _check_counts(env, "length")
         check_at_least(1, MAX_ROVERS, num_envs=self.num_envs)
         check_seed(self.seed, _SEEDS_OF_A_RUN)
         if env.backend == "ray":
@@ -368,29 +299,12 @@ class TrainingConfig:
                 f"device={self.device!r} needs backend='warp' and workers=1, got {env.backend!r} and {self.workers}"
             )
 
-    def _check_route(self) -> None:
-        check_at_least(0, MAX_NUMBER, route_reward=self.collection.route_reward)
-        imitated = isinstance(self.algorithm, PPOConfig) and self.algorithm.expert == "route"
-        if (self.collection.route_reward or imitated) and "route" not in self.network.observation:
-            raise ValueError(
-                f"route_reward and expert='route' need \"route\" in observation, got {self.network.observation}"
-            )
-
-    def _check_curriculum(self) -> None:
-        settings = self.collection
-        _check_choice("curriculum", settings.curriculum, CurriculumKind)
-        _check_fractions(settings, "curriculum_share")
-        _check_positive(settings, "curriculum_temperature")
-        backend = self.env.backend if isinstance(self.env.backend, str) else name_of(self.env.backend)
-        if settings.curriculum != "none" and backend in ("bullet", "mujoco"):
+    def _check_collection(self) -> None:
+        given, decisions = self.collection.workers, self.num_envs * self.algorithm.rollout_length
+        if self.collection.curriculum != "none" and (backend := _name(self.env.backend)) in ("bullet", "mujoco"):
             raise ValueError(
                 f"curriculum needs backend='warp', in which rovers change worlds at resets: in {backend!r} they do not"
             )
-
-    def _check_workers(self) -> None:
-        given = self.collection.workers
-        if given is not None:
-            _check_counts(self.collection, "workers")
         if self.num_envs % self.workers:
             raise ValueError(f"num_envs={self.num_envs} rovers cannot be shared equally by workers={given}")
         if self.collection.collector == "process" and self.workers > 1:
@@ -400,25 +314,46 @@ class TrainingConfig:
                 f"world must name at least one world, and at most the {self.rovers_per_worker} rovers of a worker: "
                 f"got {self.env.world}"
             )
+        if isinstance(self.algorithm, SACConfig) and self.algorithm.buffer_size < decisions:
+            raise ValueError(
+                f"buffer_size={self.algorithm.buffer_size} cannot hold the {decisions} decisions of a rollout"
+            )
 
 
-def _check_choice(name: str, given: str, kind: Any) -> None:
-    if given not in get_args(kind):
-        raise ValueError(f"{name} must be one of {get_args(kind)}, got {given!r}")
+_COUNTS = (
+    *("memory_size", "action_repeat", "rollout_length", "minibatch", "epochs", "gradient_steps", "buffer_size"),
+    *("learning_starts", "total_steps", "length", "workers"),
+)
+_POSITIVE = (
+    *("max_std", "learning_rate", "reward_scale", "max_grad_norm", "clip", "tau", "alpha", "checkpoint_minutes"),
+    *("max_minutes", "curriculum_temperature"),
+)
+_NOT_NEGATIVE = ("path_reward", "route_reward", "entropy_coef")
+_FRACTIONS = ("gamma", "critic_warmup", "lmbda", "imitation", "tau", "curriculum_share")
+_CHOICES = {"memory": MemoryKind, "prior": PriorKind, "expert": ExpertKind, "curriculum": CurriculumKind}
 
 
-def _check_counts(part: Any, *names: str) -> None:
-    check_at_least(1, MAX_COUNT, **{name: getattr(part, name) for name in names})
+def _check_ranges(settings: dict[str, Any]) -> None:
+    """Checks each setting by itself. Those that are ``None`` have their default."""
+
+    def some(*names: str) -> dict[str, Any]:
+        return {name: settings[name] for name in names if settings.get(name) is not None}
+
+    check_at_least(1, MAX_COUNT, **some(*_COUNTS))
+    check_at_least(0, MAX_COUNT, **some("snapshots"))
+    check_at_least(0, MAX_NUMBER, **some(*_NOT_NEGATIVE))
+    check_at_least(-MAX_NUMBER, MAX_NUMBER, **some("target_entropy"))
+    check_positive(MAX_NUMBER, **some(*_POSITIVE))
+    for name, value in some(*_FRACTIONS).items():
+        if not 0 <= value <= 1:
+            raise ValueError(f"{name} must be between 0 and 1, got {value}")
+    for name, value in some(*_CHOICES).items():
+        if value not in get_args(_CHOICES[name]):
+            raise ValueError(f"{name} must be one of {get_args(_CHOICES[name])}, got {value!r}")
 
 
-def _check_positive(part: Any, *names: str) -> None:
-    check_positive(MAX_NUMBER, **{name: getattr(part, name) for name in names})
-
-
-def _check_fractions(part: Any, *names: str) -> None:
-    for name in names:
-        if not 0 <= getattr(part, name) <= 1:
-            raise ValueError(f"{name} must be between 0 and 1, got {getattr(part, name)}")
+def _name(backend: BackendLike) -> str:
+    return backend if isinstance(backend, str) else name_of(backend)
 
 
 ALGORITHMS: dict[str, type[AlgorithmConfig]] = {kind.name: kind for kind in (PPOConfig, SACConfig)}
@@ -433,10 +368,10 @@ PARTS: dict[str, type] = {
 """Parts of :class:`TrainingConfig`, by name."""
 
 
+# Default settings of PPO in other simulators than Warp, which simulates many rovers at little more cost than few.
 _PPO_ELSEWHERE = {"num_envs": 64, "minibatch": 256, "total_steps": 600_000}
-"""Default settings of PPO in other simulators than Warp, which simulates many rovers at little more cost than few."""
+# Default settings of SAC, whose gradient steps take most of the time in any simulator.
 _SAC = {"num_envs": 64, "total_steps": 400_000}
-"""Default settings of SAC, whose gradient steps take most of the time in any simulator."""
 
 
 def default_config(algo: str, backend: BackendLike = "warp") -> TrainingConfig:
@@ -446,8 +381,7 @@ def default_config(algo: str, backend: BackendLike = "warp") -> TrainingConfig:
         algo: ``"ppo"`` or ``"sac"``.
         backend: simulator. Warp has more rovers than others, and PPO in it larger batches and more steps.
     """
-    in_warp = (backend if isinstance(backend, str) else name_of(backend)) == "warp"
-    settings = _SAC if algo == "sac" else {} if in_warp else _PPO_ELSEWHERE
+    settings = _SAC if algo == "sac" else {} if _name(backend) == "warp" else _PPO_ELSEWHERE
     return with_settings(TrainingConfig(algorithm=ALGORITHMS[algo]()), backend=backend, **settings)
 
 

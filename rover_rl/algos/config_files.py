@@ -41,10 +41,8 @@ def config_from(data: Any, source: str) -> TrainingConfig:
         homes = part_of(algo)
         if unknown := sorted(map(str, parts.keys() - homes.keys())):
             raise ValueError(f"{source} has settings that {algo} does not know: {unknown}; use some of {sorted(homes)}")
-        parts = {
-            part: {name: value for name, value in parts.items() if homes[name] == part}
-            for part in {homes[name] for name in parts}
-        }
+        named = {homes[name] for name in parts}
+        parts = {part: {name: value for name, value in parts.items() if homes[name] == part} for part in named}
     if unknown := sorted(set(parts) - set(PARTS), key=str):
         raise ValueError(f"{source} has parts that do not exist: {unknown}; use some of {[*PARTS]}")
     default = default_config(algo, _backend_name(parts.get("env")))
@@ -67,8 +65,7 @@ def _backend_name(env: Any) -> str:
     return named if isinstance(named, str) else default_config("ppo").env.backend
 
 
-_SESSIONS = "sessions"
-"""Name of the list of sessions in a run's settings."""
+_SESSIONS = "sessions"  # name of the list of sessions in a run's settings
 
 
 def write_config(path: Path, config: TrainingConfig, sessions: Sequence[dict[str, Any]] = ()) -> None:
@@ -137,8 +134,7 @@ def experiments(configs: Sequence[TrainingConfig]) -> list[str]:
     return names
 
 
-SEED_SUFFIX = "-seed"
-"""Text between the name of an experiment and the seed in the name of a run's folder."""
+SEED_SUFFIX = "-seed"  # text between the name of an experiment and the seed in the name of a run's folder
 _OF_A_RUN = (
     *("seed", "name", "runs", "backend", "device", "collector", "workers"),
     *("checkpoint_minutes", "snapshots", "logger"),

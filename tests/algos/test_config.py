@@ -9,6 +9,7 @@ from rover_rl.algos.workers import default_workers
 from rover_rl.sims.warp.settings import WarpSettings
 
 PPO, SAC = training_config("ppo"), training_config("sac")
+ROUTE = ("lidar", "imu", "route")
 
 
 @pytest.mark.parametrize(
@@ -20,11 +21,17 @@ PPO, SAC = training_config("ppo"), training_config("sac")
         (PPO, "path_reward", float("nan")),
         (PPO, "entropy_coef", -1.0),
         (PPO, "max_minutes", 0.0),
+        (PPO, "max_std", 0.0),
+        (PPO, "memory_size", 0),
+        (PPO, "memory", "rnn"),
+        (PPO, "prior", "path"),
+        (PPO, "expert", "script"),
         (PPO, "checkpoint_minutes", 0.0),
         (PPO, "snapshots", -1),
         (PPO, "workers", 3),
         (PPO, "hidden", ()),
         (PPO, "hidden", (0,)),
+        (PPO, "logger", ("csb",)),
         (PPO, "curriculum", "hardest"),
         (PPO, "curriculum_share", 1.5),
         (PPO, "curriculum_temperature", 0.0),
@@ -41,6 +48,54 @@ def test_settings_out_of_range_raise_by_name(config: TrainingConfig, field: str,
     config.check()
     with pytest.raises(ValueError, match=field):
         with_settings(config, **{field: value}).check()
+
+
+@pytest.mark.parametrize(
+    ("algo", "settings", "message"),
+    [
+        ("ppo", {"north_up": True}, "mirror_augmentation does not go with north_up"),
+        ("sac", {"observation": ("target", "pose")}, "mirror_augmentation does not go with .*, nor with pose"),
+        (
+            "ppo",
+            {"north_up": True, "mirror_augmentation": False, "observation": ("lidar", "target")},
+            "north_up needs lidar, imu and target",
+        ),
+        ("ppo", {"prior": "route"}, "prior='route' needs lidar, imu and route in observation"),
+        ("ppo", {"prior": "route", "memory": "gru", "observation": ROUTE}, "needs .* memory='none', got .* 'gru'"),
+        ("ppo", {"route_reward": 1.0}, 'need "route" in observation'),
+        ("ppo", {"expert": "route", "imitation": 0.1}, 'need "route" in observation'),
+        ("sac", {"prior": "route", "observation": ROUTE}, "prior and .* are for PPO, and the algorithm is SAC"),
+        ("sac", {"memory": "gru"}, "memory, .* are for PPO"),
+        ("sac", {"privileged_critic": True}, "privileged_critic are for PPO"),
+        ("ppo", {"curriculum": "learnability", "backend": "bullet"}, "curriculum needs backend='warp'"),
+        ("ppo", {"physics": "fast"}, "presets of the physics are Bullet's"),
+        ("ppo", {"backend": "bullet", "device": "cuda"}, "device='cuda' needs backend='warp' and workers=1"),
+        ("ppo", {"device": "cuda", "workers": 2}, "device='cuda' needs backend='warp' and workers=1"),
+        *(
+            ("ppo", {"device": name}, "device must be cpu, cuda or cuda: and a")
+            for name in ("gpu", "cuda:", "cuda:x", "")
+        ),
+    ],
+)
+def test_settings_that_do_not_go_together_raise(algo: str, settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        training_config(algo, **settings).check()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"north_up": True, "mirror_augmentation": False},
+        {"memory": "gru"},
+        {"privileged_critic": True},
+        {"device": "cuda"},
+        {"device": "cuda:1"},
+    ],
+)
+def test_settings_that_go_together_pass(settings: dict[str, Any]) -> None:
+    config = training_config("ppo", **settings)
+    config.check()
+    assert config.on_gpu == ("device" in settings)
 
 
 def test_settings_are_put_into_their_parts() -> None:
@@ -76,62 +131,7 @@ def test_unknown_algorithms_and_settings_raise() -> None:
         training_config("ppo", tau=0.1, sped=3)
 
 
-def test_warp_has_one_worker_by_default_and_none_of_bullets_presets() -> None:
-    assert training_config("ppo", backend="warp").workers == 1
-    assert training_config("ppo", backend="warp", workers=2).workers == 2
-    training_config("ppo", backend="warp").check()
-    with pytest.raises(ValueError, match="presets of the physics are Bullet's"):
-        training_config("ppo", backend="warp", physics="fast").check()
-
-
-def test_a_gpu_needs_warp_and_one_worker() -> None:
-    for device in ("cuda", "cuda:1"):
-        config = training_config("ppo", backend="warp", device=device)
-        config.check()
-        assert config.on_gpu
-    assert not PPO.on_gpu
-    for wrong in (
-        training_config("ppo", backend="bullet", device="cuda"),
-        training_config("ppo", backend="warp", device="cuda", workers=2),
-    ):
-        with pytest.raises(ValueError, match=r"device='cuda' needs backend='warp' and workers=1"):
-            wrong.check()
-    for device in ("gpu", "cuda:", "cuda:x", ""):
-        with pytest.raises(ValueError, match="device must be cpu, cuda or cuda: and a number"):
-            training_config("ppo", backend="warp", device=device).check()
-
-
-def test_default_workers_share_the_rovers_equally() -> None:
+def test_workers_share_the_rovers_equally_and_warp_has_one() -> None:
     assert default_workers(1) == 1
     assert 64 % default_workers(64) == 0
-
-
-@pytest.mark.parametrize(
-    ("config", "message"),
-    [
-        (training_config("ppo", north_up=True), "mirror_augmentation does not go with north_up"),
-        (
-            training_config("sac", observation=("target", "pose")),
-            "mirror_augmentation does not go with north_up, nor with pose",
-        ),
-        (
-            training_config("ppo", north_up=True, mirror_augmentation=False, observation=("lidar", "target")),
-            "north_up needs lidar, imu and target",
-        ),
-        (training_config("ppo", max_std=0.0), "max_std must be positive"),
-        (training_config("ppo", prior="route"), "prior='route' needs lidar, imu and route in observation"),
-        (
-            training_config("ppo", prior="route", memory="gru", observation=("lidar", "imu", "route")),
-            "needs .* memory='none', got .* 'gru'",
-        ),
-        (training_config("ppo", prior="path"), "prior must be one of"),
-        (training_config("sac", prior="route", observation=("lidar", "imu", "route")), "prior and .* are for PPO"),
-        (training_config("ppo", route_reward=1.0), 'need "route" in observation'),
-        (training_config("ppo", expert="route", imitation=0.1), 'need "route" in observation'),
-        (training_config("ppo", expert="script"), "expert must be one of"),
-    ],
-)
-def test_inconsistent_network_settings_raise(config: TrainingConfig, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        config.check()
-    training_config("ppo", north_up=True, mirror_augmentation=False).check()
+    assert (PPO.workers, with_settings(PPO, workers=2).workers) == (1, 2)

@@ -22,8 +22,7 @@ from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.robots.rover_zero import ROVER_ZERO
 from rover_rl.sims.rotations import wrap_angle
 
-_ACTIONS = 0
-"""Stream of random draws for actions."""
+_ACTIONS = 0  # stream of random draws for actions
 
 
 class RandomPolicy(TensorDictModuleBase):
@@ -66,25 +65,18 @@ class ScriptedPolicy(TensorDictModule):
         super().__init__(policy, in_keys=["lidar", "target"], out_keys=["action"])
 
 
-LIDAR_OFFSET = ROVER_ZERO.lidar_position[0]
-"""Default distance of the lidar in front of the rover's center, m."""
-HEADINGS = 64
-"""Number of candidate directions, besides the direction of the goal."""
-LOOK_AHEAD = 1.6
-"""Distance up to which a direction is examined, m. On slopes, the lidar sees the ground beyond it."""
-HALF_WIDTH = 0.36
-"""Half the width of the lane that must be free, m. Half the width of the rover is 0.225 m."""
-STOP = 0.45
-"""Free distance from the rover's center at which the rover stops, m."""
-BACK_OFF = 0.36
-"""Lidar reading in front below which the rover backs off, m. A reading below 0.3 m is a collision."""
-CRAWL = 0.25
-"""Speed of a robot that turns only while it drives, where it would turn in place otherwise, m/s."""
+LIDAR_OFFSET = ROVER_ZERO.lidar_position[0]  # default distance of the lidar in front of the rover's center, m
+HEADINGS = 64  # number of candidate directions, besides the direction of the goal
+LOOK_AHEAD = 1.6  # distance up to which a direction is examined, m. On slopes, the lidar sees the ground beyond it.
+HALF_WIDTH = 0.36  # half the width of the lane that must be free, m. Half the width of the rover is 0.225 m.
+STOP = 0.45  # free distance from the rover's center at which the rover stops, m
+BACK_OFF = 0.36  # lidar reading in front below which the rover backs off, m. A reading below 0.3 m is a collision.
+CRAWL = 0.25  # speed of a robot that turns only while it drives, where it would turn in place otherwise, m/s
+# Lidar reading behind that is required for backing off, m. The rear end of the rover is 0.44 m from the lidar.
 BEHIND = 0.75
-"""Lidar reading behind that is required for backing off, m. The rear end of the rover is 0.44 m from the lidar."""
+# Weight of driving straight ahead relative to driving towards the goal. With a small weight, the rover alternates
+# between two ways around an obstacle. In the maze, 94 % of episodes succeed within 30 s with 0.9, and 85 % with 1.3.
 PERSISTENCE = 0.9
-"""Weight of driving straight ahead relative to driving towards the goal. With a small weight, the rover alternates
-between two ways around an obstacle. In the maze, 94 % of episodes succeed within 30 s with 0.9, and 85 % with 1.3."""
 
 
 def slowest_turn(drive: Drive) -> float:
@@ -137,15 +129,9 @@ def drive_towards(direction: Tensor, lidar: Tensor, lidar_offset: float = LIDAR_
 
 
 def hit_points(lidar: Tensor, lidar_offset: float, middle: float = 0.5) -> tuple[Tensor, Tensor]:
-    """Returns the points that lidar readings hit, in the base frame.
+    """Returns x and y of the points that readings of a lidar hit, in the base frame, ``[..., points]`` each, m.
 
-    Args:
-        lidar: lidar readings, ``[..., points]``, m.
-        lidar_offset: distance of the lidar in front of the rover's center, m.
-        middle: where in its segment a reading is taken to come from, as a share of the segment.
-
-    Returns:
-        x and y, ``[..., points]`` each, m.
+    A reading is taken to come from ``middle`` in its segment, a share of the segment.
     """
     points = lidar.shape[-1]
     angles = (torch.arange(points, dtype=lidar.dtype, device=lidar.device) + middle) * (2 * math.pi / points)

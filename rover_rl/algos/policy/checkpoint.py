@@ -11,10 +11,9 @@ from torchrl.modules import ProbabilisticActor
 from rover_rl.algos.archives import first_not_finite, read_archive, write_archive
 from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.config_files import config_from, plain
-from rover_rl.algos.policy.networks import ObservationEncoder, make_actor
+from rover_rl.algos.policy.networks import actor_of
 from rover_rl.envs.config import EnvConfig
 from rover_rl.files import written_whole
-from rover_rl.sims.robots import get_robot
 
 SETTINGS, CHECKPOINT = "config.yaml", "checkpoint.pt"
 """Names of the files in a run's folder that hold the settings and the policy."""
@@ -60,7 +59,10 @@ class Checkpoint:
         path = Path(path)
         path = path / CHECKPOINT if path.is_dir() else path
         if path.name == CHECKPOINT and not path.exists():
-            raise FileNotFoundError(f"no checkpoint at {path}: {_missing_reason(path.parent)}")
+            reason = f"the run has written none yet; if it has ended, go on with rover-rl train --resume {path.parent}"
+            if not (path.parent / SETTINGS).is_file():
+                reason = f"{path.parent} is not the folder of a run"
+            raise FileNotFoundError(f"no checkpoint at {path}: {reason}")
         data = read_archive(path, _FORMAT, "checkpoint")
         try:
             config = config_from(data.pop("config"), str(path))
@@ -81,30 +83,13 @@ class Checkpoint:
         Raises:
             ValueError: if the weights do not fit the settings.
         """
-        network, env = self.config.network, self.env
-        encoder = ObservationEncoder(network.observation, env.lidar.points, network.north_up, env.own_sensors)
-        actor = make_actor(
-            encoder,
-            network.hidden,
-            env.action,
-            network.max_std,
-            memory=network.memory,
-            memory_size=network.memory_size,
-            follower=None if network.prior == "none" else get_robot(env.robot),
-        )
+        network, actor = self.config.network, actor_of(self.config)
         try:
             actor.load_state_dict(self.actor)
         except RuntimeError as error:
             memory = "" if network.memory == "none" else f", memory={network.memory!r} of {network.memory_size} units"
             raise ValueError(f"the checkpoint's weights do not fit hidden={network.hidden}{memory}") from error
         # Evaluation and deployment compare it with the environment to drive in.
-        actor.made_for = env
+        actor.made_for = self.env
         actor.trained_action_repeat = self.config.collection.action_repeat
         return actor
-
-
-def _missing_reason(folder: Path) -> str:
-    """Returns why a folder has no checkpoint and what to do about it."""
-    if not (folder / SETTINGS).is_file():
-        return f"{folder} is not the folder of a run"
-    return f"the run has written none yet; if it has ended, go on with rover-rl train --resume {folder}"

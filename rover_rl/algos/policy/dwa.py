@@ -49,55 +49,39 @@ from rover_rl.envs.config import EnvConfig, HeadingGains, LidarConfig, RobotLike
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.footprint import covering_discs
 
-LIDAR = LidarConfig(points=128)
-"""Lidar of the planner by default: every beam of the scan."""
+LIDAR = LidarConfig(points=128)  # lidar of the planner by default: every beam of the scan
+# Yaw rate of the body relative to that of the wheel odometry: Rover Zero turns at 0.40 to 0.43 of the commanded rate
+# in Warp and at 0.39 to 0.47 in Bullet, up to 2 rad/s, as its wheels slip.
 YAW_GAIN = 0.41
-"""Yaw rate of the body relative to that of the wheel odometry: Rover Zero turns at 0.40 to 0.43 of the commanded rate
-in Warp and at 0.39 to 0.47 in Bullet, up to 2 rad/s, as its wheels slip."""
 
-HORIZON = 1.5
-"""Duration of a trajectory, s."""
+HORIZON = 1.5  # duration of a trajectory, s
+# Number of poses of a trajectory that are examined. At 1 m/s they are 0.25 m apart, less than the body is long.
 POSES = 6
-"""Number of poses of a trajectory that are examined. At 1 m/s they are 0.25 m apart, less than the body is long."""
-SPEEDS = (-0.3, 0.0, 1 / 3, 2 / 3, 1.0)
-"""Forward speeds, m/s. At 5 m/s^2, the rover reaches all of them within 0.26 s."""
-WINDOW = 0.8
-"""Time in which a yaw rate must be reachable, s."""
-MAX_YAW_RATE = 1.6
-"""Maximum absolute yaw rate of the body, rad/s."""
-YAW_RATES = 15
-"""Number of yaw rates in the window, besides the one closest to 0."""
+SPEEDS = (-0.3, 0.0, 1 / 3, 2 / 3, 1.0)  # forward speeds, m/s. At 5 m/s^2, the rover reaches all of them within 0.26 s.
+WINDOW = 0.8  # time in which a yaw rate must be reachable, s
+MAX_YAW_RATE = 1.6  # maximum absolute yaw rate of the body, rad/s
+YAW_RATES = 15  # number of yaw rates in the window, besides the one closest to 0
+# Largest distance by which the discs that cover the footprint exceed its sides, m. With two discs, it is 0.037 m.
 EXCESS = 0.04
-"""Largest distance by which the discs that cover the footprint exceed its sides, m. With two discs, it is 0.037 m."""
-SAFETY = 0.008
-"""Distance of the discs below which a trajectory is rejected, m."""
-LOOK_AHEAD = 1.6
-"""Free distance beyond which more is no better, m. On slopes, the lidar sees the ground beyond it."""
-HALF_LANE = 0.3
-"""Half the width of the lane beyond the end of a trajectory, m."""
-ARRIVAL = 0.25
-"""Distance from the goal at which a trajectory ends there, m."""
+SAFETY = 0.008  # distance of the discs below which a trajectory is rejected, m
+LOOK_AHEAD = 1.6  # free distance beyond which more is no better, m. On slopes, the lidar sees the ground beyond it.
+HALF_LANE = 0.3  # half the width of the lane beyond the end of a trajectory, m
+ARRIVAL = 0.25  # distance from the goal at which a trajectory ends there, m
 
 HEADING_WEIGHT = 0.75
 COURSE_WEIGHT = 0.5
 FREE_WEIGHT = 3.0
 SPEED_WEIGHT = 0.9
 CLEARANCE_WEIGHT = 1.0
-CLEARANCE_MARGIN = 0.2
-"""Clearance without a cost, m."""
+CLEARANCE_MARGIN = 0.2  # clearance without a cost, m
 LIDAR_WEIGHT = 2.0
-LIDAR_MARGIN = 0.06
-"""Margin above the collision threshold of the task in which expected readings cost, m."""
+LIDAR_MARGIN = 0.06  # margin above the collision threshold of the task in which expected readings cost, m
 REVERSE_COST = 0.5
 STANDSTILL_COST = 2.0
-STANDSTILL = 0.2
-"""Yaw rate below which a rover without speed stands still, rad/s."""
-_FAR = 1e3
-"""Coordinate of readings that hit nothing, m."""
-_ROWS = 16
-"""Number of rows that are planned for at once on a CPU. Their distances fit into its cache."""
-_ROWS_ACCELERATOR = 1024
-"""Number of rows that are planned for at once on an accelerator. Limits the memory to 1 GB."""
+STANDSTILL = 0.2  # yaw rate below which a rover without speed stands still, rad/s
+_FAR = 1e3  # coordinate of readings that hit nothing, m
+_ROWS = 16  # number of rows that are planned for at once on a CPU. Their distances fit into its cache.
+_ROWS_ACCELERATOR = 1024  # number of rows that are planned for at once on an accelerator. Limits the memory to 1 GB.
 
 
 class Trajectories(NamedTuple):
@@ -174,7 +158,10 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         # All scores of rejected trajectories are below those of the others.
         escape = free_time.clamp(max=HORIZON) + clearance[..., -1].clamp(max=1) - 100
         best = torch.where(hit.any(-1), escape, score).argmax(-1, keepdim=True)
-        return self._action(sampled.speed.gather(-1, best), sampled.yaw_rate.gather(-1, best))
+        speed, yaw_rate = sampled.speed.gather(-1, best), sampled.yaw_rate.gather(-1, best)
+        # The heading PID commands the wheels to turn at kp times a constant heading offset.
+        offset = (yaw_rate / (self._gain * HeadingGains.kp)).clamp(-math.pi, math.pi)
+        return torch.cat((speed, offset), -1)
 
     def points(self, lidar: Tensor) -> Tensor:
         """Returns the points that lidar readings ``[N, points]`` (m) hit, in the base frame, ``[N, points, 2]``, m.
@@ -192,19 +179,15 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         Speed and yaw rate change at the limits of the drive until they reach the sampled ones.
         """
         v0, w0 = velocities[:, :1], velocities[:, 1:] * self._gain
-        acceleration, yaw_acceleration = (
-            self._robot.drive.max_linear_acceleration,
-            self._robot.drive.max_angular_acceleration,
-        )
-        yaw_acceleration *= self._gain
+        drive = self._robot.drive
+        yaw_acceleration = drive.max_angular_acceleration * self._gain
         share = torch.linspace(0, 1, YAW_RATES, dtype=w0.dtype, device=w0.device)
-        low, high = (
-            (w0 + side * WINDOW).clamp(-MAX_YAW_RATE, MAX_YAW_RATE) for side in (-yaw_acceleration, yaw_acceleration)
-        )
+        reach = (-yaw_acceleration, yaw_acceleration)
+        low, high = ((w0 + side * WINDOW).clamp(-MAX_YAW_RATE, MAX_YAW_RATE) for side in reach)
         w = torch.cat((low + (high - low) * share, torch.zeros_like(w0).clamp(low, high)), -1)
         v = w0.new_tensor(SPEEDS).expand(len(w0), -1)
         time = torch.arange(1, POSES + 1, dtype=w0.dtype, device=w0.device) * (HORIZON / POSES)
-        path = _ramp(v0[..., None], v[..., None], acceleration, time)[:, :, None]
+        path = _ramp(v0[..., None], v[..., None], drive.max_linear_acceleration, time)[:, :, None]
         heading = _ramp(w0[..., None], w[..., None], yaw_acceleration, time)[:, None]
         # Each piece between two poses is driven at the mean of their headings.
         step = path.diff(dim=-1, prepend=torch.zeros_like(path[..., :1]))
@@ -233,13 +216,6 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         now = distance[:, : len(self._discs)]
         along = distance[:, len(offsets) :].unflatten(-1, (*sampled.x.shape[1:], -1))
         return along[..., :-1].amin(-1) - self._radius, along[..., -1], now.amin(-1) - self._radius
-
-    def _action(self, speed: Tensor, yaw_rate: Tensor) -> Tensor:
-        """Returns the action for a forward speed and a yaw rate of the body, ``[N, 1]`` each.
-
-        The heading PID commands the wheels to turn at ``kp`` times a constant heading offset.
-        """
-        return torch.cat((speed, (yaw_rate / (self._gain * HeadingGains.kp)).clamp(-math.pi, math.pi)), -1)
 
 
 def _ramp(start: Tensor, end: Tensor, rate: float, time: Tensor) -> Tensor:

@@ -19,30 +19,22 @@ from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.rotations import wrap_angle
 from rover_rl.sims.worlds.world import Worlds
 
+# Number of candidate headings. At the larger look-ahead distance, neighbors are 4 cm apart, so that one of them
+# points into a lane that is one cell wide.
 DIRECTIONS = 64
-"""Number of candidate headings. At the larger look-ahead distance, neighbors are 4 cm apart, so that one of them points
-into a lane that is one cell wide."""
-LOOK_AHEAD = (0.2, 0.4)
-"""Distances at which each candidate heading is evaluated, m."""
-LOOK_AHEAD_NARROW = (0.15, 0.3)
-"""The same in narrow passages, m."""
-BLOCKED = 50.0
-"""Penalty on the path length for a point that is not free, m."""
-CREEP = 0.4
-"""Speed in narrow passages, m/s."""
-ALIGNED = 0.3
-"""Angle to the direction of a narrow passage at which the expert stands still to turn, rad."""
+LOOK_AHEAD = (0.2, 0.4)  # distances at which each candidate heading is evaluated, m
+LOOK_AHEAD_NARROW = (0.15, 0.3)  # the same in narrow passages, m
+BLOCKED = 50.0  # penalty on the path length for a point that is not free, m
+CREEP = 0.4  # speed in narrow passages, m/s
+ALIGNED = 0.3  # angle to the direction of a narrow passage at which the expert stands still to turn, rad
+# Angle that the rover still turns while its wheels stop turning it, over the square of their yaw rate, s^2/rad. Their
+# yaw rate decreases by 4 rad/s^2, and the body turns at 0.4 times that rate: 0.4 / (2 * 4).
 OVERSHOOT = 0.05
-"""Angle that the rover still turns while its wheels stop turning it, over the square of their yaw rate, s^2/rad. Their
-yaw rate decreases by 4 rad/s^2, and the body turns at 0.4 times that rate: 0.4 / (2 * 4)."""
+# Angle to the direction above which the rover drives backward on a slope, rad. While it turns around, it slides.
 BACKWARD = math.radians(120)
-"""Angle to the direction above which the rover drives backward on a slope, rad. While it turns around, it slides."""
-BACKWARD_SPEED = 0.5
-"""Largest speed backward on a slope, m/s."""
-MAX_OFFSET = 3.0
-"""Largest heading offset on a slope, rad. With pi, the sign of the heading error would be random."""
-NEAR = 0.8
-"""Distance to the goal below which the expert drives straight to it, m."""
+BACKWARD_SPEED = 0.5  # largest speed backward on a slope, m/s
+MAX_OFFSET = 3.0  # largest heading offset on a slope, rad. With pi, the sign of the heading error would be random.
+NEAR = 0.8  # distance to the goal below which the expert drives straight to it, m
 
 
 class PrivilegedExpert:

@@ -23,31 +23,21 @@ from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.robots.footprint import footprint
 
-MARGIN = 0.02
-"""Free distance on each side of the footprint in the lane ahead, m."""
-STOP = 0.05
-"""Free distance in front of the footprint at which the rover stops, m."""
-SLOW = 0.6
-"""Free distance beyond that at which it drives at full speed, m."""
-BEHIND = 0.3
-"""Free distance behind the footprint that is required for backing off, m."""
-BACK_OFF = -0.3
-"""Speed of backing off, m/s."""
-STEEP = 0.42
-"""Pitch above which a slope is too steep, rad: 24 degrees, as for the map."""
-BACK_DOWN = -0.5
-"""Speed of backing down a slope, m/s."""
-CREEP = 0.1
-"""Lowest speed in a free lane, m/s."""
-TURN = 1.2
-"""Angle to the route from which on the rover turns on the spot, rad."""
+MARGIN = 0.02  # free distance on each side of the footprint in the lane ahead, m
+STOP = 0.05  # free distance in front of the footprint at which the rover stops, m
+SLOW = 0.6  # free distance beyond that at which it drives at full speed, m
+BEHIND = 0.3  # free distance behind the footprint that is required for backing off, m
+BACK_OFF = -0.3  # speed of backing off, m/s
+STEEP = 0.42  # pitch above which a slope is too steep, rad: 24 degrees, as for the map
+BACK_DOWN = -0.5  # speed of backing down a slope, m/s
+CREEP = 0.1  # lowest speed in a free lane, m/s
+TURN = 1.2  # angle to the route from which on the rover turns on the spot, rad
+# Tilt of the rover above which it drives as on a slope, where it slides while it turns on the spot, rad.
 SLOPE = math.radians(5)
-"""Tilt of the rover above which it drives as on a slope, where it slides while it turns on the spot, rad."""
+# Angle to the route above which it drives slowly on a slope, rad. At 0.5 m/s, the wheels of one side would rest while
+# the others turn the rover as fast as they can, and it would stand still, as measured on slopes of 20 degrees.
 SHARP = math.radians(45)
-"""Angle to the route above which it drives slowly on a slope, rad. At 0.5 m/s, the wheels of one side would rest while
-the others turn the rover as fast as they can, and it would stand still, as measured on slopes of 20 degrees."""
-SLOPE_SPEED = 0.2
-"""Speed in sharp turns on a slope, m/s."""
+SLOPE_SPEED = 0.2  # speed in sharp turns on a slope, m/s
 
 
 class GridPlanner(TensorDictModule):

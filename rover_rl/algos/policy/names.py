@@ -44,14 +44,9 @@ def make_baseline(name: str, robot: RobotLike | None = None) -> Policy:
 
 
 def load_policy(name: str) -> Checkpoint:
-    """Loads the checkpoint of a trained policy.
+    """Loads a trained policy: ``pretrained:NAME``, the folder of a run, or a checkpoint file.
 
-    Args:
-        name: ``pretrained:NAME``, folder of a run, or checkpoint file.
-
-    Raises:
-        FileNotFoundError: if the checkpoint does not exist.
-        ValueError: if there is no such pretrained policy, or the file holds no checkpoint.
+    Raises ``FileNotFoundError`` if there is none, and ``ValueError`` for an unknown name or another file.
     """
     from rover_rl.algos.policy.checkpoint import Checkpoint
     from rover_rl.algos.pretrained import load_pretrained

@@ -1,10 +1,12 @@
-"""Neural networks: actors and critics."""
+"""Neural networks: actors, critics, and mirror images of what they read."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
+from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -15,16 +17,17 @@ from torchrl.data import Bounded
 from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.modules.distributions.continuous import SafeTanhTransform
 
-from rover_rl.algos.config import MemoryKind
+from rover_rl.algos.config import MemoryKind, TrainingConfig
 from rover_rl.algos.policy.grid_planner import follow
-from rover_rl.algos.policy.privileged import MIRROR, PrivilegedEncoder
 from rover_rl.algos.policy.recurrent import recurrent_network
 from rover_rl.envs.config import ActionConfig, LidarConfig
 from rover_rl.envs.encoding import ObservationEncoder
+from rover_rl.envs.privileged import FEATURES, MAP_BEARINGS, MAP_DISTANCES
 from rover_rl.envs.sensors.base import Sensor, mirrored_signs
+from rover_rl.envs.sensors.standard import Target, WheelOdometry
 from rover_rl.envs.sensors.suite import ROUTE, policy_sensors
 from rover_rl.envs.specs import action_bounds, bounded_spec
-from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots import Robot, get_robot
 
 
 def action_spec(action: ActionConfig | None = None, device: torch.device | str | None = None) -> Bounded:
@@ -61,11 +64,7 @@ class EncodedNetwork(nn.Module):
     """
 
     def __init__(
-        self,
-        encoder: ObservationEncoder,
-        body: nn.Module,
-        privileged: nn.Module | None = None,
-        prior: RoutePrior | None = None,
+        self, encoder: ObservationEncoder, body: nn.Module, privileged: nn.Module | None = None, prior: Any = None
     ) -> None:
         super().__init__()
         self.prior, self.encoder, self.body, self.privileged = prior, encoder, body, privileged
@@ -79,9 +78,35 @@ class EncodedNetwork(nn.Module):
         if self.prior is None:
             return self.body(features)
         loc, scale = self.body(features)
-        entry = dict(zip(self.encoder.keys, entries[:count], strict=True))
-        reach = self.prior.REACH
+        entry, reach = dict(zip(self.encoder.keys, entries, strict=False)), self.prior.REACH
         return reach * torch.tanh(loc / reach) + self.prior(*(entry[key] for key in ("lidar", "imu", ROUTE))), scale
+
+
+class PrivilegedEncoder(nn.Module):
+    """Encodes the privileged observation as ``features`` numbers of about [-1, 1], for critics.
+
+    It leaves out the position and the heading, by which a critic would know one map by heart. They would also
+    contradict mirror images, which belong to another map.
+    """
+
+    keys: tuple[NestedKey, ...] = tuple(("privileged", key) for key in FEATURES if key != "position")
+    features = 2 + 2 + 5 + 2 + len(MAP_DISTANCES) * MAP_BEARINGS + 4
+    _reach: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        reach = torch.tensor(MAP_DISTANCES).repeat_interleave(MAP_BEARINGS)
+        self.register_buffer("_reach", reach, persistent=False)
+
+    def forward(self, *entries: Tensor) -> Tensor:
+        """Encodes the entries named in ``keys``, in this order: ``[..., features]``."""
+        entry = {key[-1]: value for key, value in zip(self.keys, entries, strict=True)}
+        path = entry["path_distance"]
+        factors = [2 * (entry[key] - 1) for key in ("friction", "chassis_mass", "motor_torque")]
+        parts = [3 * entry["attitude"][..., :2], WheelOdometry().encode(entry["velocities"])]
+        parts += [Target().encode(entry["target"])]
+        parts += [path / 5 - 1, path.log1p() - 1, entry["local_map"] / self._reach, *factors, entry["latency"] / 3]
+        return torch.cat(parts, -1)
 
 
 class _InBounds(nn.Module):
@@ -124,6 +149,29 @@ class RoutePrior(_InBounds):
         return torch.atanh(share.clamp(-self.LARGEST, self.LARGEST))
 
 
+def encoder_of(config: TrainingConfig) -> ObservationEncoder:
+    """Creates the encoder of the observation of a policy with these settings."""
+    network, env = config.network, config.env
+    return ObservationEncoder(network.observation, env.lidar.points, network.north_up, env.own_sensors)
+
+
+def actor_of(
+    config: TrainingConfig, encoder: ObservationEncoder | None = None, device: str | None = None
+) -> ProbabilisticActor:
+    """Creates a policy with these settings: see :func:`make_actor`."""
+    network, env = config.network, config.env
+    return make_actor(
+        encoder or encoder_of(config),
+        network.hidden,
+        env.action,
+        network.max_std,
+        device,
+        memory=network.memory,
+        memory_size=network.memory_size,
+        follower=None if network.prior == "none" else get_robot(env.robot),
+    )
+
+
 def make_actor(
     encoder: ObservationEncoder | None = None,
     hidden: Sequence[int] = (128, 128),
@@ -164,21 +212,17 @@ def make_actor(
         body = _mlp(encoder.features, hidden, 2 * spec.shape[-1], gain=0.01)
         prior = None if follower is None else RoutePrior(follower, spec)
         network = EncodedNetwork(encoder, nn.Sequential(body, NormalParameters(max_std)), prior=prior)
-        return _actor(_module(network, encoder.keys, ("loc", "scale")).to(device), spec)
+        return _actor(TensorDictModule(network, [*encoder.keys], ["loc", "scale"]).to(device), spec)
     *layers, units = hidden
     body = nn.Sequential(_mlp(encoder.features, layers, units, gain=math.sqrt(2)), nn.ReLU())
-    embedding = _module(EncodedNetwork(encoder, body), encoder.keys, ("embedding",))
+    embedding = TensorDictModule(EncodedNetwork(encoder, body), [*encoder.keys], ["embedding"])
     head = nn.Sequential(_mlp(units + memory_size, (), 2 * spec.shape[-1], gain=0.01), NormalParameters(max_std))
     return _actor(recurrent_network(embedding, units, head, memory, memory_size).to(device), spec)
 
 
 def on_features(actor: ProbabilisticActor) -> ProbabilisticActor:
     """Returns an actor with the same weights that reads encoded observations, ``features [..., n]``."""
-    return _actor(_module(actor[0].module.body, ("features",), ("loc", "scale")), actor.spec["action"])
-
-
-def _module(network: nn.Module, inputs: Sequence[str], outputs: Sequence[str]) -> TensorDictModule:
-    return TensorDictModule(network, in_keys=list(inputs), out_keys=list(outputs))
+    return _actor(TensorDictModule(actor[0].module.body, ["features"], ["loc", "scale"]), actor.spec["action"])
 
 
 def _actor(network: TensorDictModuleBase, spec: Bounded) -> ProbabilisticActor:
@@ -266,11 +310,21 @@ def _mlp(features: int, hidden: Sequence[int], outputs: int, gain: float) -> MLP
     return mlp
 
 
+def mirrored_map(local_map: Tensor) -> Tensor:
+    """Returns the mirror image of the local map ``[..., distances * bearings]``: bearing b becomes -b."""
+    image = local_map.unflatten(-1, (len(MAP_DISTANCES), MAP_BEARINGS)).flip(-1).roll(1, -1)
+    return image.flatten(-2)
+
+
 _MIRROR: dict[NestedKey, Callable[[Tensor], Tensor]] = {
     "action": lambda action: mirrored_signs((1.0, -1.0, -1.0)[: action.shape[-1]], action),
-    **MIRROR,
+    ("privileged", "position"): partial(mirrored_signs, (1.0, -1.0, 1.0)),
+    ("privileged", "attitude"): partial(mirrored_signs, (-1.0, 1.0, -1.0)),
+    ("privileged", "velocities"): WheelOdometry().mirror,
+    ("privileged", "target"): Target().mirror,
+    ("privileged", "local_map"): mirrored_map,
 }
-"""Mirror images of what is no entry of a policy's observation."""
+"""Mirror images of what is no entry of a policy's observation. The mirror of the world is the x axis."""
 _SENSORS = policy_sensors(LidarConfig())
 """Sensors of every rover."""
 
@@ -279,7 +333,7 @@ def mirrored(transitions: TensorDictBase, rows: Tensor, sensors: Mapping[str, Se
     """Returns ``transitions [...]`` with the selected ``rows`` (bool ``[...]``) mirrored left to right.
 
     The ``sensors`` of the observation, by default those of every rover, mirror their values. The state of a memory is
-    not mirrored: see :class:`~rover_rl.algos.train.sequences.MirrorMemory`.
+    not mirrored: see :class:`~rover_rl.algos.train.ppo.MirrorMemory`.
     """
     mirrors = _MIRROR | {key: sensor.mirror for key, sensor in (sensors or _SENSORS).items()}
     image = transitions.copy()

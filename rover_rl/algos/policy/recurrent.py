@@ -32,26 +32,17 @@ MEMORY_KEYS: dict[str, tuple[str, ...]] = {
 
 
 def recurrent_network(embedding: TensorDictModule, units: int, head: nn.Module, kind: str, size: int) -> nn.Module:
-    """Combines layers, a memory and a head into one module.
+    """Combines a module that writes ``embedding [..., units]``, a memory of ``size`` units and a head into one module.
 
-    The head also reads the embedding, so that reactions to what the rover sees need not pass through the memory.
-
-    Args:
-        embedding: module that writes ``embedding [..., units]``.
-        units: number of features of the embedding.
-        head: module from embedding and memory, ``[..., units + size]``, to mean and standard deviation.
-        kind: kind of memory.
-        size: number of units of the memory.
+    The ``head`` maps embedding and memory, ``[..., units + size]``, to mean and standard deviation. It reads the
+    embedding, too, so that reactions to what the rover sees need not pass through the memory.
     """
     state = MEMORY_KEYS[kind]
     recurrent = {"gru": GRU, "lstm": LSTMModule}[kind](
         units, size, in_keys=["embedding", *state, "is_init"], out_keys=["recalled", *(("next", key) for key in state)]
     )
     for name, parameter in recurrent.named_parameters():
-        if "weight" in name:
-            nn.init.orthogonal_(parameter)
-        else:
-            nn.init.zeros_(parameter)
+        (nn.init.orthogonal_ if "weight" in name else nn.init.zeros_)(parameter)
     outputs = TensorDictModule(_Joined(head), in_keys=["embedding", "recalled"], out_keys=["loc", "scale"])
     # Collectors store all outputs: the embedding and what is recalled would take more memory than the observation.
     kept = ["loc", "scale", *(("next", key) for key in state)]
@@ -66,12 +57,12 @@ class GRU(GRUModule):
         if self.recurrent_mode:
             return super().forward(tensordict)
         value, state, is_init = (tensordict.get(key) for key in self.in_keys)
-        size = (value.shape[:-1].numel(), 1, -1)
+        shape = value.shape[:-1]
+        size = (shape.numel(), 1, -1)
         if state is None:
-            state = value.new_zeros(*value.shape[:-1], 1, self.gru.hidden_size)
+            state = value.new_zeros(*shape, 1, self.gru.hidden_size)
         state = torch.where(is_init[..., None], 0, state).reshape(size).transpose(0, 1).contiguous()
         out, state = self.gru(value.reshape(size), state)
-        shape = value.shape[:-1]
         tensordict.set(self.out_keys[0], out.reshape(*shape, -1))
         return tensordict.set(self.out_keys[1], state.reshape(*shape, 1, -1))
 

@@ -14,6 +14,7 @@ import math
 import re
 import zipfile
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -30,14 +31,15 @@ from rover_rl.envs.encoding import ObservationEncoder
 from rover_rl.envs.sensors.suite import environment_sensors
 from rover_rl.envs.specs import action_bounds
 
+_SAC = "stable_baselines3.sac.policies"
 _KINDS = {
-    "stable_baselines3.common.policies": ("actor-critic", ""),
-    "stable_baselines3.sac.policies": ("sac", "actor."),
-    "stable_baselines3.td3.policies": ("td3", "actor."),
+    "stable_baselines3.common.policies": ("stable_baselines3.common.policies", "ActorCriticPolicy", ""),
+    _SAC: (_SAC, "SACPolicy", "actor."),
+    "stable_baselines3.td3.policies": ("stable_baselines3.td3.policies", "TD3Policy", "actor."),
     # Its actor is SAC's; only its critics differ.
-    "sb3_contrib.tqc.policies": ("sac", "actor."),
+    "sb3_contrib.tqc.policies": (_SAC, "SACPolicy", "actor."),
 }
-"""By the module of a saved policy's class: the kind that acts like it, and the prefix of the weights that act."""
+"""By the module of a saved policy's class: a class that acts like it, and the prefix of the weights that act."""
 _SETTINGS = ("net_arch", "use_sde", "log_std_init", "full_std", "use_expln", "squash_output", "clip_mean")
 """Settings of a policy that its actions depend on, and that are numbers and lists."""
 _WITHOUT_EFFECT = ("ortho_init", "normalize_images", "optimizer_class", "optimizer_kwargs", "n_critics")
@@ -99,27 +101,23 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
 def _rebuild(
     settings: dict[str, Any],
     weights: dict[str, Tensor],
-    observation_space: spaces.Space[Any],
-    action_space: spaces.Box,
+    observations: spaces.Space[Any],
+    actions: spaces.Box,
     path: Path,
 ) -> Any:
     """Builds the policy, a ``BasePolicy`` of Stable-Baselines3, and loads the weights that act."""
     module = (settings.get("policy_class") or {}).get("__module__")
     if module not in _KINDS:
         raise ValueError(f"{path} holds a policy of {module}; PPO, A2C, SAC, TD3 and TQC without memory are supported")
-    name, prefix = _KINDS[module]
+    home, name, prefix = _KINDS[module]
     try:
-        from stable_baselines3.common.policies import ActorCriticPolicy
-        from stable_baselines3.common.torch_layers import CombinedExtractor
-        from stable_baselines3.sac.policies import SACPolicy
-        from stable_baselines3.td3.policies import TD3Policy
+        kind, layers = getattr(import_module(home), name), import_module("stable_baselines3.common.torch_layers")
     except ImportError as error:
         raise ImportError('policies of Stable-Baselines3 need it: pip install "rover_rl[sb3]"') from error
-    kind = {"actor-critic": ActorCriticPolicy, "sac": SACPolicy, "td3": TD3Policy}[name]
     arguments = _arguments(settings, path)
-    if isinstance(observation_space, spaces.Dict):
-        arguments["features_extractor_class"] = CombinedExtractor
-    policy = kind(observation_space, action_space, lambda _: 0.0, **arguments)
+    if isinstance(observations, spaces.Dict):
+        arguments["features_extractor_class"] = layers.CombinedExtractor
+    policy = kind(observations, actions, lambda _: 0.0, **arguments)
     part = policy.actor if prefix else policy
     try:
         part.load_state_dict({key.removeprefix(prefix): w for key, w in weights.items() if key.startswith(prefix)})
@@ -154,11 +152,9 @@ def _observation(
     if entries and {key for key, _, _ in entries} <= set(sensors) and any(key == "lidar" for key, _, _ in entries):
         sizes = {key: int(size) for key, _, size in entries}
         high = next(float(numbers.split(", ")[-1]) for key, numbers, _ in entries if key == "lidar")
-        boxes: dict[str, spaces.Space[Any]] = {
-            key: spaces.Box(-np.inf, np.inf, (size,), np.float32) for key, size in sizes.items()
-        }
+        boxes = spaces.Dict({key: spaces.Box(-np.inf, np.inf, (size,), np.float32) for key, size in sizes.items()})
         lidar = LidarConfig(points=sizes["lidar"], max_range=high)
-        return lidar, spaces.Dict(boxes), lambda now: {key: now[key].numpy(force=True) for key in sizes}
+        return lidar, boxes, lambda now: {key: now[key].numpy(force=True) for key in sizes}
     size = next(iter(space.get("_shape") or ()), 0)
     flattened = "True" in str(space.get("bounded_below"))
     others = sum(len(sensor.bounds.low) for key, sensor in sensors.items() if key != "lidar")

@@ -11,29 +11,22 @@ from torchrl.envs import Transform
 from rover_rl.envs.task import StepEvent
 from rover_rl.sims.timing import CONTROL_DT
 
-TIME_LIMIT = round(60 / CONTROL_DT)
-"""Number of steps in which an attempt succeeds: 60 s, as in an evaluation."""
+TIME_LIMIT = round(60 / CONTROL_DT)  # number of steps in which an attempt succeeds: 60 s, as in an evaluation
 
 
 class SpreadEnds(Transform):
     """Truncates the first episode of each row after a random number of decisions, and later ones after ``longest``.
 
     Equals TorchRL's ``RandomTruncationTransform``, to the last bit, without asking at resets whether a row is reset:
-    the host would wait for a GPU. Append it after ``StepCounter``.
-
-    Args:
-        longest: largest number of decisions of an episode. The first lengths are drawn from 1 to ``longest``.
-
-    Attributes:
-        lengths: number of decisions after which the current episode of each row is truncated, int64 ``[N, 1]``.
+    the host would wait for a GPU. Append it after ``StepCounter``. ``lengths``, int64 ``[N, 1]``, are the numbers of
+    decisions after which the current episodes are truncated.
     """
 
     lengths: Tensor
 
     def __init__(self, longest: int) -> None:
         super().__init__()
-        self._longest = longest
-        self._drawn = False
+        self._longest, self._drawn = longest, False
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         over = next_tensordict["step_count"] >= self.lengths
@@ -79,10 +72,10 @@ class AttemptCounter(AttemptEntries):
     """Counts the attempts to reach a goal that succeed and fail.
 
     An attempt lasts from the setting of a goal to its end: it succeeds if the goal is reached within 60 s, and fails if
-    the episode ends before. That is how an evaluation counts. Episodes of training have a time limit, which would cut
-    many attempts off. So an attempt counts only if there is enough time when it begins: 60 s, or half of the longest
-    episode if that is less. Whether it counts does not depend on how it ends, so that the rate is not biased. It is a
-    little too low where many goals take longer than the time that is left.
+    the episode ends before, as in an evaluation. Episodes of training have a time limit, which would cut many attempts
+    off. So an attempt counts only if there is enough time when it begins: 60 s, or half of the longest episode if that
+    is less. Whether it counts does not depend on how it ends, so that the rate is not biased. It is a little too low
+    where many goals take longer than the time that is left.
 
     It adds the nested entry ``attempts``, each int64 ``[N, 1]``: ``begun``, the number of steps of the episode before
     the current attempt, ``reached`` and ``failed``, the numbers of attempts that succeeded and failed in this step.
@@ -99,6 +92,7 @@ class AttemptCounter(AttemptEntries):
 
     def __init__(self, ends: SpreadEnds, action_repeat: int, length: int) -> None:
         super().__init__()
+        # In a list, because a module would register it as its own part.
         self._ends, self._action_repeat = [ends], action_repeat
         self._least = min(TIME_LIMIT, length // 2)
 

@@ -8,7 +8,7 @@ import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
 from contextlib import AbstractContextManager, contextmanager
@@ -16,32 +16,29 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Thread
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torch.multiprocessing import get_sharing_strategy, set_sharing_strategy
 from torchrl.collectors import BaseCollector, Collector
-from torchrl.envs import EnvBase
+from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import ProbabilisticActor
 
 from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.train.env import SESSION_SEEDS, make_training_env
-from rover_rl.algos.train.rollouts import rollouts
 
+Batches: TypeAlias = Iterator[TensorDictBase]
+MakeEnv: TypeAlias = Callable[..., EnvBase]
 Estimates: TypeAlias = Mapping[str, Tensor]
 """State of the estimates of a curriculum."""
-_LAST_LINES = 60
-"""Number of lines of a failed worker's output that are reported."""
-_FILES = 512
-"""Number of files that a process may have open besides those of its workers."""
-_FILES_OF_A_WORKER = 128
-"""Number of tensors that a worker shares: about 80, more with histories and maps."""
-_POLL_INTERVAL = 1.0
-"""Time between two checks of whether the workers are alive, s."""
-_RAY_TIMEOUT = 10.0
-"""Time to wait for Ray to report which worker has ended, s."""
+_LAST_LINES = 60  # number of lines of a failed worker's output that are reported
+_FILES = 512  # number of files that a process may have open besides those of its workers
+_FILES_OF_A_WORKER = 128  # number of tensors that a worker shares: about 80, more with histories and maps
+_POLL_INTERVAL = 1.0  # time between two checks of whether the workers are alive, s
+_RAY_TIMEOUT = 10.0  # time to wait for Ray to report which worker has ended, s
 
 
 class WorkerError(ChildProcessError):
@@ -51,53 +48,116 @@ class WorkerError(ChildProcessError):
 @contextmanager
 def collect(
     config: TrainingConfig, actor: ProbabilisticActor, session: int = 0, estimates: Estimates | None = None
-) -> Iterator[Iterator[TensorDictBase]]:
+) -> Iterator[Batches]:
     """Opens a collector and yields an endless iterator over batches ``[num_envs, rollout_length]``.
 
     If the algorithm is ``asynchronous`` and there are several workers, each batch holds the rows of one worker,
     ``[rovers_per_worker, rollout_length]``, while the other workers continue. Workers receive the current weights of
-    the actor whenever a batch is requested.
-
-    Args:
-        config: settings of the training run.
-        actor: policy that collects the data.
-        session: number of times the run has been resumed.
-        estimates: state of the :class:`~rover_rl.algos.train.learnability.Learnability` that a curriculum begins with.
-
-    Raises:
-        WorkerError: by the iterator, within seconds after a worker has failed.
+    the actor whenever a batch is requested. The iterator raises :class:`WorkerError` within seconds after a worker has
+    failed. ``session`` is the number of times the run has been resumed, and ``estimates`` the state of the
+    :class:`~rover_rl.algos.train.curriculum.Learnability` that a curriculum begins with.
     """
-    frames = config.num_envs * config.algorithm.rollout_length
-    if config.algorithm.asynchronous:
-        # Each batch of an asynchronous collector comes from one worker.
-        frames //= config.workers
-    with _COLLECTORS[config.collector](config, actor, frames, session, estimates) as batches:
+    with _COLLECTORS[config.collector](config, actor, partial(_make_env, config, session, estimates)) as batches:
         yield batches
 
 
+def _make_env(
+    config: TrainingConfig, session: int, estimates: Estimates | None, worker: int = -1, log: Path | None = None
+) -> EnvBase:
+    """Makes the environment of a worker: a process, whose errors are written to ``log``, or one on a cluster.
+
+    Worker -1 is this process.
+    """
+    if worker < 0:
+        return make_training_env(config, session=session, estimates=estimates, per_batch=config.on_gpu)
+    # TorchRL also makes an environment in the training process, to read its specs.
+    in_process = log is not None and multiprocessing.parent_process() is not None
+    if in_process or log is None:
+        torch.manual_seed(config.seed + worker + session * SESSION_SEEDS)
+    if log is None:
+        torch.set_num_threads(1)
+    elif in_process:
+        # The training process handles Ctrl-C.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        # If the worker fails, the training process reports its traceback and the crash output of Bullet or Python.
+        with log.open("wb", buffering=0) as file:
+            os.dup2(file.fileno(), 2)
+        faulthandler.enable(all_threads=False)
+    return make_training_env(config, worker, session, estimates)
+
+
 @contextmanager
-def _in_this_process(
-    config: TrainingConfig, actor: ProbabilisticActor, frames: int, session: int, estimates: Estimates | None
-) -> Iterator[Iterator[TensorDictBase]]:
-    env = make_training_env(config, session=session, estimates=estimates, per_batch=config.on_gpu)
+def _in_this_process(config: TrainingConfig, actor: ProbabilisticActor, make_env: MakeEnv) -> Iterator[Batches]:
+    env: Any = make_env()
     try:
-        yield rollouts(env, actor, frames // config.num_envs)
+        yield _rollouts(env, actor, config.algorithm.rollout_length)
     finally:
         env.close(raise_if_closed=False)
 
 
+def _rollouts(env: TransformedEnv, actor: ProbabilisticActor, length: int) -> Batches:
+    """Yields endless batches ``[N, length]`` of consecutive steps, in which the actor explores.
+
+    The data is that of TorchRL's collector, to the last bit. That one reads values from the device in every step, for
+    example whether any episode has ended. Each reading waits until a GPU has finished all its work, so that the host
+    cannot prepare the next step meanwhile. This loop reads none on a GPU: it resets ended rows by mask in every step,
+    whether there are any or not. Transforms with ``batch_collected(batch)`` read what they need after each batch.
+    """
+    per_batch = [transform for transform in env.transform if hasattr(transform, "batch_collected")]
+    current = env.reset()
+    while True:
+        steps = []
+        with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+            for _ in range(length):
+                step = env.step(actor(current))
+                steps.append(step)
+                current = _with_new_episodes(env, env.step_mdp(step))
+            batch = torch.stack(steps, -1)
+        for transform in per_batch:
+            transform.batch_collected(batch)
+        yield batch
+
+
+def _with_new_episodes(env: TransformedEnv, current: TensorDictBase) -> TensorDictBase:
+    """Returns the data ``[N]`` before the next step: that of new episodes in rows whose episode has ended.
+
+    ``EnvBase.reset`` would check the values of the mask and of the new data.
+    """
+    ended = current["done"]
+    # On the CPU this check is cheap and saves most resets.
+    if ended.device.type == "cpu" and not ended.any():
+        return current
+    begun = env._reset(TensorDict({"_reset": ended}, current.batch_size, device=current.device))
+    # The actor's outputs are left out: it writes them again.
+    kept = current.select(*begun.keys())
+    return kept.where(~ended.reshape(current.batch_size), begun, pad=0)
+
+
+def _make_collector(
+    config: TrainingConfig, actor: ProbabilisticActor, make_env: MakeEnv, logs: Sequence[Path | None], **options: Any
+) -> BaseCollector:
+    """Makes TorchRL's collector with a worker for each of ``logs``."""
+    frames = config.num_envs * config.algorithm.rollout_length
+    return Collector(
+        [partial(make_env, worker, log) for worker, log in enumerate(logs)],
+        actor,
+        num_collectors=config.workers,
+        sync=not config.algorithm.asynchronous,
+        # Each batch of an asynchronous collector comes from one worker.
+        frames_per_batch=frames // config.workers if config.algorithm.asynchronous else frames,
+        **options,
+    )
+
+
 @contextmanager
-def _in_processes(
-    config: TrainingConfig, actor: ProbabilisticActor, frames: int, session: int, estimates: Estimates | None
-) -> Iterator[Iterator[TensorDictBase]]:
+def _in_processes(config: TrainingConfig, actor: ProbabilisticActor, make_env: MakeEnv) -> Iterator[Batches]:
     with _enough_files(config.workers), TemporaryDirectory(prefix="rover_rl-") as folder:
         logs = [Path(folder) / f"worker-{worker}" for worker in range(config.workers)]
-        collector = Collector(
-            [partial(_make_worker_env, config, worker, session, estimates, log) for worker, log in enumerate(logs)],
+        collector = _make_collector(
+            config,
             actor,
-            num_collectors=config.workers,
-            sync=not config.algorithm.asynchronous,
-            frames_per_batch=frames,
+            make_env,
+            logs,
             # Asynchronous batches come from one worker each and are not concatenated.
             cat_results=None if config.algorithm.asynchronous else 0,
             use_buffers=True,
@@ -135,7 +195,7 @@ def _enough_files(workers: int) -> Iterator[None]:
         set_sharing_strategy(before)
 
 
-def _watched(collector: BaseCollector, logs: list[Path]) -> Iterator[TensorDictBase]:
+def _watched(collector: BaseCollector, logs: list[Path]) -> Batches:
     """Yields the collector's batches until a worker fails."""
     batches = iter(collector)
     while True:
@@ -173,37 +233,16 @@ def _last_output(log: Path) -> str:
     return "\n".join((f"{log.name}:", *lines[-_LAST_LINES:])) if lines else f"{log.name} printed nothing"
 
 
-def _make_worker_env(
-    config: TrainingConfig, worker: int, session: int, estimates: Estimates | None, log: Path | None = None
-) -> EnvBase:
-    """Makes the environment of a worker: a process, whose errors are written to ``log``, or one on a cluster."""
-    if multiprocessing.parent_process() is not None or log is None:
-        torch.manual_seed(config.seed + worker + session * SESSION_SEEDS)
-    if log is None:
-        torch.set_num_threads(1)
-    elif multiprocessing.parent_process() is not None:
-        # The training process handles Ctrl-C.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        # If the worker fails, the training process reports its traceback and the crash output of Bullet or Python.
-        with log.open("wb", buffering=0) as file:
-            os.dup2(file.fileno(), 2)
-        faulthandler.enable(all_threads=False)
-    return make_training_env(config, worker, session, estimates)
-
-
 @contextmanager
-def _on_a_cluster(
-    config: TrainingConfig, actor: ProbabilisticActor, frames: int, session: int, estimates: Estimates | None
-) -> Iterator[Iterator[TensorDictBase]]:
+def _on_a_cluster(config: TrainingConfig, actor: ProbabilisticActor, make_env: MakeEnv) -> Iterator[Batches]:
     from ray.exceptions import RayError
 
-    collector = Collector(
-        [partial(_make_worker_env, config, worker, session, estimates) for worker in range(config.workers)],
+    collector = _make_collector(
+        config,
         actor,
-        num_collectors=config.workers,
-        sync=not config.algorithm.asynchronous,
+        make_env,
+        [None] * config.workers,
         backend="ray",
-        frames_per_batch=frames,
         total_frames=sys.maxsize,
         backend_options={
             "remote_configs": {"num_cpus": 1},
@@ -213,7 +252,7 @@ def _on_a_cluster(
         },
     )
 
-    def batches() -> Iterator[TensorDictBase]:
+    def batches() -> Batches:
         try:
             collector.update_policy_weights_()
             # Iterating over the collector itself ends all workers before the failed one can be identified.
@@ -235,8 +274,7 @@ def _on_a_cluster(
 def connect() -> int:
     """Connects to the Ray cluster at ``RAY_ADDRESS``, else to one on this machine, else starts one. Idempotent.
 
-    Returns:
-        Number of CPU cores of the cluster.
+    Returns the number of CPU cores of the cluster.
     """
     try:
         import ray
@@ -271,7 +309,7 @@ def _ended_actors(collector: BaseCollector) -> list[str]:
     return reports
 
 
-_COLLECTORS: dict[str, Callable[..., AbstractContextManager[Iterator[TensorDictBase]]]] = {
+_COLLECTORS: dict[str, Callable[..., AbstractContextManager[Batches]]] = {
     "process": _in_this_process,
     "processes": _in_processes,
     "ray": _on_a_cluster,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,17 +14,111 @@ from torch import Tensor
 
 from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.train.attempts import AttemptEntries
-from rover_rl.algos.train.learnability import Learnability
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.task import StepEvent
 from rover_rl.envs.transforms.path_reward import world_of
 from rover_rl.files import written_whole
+from rover_rl.sims.worlds.names import WorldName
 from rover_rl.sims.worlds.pool import WorldPool
 
-RECORD = "curriculum.csv"
-"""Name of the table of the worlds that were drawn, in a run's folder."""
-_UPDATE_ATTEMPTS = 64
-"""Number of attempts after which the weights of the worlds are updated."""
+_UPDATE_ATTEMPTS = 64  # number of attempts after which the weights of the worlds are updated
+_HALF_LIFE = 2_000  # number of attempts, in all worlds together, after which an attempt counts half
+# Number of attempts that the success rate of similar worlds counts for in the estimate of a world.
+_PRIOR_ATTEMPTS = 4.0
+_LEVELS = 10  # number of equal parts of the difficulties from 0 to 1
+
+
+class Learnability:
+    """Estimates the success rate p and the learnability p (1 - p) of each world of a pool from attempts in them.
+
+    Learnability is that of Rutherford et al., "No Regrets: Investigating and Improving Regret Approximations for
+    Curriculum Discovery" (SFL), NeurIPS 2024. It is the variance of success, 0.25 where every other attempt succeeds.
+
+    Attempts lose weight with later ones, because the policy changes. Most worlds of a large pool have few attempts, so
+    that the estimate of a world starts from that of its group: the worlds of the same name, with difficulties in the
+    same tenth of the range from 0 to 1. The estimate of a group starts from that of the pool, and that of the pool from
+    0.5. Each of them counts as four attempts.
+
+    Attributes:
+        attempts: number of attempts in each world of the ``pool``, with their weights, float64 ``[len(pool)]``.
+        successes: number of successful ones of them, float64 ``[len(pool)]``.
+        difficulty: difficulty of each world, nan for those named without one, float64 ``[len(pool)]``.
+
+    Example:
+        >>> learnability = Learnability(WorldPool("maze:0-99@0-1"))
+        >>> learnability.add(torch.tensor([3, 3]), successes=torch.tensor([1, 1]), failures=torch.tensor([0, 1]))
+        >>> learnability.success_rate[3]
+        tensor(0.6356, dtype=torch.float64)
+    """
+
+    def __init__(self, pool: WorldPool) -> None:
+        sources = [pool.source(index) for index in range(len(pool))]
+        names = [WorldName.parse(source) if isinstance(source, str) else WorldName("") for source in sources]
+        difficulties = [math.nan if name.difficulty is None else name.difficulty for name in names]
+        self.difficulty = torch.tensor(difficulties, dtype=torch.float64)
+        groups: dict[tuple[str, int | None], int] = {}
+        self._group = torch.tensor([groups.setdefault(_group(name), len(groups)) for name in names])
+        # As often as in a draw without weights: each entry equally often, and each of its worlds.
+        sizes = torch.tensor(pool.sizes)
+        self._even = (1 / (len(sizes) * sizes.double())).repeat_interleave(sizes)
+        self.attempts = torch.zeros(len(pool), dtype=torch.float64)
+        self.successes = torch.zeros_like(self.attempts)
+
+    def add(self, world: Tensor, successes: Tensor, failures: Tensor) -> None:
+        """Adds numbers of successful and failed attempts in worlds, given by their indices. All int64, of one shape."""
+        world, successes, failures = (values.flatten().cpu() for values in (world, successes, failures))
+        attempts = successes + failures
+        kept = 0.5 ** (attempts.sum().double() / _HALF_LIFE)
+        self.attempts = (self.attempts * kept).index_add(0, world, attempts.double())
+        self.successes = (self.successes * kept).index_add(0, world, successes.double())
+
+    @property
+    def success_rate(self) -> Tensor:
+        """Estimated success rate of each world, float64 ``[len(pool)]``."""
+        whole = _rate(self.successes.sum(), self.attempts.sum(), 0.5)
+        zeros = torch.zeros(int(self._group.max()) + 1, dtype=torch.float64)
+        successes, attempts = (zeros.index_add(0, self._group, each) for each in (self.successes, self.attempts))
+        return _rate(self.successes, self.attempts, _rate(successes, attempts, whole)[self._group])
+
+    @property
+    def values(self) -> Tensor:
+        """Estimated learnability p (1 - p) of each world, float64 ``[len(pool)]``."""
+        rate = self.success_rate
+        return rate * (1 - rate)
+
+    def probabilities(self, share: float, temperature: float) -> Tensor:
+        """Returns how often to draw each world, float64 ``[len(pool)]``.
+
+        A part ``1 - share`` of the draws is even. In the other part, the weight of a world is its learnability to the
+        power of ``1 / temperature``: low temperatures draw only the most learnable worlds.
+
+        SFL draws evenly from a buffer of the most learnable worlds instead, whose estimates come from separate rollouts
+        in a random sample. Weights need neither a size of the buffer for each size of a pool, nor a ranking of
+        estimates that hardly differ.
+        """
+        values = self.values
+        # Relative to the largest value, so that powers do not underflow everywhere.
+        weights = self._even * (values / values.max()) ** (1 / temperature)
+        return (1 - share) * self._even + share * weights / weights.sum()
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Returns the attempts."""
+        return {"attempts": self.attempts, "successes": self.successes}
+
+    def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
+        """Loads a state that :meth:`state_dict` returned, of the same worlds."""
+        self.attempts, self.successes = state["attempts"].clone(), state["successes"].clone()
+
+
+def _rate(successes: Tensor, attempts: Tensor, prior: Tensor | float) -> Tensor:
+    """Mean of the success rate under a beta distribution with the mean ``prior`` before the attempts."""
+    return (successes + _PRIOR_ATTEMPTS * prior) / (attempts + _PRIOR_ATTEMPTS)
+
+
+def _group(name: WorldName) -> tuple[str, int | None]:
+    """Worlds of equal groups are similar."""
+    level = name.difficulty
+    return name.part, None if level is None else min(int(level * _LEVELS), _LEVELS - 1)
 
 
 class Curriculum(AttemptEntries):
@@ -31,15 +126,11 @@ class Curriculum(AttemptEntries):
 
     An attempt is the way to one goal. It succeeds at the goal. It fails if the episode ends before it otherwise, or at
     the time limit if at least half of the episode went into it. The last attempts of other episodes do not count. The
-    transform estimates the :class:`~rover_rl.algos.train.learnability.Learnability` of the worlds from the attempts of
-    all rows, and updates the weights of the draw after at least 64 attempts
-    (:meth:`~rover_rl.RoverEnv.set_world_weights`).
+    attempts of all rows estimate the :class:`Learnability` of the worlds. After at least 64 attempts, they update the
+    weights of the draw (:meth:`~rover_rl.RoverEnv.set_world_weights`).
 
-    It adds the nested entry ``attempt``, each int64 ``[N, 1]``:
-
-    - ``("attempt", "begun")``: number of steps of the episode before the current attempt;
-    - ``("attempt", "succeeded")``: number of attempts that succeeded in this step;
-    - ``("attempt", "failed")``: number of attempts that failed in this step.
+    It adds the nested entry ``attempt``, each int64 ``[N, 1]``: ``begun``, the number of steps of the episode before
+    the current attempt, ``succeeded`` and ``failed``, the numbers of attempts that did so in this step.
 
     Append it after :class:`~rover_rl.envs.transforms.action_repeat.ActionRepeat`, and before transforms that truncate
     episodes.
@@ -47,8 +138,7 @@ class Curriculum(AttemptEntries):
     Args:
         env (rover_rl.RoverEnv): environment that draws worlds.
         share: part of the episodes that draws by learnability, from 0 to 1. The others draw evenly.
-        temperature: temperature of these draws: see
-            :meth:`~rover_rl.algos.train.learnability.Learnability.probabilities`.
+        temperature: temperature of these draws: see :meth:`Learnability.probabilities`.
         estimates (dict): state of the ``learnability`` to begin with. ``None`` knows nothing of the worlds.
         per_batch: whether the estimates learn from whole batches, with ``batch_collected()``, instead of from each
             step. On a GPU, the host waits for the device each time they learn.
@@ -74,9 +164,8 @@ class Curriculum(AttemptEntries):
         self.learnability = Learnability(env.pool)
         if estimates is not None:
             self.learnability.load_state_dict(estimates)
-        self._share, self._temperature, self._length = share, temperature, env.length
-        self._per_batch = per_batch
-        self._set_weights = env.set_world_weights
+        self._share, self._temperature = share, temperature
+        self._length, self._per_batch, self._set_weights = env.length, per_batch, env.set_world_weights
         self._update_weights()
 
     def _update_weights(self) -> None:
@@ -100,7 +189,6 @@ class Curriculum(AttemptEntries):
             self._add(world_of(after), after[self.key, "succeeded"], after[self.key, "failed"])
 
     def _add(self, world: Tensor, succeeded: Tensor, failed: Tensor) -> None:
-        """Adds attempts to the estimates."""
         attempts = int((succeeded + failed).sum())
         if attempts:
             self.learnability.add(world, succeeded, failed)
@@ -111,9 +199,6 @@ class Curriculum(AttemptEntries):
 
 class CurriculumRecord:
     """Worlds that a training run has drawn, and what the policy did in them, in all workers and sessions.
-
-    Args:
-        config: settings of the training run.
 
     Attributes:
         learnability: estimates from the attempts of all workers.
@@ -126,19 +211,15 @@ class CurriculumRecord:
         self._totals = torch.zeros(len(self._pool), 3, dtype=torch.int64)
 
     def __call__(self, batch: TensorDictBase) -> dict[str, float]:
-        """Adds a batch of decisions ``[N, T]``.
+        """Adds a batch of decisions ``[N, T]``; returns the mean learnability and difficulty of the worlds drawn in it.
 
-        Returns:
-            Mean learnability and difficulty of the worlds that were drawn in the batch. Worlds without a difficulty do
-            not count. Means over nothing are nan.
+        Worlds without a difficulty do not count. Means over nothing are nan.
         """
         drawn = world_of(batch)[batch["step_count"] == 0].cpu()
         learnability, difficulty = self.learnability.values[drawn], self.learnability.difficulty[drawn]
         after = batch["next"]
-        world, succeeded, failed = (
-            each.flatten().cpu()
-            for each in (world_of(after), after[Curriculum.key, "succeeded"], after[Curriculum.key, "failed"])
-        )
+        counted = world_of(after), after[Curriculum.key, "succeeded"], after[Curriculum.key, "failed"]
+        world, succeeded, failed = (each.flatten().cpu() for each in counted)
         self.learnability.add(world, succeeded, failed)
         draws, attempts, successes = self._totals.unbind(-1)
         draws.index_add_(0, drawn, torch.ones_like(drawn))
@@ -147,11 +228,11 @@ class CurriculumRecord:
         return {"drawn_learnability": learnability.mean().item(), "drawn_difficulty": difficulty.nanmean().item()}
 
     def write(self, folder: Path) -> None:
-        """Writes the table of the drawn worlds, the most frequent ones first."""
+        """Writes ``curriculum.csv``, the table of the drawn worlds, the most frequent ones first."""
         draws = self._totals[:, 0]
         rates, values = self.learnability.success_rate, self.learnability.values
         header = ("world", "draws", "attempts", "successes", "success_rate", "learnability")
-        with written_whole(folder / RECORD) as temporary, temporary.open("w", newline="") as file:
+        with written_whole(folder / "curriculum.csv") as temporary, temporary.open("w", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(header)
             for index in draws.argsort(descending=True, stable=True)[: int((draws > 0).sum())].tolist():

@@ -8,7 +8,7 @@ Example:
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +18,12 @@ from rover_rl.algos.policy.names import PRETRAINED, load_policy
 from rover_rl.envs.config import require_match
 from rover_rl.sims.worlds.pool import draws_worlds
 
-MINUTES = 2.0
-"""Default duration of fine-tuning, minutes."""
-_RATE = 0.5
-"""Default learning rate, as a fraction of that of the policy's training."""
+MINUTES = 2.0  # default duration of fine-tuning, minutes
+_RATE = 0.5  # default learning rate, as a fraction of that of the policy's training
+# Default fraction of the training in which only the critic learns. Checkpoints hold no critic: a new one begins.
 _WARMUP = 0.15
-"""Default fraction of the training in which only the critic learns. Checkpoints hold no critic: a new one begins."""
-_ROVERS = 128
-"""Default for the largest number of rovers: few of them give many updates in a short time."""
-_ALPHA = 0.01
-"""Default weight of the entropy in SAC at the start, about that at the end of a training."""
+_ROVERS = 128  # default for the largest number of rovers: few of them give many updates in a short time
+_ALPHA = 0.01  # default weight of the entropy in SAC at the start, about that at the end of a training
 
 
 def fine_tuning_config(source: str | Path, **settings: Any) -> TrainingConfig:
@@ -55,15 +51,9 @@ def fine_tuning_config(source: str | Path, **settings: Any) -> TrainingConfig:
         started_from=source if source.startswith(PRETRAINED) else str(Path(source).resolve()),
     )
     rovers = min(config.num_envs, _ROVERS)
-    defaults: dict[str, Any] = {
-        "learning_rate": _RATE * config.algorithm.learning_rate,
-        "critic_warmup": _WARMUP,
-        "num_envs": rovers,
-        # These are of the machine that the policy was trained on.
-        "collector": "auto",
-        "workers": None,
-        "device": None,
-    }
+    # Collector, workers and device are those of the machine that the policy was trained on.
+    defaults: dict[str, Any] = {"num_envs": rovers, "collector": "auto", "workers": None, "device": None}
+    defaults |= {"learning_rate": _RATE * config.algorithm.learning_rate, "critic_warmup": _WARMUP}
     if isinstance(config.algorithm, PPOConfig):
         # As many gradient steps in an update as with all rovers.
         defaults["minibatch"] = max(1, config.algorithm.minibatch * rovers // config.num_envs)
@@ -81,12 +71,10 @@ def load_source(config: TrainingConfig) -> Checkpoint | None:
         return None
     source = load_policy(config.run.started_from)
     require_match(source.env, config.env)
-    for item in fields(config.network):
-        had, given = getattr(source.config.network, item.name), getattr(config.network, item.name)
+    for name, had in vars(source.config.network).items():
         # Checkpoints hold no critic.
-        if had != given and item.name != "privileged_critic":
+        if name != "privileged_critic" and had != (given := getattr(config.network, name)):
             raise ValueError(
-                f"{item.name}={had!r} of the policy {config.run.started_from} cannot change in fine-tuning, "
-                f"got {given!r}"
+                f"{name}={had!r} of the policy {config.run.started_from} cannot change in fine-tuning, got {given!r}"
             )
     return source

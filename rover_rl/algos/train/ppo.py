@@ -14,59 +14,41 @@ logs are means over the last epoch only.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.modules import set_recurrent_mode
+from torchrl.modules import ProbabilisticActor, set_recurrent_mode
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from rover_rl.algos.config import PPOConfig, TrainingConfig
 from rover_rl.algos.policy.expert import PrivilegedExpert
 from rover_rl.algos.policy.grid_planner import follow
-from rover_rl.algos.policy.networks import (
-    ObservationEncoder,
-    action_spec,
-    make_actor,
-    make_critic,
-    middle_and_half,
-    mirrored,
-)
+from rover_rl.algos.policy.networks import action_spec, actor_of, encoder_of, make_critic, middle_and_half, mirrored
+from rover_rl.algos.policy.recurrent import state_keys
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import Learner
-from rover_rl.algos.train.sequences import MirrorMemory, mirrored_sequences
+from rover_rl.envs.sensors.base import Sensor
 from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds.pool import WorldPool
 
 __all__ = ["PPOConfig", "PPOLearner"]
 
-LOGGED = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction")
-"""Values that are logged for each gradient step."""
-
 
 class PPOLearner(Learner):
     """Actor, critic and their PPO update."""
+
+    logged = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction")
 
     def __init__(self, config: TrainingConfig) -> None:
         assert isinstance(config.algorithm, PPOConfig)
         self.config, self._settings = config, config.algorithm
         settings, network, device = config.algorithm, config.network, config.device
-        encoder = ObservationEncoder(
-            network.observation, config.env.lidar.points, network.north_up, config.env.own_sensors
-        )
-        self.actor = make_actor(
-            encoder,
-            network.hidden,
-            config.env.action,
-            network.max_std,
-            device,
-            memory=network.memory,
-            memory_size=network.memory_size,
-            follower=None if network.prior == "none" else get_robot(config.env.robot),
-        )
+        encoder = encoder_of(config)
+        self.actor = actor_of(config, encoder, device)
         self.critic = make_critic(encoder, network.hidden, device, network.privileged_critic)
         self._sensors = encoder.sensors
         self._advantage = GAE(gamma=settings.gamma, lmbda=settings.lmbda, value_network=self.critic, average_gae=True)
@@ -86,26 +68,25 @@ class PPOLearner(Learner):
 
     def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
         """Updates the networks with a batch and returns the means of the logged values over the gradient steps."""
-        learning_rate = self._set_learning_rate(share)
+        self._set_learning_rate(share)
         batch["next", "reward"] *= self._settings.reward_scale
         with torch.no_grad():
             self._advantage(batch)
         decisions = batch.select(*self._training_keys)
-        gradient_step = self._gradient_step
-        if self._expert and share < self._settings.imitation:
+        imitating = self._expert is not None and share < self._settings.imitation
+        terms = ["loss_objective", "loss_critic", "loss_entropy"]
+        if self._expert and imitating:
             # DAgger (Ross et al., 2011): the policy drives, and the expert labels the visited states with its actions.
             decisions["action"] = self._inside_bounds(self._expert(batch))
-            gradient_step = self._imitation_step
+            terms.remove("loss_entropy")
         elif share < self._settings.critic_warmup:
-            gradient_step = self._critic_step
+            terms = ["loss_critic"]
         steps = []
         for part in self._minibatches(decisions):
             with stopwatch("gradient steps"):
-                steps.append(gradient_step(part))
+                steps.append(self._gradient_step(part, terms, imitating))
         with stopwatch("gradient steps"):
-            # Includes the time until the GPU has finished.
-            means = torch.stack(steps).mean(0).tolist()
-        return {"gradient_steps": len(steps), "learning_rate": learning_rate, **dict(zip(LOGGED, means, strict=True))}
+            return self._means(steps)
 
     def _minibatches(self, decisions: TensorDictBase) -> Iterator[TensorDictBase]:
         """Yields the minibatches of all epochs, some of their decisions mirrored.
@@ -123,43 +104,30 @@ class PPOLearner(Learner):
             shuffled = decisions[order]
             if settings.mirror_augmentation:
                 rows = torch.rand(len(shuffled), device=device) < 0.5
-                if self._recurrent:
-                    states = {key: state[order] for key, state in starts.items()}
-                    shuffled = mirrored_sequences(shuffled, rows, states, self._sensors)
-                else:
-                    shuffled = mirrored(shuffled, rows, self._sensors)
+                states = {key: state[order] for key, state in starts.items()}
+                shuffled = mirrored_rows(shuffled, rows, states, self._sensors)
             yield from shuffled.split(size)
 
-    def _gradient_step(self, decisions: TensorDictBase) -> Tensor:
-        """Takes a PPO gradient step and returns the logged values. Losses of TorchRL run memories on sequences."""
-        losses = self._loss(decisions)
-        self._optimizer_step(losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"])
-        return torch.stack([losses[key].detach() for key in LOGGED])
+    def _gradient_step(self, decisions: TensorDictBase, terms: list[str], imitating: bool) -> Tensor:
+        """Takes a gradient step on the sum of some terms of PPO's loss and returns the logged values.
 
-    def _imitation_step(self, decisions: TensorDictBase) -> Tensor:
-        """Takes an imitation gradient step: ``loss_objective`` is the negative log-likelihood of ``action``."""
+        For imitation, ``loss_objective`` is the negative log-likelihood of ``action``.
+        """
+        # Losses of TorchRL run memories on sequences.
         losses = self._loss(decisions)
-        with set_recurrent_mode(True):
-            losses["loss_objective"] = -self.actor.get_dist(decisions).log_prob(decisions["action"]).mean()
-        self._optimizer_step(losses["loss_objective"] + losses["loss_critic"])
-        return torch.stack([losses[key].detach() for key in LOGGED])
-
-    def _critic_step(self, decisions: TensorDictBase) -> Tensor:
-        """Takes a gradient step of the critic alone."""
-        losses = self._loss(decisions)
-        self._optimizer_step(losses["loss_critic"])
-        return torch.stack([losses[key].detach() for key in LOGGED])
+        if imitating:
+            with set_recurrent_mode(True):
+                losses["loss_objective"] = -self.actor.get_dist(decisions).log_prob(decisions["action"]).mean()
+        self._optimizer.zero_grad()
+        torch.stack([losses[term] for term in terms]).sum().backward()
+        torch.nn.utils.clip_grad_norm_(self._loss.parameters(), self._settings.max_grad_norm)
+        self._optimizer.step()
+        return self._logged(losses)
 
     def _inside_bounds(self, action: Tensor) -> Tensor:
         """Clips actions and scales them to 95 % of their range: a squashed normal does not reach its bounds."""
         middle, half = middle_and_half(action_spec(self.config.env.action, self.config.device))
         return middle + 0.95 * torch.minimum(torch.maximum(action - middle, -half), half)
-
-    def _optimizer_step(self, loss: Tensor) -> None:
-        self._optimizer.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self._loss.parameters(), self._settings.max_grad_norm)
-        self._optimizer.step()
 
 
 def _make_expert(config: TrainingConfig) -> Callable[[TensorDictBase], Tensor]:
@@ -169,3 +137,49 @@ def _make_expert(config: TrainingConfig) -> Callable[[TensorDictBase], Tensor]:
     if config.algorithm.expert == "route":
         return lambda decisions: follow(decisions["lidar"], decisions["imu"], decisions[ROUTE], robot)
     return PrivilegedExpert(WorldPool.of(config.env.world), robot, config.device).action
+
+
+class MirrorMemory:
+    """Memory that an actor would have if it had seen the mirror image of everything.
+
+    A sequence in a batch starts with the state that the actor had there. The mirror image of the sequence has another
+    one: that of an actor that saw the mirror image from the start of the episode. This class computes it, batch by
+    batch, with one more pass of the actor over each batch. As the states that the collector stores, it is that of the
+    weights with which the batches were collected.
+    """
+
+    def __init__(self, actor: ProbabilisticActor, sensors: Mapping[str, Sensor] | None = None) -> None:
+        self._actor, self._keys, self._sensors = actor, state_keys(actor), sensors
+        self._last: dict[str, Tensor] = {}
+
+    @torch.no_grad()
+    def starts(self, decisions: TensorDictBase) -> dict[str, Tensor]:
+        """Returns the states ``[N, T, 1, units]`` of the mirror image of the next batch ``[N, T]``, by key.
+
+        Only the states at the start of a sequence or an episode are those of the mirror image. Updates read no others.
+        Without memory there are none.
+        """
+        if not self._keys:
+            return {}
+        states = {key: decisions[key].clone() for key in self._keys}
+        is_init = decisions["is_init"][:, 0, :, None]
+        for key, last in self._last.items():
+            states[key][:, 0] = torch.where(is_init, 0.0, last)
+        every = torch.ones(decisions.batch_size, dtype=torch.bool, device=decisions["is_init"].device)
+        with set_recurrent_mode(True):
+            image = self._actor[0](mirrored(decisions, every, self._sensors).update(states))
+        self._last = {key: image["next", key][:, -1] for key in self._keys}
+        return states
+
+
+def mirrored_rows(
+    decisions: TensorDictBase, rows: Tensor, starts: dict[str, Tensor], sensors: Mapping[str, Sensor] | None = None
+) -> TensorDictBase:
+    """Returns decisions ``[N]`` or sequences ``[N, T]`` with the selected ``rows`` (bool ``[N]``) mirrored.
+
+    ``starts`` are the states of their memory: see :class:`MirrorMemory`.
+    """
+    image = mirrored(decisions, rows.reshape(-1, *[1] * (decisions.ndim - 1)), sensors)
+    for key, state in starts.items():
+        image[key] = torch.where(rows[:, None, None, None], state, decisions[key])
+    return image

@@ -1,4 +1,4 @@
-"""Training progress: statistics of each batch, the table ``progress.csv``, trackers and the progress bar."""
+"""Training progress: statistics of each batch, the table ``progress.csv`` and the progress bar."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import harmonic_mean
-from types import TracebackType
+from typing import Any
 
 import torch
 from rich.console import Console
@@ -20,12 +20,9 @@ from rover_rl.envs.transforms.step_clock import NAMES
 from rover_rl.files import errors_name, written_whole
 from rover_rl.progress import ProgressDisplay
 
-EPISODE_STEPS = EnvConfig.length
-"""Number of steps of a full episode in the contract."""
-_LINE_INTERVAL = 6.0
-"""Longest time between two lines if the output is not a terminal, s."""
-_RECENT_STEPS = 80_000
-"""Number of latest steps over which the progress bar averages."""
+EPISODE_STEPS = EnvConfig.length  # number of steps of a full episode in the contract
+_LINE_INTERVAL = 6.0  # longest time between two lines if the output is not a terminal, s
+_RECENT_STEPS = 80_000  # number of latest steps over which the progress bar averages
 
 
 def batch_statistics(batch: TensorDictBase, repeat: int) -> dict[str, float]:
@@ -33,12 +30,8 @@ def batch_statistics(batch: TensorDictBase, repeat: int) -> dict[str, float]:
 
     The success rate of training, ``attempts_reached / attempts``, estimates that of an evaluation: each attempt to
     reach a goal succeeds or fails (:class:`~rover_rl.algos.train.attempts.AttemptCounter`). It is measured with
-    exploration and with the decisions of training.
-
-    Args:
-        batch: decisions.
-        repeat: number of steps per decision. A decision in which the episode ends counts in full, so that the number
-            of steps of a run does not depend on its events.
+    exploration and with the decisions of training. A decision in which the episode ends counts as ``repeat`` steps as
+    all others, so that the number of steps of a run does not depend on its events.
     """
     after = batch["next"]
     outcome, ended = after["outcome"], after["done"]
@@ -83,13 +76,7 @@ class Stopwatch:
             self._seconds[name] = self._seconds.get(name, 0.0) + time.perf_counter() - started
 
     def collected(self, batch: TensorDictBase, rows: int, waited: float) -> None:
-        """Divides the time spent waiting for a batch among the activities of its workers.
-
-        Args:
-            batch: batch with the entries of ``StepClock``.
-            rows: number of rows of each worker.
-            waited: time spent waiting for the batch, s.
-        """
+        """Divides the time spent waiting for a batch, s, among the activities of its workers of ``rows`` rows each."""
         clock = batch["next", "clock"]
         worked = []
         for worker, *times in torch.cat([clock[name] for name in NAMES], -1)[::rows, -1].tolist():
@@ -111,15 +98,8 @@ class Stopwatch:
 class ProgressLog:
     """Writes one row per batch to ``progress.csv``, and shows recent means in a progress bar.
 
-    In a resumed run, rows after the saved state are removed, because their batches are collected again. The table keeps
-    its columns: values of other names are left out, and missing ones are nan. Without a terminal, lines are printed
-    (:class:`~rover_rl.progress.ProgressDisplay`).
-
-    Args:
-        folder: folder of the run.
-        updates: number of rows of an existing table to keep.
-        steps: number of steps taken before.
-        console: console to print to; ``None``: standard output.
+    A resumed run keeps as many rows as its saved state had ``updates``, because the batches after it are collected
+    again. The table keeps its columns: values of other names are left out, and missing ones are nan.
     """
 
     def __init__(self, folder: Path, updates: int = 0, steps: int = 0, console: Console | None = None) -> None:
@@ -134,10 +114,8 @@ class ProgressLog:
         self._display.__enter__()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._display.__exit__(kind, error, trace)
+    def __exit__(self, *raised: Any) -> None:
+        self._display.__exit__(*raised)
 
     def add(self, row: dict[str, float]) -> dict[str, float]:
         """Writes a row of values by name, with at least ``steps``, and returns it with the speed."""
@@ -145,27 +123,6 @@ class ProgressLog:
         row = {**row, "steps_per_second": (row["steps"] - self._steps) / (now - self._clock)}
         self._steps, self._clock = int(row["steps"]), now
         self._recent = [*(r for r in self._recent if r["steps"] > row["steps"] - _RECENT_STEPS), row]
-        self._append(row)
-        return row
-
-    def show(self, share: float) -> None:
-        """Shows means over the latest rows, after at least one row."""
-        # Rows have equal numbers of steps, so the mean speed is the harmonic mean. The speed of a single row varies,
-        # because batches may arrive in pairs.
-        speed = harmonic_mean(row["steps_per_second"] for row in self._recent)
-        status = (
-            f"{speed:,.0f} steps/s, "
-            f"{self._mean('goals_per_2000_steps'):.1f} goals per 2,000 steps, "
-            f"success {self._success_rate():.0%}, return {self._mean('episode_return'):.0f}"
-        )
-        self._display.update(share, status)
-
-    def say(self, text: str) -> None:
-        """Prints a line above the progress bar."""
-        self._display.say(text)
-
-    def _append(self, row: dict[str, float]) -> None:
-        """Appends a row to ``progress.csv``."""
         new = not self._path.exists()
         self._columns = self._columns or list(row)
         with errors_name(self._path), self._path.open("a", newline="") as file:
@@ -173,10 +130,24 @@ class ProgressLog:
             if new:
                 writer.writeheader()
             writer.writerow({key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()})
+        return row
 
-    def _success_rate(self) -> float:
-        attempts = sum(row["attempts"] for row in self._recent)
-        return sum(row["attempts_reached"] for row in self._recent) / attempts if attempts else math.nan
+    def show(self, share: float) -> None:
+        """Shows means over the latest rows, after at least one row."""
+        # Rows have equal numbers of steps, so the mean speed is the harmonic mean. The speed of a single row varies,
+        # because batches may arrive in pairs.
+        speed = harmonic_mean(row["steps_per_second"] for row in self._recent)
+        attempts, reached = (sum(row[key] for row in self._recent) for key in ("attempts", "attempts_reached"))
+        status = (
+            f"{speed:,.0f} steps/s, "
+            f"{self._mean('goals_per_2000_steps'):.1f} goals per 2,000 steps, "
+            f"success {reached / attempts if attempts else math.nan:.0%}, return {self._mean('episode_return'):.0f}"
+        )
+        self._display.update(share, status)
+
+    def say(self, text: str) -> None:
+        """Prints a line above the progress bar."""
+        self._display.say(text)
 
     def _mean(self, key: str) -> float:
         values = [row[key] for row in self._recent if not math.isnan(row[key])]
@@ -184,11 +155,10 @@ class ProgressLog:
 
 
 def _keep_rows(path: Path, updates: int) -> list[str]:
-    """Truncates the table to its first ``updates`` rows; deletes it if there are none to keep."""
-    if not path.exists():
-        return []
+    """Truncates the table to its first ``updates`` rows, or deletes it; returns the names of its columns."""
     if not updates:
-        path.unlink()
+        path.unlink(missing_ok=True)
+    if not path.exists():
         return []
     with path.open(newline="") as file:
         kept = file.readlines()[: updates + 1]

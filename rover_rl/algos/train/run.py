@@ -1,11 +1,11 @@
 """Training loop, independent of the algorithm: budget, folder, log and checkpoints.
 
-A :class:`TrainingRun` yields batches until the budget is used or the user stops it, and saves checkpoints.
 The algorithms are in :mod:`rover_rl.algos.train.ppo` and :mod:`rover_rl.algos.train.sac`.
 """
 
 from __future__ import annotations
 
+import math
 import secrets
 import signal
 import threading
@@ -14,8 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType, TracebackType
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDictBase
@@ -45,6 +44,8 @@ from rover_rl.sims.worlds.pool import WorldPool, draws_worlds
 class Learner(ABC):
     """Actor, other networks and their update. The interface between an algorithm and :class:`TrainingRun`."""
 
+    logged: ClassVar[tuple[str, ...]]
+    """Values of the loss that are logged for each gradient step."""
     config: TrainingConfig
     actor: ProbabilisticActor
     _loss: LossModule
@@ -67,13 +68,20 @@ class Learner(ABC):
         self._loss.load_state_dict(state["loss"])
         self._optimizer.load_state_dict(state["optimizer"])
 
-    def _set_learning_rate(self, share: float) -> float:
-        """Sets the learning rate for the fraction ``share`` of training that is done, and returns it."""
+    def _set_learning_rate(self, share: float) -> None:
+        """Sets the learning rate for the fraction ``share`` of training that is done."""
         settings = self.config.algorithm
-        learning_rate = settings.learning_rate * (1 - share if settings.anneal else 1.0)
         for group in self._optimizer.param_groups:
-            group["lr"] = learning_rate
-        return learning_rate
+            group["lr"] = settings.learning_rate * (1 - share if settings.anneal else 1.0)
+
+    def _logged(self, losses: TensorDictBase) -> Tensor:
+        return torch.stack([losses[key].detach() for key in self.logged])
+
+    def _means(self, steps: list[Tensor]) -> dict[str, float]:
+        """Returns what to log of the gradient steps of an update. Waits until a GPU has finished them."""
+        means = torch.stack(steps).mean(0).tolist() if steps else [math.nan] * len(self.logged)
+        learned = {"gradient_steps": len(steps), "learning_rate": self._optimizer.param_groups[0]["lr"]}
+        return learned | dict(zip(self.logged, means, strict=True))
 
 
 @dataclass(frozen=True)
@@ -109,20 +117,10 @@ class TrainingRun:
     trackers write there. Files are replaced as a whole, every ``checkpoint_minutes`` and at the end. Ctrl-C and SIGTERM
     end the run after the current batch; a second one ends it immediately. A run whose weights become NaN or infinite,
     or whose files cannot be written, keeps its last checkpoint.
-
-    Example:
-        >>> config = training_config("ppo", world="maze", num_envs=8, total_steps=512, name="mine")
-        >>> learner = PPOLearner(config)
-        >>> with TrainingRun(config, learner) as run:
-        ...     for batch in run.batches():
-        ...         run.record(learner.update(batch, run.share, run.stopwatch))
-        >>> run.summary.checkpoint
-        PosixPath('runs/mine/checkpoint.pt')
     """
 
     def __init__(self, config: TrainingConfig, learner: Learner, folder: Path | None = None) -> None:
-        self.config = config
-        self.learner = learner
+        self.config, self.learner = config, learner
         self.steps = self.updates = self._session = 0
         self._minutes_before = self._saved_at = 0.0
         self._saved_steps: int | None = None
@@ -130,34 +128,30 @@ class TrainingRun:
         self._curriculum = None if config.collection.curriculum == "none" else CurriculumRecord(config)
         record = None if folder is None else RunRecord.of(folder, config)
         if folder is not None:
-            self.folder = folder
-            self._resume()
+            self._resume(folder)
         if self._saved_steps is None and (source := load_source(config)) is not None:
             learner.actor.load_state_dict(source.actor)
-        if folder is None:
-            self.folder = new_run_folder(config.run.runs, config.run.name, default_name(config))
+        self.folder = folder or new_run_folder(config.run.runs, config.run.name, default_name(config))
         self._record = record or RunRecord(self.folder / SETTINGS, config)
-        self._from_start = folder is not None and self._saved_steps is None
-        self._steps_before = self._collected = self.steps
         if self._saved_steps is None:
             self._record.begin()
-        self._updates_before = self.updates
+        self._from_start = folder is not None and self._saved_steps is None
+        self._steps_before = self._collected = self.steps
         self.stopwatch = Stopwatch()
         self._last_snapshot = int(self.share * config.run.snapshots)
         self._log = ProgressLog(self.folder, self.updates, self.steps)
 
-    def _resume(self) -> None:
-        """Resumes the run in the folder. A run that was killed before its first checkpoint starts again."""
-        if (self.folder / STATE).is_file():
-            self._restore(load_state(self.folder / STATE))
-        elif (self.folder / CHECKPOINT).is_file():
-            raise ValueError(
-                f"{self.folder} has a checkpoint, but no {STATE} to go on from; "
-                f"begin a new run with --config {self.folder / SETTINGS}"
-            )
-
-    def _restore(self, state: dict[str, Any]) -> None:
-        """Restores the learner, the counters and the state of PyTorch's random generator."""
+    def _resume(self, folder: Path) -> None:
+        """Restores the learner, the counters and PyTorch's random generator, if the run has a checkpoint."""
+        path = folder / STATE
+        if not path.is_file():
+            if (folder / CHECKPOINT).is_file():
+                raise ValueError(
+                    f"{folder} has a checkpoint, but no {STATE} to go on from; "
+                    f"begin a new run with --config {folder / SETTINGS}"
+                )
+            return
+        state = load_state(path)
         try:
             self.steps, self.updates, self._minutes_before = state["steps"], state["updates"], state["minutes"]
             self._session = state["session"] + 1
@@ -170,9 +164,7 @@ class TrainingRun:
         except (RuntimeError, ValueError, KeyError, TypeError) as error:
             raise ValueError("the run's training state does not fit its settings") from error
         if (diverged := first_not_finite(self.learner.weights())) is not None:
-            raise ValueError(
-                f"{self.folder / STATE} holds NaN or infinity in the weights {diverged}: it cannot be resumed"
-            )
+            raise ValueError(f"{path} holds NaN or infinity in the weights {diverged}: it cannot be resumed")
         self._saved_steps = self.steps
 
     @property
@@ -209,25 +201,24 @@ class TrainingRun:
             self._log.say(f"{self.folder} continues after {self.steps:,} steps with {self._record}")
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: Any) -> None:
+        error = raised[1]
         try:
             if isinstance(error, Exception):
                 self._require_finite()
             # A worker fails while the run waits for its batch, so the learner is in a consistent state.
             failed = isinstance(error, WorkerError)
-            if (error is None or failed) and self.updates > self._updates_before:
+            if (error is None or failed) and self.steps > self._steps_before:
                 self._save()
             if failed:
                 self._log.say(f"A worker failed. To continue: rover-rl train --resume {self.folder}")
         finally:
-            self._log.__exit__(kind, error, trace)
+            self._log.__exit__(*raised)
             self._trackers.close()
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
 
-    def _stop(self, number: int, frame: FrameType | None) -> None:
+    def _stop(self, number: int, frame: object) -> None:
         """Handles a signal: ends the run after the current batch, or immediately at the second signal."""
         if self._stopping:
             raise KeyboardInterrupt
@@ -235,20 +226,19 @@ class TrainingRun:
         self._log.say(f"{signal.Signals(number).name}: stopping after this batch; send it again to stop immediately")
 
     def batches(self) -> Iterator[TensorDictBase]:
-        """Yields batches until the run ends, at least one in a new run.
+        """Yields batches of :func:`collect` until the run ends, at least one in a new run.
 
-        Update the learner with each batch, then call :meth:`record`. The batches are those of
-        :func:`~rover_rl.algos.train.collectors.collect`.
+        Update the learner with each batch, then call :meth:`record`.
         """
         if self.updates and self.share >= 1:
             return
         estimates = self._curriculum.learnability.state_dict() if self._curriculum else None
         with collect(self.config, self.learner.actor, self._session, estimates) as batches:
+            repeat = self.config.collection.action_repeat
             while not self.updates or (self.share < 1 and not self._stopping):
                 requested = self.stopwatch.elapsed
                 batch = next(batches)
                 self.stopwatch.collected(batch, self.config.rovers_per_worker, self.stopwatch.elapsed - requested)
-                repeat = self.config.collection.action_repeat
                 self._collected = self.steps + batch.numel() * repeat
                 self._batch_statistics = batch_statistics(batch, repeat)
                 if self._curriculum:
@@ -259,8 +249,7 @@ class TrainingRun:
         """Logs the current batch and saves snapshots and checkpoints that are due."""
         self.steps, self.updates = self._collected, self.updates + 1
         counters = {"updates": self.updates, "minutes": self.minutes, "steps": self.steps}
-        row = {**counters, **self._batch_statistics, **learned}
-        self._trackers.add(self._log.add(row))
+        self._trackers.add(self._log.add({**counters, **self._batch_statistics, **learned}))
         self._require_finite()
         snapshot = int(self.share * self.config.run.snapshots)
         if snapshot > self._last_snapshot:
@@ -276,20 +265,13 @@ class TrainingRun:
             raise
 
     def _checkpoint(self) -> Checkpoint:
-        state = self.learner.actor.state_dict()
-        weights = {name: value.detach().to("cpu", copy=True) for name, value in state.items()}
-        return Checkpoint(config=self.config, steps=self.steps, actor=weights)
+        state = self.learner.actor.state_dict().items()
+        return Checkpoint(self.config, self.steps, {name: value.detach().to("cpu", copy=True) for name, value in state})
 
     def _save(self) -> None:
         self._saved_at = self.minutes
-        state = {
-            "steps": self.steps,
-            "updates": self.updates,
-            "minutes": self.minutes,
-            "session": self._session,
-            "learner": self.learner.state_dict(),
-            "random": torch.get_rng_state(),
-        }
+        state: dict[str, Any] = {"learner": self.learner.state_dict(), "random": torch.get_rng_state()}
+        state |= {"steps": self.steps, "updates": self.updates, "minutes": self.minutes, "session": self._session}
         if self.config.on_gpu:
             state["random_on_gpu"] = torch.cuda.get_rng_state(self.config.device)
         if self._curriculum:
@@ -302,13 +284,11 @@ class TrainingRun:
 
     def _require_finite(self) -> None:
         """Ends a run that has diverged, to keep its last good checkpoint."""
-        diverged = first_not_finite(self.learner.weights())
-        if diverged is None:
+        if (diverged := first_not_finite(self.learner.weights())) is None:
             return
         lower = f"--learning-rate {self.config.algorithm.learning_rate / 3:.1g}"
-        if self._saved_steps is None:
-            advice = f"there is no checkpoint yet; begin a new run with a lower learning rate, such as {lower}"
-        else:
+        advice = f"there is no checkpoint yet; begin a new run with a lower learning rate, such as {lower}"
+        if self._saved_steps is not None:
             advice = (
                 f"the last good checkpoint is {self.folder / CHECKPOINT}, of {self._saved_steps:,} steps; "
                 f"continue from it with a lower learning rate: rover-rl train --resume {self.folder} {lower}"
@@ -321,8 +301,7 @@ class TrainingRun:
 def prepare(config: TrainingConfig) -> TrainingConfig:
     """Checks the settings and seeds PyTorch. Call it before creating a learner.
 
-    Returns:
-        The settings, with the default number of workers and a random seed if none was given.
+    Returns the settings, with the default number of workers and a random seed if none was given.
     """
     config.check()
     check_trackers(config.run.logger)

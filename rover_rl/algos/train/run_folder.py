@@ -14,16 +14,14 @@ from rover_rl.algos.config_files import plain_settings, read_sessions, run_confi
 from rover_rl.algos.policy.checkpoint import CHECKPOINT, SETTINGS, Checkpoint
 from rover_rl.files import written_whole
 
-STATE = "training_state.pt"
-"""Name of the file in a run's folder from which training continues."""
+STATE = "training_state.pt"  # name of the file in a run's folder from which training continues
 _FORMAT = "rover_rl training state, version 2"
 CHANGEABLE = (
     *("total_steps", "max_minutes", "learning_rate", "anneal"),
     *("checkpoint_minutes", "snapshots", "logger", "collector", "workers", "device"),
 )
 """Settings that may change when a run is continued: its length, its learning rate, what it saves and what computes."""
-_PLACE = ("name", "runs")
-"""Settings that say where a run is, which may have been moved."""
+_PLACE = ("name", "runs")  # settings that say where a run is, which may have been moved
 
 
 def save_run(folder: Path, checkpoint: Checkpoint, state: dict[str, Any]) -> None:
@@ -46,17 +44,16 @@ def default_name(config: TrainingConfig) -> str:
 
 
 def new_run_folder(runs: str | Path, name: str | None, default: str) -> Path:
-    """Creates the folder of a new run."""
+    """Creates the folder of a new run: ``name``, or the first of ``default``, ``default-2`` and so on that is free."""
     if name is not None and Path(name).name != name:
         raise ValueError(f"name must be the name of a folder, got {name!r}")
-    names = [name] if name is not None else (default if i == 1 else f"{default}-{i}" for i in count(1))
-    for candidate in names:
+    for candidate in [name] if name is not None else (default if i == 1 else f"{default}-{i}" for i in count(1)):
         folder = Path(runs) / candidate
         try:
             folder.mkdir(parents=True)
+            return folder
         except FileExistsError:
             continue
-        return folder
     raise FileExistsError(
         f"there is a run {folder} already; choose another name, or continue it with --resume {folder}"
     )
@@ -64,20 +61,15 @@ def new_run_folder(runs: str | Path, name: str | None, default: str) -> Path:
 
 @dataclass
 class RunRecord:
-    """Settings in the ``config.yaml`` of a run, with its sessions that changed some.
-
-    Attributes:
-        path: path of the file.
-        config: settings of this session.
-        sessions: earlier sessions with other settings than the one before: each with ``from_step``, the number of steps
-            that the run had, and ``changed``, the new values by name.
-        changed: old and new values that this session changes, by name.
-    """
+    """Settings in the ``config.yaml`` of a run, with its sessions that changed some."""
 
     path: Path
     config: TrainingConfig
     sessions: list[dict[str, Any]] = field(default_factory=list)
+    """Earlier sessions with other settings than the one before: each with ``from_step``, the number of steps that the
+    run had, and ``changed``, the new values by name."""
     changed: dict[str, tuple[Any, Any]] = field(default_factory=dict)
+    """Old and new values that this session changes, by name."""
 
     @classmethod
     def of(cls, folder: Path, config: TrainingConfig) -> RunRecord:

@@ -1,9 +1,7 @@
 """SAC with TorchRL: collect decisions of a batch of rovers into a replay buffer, take gradient steps on samples of it.
 
 With several workers, collection continues during the gradient steps, with a policy that is one batch old. SAC is
-off-policy and learns from data of older policies.
-
-:class:`SACLearner` is the update; for what is around it see :mod:`rover_rl.algos.train.ppo`.
+off-policy and learns from data of older policies. For what is around the update see :mod:`rover_rl.algos.train.ppo`.
 
 The loop is explicit instead of using TorchRL 0.14's ``SACTrainer``, which learns with the same losses (inspect, 102,000
 steps). Its default file lacks the replay buffer. ``torchrl.checkpoint.Checkpoint`` saves the buffer, but a process that
@@ -24,10 +22,10 @@ from torchrl.objectives import SACLoss, SoftUpdate
 
 from rover_rl.algos.config import SACConfig, TrainingConfig
 from rover_rl.algos.policy.networks import (
-    ObservationEncoder,
     action_spec,
+    actor_of,
+    encoder_of,
     make_action_critic,
-    make_actor,
     middle_and_half,
     mirrored,
     on_features,
@@ -37,20 +35,19 @@ from rover_rl.algos.train.run import Learner
 
 __all__ = ["SACConfig", "SACLearner"]
 
-LOGGED = ("loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy")
-"""Values that are logged for each gradient step."""
-
 
 class SACLearner(Learner):
     """Actor, two critics with target networks, a replay buffer and the SAC update."""
 
+    logged = ("loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy")
+
     def __init__(self, config: TrainingConfig) -> None:
         assert isinstance(config.algorithm, SACConfig)
         self.config, self._settings = config, config.algorithm
-        settings, network, env, device = config.algorithm, config.network, config.env, config.device
-        self._encoder = ObservationEncoder(network.observation, env.lidar.points, network.north_up, env.own_sensors)
+        settings, network, device = config.algorithm, config.network, config.device
+        self._encoder = encoder_of(config)
         spec = action_spec(config.env.action, device)
-        self.actor = make_actor(self._encoder, network.hidden, config.env.action, network.max_std, device)
+        self.actor = actor_of(config, self._encoder, device)
         self._loss = SACLoss(
             on_features(self.actor),
             make_action_critic(self._encoder.features, network.hidden, config.env.action, device),
@@ -70,27 +67,20 @@ class SACLearner(Learner):
         next_keys = ("reward", "done", "terminated", *network.observation)
         self._training_keys = (*network.observation, "action", *(("next", key) for key in next_keys))
 
-    def _extend_buffer(self, batch: TensorDictBase) -> None:
-        """Adds the decisions ``[N, T]`` of a batch from a collector to the replay buffer."""
+    def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
+        """Takes the gradient steps that are due and returns the means of the logged values, nan if none are due."""
         decisions = batch.select(*self._training_keys).reshape(-1)
         decisions["next", "reward"] = decisions["next", "reward"] * self._settings.reward_scale
         self._replay_buffer.extend(decisions)
         if len(self._replay_buffer) >= self._settings.learning_starts:
             self._gradient_steps_due += self._settings.gradient_steps * len(batch) / self.config.num_envs
-
-    def update(self, batch: TensorDictBase, share: float, stopwatch: Stopwatch) -> dict[str, float]:
-        """Takes the gradient steps that are due and returns the means of the logged values, nan if none are due."""
-        self._extend_buffer(batch)
-        learning_rate = self._set_learning_rate(share)
+        self._set_learning_rate(share)
         count, self._gradient_steps_due = int(self._gradient_steps_due), self._gradient_steps_due % 1
         with stopwatch("gradient steps"):
             critic_alone = share < self._settings.critic_warmup
-            steps = [self._gradient_step(self._replay_buffer.sample(), critic_alone) for _ in range(count)]
-            # Includes the time until the GPU has finished.
-            means = torch.stack(steps).mean(0).tolist() if steps else [math.nan] * len(LOGGED)
-        return {"gradient_steps": count, "learning_rate": learning_rate, **dict(zip(LOGGED, means, strict=True))}
+            return self._means([self._gradient_step(self._replay_buffer.sample(), critic_alone) for _ in range(count)])
 
-    def _gradient_step(self, decisions: TensorDictBase, critic_alone: bool = False) -> Tensor:
+    def _gradient_step(self, decisions: TensorDictBase, critic_alone: bool) -> Tensor:
         """Takes a gradient step, of all networks or of the critics alone, and returns the logged values."""
         if self._settings.mirror_augmentation:
             rows = torch.rand(len(decisions), device=self.config.device) < 0.5
@@ -104,7 +94,7 @@ class SACLearner(Learner):
         (losses["loss_qvalue"] + rest).backward()
         self._optimizer.step()
         self._target_update.step()
-        return torch.stack([losses[key].detach() for key in LOGGED])
+        return self._logged(losses)
 
     def state_dict(self) -> dict[str, Any]:
         """Returns the weights, the state of the optimizer, the replay buffer and the gradient steps that are due."""
@@ -118,7 +108,7 @@ class SACLearner(Learner):
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Loads a state that :meth:`state_dict` returned."""
+        """See :meth:`Learner.load_state_dict`."""
         super().load_state_dict(state)
         if state["memory"]:
             count = len(state["memory"]["action"])

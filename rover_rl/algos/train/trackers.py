@@ -15,15 +15,14 @@ from torchrl.record.loggers.trackio import TrackioLogger
 from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.config_files import SEED_SUFFIX, plain
 
-PROJECT = "rover_rl"
-"""Default name of the project in Weights & Biases, Trackio and MLflow."""
+PROJECT = "rover_rl"  # default name of the project in Weights & Biases, Trackio and MLflow
 
 
 class Trackers:
     """Sends rows of values to experiment trackers.
 
-    A tracker that fails during training is reported once and left out from then on, because training is worth more
-    than its record, which ``progress.csv`` holds anyway.
+    A tracker that fails during training is reported once and left out from then on: training is worth more than its
+    record, which ``progress.csv`` holds anyway.
 
     Args:
         names: names of the trackers: see ``rover_rl.algos.config.TrackerName``.
@@ -65,7 +64,16 @@ class Trackers:
 
     def close(self) -> None:
         """Completes the record of the run."""
-        self._each(_close)
+
+        def close(logger: Logger) -> None:
+            logger.shutdown()
+            if isinstance(logger, MLFlowLogger):
+                # TorchRL leaves its run open, and the next one could not begin.
+                import mlflow
+
+                mlflow.end_run()
+
+        self._each(close)
         self._open.clear()
 
     def _each(self, action: Callable[[Logger], None]) -> None:
@@ -140,12 +148,3 @@ _OPENERS: dict[str, Callable[[Path, TrainingConfig, int | None], Logger]] = {
     "trackio": _open_trackio,
     "mlflow": _open_mlflow,
 }
-
-
-def _close(logger: Logger) -> None:
-    logger.shutdown()
-    if isinstance(logger, MLFlowLogger):
-        # TorchRL leaves its run open, and the next one could not begin.
-        import mlflow
-
-        mlflow.end_run()

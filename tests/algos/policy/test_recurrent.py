@@ -8,7 +8,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import set_recurrent_mode
 
-from rover_rl.algos.config import training_config, with_settings
+from rover_rl.algos.config import with_settings
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.recurrent import MEMORY_KEYS, RecurrentStep, state_keys
 from rover_rl.algos.policy.runner import PolicyRunner
@@ -59,20 +59,6 @@ def test_a_checkpoint_restores_the_memory(memory: str, tmp_path) -> None:
     other = Checkpoint(with_settings(loaded.config, memory_size=4), 0, loaded.actor)
     with pytest.raises(ValueError, match=rf"do not fit hidden=\(16, 8\), memory='{memory}' of 4 units"):
         other.make_actor()
-
-
-@pytest.mark.parametrize("settings", [{"memory": "gru"}, {"privileged_critic": True}])
-def test_sac_has_no_memory_and_no_privileged_critic(settings: dict) -> None:
-    training_config("ppo", **settings).check()
-    with pytest.raises(ValueError, match="memory, prior and privileged_critic are for PPO, and the algorithm is SAC"):
-        training_config("sac", **settings).check()
-
-
-def test_settings_of_a_memory_are_checked() -> None:
-    with pytest.raises(ValueError, match=r"memory must be one of \('none', 'gru', 'lstm'\), got 'rnn'"):
-        training_config("ppo", memory="rnn").check()
-    with pytest.raises(ValueError, match="memory_size must be at least 1"):
-        training_config("ppo", memory="gru", memory_size=0).check()
 
 
 @BOTH

@@ -7,22 +7,15 @@ from shutil import copytree
 
 import pytest
 
-from rover_rl.algos.config import TrainingConfig, with_settings
-from rover_rl.algos.train import train
+from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.train.run import TrainingSummary
-from tests.algos.train.runs import PPO, SAC
+from tests.algos.train.runs import PPO, SAC, run
 
 
 @pytest.fixture(scope="session")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], TrainingSummary]:
     """Returns the finished run of the small training with an algorithm. Tests only read its folder."""
-
-    @cache
-    def run(algo: str) -> TrainingSummary:
-        config = {"ppo": PPO, "sac": SAC}[algo]
-        return train(with_settings(config, runs=str(tmp_path_factory.mktemp("trained"))))
-
-    return run
+    return cache(lambda algo: run({"ppo": PPO, "sac": SAC}[algo], tmp_path_factory.mktemp("trained")))
 
 
 @pytest.fixture

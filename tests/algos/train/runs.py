@@ -2,56 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from tensordict import TensorDictBase
 
-from rover_rl.algos.config import training_config, with_settings
+from rover_rl.algos.config import TrainingConfig, training_config, with_settings
+from rover_rl.algos.policy.recurrent import MEMORY_KEYS
+from rover_rl.algos.train import train
 from rover_rl.algos.train.ppo import PPOLearner
 from rover_rl.algos.train.progress import read_progress
+from rover_rl.algos.train.run import TrainingSummary
+from rover_rl.algos.train.run_folder import load_state
 from rover_rl.algos.train.sac import SACLearner
 from rover_rl.sims.worlds import Terrain, World, box
 
-PPO = training_config(
-    "ppo",
-    world="maze",
-    backend="bullet",
-    total_steps=256,
-    num_envs=4,
-    workers=1,
-    rollout_length=4,
-    epochs=2,
-    minibatch=8,
-    hidden=(16,),
-    snapshots=2,
-)
-SAC = training_config(
-    "sac",
-    world="maze",
-    backend="bullet",
-    total_steps=256,
-    num_envs=4,
-    workers=1,
-    rollout_length=2,
-    gradient_steps=2,
-    minibatch=8,
-    learning_starts=24,
-    buffer_size=32,
-    hidden=(16,),
-    snapshots=2,
-)
+FIELD, WALL = f"{__name__}:field", f"{__name__}:wall"
+"""Worlds that are quick to prepare and to simulate."""
+SMALL: dict[str, Any] = {
+    **{"world": "maze", "backend": "bullet", "total_steps": 256, "num_envs": 4, "workers": 1},
+    **{"minibatch": 8, "hidden": (16,), "snapshots": 2},
+}
+PPO = training_config("ppo", **SMALL, rollout_length=4, epochs=2)
+SAC = training_config("sac", **SMALL, rollout_length=2, gradient_steps=2, learning_starts=24, buffer_size=32)
 LEARNABLE = with_settings(PPO, backend="warp", world="maze:0-7@0-1", curriculum="learnability", length=24)
 """A training with a curriculum."""
+GRU = with_settings(PPO, world=FIELD, memory="gru", memory_size=8, length=40, rollout_length=8, minibatch=16)
+LSTM = with_settings(GRU, memory="lstm")
 BOTH = pytest.mark.parametrize("config", [PPO, SAC], ids=["ppo", "sac"])
 """Runs a test with PPO and with SAC."""
 LEARNERS: dict[str, Any] = {"ppo": PPOLearner, "sac": SACLearner}
 """Learners, by the algorithm's name."""
-
-
-FIELD, WALL = f"{__name__}:field", f"{__name__}:wall"
-"""Worlds that are quick to prepare and to simulate."""
 
 
 def field() -> World:
@@ -62,9 +47,19 @@ def wall() -> World:
     return World("wall", Terrain.flat((6.0, 6.0)), [box((0.0, 0.0, 0.5), (0.2, 3.0, 1.0))])
 
 
+def run(config: TrainingConfig, runs: Path, resumed: Path | None = None, **settings: Any) -> TrainingSummary:
+    """Trains with other ``settings``, in the folder ``runs``."""
+    return train(with_settings(config, runs=str(runs), **settings), resumed)
+
+
 def progress_of(folder: Path) -> dict[str, list[float]]:
     """Columns of a run's ``progress.csv``, by name."""
     return read_progress(folder / "progress.csv")
+
+
+def state_of(folder: Path) -> dict[str, Any]:
+    """State from which a run continues."""
+    return load_state(folder / "training_state.pt")
 
 
 def equal(a: Any, b: Any) -> bool:
@@ -76,3 +71,43 @@ def equal(a: Any, b: Any) -> bool:
     if isinstance(a, list | tuple):
         return len(a) == len(b) and all(map(equal, a, b))
     return a == b
+
+
+def before_updates(monkeypatch: pytest.MonkeyPatch, algo: str, action: Callable[[int, Any, Any], object]) -> None:
+    """Calls ``action(number, learner, batch)`` before each update of the learner. Numbers begin with 1."""
+    learner, numbers = LEARNERS[algo], count(1)
+    update = learner.update
+
+    def watched(self: Any, batch: TensorDictBase, *rest: Any) -> dict[str, float]:
+        action(next(numbers), self, batch)
+        return update(self, batch, *rest)
+
+    monkeypatch.setattr(learner, "update", watched)
+
+
+def kept_batches(monkeypatch: pytest.MonkeyPatch) -> list[TensorDictBase]:
+    """Returns a list to which the learners of PPO add each batch, as far as it concerns the memory."""
+    collected: list[TensorDictBase] = []
+
+    def keep(number: int, learner: PPOLearner, batch: TensorDictBase) -> None:
+        keys = ("is_init", *MEMORY_KEYS[learner.config.network.memory])
+        collected.append(batch.select(*keys, "next").clone())
+
+    before_updates(monkeypatch, "ppo", keep)
+    return collected
+
+
+def check_states(batches: list[TensorDictBase], memory: str) -> TensorDictBase:
+    """Checks that the memory moves, is cleared at resets row by row, and goes on; returns the batches as one."""
+    batch = torch.cat(batches, 1)
+    is_init = batch["is_init"].squeeze(-1)
+    assert is_init[:, 0].all()
+    assert 0 < is_init[:, 1:].sum() < is_init[:, 1:].numel() / 2
+    assert torch.equal(is_init[:, 1:], batch["next", "done"].squeeze(-1)[:, :-1])
+    for key in MEMORY_KEYS[memory]:
+        state, after = batch[key], batch["next", key]
+        assert (state[is_init] == 0).all()
+        assert (after != 0).any(-1).all()
+        going_on = ~is_init[:, 1:]
+        assert torch.equal(state[:, 1:][going_on], after[:, :-1][going_on])
+    return batch

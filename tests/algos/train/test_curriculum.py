@@ -13,14 +13,11 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import check_env_specs
 
 from rover_rl import RoverEnv, Terrain, World, box
-from rover_rl.algos.config import training_config, with_settings
-from rover_rl.algos.train import train
-from rover_rl.algos.train.curriculum import Curriculum
-from rover_rl.algos.train.run_folder import load_state
+from rover_rl.algos.train.curriculum import Curriculum, Learnability
 from rover_rl.envs.config import TaskConfig
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.sims.worlds.pool import WorldPool
-from tests.algos.train.runs import LEARNABLE, equal, progress_of
+from tests.algos.train.runs import LEARNABLE, equal, progress_of, run, state_of
 
 WALLS = [World(f"wall {k}", Terrain.flat((8.0, 8.0)), [box((2.0, 0.0, 0.5), (0.2, 1.0 + k, 1.0))]) for k in range(3)]
 
@@ -107,7 +104,7 @@ def test_estimates_may_learn_from_whole_batches() -> None:
 
 
 def test_a_run_records_its_worlds_and_continues_with_its_estimates(tmp_path: Path) -> None:
-    first = train(with_settings(LEARNABLE, total_steps=512, runs=str(tmp_path)))
+    first, other = (run(LEARNABLE, tmp_path / name, total_steps=512) for name in "ab")
     progress, rows = progress_of(first.folder), _record(first.folder)
     assert len(progress["drawn_learnability"]) == len(progress["steps"])
     assert 0 < progress["drawn_learnability"][0] <= 0.25
@@ -122,9 +119,10 @@ def test_a_run_records_its_worlds_and_continues_with_its_estimates(tmp_path: Pat
         assert row["world"].startswith("maze:")
         rate = float(row["success_rate"])
         assert float(row["learnability"]) == pytest.approx(rate * (1 - rate), abs=1e-4)
-    state = load_state(first.folder / "training_state.pt")["curriculum"]
-    second = train(with_settings(LEARNABLE, total_steps=640, runs=str(tmp_path)), first.folder)
-    again = load_state(second.folder / "training_state.pt")["curriculum"]
+    state = state_of(first.folder)["curriculum"]
+    assert equal(state, state_of(other.folder)["curriculum"]), "the same seed draws the same worlds"
+    second = run(LEARNABLE, tmp_path / "a", first.folder, total_steps=640)
+    again = state_of(second.folder)["curriculum"]
     assert (again["totals"] >= state["totals"]).all()
     assert again["totals"].sum() > state["totals"].sum()
     assert sum(int(row["draws"]) for row in _record(second.folder)) >= sum(draws) + 4
@@ -135,30 +133,113 @@ def _record(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_the_same_seed_draws_the_same_worlds(tmp_path: Path) -> None:
-    summaries = [train(with_settings(LEARNABLE, runs=str(tmp_path / name))) for name in "ab"]
-    states = [load_state(summary.folder / "training_state.pt") for summary in summaries]
-    assert equal(states[0]["curriculum"], states[1]["curriculum"])
-    assert equal(states[0]["learner"], states[1]["learner"])
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick_workers")
 def test_workers_have_a_curriculum_of_their_own(tmp_path: Path) -> None:
-    config = with_settings(LEARNABLE, workers=2, total_steps=512, runs=str(tmp_path))
-    folder = train(config).folder
-    assert train(with_settings(config, total_steps=768), folder).steps == 768
+    folder = run(LEARNABLE, tmp_path, workers=2, total_steps=512).folder
+    assert run(LEARNABLE, tmp_path, folder, workers=2, total_steps=768).steps == 768
     assert sum(int(row["draws"]) for row in _record(folder)) >= 8
 
 
 def test_a_range_of_one_world_leaves_nothing_to_choose(tmp_path: Path) -> None:
-    folder = train(with_settings(LEARNABLE, world="maze:7-7", total_steps=128, runs=str(tmp_path))).folder
+    folder = run(LEARNABLE, tmp_path, world="maze:7-7", total_steps=128).folder
     assert [row["world"] for row in _record(folder)] == ["maze:7"]
 
 
 def test_a_curriculum_needs_worlds_to_choose_from(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="curriculum chooses among the worlds of a range"):
-        train(with_settings(LEARNABLE, world="maze", runs=str(tmp_path)))
+        run(LEARNABLE, tmp_path, world="maze")
     assert not list(tmp_path.iterdir())
-    with pytest.raises(ValueError, match="curriculum needs backend='warp'"):
-        training_config("ppo", curriculum="learnability", backend="bullet").check()
+
+
+# --- learnability
+
+
+def attempt(learnability: Learnability, world: int, successes: int, failures: int) -> None:
+    learnability.add(torch.tensor([world]), torch.tensor([successes]), torch.tensor([failures]))
+
+
+def test_many_attempts_in_a_world_decide_its_rate_and_few_that_of_its_group() -> None:
+    learnability = Learnability(WorldPool("maze:0-9@0.2", "maze:0-9@0.8", "moon:0-9"))
+    attempt(learnability, 0, 90, 10)
+    attempt(learnability, 10, 2, 98)
+    rates = learnability.success_rate
+    assert rates[0] == pytest.approx(0.9, abs=0.03)
+    assert rates[1:10].tolist() == pytest.approx([0.9] * 9, abs=0.03)
+    assert rates[10:20].tolist() == pytest.approx([0.02] * 10, abs=0.03)
+    # Nothing is known of the moon, except for the mean of all worlds.
+    assert rates[20:].tolist() == pytest.approx([0.46] * 10, abs=0.02)
+    torch.testing.assert_close(learnability.values, rates * (1 - rates))
+
+
+def test_worlds_of_your_own_are_one_group() -> None:
+    worlds = [World(f"field {k}", Terrain.flat((8.0, 8.0))) for k in range(3)]
+    learnability = Learnability(WorldPool(*worlds, "moon:0"))
+    attempt(learnability, 0, 0, 200)
+    assert learnability.success_rate[1] == learnability.success_rate[2] < 0.05
+    assert learnability.difficulty.isnan().all()
+
+
+def test_attempts_are_forgotten() -> None:
+    learnability = Learnability(WorldPool("maze:0-1"))
+    attempt(learnability, 0, 0, 200)
+    before = learnability.attempts[0].item()
+    attempt(learnability, 1, 1_000, 1_000)
+    assert learnability.attempts[0].item() == pytest.approx(before / 2)
+    attempt(learnability, 0, 800, 0)
+    assert learnability.success_rate[0] > 0.85
+
+
+def test_attempts_of_many_rows_are_added_up() -> None:
+    several, single = (Learnability(WorldPool("maze:0-3")) for _ in range(2))
+    several.add(torch.tensor([[2], [2], [1]]), torch.tensor([[1], [1], [0]]), torch.tensor([[0], [1], [0]]))
+    attempt(single, 2, 2, 1)
+    assert torch.equal(several.attempts, single.attempts)
+    assert torch.equal(several.success_rate, single.success_rate)
+
+
+def test_without_attempts_draws_are_those_without_a_curriculum() -> None:
+    learnability = Learnability(WorldPool("maze:0-3", "moon"))
+    expected = torch.tensor([0.125] * 4 + [0.5], dtype=torch.float64)
+    torch.testing.assert_close(learnability.probabilities(0.5, 0.25), expected)
+
+
+def test_draws_prefer_worlds_of_half_the_attempts_and_a_share_stays_even() -> None:
+    learnability = Learnability(WorldPool("maze:0-2"))
+    for world, successes in enumerate((2, 50, 97)):
+        attempt(learnability, world, successes, 100 - successes)
+    even, mixed, sharp = (learnability.probabilities(*each) for each in ((0.0, 0.25), (0.4, 0.25), (1.0, 0.02)))
+    assert even.tolist() == pytest.approx([1 / 3] * 3)
+    for probabilities in (mixed, sharp):
+        assert probabilities.sum().item() == pytest.approx(1)
+    assert mixed.min() >= 0.6 / 3
+    assert mixed[1] > 0.59
+    assert sharp[1] > 0.999
+
+
+def test_difficulty_rises_with_success() -> None:
+    """A learner whose skill rises reaches its goals where the difficulty is below its skill, give or take 0.1."""
+    learnability, generator = Learnability(WorldPool("maze:0-999@0-1")), torch.Generator().manual_seed(0)
+    difficulties = []
+    for skill in (0.2, 0.5, 0.8):
+        for _ in range(20):
+            probabilities = learnability.probabilities(1.0, 0.25)
+            drawn = torch.multinomial(probabilities, 200, replacement=True, generator=generator)
+            rate = torch.sigmoid((skill - learnability.difficulty[drawn]) / 0.05)
+            reached = (torch.rand(200, generator=generator) < rate).long()
+            learnability.add(drawn, reached, 1 - reached)
+        difficulties.append(_mean(learnability.difficulty, learnability.probabilities(1.0, 0.25)))
+    assert difficulties == pytest.approx([0.2, 0.5, 0.8], abs=0.08)
+
+
+def _mean(values: Tensor, probabilities: Tensor) -> float:
+    return (values * probabilities).sum().item()
+
+
+def test_the_state_is_restored() -> None:
+    first, second = (Learnability(WorldPool("maze:0-3")) for _ in range(2))
+    attempt(first, 2, 3, 5)
+    second.load_state_dict(first.state_dict())
+    assert torch.equal(second.values, first.values)
+    attempt(second, 2, 3, 5)
+    assert not torch.equal(second.attempts, first.attempts)

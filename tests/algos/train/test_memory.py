@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -15,20 +16,30 @@ from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.policy.networks import mirrored
 from rover_rl.algos.policy.recurrent import MEMORY_KEYS
 from rover_rl.algos.policy.runner import PolicyRunner
-from rover_rl.algos.train import train
 from rover_rl.algos.train.collectors import collect
-from rover_rl.algos.train.ppo import PPOLearner
+from rover_rl.algos.train.ppo import MirrorMemory, PPOLearner, mirrored_rows
 from rover_rl.algos.train.progress import Stopwatch
 from rover_rl.algos.train.run import prepare
-from rover_rl.algos.train.run_folder import load_state
-from rover_rl.algos.train.sequences import MirrorMemory, mirrored_sequences
-from tests.algos.train.memories import GRU, LSTM, check_states, joined, kept_batches
-from tests.algos.train.runs import FIELD, PPO, WALL, equal, field, progress_of
+from tests.algos.train.runs import (
+    FIELD,
+    GRU,
+    LSTM,
+    PPO,
+    WALL,
+    check_states,
+    equal,
+    field,
+    kept_batches,
+    progress_of,
+    run,
+    state_of,
+)
 
 BOTH = pytest.mark.parametrize("config", [GRU, LSTM], ids=["gru", "lstm"])
 OBSERVATION = PPO.network.observation
 
 
+@cache
 def batches(config: TrainingConfig, count: int) -> tuple[PPOLearner, list[TensorDictBase]]:
     """Returns a learner and the first batches ``[4, 8]`` that it collects, without an update."""
     config = prepare(config)
@@ -41,8 +52,7 @@ def batches(config: TrainingConfig, count: int) -> tuple[PPOLearner, list[Tensor
 @torch.no_grad()
 def test_the_memory_moves_in_collected_data_and_is_cleared_at_resets(config: TrainingConfig) -> None:
     learner, collected = batches(config, 3)
-    batch = joined(collected)
-    check_states(batch, config.network.memory)
+    batch = check_states(collected, config.network.memory)
     # What was collected step by step follows from the whole sequence of observations, and nothing else.
     seen = batch.select(*OBSERVATION, "is_init")
     with set_recurrent_mode(True):
@@ -54,7 +64,7 @@ def test_the_memory_moves_in_collected_data_and_is_cleared_at_resets(config: Tra
 @BOTH
 @torch.no_grad()
 def test_a_policy_that_drives_has_the_memory_of_training(config: TrainingConfig) -> None:
-    learner, (batch,) = batches(config, 1)
+    learner, (batch, *_) = batches(config, 3)
     runner = PolicyRunner(learner.actor)
     for step in batch.unbind(1):
         runner.reset(step["is_init"].squeeze(-1))
@@ -75,19 +85,19 @@ def test_the_first_gradient_step_finds_the_probabilities_of_the_collected_action
 @BOTH
 @torch.no_grad()
 def test_mirror_images_have_the_memory_of_one_that_saw_them_from_the_start(config: TrainingConfig) -> None:
-    learner, collected = batches(config, 2)
+    learner, collected = batches(config, 3)
     memory, keys = MirrorMemory(learner.actor), (*OBSERVATION, "is_init", *MEMORY_KEYS[config.network.memory])
-    decisions = [batch.select(*keys) for batch in collected]
+    decisions = [batch.select(*keys) for batch in collected[:2]]
     starts = [memory.starts(part) for part in decisions]
     runner = PolicyRunner(learner.actor, action_repeat=1)
-    image = mirrored(joined(decisions).select(*OBSERVATION, "is_init"), torch.ones(4, 16, dtype=torch.bool))
+    image = mirrored(torch.cat(decisions, 1).select(*OBSERVATION, "is_init"), torch.ones(4, 16, dtype=torch.bool))
     actions = []
     for step in image.unbind(1):
         runner.reset(step["is_init"].squeeze(-1))
         actions.append(runner(step.select(*OBSERVATION)))
     rows = torch.tensor([True, False, True, True])
     with set_recurrent_mode(True):
-        second = learner.actor(mirrored_sequences(decisions[1], rows, starts[1]))["action"]
+        second = learner.actor(mirrored_rows(decisions[1], rows, starts[1]))["action"]
         original = learner.actor(decisions[1].clone())["action"]
     torch.testing.assert_close(second[rows], torch.stack(actions[8:], 1)[rows])
     assert torch.equal(second[~rows], original[~rows])
@@ -96,14 +106,13 @@ def test_mirror_images_have_the_memory_of_one_that_saw_them_from_the_start(confi
 
 @BOTH
 def test_a_training_on_sequences(config: TrainingConfig, tmp_path: Path) -> None:
-    summaries = [train(with_settings(config, runs=str(tmp_path / str(number)))) for number in range(2)]
-    folder = summaries[0].folder
-    states = [load_state(summary.folder / "training_state.pt")["learner"] for summary in summaries]
+    folder, other = (run(config, tmp_path / number).folder for number in "ab")
+    states = [state_of(each)["learner"] for each in (folder, other)]
     assert equal(*states)
     # Four rovers in minibatches of two whole sequences, two epochs.
     assert progress_of(folder)["gradient_steps"] == [4.0] * 2
-    first, last = (torch.load(path, weights_only=True) for path in _policies(folder))
-    moved = {name: not torch.equal(first["actor"][name], last["actor"][name]) for name in first["actor"]}
+    first, last = (Checkpoint.load(path).actor for path in sorted((folder / "snapshots").iterdir()))
+    moved = {name: not torch.equal(first[name], last[name]) for name in first}
     assert all(moved.values()), moved
     actor = Checkpoint.load(folder).make_actor()
     evaluation = evaluate(actor, draw_episodes(field(), 2, 0), seconds=1)
@@ -111,11 +120,7 @@ def test_a_training_on_sequences(config: TrainingConfig, tmp_path: Path) -> None
     learner = PPOLearner(config)
     learner.load_state_dict(states[0])
     assert equal(learner.state_dict(), states[0])
-    assert train(with_settings(config, total_steps=384, runs=str(tmp_path)), folder).steps == 384
-
-
-def _policies(folder: Path) -> list[Path]:
-    return sorted((folder / "snapshots").iterdir())
+    assert run(config, tmp_path, folder, total_steps=384).steps == 384
 
 
 @BOTH
@@ -131,9 +136,9 @@ def test_sequences_are_mirrored_and_imitated_as_a_whole(config: TrainingConfig) 
 @BOTH
 def test_workers_carry_the_memory(config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     collected = kept_batches(monkeypatch)
-    train(with_settings(config, workers=2, total_steps=384, runs=str(tmp_path)))
+    run(config, tmp_path, workers=2, total_steps=384)
     assert len(collected) == 3
-    check_states(joined(collected), config.network.memory)
+    check_states(collected, config.network.memory)
 
 
 @pytest.mark.parametrize("memory", ["none", "gru"])
@@ -153,7 +158,7 @@ def test_a_privileged_critic_learns(memory: str, tmp_path: Path) -> None:
     before = {name: weight.clone() for name, weight in learner.weights().items()}
     learner.update(batch, 0.0, Stopwatch())
     assert all(not torch.equal(weight, before[name]) for name, weight in learner.weights().items())
-    summary = train(with_settings(config, total_steps=128, runs=str(tmp_path)))
+    summary = run(config, tmp_path, total_steps=128)
     # Whoever drives the policy needs no privileged observation.
     actor = Checkpoint.load(summary.folder).make_actor()
     assert len(evaluate(actor, draw_episodes(field(), 1, 0), seconds=1).endings) == 1

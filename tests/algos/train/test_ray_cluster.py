@@ -8,20 +8,15 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import psutil
 import pytest
 
 from rover_rl.algos.config import UNLIMITED_STEPS, with_settings
 from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.algos.train import train
 from rover_rl.algos.train.collectors import WorkerError
-from rover_rl.algos.train.ppo import PPOLearner
-from rover_rl.algos.train.run_folder import load_state
 from tests.algos.train import runs
-from tests.algos.train.memories import check_states, joined, kept_batches
-from tests.algos.train.runs import progress_of
+from tests.algos.train.runs import before_updates, check_states, kept_batches, progress_of, run, state_of
 
 PPO = with_settings(runs.PPO, collector="ray", workers=None)
 SAC = with_settings(runs.SAC, collector="ray", workers=None)
@@ -59,7 +54,7 @@ def _words(process: psutil.Process) -> list[str]:
 
 @pytest.mark.slow
 def test_sac_learns_from_one_worker_while_the_other_collects(cluster: None, tmp_path: Path) -> None:
-    progress = progress_of(train(with_settings(SAC, total_steps=128, runs=str(tmp_path))).folder)
+    progress = progress_of(run(SAC, tmp_path, total_steps=128).folder)
     assert progress["steps"] == list(range(16, 129, 16))
 
 
@@ -69,27 +64,24 @@ def test_remote_workers_carry_the_memory_and_have_a_curriculum_of_their_own(
 ) -> None:
     collected = kept_batches(monkeypatch)
     memory = {"memory": "gru", "memory_size": 8, "rollout_length": 8, "minibatch": 16}
-    config = with_settings(runs.LEARNABLE, **memory, collector="ray", workers=2, total_steps=384, runs=str(tmp_path))
-    folder = train(config).folder
+    config = with_settings(runs.LEARNABLE, **memory, collector="ray", workers=2)
+    folder = run(config, tmp_path, total_steps=384).folder
     assert len(collected) == 3
-    check_states(joined(collected), "gru")
-    assert train(with_settings(config, total_steps=512), folder).steps == 512
+    check_states(collected, "gru")
+    assert run(config, tmp_path, folder, total_steps=512).steps == 512
     record = (folder / "curriculum.csv").read_text().splitlines()
     assert sum(int(row.split(",")[1]) for row in record[1:]) >= 8
 
 
 def kill_a_worker_at_the_third_update(monkeypatch: pytest.MonkeyPatch, wait: float) -> None:
     """Lets PPO kill a worker and wait for some seconds."""
-    update, calls = PPOLearner.update, []
 
-    def killing(self: Any, *args: Any) -> dict[str, float]:
-        calls.append(1)
-        if len(calls) == 3:
+    def kill(number: int, *_: object) -> None:
+        if number == 3:
             remote_workers()[0].send_signal(signal.SIGKILL)
             time.sleep(wait)
-        return update(self, *args)
 
-    monkeypatch.setattr(PPOLearner, "update", killing)
+    before_updates(monkeypatch, "ppo", kill)
 
 
 @pytest.mark.slow
@@ -98,12 +90,12 @@ def test_ppo_takes_the_same_steps_as_on_one_machine_also_if_a_worker_was_killed(
 ) -> None:
     kill_a_worker_at_the_third_update(monkeypatch, wait=0)
     with pytest.raises(WorkerError, match="actor died"):
-        train(with_settings(PPO, total_steps=UNLIMITED_STEPS, runs=str(tmp_path), name="dying"))
+        run(PPO, tmp_path, total_steps=UNLIMITED_STEPS, name="dying")
     folder = tmp_path / "dying"
-    assert load_state(folder / "training_state.pt")["updates"] >= 3
+    assert state_of(folder)["updates"] >= 3
     monkeypatch.undo()
     steps = Checkpoint.load(folder).steps
-    again = train(with_settings(PPO, total_steps=steps + 128, runs=str(tmp_path), name="dying"), folder)
+    again = run(PPO, tmp_path, folder, total_steps=steps + 128, name="dying")
     assert again.steps == steps + 128
     assert progress_of(folder)["steps"] == list(range(64, steps + 129, 64))
     assert sum(again.shares.values()) == pytest.approx(1)
@@ -116,31 +108,31 @@ def test_ppo_takes_the_same_steps_as_on_one_machine_also_if_a_worker_was_killed(
 def test_a_run_in_warp_ends_resumably_if_a_worker_was_killed_a_while_ago(
     cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = with_settings(PPO, backend="warp", runs=str(tmp_path), name="dying")
+    config = with_settings(PPO, backend="warp", name="dying")
     kill_a_worker_at_the_third_update(monkeypatch, wait=2)
     with pytest.raises(WorkerError, match="actor died"):
-        train(with_settings(config, total_steps=UNLIMITED_STEPS))
+        run(config, tmp_path, total_steps=UNLIMITED_STEPS)
     folder = tmp_path / "dying"
-    assert load_state(folder / "training_state.pt")["updates"] >= 3
+    assert state_of(folder)["updates"] >= 3
     monkeypatch.undo()
     checkpoint = Checkpoint.load(folder)
     assert (checkpoint.env.backend, checkpoint.env.num_envs) == ("warp", PPO.num_envs)
     steps = checkpoint.steps
     # Without the cluster, whose workers take seconds to start.
-    config = with_settings(config, collector="auto", workers=1, total_steps=steps + 64)
-    assert train(config, folder).steps == steps + 64
+    again = run(config, tmp_path, folder, collector="auto", workers=1, total_steps=steps + 64)
+    assert again.steps == steps + 64
     assert progress_of(folder)["steps"] == list(range(64, steps + 65, 64))
 
 
 @pytest.mark.slow
 def test_more_workers_than_processors_raise(cluster: None, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="workers=4 need a processor each, and the Ray cluster has 2"):
-        train(with_settings(PPO, workers=4, runs=str(tmp_path)))
+        run(PPO, tmp_path, workers=4)
     assert not list(tmp_path.iterdir())
 
 
 def test_without_ray_the_error_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(ImportError, match=r'pip install "rover_rl\[ray\]"'):
-        train(with_settings(PPO, runs=str(tmp_path)))
+        run(PPO, tmp_path)
     assert not list(tmp_path.iterdir())

@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -19,39 +18,28 @@ from rover_rl.algos.config import TrainingConfig, with_settings
 from rover_rl.algos.config_files import read_config, read_sessions
 from rover_rl.algos.evaluation.evaluate import draw_episodes, evaluate
 from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.algos.train import train
 from rover_rl.algos.train.run import TrainingSummary
-from rover_rl.algos.train.run_folder import load_state, save_run
+from rover_rl.algos.train.run_folder import save_run
 from rover_rl.cli import main
-from tests.algos.train.runs import BOTH, LEARNERS, PPO, equal, progress_of
+from tests.algos.train.runs import BOTH, LEARNERS, PPO, SAC, before_updates, equal, progress_of, run, state_of
 from tests.fork_server import fork_server
 
 Trained = Callable[[str], TrainingSummary]
 OwnRun = Callable[[TrainingConfig], Path]
 
 
-@BOTH
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("config", "number"), [(PPO, signal.SIGINT), (SAC, signal.SIGTERM)])
 def test_a_stopped_run_continues_where_it_was(
     config: TrainingConfig, number: signal.Signals, trained: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = trained(config.algo)
     handlers = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
-    learner = LEARNERS[config.algo]
-    update, calls = learner.update, []
-
-    def stopped(self: Any, *args: Any) -> dict[str, float]:
-        calls.append(1)
-        if len(calls) == 2:
-            os.kill(os.getpid(), number)
-        return update(self, *args)
-
-    monkeypatch.setattr(learner, "update", stopped)
-    first = train(with_settings(config, runs=str(tmp_path), name="stopped"))
+    before_updates(monkeypatch, config.algo, lambda update, *_: update == 2 and os.kill(os.getpid(), number))
+    first = run(config, tmp_path, name="stopped")
     assert first.interrupted
     assert len(progress_of(first.folder)["updates"]) == 2
     assert Checkpoint.load(first.checkpoint).steps == first.steps
-    second = train(with_settings(config, runs=str(tmp_path), name="stopped"), first.folder)
+    second = run(config, tmp_path, first.folder, name="stopped")
     assert not second.interrupted
     counters = ("updates", "steps", "gradient_steps", "learning_rate")
     assert [progress_of(second.folder)[key] for key in counters] == [progress_of(whole.folder)[key] for key in counters]
@@ -61,28 +49,23 @@ def test_a_stopped_run_continues_where_it_was(
 @BOTH
 def test_the_learners_state_is_restored_exactly(config: TrainingConfig, own_run: OwnRun, tmp_path: Path) -> None:
     folder = own_run(config)
-    state = load_state(folder / "training_state.pt")
+    state = state_of(folder)["learner"]
     learner = LEARNERS[config.algo](config)
-    learner.load_state_dict(state["learner"])
-    assert equal(learner.state_dict(), state["learner"])
+    learner.load_state_dict(state)
+    assert equal(learner.state_dict(), state)
+    if config is SAC:
+        # 64 decisions were written to 32 places.
+        assert (len(state["memory"]["action"]), state["cursor"]) == (32, 0)
     # A run that has used its budget is not continued.
-    again = train(with_settings(config, runs=str(tmp_path)), folder)
-    assert again.steps == 256
-    assert equal(load_state(folder / "training_state.pt")["learner"], state["learner"])
-
-
-def test_a_full_replay_buffer_continues_at_the_same_place(trained: Trained) -> None:
-    state = load_state(trained("sac").folder / "training_state.pt")
-    # 64 decisions were written to 32 places.
-    assert len(state["learner"]["memory"]["action"]) == 32
-    assert state["learner"]["cursor"] == 0
+    assert run(config, tmp_path, folder).steps == 256
+    assert equal(state_of(folder)["learner"], state)
 
 
 def test_a_state_of_other_settings_raises(own_run: OwnRun, tmp_path: Path) -> None:
     folder = own_run(PPO)
     written = (folder / "config.yaml").read_text()
     with pytest.raises(ValueError, match=r"trained with world='maze', hidden=\[16\], and a run that"):
-        train(with_settings(PPO, runs=str(tmp_path), hidden=(8,), world="moon"), folder)
+        run(PPO, tmp_path, folder, hidden=(8,), world="moon")
     assert (folder / "config.yaml").read_text() == written
 
 
@@ -93,15 +76,15 @@ def test_the_record_lists_sessions_with_other_settings_once_they_have_trained(
     path = folder / "config.yaml"
     written = path.read_text()
     # Its budget is used: nothing is trained with the new learning rate.
-    train(with_settings(PPO, runs=str(tmp_path), learning_rate=1e-5), folder)
+    run(PPO, tmp_path, folder, learning_rate=1e-5)
     assert path.read_text() == written
     longer = with_settings(PPO, runs=str(tmp_path), learning_rate=1e-5, total_steps=320)
-    assert train(longer, folder).steps == 320
+    assert run(longer, tmp_path, folder).steps == 320
     assert read_config(path) == longer
     expected = [{"from_step": 256, "changed": {"learning_rate": 1e-5, "total_steps": 320}}]
     assert read_sessions(path) == expected
     assert "continues after 256 steps with" in capsys.readouterr().out
-    train(with_settings(longer, total_steps=384), folder)
+    run(longer, tmp_path, folder, total_steps=384)
     assert [session["from_step"] for session in read_sessions(path)] == [256, 320]
 
 
@@ -113,7 +96,7 @@ def test_a_run_killed_before_its_first_checkpoint_starts_over(
     for name in ("checkpoint.pt", "training_state.pt"):
         (folder / name).unlink()
     capsys.readouterr()
-    assert train(with_settings(PPO, runs=str(tmp_path)), folder).steps == 256
+    assert run(PPO, tmp_path, folder).steps == 256
     assert f"{folder} has no checkpoint yet: its training begins from the start\n" in capsys.readouterr().out
     assert progress_of(folder)["loss_objective"] == expected
 
@@ -122,18 +105,18 @@ def test_a_checkpoint_without_its_training_state_is_not_overwritten(own_run: Own
     folder = own_run(PPO)
     (folder / "training_state.pt").unlink()
     with pytest.raises(ValueError, match=r"has a checkpoint, but no training_state\.pt to go on from; begin a new run"):
-        train(with_settings(PPO, runs=str(tmp_path)), folder)
+        run(PPO, tmp_path, folder)
     assert Checkpoint.load(folder).steps == 256
 
 
 def test_a_state_with_infinite_weights_raises(own_run: OwnRun, tmp_path: Path) -> None:
     folder = own_run(PPO)
-    state = load_state(folder / "training_state.pt")
+    state = state_of(folder)
     name = next(name for name in state["learner"]["loss"] if name.startswith("critic_network_params"))
     state["learner"]["loss"][name].fill_(torch.inf)
     save_run(folder, Checkpoint.load(folder), state)
     with pytest.raises(ValueError, match=rf"training_state\.pt holds NaN or infinity in the weights {name}: it cannot"):
-        train(with_settings(PPO, runs=str(tmp_path)), folder)
+        run(PPO, tmp_path, folder)
 
 
 def test_steps_after_the_last_state_are_repeated(own_run: OwnRun, tmp_path: Path) -> None:
@@ -142,7 +125,7 @@ def test_steps_after_the_last_state_are_repeated(own_run: OwnRun, tmp_path: Path
     lines = progress.read_text().splitlines()
     # As after a kill: a row that is newer than the state, and half of another.
     progress.write_text("\n".join([*lines, lines[-1], lines[-1][:20]]))
-    train(with_settings(PPO, runs=str(tmp_path), total_steps=384), folder)
+    run(PPO, tmp_path, folder, total_steps=384)
     assert progress_of(folder)["updates"] == list(range(1, 7))
 
 
@@ -150,11 +133,9 @@ def test_steps_after_the_last_state_are_repeated(own_run: OwnRun, tmp_path: Path
 def test_a_killed_run_continues_without_gaps_or_duplicates(tmp_path: Path) -> None:
     """Kills a run six times at random moments. After each, every file can be read."""
     folder, moments = tmp_path / "sac-maze", random.Random(0)
-    sizes = ["--num-envs", "4", "--workers", "1", "--hidden", "16"]
-    sizes += ["--learning-starts", "24", "--minibatch", "8", "--gradient-steps", "2"]
-    begin = ["--algo", "sac", "--world", "maze", "--runs", str(tmp_path), "--snapshots", "10000000"]
-    begin += ["--total-steps", "1000000000"]
-    begin += [*sizes, "--checkpoint-minutes", "0.002"]
+    begin = ["--algo", "sac", "--world", "maze", "--runs", str(tmp_path), "--num-envs", "4", "--workers", "1"]
+    begin += ["--hidden", "16", "--learning-starts", "24", "--minibatch", "8", "--gradient-steps", "2"]
+    begin += ["--snapshots", "10000000", "--total-steps", "1000000000", "--checkpoint-minutes", "0.002"]
     for life in range(6):
         resumed = (folder / "config.yaml").is_file()
         process = start(["--resume", str(folder)] if resumed else begin)
@@ -168,10 +149,10 @@ def test_a_killed_run_continues_without_gaps_or_duplicates(tmp_path: Path) -> No
         process.kill()
         process.join()
         if (folder / "training_state.pt").is_file():
-            assert load_state(folder / "training_state.pt")["updates"] <= len(progress_of(folder)["updates"])
+            assert state_of(folder)["updates"] <= len(progress_of(folder)["updates"])
         if (folder / "checkpoint.pt").is_file():
             Checkpoint.load(folder)
-    reached = load_state(folder / "training_state.pt")["steps"]
+    reached = state_of(folder)["steps"]
     last = start(["--resume", str(folder), "--total-steps", str(reached + 160)])
     last.join()
     assert last.exitcode == 0
@@ -210,11 +191,9 @@ def wait_until(condition: Callable[[], bool], process: BaseProcess) -> None:
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 @BOTH
 def test_training_on_a_gpu_continues_where_it_was(config: TrainingConfig, tmp_path: Path) -> None:
-    config = with_settings(config, backend="warp", device="cuda", runs=str(tmp_path))
-    first = train(with_settings(config, total_steps=256))
-    again = train(with_settings(config, total_steps=512, name=first.folder.name), first.folder)
+    config = with_settings(config, backend="warp", device="cuda")
+    first = run(config, tmp_path)
+    again = run(config, tmp_path, first.folder, total_steps=512, name=first.folder.name)
     assert (first.steps, again.steps) == (256, 512)
-    assert (
-        len(evaluate(Checkpoint.load(again.checkpoint).make_actor(), draw_episodes("maze", 2, 0), seconds=1).endings)
-        == 2
-    )
+    actor = Checkpoint.load(again.checkpoint).make_actor()
+    assert len(evaluate(actor, draw_episodes("maze", 2, 0), seconds=1).endings) == 2

@@ -14,12 +14,10 @@ from rover_rl.algos.config import UNLIMITED_STEPS, TrainingConfig, training_conf
 from rover_rl.algos.config_files import read_config
 from rover_rl.algos.evaluation.evaluate import draw_episodes, evaluate
 from rover_rl.algos.policy.checkpoint import Checkpoint
-from rover_rl.algos.train import train
-from rover_rl.algos.train.run import TrainingSummary
-from rover_rl.algos.train.run_folder import load_state
+from rover_rl.algos.train.run import TrainingSummary, prepare
 from rover_rl.envs import EnvConfig
 from rover_rl.envs.config import Randomization
-from tests.algos.train.runs import BOTH, FIELD, PPO, WALL, equal, progress_of
+from tests.algos.train.runs import BOTH, FIELD, PPO, WALL, equal, progress_of, run, state_of
 
 Trained = Callable[[str], TrainingSummary]
 
@@ -54,7 +52,7 @@ def test_a_trained_policy_can_be_evaluated(config: TrainingConfig, trained: Trai
 def test_ppo_learns_to_reach_goals(tmp_path: Path) -> None:
     """After these steps, half a minute on a core, 32 of 32 goals were reached with either seed, at random none."""
     config = training_config("ppo", world="inspect", num_envs=64, minibatch=256, total_steps=100_000, seed=0)
-    actor = Checkpoint.load(train(with_settings(config, runs=str(tmp_path))).checkpoint).make_actor()
+    actor = Checkpoint.load(run(config, tmp_path).checkpoint).make_actor()
     episodes = draw_episodes("inspect", 32, seed=0)
     assert evaluate(actor, episodes, env=EnvConfig(backend="warp"), seconds=40).success_rate >= 0.8
 
@@ -63,59 +61,29 @@ def test_ppo_learns_to_reach_goals(tmp_path: Path) -> None:
 def test_the_same_seed_gives_the_same_weights_to_the_last_bit(
     config: TrainingConfig, trained: Trained, tmp_path: Path
 ) -> None:
-    seeds = (config.seed, config.seed + 1)
-    runs = [trained(config.algo), *(train(with_settings(config, runs=str(tmp_path), seed=seed)) for seed in seeds)]
-    first, again, other = (load_state(run.folder / "training_state.pt")["learner"] for run in runs)
+    runs = [trained(config.algo), *(run(config, tmp_path, seed=config.seed + more) for more in (0, 1))]
+    first, again, other = (state_of(each.folder)["learner"] for each in runs)
     assert equal(first, again)
     assert not equal(first, other)
 
 
 @BOTH
-def test_a_policy_can_be_trained_in_several_worlds_at_once(config: TrainingConfig, tmp_path: Path) -> None:
-    summary = train(with_settings(config, world=("inspect", "maze"), total_steps=64, runs=str(tmp_path)))
-    assert summary.folder.name == f"{config.algo}-inspect-maze"
-    assert read_config(summary.folder / "config.yaml").env.worlds == ("inspect", "maze")
-    assert Checkpoint.load(summary.checkpoint).config.env.worlds == ("inspect", "maze")
-
-
-@BOTH
-def test_policies_can_be_trained_in_warp(config: TrainingConfig, tmp_path: Path) -> None:
-    config = with_settings(
-        config,
-        world=("inspect", "maze"),
-        backend="warp",
-        workers=None,
-        randomization=Randomization.typical(),
-        runs=str(tmp_path),
-        name="warp",
-    )
-    summary = train(config)
-    assert summary.steps == 256
-    assert read_config(summary.folder / "config.yaml").collection.workers == 1
-    again = train(with_settings(config, total_steps=320), summary.folder)
-    assert again.steps == 320
+def test_policies_can_be_trained_in_several_worlds_at_once_and_in_warp(config: TrainingConfig, tmp_path: Path) -> None:
+    config = with_settings(config, world=("inspect", "maze"), backend="warp", workers=None)
+    summary = run(config, tmp_path, randomization=Randomization.typical())
+    assert (summary.folder.name, summary.steps) == (f"{config.algo}-inspect-maze", 256)
+    for written in (read_config(summary.folder / "config.yaml"), Checkpoint.load(summary.checkpoint).config):
+        assert (written.env.worlds, written.collection.workers) == (("inspect", "maze"), 1)
+    assert run(read_config(summary.folder / "config.yaml"), tmp_path, summary.folder, total_steps=320).steps == 320
 
 
 def test_the_expert_knows_the_world_of_each_rover(tmp_path: Path) -> None:
-    config = with_settings(PPO, world=(FIELD, WALL), total_steps=64, imitation=1.0, path_reward=1.0, runs=str(tmp_path))
-    assert train(config).steps == 64
+    assert run(PPO, tmp_path, world=(FIELD, WALL), total_steps=64, imitation=1.0, path_reward=1.0).steps == 64
 
 
 def test_imitation_makes_the_experts_actions_more_likely(tmp_path: Path) -> None:
-    folder = train(
-        with_settings(
-            PPO,
-            total_steps=512,
-            imitation=1.0,
-            epochs=30,
-            learning_rate=3e-3,
-            hidden=(64,),
-            anneal=False,
-            world=FIELD,
-            minibatch=16,
-            runs=str(tmp_path),
-        )
-    ).folder
+    settings = {"imitation": 1.0, "epochs": 30, "learning_rate": 3e-3, "anneal": False, "minibatch": 16}
+    folder = run(PPO, tmp_path, world=FIELD, total_steps=512, hidden=(64,), **settings).folder
     surprise = progress_of(folder)["loss_objective"]
     assert sum(surprise[-4:]) < sum(surprise[:4]) - 1
     actor = Checkpoint.load(folder).make_actor()
@@ -128,14 +96,14 @@ def test_imitation_makes_the_experts_actions_more_likely(tmp_path: Path) -> None
 
 
 def test_the_time_limit_ends_a_run(tmp_path: Path) -> None:
-    summary = train(with_settings(PPO, total_steps=UNLIMITED_STEPS, max_minutes=1e-6, runs=str(tmp_path)))
+    summary = run(PPO, tmp_path, total_steps=UNLIMITED_STEPS, max_minutes=1e-6)
     assert len(progress_of(summary.folder)["steps"]) == 1
     assert [file.name for file in (summary.folder / "snapshots").iterdir()] == ["000000064.pt"]
     assert not summary.interrupted
 
 
 def test_a_training_without_a_seed_draws_one_and_keeps_it(tmp_path: Path) -> None:
-    config = with_settings(PPO, seed=None, total_steps=64, runs=str(tmp_path))
-    seeds = {read_config(train(config).folder / "config.yaml").env.seed for _ in range(2)}
-    assert len(seeds) == 2
+    config = with_settings(PPO, seed=None, total_steps=64)
+    seeds = [read_config(run(config, tmp_path).folder / "config.yaml").env.seed, prepare(config).env.seed]
     assert None not in seeds
+    assert seeds[0] != seeds[1]
