@@ -89,6 +89,7 @@ nitpick_ignore = [
             "LidarPooling",
             "MemoryKind",
             "Unpack",
+            "WrapperOptions",
             "View",
             "WorldSource",
         ),

@@ -29,7 +29,7 @@ class ObservationEncoder(nn.Module):
 
     Args:
         keys: entries of the observation to read, some of ``lidar``, ``imu``, ``target``, ``velocities``, ``pose``, and
-            ``route`` (:class:`~rover_rl.envs.transforms.route_observation.RouteObservation`).
+            ``route`` (:class:`~rover_rl.envs.sensors.route.Route`).
         lidar_points: number of readings in ``lidar``.
         north_up: whether to add lidar and target in map orientation: rotated by the yaw, so that they do not change
             when the rover turns in place. Requires ``lidar``, ``imu`` and ``target``.

@@ -156,7 +156,7 @@ def make_scanner(simulator: Simulator, worlds: Sequence[World], robot: Robot, be
     Args:
         simulator: simulator of the rovers.
         worlds: world of each rover.
-        robot: robot, at whose :attr:`~rover_rl.Robot.lidar_position` the lidar is.
+        robot: robot that carries the lidar at its ``lidar_position``.
         beams: number of beams, equally spaced over a full turn.
 
     Example:

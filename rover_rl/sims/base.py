@@ -170,7 +170,7 @@ class LidarCarrier(Protocol):
     """Interface of a simulator with the capability ``"lidar"``."""
 
     def scanner(self, beams: int) -> Scanner:
-        """Creates a lidar at :attr:`~rover_rl.Robot.lidar_position` whose beams are equally spaced over a full turn."""
+        """Creates a lidar at the robot's ``lidar_position`` whose beams are equally spaced over a full turn."""
         ...
 
 

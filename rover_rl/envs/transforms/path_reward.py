@@ -65,8 +65,7 @@ class RouteReward(Transform):
 
     A rover that sees the end of a dead end loses at once what the way around costs. Unlike :class:`PathReward`, it
     needs no map of the world and no shortest paths on it, which take longer to compute than the physics if episodes are
-    in many worlds. Append it after :class:`~rover_rl.envs.transforms.route_observation.RouteObservation`. Steps without
-    a route get no reward.
+    in many worlds. The environment needs the sensor ``route``. Steps without a route get no reward.
 
     Args:
         weight: reward per meter.
