@@ -35,7 +35,6 @@ from rover_rl.files import write_json
 from rover_rl.sims.base import Dynamics, RoverState
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.free_space import rest_on_ground
-from rover_rl.sims.native.bullet import pybullet
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.ros2.settings import CommandLimiter, Ros2Settings
 from rover_rl.sims.rotations import matrix_to_quaternion, quaternion_to_euler
@@ -143,9 +142,7 @@ class LagFreeRovers:
         )
 
     def close(self) -> None:
-        """Disconnects from Bullet, which computes the scans."""
-        if pybullet.isConnected(self._lidar.client):
-            pybullet.disconnect(self._lidar.client)
+        """Does nothing: there are no resources."""
 
 
 @dataclass

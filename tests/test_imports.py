@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parents[1] / "rover_rl"
 VAGUE_NAMES = {"utils", "helpers", "common"}
 
 LAYERS = (
-    ("checks", "files", "option_names", "plain", "progress", "registry", "tensordicts"),
+    ("checks", "files", "option_names", "plain", "progress", "registry", "rng", "tensordicts"),
     (
         "sims.base",
         "sims.connection",
@@ -26,7 +26,7 @@ LAYERS = (
         "sims.timing",
         "sims.worlds",
     ),
-    ("sims.free_space", "sims.ray_kernels", "sims.rays", "sims.rendering"),
+    ("sims.free_space", "sims.movers", "sims.ray_kernels", "sims.rays", "sims.rendering"),
     ("sims.bullet", "sims.mujoco", "sims.ros2", "sims.warp"),
     ("sims.backends",),
     ("sims.__init__",),

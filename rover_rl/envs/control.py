@@ -9,7 +9,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from rover_rl.envs.config import HeadingGains
-from rover_rl.envs.rng import random_bits, to_index
+from rover_rl.rng import random_bits, to_index
 from rover_rl.sims.rotations import wrap_angle
 
 _LATENCY = 3

@@ -16,9 +16,10 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from rover_rl.envs.config import PoseConfig
-from rover_rl.envs.rng import random_bits, to_normal, to_unit
+from rover_rl.rng import random_bits, to_normal, to_unit
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.rotations import quaternion_to_euler, wrap_angle
+from rover_rl.sims.worlds.movers.motions.base import Others
 
 _DRIFT, _JUMP, _JUMPS = 7, 8, 9
 """Streams of random numbers."""
@@ -42,6 +43,12 @@ class Perception:
         self.yaw = self.euler[:, 2:]
         self.position = rover.position[:, :2]
         self.readings = pooling(ranges)
+
+
+def rovers_of(truth: Perception, radius: float) -> Others:
+    """Returns the rovers as movers see them, with the velocity of their wheels."""
+    heading = torch.cat((truth.yaw.cos(), truth.yaw.sin()), -1)
+    return Others(truth.position[:, None], (truth.rover.linear_velocity * heading)[:, None], radius)
 
 
 class SensedPose(NamedTuple):

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.envs.config import Randomization
-from rover_rl.envs.rng import random_bits, to_index, to_unit
+from rover_rl.rng import random_bits, to_index, to_unit
 from rover_rl.sims.base import Dynamics
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.space import HEADINGS

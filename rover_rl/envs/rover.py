@@ -18,19 +18,21 @@ from rover_rl.envs import specs
 from rover_rl.envs.arguments import SIGNATURE, EnvSettings, config_from
 from rover_rl.envs.config import EnvConfig, Randomization, TaskConfig
 from rover_rl.envs.control import CommandDelay, HeadingController, checked_action, checked_place
-from rover_rl.envs.perception import Localization, Perception
+from rover_rl.envs.perception import Localization, Perception, rovers_of
 from rover_rl.envs.placement import Placement, draw_dynamics
 from rover_rl.envs.privileged import PrivilegedObservation
-from rover_rl.envs.rng import episode_keys, row_keys
 from rover_rl.envs.row_worlds import RowWorlds
 from rover_rl.envs.sensors.base import Observer, Rig, SensorInput, Surroundings
 from rover_rl.envs.sensors.standard import LidarPooling, clipped_pose
 from rover_rl.envs.sensors.suite import environment_sensors
 from rover_rl.envs.task import Navigation, StepState, TaskState, target_info
+from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims import Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.backends import make_scanner
-from rover_rl.sims.base import Capability, DynamicsChanger, Scanner, View, WorldChanger
+from rover_rl.sims.base import Capability, DynamicsChanger, MoverCarrier, Scanner, View, WorldChanger
 from rover_rl.sims.free_space import free_space
+from rover_rl.sims.movers import MoverField
+from rover_rl.sims.movers.rays import MoverScanner
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.pool import WorldPool
@@ -104,6 +106,7 @@ class RoverEnv(EnvBase):
         num_envs: number of rovers, and of rows of :attr:`goal`, :attr:`rover_state` and ``worlds``. 1 if unbatched.
         sensors: sensors that it reads, by name.
         simulator: simulator. A reset after ``close()`` replaces it.
+        movers: movers of each row, where they are and where they go.
         scanner: its lidar, which makes the raw scans.
 
     Raises:
@@ -141,7 +144,7 @@ class RoverEnv(EnvBase):
         self.robot = get_robot(config.robot)
         first_keys = episode_keys(row_keys(seed, num_envs, self._tensor_device), 1)
         self._row_worlds = RowWorlds(config.world, first_keys)
-        self._surroundings = Surroundings(self._row_worlds.table)
+        self._has_movers = self._row_worlds.have_movers
         for world in dict.fromkeys(self._row_worlds.table):
             for sentence in clipped_pose(world):
                 warnings.warn(sentence, stacklevel=2)
@@ -293,25 +296,36 @@ class RoverEnv(EnvBase):
         """Builds the simulator. The next reset must include all rows."""
         self.simulator: Simulator = self._make_simulator(worlds=self._row_worlds.table)
         try:
-            _check_requirements(self.config, self.robot, self.simulator)
+            _check_requirements(self.config, self.robot, self.simulator, self._has_movers)
         except ValueError:
             self.simulator.close()
             raise
         self.scanner: Scanner = make_scanner(
             self.simulator, self._row_worlds.table, self.robot, self.config.lidar.beams
         )
-        self._surroundings.is_live = "live" in self.simulator.capabilities
+        self._meet_movers()
         self._started = False
         self.is_closed = False
         if self._row_worlds.is_drawn and isinstance(self.simulator, WorldChanger):
             self._row_worlds.open(partial(_prepare, self.robot, self.simulator))
             self.simulator.enter_worlds()
 
+    def _meet_movers(self) -> None:
+        """Lets lidar and simulator meet the movers of the worlds. Those around a live rover move on their own."""
+        is_live = "live" in self.simulator.capabilities
+        self.movers = MoverField(self._row_worlds.table, self.control_dt, self.robot.radius, is_live)
+        self._surroundings = Surroundings(self._row_worlds.table, self.movers)
+        self._surroundings.is_live = is_live
+        self.scanner = MoverScanner(self.scanner, self.movers, self.simulator, self.robot)
+        if "movers" in self.simulator.capabilities:
+            cast(MoverCarrier, self.simulator).meet(self.movers)
+
     def _make_specs(self) -> None:
         batch_size, device, privileged = self.batch_size, self.device, self.config.privileged
         action = specs.action_bounds(self.config.action)
         bounds = {key: sensor.bounds for key, sensor in self.sensors.items()}
-        self.observation_spec = specs.observation_spec(bounds, batch_size, device, privileged, len(self.pool) > 1)
+        several, moving = len(self.pool) > 1, self._has_movers
+        self.observation_spec = specs.observation_spec(bounds, batch_size, device, privileged, several, moving)
         self.action_spec = specs.bounded_spec(action, batch_size, device)
         self.reward_spec = specs.reward_spec(batch_size, device)
         self.full_done_spec = specs.done_spec(batch_size, device)
@@ -351,6 +365,7 @@ class RoverEnv(EnvBase):
             )
         if self._privileged is not None:
             self._dynamics = draw_dynamics(self.randomization, self._keys)
+        self.movers.reset(mask, self._keys, poses[:, :2])
         self._delay.reset(mask, self._keys)
         steps = self._state.task.steps.masked_fill(mask, 0)
         self._perceive(self.simulator.reset(rows, poses.to(device)), rows, steps)
@@ -373,6 +388,7 @@ class RoverEnv(EnvBase):
             self._row_worlds.draw(mask, self._keys, episode_keys(self._row_keys, self._episode + 1))
             self.placement.enter_worlds()
             self.simulator.enter_worlds()
+            self.movers.enter_worlds()
             self._state.world = self._row_worlds.index_if_several
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -390,6 +406,8 @@ class RoverEnv(EnvBase):
         device = self.simulator.device
         rows = None if active is None else active.squeeze(-1).to(device)
         steps = self._state.task.steps + (1 if active is None else active)
+        if self._has_movers:
+            self.movers.advance(active, rovers_of(self._state.truth, self.robot.radius))
         with self._row_worlds.preparing():
             self._perceive(self.simulator.step(command.to(device), rows), rows, steps)
 
@@ -420,6 +438,16 @@ class RoverEnv(EnvBase):
         state.sensed = self._observer.sense(config.randomization, state.truth, self._keys, steps, self.lidar)
         state.pose = self._localization(state.truth, state.sensed, self._keys, steps)
         state.reference = state.truth if config.outcome_from == "truth" else state.sensed
+        if self._has_movers:
+            state.movers = self._mover_outcome(state.truth)
+
+    def _mover_outcome(self, truth: Perception) -> dict[str, Tensor]:
+        """Returns the entries of ``outcome`` on movers."""
+        distance, speed = self.movers.nearest(truth.position)
+        touched = truth.rover.mover_contact
+        if touched is None:
+            touched = torch.zeros_like(distance, dtype=torch.bool)
+        return {"mover_contact": touched, "mover_distance": distance, "mover_speed": speed}
 
     def _scanning(self, rows: Tensor | None, steps: Tensor) -> Tensor | None:
         """Returns which of the ``rows`` scan after ``steps`` steps of their episodes."""
@@ -486,13 +514,15 @@ def _require_count(name: str, value: int, most: int) -> None:
         raise ValueError(f"{name} must be a whole number of at least 1 and at most {most}, got {value!r}")
 
 
-def _check_requirements(config: EnvConfig, robot: Robot, simulator: Simulator) -> None:
+def _check_requirements(config: EnvConfig, robot: Robot, simulator: Simulator, has_movers: bool) -> None:
     """Raises an error for the first thing that an environment needs and its simulator or robot cannot do."""
     needs: dict[Capability, str] = {}
     if config.task.collision_from == "contact":
         needs["contacts"] = "a task with collision_from='contact' needs a backend that reports contacts"
     if config.randomization.varies_dynamics:
         needs["dynamics"] = "randomized friction, mass and motors need a backend in which they can be varied"
+    if has_movers and "live" not in simulator.capabilities:
+        needs["movers"] = "a world with movers needs a backend that lets them push the rovers"
     for capability, need in needs.items():
         if capability not in simulator.capabilities:
             raise ValueError(f"{need}: {type(simulator).__name__} does not state the capability {capability!r}")

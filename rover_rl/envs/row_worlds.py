@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor
 
-from rover_rl.envs.rng import random_bits, to_index
+from rover_rl.rng import random_bits, to_index
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.ahead import WorldsAhead
 from rover_rl.sims.worlds.pool import WorldPool, WorldSource, draws_worlds
@@ -76,6 +76,13 @@ class RowWorlds:
     def index_if_several(self) -> Tensor | None:
         """:attr:`index`, or ``None`` if the pool has only one world."""
         return self.index if len(self.pool) > 1 else None
+
+    @property
+    def have_movers(self) -> bool:
+        """Whether something moves in the worlds: in the first one of an entry of the pool."""
+        starts = self._starts.tolist()
+        known = dict(zip(self.index.flatten().tolist(), self.table, strict=True))
+        return any((known.get(start) or self.pool[start]).movers for start in starts)
 
     def open(self, prepare: Callable[[World], object]) -> None:
         """Gets ready for :meth:`draw`: makes the pool resident, or prepares worlds in a thread if it is too large.

@@ -56,6 +56,7 @@ def observation_spec(
     device: torch.device | str | None,
     privileged: bool = False,
     several_worlds: bool = False,
+    movers: bool = False,
 ) -> Composite:
     """Creates the spec of the observation and the nested ``outcome``.
 
@@ -65,13 +66,13 @@ def observation_spec(
         device: device of the environment.
         privileged: whether to add the nested ``privileged`` observation.
         several_worlds: whether to add the index of the world to ``outcome``.
+        movers: whether to add what happens between rover and movers to ``outcome``.
     """
     entries = {key: bounded_spec(each, batch_size, device) for key, each in bounds.items()}
     if privileged:
         entries["privileged"] = _privileged_spec(batch_size, device)
-    return Composite(
-        **entries, outcome=_outcome_spec(batch_size, device, several_worlds), shape=batch_size, device=device
-    )
+    outcome = _outcome_spec(batch_size, device, several_worlds, movers)
+    return Composite(**entries, outcome=outcome, shape=batch_size, device=device)
 
 
 def _privileged_spec(batch_size: Sequence[int], device: torch.device | str | None) -> Composite:
@@ -93,8 +94,15 @@ def reward_spec(batch_size: Sequence[int], device: torch.device | str | None) ->
     return Unbounded(shape=(*batch_size, 1), dtype=torch.float32, device=device)
 
 
-def _outcome_spec(batch_size: Sequence[int], device: torch.device | str | None, several_worlds: bool) -> Composite:
+def _outcome_spec(
+    batch_size: Sequence[int], device: torch.device | str | None, several_worlds: bool, movers: bool
+) -> Composite:
     shape = (*batch_size, 1)
+    of_movers = {
+        "mover_contact": _flag(batch_size, device),
+        "mover_distance": Unbounded(shape=shape, device=device),
+        "mover_speed": Unbounded(shape=shape, device=device),
+    }
     return Composite(
         **{event: _flag(batch_size, device) for event in EVENTS},
         phase=Bounded(low=0, high=max(StepEvent), shape=shape, dtype=torch.int64, device=device),
@@ -105,6 +113,7 @@ def _outcome_spec(batch_size: Sequence[int], device: torch.device | str | None, 
         steps=Unbounded(shape=shape, dtype=torch.int64, device=device),
         total_steps=Unbounded(shape=shape, dtype=torch.int64, device=device),
         **({"world": Unbounded(shape=shape, dtype=torch.int64, device=device)} if several_worlds else {}),
+        **(of_movers if movers else {}),
         shape=batch_size,
         device=device,
     )

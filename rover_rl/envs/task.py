@@ -204,6 +204,7 @@ class StepState:
         reference: the one of ``truth`` and ``sensed`` that events and rewards are computed from.
         task: goals, targets and counters.
         world: index of each row's world in the pool, int64 ``[N, 1]``. ``None`` if there is only one.
+        movers: entries of ``outcome`` on movers. Empty if no world has any.
         outcome: events and measurements of the last step.
         terminated, truncated: whether the last step ended the episode, bool ``[N, 1]``.
     """
@@ -214,13 +215,14 @@ class StepState:
     reference: Perception
     task: TaskState
     world: Tensor | None
+    movers: dict[str, Tensor]
     outcome: TensorDict
     terminated: Tensor
     truncated: Tensor
 
     def __init__(self, task: TaskState, world: Tensor | None) -> None:
         self.task = task
-        self.world = world
+        self.world, self.movers = world, {}
 
 
 class Navigation:
@@ -367,4 +369,5 @@ def _outcome(state: StepState, events: Tensor, *, phase: Tensor, progress: Tenso
         steps=state.task.steps,
         total_steps=state.task.total_steps,
         **({} if state.world is None else {"world": state.world}),
+        **state.movers,
     )

@@ -13,12 +13,14 @@ from torch import Tensor
 from rover_rl.tensordicts import unchecked_tensordict
 
 if TYPE_CHECKING:
+    from rover_rl.sims.movers.field import MoverField
     from rover_rl.sims.worlds import World
 
 View: TypeAlias = Literal["chase", "top"]
-Capability: TypeAlias = Literal["contacts", "dynamics", "lidar", "live"]
+Capability: TypeAlias = Literal["contacts", "dynamics", "lidar", "live", "movers"]
 """What not every backend does: it reports contacts, scales the dynamics of each rover, has a lidar of its own (a
-:class:`LidarCarrier`; else, rays are cast), or drives a live rover, around which nothing is known but the map."""
+:class:`LidarCarrier`; else, rays are cast), drives a live rover, around which nothing is known but the map, or lets
+movers push the rovers (a :class:`MoverCarrier`)."""
 
 
 class RoverState(TensorClass):
@@ -36,6 +38,8 @@ class RoverState(TensorClass):
             the chassis. False after a reset. ``None`` if the backend does not report contacts.
         lateral_velocity: speed to the left from wheel odometry, ``[N, 1]``, m/s. ``None`` for a drive that does not
             move sideways.
+        mover_contact: whether the rover touched a mover in the last control step, bool ``[N, 1]``. ``contact`` is true,
+            too, then. ``None`` if the simulator has no movers.
     """
 
     position: Tensor
@@ -46,6 +50,7 @@ class RoverState(TensorClass):
     stamp: Tensor
     contact: Tensor | None = None
     lateral_velocity: Tensor | None = None
+    mover_contact: Tensor | None = None
 
     @classmethod
     def pack(cls, **fields: Tensor) -> RoverState:
@@ -171,6 +176,19 @@ class LidarCarrier(Protocol):
 
     def scanner(self, beams: int) -> Scanner:
         """Creates a lidar at the robot's ``lidar_position`` whose beams are equally spaced over a full turn."""
+        ...
+
+
+class MoverCarrier(Protocol):
+    """Interface of a simulator with the capability ``"movers"``."""
+
+    def meet(self, movers: MoverField) -> None:
+        """Lets movers push the rovers from now on.
+
+        Before each step, the caller moves them. In the step, each part goes from where it was before at its
+        ``velocity`` and ``turn`` to where it is. Movers are too heavy to be pushed, and those of a row touch no rover
+        of another row.
+        """
         ...
 
 

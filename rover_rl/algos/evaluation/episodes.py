@@ -28,9 +28,9 @@ from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.checks import MAX_COUNT, check_at_least, check_seed
 from rover_rl.envs import EnvConfig, TaskConfig
 from rover_rl.envs.placement import Placement
-from rover_rl.envs.rng import episode_keys, row_keys
 from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay
+from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims.free_space.shortest_paths import shortest_paths
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.worlds import WORLDS, World, WorldName, get_world

@@ -15,8 +15,8 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 
-from rover_rl.envs.rng import episode_keys, random_bits, row_keys, to_unit
 from rover_rl.envs.specs import ACTION
+from rover_rl.rng import episode_keys, random_bits, row_keys, to_unit
 from rover_rl.sims.drives import Drive
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.robots.rover_zero import ROVER_ZERO

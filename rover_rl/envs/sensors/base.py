@@ -15,9 +15,11 @@ from torch import Tensor
 from rover_rl.checks import MAX_COUNT, check_at_least
 from rover_rl.envs.config import LidarConfig, Randomization
 from rover_rl.envs.perception import Perception, SensedPose
-from rover_rl.envs.rng import random_bits, to_normal, to_unit
 from rover_rl.envs.specs import Bounds
+from rover_rl.rng import random_bits, to_normal, to_unit
 from rover_rl.sims import RoverState
+from rover_rl.sims.movers import MoverField
+from rover_rl.sims.movers.rays import cast_at_movers
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import rotate
 from rover_rl.sims.worlds import World
@@ -29,17 +31,18 @@ if TYPE_CHECKING:
 
 
 class Surroundings:
-    """Ground and obstacles of the world of each row. Nothing is built until a sensor asks for it.
+    """Ground, obstacles and movers around each row. Nothing is built until a sensor asks for it.
 
     Args:
         worlds: world of each row.
+        movers: movers of each row.
 
     Attributes:
         is_live: whether the rover is a live one, around which nothing is known but the map of its world.
     """
 
-    def __init__(self, worlds: WorldTable) -> None:
-        self._worlds = worlds
+    def __init__(self, worlds: WorldTable, movers: MoverField) -> None:
+        self._worlds, self._movers = worlds, movers
         self.is_live = False
 
     def cast(self, origins: Tensor, directions: Tensor) -> Tensor:
@@ -50,7 +53,8 @@ class Surroundings:
         """
         if self.is_live:
             raise ValueError("a sensor casts rays, which needs a simulated world: a live rover has none")
-        return self._caster.cast(origins, directions)
+        ranges, parts = self._caster.cast(origins, directions), self._movers.parts
+        return ranges if parts is None else cast_at_movers(parts, origins, directions, ranges)
 
     def height_at(self, xy: Tensor) -> Tensor:
         """Returns the height of the ground (m) at points ``xy [N, ..., 2]`` (m) of each row's world: ``[N, ...]``."""

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from rover_rl.envs.config import LidarConfig, Randomization
 from rover_rl.envs.perception import Perception
-from rover_rl.envs.rng import random_bits, to_normal
 from rover_rl.envs.sensors.base import Sensor, SensorInput
 from rover_rl.envs.specs import Bounds
+from rover_rl.rng import random_bits, to_normal
 from rover_rl.sims.rotations import quaternion_product
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.region import overlap

@@ -32,7 +32,7 @@ class BulletSimulator:
         settings: settings of the physics. ``None`` uses the defaults.
     """
 
-    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "lidar"})
+    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "lidar", "movers"})
 
     def __init__(self, worlds: Sequence[World], robot: Robot, settings: BulletSettings | None = None) -> None:
         self.num_envs = len(worlds)

@@ -56,17 +56,18 @@ class SimulatedDrives:
         self._set_point, self._stamp = set_point, stamp
         return targets
 
-    def state(self, body: Tensor, contact: Tensor | None = None) -> RoverState:
+    def state(self, body: Tensor, contact: Tensor | None = None, mover_contact: Tensor | None = None) -> RoverState:
         """Returns the state of the rovers.
 
         Args:
             body: position (m), orientation (x, y, z, w), speed of each motor (rad/s) and angle of each steering joint
                 (rad), ``[N, 7 + M + S]``.
             contact: whether the rovers touched an obstacle, bool ``[N, 1]``. ``None`` if the simulator does not know.
+            mover_contact: whether the rovers touched a mover, bool ``[N, 1]``. ``None`` without movers.
         """
         joints = Joints(body[:, 7 : self._first_angle], body[:, self._first_angle :])
         twist = self._drive.odometry(joints, self._wheels)
-        optional = {} if contact is None else {"contact": contact}
+        optional = {"contact": contact, "mover_contact": mover_contact}
         if self._drive.sideways:
             optional["lateral_velocity"] = twist[:, 2:]
         return RoverState.pack(
@@ -76,5 +77,5 @@ class SimulatedDrives:
             angular_velocity=twist[:, 1:2],
             dt=self._dt,
             stamp=self._stamp,
-            **optional,
+            **{name: value for name, value in optional.items() if value is not None},
         )

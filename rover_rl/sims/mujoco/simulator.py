@@ -42,7 +42,7 @@ class MujocoSimulator:
             :func:`rover_rl.sims.robots.inertial_model.read_inertial_model`.
     """
 
-    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "lidar"})
+    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "lidar", "movers"})
 
     def __init__(self, worlds: Sequence[World], robot: Robot, settings: MujocoSettings | None = None) -> None:
         self.num_envs = count = len(worlds)

@@ -14,6 +14,7 @@ from torch import Tensor
 from rover_rl.sims.base import Capability, Dynamics, RoverState, View, beam_angles
 from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
+from rover_rl.sims.movers.field import MoverField, Parts
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.robots import Robot
@@ -22,11 +23,11 @@ from rover_rl.sims.rotations import matrix_to_quaternion
 from rover_rl.sims.warp.kernels.dynamics import place, step_dynamics
 from rover_rl.sims.warp.kernels.lidar import scan
 from rover_rl.sims.warp.kernels.scan_plane import SECTORS
-from rover_rl.sims.warp.kernels.types import Solver
+from rover_rl.sims.warp.kernels.types import MoverArrays, Solver
 from rover_rl.sims.warp.scene import SceneTable, make_robot_model
 from rover_rl.sims.warp.settings import WarpSettings
 from rover_rl.sims.warp.state_buffers import StateBuffers
-from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds import Obstacle, Terrain, World
 from rover_rl.sims.worlds.slot_table import TerrainTable
 from rover_rl.sims.worlds.table import WorldTable
 
@@ -54,7 +55,7 @@ class WarpSimulator:
             :func:`rover_rl.sims.robots.inertial_model.read_inertial_model`.
     """
 
-    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "lidar"})
+    capabilities: frozenset[Capability] = frozenset({"contacts", "dynamics", "lidar", "movers"})
 
     def __init__(
         self,
@@ -84,7 +85,10 @@ class WarpSimulator:
         self._poses = wp.from_torch(self._buffers.poses)
         self._shards = self._divide()
         self._pool = ThreadPoolExecutor(len(self._shards) - 1) if len(self._shards) > 1 else None
-        self._dynamics = self._record(step_dynamics, _solver(self.settings), self._buffers.rovers)
+        self._movers: MoverField | None = None
+        self._parts: Parts | None = None
+        self._forms, self._form_count = SceneTable(1, self._model.bounding_radius, self._wp_device), 0
+        self._dynamics = self._record_dynamics()
         self.reset(torch.ones(count, dtype=torch.bool, device=self.device), torch.zeros(count, 3, device=self.device))
 
     @property
@@ -113,6 +117,34 @@ class WarpSimulator:
             wp.launch(kernel, dim=(count, *lanes), inputs=[*inputs, first, *lanes], **options)
             for first, count in self._shards
         ]
+
+    def _record_dynamics(self) -> list[wp.Launch]:
+        """Records the physics of a control step, with the parts of movers that are there now."""
+        arrays, parts = MoverArrays(), self._parts
+        for name in ("form", "position", "orientation", "velocity", "turn"):
+            dtype = vars(MoverArrays)["vars"][name].type.dtype
+            empty = wp.empty((self.num_envs, 0), dtype=dtype, device=self._wp_device)
+            setattr(arrays, name, empty if parts is None else wp.from_torch(getattr(parts, name), dtype=dtype))
+        inputs = [_solver(self.settings), self._buffers.rovers, self._forms.scenes, arrays]
+        return self._record(step_dynamics, *inputs)
+
+    def meet(self, movers: MoverField) -> None:
+        """Lets movers push the rovers: see :meth:`MoverCarrier.meet`."""
+        self._movers = movers
+
+    def _follow_movers(self) -> None:
+        """Reads the parts of movers where they are in memory, after that has changed."""
+        if self._movers is None or self._movers.parts is None:
+            return
+        if self._form_count != len(self._movers.forms):
+            self._form_count = len(self._movers.forms)
+            # A world of the solids of all parts, each in its own frame.
+            solids = [Obstacle(torch.from_numpy(form.corners())) for form in self._movers.forms]
+            with wp.ScopedStream(self._stream):
+                self._forms[0] = World("forms", Terrain.flat((4.0, 4.0)), solids)
+        if self._parts is not self._movers.parts:
+            self._parts = self._movers.parts
+            self._dynamics = self._record_dynamics()
 
     def scanner(self, beams: int) -> WarpScanner:
         """Creates a lidar: see :meth:`LidarCarrier.scanner`."""
@@ -167,12 +199,15 @@ class WarpSimulator:
             self._buffers.active.fill_(True)
         else:
             self._buffers.active.copy_(active)
+        self._follow_movers()
         self.launch()
         return self.state()
 
     def state(self) -> RoverState:
         """Returns a copy of the current state."""
-        return self._drive.state(self._buffers.base_state.clone(), self._buffers.contact.clone())
+        buffers = self._buffers
+        touched = None if self._parts is None else buffers.mover_contact.clone()
+        return self._drive.state(buffers.base_state.clone(), buffers.contact.clone(), touched)
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders an image: see :meth:`Simulator.render`."""

@@ -26,7 +26,8 @@ class StateBuffers:
         active: rovers that the next launch simulates, bool ``[N]``.
         base_state: position (m) and orientation (x, y, z, w) of the base frame, mean speed of the wheels of each motor
             (rad/s) and angle of each steering joint (rad), ``[N, 7 + M + S]``.
-        contact: whether the rovers touched an obstacle in the last control step, bool ``[N, 1]``.
+        contact: whether the rovers touched an obstacle or a mover in the last control step, bool ``[N, 1]``.
+        mover_contact: whether they touched a mover, bool ``[N, 1]``.
     """
 
     def __init__(self, model: InertialModel, robot: Robot, count: int, device: torch.device) -> None:
@@ -38,7 +39,7 @@ class StateBuffers:
         self.target_speeds, self.target_angles = zeros(count, motors), zeros(count, steering)
         self.active = torch.ones(count, dtype=torch.bool, device=device)
         self.base_state = zeros(count, 7 + motors + steering)
-        self.contact = zeros(count, 1, dtype=torch.bool)
+        self.contact, self.mover_contact = zeros(count, 1, dtype=torch.bool), zeros(count, 1, dtype=torch.bool)
         self._parameters = {
             "mass": zeros(count),
             "center": zeros(count, 3),
@@ -63,6 +64,7 @@ class StateBuffers:
             "active": self.active,
             "base_state": self.base_state,
             "contact": self.contact.view(count),
+            "mover_contact": self.mover_contact.view(count),
         }
         self.rovers = self.struct()
         ones = torch.ones(count, device=device)

@@ -12,37 +12,43 @@ GROWTH = 1.25
 
 
 class SlotTable:
-    """A list of values for each slot, in one tensor. Lists of different lengths are padded.
+    """A list of values for each slot, in one tensor. Values and lists of different sizes are padded.
 
     Args:
-        shape: shape of a value.
+        shape: shape of a value. It grows with the values.
         dtype: type of the values.
         device: device of the table.
+        padding: value of the padding.
 
     Attributes:
-        values: values, ``[slots, capacity, *shape]``. Both numbers grow as needed.
+        values: values, ``[slots, capacity, *shape]``. All of these numbers grow as needed.
         lengths: number of values of each slot, int64 ``[slots]``.
     """
 
-    def __init__(self, shape: tuple[int, ...], dtype: torch.dtype, device: torch.device | str) -> None:
+    def __init__(
+        self, shape: tuple[int, ...], dtype: torch.dtype, device: torch.device | str, padding: float = 0
+    ) -> None:
+        self._padding = padding
         self.values = torch.zeros((0, 0, *shape), dtype=dtype, device=device)
         self.lengths = torch.zeros(0, dtype=torch.int64, device=device)
 
     def __setitem__(self, slot: int, values: Tensor) -> None:
         """Sets the list of a slot to ``values [length, *shape]``."""
-        self._reserve(slot + 1, len(values))
-        self.values[slot, : len(values)] = values.to(self.values)
+        self._reserve(slot + 1, *values.shape)
+        padded = self.values[slot].fill_(self._padding)
+        padded[tuple(slice(size) for size in values.shape)] = values.to(self.values)
         self.lengths[slot] = len(values)
 
-    def _reserve(self, slots: int, capacity: int) -> None:
-        old_slots, old_capacity = self.values.shape[:2]
-        if slots <= old_slots and capacity <= old_capacity:
+    def _reserve(self, slots: int, capacity: int, *shape: int) -> None:
+        old_slots, old_capacity, *old = self.values.shape
+        shape = tuple(map(max, shape, old))
+        if slots <= old_slots and capacity <= old_capacity and [*shape] == old:
             return
         # Growing by a share keeps the number of copies low when slots are added one by one, and lists get longer.
         slots = old_slots if slots <= old_slots else max(slots, 2 * old_slots)
         capacity = old_capacity if capacity <= old_capacity else max(capacity, int(GROWTH * old_capacity))
-        grown = self.values.new_zeros((slots, capacity, *self.values.shape[2:]))
-        grown[:old_slots, :old_capacity] = self.values
+        grown = self.values.new_full((slots, capacity, *shape), self._padding)
+        grown[tuple(slice(size) for size in self.values.shape)] = self.values
         self.values = grown
         self.lengths = torch.cat((self.lengths, self.lengths.new_zeros(slots - old_slots)))
 

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.worlds.actor import Actor
+from rover_rl.sims.worlds.movers.mover import MAX_MOVERS, Mover
 from rover_rl.sims.worlds.obstacles import Obstacle
 from rover_rl.sims.worlds.region import Area, Range, Region, expanded, overlap
 from rover_rl.sims.worlds.terrain import Terrain
@@ -50,9 +51,11 @@ class World:
             is all of it.
         goal_region: part of ``goal_range`` that may contain goals. ``None`` is ``spawn_region`` if there is no
             ``goal_range`` either, and otherwise all of ``goal_range``.
+        movers: obstacles and people that move.
 
     Raises:
-        ValueError: if the ends of an area are not in order, the spawn or goal area exceeds ``bounds``.
+        ValueError: if the ends of an area are not in order, the spawn or goal area exceeds ``bounds``, there are too
+            many movers, or one starts inside an obstacle.
 
     Example:
         >>> import numpy as np
@@ -76,9 +79,11 @@ class World:
     notes: tuple[str, ...] = ()
     spawn_region: Region | None = None
     goal_region: Region | None = None
+    movers: Sequence[Mover] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "obstacles", tuple(self.obstacles))
+        object.__setattr__(self, "movers", tuple(self.movers))
         object.__setattr__(self, "bounds", self.bounds or self.terrain.extent)
         self._complete_areas()
         for field in ("bounds", "spawn_range", "goal_range"):
@@ -88,6 +93,19 @@ class World:
                 raise ValueError(f"{message} be ((x_low, x_high), (y_low, y_high)), got {area}")
             if any(a[0] < b[0] or a[1] > b[1] for a, b in zip(area, self.bounds, strict=True)):
                 raise ValueError(f"{message} lie in its bounds {self.bounds}, got {area}")
+        self._check_movers()
+
+    def _check_movers(self) -> None:
+        if len(self.movers) > MAX_MOVERS:
+            raise ValueError(f"world {self.name!r} may have at most {MAX_MOVERS} movers, got {len(self.movers)}")
+        for mover in self.movers:
+            start = mover.motion.start()
+            if start is None:
+                continue
+            point = torch.tensor(start, dtype=torch.float64)
+            middle = torch.cat((point, self.height_at(point)[None] + 0.1))
+            if any(obstacle.contains(middle) for obstacle in self.obstacles):
+                raise ValueError(f"{mover.name!r} of world {self.name!r} starts at {start}, inside an obstacle")
 
     def _complete_areas(self) -> None:
         """Fills in the areas that were not given."""

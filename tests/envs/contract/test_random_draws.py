@@ -12,7 +12,7 @@ from scipy.stats import chisquare
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from rover_rl.envs.rng import episode_keys, random_bits, row_keys, to_index, to_unit
+from rover_rl.rng import episode_keys, random_bits, row_keys, to_index, to_unit
 from tests.envs.contract.scripted_env import CPU, bare, scripted
 from tests.envs.scripted import Moment
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from rover_rl.envs.placement import Placement
-from rover_rl.envs.rng import row_keys
+from rover_rl.rng import row_keys
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import get_world
 from rover_rl.sims.worlds.table import WorldTable

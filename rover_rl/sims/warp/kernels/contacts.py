@@ -25,13 +25,18 @@ from __future__ import annotations
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.warp.kernels.convex import find_overlap, is_near, is_straight, part_center, part_radius
 from rover_rl.sims.warp.kernels.ground import ground_at, ground_gap, ground_normal
-from rover_rl.sims.warp.kernels.types import MAX_WHEELS, RobotModel, Scene, Solver
+from rover_rl.sims.warp.kernels.types import MAX_WHEELS, MoverArrays, RobotModel, Scene, Solver
 
 EXTRA_CONTACTS = 8
 """Maximum number of contacts besides those of the wheels with the ground; the deepest are kept."""
 MAX_CONTACTS = 2 * MAX_WHEELS + EXTRA_CONTACTS
 LEFT = wp.constant(wp.vec3(0.0, 1.0, 0.0))
 """Direction of the axle of a wheel that points ahead, in the base frame."""
+UP = wp.constant(wp.vec3(0.0, 0.0, 1.0))
+AT_REST = wp.constant(wp.vec3(0.0, 0.0, 0.0))
+"""Velocity of what does not move."""
+MOVER_KEYS = 1 << 24
+"""Least key of a contact with a mover."""
 NO_WHEEL = -1
 """Wheel index of a contact of the chassis."""
 SAMPLES = 3
@@ -60,8 +65,10 @@ class Contact:
     # Distance of the two surfaces (m), negative for a penetration, and friction coefficient.
     gap: float
     friction: float
-    # Target speed along the normal, m/s: removes penetration, admits approach across a gap.
+    # Target speed along the normal, m/s: removes penetration, admits approach across a gap, follows the other surface.
     bias: float
+    # Speed of the other surface along the two tangents, m/s.
+    drift: wp.vec2
     normal: wp.vec3
     normal_moment: wp.vec3
     normal_response: wp.vec3
@@ -148,6 +155,7 @@ def prepare_contact(
     normal: wp.vec3,
     gap: float,
     friction: float,
+    surface: wp.vec3,
 ):
     """Fills in the constraint rows of contact ``k``; its key and accumulated impulse stay as they are.
 
@@ -156,6 +164,8 @@ def prepare_contact(
 
         gap > 0:   bias = -gap / dt, the surfaces may just meet at the end of the substep (speculative contact)
         gap <= 0:  bias = min(ERP depth / dt, max_correction), the penetration is reduced
+
+    The speed of the other surface along the normal is added.
 
     Args:
         contacts: contacts of the thread.
@@ -170,6 +180,7 @@ def prepare_contact(
         normal: unit normal from the other surface to the rover.
         gap: distance of the two surfaces, m; negative for a penetration.
         friction: friction coefficient.
+        surface: velocity of the other surface at the contact point, in the body frame, m/s.
     """
     lever = arm
     if wheel != NO_WHEEL:
@@ -232,6 +243,8 @@ def prepare_contact(
         contacts[k].bias = -gap / solver.dt
     else:
         contacts[k].bias = wp.min(-gap * solver.error_reduction / solver.dt, solver.max_correction)
+    contacts[k].bias += wp.dot(normal, surface)
+    contacts[k].drift = wp.vec2(wp.dot(longitudinal, surface), wp.dot(lateral, surface))
 
 
 @wp.func
@@ -290,7 +303,19 @@ def collide_wheels_with_ground(
                 inset = 1.0
             friction_arm = best_arm - inset * offset * axle
             prepare_contact(
-                contacts, k, body, model, solver, wheel, axle, best_arm, friction_arm, best_normal, best_gap, friction
+                contacts,
+                k,
+                body,
+                model,
+                solver,
+                wheel,
+                axle,
+                best_arm,
+                friction_arm,
+                best_normal,
+                best_gap,
+                friction,
+                AT_REST,
             )
         else:
             contacts[k].active = 0
@@ -311,6 +336,7 @@ def add_contact(
     normal: wp.vec3,
     gap: float,
     friction: float,
+    surface: wp.vec3,
 ) -> int:
     """Appends an extra contact and returns the new contact count.
 
@@ -326,7 +352,7 @@ def add_contact(
                 k = other
         if contacts[k].gap <= gap:
             return count
-    prepare_contact(contacts, k, body, model, solver, wheel, axle, arm, arm, normal, gap, friction)
+    prepare_contact(contacts, k, body, model, solver, wheel, axle, arm, arm, normal, gap, friction, surface)
     contacts[k].key = key
     contacts[k].impulse = wp.vec3(0.0, 0.0, 0.0)
     return wp.max(count, k + 1)
@@ -352,7 +378,9 @@ def collide_chassis_with_ground(
         if gap < 0.0:
             normal = to_body * ground_normal(ground)
             # Keys: 1 to the number of points.
-            count = add_contact(contacts, count, body, model, solver, n + 1, NO_WHEEL, LEFT, arm, normal, gap, friction)
+            count = add_contact(
+                contacts, count, body, model, solver, n + 1, NO_WHEEL, LEFT, arm, normal, gap, friction, AT_REST
+            )
     return count
 
 
@@ -406,7 +434,7 @@ def collide_peaks_with_chassis(
                     # Keys: negative.
                     key = -1 - (j * columns + i)
                     count = add_contact(
-                        contacts, count, body, model, solver, key, NO_WHEEL, LEFT, peak, normal, gap, friction
+                        contacts, count, body, model, solver, key, NO_WHEEL, LEFT, peak, normal, gap, friction, AT_REST
                     )
     return count
 
@@ -465,7 +493,89 @@ def collide_with_obstacles(
                             hit.normal,
                             -hit.depth,
                             friction,
+                            AT_REST,
                         )
+    return count
+
+
+@wp.func
+def collide_with_movers(
+    contacts: wp.array[Contact],
+    count: int,
+    forms: Scene,
+    movers: MoverArrays,
+    body: Body,
+    model: RobotModel,
+    solver: Solver,
+    axles: wp.array[wp.vec3],
+    friction: float,
+    rest: float,
+    touched: wp.array[wp.bool],
+    rover: int,
+) -> int:
+    """Adds a contact for each overlapping pair of a part of the rover and one of a mover; returns the contact count.
+
+    Sets ``touched[rover]`` if there is such a pair. A part of a mover is an obstacle in a frame that moves: with its
+    position x and orientation q at this time, the pose of the rover in it is ``q^-1 (p - x)``, ``q^-1 R``. Its surface
+    moves at ``v + w z x (c - x)`` at a point c.
+
+    Args:
+        contacts: contacts of the thread.
+        count: number of contacts.
+        forms: solids of the parts, each in its own frame.
+        movers: parts of the movers.
+        body: pose, velocity and inertia of the rover.
+        model: model of the robot.
+        solver: solver parameters.
+        axles: directions of the axles.
+        friction: friction coefficient.
+        rest: time from the start of this substep to the end of the control step, s.
+        touched: whether each rover touched a mover.
+        rover: index of the rover.
+    """
+    boxes = model.box_centers.shape[0]
+    for n in range(movers.form.shape[1]):
+        form = movers.form[rover, n]
+        if form < 0:
+            continue
+        velocity = movers.velocity[rover, n]
+        place = movers.position[rover, n] - rest * velocity
+        reach = forms.spheres[form][3] + model.bounding_radius
+        if wp.length_sq(body.position - place) > reach * reach:
+            continue
+        turn = movers.turn[rover, n]
+        frame = wp.quat_from_axis_angle(UP, -rest * turn) * movers.orientation[rover, n]
+        position = wp.quat_rotate_inv(frame, body.position - place)
+        rotation = wp.transpose(wp.quat_to_matrix(frame)) * body.rotation
+        for part in range(boxes + model.wheels):
+            middle = position + rotation * (part_center(model, part) - body.center)
+            if is_near(forms, form, middle, part_radius(model, part)):
+                axle = LEFT
+                if part >= boxes:
+                    axle = axles[part - boxes]
+                hit = find_overlap(forms, model, body.center, position, rotation, part, axle, form)
+                if hit.depth > 0.0:
+                    touched[rover] = True
+                    point = body.position + body.rotation * hit.arm - place
+                    surface = velocity + turn * wp.vec3(-point[1], point[0], 0.0)
+                    # Keys: from 2^24, above those of the obstacles.
+                    key = MOVER_KEYS + n * (boxes + model.wheels) + part
+                    wheel = wp.where(part < boxes, NO_WHEEL, part - boxes)
+                    count = add_contact(
+                        contacts,
+                        count,
+                        body,
+                        model,
+                        solver,
+                        key,
+                        wheel,
+                        axle,
+                        hit.arm,
+                        hit.normal,
+                        -hit.depth,
+                        friction,
+                        wp.transpose(body.rotation) * surface,
+                    )
     return count
 
 

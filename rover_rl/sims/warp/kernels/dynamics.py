@@ -37,10 +37,11 @@ from rover_rl.sims.warp.kernels.contacts import (
     collide_chassis_with_ground,
     collide_peaks_with_chassis,
     collide_wheels_with_ground,
+    collide_with_movers,
     collide_with_obstacles,
     restore_impulses,
 )
-from rover_rl.sims.warp.kernels.types import MAX_WHEELS, RobotModel, RoverArrays, Scene, Solver
+from rover_rl.sims.warp.kernels.types import MAX_WHEELS, MoverArrays, RobotModel, RoverArrays, Scene, Solver
 
 GRAVITY = 9.81
 """Gravitational acceleration, m/s^2."""
@@ -149,7 +150,8 @@ def solve_contacts(
     Normal row (no penetration, compliant): ``p_n <- max(p_n + m_n (bias - J_n u - softness p_n), 0)``.
 
     Friction rows (Coulomb, isotropic): the tangential impulse that would stop the slip,
-    ``p_t <- p_t - m_t (J_lon u, J_lat u)``, is scaled back to the circle ``|p_t| <= mu p_n`` of the friction cone.
+    ``p_t <- p_t - m_t (J_lon u - v_lon, J_lat u - v_lat)`` with the velocity v of the other surface, is scaled back to
+    the circle ``|p_t| <= mu p_n`` of the friction cone.
     """
     for k in range(count):
         if contacts[k].active == 1:
@@ -174,12 +176,15 @@ def solve_contacts(
                 spin = wheel_spins[contacts[k].wheel]
             before = contacts[k].impulse
             mass = contacts[k].tangent_mass
-            longitudinal = before[1] - mass * row_speed(
+            drift = contacts[k].drift
+            forward = row_speed(
                 motion, spin, contacts[k].longitudinal, contacts[k].longitudinal_moment, contacts[k].longitudinal_axle
             )
-            lateral = before[2] - mass * row_speed(
+            sideways = row_speed(
                 motion, spin, contacts[k].lateral, contacts[k].lateral_moment, contacts[k].lateral_axle
             )
+            longitudinal = before[1] - mass * (forward - drift[0])
+            lateral = before[2] - mass * (sideways - drift[1])
             max_friction = contacts[k].friction * before[0]
             scale = wp.min(
                 1.0, max_friction / wp.max(wp.sqrt(longitudinal * longitudinal + lateral * lateral), 1.0e-12)
@@ -191,7 +196,15 @@ def solve_contacts(
 
 
 @wp.kernel
-def step_dynamics(scenes: wp.array[Scene], model: RobotModel, solver: Solver, rovers: RoverArrays, first: int):
+def step_dynamics(
+    scenes: wp.array[Scene],
+    model: RobotModel,
+    solver: Solver,
+    rovers: RoverArrays,
+    forms: wp.array[Scene],
+    movers: MoverArrays,
+    first: int,
+):
     """One control step of ``solver.substeps`` substeps; thread ``t`` simulates rover ``first + t``.
 
     Inactive rovers keep their state. The impulses of the wheel contacts and motors are stored for the warm start of the
@@ -235,6 +248,7 @@ def step_dynamics(scenes: wp.array[Scene], model: RobotModel, solver: Solver, ro
     max_impulse = rovers.motor_torque[row] * solver.dt
     dt = solver.dt
     rovers.contact[row] = False
+    rovers.mover_contact[row] = False
 
     for wheel in range(wheels):
         motor = model.motor_of_wheel[wheel]
@@ -282,6 +296,21 @@ def step_dynamics(scenes: wp.array[Scene], model: RobotModel, solver: Solver, ro
             rovers.contact,
             row,
         )
+        if movers.form.shape[1] > 0:
+            count = collide_with_movers(
+                contacts,
+                count,
+                forms[0],
+                movers,
+                body,
+                model,
+                solver,
+                axles,
+                friction_scale * solver.obstacle_friction,
+                float(solver.substeps - substep) * dt,
+                rovers.mover_contact,
+                row,
+            )
         restore_impulses(contacts, wheel_contacts, count, keys, impulses)
 
         # 3. Warm start: few iterations suffice, since the impulses of the last substep are close to the solution.
@@ -315,6 +344,7 @@ def step_dynamics(scenes: wp.array[Scene], model: RobotModel, solver: Solver, ro
         rate = wp.quat(angular_velocity[0], angular_velocity[1], angular_velocity[2], 0.0)
         orientation = wp.normalize(orientation + (0.5 * dt) * (rate * orientation))
 
+    rovers.contact[row] = rovers.contact[row] or rovers.mover_contact[row]
     rovers.position[row] = body.position
     rovers.orientation[row] = orientation
     rovers.velocity[row] = velocity
@@ -392,4 +422,5 @@ def place(model: RobotModel, rovers: RoverArrays, poses: wp.array2d[float]):
     for joint in range(rovers.angles.shape[1]):
         rovers.angles[row, joint] = 0.0
     rovers.contact[row] = False
+    rovers.mover_contact[row] = False
     write_base_state(model, rovers, row)

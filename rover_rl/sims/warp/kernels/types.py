@@ -74,6 +74,19 @@ class RobotModel:
 
 
 @wp.struct
+class MoverArrays:
+    """Parts of the movers of all rows, [N, P] each: see :class:`~rover_rl.sims.movers.field.Parts`."""
+
+    # Index in the scene of forms, whose obstacles are the different solids, each in its own frame; -1 for none.
+    form: wp.array2d[int]
+    # Pose after the control step, and velocity (m/s) and yaw rate (rad/s) during it.
+    position: wp.array2d[wp.vec3]
+    orientation: wp.array2d[wp.quat]
+    velocity: wp.array2d[wp.vec3]
+    turn: wp.array2d[float]
+
+
+@wp.struct
 class Solver:
     """Parameters of the contact solver and the integrator."""
 
@@ -133,5 +146,7 @@ class RoverArrays:
     base_state: wp.array2d[float]
     ranges: wp.array2d[float]
     contact: wp.array[wp.bool]
+    # Whether the rover touched a mover in the last control step.
+    mover_contact: wp.array[wp.bool]
     # Working memory of the scan: bounds of how far each sector sees, [N, SECTORS], m.
     visible: wp.array2d[float]

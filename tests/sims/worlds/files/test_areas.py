@@ -11,7 +11,7 @@ import torch
 from matplotlib.path import Path as Outline
 
 from rover_rl.envs.placement import Placement
-from rover_rl.envs.rng import episode_keys, row_keys
+from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import World

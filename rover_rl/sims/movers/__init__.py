@@ -1,0 +1,7 @@
+"""Movers of the rows of a batch: where they are, and what rays meet of them."""
+
+from __future__ import annotations
+
+from rover_rl.sims.movers.field import MoverField, Parts
+
+__all__ = ["MoverField", "Parts"]

@@ -1,0 +1,348 @@
+"""``MoverField``: the movers of every row of a batch, from step to step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from rover_rl.rng import random_bits
+from rover_rl.sims.movers.walls import WallTable
+from rover_rl.sims.rotations import quaternion_product, rotate, wrap_angle
+from rover_rl.sims.worlds.movers.motions.base import Course, Motion, Others, Scene
+from rover_rl.sims.worlds.movers.mover import Mover
+from rover_rl.sims.worlds.movers.shapes import KINDS, Part, radius_of
+from rover_rl.sims.worlds.slot_table import SlotTable, TerrainTable
+from rover_rl.sims.worlds.table import WorldTable
+
+STRIDE = 1.3
+"""Way in which a walking mover swings its legs once to and fro, m: two steps of 0.65 m."""
+FULL_SWING = 1.2
+"""Speed from which on legs swing with their whole amplitude, m/s."""
+MAX_SPEED = 20.0
+"""Speed above which a mover is put from one place to another, and pushes nothing in between, m/s."""
+_MOVERS, _DRAWS = 32, 33
+"""Streams of random numbers."""
+
+
+@dataclass
+class Parts:
+    """Convex solids of the movers of each row, for sensors and physics. Rows with fewer than ``P`` are filled up.
+
+    Attributes:
+        kind: index in :data:`~rover_rl.sims.worlds.movers.shapes.KINDS`, -1 for none, int32 ``[N, P]``.
+        form: index in :attr:`MoverField.forms`, -1 for none, int32 ``[N, P]``.
+        half: half of the length, width and height, ``[N, P, 3]``, m.
+        mover: index of the part's mover, int64 ``[N, P]``.
+        position: center now, that is at the end of the last step, ``[N, P, 3]``, m.
+        orientation: orientation now, unit quaternion (x, y, z, w), ``[N, P, 4]``.
+        velocity: velocity during the last step, ``[N, P, 3]``, m/s. 0 if no time has passed.
+        turn: yaw rate during the last step, ``[N, P]``, rad/s.
+    """
+
+    kind: Tensor
+    form: Tensor
+    half: Tensor
+    mover: Tensor
+    position: Tensor
+    orientation: Tensor
+    velocity: Tensor
+    turn: Tensor
+
+    @classmethod
+    def zeros(cls, shape: Sequence[int], device: torch.device) -> Parts:
+        """Creates parts of the given numbers of rows and parts at the origin."""
+        zeros = torch.zeros(*shape, device=device)
+        points = torch.zeros(*shape, 3, device=device)
+        return cls(
+            kind=zeros.int() - 1,
+            form=zeros.int() - 1,
+            half=points.clone(),
+            mover=zeros.long(),
+            position=points.clone(),
+            orientation=torch.zeros(*shape, 4, device=device),
+            velocity=points,
+            turn=zeros,
+        )
+
+
+class MoverField:
+    """Movers of every row of a batch, and where they are.
+
+    The movers of a row are those of its world. They depend on the random key of its episode alone, and reactive ones
+    on the rover of the row, too.
+
+    Args:
+        worlds: world of each row.
+        dt: duration of a step, s.
+        rover_radius: radius of a rover, m.
+        is_live: whether the movers are those around a live rover, of which nothing is known.
+
+    Attributes:
+        parts: solids of the movers. ``None`` as long as no row has had movers: nothing else takes time then.
+        course: courses of the movers, ``[N, M]``.
+        radius: radius of each mover, ``[N, M]``, m.
+        present: which movers exist, bool ``[N, M]``.
+    """
+
+    def __init__(self, worlds: WorldTable, dt: float, rover_radius: float, is_live: bool = False) -> None:
+        self._worlds, self._entered, self._dt, self._rover_radius = worlds, worlds.follow(), dt, rover_radius
+        self._is_live = is_live
+        count, device = len(worlds), worlds.slots.device
+        self._tables, self._terrains, self._walls = MoverTables(device), TerrainTable(device), WallTable(worlds)
+        self._bounds = SlotTable((4,), torch.float32, device)
+        self._slots: Tensor | None = None
+        self._steps = torch.zeros(count, 1, dtype=torch.int64, device=device)
+        self._keys = torch.zeros_like(self._steps)
+        self.course = Course.at_rest(count, 0, device)
+        # Way that each mover has gone, from which its legs swing, [N, M], m.
+        self._walked = torch.zeros(count, 0, device=device)
+        self.present = torch.zeros(count, 0, dtype=torch.bool, device=device)
+        self.radius = torch.zeros(count, 0, device=device)
+        self.parts: Parts | None = None
+        # Heading of each part's mover after the last step, [N, P], rad.
+        self._yaw = torch.zeros(count, 0, device=device)
+        self.enter_worlds()
+
+    @property
+    def forms(self) -> list[Part]:
+        """Parts of different kinds or sizes that occur. The list grows."""
+        return self._tables.forms
+
+    def enter_worlds(self) -> None:
+        """Moves rows to their worlds in the table, after these have changed. The caller resets these rows next."""
+        for slot, world in self._entered().items():
+            self._tables[slot] = () if self._is_live else world.movers
+            self._terrains[slot] = world.terrain
+            (x_low, x_high), (y_low, y_high) = world.bounds
+            self._bounds[slot] = torch.tensor([(x_low, y_low, x_high, y_high)])
+            if any(mover.motion.has_walls for mover in world.movers):
+                self._walls[slot] = world
+        if self._slots is not self._worlds.slots:
+            self._slots = self._worlds.slots
+            if self._tables.motions:
+                self._select(self._slots)
+
+    def _select(self, slots: Tensor) -> None:
+        """Copies what the tables hold of each row's world."""
+        tables = self._tables
+        self._motion, self.radius = tables.motion.values[slots], tables.radius.values[slots]
+        self.present = self._motion >= 0
+        self._settings = {motion: tables.settings_of(motion, slots) for motion in tables.motions}
+        self._corners = self._bounds.values[slots, 0]
+        added = self.radius.shape[1] - self._walked.shape[1]
+        self.course, self._walked = self.course.padded(added), pad(self._walked, (0, added))
+        self._local = {name: table.values[slots] for name, table in tables.parts.items()}
+        shape = self._local["kind"].shape
+        if self.parts is None or self.parts.kind.shape != shape:
+            self.parts = Parts.zeros(shape, slots.device)
+        # In place: simulators keep the tensors.
+        for name in ("kind", "form", "half", "mover"):
+            getattr(self.parts, name).copy_(self._local[name])
+
+    def reset(self, mask: Tensor, keys: Tensor, rovers: Tensor) -> None:
+        """Begins the episodes of rows.
+
+        Args:
+            mask: rows, bool ``[N, 1]``.
+            keys: random keys of the episodes, int64 ``[N, 1]``.
+            rovers: where the rovers start, ``[N, 2]``, m.
+        """
+        self._keys, self._steps = torch.where(mask, keys, self._keys), self._steps.masked_fill(mask, 0)
+        if self.parts is None:
+            return
+        count, movers = self.radius.shape
+        blank = Course.at_rest(count, movers, mask.device)
+        self.course = blank.where(mask.expand_as(self.present), self.course)
+        still = Others(rovers[:, None], torch.zeros_like(rovers)[:, None], self._rover_radius)
+        self._change("begin", mask, still)
+        self._walked = self._walked.masked_fill(mask, 0.0)
+        self._place(mask, begins=True)
+
+    def advance(self, active: Tensor | None, rovers: Others) -> None:
+        """Moves the movers of the rows of ``active`` (bool ``[N, 1]``; ``None``: all) by one step.
+
+        Args:
+            active: rows in which time passes.
+            rovers: rovers before the step, to which movers may react.
+        """
+        if self.parts is None:
+            return
+        rows = torch.ones_like(self._steps, dtype=torch.bool) if active is None else active
+        self._steps = self._steps + rows
+        before = self.course.position
+        self._change("advance", rows, rovers)
+        self._walked = self._walked + (self.course.position - before).norm(dim=-1)
+        self._place(rows)
+
+    def nearest(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns the horizontal distance from points ``[N, 2]`` (m) to the nearest mover of each row, and its speed.
+
+        Returns:
+            Distances to the surface, 0 inside, ``inf`` without movers, ``[N, 1]``, m; and speeds, ``[N, 1]``, m/s.
+        """
+        if self.parts is None:
+            return torch.full_like(points[:, :1], math.inf), torch.zeros_like(points[:, :1])
+        parts = self.parts
+        offset = points[:, None] - parts.position[..., :2]
+        cos, sin = (
+            (1 - 2 * parts.orientation[..., 2].square()),
+            2 * parts.orientation[..., 2] * parts.orientation[..., 3],
+        )
+        x, y = offset.unbind(-1)
+        local = torch.stack((cos * x + sin * y, cos * y - sin * x), -1)
+        beside = (local.abs() - parts.half[..., :2]).clamp(min=0).norm(dim=-1)
+        around = (offset.norm(dim=-1) - parts.half[..., 0]).clamp(min=0)
+        distance = torch.where(parts.kind == KINDS.index("box"), beside, around)
+        least, which = distance.masked_fill(parts.kind < 0, math.inf).min(-1, keepdim=True)
+        speed = self.course.velocity.norm(dim=-1).gather(1, parts.mover.gather(1, which))
+        return least, speed
+
+    def _change(self, method: str, rows: Tensor, rovers: Others) -> None:
+        """Calls a method of every motion for its movers in ``rows``, and stores the courses."""
+        before = after = self.course
+        for number, motion in enumerate(self._tables.motions):
+            mine = (self._motion == number) & rows
+            scene = Scene(
+                course=before,
+                settings=self._settings[motion],
+                mine=mine,
+                present=self.present,
+                radius=self.radius,
+                time=self._steps.double() * self._dt,
+                dt=self._dt,
+                walls=self._walls,
+                bounds=self._corners,
+                rovers=rovers,
+                bits=self._bits,
+            )
+            after = getattr(motion, method)(scene).where(mine, after)
+        self.course = after
+
+    def _bits(self, count: int) -> Tensor:
+        """Returns random bits of each mover and draw, int64 ``[N, M, count]``."""
+        draws = self.course.draws
+        movers = random_bits(self._keys, _MOVERS, 0, draws.shape[1])
+        return random_bits(movers.reshape(-1, 1), _DRAWS, draws.reshape(-1, 1), count).reshape(*draws.shape, count)
+
+    def _place(self, rows: Tensor, begins: bool = False) -> None:
+        """Places the parts of the movers in ``rows``, on the ground. Parts of the other rows do not move."""
+        assert self.parts is not None
+        parts, local, course = self.parts, self._local, self.course
+        ground = self._terrains.of(self._worlds.slots).height_at(course.position.double()).float()
+        phase = self._walked * (2 * math.pi / STRIDE)
+        swing = (course.velocity.norm(dim=-1) / FULL_SWING).clamp(max=1) * torch.sin(phase)
+        # The same for each part.
+        mover = local["mover"]
+        yaw, swing, ground = (values.gather(1, mover) for values in (course.yaw, swing, ground))
+        place = course.position.gather(1, mover[..., None].expand(*mover.shape, 2))
+        turned = torch.zeros_like(parts.orientation)
+        turned[..., 2], turned[..., 3] = torch.sin(yaw / 2), torch.cos(yaw / 2)
+        offset = local["center"] + pad((local["swing"] * swing)[..., None], (0, 2))
+        position = torch.cat((place, ground[..., None]), -1) + rotate(turned, offset)
+        orientation = quaternion_product(turned, local["orientation"])
+        if begins:
+            velocity, turn = torch.zeros_like(parts.velocity), torch.zeros_like(parts.turn)
+        else:
+            velocity = (position - parts.position) / self._dt
+            turn = wrap_angle(yaw - self._yaw) / self._dt
+            jumps = velocity.norm(dim=-1) > MAX_SPEED
+            velocity, turn = velocity.masked_fill(jumps[..., None], 0.0), turn.masked_fill(jumps, 0.0)
+        self._yaw = yaw
+        for old, new, rest in (
+            (parts.position, position, parts.position),
+            (parts.orientation, orientation, parts.orientation),
+            (parts.velocity, velocity, torch.zeros_like(velocity)),
+        ):
+            old.copy_(torch.where(rows[..., None], new, rest))
+        parts.turn.copy_(torch.where(rows, turn, torch.zeros_like(turn)))
+
+
+class MoverTables:
+    """Movers of the worlds in slots: their motions, their settings and their parts.
+
+    Args:
+        device: device of the tables.
+
+    Attributes:
+        motions: classes of the motions that occur.
+        motion: index of the motion of each mover in :attr:`motions`, -1 for none.
+        radius: radius of each mover, m.
+        forms: parts of different kinds or sizes.
+        parts: what :class:`Parts` are made of, by name.
+    """
+
+    def __init__(self, device: torch.device) -> None:
+        self._device = device
+        self.motions: list[type[Motion]] = []
+        self.forms: list[Part] = []
+        self._number_of: dict[tuple[str, tuple[float, float, float]], int] = {}
+        self.motion = SlotTable((), torch.int64, device, padding=-1)
+        self.radius = SlotTable((), torch.float32, device)
+        self.parts = {
+            "kind": SlotTable((), torch.int32, device, padding=-1),
+            "form": SlotTable((), torch.int32, device, padding=-1),
+            "mover": SlotTable((), torch.int64, device),
+            "half": SlotTable((3,), torch.float32, device),
+            "center": SlotTable((3,), torch.float32, device),
+            "orientation": SlotTable((4,), torch.float32, device),
+            "swing": SlotTable((), torch.float32, device),
+        }
+        # Settings by motion and name, and their shapes.
+        self._settings: dict[type[Motion], dict[str, SlotTable]] = {}
+
+    def __setitem__(self, slot: int, movers: Sequence[Mover]) -> None:
+        """Sets the movers of a slot."""
+        for mover in movers:
+            if type(mover.motion) not in self.motions:
+                self.motions.append(type(mover.motion))
+        self.motion[slot] = torch.tensor(
+            [self.motions.index(type(mover.motion)) for mover in movers], dtype=torch.int64
+        )
+        self.radius[slot] = torch.tensor([radius_of(mover.shape) for mover in movers])
+        parts = [(number, part) for number, mover in enumerate(movers) for part in mover.shape.parts()]
+        self.parts["kind"][slot] = torch.tensor([KINDS.index(part.kind) for _, part in parts], dtype=torch.int32)
+        self.parts["form"][slot] = torch.tensor([self._form(part) for _, part in parts], dtype=torch.int32)
+        self.parts["mover"][slot] = torch.tensor([number for number, _ in parts], dtype=torch.int64)
+        self.parts["half"][slot] = torch.tensor([part.size for _, part in parts]).reshape(-1, 3) / 2
+        for name in ("center", "orientation", "swing"):
+            table = self.parts[name]
+            values = torch.tensor([getattr(part, name) for _, part in parts], dtype=torch.float32)
+            table[slot] = values.reshape(-1, *table.values.shape[2:])
+        for motion in {type(mover.motion) for mover in movers}:
+            self._set_settings(slot, motion, movers)
+
+    def _form(self, part: Part) -> int:
+        """Returns the index of a part in :attr:`forms`."""
+        number = self._number_of.setdefault((part.kind, part.size), len(self.forms))
+        if number == len(self.forms):
+            self.forms.append(part)
+        return number
+
+    def _set_settings(self, slot: int, motion: type[Motion], movers: Sequence[Mover]) -> None:
+        """Sets the settings of the movers with a motion. Those of other movers of the slot are padding."""
+        given = {number: mover.motion.tensors() for number, mover in enumerate(movers) if type(mover.motion) is motion}
+        tables = self._settings.setdefault(motion, {})
+        for name, first in next(iter(given.values())).items():
+            table = tables.setdefault(name, SlotTable((0,) * first.ndim, first.dtype, self._device))
+            values = {number: tensors[name] for number, tensors in given.items()}
+            shape = [max(sizes) for sizes in zip(*(value.shape for value in values.values()), strict=True)]
+            stacked = torch.zeros((len(movers), *shape), dtype=first.dtype)
+            for number, value in values.items():
+                stacked[number][tuple(map(slice, value.shape))] = value
+            table[slot] = stacked
+
+    def settings_of(self, motion: type[Motion], slots: Tensor) -> dict[str, Tensor]:
+        """Returns the settings of a motion for rows in ``slots [N]``, by name, ``[N, M, ...]``."""
+        movers = self.motion.values.shape[1]
+        found = {}
+        for name, table in self._settings[motion].items():
+            used, length, *shape = table.values.shape
+            # Slots without this motion may be missing at the end of the table.
+            values = table.values[slots.clamp(max=used - 1)]
+            found[name] = pad(values, (*[0] * 2 * len(shape), 0, movers - length))
+        return found

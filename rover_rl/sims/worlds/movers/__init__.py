@@ -1,0 +1,9 @@
+"""Movers: obstacles and people that move, their shapes and their motions."""
+
+from __future__ import annotations
+
+from rover_rl.sims.worlds.movers.motions import Motion, Waypoints
+from rover_rl.sims.worlds.movers.mover import Mover
+from rover_rl.sims.worlds.movers.shapes import Box, Capsule, Cylinder, Part, Person, Shape
+
+__all__ = ["Box", "Capsule", "Cylinder", "Motion", "Mover", "Part", "Person", "Shape", "Waypoints"]

@@ -1,0 +1,8 @@
+"""Motions of movers, a file each."""
+
+from __future__ import annotations
+
+from rover_rl.sims.worlds.movers.motions.base import Course, Motion, Scene
+from rover_rl.sims.worlds.movers.motions.waypoints import Waypoints
+
+__all__ = ["Course", "Motion", "Scene", "Waypoints"]

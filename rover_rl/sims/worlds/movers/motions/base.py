@@ -1,0 +1,154 @@
+"""``Motion``: how movers move, batched over the rows of a batch and the movers of each row."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from typing import ClassVar, Protocol
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+
+@dataclass(frozen=True)
+class Course:
+    """Where movers are and where they go, ``[N, M]`` of each.
+
+    Attributes:
+        position: position, ``[N, M, 2]``, m.
+        yaw: heading, ``[N, M]``, rad.
+        velocity: velocity, ``[N, M, 2]``, m/s.
+        goal: where the mover goes, for motions that have goals, ``[N, M, 2]``, m.
+        clock: time of a motion's own, such as until it changes its mind, ``[N, M]``, s.
+        draws: number of times that the motion has drawn random numbers, int64 ``[N, M]``.
+    """
+
+    position: Tensor
+    yaw: Tensor
+    velocity: Tensor
+    goal: Tensor
+    clock: Tensor
+    draws: Tensor
+
+    @classmethod
+    def at_rest(cls, rows: int, movers: int, device: torch.device) -> Course:
+        """Creates courses of movers at rest at the origin."""
+        zeros = torch.zeros(rows, movers, device=device)
+        pairs = torch.zeros(rows, movers, 2, device=device)
+        return cls(position=pairs, yaw=zeros, velocity=pairs, goal=pairs, clock=zeros, draws=zeros.long())
+
+    def padded(self, movers: int) -> Course:
+        """Returns courses of more movers, which rest at the origin."""
+        values = ((item.name, getattr(self, item.name)) for item in fields(self))
+        return Course(
+            **{name: pad(value, (0, 0, 0, movers) if value.ndim == 3 else (0, movers)) for name, value in values}
+        )
+
+    def where(self, mask: Tensor, other: Course) -> Course:
+        """Returns this course for the movers of ``mask`` (bool ``[N, M]``), and ``other`` for the others."""
+        chosen = {}
+        for item in fields(self):
+            value = getattr(self, item.name)
+            rows = mask.reshape(*mask.shape, *[1] * (value.ndim - mask.ndim))
+            chosen[item.name] = torch.where(rows, value, getattr(other, item.name))
+        return replace(self, **chosen)
+
+
+class Walls(Protocol):
+    """What movers keep away from: obstacles and the bounds of the world of each row."""
+
+    def distance(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns the distance to the nearest wall (at most 3 m), and the direction away from it.
+
+        Args:
+            points: points of each row, ``[N, K, 2]``, m.
+
+        Returns:
+            Distances ``[N, K]``, m, negative beyond the bounds, and unit vectors ``[N, K, 2]``, 0 far from all walls.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Others:
+    """Rovers, which movers may react to.
+
+    Attributes:
+        position: positions, ``[N, R, 2]``, m.
+        velocity: velocities, ``[N, R, 2]``, m/s.
+        radius: radius of a rover, m.
+    """
+
+    position: Tensor
+    velocity: Tensor
+    radius: float
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a motion depends on, for ``N`` rows with ``M`` movers each.
+
+    Attributes:
+        course: course of all movers before the step, also of those with other motions.
+        settings: settings of the motion by name, ``[N, M, ...]``; meaningless for movers with other motions.
+        mine: movers that have this motion, bool ``[N, M]``.
+        present: movers that exist: rows may have fewer than others, bool ``[N, M]``.
+        radius: radius of each mover, ``[N, M]``, m.
+        time: time since the episode began, at the end of the step, ``[N, 1]``, s.
+        dt: duration of a step, s.
+        walls: walls of each row's world.
+        bounds: bounds of each row's world: lower x and y, and upper x and y, ``[N, 4]``, m.
+        rovers: rovers of each row.
+        bits: function from a number of hashes to random bits of each mover and draw, int64 ``[N, M, count]``.
+    """
+
+    course: Course
+    settings: dict[str, Tensor]
+    mine: Tensor
+    present: Tensor
+    radius: Tensor
+    time: Tensor
+    dt: float
+    walls: Walls
+    bounds: Tensor
+    rovers: Others
+    bits: Callable[[int], Tensor]
+
+
+@dataclass(frozen=True)
+class Motion(ABC):
+    """How movers move.
+
+    A subclass is a frozen dataclass, whose fields are the settings of one mover. Movers of all rows that have motions
+    of the same class are moved at once, without a loop: :meth:`begin` and :meth:`advance` get the settings of all of
+    them as tensors. Random numbers must come from :attr:`Scene.bits`, so that a mover depends on the seed of its row
+    and the number of the episode alone.
+
+    Attributes:
+        has_walls: whether the motion asks for :attr:`Scene.walls`.
+    """
+
+    has_walls: ClassVar[bool] = False
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Returns the settings of one mover: by default each field, which must be a number.
+
+        Where the tensors of movers differ in length, the shorter ones are padded with zeros at their ends.
+        """
+        return {item.name: torch.tensor(float(getattr(self, item.name))) for item in fields(self)}
+
+    @classmethod
+    @abstractmethod
+    def begin(cls, scene: Scene) -> Course:
+        """Returns the course of the movers at the start of an episode, when ``scene.time`` is 0."""
+
+    @classmethod
+    @abstractmethod
+    def advance(cls, scene: Scene) -> Course:
+        """Returns the course of the movers after a step."""
+
+    def start(self) -> tuple[float, float] | None:
+        """Returns the point at which every episode starts, m, or ``None`` if it is drawn."""
+        return None

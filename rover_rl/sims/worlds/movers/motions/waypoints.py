@@ -1,0 +1,129 @@
+"""``Waypoints``: a path that is given by keyframes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal, TypeAlias, get_args
+
+import torch
+from torch import Tensor
+
+from rover_rl.rng import to_unit
+from rover_rl.sims.rotations import wrap_angle
+from rover_rl.sims.worlds.movers.motions.base import Course, Motion, Scene
+
+Keyframe: TypeAlias = tuple[float, float, float, float]
+Repeat: TypeAlias = Literal["once", "loop", "back_and_forth"]
+
+
+@dataclass(frozen=True)
+class Waypoints(Motion):
+    """A path from keyframe to keyframe, at constant speed between two of them.
+
+    The position at a time depends on nothing else, unless ``random_start`` is set. Before the first keyframe and after
+    the last one of ``"once"``, the mover rests.
+
+    Args:
+        keys: keyframes: time (s), x, y (m) and yaw (rad). Times start at 0 or later, in ascending order. The yaw takes
+            the shortest way to that of the next keyframe.
+        repeat: ``"once"``, ``"loop"`` (begins again at the first keyframe, at once) or ``"back_and_forth"``.
+        delay: time before the first keyframe's time 0, s.
+        random_start: whether each episode starts at a random time of the path.
+
+    Raises:
+        ValueError: if there is no keyframe, a number is not finite, or the times are not in order.
+    """
+
+    keys: Sequence[Keyframe]
+    repeat: Repeat = "loop"
+    delay: float = 0.0
+    random_start: bool = False
+
+    def __post_init__(self) -> None:
+        keys = tuple(tuple(float(number) for number in key) for key in self.keys)
+        object.__setattr__(self, "keys", keys)
+        if not keys or any(len(key) != 4 or not all(map(math.isfinite, key)) for key in keys):
+            raise ValueError(f"keyframes must be finite (time, x, y, yaw), at least one, got {self.keys}")
+        times = [key[0] for key in keys]
+        if times[0] < 0 or any(b <= a for a, b in pairwise(times)):
+            raise ValueError(f"the times of keyframes must be at least 0 and in ascending order, got {times}")
+        if self.repeat not in get_args(Repeat):
+            raise ValueError(f"repeat must be one of {get_args(Repeat)}, got {self.repeat!r}")
+        if self.repeat == "loop" and len(keys) > 1 and times[-1] <= 0:
+            raise ValueError(f"the period of a loop must be positive, got {times[-1]}")
+        if not (math.isfinite(self.delay) and self.delay >= 0):
+            raise ValueError(f"delay must be at least 0, got {self.delay}")
+
+    def start(self) -> tuple[float, float] | None:
+        """Returns the first point, unless the start is random."""
+        return None if self.random_start else self.keys[0][1:3]
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Returns the keyframes ``[K, 4]``, and what else the position depends on."""
+        keys = torch.tensor(self.keys, dtype=torch.float64)
+        return {
+            "keys": keys,
+            "count": torch.tensor(len(keys)),
+            "period": keys[-1, 0].clone(),
+            "repeat": torch.tensor(float(get_args(Repeat).index(self.repeat)), dtype=torch.float64),
+            "delay": torch.tensor(self.delay, dtype=torch.float64),
+            "random_start": torch.tensor(float(self.random_start), dtype=torch.float64),
+        }
+
+    @classmethod
+    def begin(cls, scene: Scene) -> Course:
+        """Starts at time 0, or at a random time, which the clock keeps."""
+        settings = scene.settings
+        cycle = torch.where(settings["repeat"] == 2, 2 * settings["period"], settings["period"])
+        offset = settings["random_start"] * cycle * to_unit(scene.bits(1)[..., 0])
+        return cls._at(scene, offset.to(scene.course.clock.dtype), scene.course)
+
+    @classmethod
+    def advance(cls, scene: Scene) -> Course:
+        """Moves along the path."""
+        return cls._at(scene, scene.course.clock, scene.course)
+
+    @classmethod
+    def _at(cls, scene: Scene, offset: Tensor, course: Course) -> Course:
+        """Returns the course at the time of the scene plus an offset ``[N, M]``."""
+        settings = scene.settings
+        keys, period = settings["keys"], settings["period"]
+        time = (scene.time + offset - settings["delay"]).clamp(min=0)
+        whole = period.clamp(min=1e-6)
+        folded = torch.remainder(time, 2 * whole)
+        time = torch.where(
+            settings["repeat"] == 0,
+            time,
+            torch.where(
+                settings["repeat"] == 1, torch.remainder(time, whole), torch.minimum(folded, 2 * whole - folded)
+            ),
+        )
+        # The last keyframe that is not later, and the one after it.
+        numbers = torch.arange(keys.shape[-2], device=keys.device)
+        passed = (keys[..., 0] <= time[..., None]) & (numbers < settings["count"][..., None])
+        last = (passed.sum(-1) - 1).clamp(min=0)
+        following = torch.minimum(last + 1, (settings["count"] - 1).clamp(min=0))
+        here, there = (
+            keys.gather(-2, index[..., None, None].expand(*index.shape, 1, 4)).squeeze(-2)
+            for index in (last, following)
+        )
+        span = (there[..., 0] - here[..., 0]).clamp(min=1e-9)
+        share = ((time - here[..., 0]) / span).clamp(0, 1)[..., None]
+        way = (there[..., 1:3] - here[..., 1:3]) / span[..., None]
+        position = here[..., 1:3] + (share * span[..., None]) * way
+        # Backward on the way back, and at rest at the ends.
+        returns = (settings["repeat"] == 2) & (folded > whole)
+        heading = torch.where(returns, -1.0, 1.0)[..., None] * ((share > 0) & (share < 1))
+        yaw = here[..., 3] + share[..., 0] * wrap_angle(there[..., 3] - here[..., 3])
+        position = position.to(course.position.dtype)
+        return Course(
+            position=position,
+            yaw=yaw.to(course.yaw.dtype),
+            velocity=(way * heading).to(course.velocity.dtype),
+            goal=course.goal,
+            clock=offset,
+            draws=course.draws,
+        )
