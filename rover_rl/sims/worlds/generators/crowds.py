@@ -1,0 +1,225 @@
+"""Worlds in which people and obstacles move: plaza, corridor, crossing and field; and walkers in any world.
+
+The walking speed of people is 1.34 +- 0.26 m/s (U. Weidmann, "Transporttechnik der Fussgaenger", ETH Zurich, 1993).
+Here, it rises with the difficulty to that. The numbers and speeds of the field span those of the DynaBARN worlds, 5 to
+24 cylinders with a radius of 0.5 m and 0.5 to 1.95 m/s, and the moving boxes of ros_jackal, 10 to 14 of 0.5 to 1.5 m/s
+(Z. Xu et al., "Benchmarking reinforcement learning techniques for autonomous navigation", ICRA 2023).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rover_rl.sims.worlds.generators.difficulty import DEFAULT, check_difficulty, scaled
+from rover_rl.sims.worlds.generators.enclosure import enclosing_walls
+from rover_rl.sims.worlds.movers import Box, Cross, Cylinder, Mover, Person, SocialForce, Wander
+from rover_rl.sims.worlds.obstacles import Obstacle, boxes, cylinders
+from rover_rl.sims.worlds.region import Area
+from rover_rl.sims.worlds.terrain import Terrain
+from rover_rl.sims.worlds.world import World
+
+HEIGHTS = (1.55, 1.95)
+"""Least and greatest height of a person, m."""
+PACE, SPREAD = (0.6, 1.0, 1.34), 0.26
+"""Mean walking speed at difficulty 0, 0.5 and 1, and its standard deviation, m/s."""
+WALKERS = (0.02, 0.05, 0.10)
+"""Walkers per square meter of the area in which episodes start and end, at difficulty 0, 0.5 and 1."""
+MOST_WALKERS = 64
+"""Maximum number of walkers that are added to a world."""
+PLAZA, PLAZA_PEOPLE = 16.0, (6, 12, 24)
+"""Side of the plaza, m, and number of people on it."""
+LENGTH, WIDTH, CORRIDOR_PEOPLE = 20.0, 4.0, (3, 6, 10)
+"""Length and width of the corridor, m, and number of people in it."""
+ARM, CROSSING_PEOPLE = 4.0, (4, 8, 16)
+"""Width of the ways that cross, m, and number of people on them."""
+FIELD, FIELD_MOVERS, FIELD_SPEEDS = 20.0, (5, 14, 24), ((0.4, 0.9), (0.5, 1.45), (0.8, 1.95))
+"""Side of the field, m, number of obstacles that move in it, and their least and greatest speed, m/s."""
+WALL, HEIGHT = 0.2, 2.0
+"""Thickness and height of walls, m."""
+
+
+def with_walkers(world: World, seed: int = 0, difficulty: float = DEFAULT) -> World:
+    """Returns a world in which people walk around.
+
+    Args:
+        world: any world.
+        seed: seed of their speeds and heights.
+        difficulty: difficulty in [0, 1]: the number and the speed of the people. At 0.5, there is one for each 20
+            square meters of the area in which episodes start and end, and they walk at 1 m/s.
+
+    Raises:
+        ValueError: if the difficulty is not in [0, 1].
+
+    Example:
+        >>> from rover_rl.sims.worlds import get_world
+        >>> len(with_walkers(get_world("maze")).movers), len(get_world("maze+walkers").movers)
+        (3, 3)
+    """
+    check_difficulty(difficulty)
+    rng = np.random.default_rng((seed, 1))
+    area = _union(world.spawn_range, world.goal_range)
+    (x_low, x_high), (y_low, y_high) = area
+    count = round((x_high - x_low) * (y_high - y_low) * scaled(difficulty, *WALKERS))
+    people = tuple(
+        Mover(Wander(speed, area=area), person, f"walker {number}")
+        for number, (speed, person) in enumerate(_people(rng, difficulty, min(max(count, 1), MOST_WALKERS)))
+    )
+    return replace(world, movers=(*world.movers, *people))
+
+
+def plaza(seed: int = 0, difficulty: float = DEFAULT) -> World:
+    """Creates a plaza with some columns and planters, which people cross from edge to edge.
+
+    Args:
+        seed: seed of the layout and the people.
+        difficulty: difficulty in [0, 1]: 6, 12 (at 0.5) or 24 people, who walk at 0.6 to 1.34 m/s on average.
+
+    Raises:
+        ValueError: if the difficulty is not in [0, 1].
+    """
+    check_difficulty(difficulty)
+    rng = np.random.default_rng(seed)
+    half, edge = PLAZA / 2, 1.5
+    edges: list[Area] = [
+        ((-half + 0.5, -half + edge), (-half + 0.5, half - 0.5)),
+        ((half - edge, half - 0.5), (-half + 0.5, half - 0.5)),
+        ((-half + 0.5, half - 0.5), (-half + 0.5, -half + edge)),
+        ((-half + 0.5, half - 0.5), (half - edge, half - 0.5)),
+    ]
+    movers = []
+    for number, (speed, person) in enumerate(_people(rng, difficulty, round(scaled(difficulty, *PLAZA_PEOPLE)))):
+        start, goal = rng.permutation(4)[:2]
+        movers.append(Mover(SocialForce(speed, edges[start], edges[goal]), person, f"person {number}"))
+    # Columns and planters on a jittered grid, so that wide ways lead between them.
+    spots = np.array([(x, y) for x in (-4.0, 0.0, 4.0) for y in (-4.0, 0.0, 4.0)]) + rng.uniform(-0.8, 0.8, (9, 2))
+    spots = spots[rng.permutation(9)[:5]]
+    columns = cylinders(_raised(spots[:3], 1.0), rng.uniform(0.15, 0.3, 3), 2.0, 16)
+    planters = boxes(_raised(spots[3:], 0.3), np.column_stack((rng.uniform(0.6, 1.6, (2, 2)), (0.6, 0.6))))
+    task = ((-half + 2, half - 2), (-half + 2, half - 2))
+    return World(
+        name="plaza",
+        terrain=Terrain.flat((PLAZA, PLAZA)),
+        obstacles=(*enclosing_walls(PLAZA), *columns, *planters),
+        spawn_range=task,
+        goal_range=task,
+        movers=movers,
+    )
+
+
+def corridor(seed: int = 0, difficulty: float = DEFAULT) -> World:
+    """Creates a corridor along x in which people come towards the rover, and some walk its way.
+
+    Episodes start at the western end, and goals are at the eastern one.
+
+    Args:
+        seed: seed of the people.
+        difficulty: difficulty in [0, 1]: 3, 6 (at 0.5) or 10 people, who walk at 0.6 to 1.34 m/s on average.
+
+    Raises:
+        ValueError: if the difficulty is not in [0, 1].
+    """
+    check_difficulty(difficulty)
+    rng = np.random.default_rng(seed)
+    half, side = LENGTH / 2, WIDTH / 2 - 0.4
+    west, east = ((-half + 0.5, -half + 3), (-side, side)), ((half - 3, half - 0.5), (-side, side))
+    middle: Area = ((-half + 6, half - 0.5), (-side, side))
+    movers = []
+    for number, (speed, person) in enumerate(_people(rng, difficulty, round(scaled(difficulty, *CORRIDOR_PEOPLE)))):
+        goal = east if number % 4 == 3 else west
+        movers.append(Mover(SocialForce(speed, middle, goal), person, f"person {number}"))
+    walls = boxes([(0, y, HEIGHT / 2) for y in (-(WIDTH + WALL) / 2, (WIDTH + WALL) / 2)], (LENGTH, WALL, HEIGHT))
+    return World(
+        name="corridor",
+        terrain=Terrain.flat((LENGTH, WIDTH)),
+        obstacles=walls,
+        spawn_range=((-half + 1, -half + 3), (-side, side)),
+        goal_range=((half - 3, half - 1), (-side, side)),
+        movers=movers,
+    )
+
+
+def crossing(seed: int = 0, difficulty: float = DEFAULT) -> World:
+    """Creates two ways that cross. The rover goes along one, and people walk along the other, to and fro.
+
+    Args:
+        seed: seed of the people.
+        difficulty: difficulty in [0, 1]: 4, 8 (at 0.5) or 16 people, who walk at 0.6 to 1.34 m/s on average.
+
+    Raises:
+        ValueError: if the difficulty is not in [0, 1].
+    """
+    check_difficulty(difficulty)
+    rng = np.random.default_rng(seed)
+    half, arm = PLAZA / 2, ARM / 2
+    north: Area = ((-arm + 0.4, arm - 0.4), (half - 3, half - 0.5))
+    south: Area = ((-arm + 0.4, arm - 0.4), (-half + 0.5, -half + 3))
+    movers = []
+    for number, (speed, person) in enumerate(_people(rng, difficulty, round(scaled(difficulty, *CROSSING_PEOPLE)))):
+        start, goal = (north, south) if number % 2 else (south, north)
+        movers.append(Mover(Cross(speed, start, goal), person, f"person {number}"))
+    block = half - arm
+    corners = [(x, y, HEIGHT / 2) for x in (-half + block / 2, half - block / 2) for y in (-half + block / 2, half - block / 2)]
+    side = arm - 0.4
+    return World(
+        name="crossing",
+        terrain=Terrain.flat((PLAZA, PLAZA)),
+        obstacles=(*enclosing_walls(PLAZA), *boxes(corners, (block, block, HEIGHT))),
+        spawn_range=((-half + 1, -half + 3), (-side, side)),
+        goal_range=((half - 3, half - 1), (-side, side)),
+        movers=movers,
+    )
+
+
+def field(seed: int = 0, difficulty: float = DEFAULT) -> World:
+    """Creates an open field within walls, in which cylinders and boxes move fast, and a tenth of them rests.
+
+    Args:
+        seed: seed of the obstacles.
+        difficulty: difficulty in [0, 1]: 5, 14 (at 0.5) or 24 obstacles of 0.4 to 1.95 m/s.
+
+    Raises:
+        ValueError: if the difficulty is not in [0, 1].
+    """
+    check_difficulty(difficulty)
+    rng = np.random.default_rng(seed)
+    low, high = (scaled(difficulty, *ends) for ends in zip(*FIELD_SPEEDS, strict=True))
+    half = FIELD / 2
+    inner: Area = ((-half + 0.7, half - 0.7),) * 2
+    movers, rest = [], list[Obstacle]()
+    for number in range(round(scaled(difficulty, *FIELD_MOVERS))):
+        length, width = rng.uniform(0.3, 1.0, 2)
+        shape = Cylinder(length / 2, 1.0) if rng.random() < 0.7 else Box(length, width, 1.0)
+        speed, turn_time = rng.uniform(low, high), rng.uniform(2.0, 8.0)
+        if number % 10 == 9:
+            rest += cylinders(_raised(rng.uniform(-half + 2, half - 2, (1, 2)), 0.5), length / 2, 1.0, 16)
+        else:
+            movers.append(Mover(Wander(speed, turn_time, inner), shape, f"obstacle {number}"))
+    task: Area = ((-half + 1, half - 1),) * 2
+    return World(
+        name="field",
+        terrain=Terrain.flat((FIELD, FIELD)),
+        obstacles=(*enclosing_walls(FIELD), *rest),
+        spawn_range=task,
+        goal_range=task,
+        movers=movers,
+    )
+
+
+def _people(rng: np.random.Generator, difficulty: float, count: int) -> list[tuple[float, Person]]:
+    """Draws the speeds (m/s) of people, and people."""
+    pace = scaled(difficulty, *PACE)
+    speeds = np.clip(rng.normal(pace, SPREAD * pace / PACE[-1], count), 0.3, 2.0)
+    heights = rng.uniform(*HEIGHTS, count)
+    return [(float(speed), Person(float(height))) for speed, height in zip(speeds.round(3), heights.round(2), strict=True)]
+
+
+def _union(a: Area, b: Area) -> Area:
+    """Returns the smallest rectangle around two areas."""
+    (ax, ay), (bx, by) = a, b
+    return (min(ax[0], bx[0]), max(ax[1], bx[1])), (min(ay[0], by[0]), max(ay[1], by[1]))
+
+
+def _raised(xy: np.ndarray, height: float) -> np.ndarray:
+    return np.column_stack((xy, np.full(len(xy), height)))
