@@ -10,10 +10,9 @@ from pathlib import Path
 
 from rover_rl.registry import Registry
 from rover_rl.sims.worlds.actor import Actor
-from rover_rl.sims.worlds.files.suffixes import is_world_file
 from rover_rl.sims.worlds.generators import forest, hills, inspect, maze, moon, ramps, rooms
 from rover_rl.sims.worlds.layout_cache import stored_layout
-from rover_rl.sims.worlds.names import WorldName, WorldRange
+from rover_rl.sims.worlds.names import WorldName, WorldRange, is_world_file
 from rover_rl.sims.worlds.obstacles import Obstacle, boulder, box, boxes, cylinder, cylinders
 from rover_rl.sims.worlds.region import Region
 from rover_rl.sims.worlds.terrain import Terrain

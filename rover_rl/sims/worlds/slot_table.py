@@ -12,12 +12,7 @@ GROWTH = 1.25
 
 
 class SlotTable:
-    """A list of values for each slot, in one tensor. Lists of different lengths are padded.
-
-    Args:
-        shape: shape of a value.
-        dtype: type of the values.
-        device: device of the table.
+    """A list of values of a shape for each slot, in one tensor. Lists of different lengths are padded.
 
     Attributes:
         values: values, ``[slots, capacity, *shape]``. Both numbers grow as needed.
@@ -48,11 +43,7 @@ class SlotTable:
 
 
 class TerrainTable:
-    """Terrains of the worlds in slots. The height at a point is that of :meth:`Terrain.height_at`, to the last bit.
-
-    Args:
-        device: device of the table.
-    """
+    """Terrains of the worlds in slots. The height at a point is that of :meth:`Terrain.height_at`, to the last bit."""
 
     def __init__(self, device: torch.device | str) -> None:
         self._heights = SlotTable((), torch.float32, device)
@@ -71,14 +62,7 @@ class TerrainTable:
 
 
 class TerrainRows:
-    """Terrain of each of ``N`` rows.
-
-    Args:
-        heights: heights of all slots, ``[slots, capacity]``, m.
-        slots: slot of each row, ``[N]``.
-        grids: x and y of the first height (m), spacing (m), and numbers of rows and columns for each row, float64
-            ``[N, 5]``.
-    """
+    """Terrain of each of ``N`` rows, by the heights of all slots, the slots ``[N]`` and the grids ``[N, 5]`` of rows."""
 
     def __init__(self, heights: Tensor, slots: Tensor, grids: Tensor) -> None:
         self._heights, self._slots, self._grids = heights, slots, grids
