@@ -13,10 +13,9 @@ from torch import Tensor
 from rover_rl.sims import robots, worlds
 from rover_rl.sims.free_space.cell_grid import CellGrid
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.cache import code_key, content_key, load_arrays, store_arrays
+from rover_rl.sims.worlds.cache import code_key, content_key, load_arrays, store_arrays, world_key
 from rover_rl.sims.worlds.region import overlap
 from rover_rl.sims.worlds.world import World
-from rover_rl.sims.worlds.world_key import world_key
 
 if TYPE_CHECKING:
     from rover_rl.sims.free_space.space import FreeSpace

@@ -18,9 +18,8 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.inertial_model import InertialModel
 from rover_rl.sims.warp.kernels.types import MAX_WHEELS, RobotModel, Scene
 from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.cache import code_key, content_key, load_arrays, store_arrays
+from rover_rl.sims.worlds.cache import code_key, content_key, load_arrays, store_arrays, world_key
 from rover_rl.sims.worlds.obstacles import Solids, groups_of
-from rover_rl.sims.worlds.world_key import world_key
 
 BLOCK_SIDE = 1.5
 """Approximate side length of a block of ground, m."""

@@ -9,11 +9,22 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 from rover_rl.registry import Registry
-from rover_rl.sims.worlds.actor import Actor
-from rover_rl.sims.worlds.files.suffixes import is_world_file
-from rover_rl.sims.worlds.generators import forest, hills, inspect, maze, moon, ramps, rooms
+from rover_rl.sims.worlds.generators import (
+    corridor,
+    crossing,
+    field,
+    forest,
+    hills,
+    inspect,
+    maze,
+    moon,
+    plaza,
+    ramps,
+    rooms,
+    with_walkers,
+)
 from rover_rl.sims.worlds.layout_cache import stored_layout
-from rover_rl.sims.worlds.names import WorldName, WorldRange
+from rover_rl.sims.worlds.names import WorldName, WorldRange, is_world_file
 from rover_rl.sims.worlds.obstacles import Obstacle, boulder, box, boxes, cylinder, cylinders
 from rover_rl.sims.worlds.region import Region
 from rover_rl.sims.worlds.terrain import Terrain
@@ -27,10 +38,16 @@ WORLDS: dict[str, Callable[..., World]] = {
     "forest": forest,
     "hills": hills,
     "ramps": ramps,
+    "plaza": plaza,
+    "corridor": corridor,
+    "crossing": crossing,
+    "field": field,
 }
 """Built-in worlds: functions from a seed and a difficulty to a world, by name."""
 
 
+WITH_WALKERS = "+walkers"
+"""End of the name of any world, before a seed and a difficulty, for the same world with people who walk in it."""
 _REGISTRY = Registry(
     "world",
     WORLDS,
@@ -69,7 +86,8 @@ def get_world(world: str | World) -> World:
         world: name in :func:`world_names`, ``"module:attribute"`` of a world or of a function that returns one, or a
             world. A suffix ``:seed`` selects another layout, for example ``"maze:7"`` or ``"my_package:canyon:7"``, and
             a suffix ``@difficulty``, from 0 to 1, an easier or harder one, for example ``"maze@0.2"``, ``"maze:7@1"``.
-            The path of a world file also is a name: see :meth:`World.from_file`.
+            The path of a world file also is a name: see :meth:`World.from_file`. A suffix ``+walkers`` adds people who
+            walk: ``"maze+walkers:7@0.3"``, ``"yard.yaml+walkers"``.
 
     Returns:
         The world. The same name returns the same object (the last 256 names are cached).
@@ -87,9 +105,28 @@ def get_world(world: str | World) -> World:
     if seeds is not None:
         raise ValueError(f"{world!r} names {len(seeds)} worlds; name one of them, such as {seeds.name(0)!r}")
     name = WorldName.parse(str(world))
+    if name.part.endswith(WITH_WALKERS):
+        return _make_with_walkers(replace(name, part=name.part.removesuffix(WITH_WALKERS)))
     if name.seed is None and name.part in WORLDS:
         name = replace(name, seed=0)
     return _make_world(name)
+
+
+@lru_cache(maxsize=256)
+def _make_with_walkers(name: WorldName) -> World:
+    """Returns a world with people. Seed and difficulty are those of the people, and of the world if it takes them."""
+    if is_world_file(name.part):
+        world = _read_file(Path(name.part).resolve())
+    else:
+        takes = _taken_by(_REGISTRY.find(name.part))
+        seed = name.seed if takes - {"difficulty"} else None
+        world = get_world(str(replace(name, seed=seed, difficulty=name.difficulty if "difficulty" in takes else None)))
+    return with_walkers(world, name.seed or 0, DEFAULT if name.difficulty is None else name.difficulty)
+
+
+def _taken_by(part: Any) -> set[str]:
+    """Returns the names of the arguments that the function of a world takes; none for a world."""
+    return set(signatures.signature(part).parameters) if callable(part) else set()
 
 
 def _read_file(path: Path) -> World:
@@ -105,9 +142,8 @@ def _read_version(path: Path, version: tuple[int, int] | None) -> World:
 
 @lru_cache(maxsize=256)
 def _make_world(name: WorldName) -> World:
-    part, takes = _REGISTRY.find(name.part), set[str]()
-    if callable(part):
-        takes = set(signatures.signature(part).parameters)
+    part = _REGISTRY.find(name.part)
+    takes = _taken_by(part)
     takes_seed, takes_difficulty = bool(takes - {"difficulty"}), "difficulty" in takes
     if name.seed is not None and not takes_seed:
         raise ValueError(f"world {name.part!r} takes no seed, got {name.seed}")
@@ -126,7 +162,6 @@ def _make_world(name: WorldName) -> World:
 
 __all__ = [
     "WORLDS",
-    "Actor",
     "Obstacle",
     "Region",
     "Terrain",

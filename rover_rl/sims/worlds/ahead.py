@@ -19,23 +19,14 @@ _Queue: TypeAlias = "SimpleQueue[tuple[int, Future[World]] | None]"
 class WorldsAhead:
     """Prepares worlds of a pool in a thread.
 
-    A world is generated and prepared once: here if it is needed before the thread has begun with it, else in the
-    thread. :meth:`close`, or the end of the program, ends the thread after the world that it is preparing.
-
-    The thread and its caller share Python's interpreter lock. :meth:`pause` it except while the caller waits for what
-    does not hold the lock, such as kernels.
+    A world is generated and prepared once: by the caller if it is needed before the thread has begun with it. The
+    thread and its caller share Python's interpreter lock: :meth:`pause` the thread except while the caller waits for
+    what does not hold the lock, such as kernels.
 
     Args:
         pool: worlds.
         prepare: what to do with each world, besides generating it. It must be safe to call from another thread.
         limit: largest number of worlds that are requested and not taken. Of more, the first requested ones are dropped.
-
-    Example:
-        >>> robot = get_robot("rover_zero")
-        >>> ahead = WorldsAhead(WorldPool("maze:*"), lambda world: free_space(world, robot), limit=100)
-        >>> ahead.request([3, 5])
-        >>> ahead[3].name
-        'maze'
     """
 
     def __init__(self, pool: WorldPool, prepare: Callable[[World], object], limit: int) -> None:
@@ -70,17 +61,12 @@ class WorldsAhead:
             self._requested.popitem(last=False)[1].cancel()
 
     def __getitem__(self, index: int) -> World:
-        """Returns world ``index``. Waits for it if the thread is preparing it.
-
-        Raises:
-            IndexError: if there is no such world.
-            ValueError: if the world cannot be prepared.
-        """
+        """Returns world ``index``. Waits for it if the thread is preparing it, and raises what that raised."""
         future = self._requested.pop(index, None)
         return self._pool[index] if future is None or future.cancel() else future.result()
 
     def close(self) -> None:
-        """Ends the thread. Idempotent."""
+        """Ends the thread after the world that it is preparing. Idempotent."""
         self._finalizer()
         self._requested.clear()
 

@@ -1,4 +1,4 @@
-"""Results on disk, found by the content that they were computed from."""
+"""Results on disk, found by the content that they were computed from, such as a world."""
 
 from __future__ import annotations
 
@@ -8,12 +8,16 @@ import math
 import os
 import struct
 import zlib
+from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from rover_rl.files import written_whole
+from rover_rl.sims.worlds.obstacles import groups_of
+from rover_rl.sims.worlds.world import World
 
 KEPT_BYTES = 2**30
 """Size of the files of a kind, above which the oldest ones are deleted."""
@@ -43,6 +47,33 @@ def content_key(*parts: bytes | str) -> str:
 def code_key(*folders: Path) -> str:
     """Returns a key of the modules in folders: what another version of them stored is not found."""
     return content_key(*(path.read_bytes() for folder in folders for path in sorted(folder.glob("*.py"))))
+
+
+def world_key(world: World) -> str:
+    """Returns a key of the ground, the obstacles and the areas of a world."""
+    key = _keys.get(world)
+    if key is None:
+        key = _keys[world] = content_key(*_content(world))
+    return key
+
+
+_keys: WeakKeyDictionary[World, str] = WeakKeyDictionary()
+
+
+def _content(world: World) -> Iterator[bytes | str]:
+    terrain = world.terrain
+    yield repr((terrain.cell, terrain.origin, world.bounds, world.spawn_range, world.goal_range))
+    tensors = [terrain.heights]
+    for name in ("spawn_region", "goal_region"):
+        region = getattr(world, name)
+        if region is not None:
+            yield repr((name, region.cell, region.origin))
+            tensors.append(region.mask)
+    for solids in groups_of(world.obstacles):
+        tensors += [solids.vertices, solids.planes, solids.faces]
+    for tensor in tensors:
+        yield repr(tuple(tensor.shape))
+        yield tensor.numpy().tobytes()
 
 
 def load_arrays(kind: str, key: str) -> dict[str, np.ndarray] | None:

@@ -67,16 +67,7 @@ def _is_near_ground(world: World | Site, solids: Solids) -> np.ndarray:
 
 
 def _ground_extremes(terrain: Terrain, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Returns the least and the greatest height of the ground in rectangles, from samples.
-
-    Args:
-        terrain: ground.
-        low: lower corners of the rectangles, ``[N, 2]``, m.
-        high: upper corners of the rectangles, ``[N, 2]``, m.
-
-    Returns:
-        Heights, ``[N, 2]``, m.
-    """
+    """Returns the least and the greatest height (m) of the ground in rectangles by their corners, from samples."""
     from rover_rl.sims.native.warp import wp
     from rover_rl.sims.worlds.ground_kernels import ground_of, measure_extremes
 

@@ -45,7 +45,7 @@ def measure_clearance(
         ys: y of each row, m.
         outlines: vertices of all polygons, counter-clockwise, m.
         starts: index of each polygon's first vertex, and the number of all vertices.
-        circles: center (m) and radius (m) of a circle around each polygon.
+        circles: center and radius of a circle around each polygon, m.
         limit: largest distance of interest, m.
         clearance: results, m, ``[rows, columns]``; on input the limit.
     """

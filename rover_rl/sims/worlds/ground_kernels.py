@@ -8,13 +8,7 @@ from rover_rl.sims.worlds.terrain import Terrain
 
 @wp.struct
 class Ground:
-    """Heights of a terrain.
-
-    Attributes:
-        heights: heights, ``[rows, columns]``, m.
-        origin: x, y of ``heights[0, 0]``, m.
-        cell: spacing of the heights, m.
-    """
+    """Heights of a terrain: see :class:`Terrain`."""
 
     heights: wp.array2d[float]
     origin: wp.vec2d
@@ -31,11 +25,7 @@ def ground_of(terrain: Terrain) -> Ground:
 
 @wp.func
 def plane_at(ground: Ground, x: wp.float64, y: wp.float64) -> wp.vec3d:
-    """Height (m) and slopes along x and y of the terrain's triangle at a point.
-
-    As :meth:`rover_rl.sims.worlds.terrain.Terrain.height_at`: a square of the grid consists of a lower and an upper
-    triangle, divided by the diagonal ``u + v = 1``.
-    """
+    """Height (m) and slopes along x and y of the terrain's triangle at a point, as :meth:`Terrain.height_at`."""
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
     rows = ground.heights.shape[0]
@@ -67,15 +57,7 @@ def measure_extremes(
     steps: wp.array[int],
     extremes: wp.array[wp.vec2d],
 ):
-    """Least and greatest height of the ground in rectangles; thread ``t`` does rectangle ``t``.
-
-    Args:
-        ground: terrain.
-        lows: lower corners, m.
-        highs: upper corners, m.
-        steps: number of samples along each side, at least 2.
-        extremes: results, m.
-    """
+    """Least and greatest height (m) at ``steps`` x ``steps`` samples of a rectangle; thread ``t`` does rectangle ``t``."""
     t = wp.tid()
     start = lows[t]
     spacing = (highs[t] - start) / wp.float64(steps[t] - 1)

@@ -1,4 +1,4 @@
-"""Names of worlds, ``NAME[:SEED][@DIFFICULTY]``, and of ranges of them, for example ``maze:7@0.3`` and ``maze:*``."""
+"""Names of worlds, ``NAME[:SEED][@DIFFICULTY]``, of ranges of them, for example ``maze:*``, and of world files."""
 
 from __future__ import annotations
 
@@ -7,6 +7,15 @@ from dataclasses import dataclass
 
 TRAINING_SEEDS = 10_000
 """Number of seeds for training, from 0. By convention, seeds from 10,000 up are for evaluation."""
+
+SDF_SUFFIXES = (".sdf", ".world")
+MESH_SUFFIXES = (".obj", ".stl", ".dae", ".glb", ".gltf", ".ply")
+TIFF_SUFFIXES = (".tif", ".tiff")
+ELEVATION_SUFFIXES = (*TIFF_SUFFIXES, ".png", ".npy", ".pgm", ".jpg", ".jpeg", ".bmp")
+MAP_SUFFIXES = (".yaml", ".yml")
+ARCHIVE_SUFFIX = ".world.npz"
+SUFFIXES = (*SDF_SUFFIXES, *MESH_SUFFIXES, *ELEVATION_SUFFIXES, *MAP_SUFFIXES, ARCHIVE_SUFFIX)
+"""Suffixes of the files that worlds are read from."""
 
 _RANGE = re.compile(r"(.+):(?:\*|([0-9]+)-([0-9]+))(?:@(.*))?", re.ASCII)
 _LEVELS = re.compile(r"([0-9.]+)-([0-9.]+)", re.ASCII)
@@ -30,6 +39,11 @@ class WorldName:
     part: str
     seed: int | None = None
     difficulty: float | None = None
+
+    def __str__(self) -> str:
+        """Returns the name."""
+        seed = "" if self.seed is None else f":{self.seed}"
+        return f"{self.part}{seed}" + ("" if self.difficulty is None else f"@{self.difficulty:f}")
 
     @classmethod
     def parse(cls, text: str) -> WorldName:
@@ -108,6 +122,11 @@ class WorldRange:
         low, high = self.difficulty
         # Multiples of the golden ratio, modulo 1, are spread evenly for any number of consecutive seeds.
         return f"{self.part}:{seed}@{low + seed * _GOLDEN_RATIO % 1 * (high - low):.3g}"
+
+
+def is_world_file(name: str) -> bool:
+    """Returns whether the name of a world is the path of a file: by its suffix, or because it has a folder."""
+    return name.lower().endswith((*SUFFIXES, ".npz")) or "/" in name or "\\" in name
 
 
 def unseen(name: str) -> str:

@@ -305,12 +305,16 @@ def boulder(center: tuple[float, float, float], radius: float, rng: np.random.Ge
     """
     if radius <= 0:
         raise ValueError(f"the radius of a boulder must be positive, got {radius}")
-    # A Fibonacci sphere spaces the directions evenly, which avoids thin shapes.
-    k = np.arange(points) + 0.5
-    polar, azimuth = (np.arccos(1 - 2 * k / points), math.pi * (1 + math.sqrt(5)) * k + rng.uniform(0, 2 * math.pi))
-    directions = np.stack((np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), 0.8 * np.cos(polar)), -1)
+    directions = even_directions(points, rng.uniform(0, 2 * math.pi)) * (1.0, 1.0, 0.8)
     lengths = radius * rng.uniform(0.75, 1.0, (points, 1))
     return Obstacle(torch.from_numpy(directions * lengths + np.asarray(center)))
+
+
+def even_directions(count: int, turn: float = 0.0) -> np.ndarray:
+    """Returns unit vectors that are spaced evenly, as a Fibonacci sphere turned by ``turn`` (rad): ``[count, 3]``."""
+    k = np.arange(count) + 0.5
+    polar, azimuth = np.arccos(1 - 2 * k / count), math.pi * (1 + math.sqrt(5)) * k + turn
+    return np.stack((np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)), -1)
 
 
 def _rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:

@@ -54,11 +54,7 @@ class SlotTable:
 
 
 class TerrainTable:
-    """Terrains of the worlds in slots. The height at a point is that of :meth:`Terrain.height_at`, to the last bit.
-
-    Args:
-        device: device of the table.
-    """
+    """Terrains of the worlds in slots. The height at a point is that of :meth:`Terrain.height_at`, to the last bit."""
 
     def __init__(self, device: torch.device | str) -> None:
         self._heights = SlotTable((), torch.float32, device)
@@ -77,14 +73,7 @@ class TerrainTable:
 
 
 class TerrainRows:
-    """Terrain of each of ``N`` rows.
-
-    Args:
-        heights: heights of all slots, ``[slots, capacity]``, m.
-        slots: slot of each row, ``[N]``.
-        grids: x and y of the first height (m), spacing (m), and numbers of rows and columns for each row, float64
-            ``[N, 5]``.
-    """
+    """Terrain of each of ``N`` rows, by the heights of all slots, the slots ``[N]`` and the grids ``[N, 5]`` of rows."""
 
     def __init__(self, heights: Tensor, slots: Tensor, grids: Tensor) -> None:
         self._heights, self._slots, self._grids = heights, slots, grids

@@ -16,9 +16,6 @@ class SolidTest:
 
     :meth:`World.inside` compares every point with every obstacle. This test first compares the height of a point with
     an upper bound of the height of all solids in its cell of a grid, which excludes almost all points.
-
-    Args:
-        world: world with the solids.
     """
 
     def __init__(self, world: World) -> None:

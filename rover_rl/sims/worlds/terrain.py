@@ -122,11 +122,7 @@ class Terrain:
         return height, rise_x / self.cell, rise_y / self.cell
 
     def mesh(self, rows: slice = slice(None), columns: slice = slice(None)) -> tuple[Tensor, Tensor]:
-        """Returns the triangle mesh of a part of the grid.
-
-        Args:
-            rows: rows of the part, as a slice without a step. All by default.
-            columns: columns of the part, as a slice without a step. All by default.
+        """Returns the triangle mesh of a part of the grid, by slices without a step.
 
         Returns:
             Vertices ``[V, 3]`` (m, float64), and triangles as vertex indices in counter-clockwise order from above,
@@ -149,15 +145,10 @@ class Terrain:
 def interpolate_triangles(
     u: Tensor, v: Tensor, h00: Tensor, h10: Tensor, h01: Tensor, h11: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Interpolates the heights of the corners of a cell on its two triangles.
-
-    Args:
-        u: position in the cell along x, 0 to 1, ``[...]``.
-        v: position in the cell along y, 0 to 1, ``[...]``.
-        h00, h10, h01, h11: heights of the corners at (0, 0), (1, 0), (0, 1) and (1, 1), ``[...]``, m.
+    """Interpolates the heights of the corners of a cell on its two triangles, at ``u, v`` from 0 to 1 along x and y.
 
     Returns:
-        Height (m), and rises of the triangle along x and along y over the length of the cell (m), ``[...]`` each.
+        Height, and rises of the triangle along x and along y over the length of the cell, ``[...]`` each.
     """
     upper = u + v > 1
     rise_x = torch.where(upper, h11 - h01, h10 - h00)

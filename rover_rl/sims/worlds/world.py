@@ -10,7 +10,6 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from rover_rl.sims.worlds.actor import Actor
 from rover_rl.sims.worlds.movers.mover import MAX_MOVERS, Mover
 from rover_rl.sims.worlds.obstacles import Obstacle
 from rover_rl.sims.worlds.region import Area, Range, Region, expanded, overlap
@@ -45,7 +44,6 @@ class World:
         spawn_height: height at which a live simulator drops the rover, as the original environment does, m.
         spawn_height_areas: ``(area, height)`` pairs with other drop heights. The first area that contains a point
             applies.
-        actors: moving figures of an imported world. Simulators do not move them.
         notes: what an importer has to say about the world, such as the error of the ground.
         spawn_region: part of ``spawn_range`` in which episodes start, such as the rooms of a building. ``None``
             is all of it.
@@ -75,7 +73,6 @@ class World:
     bounds: Area = None  # type: ignore[assignment]
     spawn_height: float = 0.75
     spawn_height_areas: tuple[tuple[Area, float], ...] = ()
-    actors: tuple[Actor, ...] = ()
     notes: tuple[str, ...] = ()
     spawn_region: Region | None = None
     goal_region: Region | None = None

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,7 +13,7 @@ from scipy.ndimage import label
 
 from rover_rl.option_names import written
 from rover_rl.sims.worlds.clearance import Site, clearance_on_grid
-from rover_rl.sims.worlds.files.enclosure import CLEARANCE, Enclosure, FloorPlan, grid_axes
+from rover_rl.sims.worlds.files.enclosure import CLEARANCE, Enclosures, grid_axes, largest, region_of
 from rover_rl.sims.worlds.files.options import ImportOptions
 from rover_rl.sims.worlds.obstacles import Obstacle
 from rover_rl.sims.worlds.region import Area, Region, expanded, overlap, union
@@ -25,33 +25,14 @@ MARGIN = 1.0
 """Width between the areas and the bounds, or the end of the ground, m."""
 
 
-@dataclass(frozen=True)
-class Areas:
-    """Areas of a world, named as the arguments of :class:`rover_rl.World`.
-
-    Args:
-        spawn_range: area in which episodes start.
-        goal_range: area of the goals.
-        bounds: area whose exit ends the episode.
-        spawn_region: part of ``spawn_range`` in which episodes start. ``None``: all of it.
-        goal_region: part of ``goal_range`` with the goals. ``None``: all of it.
-    """
-
-    spawn_range: Area
-    goal_range: Area
-    bounds: Area
-    spawn_region: Region | None = None
-    goal_region: Region | None = None
-
-
 def find_areas(
     terrain: Terrain,
-    obstacles: list[Obstacle],
+    obstacles: Sequence[Obstacle],
     options: ImportOptions,
     limits: Area,
     known: Callable[[np.ndarray], np.ndarray] | None = None,
-) -> tuple[Areas, list[str]]:
-    """Returns the areas that the options give, and automatic ones otherwise, with notes on how they were found.
+) -> tuple[dict[str, Any], list[str]]:
+    """Returns the areas that the options give, and automatic ones otherwise.
 
     The ground that obstacles enclose, such as the interior of a building, is the spawn area. If they enclose none, it
     is a square of at most 20 m in the middle of the obstacles. A point in the place of an area is the room around it.
@@ -63,44 +44,44 @@ def find_areas(
         limits: area that has ground or obstacles.
         known: function of points ``[..., 2]`` (m) that returns which of them a map knows. ``None``: all.
 
+    Returns:
+        Areas and regions, as arguments of :class:`rover_rl.World`, and notes on how they were found.
+
     Raises:
         ValueError: if there is no free ground in the areas, or a point is not in a room.
     """
-    return _Finder(terrain, obstacles, options, limits, known).areas()
+    return _Finder(Site(terrain, obstacles), options, limits, known).areas()
 
 
 class _Finder:
     """Finds the areas of a world. See :func:`find_areas`."""
 
     def __init__(
-        self,
-        terrain: Terrain,
-        obstacles: list[Obstacle],
-        options: ImportOptions,
-        limits: Area,
-        known: Callable[[np.ndarray], np.ndarray] | None,
+        self, site: Site, options: ImportOptions, limits: Area, known: Callable[[np.ndarray], np.ndarray] | None
     ) -> None:
-        self._terrain, self._options, self._limits, self._known = terrain, options, limits, known
-        self._site = Site(terrain, obstacles)
+        self._site, self._options, self._known = site, options, known
+        self._extent = site.terrain.extent
+        self._limits = overlap(limits, self._extent)
         self._notes: list[str] = []
 
     @cached_property
-    def _plan(self) -> FloorPlan:
-        return FloorPlan(self._site, self._known)
+    def _enclosures(self) -> Enclosures:
+        return Enclosures(self._site, self._known)
 
-    def areas(self) -> tuple[Areas, list[str]]:
+    def areas(self) -> tuple[dict[str, Any], list[str]]:
         """Returns the areas and the notes."""
-        options, extent = self._options, self._terrain.extent
         automatic, around, note = self._automatic()
         spawn = self._given("spawn_range") or automatic
         goal = self._given("goal_range") or spawn
-        bounds = options.bounds or union(around, overlap(expanded(union(spawn[0], goal[0]), MARGIN), extent))
-        (spawn_range, spawn_region), (goal_range, goal_region) = (
-            self._checked(name, overlap(area, bounds) if region or area is automatic[0] else area, region)
-            for name, (area, region) in (("spawn_range", spawn), ("goal_range", goal))
+        bounds = self._options.bounds or union(
+            around, overlap(expanded(union(spawn[0], goal[0]), MARGIN), self._extent)
         )
-        notes = self._notes if options.spawn_range is not None else [note, *self._notes]
-        return Areas(spawn_range, goal_range, bounds, spawn_region, goal_region), notes
+        areas: dict[str, Any] = {"bounds": bounds}
+        for name, (area, region) in (("spawn", spawn), ("goal", goal)):
+            area = overlap(area, bounds) if region or area is automatic[0] else area
+            self._check(f"{name}_range", area, region)
+            areas |= {f"{name}_range": area, f"{name}_region": region}
+        return areas, self._notes if self._options.spawn_range is not None else [note, *self._notes]
 
     def _given(self, name: str) -> tuple[Area, Region | None] | None:
         """Returns the area that an option gives: a rectangle, and a region in it if it is a polygon or a point."""
@@ -108,9 +89,9 @@ class _Finder:
         if place is None:
             return None
         if isinstance(place[0], float):
-            found = self._plan.room(*place)
-            what = name.partition("_")[0]
-            self._notes.append(f"{what} area: the room around ({place[0]:g}, {place[1]:g}){_size(found)}")
+            found = self._enclosures.room(*place)
+            where = f"the room around ({place[0]:g}, {place[1]:g})"
+            self._notes.append(f"{name.partition('_')[0]} area: {where}, {found.area:.0f} m^2 of free ground")
             return found.region.bounds, found.region
         if len(place) == 2:
             return place, None
@@ -119,44 +100,35 @@ class _Finder:
 
     def _automatic(self) -> tuple[tuple[Area, Region | None], Area, str]:
         """Returns the automatic spawn area with its region, an area that the bounds cover, and a note."""
-        found = self._plan.interior() if self._site.obstacles else None
+        found = self._enclosures.interior() if self._site.obstacles else None
         if found is not None:
             area = found.region.bounds
             where = ", in the middle of an enclosed yard" if found.in_yard else ""
-            note = f"areas: the interior that the obstacles enclose{where}{_size(found)}"
-            return (area, found.region), overlap(expanded(area, MARGIN), self._terrain.extent), note
-        spawn, bounds = self._open()
-        return (spawn, self._known_part(spawn)), bounds, "areas: the middle of the open ground"
-
-    def _open(self) -> tuple[Area, Area]:
-        """Returns the spawn area and the bounds of a world without an enclosure."""
-        bounds = overlap(self._limits, self._terrain.extent)
-        box = expanded(self._plan.box, 2 * MARGIN) if self._site.obstacles else bounds
-        within = overlap(_shrunk(bounds, MARGIN), box)
+            note = f"areas: the interior that the obstacles enclose{where}, {found.area:.0f} m^2 of free ground"
+            return (area, found.region), overlap(expanded(area, MARGIN), self._extent), note
+        box = expanded(self._enclosures.box, 2 * MARGIN) if self._site.obstacles else self._limits
+        within = overlap(_shrunk(self._limits), box)
         if any(high <= low for low, high in within):
-            within = _shrunk(bounds, MARGIN)
+            within = _shrunk(self._limits)
         spawn = _middle(*within[0]), _middle(*within[1])
-        return spawn, overlap(union(bounds, expanded(spawn, MARGIN)), self._terrain.extent)
+        bounds = overlap(union(self._limits, expanded(spawn, MARGIN)), self._extent)
+        return (spawn, self._known_part(spawn)), bounds, "areas: the middle of the open ground"
 
     def _known_part(self, area: Area) -> Region | None:
         """Returns the largest connected part of an area that a map knows."""
         if self._known is None:
             return None
         x, y = grid_axes(area)
-        parts, _ = label(self._known(np.stack(np.meshgrid(x, y), -1)))
-        sizes = np.bincount(parts.ravel())
-        sizes[0] = 0
-        cell = float(x[1] - x[0])
-        corner = float(x[0]) - cell / 2, float(y[0]) - cell / 2
-        return Region(torch.from_numpy(parts == sizes.argmax()), cell, corner) if sizes.any() else None
+        part = largest(label(self._known(np.stack(np.meshgrid(x, y), -1)))[0])
+        return None if part is None else region_of(part, x, y)
 
-    def _checked(self, name: str, area: Area, region: Region | None) -> tuple[Area, Region | None]:
-        """Returns an area and its region, after checking that a rover finds a place in it."""
-        terrain = self._terrain
-        common = overlap(area, terrain.extent)
+    def _check(self, name: str, area: Area, region: Region | None) -> None:
+        """Checks that a rover finds a place in an area."""
+        terrain = self._site.terrain
+        common = overlap(area, self._extent)
         none = f"the world has no free ground in {written(name)} {_text(area)}:"
         if any(high - low < 2 * CLEARANCE for low, high in common):
-            raise ValueError(f"{none} its ground is {_text(terrain.extent)}")
+            raise ValueError(f"{none} its ground is {_text(self._extent)}")
         x, y = grid_axes(common)
         centers = torch.from_numpy(np.stack(np.meshgrid(x, y), -1))
         free = centers[clearance_on_grid(self._site, x, y, 2 * CLEARANCE) >= CLEARANCE]
@@ -164,7 +136,6 @@ class _Finder:
             free = free[region.contains(free)]
         if not bool((terrain.normal_at(free)[..., 2] >= math.cos(MAX_SLOPE)).any()):
             raise ValueError(f"{none} it is covered by obstacles or too steep")
-        return area, region
 
 
 def _middle(low: float, high: float) -> tuple[float, float]:
@@ -173,15 +144,11 @@ def _middle(low: float, high: float) -> tuple[float, float]:
     return middle - half, middle + half
 
 
-def _size(found: Enclosure) -> str:
-    return f", {found.area:.0f} m^2 of free ground"
-
-
 def _text(area: Area) -> str:
     return ", ".join(f"{axis} {low:.1f} to {high:.1f} m" for axis, (low, high) in zip("xy", area, strict=True))
 
 
-def _shrunk(area: Area, margin: float) -> Area:
+def _shrunk(area: Area) -> Area:
     """Returns an area less a margin, or less a quarter of its sides if those are short."""
-    x, y = ((low + m, high - m) for low, high in area for m in (min(margin, (high - low) / 4),))
+    x, y = ((low + m, high - m) for low, high in area for m in (min(MARGIN, (high - low) / 4),))
     return x, y

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rover_rl.sims.worlds.actor import Actor
 from rover_rl.sims.worlds.files.options import MAX_SIZE
 
 
@@ -28,26 +27,26 @@ class Piece:
     def __post_init__(self) -> None:
         if not np.isfinite(self.vertices).all():
             raise ValueError(f"{self.name} has a vertex that is NaN or infinite")
-        if len(self.vertices) and np.abs(self.vertices).max() > MAX_SIZE:
+        reach = np.abs(self.vertices).max(initial=0.0)
+        if reach > MAX_SIZE:
             raise ValueError(
-                f"{self.name} reaches {np.abs(self.vertices).max():.3g} m from the origin; at most {MAX_SIZE:g} m are "
-                "supported, so check the unit and the scale"
+                f"{self.name} reaches {reach:.3g} m from the origin; at most {MAX_SIZE:g} m are supported, so check "
+                "the unit and the scale"
             )
 
 
 @dataclass(frozen=True)
 class Plane:
-    """An infinite plane of ground.
-
-    Args:
-        point: a point of the plane, ``[3]``, m.
-        normal: unit normal with a positive z component, ``[3]``.
-        size: side lengths that the file gives, m.
-    """
+    """An infinite plane of ground: a point (m), the upward unit normal, and the side lengths in the file (m)."""
 
     point: np.ndarray
     normal: np.ndarray
     size: tuple[float, float]
+
+    @classmethod
+    def level(cls, height: float) -> Plane:
+        """Returns a horizontal plane."""
+        return cls(np.array((0.0, 0.0, height)), np.array((0.0, 0.0, 1.0)), (0.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -71,21 +70,15 @@ class Grid:
 class Contents:
     """Everything that a reader found in a file.
 
-    Attributes:
-        name: name of the world in the file.
-        pieces: solids and surfaces.
-        planes: infinite planes.
-        grids: elevation grids.
-        actors: moving figures.
-        left_out: what was left out and why, one sentence each. Told as warnings.
-        notes: what else a user may want to know, one sentence each.
+    ``left_out`` says what was left out and why, and ``notes`` what else a user may want to know, one sentence each. The
+    first are told as warnings.
     """
 
     name: str
     pieces: list[Piece] = field(default_factory=list)
     planes: list[Plane] = field(default_factory=list)
     grids: list[Grid] = field(default_factory=list)
-    actors: list[Actor] = field(default_factory=list)
+    movers: list[Mover] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from rover_rl.sims.worlds.cache import content_key, load_arrays, store_arrays
-from rover_rl.sims.worlds.files.components import signed_volume
-from rover_rl.sims.worlds.files.extra import optional
+from rover_rl.sims.worlds.files import optional
+from rover_rl.sims.worlds.files.triangles import face_normals, signed_volume
 
 VERSION = "1"
 """Changes when the same mesh would give other parts."""
@@ -33,10 +33,6 @@ def decompose(name: str, vertices: np.ndarray, faces: np.ndarray, error: float, 
 
     Returns:
         Points whose convex hulls are the parts, each ``[K, 3]``, m.
-
-    Raises:
-        ImportError: if ``coacd`` is not installed.
-        ValueError: if the mesh cannot be decomposed.
     """
     if len(faces) > MAX_FACES:
         raise ValueError(
@@ -50,8 +46,7 @@ def decompose(name: str, vertices: np.ndarray, faces: np.ndarray, error: float, 
     coacd.set_log_level("off")
     parts = _attempt(coacd, vertices, faces, COARSE * error, closed)
     if closed and _error(vertices, faces, parts) > error:
-        finer = _attempt(coacd, vertices, faces, error, closed)
-        parts = finer if finer else parts
+        parts = _attempt(coacd, vertices, faces, error, closed) or parts
     if not parts:
         raise ValueError(f"{name} cannot be decomposed into convex parts; close its holes and self-intersections")
     store_arrays("convex_parts", key, {"points": np.concatenate(parts), "ends": np.cumsum([len(p) for p in parts])})
@@ -94,14 +89,14 @@ def _error(vertices: np.ndarray, faces: np.ndarray, parts: list[np.ndarray]) -> 
     rng = np.random.default_rng(0)
     hulls = [ConvexHull(part) for part in parts]
     outer = []
-    for index, hull in enumerate(hulls):
-        share = max(50, SAMPLES // len(hulls))
-        points = _surface_points(hull.points, hull.simplices, share, rng)
+    for hull in hulls:
+        points = _surface_points(hull.points, hull.simplices, max(50, SAMPLES // len(hulls)), rng)
         hidden = np.zeros(len(points), dtype=bool)
-        for other in hulls[:index] + hulls[index + 1 :]:
-            near = (points >= other.min_bound - 1e-3).all(1) & (points <= other.max_bound + 1e-3).all(1) & ~hidden
-            planes = other.equations
-            hidden[near] |= (points[near] @ planes[:, :3].T + planes[:, 3] <= 1e-3).all(1)
+        for other in hulls:
+            if other is not hull:
+                near = (points >= other.min_bound - 1e-3).all(1) & (points <= other.max_bound + 1e-3).all(1) & ~hidden
+                planes = other.equations
+                hidden[near] |= (points[near] @ planes[:, :3].T + planes[:, 3] <= 1e-3).all(1)
         outer.append(points[~hidden])
     mesh = _surface_points(vertices, faces, 10 * SAMPLES, rng)
     distance, _ = cKDTree(mesh).query(np.concatenate(outer))
@@ -112,10 +107,10 @@ def _error(vertices: np.ndarray, faces: np.ndarray, parts: list[np.ndarray]) -> 
 
 def _surface_points(vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
     """Samples points on triangles, in proportion to their areas: ``[count, 3]``."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    area = np.linalg.norm(face_normals(vertices, faces), axis=1)
     chosen = rng.choice(len(faces), count, p=area / area.sum())
     u, v = rng.random((2, count, 1))
     over = u + v > 1
     u, v = np.where(over, 1 - u, u), np.where(over, 1 - v, v)
-    return a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]
+    a, b, c = (vertices[faces[chosen, k]] for k in range(3))
+    return a + u * (b - a) + v * (c - a)

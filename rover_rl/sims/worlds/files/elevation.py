@@ -1,18 +1,43 @@
-"""Elevation models: GeoTIFF, pictures, and NumPy arrays."""
+"""Elevation models: GeoTIFF, pictures, and NumPy arrays. Their size is bounded."""
 
 from __future__ import annotations
 
+import io
+import math
+import warnings
+from contextlib import suppress
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from PIL import Image, UnidentifiedImageError
 
 from rover_rl.option_names import written
+from rover_rl.sims.worlds.files import optional
 from rover_rl.sims.worlds.files.contents import Contents, Grid
-from rover_rl.sims.worlds.files.images import read_elevations
 from rover_rl.sims.worlds.files.options import MAX_SIZE, ImportOptions
+from rover_rl.sims.worlds.names import TIFF_SUFFIXES
 
+MAX_PIXELS = 36_000_000
+"""Largest number of pixels or values."""
 FAR = 1000.0
 """Distance from the origin beyond which a georeferenced grid is moved to the origin, m."""
+
+
+class Elevations(NamedTuple):
+    """Numbers of a picture or an array, with the first row first.
+
+    Attributes:
+        values: numbers ``[rows, columns]``, float64, NaN where there is no data.
+        white: the largest number of the file's type, 1 for floats.
+        cell: spacing of a georeferenced file along x and y, m.
+        corner: position of the middle of the first value of a georeferenced file, m.
+    """
+
+    values: np.ndarray
+    white: float
+    cell: tuple[float, float] | None = None
+    corner: tuple[float, float] | None = None
 
 
 def read_elevation(path: Path, options: ImportOptions) -> Contents:
@@ -21,27 +46,22 @@ def read_elevation(path: Path, options: ImportOptions) -> Contents:
     A GeoTIFF has its own spacing and position; if it is far away (in UTM coordinates, for example), its middle is moved
     to the origin. Other files need ``pixel``, and are centered. With ``height``, integers are scaled so that white is
     that high, and numbers of a float file are multiplied by it.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if the file cannot be read, or its scale is missing.
     """
     found = read_elevations(path)
     cell = (options.pixel, options.pixel) if options.pixel else found.cell
+    pixel, height = written("pixel"), written("height")
     if cell is None:
-        pixel = written("pixel")
         raise ValueError(f"{path.name} does not say how large it is; give {pixel}, the size of a pixel in meters")
     if found.white != 1.0 and options.height is None:
-        height = written("height")
         raise ValueError(f"{path.name} does not say how high it is; give {height}, the elevation of white in meters")
     contents = Contents(path.name.partition(".")[0])
     values = found.values[::-1] / found.white * (1.0 if options.height is None else options.height)
     rows, columns = values.shape
-    width, depth = (columns - 1) * cell[0], (rows - 1) * cell[1]
-    if max(width, depth, np.nanmax(np.abs(values))) > MAX_SIZE:
+    width, depth, highest = (columns - 1) * cell[0], (rows - 1) * cell[1], np.nanmax(np.abs(values))
+    if max(width, depth, highest) > MAX_SIZE:
         raise ValueError(
-            f"{path.name} spans {width:.3g} x {depth:.3g} m with heights up to {np.nanmax(np.abs(values)):.3g} m; at "
-            f"most {MAX_SIZE:g} m are supported, so check {written('pixel')} and {written('height')}"
+            f"{path.name} spans {width:.3g} x {depth:.3g} m with heights up to {highest:.3g} m; at most {MAX_SIZE:g} m "
+            f"are supported, so check {pixel} and {height}"
         )
     origin = (-width / 2, -depth / 2)
     if found.corner is not None and not options.pixel:
@@ -49,9 +69,122 @@ def read_elevation(path: Path, options: ImportOptions) -> Contents:
         if max(abs(west), abs(west + width), abs(south), abs(south + depth)) <= FAR:
             origin = (west, south)
         else:
-            middle = west + width / 2, south + depth / 2
-            contents.notes.append(
-                f"ground: the middle of the map, ({middle[0]:.2f}, {middle[1]:.2f}), is at the origin"
-            )
+            middle = f"({west + width / 2:.2f}, {south + depth / 2:.2f})"
+            contents.notes.append(f"ground: the middle of the map, {middle}, is at the origin")
     contents.grids.append(Grid(values, cell, origin))
     return contents
+
+
+def read_elevations(path: Path) -> Elevations:
+    """Reads a GeoTIFF, PNG, PGM or other gray picture, or a NumPy array."""
+    suffix = path.suffix.lower()
+    if suffix == ".npy":
+        found = _read_array(path)
+    elif suffix in TIFF_SUFFIXES:
+        found = _read_tiff(path)
+    else:
+        gray = read_gray(path)
+        found = Elevations(gray.astype(float), white_of(gray))
+    if found.values.ndim != 2 or min(found.values.shape) < 2:
+        raise ValueError(f"{path} must hold a grid of at least 2 x 2 heights, got {found.values.shape}")
+    if np.isinf(found.values).any() or not np.isfinite(found.values).any():
+        raise ValueError(f"the heights in {path} must be finite numbers")
+    return found
+
+
+def white_of(values: np.ndarray) -> float:
+    """Returns the largest number of unsigned integers, 1 for other types."""
+    return float(np.iinfo(values.dtype).max) if values.dtype.kind == "u" else 1.0
+
+
+def _check_pixels(path: Path, shape: tuple[int, ...]) -> None:
+    """Checks the number of values of a file before they are read."""
+    if math.prod(shape) > MAX_PIXELS:
+        size = " x ".join(map(str, shape))
+        raise ValueError(f"{path} has {size} values; at most {MAX_PIXELS:,} are supported, so scale it down first")
+
+
+def read_gray(path: Path) -> np.ndarray:
+    """Reads a picture as gray values: ``[rows, columns]``, uint8 or uint16, or float32 of a picture of floats."""
+    data = path.read_bytes()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            with Image.open(io.BytesIO(data)) as image:
+                _check_pixels(path, image.size)
+                return _gray(image)
+    except UnidentifiedImageError as error:
+        raise ValueError(f"{path} is no picture that can be read") from error
+    except Image.DecompressionBombError as error:
+        raise ValueError(f"{path} has too many pixels; at most {MAX_PIXELS:,} are supported") from error
+    except (OSError, SyntaxError, EOFError, OverflowError, MemoryError) as error:
+        raise ValueError(f"{path} is a damaged picture: {error}") from error
+
+
+def _gray(image: Image.Image) -> np.ndarray:
+    """Returns gray values: 16 bit stay, color becomes the mean of red, green and blue, as in map_server."""
+    if image.mode.startswith("I"):
+        # Pillow reads 16 bit pictures as 16 or as 32 bit integers, depending on the version.
+        return np.asarray(image).astype(np.uint16)
+    if image.mode == "F":
+        return np.asarray(image)
+    if image.mode in ("L", "1"):
+        return np.asarray(image.convert("L"))
+    return np.asarray(image.convert("RGB")).mean(-1).round().astype(np.uint8)
+
+
+def _read_array(path: Path) -> Elevations:
+    try:
+        # The memory map refuses a file that is shorter than its header says, and reads nothing before the checks.
+        values = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, OSError, EOFError, OverflowError) as error:
+        raise ValueError(f"{path} is no array of numbers that can be read: {error}") from error
+    if not isinstance(values, np.ndarray) or values.dtype.kind not in "uif":
+        raise ValueError(f"{path} must hold one array of numbers")
+    _check_pixels(path, values.shape)
+    return Elevations(np.array(values, dtype=float), white_of(values))
+
+
+def _read_tiff(path: Path) -> Elevations:
+    tifffile: Any = optional("tifffile")
+    data = path.read_bytes()
+    try:
+        with tifffile.TiffFile(io.BytesIO(data)) as file:
+            page = file.pages[0]
+            _check_pixels(path, page.shape)
+            values = np.asarray(page.asarray())
+            tags = {tag.name: tag.value for tag in page.tags.values()}
+    except ValueError as error:
+        if str(path) in str(error):
+            raise
+        raise ValueError(f"{path} is a TIFF that cannot be read: {error}") from error
+    # The reader raises errors of all kinds for a damaged file.
+    except Exception as error:
+        raise ValueError(f"{path} is a damaged TIFF: {str(error)[:200]}") from error
+    if values.ndim == 3 and values.shape[-1] == 1:
+        values = values[..., 0]
+    if values.ndim != 2 or values.dtype.kind not in "uif":
+        raise ValueError(f"{path} must have one band of numbers, got shape {values.shape} of {values.dtype}")
+    heights = values.astype(float)
+    no_data = str(tags.get("GDAL_NODATA", "")).strip(" \0")
+    with suppress(ValueError):
+        heights[values == float(no_data)] = np.nan
+    return Elevations(heights, white_of(values), *_georeference(path, tags))
+
+
+def _georeference(path: Path, tags: dict[str, Any]) -> tuple[Any, Any]:
+    """Returns the spacing and the position of the first value, from the tags of GeoTIFF 1.0."""
+    scale, tie = tags.get("ModelPixelScaleTag"), tags.get("ModelTiepointTag")
+    if scale is None:
+        return None, None
+    if not all(0 < float(side) < math.inf for side in scale[:2]):
+        raise ValueError(f"the pixel scale of {path} must be positive, got {scale[:2]}")
+    dx, dy = float(scale[0]), float(scale[1])
+    if tie is None or len(tie) < 6:
+        return (dx, dy), None
+    keys = list(tags.get("GeoKeyDirectoryTag", ()))
+    # Key 1025, GTRasterType: 2 means that a value belongs to a point, otherwise to the area of a pixel.
+    points = any(keys[k] == 1025 and keys[k + 3] == 2 for k in range(4, len(keys) - 3, 4))
+    half = 0.0 if points else 0.5
+    column, row, _, x, y, _ = (float(value) for value in tie[:6])
+    return (dx, dy), (x + (half - column) * dx, y - (half - row) * dy)

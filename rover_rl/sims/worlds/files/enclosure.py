@@ -59,13 +59,7 @@ YARD_WIDTH = 1.25
 
 
 class Enclosure(NamedTuple):
-    """An enclosed part of a site.
-
-    Attributes:
-        region: its ground, up to the obstacles.
-        area: area of its ground for the center of a rover, m^2.
-        in_yard: whether it is a building in an enclosed yard.
-    """
+    """An enclosed part of a site: its ground up to the obstacles, and the area for the center of a rover, m^2."""
 
     region: Region
     area: float
@@ -80,7 +74,7 @@ class _Found(NamedTuple):
     area: float
 
 
-class FloorPlan:
+class Enclosures:
     """Distances to the obstacles of a world on a grid, from which interiors and rooms are found.
 
     Args:
@@ -93,17 +87,15 @@ class FloorPlan:
         low, high = np.concatenate(outlines).min(0), np.concatenate(outlines).max(0)
         self.box: Area = (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
         # Around everything, there is room for the largest disc.
-        area = expanded(self.box, GATES[-1] + 0.5)
-        self.x, self.y = grid_axes(area)
-        self.cell = float(self.x[1] - self.x[0])
-        self.origin = float(self.x[0]) - self.cell / 2, float(self.y[0]) - self.cell / 2
-        self._room = clearance_on_grid(site, self.x, self.y, GATES[-1] + self.cell).numpy()
-        centers = np.stack(np.meshgrid(self.x, self.y), -1)
+        self._x, self._y = grid_axes(expanded(self.box, GATES[-1] + 0.5))
+        self._cell = float(self._x[1] - self._x[0])
+        self._room = clearance_on_grid(site, self._x, self._y, GATES[-1] + self._cell).numpy()
+        centers = np.stack(np.meshgrid(self._x, self._y), -1)
         self._known = np.ones(self._room.shape, dtype=bool) if known is None else known(centers)
         (left, right), (bottom, top) = site.terrain.extent
         on_ground = (centers >= (left, bottom)).all(-1) & (centers <= (right, top)).all(-1)
         # A wall that is thinner than a cell blocks a path of cells with common sides.
-        self._free = (self._room > 0.51 * self.cell) & self._known & on_ground
+        self._free = (self._room > 0.51 * self._cell) & self._known & on_ground
         self._clear = (self._room >= PASSAGE) & self._free
 
     def interior(self) -> Enclosure | None:
@@ -123,26 +115,24 @@ class FloorPlan:
         Raises:
             ValueError: if the point is in an obstacle, or outside of everything that is enclosed.
         """
-        row, column = self._cell_of(x, y)
+        (left, bottom), cell = corner_of(self._x, self._y), self._cell
+        row, column = math.floor((y - bottom) / cell), math.floor((x - left) / cell)
         outside = ValueError(f"the point ({x:g}, {y:g}) lies outside: no obstacles enclose it")
-        if not (0 <= row < len(self.y) and 0 <= column < len(self.x)):
+        if not (0 <= row < len(self._y) and 0 <= column < len(self._x)):
             raise outside
-        reach = _distance(~self._clear, self.cell)[row, column]
+        reach = _distance(~self._clear, cell)[row, column]
         if not self._free[row, column] or reach > CLEARANCE:
             raise ValueError(f"the point ({x:g}, {y:g}) lies in an obstacle, or too close to one")
         for radius in (*reversed(DOORS), *GATES):
             parts, count = label(self._core(radius))
-            near = _distance(parts == 0, self.cell)[row, column]
+            near = _distance(parts == 0, cell)[row, column]
             # A narrow corridor is a room of its own, if a smaller disc fits into it and not through its doorways.
-            if not count or (radius in DOORS and near >= max(radius, reach + self.cell)):
+            if not count or (radius in DOORS and near >= max(radius, reach + cell)):
                 continue
             found = self._around_core(parts, row, column)
             if found is not None:
                 return self._enclosure(found)
         raise outside
-
-    def _cell_of(self, x: float, y: float) -> tuple[int, int]:
-        return math.floor((y - self.origin[1]) / self.cell), math.floor((x - self.origin[0]) / self.cell)
 
     def _around_core(self, parts: np.ndarray, row: int, column: int) -> _Found | None:
         """Returns the room of a cell, around one of the cores ``parts``; ``None`` if the cell is outside."""
@@ -158,7 +148,7 @@ class FloorPlan:
     def _grown(self, parts: np.ndarray) -> np.ndarray:
         """Returns the rooms that grow from cores, widest ground first, and so meet where doorways are narrowest."""
         rooms, cross = parts.copy(), generate_binary_structure(2, 1)
-        for least in np.arange(self._room[parts > 0].min(), PASSAGE - self.cell, -self.cell):
+        for least in np.arange(self._room[parts > 0].min(), PASSAGE - self._cell, -self._cell):
             allowed = self._free & (self._room >= max(least, PASSAGE))
             while True:
                 new = allowed & (rooms == 0) & binary_dilation(rooms > 0)
@@ -175,15 +165,15 @@ class FloorPlan:
 
     def _core(self, radius: float) -> np.ndarray:
         """Returns the cells in which the center of a disc may be."""
-        return (self._room >= max(radius, 1.5 * self.cell)) & self._known
+        return (self._room >= max(radius, 1.5 * self._cell)) & self._known
 
     def _covered(self, core: np.ndarray, radius: float) -> np.ndarray:
         """Returns the cells that a disc covers whose center is in ``core``."""
-        return _distance(~core, self.cell) < max(radius, 1.5 * self.cell) - 1e-6
+        return _distance(~core, self._cell) < max(radius, 1.5 * self._cell) - 1e-6
 
     def _size(self, cells: np.ndarray) -> float:
         """Returns the area of the cells in which the center of a rover may be, m^2."""
-        return float((cells & (self._room >= CLEARANCE)).sum()) * self.cell**2
+        return float((cells & (self._room >= CLEARANCE)).sum()) * self._cell**2
 
     def _outermost(self, radii: tuple[float, ...]) -> _Found | None:
         """Returns what a disc from outside of all obstacles cannot cover."""
@@ -239,7 +229,7 @@ class FloorPlan:
         shells, _ = label(~found.around)
         row, column = np.argwhere(found.cells)[0]
         edge = (shells == shells[row, column]) & binary_dilation(found.around)
-        walls = edge & ((self._room < self.cell) | ~self._known)
+        walls = edge & ((self._room < self._cell) | ~self._known)
         return int(edge.sum() - walls.sum()), int(walls.sum())
 
     def _best(
@@ -248,11 +238,8 @@ class FloorPlan:
         """Returns the interior of the smallest disc that finds most of what any finds, of those that are accepted."""
         found = []
         for around, free in covers:
-            groups, count = label(free)
-            sizes = np.bincount(groups[self._room >= CLEARANCE], minlength=count + 1)
-            sizes[0] = 0
-            if sizes.max():
-                cells = groups == sizes.argmax()
+            cells = largest(label(free)[0], self._room >= CLEARANCE)
+            if cells is not None:
                 found.append(_Found(cells, around, self._size(cells)))
         found = [each for each in found if accepted(each)]
         most = max((each.area for each in found), default=0.0)
@@ -260,12 +247,18 @@ class FloorPlan:
 
     def _enclosure(self, found: _Found, in_yard: bool = False) -> Enclosure:
         """Returns an interior up to the obstacles, and not beyond its doorways."""
-        beyond = binary_dilation(found.around & self._free, mask=self._free, iterations=max(1, round(SILL / self.cell)))
+        sill, steps = max(1, round(SILL / self._cell)), round(PASSAGE / self._cell) + 2
+        beyond = binary_dilation(found.around & self._free, mask=self._free, iterations=sill)
         allowed = self._free & ~beyond
-        steps = round(PASSAGE / self.cell) + 2
         cells = binary_dilation(found.cells & allowed, mask=allowed, iterations=steps)
-        region = Region(torch.from_numpy(cells), self.cell, self.origin)
-        return Enclosure(region, self._size(cells), in_yard)
+        return Enclosure(region_of(cells, self._x, self._y), self._size(cells), in_yard)
+
+
+def largest(parts: np.ndarray, counted: np.ndarray | None = None) -> np.ndarray | None:
+    """Returns the cells of the numbered part with most cells that count. ``None`` if there are none."""
+    sizes = np.bincount((parts if counted is None else parts[counted]).ravel(), minlength=2)
+    sizes[0] = 0
+    return parts == sizes.argmax() if sizes.any() else None
 
 
 def grid_axes(area: Area) -> tuple[np.ndarray, np.ndarray]:
@@ -274,6 +267,17 @@ def grid_axes(area: Area) -> tuple[np.ndarray, np.ndarray]:
     cell = max(CELL, math.sqrt((x_high - x_low) * (y_high - y_low) / MAX_CELLS))
     x, y = (low + cell * (np.arange(math.ceil((high - low) / cell)) + 0.5) for low, high in area)
     return x, y
+
+
+def corner_of(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Returns the lower left corner of a grid whose cells have their centers at ``x`` and ``y``, m."""
+    half = float(x[1] - x[0]) / 2
+    return float(x[0]) - half, float(y[0]) - half
+
+
+def region_of(cells: np.ndarray, x: np.ndarray, y: np.ndarray) -> Region:
+    """Returns cells of a grid, bool ``[rows, columns]``, as a region."""
+    return Region(torch.from_numpy(cells), float(x[1] - x[0]), corner_of(x, y))
 
 
 def _distance(cells: np.ndarray, cell: float) -> np.ndarray:

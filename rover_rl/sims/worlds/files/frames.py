@@ -9,7 +9,8 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rover_rl.sims.worlds.files.xml_tree import is_true, numbers, text_of
+from rover_rl.sims.worlds.actor import Pose
+from rover_rl.sims.worlds.files.xml_tree import numbers, text_of
 
 MODEL = "__model__"
 WORLD = "world"
@@ -26,9 +27,6 @@ def pose_of(element: Element, what: str) -> tuple[np.ndarray, str]:
 
     Returns:
         Transform ``[4, 4]``, and the name of the frame, empty for the default one.
-
-    Raises:
-        ValueError: if the pose is not made of finite numbers.
     """
     pose = element.find("pose")
     transform = np.eye(4)
@@ -50,7 +48,7 @@ def pose_of(element: Element, what: str) -> tuple[np.ndarray, str]:
     return transform, pose.get("relative_to", pose.get("frame", "")).strip()
 
 
-def to_pose(transform: np.ndarray) -> tuple[float, float, float, float, float, float]:
+def to_pose(transform: np.ndarray) -> Pose:
     """Returns x, y, z (m), roll, pitch, yaw (rad) of a transform ``[4, 4]``."""
     x, y, z = transform[:3, 3].tolist()
     pitch = math.asin(min(1.0, max(-1.0, -float(transform[2, 0]))))
@@ -74,12 +72,20 @@ class Scope:
     children: dict[str, Scope] = field(default_factory=dict)
     merged: list[tuple[str, Scope]] = field(default_factory=list)
 
-    def pose(self, name: str, depth: int = 0) -> np.ndarray:
-        """Returns the transform of a frame, ``[4, 4]``, in the frame of the model or world.
+    @classmethod
+    def of(cls, element: Element, name: str) -> Scope:
+        """Returns the frames of a world, or of a model's own links, joints and frames."""
+        scope = cls(name)
+        for part in (*element.findall("link"), *element.findall("joint"), *element.findall("frame")):
+            # A joint's frame is that of its child link; before SDF 1.7 the child is not a frame elsewhere.
+            default = text_of(part.find("child")) if part.tag == "joint" else part.get("attached_to", "")
+            own = part.get("name", "")
+            transform, base = pose_of(part, f"{own!r} in {name}")
+            scope.frames[own] = (transform, base or default)
+        return scope
 
-        Raises:
-            ValueError: if there is no such frame, or frames are relative to one another in a circle.
-        """
+    def pose(self, name: str, depth: int = 0) -> np.ndarray:
+        """Returns the transform of a frame, ``[4, 4]``, in the frame of the model or world."""
         if name in ("", MODEL, WORLD, "__root__"):
             return np.eye(4)
         if depth > MAX_DEPTH:
@@ -94,33 +100,3 @@ class Scope:
             if name in scope.frames:
                 return self.pose(child, depth + 1) @ scope.pose(name, depth + 1)
         raise ValueError(f"{self.name} has no frame {name!r}; it has {sorted(self.frames)[:20]}")
-
-    def add(self, element: Element, default: str = "") -> None:
-        """Adds the frame of an element, whose pose is relative to ``default`` unless it says otherwise."""
-        name = element.get("name", "")
-        transform, base = pose_of(element, f"{name!r} in {self.name}")
-        self.frames[name] = (transform, base or default)
-
-
-def model_frames(element: Element, name: str) -> Scope:
-    """Returns the frames of a model's own links, joints and frames."""
-    scope = Scope(name)
-    for link in element.findall("link"):
-        scope.add(link)
-    for joint in element.findall("joint"):
-        # A joint's frame is that of its child link; before SDF 1.7 the child is not a frame elsewhere.
-        scope.add(joint, text_of(joint.find("child")))
-    for frame in element.findall("frame"):
-        scope.add(frame, frame.get("attached_to", ""))
-    return scope
-
-
-def movable_joints(element: Element) -> list[str]:
-    """Returns the names of the joints of a model, and of the models in it, that are not fixed."""
-    own = [joint.get("name", "") for joint in element.findall("joint") if joint.get("type", "fixed") != "fixed"]
-    return own + [name for model in element.findall("model") for name in movable_joints(model)]
-
-
-def is_static(element: Element) -> bool:
-    """Returns whether a model or an include says that it is static."""
-    return is_true(element.find("static"))

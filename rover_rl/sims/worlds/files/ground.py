@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
+import torch
 
-from rover_rl.sims.worlds.files.components import is_closed, signed_volume
 from rover_rl.sims.worlds.files.contents import Piece
-from rover_rl.sims.worlds.files.raster import projected_area, surface_heights, upward_faces
+from rover_rl.sims.worlds.files.triangles import face_normals, is_closed, signed_volume, surface_heights, upward_faces
+from rover_rl.sims.worlds.obstacles import Obstacle
 
 CELLS = 256
 """Number of cells along the longer side of the grid on which pieces are compared."""
@@ -30,35 +30,37 @@ STEP = 0.01
 
 @dataclass(frozen=True)
 class Surface:
-    """The part of a piece that a wheel could stand on.
-
-    Args:
-        piece: the piece.
-        vertices: ``[V, 3]``, m.
-        faces: its upward faces ``[F, 3]``.
-    """
+    """The upward faces of a piece, that a wheel could stand on."""
 
     piece: Piece
     vertices: np.ndarray
     faces: np.ndarray
 
+    @classmethod
+    def of(cls, piece: Piece) -> Surface:
+        """Returns the upward surface of a piece. Both sides of an open surface count."""
+        vertices, faces = piece.vertices, piece.faces
+        if faces is None:
+            try:
+                solid = Obstacle(torch.from_numpy(vertices))
+                vertices, faces = solid.vertices.numpy(), solid.faces.numpy()
+            except ValueError:
+                faces = np.empty((0, 3), dtype=int)
+        closed = is_closed(faces)
+        if closed and signed_volume(vertices, faces) < 0:
+            faces = faces[:, ::-1]
+        return cls(piece, vertices, upward_faces(vertices, faces, both_sides=not closed))
+
     def heights(self, origin: tuple[float, float], cell: float, shape: tuple[int, int]) -> np.ndarray:
         """Returns the lowest upward surface at each point of a grid: ``[rows, columns]``, m, NaN beside it."""
         return surface_heights(self.vertices, self.faces, origin, cell, shape)
 
-
-def surface_of(piece: Piece) -> Surface:
-    """Returns the upward surface of a piece. Both sides of an open surface count."""
-    faces = piece.faces
-    if faces is None:
-        try:
-            faces = _hull_faces(piece.vertices)
-        except (QhullError, ValueError):
-            faces = np.empty((0, 3), dtype=int)
-    closed = is_closed(faces) if len(faces) else False
-    if closed and signed_volume(piece.vertices, faces) < 0:
-        faces = faces[:, ::-1]
-    return Surface(piece, piece.vertices, upward_faces(piece.vertices, faces, both_sides=not closed))
+    @property
+    def covers(self) -> bool:
+        """Whether the surface, seen from above, covers enough of its bounding rectangle for ground."""
+        x, y, _ = np.ptp(self.vertices, axis=0)
+        area = np.abs(face_normals(self.vertices, self.faces)[:, 2]).sum() / 2
+        return bool(area >= LEAST_SURFACE * x * y)
 
 
 def ground_pieces(pieces: list[Piece], wanted: str, has_base: bool) -> list[Surface]:
@@ -74,9 +76,6 @@ def ground_pieces(pieces: list[Piece], wanted: str, has_base: bool) -> list[Surf
         pieces: connected pieces.
         wanted: ``"auto"``, ``"none"``, or patterns of names, separated by commas.
         has_base: whether there is a plane or an elevation grid.
-
-    Raises:
-        ValueError: if no piece has a name that a pattern matches, or those have no upward surface.
     """
     if not pieces or wanted == "none":
         return []
@@ -88,38 +87,33 @@ def ground_pieces(pieces: list[Piece], wanted: str, has_base: bool) -> list[Surf
     broad = [piece for piece in pieces if _is_flat(piece)]
     if has_base:
         broad = [piece for piece in broad if piece.faces is not None or np.ptp(piece.vertices[:, 2]) <= HIGHEST_SLAB]
-    candidates = [surface for surface in map(surface_of, broad) if _covers(surface)]
+    candidates = [surface for surface in map(Surface.of, broad) if surface.covers]
     if not candidates or scene <= 0:
         return []
     cell = float((high - low).max()) / CELLS
     columns, rows = (int(n) + 1 for n in np.ceil((high - low) / cell))
     origin = (float(low[0]) + cell / 2, float(low[1]) + cell / 2)
     heights = [surface.heights(origin, cell, (rows, columns)) for surface in candidates]
-    lowest = np.fmin.reduce(heights) if len(heights) > 1 else heights[0]
+    lowest = np.fmin.reduce(heights)
+    least = max(LEAST_AREA, LEAST_COVER * scene) if has_base else 0.0
     chosen, covered = [], np.zeros((rows, columns), dtype=bool)
     for surface, height in zip(candidates, heights, strict=True):
         own = np.isfinite(height)
-        area = own.sum() * cell**2
-        if has_base and (area < LEAST_AREA or area < LEAST_COVER * scene):
-            continue
-        if (
-            own.any()
-            and (height <= lowest + STEP)[own].mean() >= 0.5
-            and not _hangs(surface, height, pieces, origin, cell)
-        ):
+        lies_lowest = own.any() and own.sum() * cell**2 >= least and (height <= lowest + STEP)[own].mean() >= 0.5
+        if lies_lowest and not _hangs(surface, height, pieces, origin, cell):
             chosen.append(surface)
             covered |= own
     return chosen if covered.sum() * cell**2 >= LEAST_COVER * scene else []
 
 
-def matches(name: str, patterns: list[str]) -> bool:
-    """Returns whether a name, or one of its parts between slashes, matches a pattern."""
-    return any(fnmatchcase(part, pattern) for pattern in patterns for part in (name, *name.split("/")))
-
-
 def _named(pieces: list[Piece], patterns: list[str]) -> list[Surface]:
-    named = [piece for piece in pieces if matches(piece.name, patterns)]
-    surfaces = [surface for surface in map(surface_of, named) if len(surface.faces)]
+    """Returns the surfaces of pieces whose names, or a part of them between slashes, match a pattern."""
+    named = [
+        piece
+        for piece in pieces
+        if any(fnmatchcase(part, pattern) for pattern in patterns for part in (piece.name, *piece.name.split("/")))
+    ]
+    surfaces = [surface for surface in map(Surface.of, named) if len(surface.faces)]
     if not surfaces:
         names = sorted({piece.name for piece in pieces})
         raise ValueError(
@@ -128,24 +122,9 @@ def _named(pieces: list[Piece], patterns: list[str]) -> list[Surface]:
     return surfaces
 
 
-def _hull_faces(vertices: np.ndarray) -> np.ndarray:
-    """Returns the triangles of the convex hull of points, normals outward: ``[F, 3]``."""
-    hull = ConvexHull(vertices)
-    faces = hull.simplices.copy()
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    inward = (np.cross(b - a, c - a) * hull.equations[:, :3]).sum(1) < 0
-    faces[inward] = faces[inward][:, ::-1]
-    return faces
-
-
 def _is_flat(piece: Piece) -> bool:
     x, y, z = np.ptp(piece.vertices, axis=0)
     return bool(min(x, y) > 0 and z <= THICKEST * min(x, y))
-
-
-def _covers(surface: Surface) -> bool:
-    x, y, _ = np.ptp(surface.vertices, axis=0)
-    return projected_area(surface.vertices, surface.faces) >= LEAST_SURFACE * x * y
 
 
 def _hangs(surface: Surface, height: np.ndarray, pieces: list[Piece], origin: tuple[float, float], cell: float) -> bool:
@@ -155,7 +134,6 @@ def _hangs(surface: Surface, height: np.ndarray, pieces: list[Piece], origin: tu
         return False
     tops = np.array([(*(points.min(0) + points.max(0))[:2] / 2, points[:, 2].max()) for points in others])
     column, row = np.rint((tops[:, :2] - origin) / cell).astype(int).T
-    row, column = np.clip(row, 0, height.shape[0] - 1), np.clip(column, 0, height.shape[1] - 1)
-    here = height[row, column]
+    here = height[np.clip(row, 0, height.shape[0] - 1), np.clip(column, 0, height.shape[1] - 1)]
     over = np.isfinite(here)
     return bool(over.any() and (tops[over, 2] <= here[over] + STEP).mean() > 0.5)

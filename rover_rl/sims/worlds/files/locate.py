@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import takewhile
 from pathlib import Path, PurePosixPath
@@ -32,21 +32,22 @@ class Locator:
 
     Attributes:
         elsewhere: what was found by its name alone, one sentence each.
+        missing: what :meth:`file` did not find, and why.
     """
 
     def __init__(self, file: Path, model_paths: Sequence[str] = ()) -> None:
         self.elsewhere: list[str] = []
+        self.missing: list[str] = []
         folder = Path(os.path.abspath(file)).parent
-        given = [Path(path) for path in model_paths]
-        for variable in MODEL_PATH_VARIABLES:
-            given += [Path(path) for path in os.environ.get(variable, "").split(os.pathsep) if path]
+        variables = (os.environ.get(variable, "").split(os.pathsep) for variable in MODEL_PATH_VARIABLES)
+        given = [*model_paths, *(path for paths in variables for path in paths if path)]
         beside = [folder, folder / "models", folder.parent / "models"]
         self._searched = [*(Path(os.path.abspath(path)) for path in given), *beside]
         # The world file may itself be in a folder of models, whose other models it uses.
         self._allowed = [*self._searched, *([folder.parent] if (folder / "model.config").is_file() else [])]
 
     def find(self, uri: str, folder: Path) -> Path | None:
-        """Returns the file or folder that a URI names.
+        """Returns the file or folder that a URI names. ``None`` if there is no such file.
 
         What is not where the URI says, such as a file of another machine, is searched by its name in the folder of the
         world and the folders of models, and what is in them.
@@ -54,9 +55,6 @@ class Locator:
         Args:
             uri: ``model://NAME/path``, ``package://NAME/path``, ``file://path``, or a path relative to ``folder``.
             folder: folder of the file that holds the URI.
-
-        Returns:
-            The path. ``None`` if there is no such file.
 
         Raises:
             OutsideError: if the URI is on the network, or outside of the folders that may be read and not found by its
@@ -69,10 +67,8 @@ class Locator:
         if scheme in ("model", "package"):
             leaves = os.path.isabs(rest) or os.path.normpath(rest).startswith("..")
             # A model may also name its neighbors in the folder that it was found in.
-            folders = [
-                *self._searched,
-                *(path.parent for path in (folder, *folder.parents) if self._allows(path.parent)),
-            ]
+            neighbors = [path.parent for path in (folder, *folder.parents) if self._allows(path.parent)]
+            folders = [*self._searched, *neighbors]
         else:
             leaves = not self._allows(_joined(folder, rest))
             folders = [folder, *self._searched]
@@ -83,6 +79,20 @@ class Locator:
         if found is None and leaves:
             raise OutsideError(f"{uri} leaves the folder of the world, and no file of its name is in it")
         return found
+
+    def file(self, uri: str, folder: Path, of_folder: Callable[[Path], Path | None] = Path) -> Path | None:
+        """Returns the file that a URI names, or ``of_folder`` of the folder that it names. Records what is missing."""
+        try:
+            path = self.find(uri, folder)
+        except OutsideError as error:
+            self.missing.append(str(error))
+            return None
+        if path is not None and path.is_dir():
+            path = of_folder(path)
+        if path is None or not path.is_file():
+            self.missing.append(f"{uri} is not found")
+            return None
+        return path
 
     def _by_name(self, uri: str, wanted: PurePosixPath) -> Path | None:
         """Returns the file or model of the same name whose path ends most like the one that is wanted."""

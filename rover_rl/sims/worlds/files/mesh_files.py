@@ -11,13 +11,11 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from PIL import Image
 from trimesh.resolvers import Resolver
 
+from rover_rl.sims.worlds.files import optional
 from rover_rl.sims.worlds.files.contents import Piece
-from rover_rl.sims.worlds.files.extra import optional
 from rover_rl.sims.worlds.files.options import Up
-from rover_rl.sims.worlds.files.suffixes import MESH_SUFFIXES
 from rover_rl.sims.worlds.files.xml_tree import read_xml, text_of
 
 MAX_BYTES = 512 * 2**20
@@ -30,28 +28,14 @@ _TO_Z_UP = {
     "z": np.eye(3),
 }
 """Rotations that turn the axis that points up into z. COLLADA 1.4.1 defines the two other axes of each."""
+_WHITE_PIXEL = b"P6 1 1 255 \xff\xff\xff"
+"""A picture in the format PPM."""
 
 
 def read_mesh(path: Path, up: Up = "auto", scale: float = 1.0) -> list[Piece]:
-    """Reads a mesh file.
-
-    Args:
-        path: the file.
-        up: axis that points up. ``"auto"``: y for glTF, the file's own for COLLADA, else z.
-        scale: factor for all lengths, on top of the unit in the file.
-
-    Returns:
-        A piece for each node with triangles.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ImportError: if a package of the extra is missing.
-        ValueError: if the file is damaged, holds no triangles, or refers to files outside of its folder.
-    """
+    """Reads a mesh file: a piece for each node with triangles. See :class:`ImportOptions` for ``up`` and ``scale``."""
     data = _read(path)
     kind = path.suffix.lower()
-    if kind not in MESH_SUFFIXES:
-        raise ValueError(f"{path} is no mesh; use one of {[*MESH_SUFFIXES]}")
     unit, axis = _collada_frame(path, data) if kind == ".dae" else (1.0, "y" if kind in (".glb", ".gltf") else "z")
     if kind == ".gltf":
         _check_json(path, data)
@@ -87,7 +71,7 @@ def _load(path: Path, data: bytes) -> trimesh.Scene:
     # A missing material is of no interest, and a damaged file is told in one sentence.
     log.setLevel(logging.CRITICAL)
     try:
-        loaded = trimesh.load_scene(
+        return trimesh.load_scene(
             io.BytesIO(data), file_type=path.suffix.lower()[1:], resolver=_FolderResolver(path.parent), process=False
         )
     except MemoryError as error:
@@ -98,7 +82,6 @@ def _load(path: Path, data: bytes) -> trimesh.Scene:
         raise ValueError(f"{path} cannot be read as a mesh: {reason.splitlines()[0][:200]}") from error
     finally:
         log.setLevel(level)
-    return loaded
 
 
 class _LeavesError(ValueError):
@@ -106,11 +89,7 @@ class _LeavesError(ValueError):
 
 
 class _FolderResolver(Resolver):
-    """Gives the mesh readers the geometry in the files of one folder, and nothing for materials and textures.
-
-    Args:
-        folder: the folder.
-    """
+    """Gives the mesh readers the geometry in the files of one folder, and nothing for materials and textures."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = Path(os.path.abspath(folder))
@@ -120,7 +99,7 @@ class _FolderResolver(Resolver):
         path = Path(os.path.abspath(self._folder / name.strip()))
         if path.suffix.lower() not in (".bin", ".glb"):
             # Materials and pictures are no geometry, and often missing: they are empty, and white.
-            return b"" if path.suffix.lower() == ".mtl" else _white_pixel()
+            return b"" if path.suffix.lower() == ".mtl" else _WHITE_PIXEL
         if "://" in name or not path.is_relative_to(self._folder):
             raise _LeavesError(f"{name} is outside of its folder")
         return _read(path)
@@ -135,13 +114,6 @@ class _FolderResolver(Resolver):
     def keys(self) -> list[str]:
         """Returns no names: nothing is searched."""
         return []
-
-
-def _white_pixel() -> bytes:
-    """Returns a picture of one pixel."""
-    content = io.BytesIO()
-    Image.new("RGB", (1, 1), "white").save(content, "PNG")
-    return content.getvalue()
 
 
 def _check_json(path: Path, data: bytes) -> None:

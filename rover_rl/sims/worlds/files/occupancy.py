@@ -11,14 +11,15 @@ import numpy as np
 import yaml
 
 from rover_rl.sims.worlds.files.areas import find_areas
-from rover_rl.sims.worlds.files.assemble import WorldParts, check_triangles
 from rover_rl.sims.worlds.files.contents import Plane
-from rover_rl.sims.worlds.files.images import read_gray
+from rover_rl.sims.worlds.files.elevation import read_gray, white_of
+from rover_rl.sims.worlds.files.hulls import check_triangles
 from rover_rl.sims.worlds.files.locate import Locator
 from rover_rl.sims.worlds.files.options import MAX_SIZE, ImportOptions
 from rover_rl.sims.worlds.files.rectangles import cover
 from rover_rl.sims.worlds.files.terrain import Ground, make_terrain
-from rover_rl.sims.worlds.obstacles import box
+from rover_rl.sims.worlds.obstacles import Obstacle, box
+from rover_rl.sims.worlds.world import World
 
 MODES = ("trinary", "scale", "raw")
 MAX_BYTES = 2**20
@@ -38,48 +39,55 @@ class _Map(NamedTuple):
     occupied: float
     free: float
 
+    @property
+    def axes(self) -> np.ndarray:
+        """Axes of the map in the frame of the world, which the yaw of the origin turns: ``[2, 2]``, as rows."""
+        cos, sin = math.cos(self.origin[2]), math.sin(self.origin[2])
+        return np.array([[cos, sin], [-sin, cos]])
 
-def read_map(path: Path, options: ImportOptions) -> WorldParts:
+    def points(self, cells: np.ndarray) -> np.ndarray:
+        """Returns positions (m) of points in cells from the lower left corner: ``[P, 2]``."""
+        return self.resolution * cells @ self.axes + self.origin[:2]
+
+    def lookup(self, cells: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Returns the values of the cells at positions ``[..., 2]`` (m), true outside of the map: bool ``[...]``."""
+        index = np.floor((points - self.origin[:2]) @ self.axes.T / self.resolution).astype(int)
+        inside = ((index >= 0) & (index < cells.shape[::-1])).all(-1)
+        column, row = np.moveaxis(np.where(inside[..., None], index, 0), -1, 0)
+        return ~inside | cells[row, column]
+
+
+def read_map(path: Path, options: ImportOptions) -> World:
     """Reads an occupancy grid: walls become boxes on flat ground.
 
     Cells are occupied, free or unknown as in nav2's map_server. ``trinary`` and ``scale`` compare the darkness of a
     pixel with the thresholds; between them it is unknown, also where ``scale`` gives a share. ``raw`` takes the values
     as they are: 100 is occupied, more is unknown, and less is free.
-
-    Raises:
-        FileNotFoundError: if the file or its picture does not exist.
-        ValueError: if the map cannot be read, or has no free cell.
     """
     settings = _settings(path)
     picture, renamed = _picture(path, settings.image)
     states = _states(settings, read_gray(picture))
     rows, columns = states.shape
-    if max(rows, columns) * settings.resolution > MAX_SIZE:
-        raise ValueError(
-            f"{path} spans {columns * settings.resolution:g} x {rows * settings.resolution:g} m, too large"
-        )
+    width, depth = columns * settings.resolution, rows * settings.resolution
+    if max(width, depth) > MAX_SIZE:
+        raise ValueError(f"{path} spans {width:g} x {depth:g} m, too large")
     if not (states == 0).any():
         raise ValueError(f"{path} has no free cell; check negate and the thresholds")
-    walls = states == OCCUPIED
-    if options.unknown == "wall":
-        walls |= states == UNKNOWN
+    walls = (states == OCCUPIED) | ((states == UNKNOWN) & (options.unknown == "wall"))
     rectangles = cover(walls)
     check_triangles(12 * len(rectangles))
-    obstacles = [_wall(settings, rectangle, options.wall_height) for rectangle in rectangles]
+    obstacles = [_wall(settings, *rectangle, options.wall_height) for rectangle in rectangles]
     known = states == 0 if options.unknown == "open" else states != OCCUPIED
-    centers = _points(settings, np.argwhere(known)[:, ::-1] + 0.5)
-    level = Plane(np.zeros(3), np.array((0.0, 0.0, 1.0)), (0.0, 0.0))
-    corners = _points(settings, np.array([(0, 0), (columns, 0), (0, rows), (columns, rows)], dtype=float))
-    terrain, _ = make_terrain(Ground([level], [], []), corners, None)
+    centers = settings.points(np.argwhere(known)[:, ::-1] + 0.5)
+    corners = settings.points(np.array([(0, 0), (columns, 0), (0, rows), (columns, rows)], dtype=float))
+    terrain, _ = make_terrain(Ground([Plane.level(0.0)], [], []), corners, None)
     low, high = centers.min(0) - settings.resolution / 2, centers.max(0) + settings.resolution / 2
     limits = (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
-    areas, about = find_areas(terrain, obstacles, options, limits, partial(_lookup, settings, known | walls))
+    areas, about = find_areas(terrain, obstacles, options, limits, partial(settings.lookup, known | walls))
     share = float((states == UNKNOWN).mean())
     unknown = [f"map: {100 * share:.0f} % of the cells are unknown, taken as {options.unknown}"] if share else []
-    notes = [*renamed, f"map: {int(walls.sum()):,} wall cells in {len(rectangles):,} boxes", *unknown, *about]
-    return WorldParts(
-        name=options.name or path.stem, terrain=terrain, obstacles=tuple(obstacles), **vars(areas), notes=tuple(notes)
-    )
+    notes = (*renamed, f"map: {int(walls.sum()):,} wall cells in {len(rectangles):,} boxes", *unknown, *about)
+    return World(name=options.name or path.stem, terrain=terrain, obstacles=obstacles, **areas, notes=notes)
 
 
 def _picture(path: Path, name: str) -> tuple[Path, list[str]]:
@@ -88,11 +96,11 @@ def _picture(path: Path, name: str) -> tuple[Path, list[str]]:
     A map whose two files were renamed together still names the old picture: then the one beside it with its own new
     name is taken.
     """
-    beside = [path.with_suffix(suffix) for suffix in (Path(name).suffix, ".pgm", ".png")]
     found = Locator(path).find(name, path.parent)
     if found is not None and found.is_file():
         return found, []
-    for other in beside:
+    for suffix in (Path(name).suffix, ".pgm", ".png"):
+        other = path.with_suffix(suffix)
         if other.is_file() and other != path:
             return other, [f"map: the picture {name} does not exist, and {other.name} is taken"]
     raise FileNotFoundError(f"{path} names the picture {name}, which does not exist")
@@ -111,34 +119,35 @@ def _settings(path: Path) -> _Map:
         raise ValueError(f"{path} is not valid YAML: {' '.join(str(error).split())[:200]}") from error
     if not isinstance(data, dict) or not {"image", "resolution", "origin"} <= set(data):
         raise ValueError(f"{path} is no map: it must have image, resolution and origin")
-    mode = data.get("mode", "trinary")
+    image, mode, negate = data["image"], data.get("mode", "trinary"), data.get("negate", 0)
     if mode not in MODES:
         raise ValueError(f"mode in {path} must be one of {[*MODES]}, got {mode!r}")
-    if not isinstance(data["image"], str) or not data["image"]:
-        raise ValueError(f"image in {path} must be the name of a file, got {data['image']!r}")
-    occupied, free = (
-        _number(path, data, key, 0.0, 1.0, usual) for key, usual in (("occupied_thresh", 0.65), ("free_thresh", 0.25))
-    )
+    if not isinstance(image, str) or not image:
+        raise ValueError(f"image in {path} must be the name of a file, got {image!r}")
+    occupied = _number(path, data, "occupied_thresh", 0.0, 1.0, 0.65)
+    free = _number(path, data, "free_thresh", 0.0, 1.0, 0.25)
     if free >= occupied:
         raise ValueError(f"free_thresh in {path} must be below occupied_thresh, got {free:g} and {occupied:g}")
-    negate = data.get("negate", 0)
     if negate not in (0, 1):
         raise ValueError(f"negate in {path} must be 0 or 1, got {negate!r}")
     resolution = _number(path, data, "resolution", 1e-3, 100.0)
-    return _Map(data["image"], mode, resolution, _origin(path, data["origin"]), bool(negate), occupied, free)
+    return _Map(image, mode, resolution, _origin(path, data["origin"]), bool(negate), occupied, free)
+
+
+def _is_number(value: Any, low: float, high: float) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and low <= value <= high
 
 
 def _number(path: Path, data: dict[str, Any], key: str, low: float, high: float, usual: float | None = None) -> float:
-    value = data.get(key, usual)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+    value: Any = data.get(key, usual)
+    if not _is_number(value, low, high):
         raise ValueError(f"{key} in {path} must be a number from {low:g} to {high:g}, got {value!r}")
     return float(value)
 
 
 def _origin(path: Path, origin: Any) -> tuple[float, float, float]:
     numbers = origin if isinstance(origin, list) else []
-    plain = [isinstance(n, (int, float)) and not isinstance(n, bool) and abs(n) <= MAX_SIZE for n in numbers]
-    if len(numbers) not in (2, 3) or not all(plain):
+    if len(numbers) not in (2, 3) or not all(_is_number(number, -MAX_SIZE, MAX_SIZE) for number in numbers):
         raise ValueError(f"origin in {path} must be [x, y, yaw] within {MAX_SIZE:g} m, got {origin!r}")
     x, y, yaw = (*numbers, 0.0)[:3]
     return float(x), float(y), float(yaw)
@@ -149,32 +158,13 @@ def _states(settings: _Map, gray: np.ndarray) -> np.ndarray:
     gray = gray[::-1]
     if settings.mode == "raw":
         return np.where(gray == OCCUPIED, OCCUPIED, np.where(gray > OCCUPIED, UNKNOWN, 0)).astype(np.uint8)
-    white = float(np.iinfo(gray.dtype).max) if gray.dtype.kind == "u" else 1.0
-    shade = gray / white
+    shade = gray / white_of(gray)
     occupancy = shade if settings.negate else 1.0 - shade
     free = np.where(occupancy < settings.free, 0, UNKNOWN)
     return np.where(occupancy > settings.occupied, OCCUPIED, free).astype(np.uint8)
 
 
-def _points(settings: _Map, cells: np.ndarray) -> np.ndarray:
-    """Returns positions (m) of points in cells from the lower left corner: ``[P, 2]``. The origin's yaw turns them."""
-    x, y, yaw = settings.origin
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    return settings.resolution * cells @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
-
-
-def _lookup(settings: _Map, cells: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Returns the values of the cells at positions ``[..., 2]`` (m), true outside of the map: bool ``[...]``."""
-    x, y, yaw = settings.origin
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    index = np.floor((points - (x, y)) @ np.array([[cos, -sin], [sin, cos]]) / settings.resolution).astype(int)
-    inside = ((index >= 0) & (index < cells.shape[::-1])).all(-1)
-    column, row = np.moveaxis(np.where(inside[..., None], index, 0), -1, 0)
-    return ~inside | cells[row, column]
-
-
-def _wall(settings: _Map, rectangle: tuple[int, int, int, int], height: float):
-    row, column, rows, columns = rectangle
-    ((x, y),) = _points(settings, np.array([(column + columns / 2, row + rows / 2)]))
+def _wall(settings: _Map, row: int, column: int, rows: int, columns: int, height: float) -> Obstacle:
+    ((x, y),) = settings.points(np.array([(column + columns / 2, row + rows / 2)]))
     sides = settings.resolution * columns, settings.resolution * rows
     return box((float(x), float(y), height / 2), (*sides, height), yaw=settings.origin[2])

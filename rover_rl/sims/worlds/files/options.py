@@ -92,11 +92,7 @@ class ImportOptions:
 
 
 def make_options(given: dict[str, Any]) -> ImportOptions:
-    """Returns options by name.
-
-    Raises:
-        ValueError: for an unknown option or a value out of range.
-    """
+    """Returns options by name."""
     known = [field.name for field in fields(ImportOptions)]
     if unknown := sorted(set(given) - set(known)):
         raise ValueError(f"unknown options of a world file: {unknown}; use some of {known}")

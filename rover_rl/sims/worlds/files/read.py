@@ -2,30 +2,41 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import torch
 
 from rover_rl.option_names import written
 from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.worlds.files.archive import read_archive
-from rover_rl.sims.worlds.files.assemble import WorldParts, assemble
-from rover_rl.sims.worlds.files.contents import Contents
+from rover_rl.sims.worlds.files.areas import find_areas
+from rover_rl.sims.worlds.files.contents import Contents, Piece, Plane, listed
 from rover_rl.sims.worlds.files.elevation import read_elevation
+from rover_rl.sims.worlds.files.ground import ground_pieces
+from rover_rl.sims.worlds.files.hulls import check_triangles, obstacles_of
 from rover_rl.sims.worlds.files.mesh_files import read_mesh
 from rover_rl.sims.worlds.files.occupancy import read_map
 from rover_rl.sims.worlds.files.options import ImportOptions, make_options
 from rover_rl.sims.worlds.files.sdf import read_sdf
-from rover_rl.sims.worlds.files.suffixes import ELEVATION_SUFFIXES, MAP_SUFFIXES, SDF_SUFFIXES, SUFFIXES
+from rover_rl.sims.worlds.files.terrain import Ground, make_terrain
+from rover_rl.sims.worlds.files.triangles import split
+from rover_rl.sims.worlds.names import ELEVATION_SUFFIXES, MAP_SUFFIXES, SDF_SUFFIXES, SUFFIXES
+from rover_rl.sims.worlds.obstacles import Obstacle
+from rover_rl.sims.worlds.region import Area
+from rover_rl.sims.worlds.terrain import Terrain
+from rover_rl.sims.worlds.world import World
+
+MAX_PIECES = 50_000
+"""Largest number of connected pieces of a world."""
+EMPTY_SIDE = 20.0
+"""Largest side of the area of an empty plane, m."""
 
 
-def read_world(path: Path, **options: Any) -> WorldParts:
-    """Reads the parts of a world from a file. See :meth:`rover_rl.World.from_file`.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ImportError: if a package of the extra ``worlds`` is missing.
-        ValueError: if the file or an option is wrong. The message is one sentence.
-    """
+def read_world(path: Path, **options: Any) -> World:
+    """Reads a world from a file. See :meth:`rover_rl.World.from_file`."""
     chosen = make_options(options)
     if not path.is_file():
         raise FileNotFoundError(f"there is no world file {path}")
@@ -39,7 +50,7 @@ def read_world(path: Path, **options: Any) -> WorldParts:
         raise ValueError(f"{path} is no world file; use one of {[*SUFFIXES]}")
     # Convex decomposition of large meshes takes minutes.
     with ProgressDisplay(f"importing {path.name}") as display:
-        return read_map(path, chosen) if suffix in MAP_SUFFIXES else assemble(_contents(path, chosen), chosen, display)
+        return read_map(path, chosen) if suffix in MAP_SUFFIXES else _assemble(_contents(path, chosen), chosen, display)
 
 
 def _contents(path: Path, options: ImportOptions) -> Contents:
@@ -50,3 +61,79 @@ def _contents(path: Path, options: ImportOptions) -> Contents:
     if suffix in ELEVATION_SUFFIXES:
         return read_elevation(path, options)
     return Contents(path.name.partition(".")[0], read_mesh(path, options.up, options.scale))
+
+
+def _assemble(contents: Contents, options: ImportOptions, display: ProgressDisplay) -> World:
+    """Turns the contents of a file into a world."""
+    for sentence in contents.left_out:
+        warnings.warn(f"{contents.name}: {sentence}", stacklevel=4)
+    pieces = [part for piece in contents.pieces for part in split(piece)]
+    if not pieces and not contents.planes and not contents.grids:
+        raise ValueError(f"{contents.name} holds no ground and no obstacles")
+    if len(pieces) > MAX_PIECES:
+        raise ValueError(f"{contents.name} has {len(pieces):,} separate pieces; at most {MAX_PIECES:,} are supported")
+    surfaces = ground_pieces(pieces, options.ground, has_base=bool(contents.planes or contents.grids))
+    chosen = {id(surface.piece) for surface in surfaces}
+    others = [piece for piece in pieces if id(piece) not in chosen]
+    planes, notes = contents.planes, [*contents.left_out, *contents.notes]
+    if not surfaces and not planes and not contents.grids:
+        lowest = min(float(piece.vertices[:, 2].min()) for piece in pieces)
+        planes = [Plane.level(lowest)]
+        notes.append(f"ground: no piece is ground, so that the ground is flat at the lowest point, {lowest:.2f} m")
+    if surfaces:
+        notes.append(f"ground: {listed(surface.piece.name for surface in surfaces)}")
+    ground = Ground(planes, contents.grids, surfaces)
+    around = _around(others, ground, options)
+    terrain, about_ground = make_terrain(ground, around, options.cell)
+    obstacles, buried = _obstacles(others, terrain, options, display)
+    about_pieces = [f"obstacles: {buried} pieces below the ground were left out"] if buried else []
+    areas, about_areas = find_areas(terrain, obstacles, options, _limits(around, ground, terrain))
+    return World(
+        name=options.name or contents.name,
+        terrain=terrain,
+        obstacles=obstacles,
+        **areas,
+        movers=tuple(contents.movers),
+        notes=(*notes, *about_ground, *about_pieces, *about_areas),
+    )
+
+
+def _around(pieces: list[Piece], ground: Ground, options: ImportOptions) -> np.ndarray:
+    """Returns the points around which a plane is laid out: ``[P, 2]``, m."""
+    points = [piece.vertices[:, :2] for piece in pieces]
+    for place in (options.spawn_range, options.goal_range, options.bounds):
+        if place is not None:
+            numbers = np.array(place)
+            points.append(numbers.T if numbers.shape == (2, 2) else numbers.reshape(-1, 2))
+    if not points and not ground.grids and not ground.surfaces:
+        for plane in ground.planes:
+            half = np.minimum(np.array(plane.size), EMPTY_SIDE) / 2
+            points.append(plane.point[:2] + np.stack((-half, half)))
+    return np.concatenate([np.empty((0, 2)), *points])
+
+
+def _limits(around: np.ndarray, ground: Ground, terrain: Terrain) -> Area:
+    """Returns the area that holds obstacles, or ground with an end."""
+    points = np.concatenate((around, ground.corners(around)))
+    (x_low, y_low), (x_high, y_high) = points.min(0), points.max(0)
+    (left, right), (bottom, top) = terrain.extent
+    return (max(float(x_low), left), min(float(x_high), right)), (max(float(y_low), bottom), min(float(y_high), top))
+
+
+def _obstacles(
+    pieces: list[Piece], terrain: Terrain, options: ImportOptions, display: ProgressDisplay
+) -> tuple[list[Obstacle], int]:
+    """Returns the obstacles, and the number of pieces that were left out because they are below the ground."""
+    obstacles: list[Obstacle] = []
+    buried = triangles = 0
+    for number, piece in enumerate(pieces):
+        display.update(number / len(pieces), f"obstacle {number + 1:,} of {len(pieces):,}: {piece.name}")
+        points = torch.from_numpy(np.concatenate((piece.vertices, piece.vertices.mean(0, keepdims=True))))
+        if bool((points[:, 2] < terrain.height_at(points[:, :2])).all()):
+            buried += 1
+            continue
+        solids = obstacles_of(piece, options.obstacle_error)
+        obstacles += solids
+        triangles += sum(len(solid.faces) for solid in solids)
+        check_triangles(triangles)
+    return obstacles, buried

@@ -24,17 +24,12 @@ def cover(cells: np.ndarray) -> list[tuple[int, int, int, int]]:
 
 def _joined_runs(cells: np.ndarray) -> list[tuple[int, int, int, int]]:
     """Returns the runs of each row, joined with equal runs of the next rows."""
-    padded = np.pad(cells.astype(np.int8), ((0, 0), (1, 1)))
-    steps = np.diff(padded, axis=1)
+    # The last row is empty, and ends all runs.
+    padded = np.pad(cells.astype(np.int8), ((0, 1), (1, 1)))
     open_runs: dict[tuple[int, int], int] = {}
     found = []
-    for row in range(len(cells) + 1):
-        if row < len(cells):
-            runs = {
-                *zip(np.flatnonzero(steps[row] == 1).tolist(), np.flatnonzero(steps[row] == -1).tolist(), strict=True)
-            }
-        else:
-            runs = set()
+    for row, steps in enumerate(np.diff(padded, axis=1)):
+        runs = {*zip(np.flatnonzero(steps == 1).tolist(), np.flatnonzero(steps == -1).tolist(), strict=True)}
         for run in [run for run in open_runs if run not in runs]:
             first = open_runs.pop(run)
             found.append((first, run[0], row - first, run[1] - run[0]))
@@ -47,26 +42,17 @@ def _maximal(cells: np.ndarray) -> list[tuple[int, int, int, int]]:
     """Takes, at each uncovered cell in turn, the larger of the widest and the tallest rectangle of uncovered cells."""
     left = cells.copy()
     found = []
-    rows, columns = left.shape
-    for row in range(rows):
-        column = 0
-        while column < columns:
-            if not left[row, column]:
-                column += 1
-                continue
+    for row, column in np.argwhere(cells).tolist():
+        if left[row, column]:
             wide = _grow(left[row:, column:])
             tall = _grow(left[row:, column:].T)[::-1]
-            height, width = max((wide, (tall[0], tall[1])), key=lambda size: size[0] * size[1])
+            height, width = max((wide, tall), key=lambda size: size[0] * size[1])
             left[row : row + height, column : column + width] = False
             found.append((row, column, height, width))
-            column += width
     return found
 
 
 def _grow(cells: np.ndarray) -> tuple[int, int]:
     """Returns rows and columns of the rectangle from the first cell: as wide as its row, then as tall as possible."""
-    gaps = np.flatnonzero(~cells[0])
-    width = int(gaps[0]) if len(gaps) else cells.shape[1]
-    full = cells[:, :width].all(1)
-    gaps = np.flatnonzero(~full)
-    return (int(gaps[0]) if len(gaps) else len(cells)), width
+    width = int(np.append(cells[0], False).argmin())
+    return int(np.append(cells[:, :width].all(1), False).argmin()), width

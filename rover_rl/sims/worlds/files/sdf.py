@@ -10,13 +10,13 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from rover_rl.option_names import written
-from rover_rl.sims.worlds.actor import Actor
 from rover_rl.sims.worlds.files.contents import Contents, listed
-from rover_rl.sims.worlds.files.frames import MODEL, Scope, is_static, model_frames, movable_joints, pose_of, to_pose
-from rover_rl.sims.worlds.files.locate import Locator, OutsideError
+from rover_rl.sims.worlds.files.frames import MODEL, WORLD, Scope, pose_of, to_pose
+from rover_rl.sims.worlds.files.locate import Locator
 from rover_rl.sims.worlds.files.options import ImportOptions
 from rover_rl.sims.worlds.files.shapes import ShapeReader
 from rover_rl.sims.worlds.files.xml_tree import is_true, numbers, read_xml, text_of
+from rover_rl.sims.worlds.movers import Mover, Person, Waypoints
 
 MAX_MODELS = 3_000
 """Largest number of models of a world, includes counted each time."""
@@ -29,30 +29,25 @@ MAX_NESTING = 20
 
 
 def read_sdf(path: Path, options: ImportOptions) -> Contents:
-    """Reads an SDF file with a world or a model.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ImportError: if a package of the extra is missing.
-        ValueError: if the file cannot be read, or names files that are not found (with ``missing="error"``).
-    """
+    """Reads an SDF file with a world or a model."""
     root = _root(path)
     world = root.find("world")
-    own, given = path.name.partition(".")[0], "" if world is None else world.get("name", "")
+    top = root if world is None else world
+    own, given = path.name.partition(".")[0], top.get("name", "")
     # Gazebo's own template is called "default", and so are most worlds that were saved from it.
     contents = Contents(own if given in ("", "default") else given)
     locator = Locator(path, options.model_paths)
     reader = _Reader(contents, locator, options)
-    top = root if world is None else world
     reader.read(top, path)
-    missing = list(dict.fromkeys(reader.missing + reader.shapes.missing))
+    missing = list(dict.fromkeys(locator.missing))
     if missing and options.missing == "error":
         raise ValueError(
             f"{path} needs what is not here: {listed(missing, 50)}; name their folders with {written('model_paths')}, "
             f"download them, or leave them out with {written('missing', 'skip')}"
         )
-    contents.left_out += [f"left out, as {written('missing', 'skip')} says: {listed(missing, 50)}"] if missing else []
-    contents.left_out += reader.told()
+    if missing:
+        contents.left_out.append(f"left out, as {written('missing', 'skip')} says: {listed(missing, 50)}")
+    reader.tell()
     if locator.elsewhere:
         contents.notes.append(f"files found by their names: {listed(locator.elsewhere)}")
     return contents
@@ -71,16 +66,10 @@ def _root(path: Path) -> Element:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a model is read.
+    """Where a model is read: its file, and the world pose ``[4, 4]`` and the frames of its parent.
 
-    Attributes:
-        file: file with the model.
-        transform: pose of the frame of the parent in the world, ``[4, 4]``.
-        scope: frames of the parent.
-        name: names of the parents, with slashes.
-        static: whether a parent is static.
-        files: files on the way, to find circles.
-        depth: number of models and includes on the way.
+    ``name`` has the parents' names, with slashes. ``static`` tells whether a parent is static. ``files`` are those on
+    the way, to find circles, and ``depth`` is the number of models and includes on the way.
     """
 
     file: Path
@@ -97,8 +86,7 @@ class _Reader:
 
     def __init__(self, contents: Contents, locator: Locator, options: ImportOptions) -> None:
         self._contents, self._locator, self._options = contents, locator, options
-        self.shapes = ShapeReader(contents, locator)
-        self.missing: list[str] = []
+        self._shapes = ShapeReader(contents, locator)
         self._moving: list[str] = []
         self._driven: list[str] = []
         self._jointed: list[str] = []
@@ -108,32 +96,22 @@ class _Reader:
 
     def read(self, top: Element, path: Path) -> None:
         """Reads the models, includes and actors of a world, or of a file without a world."""
-        scope = Scope("the world")
-        for frame in top.findall("frame"):
-            scope.add(frame, frame.get("attached_to", ""))
-        place = _Place(path, np.eye(4), scope, files=(path.resolve(),))
-        self._read_children(top, place)
+        self._read_children(top, _Place(path, np.eye(4), Scope.of(top, "the world"), files=(path.resolve(),)))
         if top.find("population") is not None:
             self._contents.left_out.append("a <population> is random in Gazebo, and left out")
 
-    def told(self) -> list[str]:
-        """Returns sentences on what is not as in Gazebo."""
-        told = []
-        if self._moving:
-            told.append(f"models that are not static do not move: {listed(self._moving)}")
-        if self._driven:
-            told.append(f"models that plugins move in Gazebo stand still: {listed(self._driven)}")
-        if self._contents.actors:
-            told.append(
-                f"actors do not move, and sensors do not see them: {listed(a.name for a in self._contents.actors)}"
-            )
-        if self._jointed:
-            told.append(f"models that are not static and have joints are left out: {listed(self._jointed)}")
+    def tell(self) -> None:
+        """Adds sentences on what is not as in Gazebo to the contents."""
+        contents = self._contents
+        for names, sentence in (
+            (self._moving, "models that are not static do not move"),
+            (self._driven, "models that plugins move in Gazebo stand still"),
+            (self._jointed, "models that are not static and have joints are left out"),
+        ):
+            if names:
+                contents.left_out.append(f"{sentence}: {listed(names)}")
         if self._shown:
-            self._contents.notes.append(
-                f"links without collision geometry have their visual one: {listed(self._shown)}"
-            )
-        return told
+            contents.notes.append(f"links without collision geometry have their visual one: {listed(self._shown)}")
 
     def _read_children(self, parent: Element, place: _Place) -> None:
         """Reads the models of a world or a model: first all frames, which may be relative to one another."""
@@ -151,13 +129,14 @@ class _Reader:
             if element.tag == "actor":
                 self._actor(element, place.transform @ place.scope.pose(name), name)
                 continue
-            static = place.static or (is_static(element) if include is None else _static_of(include, element))
+            # What the include says about its model counts.
+            says = element if include is None or include.find("static") is None else include
             inner = _Place(
                 file,
                 place.transform @ place.scope.pose(name),
                 scope,
                 f"{place.name}/{name}".lstrip("/"),
-                static,
+                place.static or is_true(says.find("static")),
                 (*place.files, file.resolve()),
                 place.depth + 1,
             )
@@ -168,7 +147,7 @@ class _Reader:
     ) -> tuple[str, Scope]:
         """Adds the frame of a model to its parent's, and returns its name there and its own frames."""
         name = (text_of(include.find("name")) if include is not None else "") or element.get("name", "")
-        scope = model_frames(element, f"the model {name!r}") if element.tag == "model" else Scope(name)
+        scope = Scope.of(element, f"the model {name!r}") if element.tag == "model" else Scope(name)
         source = include if include is not None and include.find("pose") is not None else element
         transform, base = pose_of(source, f"{element.tag} {name!r} in {file.name}")
         if name in state:
@@ -196,8 +175,8 @@ class _Reader:
         movers = [name for plugin in element.findall("plugin") if (name := _mover(plugin))]
         if movers:
             self._driven.append(f"{place.name} ({', '.join(movers)})")
-        if not place.static and not is_static(element):
-            if movable_joints(element):
+        if not place.static and not is_true(element.find("static")):
+            if _has_movable_joints(element):
                 self._jointed.append(place.name)
                 return
             if element.findall("link"):
@@ -216,42 +195,40 @@ class _Reader:
         for part in parts:
             pose, base = pose_of(part, f"{part.tag} {part.get('name', '')!r} of {name}")
             # Without relative_to, a pose is relative to the link.
-            at = transform if not base else place.transform @ place.scope.pose(base if base != "world" else MODEL)
+            at = transform if not base else place.transform @ place.scope.pose(base if base != WORLD else MODEL)
             geometry = part.find("geometry")
             if geometry is not None:
-                self.shapes.add(geometry, at @ pose, f"{name}/{part.get('name', '')}", place.file.parent)
+                self._shapes.add(geometry, at @ pose, f"{name}/{part.get('name', '')}", place.file.parent)
 
     def _actor(self, actor: Element, transform: np.ndarray, name: str) -> None:
-        """Adds an actor. Its waypoints are relative to its pose."""
+        """Adds an actor as a person on the ground. Its waypoints are relative to its pose."""
         script = actor.find("script")
-        times, poses = [], []
-        waypoints = [] if script is None else script.findall("trajectory/waypoint")
-        timed = [(float(numbers(w.find("time"), 1, None, f"a waypoint's time of {name!r}")[0]), w) for w in waypoints]
+        script = Element("script") if script is None else script
+        timed = [
+            (float(numbers(waypoint.find("time"), 1, None, f"a waypoint's time of {name!r}")[0]), waypoint)
+            for waypoint in script.findall("trajectory/waypoint")
+        ]
+        keys = []
         for time, waypoint in sorted(timed, key=lambda pair: pair[0]):
-            pose, _ = pose_of(waypoint, f"a waypoint of {name!r}")
-            times.append(time)
-            poses.append(to_pose(transform @ pose))
-        flags = [script.find(key) if script is not None else None for key in ("loop", "auto_start")]
-        loop, auto = (flag is None or is_true(flag) for flag in flags)
-        delay = numbers(script.find("delay_start") if script is not None else None, 1, (0,), f"delay_start of {name!r}")
-        if not times:
-            times, poses = [0.0], [to_pose(transform)]
-        self._contents.actors.append(Actor(name, tuple(times), tuple(poses), loop, float(delay[0]), auto))
+            x, y, _, _, _, yaw = to_pose(transform @ pose_of(waypoint, f"a waypoint of {name!r}")[0])
+            keys.append((time, x, y, yaw))
+        loop, auto = (flag is None or is_true(flag) for flag in map(script.find, ("loop", "auto_start")))
+        delay = numbers(script.find("delay_start"), 1, (0,), f"delay_start of {name!r}")
+        x, y, _, _, _, yaw = to_pose(transform)
+        # An actor that does not start by itself stands at its first waypoint.
+        keys = (keys if auto else keys[:1]) or [(0.0, x, y, yaw)]
+        loops = loop and keys[-1][0] > 0
+        self._contents.movers.append(
+            Mover(Waypoints(keys, "loop" if loops else "once", delay=float(delay[0])), Person(), name)
+        )
 
     def _included(self, include: Element, place: _Place) -> tuple[Element, Path, Element] | None:
         """Returns an included model or actor, its file, and the ``<include>``; ``None`` if it is missing or a light."""
         uri = text_of(include.find("uri"))
         if not uri:
             raise ValueError(f"an <include> in {place.file} has no uri")
-        try:
-            path = self._locator.find(uri, place.file.parent)
-        except OutsideError as error:
-            self.missing.append(str(error))
-            return None
-        if path is not None and path.is_dir():
-            path = _model_file(path)
+        path = self._locator.file(uri, place.file.parent, _model_file)
         if path is None:
-            self.missing.append(f"{uri} is not found")
             return None
         if path.resolve() in place.files:
             raise ValueError(f"{path} includes itself")
@@ -268,9 +245,10 @@ def _mover(plugin: Element) -> str:
     return name.rpartition("::")[2] if moves else ""
 
 
-def _static_of(include: Element, model: Element) -> bool:
-    """Returns whether an included model is static: what the include says counts."""
-    return is_static(include if include.find("static") is not None else model)
+def _has_movable_joints(model: Element) -> bool:
+    """Returns whether a model, or one in it, has a joint that is not fixed."""
+    joints = any(joint.get("type", "fixed") != "fixed" for joint in model.findall("joint"))
+    return joints or any(map(_has_movable_joints, model.findall("model")))
 
 
 def _model_file(folder: Path) -> Path | None:

@@ -8,15 +8,15 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from rover_rl.sims.worlds.files import optional
 from rover_rl.sims.worlds.files.contents import Contents, Grid, Piece, Plane
-from rover_rl.sims.worlds.files.extra import optional
-from rover_rl.sims.worlds.files.images import read_elevations
-from rover_rl.sims.worlds.files.locate import Locator, OutsideError
+from rover_rl.sims.worlds.files.elevation import read_elevations
+from rover_rl.sims.worlds.files.locate import Locator
 from rover_rl.sims.worlds.files.mesh_files import read_mesh
 from rover_rl.sims.worlds.files.options import MAX_SIZE
-from rover_rl.sims.worlds.files.plates import merge_triangles
-from rover_rl.sims.worlds.files.suffixes import MESH_SUFFIXES, TIFF_SUFFIXES
+from rover_rl.sims.worlds.files.triangles import merge_triangles
 from rover_rl.sims.worlds.files.xml_tree import is_true, numbers, text_of
+from rover_rl.sims.worlds.names import MESH_SUFFIXES, TIFF_SUFFIXES
 
 TOLERANCE = 0.005
 """Largest distance between a round shape and the polygon in its place, m."""
@@ -27,20 +27,11 @@ UPRIGHT = math.cos(math.radians(60))
 
 
 class ShapeReader:
-    """Adds the shapes of an SDF file to its contents.
-
-    Args:
-        contents: where the shapes go.
-        locator: finds meshes and elevation maps.
-
-    Attributes:
-        missing: URIs of meshes and maps that were not found, with the reason.
-    """
+    """Adds the shapes of an SDF file to its contents."""
 
     def __init__(self, contents: Contents, locator: Locator) -> None:
         self._contents, self._locator = contents, locator
         self._meshes: dict[Path, list[Piece]] = {}
-        self.missing: list[str] = []
 
     def add(self, geometry: Element, transform: np.ndarray, name: str, folder: Path) -> None:
         """Adds the shape in a ``<geometry>``.
@@ -50,9 +41,6 @@ class ShapeReader:
             transform: pose of the shape in the world, ``[4, 4]``.
             name: name of the shape, for messages.
             folder: folder of the file that holds the element.
-
-        Raises:
-            ValueError: if the shape has a wrong size, or its file cannot be read.
         """
         for shape in geometry:
             if shape.tag == "plane":
@@ -61,16 +49,11 @@ class ShapeReader:
                 self._heightmap(shape, transform, name, folder)
             elif shape.tag == "mesh":
                 self._mesh(shape, transform, name, folder)
-            elif shape.tag == "polyline":
-                for points in _polyline(shape, name):
-                    self._convex(points, transform, name)
-            elif shape.tag in _CONVEX:
-                self._convex(_CONVEX[shape.tag](shape, f"the {shape.tag} of {name}"), transform, name)
+            elif shape.tag in _SOLIDS:
+                solids = _SOLIDS[shape.tag](shape, f"the {shape.tag} of {name}")
+                self._contents.pieces += [Piece(name, _moved(points, transform)) for points in solids]
             elif shape.tag != "empty":
                 self._contents.left_out.append(f"{name}: shapes of the kind <{shape.tag}> are left out")
-
-    def _convex(self, points: np.ndarray, transform: np.ndarray, name: str) -> None:
-        self._contents.pieces.append(Piece(name, _moved(points, transform)))
 
     def _plane(self, shape: Element, transform: np.ndarray, name: str) -> None:
         normal = numbers(shape.find("normal"), 3, (0, 0, 1), f"the normal of {name}")
@@ -150,15 +133,7 @@ class ShapeReader:
         uri = text_of(shape.find("uri"))
         if not uri:
             raise ValueError(f"the {shape.tag} of {name} has no uri")
-        try:
-            path = self._locator.find(uri, folder)
-        except OutsideError as error:
-            self.missing.append(str(error))
-            return None
-        if path is None or not path.is_file():
-            self.missing.append(f"{uri} is not found")
-            return None
-        return path
+        return self._locator.file(uri, folder)
 
 
 def _moved(points: np.ndarray, transform: np.ndarray) -> np.ndarray:
@@ -184,38 +159,6 @@ def _circle(radius: float, height: float) -> np.ndarray:
     return np.stack((radius * np.cos(turn), radius * np.sin(turn), np.full(len(turn), height)), -1)
 
 
-def _box(shape: Element, what: str) -> np.ndarray:
-    size = _lengths(shape, "size", 3, what)
-    return np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size
-
-
-def _cylinder(shape: Element, what: str) -> np.ndarray:
-    (radius,), (length,) = _lengths(shape, "radius", 1, what), _lengths(shape, "length", 1, what)
-    return np.concatenate([_circle(radius, side * length / 2) for side in (-1, 1)])
-
-
-def _cone(shape: Element, what: str) -> np.ndarray:
-    (radius,), (length,) = _lengths(shape, "radius", 1, what), _lengths(shape, "length", 1, what)
-    return np.concatenate((_circle(radius, -length / 2), [[0.0, 0.0, length / 2]]))
-
-
-def _capsule(shape: Element, what: str) -> np.ndarray:
-    (radius,), (length,) = _lengths(shape, "radius", 1, what), _lengths(shape, "length", 1, what)
-    ball = _ball(radius)
-    return np.concatenate(
-        (ball[ball[:, 2] >= -1e-9] + (0, 0, length / 2), ball[ball[:, 2] <= 1e-9] - (0, 0, length / 2))
-    )
-
-
-def _sphere(shape: Element, what: str) -> np.ndarray:
-    return _ball(float(_lengths(shape, "radius", 1, what)[0]))
-
-
-def _ellipsoid(shape: Element, what: str) -> np.ndarray:
-    radii = _lengths(shape, "radii", 3, what)
-    return _ball(float(radii.max())) / radii.max() * radii
-
-
 def _ball(radius: float) -> np.ndarray:
     """Returns points of a sphere on circles of latitude, with the equator."""
     around = min(_sides(radius), 32)
@@ -228,20 +171,38 @@ def _ball(radius: float) -> np.ndarray:
     return radius * np.concatenate((*rings, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]))
 
 
-_CONVEX = {
-    "box": _box,
-    "cylinder": _cylinder,
-    "cone": _cone,
-    "capsule": _capsule,
-    "sphere": _sphere,
-    "ellipsoid": _ellipsoid,
-}
+def _box(shape: Element, what: str) -> list[np.ndarray]:
+    size = _lengths(shape, "size", 3, what)
+    return [np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size]
 
 
-def _polyline(shape: Element, name: str) -> list[np.ndarray]:
+def _sphere(shape: Element, what: str) -> list[np.ndarray]:
+    (radius,) = _lengths(shape, "radius", 1, what)
+    return [_ball(radius)]
+
+
+def _ellipsoid(shape: Element, what: str) -> list[np.ndarray]:
+    radii = _lengths(shape, "radii", 3, what)
+    return [_ball(radii.max()) / radii.max() * radii]
+
+
+def _round(shape: Element, what: str) -> list[np.ndarray]:
+    """Returns the points of a cylinder, cone or capsule."""
+    (radius,), (length,) = _lengths(shape, "radius", 1, what), _lengths(shape, "length", 1, what)
+    half = length / 2
+    if shape.tag == "cylinder":
+        parts = (_circle(radius, -half), _circle(radius, half))
+    elif shape.tag == "cone":
+        parts = (_circle(radius, -half), np.array([[0.0, 0.0, half]]))
+    else:
+        ball = _ball(radius)
+        parts = (ball[ball[:, 2] >= -1e-9] + (0, 0, half), ball[ball[:, 2] <= 1e-9] - (0, 0, half))
+    return [np.concatenate(parts)]
+
+
+def _polyline(shape: Element, what: str) -> list[np.ndarray]:
     """Returns convex prisms in place of an extruded polygon."""
     earcut = optional("mapbox_earcut")
-    what = f"the polyline of {name}"
     points = np.array([numbers(point, 2, None, f"a point of {what}") for point in shape.findall("point")])
     (height,) = _lengths(shape, "height", 1, what)
     if len(points) > 1 and np.allclose(points[0], points[-1]):
@@ -252,6 +213,18 @@ def _polyline(shape: Element, name: str) -> list[np.ndarray]:
     if not len(triangles):
         raise ValueError(f"{what} has no area")
     return [
-        np.concatenate([np.column_stack((points[[*polygon]], np.full(len(polygon), z))) for z in (0.0, height)])
+        np.concatenate([np.column_stack((points[polygon], np.full(len(polygon), z))) for z in (0.0, height)])
         for polygon in merge_triangles(points, triangles)
     ]
+
+
+_SOLIDS = {
+    "box": _box,
+    "cylinder": _round,
+    "cone": _round,
+    "capsule": _round,
+    "sphere": _sphere,
+    "ellipsoid": _ellipsoid,
+    "polyline": _polyline,
+}
+"""Functions that return the points of convex solids, by the tag of their shape."""

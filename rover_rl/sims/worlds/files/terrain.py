@@ -27,13 +27,7 @@ SURROUNDINGS = 15.0
 
 @dataclass(frozen=True)
 class Ground:
-    """Everything that is ground.
-
-    Args:
-        planes: infinite planes.
-        grids: elevation grids.
-        surfaces: upward surfaces of meshes.
-    """
+    """Everything that is ground: infinite planes, elevation grids, and upward surfaces of meshes."""
 
     planes: list[Plane]
     grids: list[Grid]
@@ -47,9 +41,11 @@ class Ground:
         layers += [surface.heights(origin, cell, shape) for surface in self.surfaces]
         return np.fmax.reduce(layers)
 
-    def corners(self) -> np.ndarray:
-        """Returns points around the ground with an end: ``[P, 2]``, m."""
+    def corners(self, around: np.ndarray) -> np.ndarray:
+        """Returns points around the ground with an end, and around points ``[P, 2]`` on a plane: ``[Q, 2]``, m."""
         points = [surface.vertices[:, :2][np.unique(surface.faces)] for surface in self.surfaces]
+        if self.planes and len(around):
+            points += [around - 3.0, around + 3.0]
         return np.concatenate([np.empty((0, 2)), *points, *map(_grid_corners, self.grids)])
 
 
@@ -60,9 +56,6 @@ def make_terrain(ground: Ground, around: np.ndarray, cell: float | None) -> tupl
         ground: all ground, at least one of it.
         around: points of the obstacles and areas ``[P, 2]``, m, around which a plane is laid out.
         cell: spacing, m. ``None``: automatic.
-
-    Raises:
-        ValueError: if the terrain would be too large.
     """
     exact = _as_it_is(ground, cell)
     if exact is not None:
@@ -70,26 +63,19 @@ def make_terrain(ground: Ground, around: np.ndarray, cell: float | None) -> tupl
     levels = [level for level in map(_level, ground.planes) if level is not None]
     if not ground.grids and not ground.surfaces and len(levels) == len(ground.planes):
         return _flat(max(levels), around), []
-    points = ground.corners()
-    if ground.planes and len(around):
-        points = np.concatenate((points, around - 3.0, around + 3.0))
+    points = ground.corners(around)
     low, high = points.min(0), points.max(0)
-    if cell is not None:
-        return _sampled(ground, low, high, cell)[:2]
-    if ground.grids:
-        return _sampled(ground, low, high, max(min(min(grid.cell) for grid in ground.grids), _least_cell(low, high)))[
-            :2
-        ]
-    own = _own_spacing(ground)
-    return _good_enough(ground, low, high, own)
-
-
-def _good_enough(ground: Ground, low: np.ndarray, high: np.ndarray, own: float | None) -> tuple[Terrain, list[str]]:
-    """Returns the terrain of the coarsest spacing with a good error, or else of the finest."""
     least = _least_cell(low, high)
-    cells = [cell for cell in ((own,) if own else ()) + CELLS if cell >= least] or [least]
-    for cell in cells:
-        terrain, notes, error = _sampled(ground, low, high, cell)
+    if cell is not None:
+        cells = [cell]
+    elif ground.grids:
+        cells = [max(min(min(grid.cell) for grid in ground.grids), least)]
+    else:
+        own = _own_spacing(ground)
+        cells = [spacing for spacing in ((own,) if own else ()) + CELLS if spacing >= least] or [least]
+    # The coarsest spacing with a good error, or else the finest.
+    for spacing in cells:
+        terrain, notes, error = _sampled(ground, low, high, spacing)
         if error <= GOOD:
             break
     return terrain, notes
@@ -109,16 +95,14 @@ def _sampled(ground: Ground, low: np.ndarray, high: np.ndarray, cell: float) -> 
         )
     origin = (float(low[0]), float(low[1]))
     heights = ground.heights(origin, cell, (rows, columns))
-    filled = _filled(heights)
-    terrain = Terrain(torch.from_numpy(filled), cell, origin)
+    terrain = Terrain(torch.from_numpy(_filled(heights)), cell, origin)
     middle = (origin[0] + cell / 2, origin[1] + cell / 2)
     truth = ground.heights(middle, cell, (rows - 1, columns - 1))
     x, y = np.meshgrid(middle[0] + cell * np.arange(columns - 1), middle[1] + cell * np.arange(rows - 1))
     ours = terrain.height_at(torch.from_numpy(np.stack((x, y), -1))).numpy()
     known = np.isfinite(truth)
     errors = np.abs(ours - truth)[known] if known.any() else np.zeros(1)
-    error = float(np.quantile(errors, 0.99))
-    most = 100 * errors.max()
+    error, most = float(np.quantile(errors, 0.99)), 100 * errors.max()
     notes = [f"ground: cell {cell:g} m, error {100 * error:.1f} cm for 99 % of the surface, {most:.1f} cm at most"]
     holes = 1 - float(np.isfinite(heights).mean())
     if holes > 0.01:
@@ -133,8 +117,7 @@ def _filled(heights: np.ndarray) -> np.ndarray:
         raise ValueError("the ground has no surface at any point of its grid; use a smaller cell")
     if not empty.any():
         return heights
-    nearest = distance_transform_edt(empty, return_distances=False, return_indices=True)
-    return heights[tuple(nearest)]
+    return heights[tuple(distance_transform_edt(empty, return_distances=False, return_indices=True))]
 
 
 def _flat(level: float, around: np.ndarray) -> Terrain:
@@ -180,8 +163,7 @@ def _as_it_is(ground: Ground, cell: float | None) -> Terrain | None:
     """Returns an elevation grid unchanged, if it is all the ground: no resampling, no error."""
     if len(ground.grids) != 1 or ground.surfaces:
         return None
-    (grid,) = ground.grids
-    grid = _turned(grid)
+    grid = _turned(ground.grids[0])
     (dx, dy), heights = grid.cell, grid.heights
     square = abs(dx - dy) <= 1e-9 * max(dx, dy) * max(heights.shape)
     if grid.yaw or not square or (cell is not None and not math.isclose(cell, dx, rel_tol=1e-6)):
@@ -198,9 +180,9 @@ def _as_it_is(ground: Ground, cell: float | None) -> Terrain | None:
 def _turned(grid: Grid) -> Grid:
     """Returns a grid whose yaw is a multiple of 90 degrees as one without yaw."""
     quarter = round(grid.yaw / (math.pi / 2))
-    if abs(grid.yaw - quarter * math.pi / 2) > 1e-6 or quarter % 4 == 0:
-        return grid if quarter % 4 or abs(grid.yaw) > 1e-6 else Grid(grid.heights, grid.cell, grid.origin)
-    low = _grid_corners(grid).min(0)
+    if abs(grid.yaw - quarter * math.pi / 2) > 1e-6:
+        return grid
+    low = grid.origin if quarter % 4 == 0 else _grid_corners(grid).min(0)
     # np.rot90 turns clockwise in a frame whose rows go up, so that -1 is +90 degrees.
     heights = np.rot90(grid.heights, -quarter % 4)
     cell = grid.cell if quarter % 2 == 0 else grid.cell[::-1]

@@ -8,32 +8,22 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from rover_rl.sims.worlds.files.extra import optional
+from rover_rl.sims.worlds.files import optional
 
 MAX_BYTES = 64 * 2**20
 """Largest XML file."""
 
 
 def read_xml(path: Path, data: bytes | None = None) -> Element:
-    """Parses an XML file.
-
-    Args:
-        path: the file, also for messages.
-        data: its content, if it has been read already.
-
-    Raises:
-        ValueError: if the file is too large, is not XML, or declares entities.
-    """
+    """Parses an XML file, whose content may have been read already. Entities and external references are errors."""
     parser: Any = optional("defusedxml.ElementTree")
     if path.stat().st_size > MAX_BYTES:
         raise ValueError(f"{path} has more than {MAX_BYTES >> 20} MB, which is more than a world has")
     try:
         return parser.fromstring(path.read_bytes() if data is None else data)
-    except parser.ParseError as error:
-        raise ValueError(f"{path} is not valid XML: {error}") from error
     except optional("defusedxml.common").DefusedXmlException as error:
         raise ValueError(f"{path} declares XML entities or external references, which are not read") from error
-    except (LookupError, UnicodeError, RecursionError) as error:
+    except (parser.ParseError, LookupError, UnicodeError, RecursionError) as error:
         raise ValueError(f"{path} is not valid XML: {error}") from error
 
 
@@ -46,13 +36,10 @@ def numbers(element: Element | None, count: int, default: tuple[float, ...] | No
     """Returns the numbers in the text of an element: ``[count]``.
 
     Args:
-        element: the element. ``None``: ``default``.
+        element: the element.
         count: how many numbers there must be.
         default: value for a missing or empty element. ``None``: there is none.
         what: what the element describes, for messages.
-
-    Raises:
-        ValueError: if there are other numbers, or the element is missing and has no default.
     """
     text = text_of(element)
     if not text and default is not None:

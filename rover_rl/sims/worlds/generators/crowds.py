@@ -12,8 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rover_rl.sims.worlds.generators.difficulty import DEFAULT, check_difficulty, scaled
-from rover_rl.sims.worlds.generators.enclosure import enclosing_walls
+from rover_rl.sims.worlds.generators.common import DEFAULT, enclosing_walls, scaled
 from rover_rl.sims.worlds.movers import Box, Cross, Cylinder, Mover, Person, SocialForce, Wander
 from rover_rl.sims.worlds.obstacles import Obstacle, boxes, cylinders
 from rover_rl.sims.worlds.region import Area
@@ -57,7 +56,6 @@ def with_walkers(world: World, seed: int = 0, difficulty: float = DEFAULT) -> Wo
         >>> len(with_walkers(get_world("maze")).movers), len(get_world("maze+walkers").movers)
         (3, 3)
     """
-    check_difficulty(difficulty)
     rng = np.random.default_rng((seed, 1))
     area = _union(world.spawn_range, world.goal_range)
     (x_low, x_high), (y_low, y_high) = area
@@ -79,7 +77,6 @@ def plaza(seed: int = 0, difficulty: float = DEFAULT) -> World:
     Raises:
         ValueError: if the difficulty is not in [0, 1].
     """
-    check_difficulty(difficulty)
     rng = np.random.default_rng(seed)
     half, edge = PLAZA / 2, 1.5
     edges: list[Area] = [
@@ -120,7 +117,6 @@ def corridor(seed: int = 0, difficulty: float = DEFAULT) -> World:
     Raises:
         ValueError: if the difficulty is not in [0, 1].
     """
-    check_difficulty(difficulty)
     rng = np.random.default_rng(seed)
     half, side = LENGTH / 2, WIDTH / 2 - 0.4
     west, east = ((-half + 0.5, -half + 3), (-side, side)), ((half - 3, half - 0.5), (-side, side))
@@ -150,7 +146,6 @@ def crossing(seed: int = 0, difficulty: float = DEFAULT) -> World:
     Raises:
         ValueError: if the difficulty is not in [0, 1].
     """
-    check_difficulty(difficulty)
     rng = np.random.default_rng(seed)
     half, arm = PLAZA / 2, ARM / 2
     north: Area = ((-arm + 0.4, arm - 0.4), (half - 3, half - 0.5))
@@ -182,7 +177,6 @@ def field(seed: int = 0, difficulty: float = DEFAULT) -> World:
     Raises:
         ValueError: if the difficulty is not in [0, 1].
     """
-    check_difficulty(difficulty)
     rng = np.random.default_rng(seed)
     low, high = (scaled(difficulty, *ends) for ends in zip(*FIELD_SPEEDS, strict=True))
     half = FIELD / 2

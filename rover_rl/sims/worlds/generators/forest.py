@@ -10,8 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from rover_rl.sims.worlds.generators.connectivity import largest_part
-from rover_rl.sims.worlds.generators.difficulty import DEFAULT, check_difficulty, scaled
+from rover_rl.sims.worlds.generators.common import DEFAULT, largest_part, scaled
 from rover_rl.sims.worlds.obstacles import cylinders
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
@@ -52,24 +51,15 @@ def forest(seed: int = 0, difficulty: float = DEFAULT) -> World:
     Raises:
         ValueError: if the difficulty is not in [0, 1].
     """
-    check_difficulty(difficulty)
-    rng = np.random.default_rng(seed)
-    gap = scaled(difficulty, *GAP)
+    gap, rng = scaled(difficulty, *GAP), np.random.default_rng(seed)
     while True:
         filled, trunks = _clutter(rng, difficulty), _trunks(rng, difficulty)
-        clearance = _clearance(filled, trunks)
-        if _connected(clearance, gap):
+        if _connected(_clearance(filled, trunks), gap):
             break
     centers = _AXIS[np.argwhere(filled)[:, ::-1]]
     low = cylinders(_at_height(centers, HEIGHT / 2), RADIUS, HEIGHT, SIDES)
     tall = cylinders(_at_height(trunks[:, :2], TRUNK_HEIGHT / 2), trunks[:, 2], TRUNK_HEIGHT, TRUNK_SIDES)
-    return World(
-        name="forest",
-        terrain=Terrain.flat((SIDE, SIDE)),
-        obstacles=(*tall, *low),
-        spawn_range=TASK_AREA,
-        goal_range=TASK_AREA,
-    )
+    return World(name="forest", terrain=Terrain.flat((SIDE, SIDE)), obstacles=(*tall, *low), spawn_range=TASK_AREA)
 
 
 def _clutter(rng: np.random.Generator, difficulty: float) -> np.ndarray:
@@ -87,9 +77,8 @@ def _clutter(rng: np.random.Generator, difficulty: float) -> np.ndarray:
 def _trunks(rng: np.random.Generator, difficulty: float) -> np.ndarray:
     """Samples the trunks: x, y and radius, ``[N, 3]``, m."""
     count = round(scaled(difficulty, *TRUNKS))
-    return np.column_stack(
-        (rng.uniform(-SIDE / 2 + 0.5, SIDE / 2 - 0.5, (count, 2)), rng.uniform(*TRUNK_RADIUS, count))
-    )
+    reach = SIDE / 2 - 0.5
+    return np.column_stack((rng.uniform(-reach, reach, (count, 2)), rng.uniform(*TRUNK_RADIUS, count)))
 
 
 def _clearance(filled: np.ndarray, trunks: np.ndarray) -> np.ndarray:

@@ -6,9 +6,7 @@ import numpy as np
 import torch
 from scipy.ndimage import binary_erosion
 
-from rover_rl.sims.worlds.generators.connectivity import gentle_cells, largest_part
-from rover_rl.sims.worlds.generators.difficulty import DEFAULT, check_difficulty, scaled
-from rover_rl.sims.worlds.generators.relief import relief, smoothstep
+from rover_rl.sims.worlds.generators.common import DEFAULT, gentle_cells, largest_part, relief, scaled, smoothstep
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
 
@@ -45,7 +43,6 @@ def hills(seed: int = 0, difficulty: float = DEFAULT) -> World:
     Raises:
         ValueError: if the difficulty is not in [0, 1].
     """
-    check_difficulty(difficulty)
     rng = np.random.default_rng(seed)
     while True:
         heights = _ground(rng, difficulty)
@@ -53,13 +50,7 @@ def hills(seed: int = 0, difficulty: float = DEFAULT) -> World:
         of_gentle, of_all = largest_part(passable, _TASK_CELLS)
         if of_gentle >= CONNECTED and of_all >= SPACIOUS:
             break
-    return World(
-        name="hills",
-        terrain=Terrain(torch.from_numpy(heights), CELL),
-        spawn_range=TASK_AREA,
-        goal_range=TASK_AREA,
-        bounds=BOUNDS,
-    )
+    return World(name="hills", terrain=Terrain(torch.from_numpy(heights), CELL), spawn_range=TASK_AREA, bounds=BOUNDS)
 
 
 def _ground(rng: np.random.Generator, difficulty: float) -> np.ndarray:

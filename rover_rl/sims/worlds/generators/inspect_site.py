@@ -10,8 +10,7 @@ import math
 import numpy as np
 import torch
 
-from rover_rl.sims.worlds.generators.difficulty import DEFAULT, check_difficulty, scaled
-from rover_rl.sims.worlds.generators.relief import relief, smoothstep
+from rover_rl.sims.worlds.generators.common import DEFAULT, relief, scaled, smoothstep
 from rover_rl.sims.worlds.obstacles import Obstacle, box
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
@@ -31,7 +30,6 @@ WALL_SIZE = (1.8, 0.3)
 HEIGHT_ABOVE, DEPTH_BELOW = 0.5, 0.3
 """Height of walls and panel fronts above the highest ground below them, so that the lidar sees them, and their depth
 below the lowest ground, m."""
-
 
 HUMPS = (0.12, 0.25, 0.27)
 """Maximum height of the humps at difficulty 0, 0.5 and 1, m."""
@@ -54,7 +52,6 @@ def inspect(seed: int = 0, difficulty: float = DEFAULT) -> World:
     Raises:
         ValueError: if the difficulty is not in [0, 1].
     """
-    check_difficulty(difficulty)
     rng = np.random.default_rng(seed)
     terrain = _ground(rng, scaled(difficulty, *HUMPS))
     panels = [part for y in PANEL_ROWS for x in PANEL_COLUMNS for part in _panel_on_stand(terrain, x, y)]
@@ -65,7 +62,6 @@ def inspect(seed: int = 0, difficulty: float = DEFAULT) -> World:
         terrain=terrain,
         obstacles=(*panels, *walls, *crates),
         spawn_range=TASK_AREA,
-        goal_range=TASK_AREA,
         bounds=BOUNDS,
         spawn_height=5.5,
         spawn_height_areas=((CORNER, 6.5),),

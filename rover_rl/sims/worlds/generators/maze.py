@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rover_rl.sims.worlds.generators.difficulty import DEFAULT, check_difficulty, scaled
-from rover_rl.sims.worlds.generators.enclosure import enclosing_walls
+from rover_rl.sims.worlds.generators.common import DEFAULT, enclosing_walls, scaled
 from rover_rl.sims.worlds.obstacles import Obstacle, boxes
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
@@ -56,11 +55,10 @@ def maze(seed: int = 0, difficulty: float = DEFAULT) -> World:
     Raises:
         ValueError: if the difficulty is not in [0, 1].
     """
-    check_difficulty(difficulty)
-    rng = np.random.default_rng(seed)
+    count, rng = round(scaled(difficulty, FEWEST_BLOCKS, BLOCKS, BLOCKS)), np.random.default_rng(seed)
     blocks = _layout(rng)
     if difficulty < DEFAULT:
-        blocks = _thinned(blocks, rng, round(scaled(difficulty, FEWEST_BLOCKS, BLOCKS, BLOCKS)))
+        blocks = _thinned(blocks, rng, count)
     elif difficulty > DEFAULT:
         closed = _closable_squares(blocks, rng)
         blocks += closed[: round(scaled(difficulty, 0, 0, len(closed)))]
@@ -69,9 +67,7 @@ def maze(seed: int = 0, difficulty: float = DEFAULT) -> World:
         terrain=Terrain.flat((SIDE, SIDE)),
         obstacles=(*enclosing_walls(SIDE), *_solid(blocks, difficulty)),
         spawn_range=TASK_AREA,
-        goal_range=TASK_AREA,
         bounds=((-30.0, 30.0), (-30.0, 30.0)),
-        spawn_height=0.75,
     )
 
 

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import torch
 
-from rover_rl.sims.worlds.generators.difficulty import DEFAULT, check_difficulty, scaled
-from rover_rl.sims.worlds.generators.relief import relief
+from rover_rl.sims.worlds.generators.common import DEFAULT, relief, scaled
 from rover_rl.sims.worlds.obstacles import Obstacle, boulder
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
@@ -63,7 +62,6 @@ def moon(seed: int = 0, difficulty: float = DEFAULT, size: float = SIZE) -> Worl
         >>> moon(3, size=20.0).spawn_range
         ((-10.0, 10.0), (-10.0, 10.0))
     """
-    check_difficulty(difficulty)
     if not SIZES[0] <= size <= SIZES[1]:
         raise ValueError(f"size must be from {SIZES[0]:g} to {SIZES[1]:g} m, got {size}")
     rng = np.random.default_rng(seed)
@@ -74,9 +72,7 @@ def moon(seed: int = 0, difficulty: float = DEFAULT, size: float = SIZE) -> Worl
         terrain=terrain,
         obstacles=_boulders(rng, terrain, half, difficulty),
         spawn_range=((-half, half), (-half, half)),
-        goal_range=((-half, half), (-half, half)),
         bounds=((-half - FAR, half + EAST), (-half - FAR, half + FAR)),
-        spawn_height=0.75,
     )
 
 

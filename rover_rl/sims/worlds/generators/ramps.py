@@ -6,8 +6,7 @@ import numpy as np
 import torch
 from scipy.ndimage import binary_erosion
 
-from rover_rl.sims.worlds.generators.connectivity import gentle_cells, largest_part
-from rover_rl.sims.worlds.generators.difficulty import DEFAULT, check_difficulty, scaled
+from rover_rl.sims.worlds.generators.common import DEFAULT, gentle_cells, largest_part, scaled
 from rover_rl.sims.worlds.obstacles import boxes
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
@@ -54,7 +53,6 @@ def ramps(seed: int = 0, difficulty: float = DEFAULT) -> World:
     Raises:
         ValueError: if the difficulty is not in [0, 1].
     """
-    check_difficulty(difficulty)
     rng = np.random.default_rng(seed)
     while True:
         heights = _ground(rng, scaled(difficulty, *IMPASSABLE))
@@ -71,7 +69,6 @@ def ramps(seed: int = 0, difficulty: float = DEFAULT) -> World:
         terrain=Terrain(torch.from_numpy(heights), CELL),
         obstacles=boxes(centers, sizes),
         spawn_range=((-task, task), (-task, task)),
-        goal_range=((-task, task), (-task, task)),
     )
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import label
 
-from rover_rl.sims.worlds.generators.difficulty import DEFAULT, check_difficulty, scaled
-from rover_rl.sims.worlds.generators.enclosure import HEIGHT, enclosing_walls
+from rover_rl.sims.worlds.generators.common import DEFAULT, WALL_HEIGHT, enclosing_walls, scaled
 from rover_rl.sims.worlds.generators.floor_plan import WALL, FloorPlan, Rect, floor_plan
 from rover_rl.sims.worlds.obstacles import Obstacle, boxes
 from rover_rl.sims.worlds.terrain import Terrain
@@ -59,7 +58,6 @@ def rooms(seed: int = 0, difficulty: float = DEFAULT) -> World:
     Raises:
         ValueError: if the difficulty is not in [0, 1].
     """
-    check_difficulty(difficulty)
     rng = np.random.default_rng(seed)
     corridor, smallest, door, gap = (round(scaled(difficulty, *lengths)) for lengths in (CORRIDOR, SMALLEST, DOOR, GAP))
     plan = floor_plan(rng, SIDE, corridor, smallest, door, scaled(difficulty, *EXTRA_DOORS))
@@ -74,7 +72,6 @@ def rooms(seed: int = 0, difficulty: float = DEFAULT) -> World:
         terrain=Terrain.flat((SIDE / 10, SIDE / 10)),
         obstacles=(*enclosing_walls(SIDE / 10), *_solids(plan, furniture)),
         spawn_range=area,
-        goal_range=area,
         bounds=((-half - 1, half + 1), (-half - 1, half + 1)),
     )
 
@@ -155,7 +152,7 @@ def _reachable(plan: FloorPlan, furniture: list[tuple[Rect, float]]) -> bool:
 
 def _solids(plan: FloorPlan, furniture: list[tuple[Rect, float]]) -> tuple[Obstacle, ...]:
     """Creates the inner walls and the furniture."""
-    parts = [(*wall, 0.0, HEIGHT) for wall in plan.walls]
+    parts = [(*wall, 0.0, WALL_HEIGHT) for wall in plan.walls]
     for piece, height in furniture:
         if height > 0:
             parts.append((*piece, 0.0, height))

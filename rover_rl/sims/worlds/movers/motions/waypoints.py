@@ -27,8 +27,8 @@ class Waypoints(Motion):
     the last one of ``"once"``, the mover rests.
 
     Args:
-        keys: keyframes: time (s), x, y (m) and yaw (rad). Times start at 0 or later, in ascending order. The yaw takes
-            the shortest way to that of the next keyframe.
+        keys: keyframes: time (s), x, y (m) and yaw (rad). Times start at 0 or later, in ascending order; two at the
+            same time are a jump. The yaw takes the shortest way to that of the next keyframe.
         repeat: ``"once"``, ``"loop"`` (begins again at the first keyframe, at once) or ``"back_and_forth"``.
         delay: time before the first keyframe's time 0, s.
         random_start: whether each episode starts at a random time of the path.
@@ -48,7 +48,7 @@ class Waypoints(Motion):
         if not keys or any(len(key) != 4 or not all(map(math.isfinite, key)) for key in keys):
             raise ValueError(f"keyframes must be finite (time, x, y, yaw), at least one, got {self.keys}")
         times = [key[0] for key in keys]
-        if times[0] < 0 or any(b <= a for a, b in pairwise(times)):
+        if times[0] < 0 or any(b < a for a, b in pairwise(times)):
             raise ValueError(f"the times of keyframes must be at least 0 and in ascending order, got {times}")
         if self.repeat not in get_args(Repeat):
             raise ValueError(f"repeat must be one of {get_args(Repeat)}, got {self.repeat!r}")
