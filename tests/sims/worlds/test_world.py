@@ -50,7 +50,10 @@ def test_the_first_area_that_contains_a_point_sets_its_drop_height():
 
 
 def test_get_world_returns_the_same_object_for_the_same_name():
-    assert set(WORLDS) == {"inspect", "moon", "maze", "rooms", "forest", "hills", "ramps"}
+    assert set(WORLDS) == {
+        *("inspect", "moon", "maze", "rooms", "forest", "hills", "ramps"),
+        *("plaza", "corridor", "crossing", "field"),
+    }
     assert get_world("maze") is get_world("maze") is get_world("maze:0")
     assert get_world("maze:7") is get_world("maze:7")
     assert get_world("maze:7") is not get_world("maze")

@@ -58,7 +58,8 @@ def test_a_world_is_determined_by_its_seed(name):
     assert all(torch.equal(p.vertices, q.vertices) for p, q in zip(a.obstacles, b.obstacles, strict=True))
     same_ground = torch.equal(a.terrain.heights, other.terrain.heights)
     same_obstacles = all(torch.equal(p.vertices, q.vertices) for p, q in zip(a.obstacles, other.obstacles, strict=True))
-    assert not (same_ground and same_obstacles)
+    assert a.movers == b.movers
+    assert not (same_ground and same_obstacles and a.movers == other.movers)
 
 
 @pytest.mark.parametrize("name", sorted(WORLDS))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rover_rl.sims.worlds.files.options import MAX_SIZE
+from rover_rl.sims.worlds.movers import Mover
 
 
 @dataclass(frozen=True)

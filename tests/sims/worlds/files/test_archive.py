@@ -10,12 +10,16 @@ import torch
 
 from rover_rl.cli.main import main
 from rover_rl.progress import redirected_progress
-from rover_rl.sims.worlds import Actor, Terrain, World, box, cylinder, get_world
+from rover_rl.sims.worlds import Terrain, World, box, cylinder, get_world
+from rover_rl.sims.worlds.movers import Box, Mover, Person, Wander, Waypoints
 from tests.extras import needs_worlds
 from tests.sims.worlds.files.test_areas import building, rectangle
 from tests.sims.worlds.files.test_maps import write_map
 
-ACTOR = Actor("walker", (0.0, 2.5), ((0.0,) * 6, (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)), False, 1.0, False)
+MOVERS = (
+    Mover(Waypoints([(0.0, 0.5, 1.0, 0.0), (2.5, 1.0, 2.0, 0.3)], "once", delay=1.0), Person(1.6), "walker"),
+    Mover(Wander(0.7, area=((0.0, 8.0), (-1.0, 8.0))), Box(0.4, 0.5, 0.6)),
+)
 
 
 def plain() -> World:
@@ -29,7 +33,7 @@ def plain() -> World:
         bounds=((-3.0, 10.0), (-4.0, 10.0)),
         spawn_height=0.5,
         spawn_height_areas=((((0.0, 1.0), (0.0, 1.0)), 2.0),),
-        actors=(ACTOR,),
+        movers=MOVERS,
         notes=("ground: fine",),
     )
 
@@ -45,7 +49,7 @@ def test_a_world_file_gives_the_same_world_without_the_extra(tmp_path):
         "bounds",
         "spawn_height",
         "spawn_height_areas",
-        "actors",
+        "movers",
         "notes",
     ):
         assert getattr(read, name) == getattr(world, name), name

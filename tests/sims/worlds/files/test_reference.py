@@ -15,6 +15,7 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from rover_rl import RoverEnv
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import evaluate
 from rover_rl.algos.policy.baselines import ScriptedPolicy
@@ -109,12 +110,19 @@ def test_the_lidar_in_the_mazes_is_that_of_the_file(name):
     assert (np.abs(errors) < 0.05).mean() >= 0.99
 
 
-def test_the_actor_of_the_maze_keeps_its_nine_waypoints():
-    (actor,) = imported("roboterrain/maze_and_person.sdf").actors
-    assert actor.name == "actor_walking"
-    assert actor.times == (0, 2, 2.5, 8.5, 9, 11, 11.5, 17, 17.5)
-    assert actor.poses[3] == pytest.approx((-3, 2, 1, 0, 0, 1.57))
-    assert actor.loop
+def test_the_person_in_the_maze_walks_as_the_file_says():
+    world = imported("roboterrain/maze_and_person.sdf")
+    (walker,) = world.movers
+    assert (walker.name, walker.motion.repeat) == ("actor_walking", "loop")
+    script = ElementTree.parse(DATA / "roboterrain/maze_and_person.sdf").find(".//actor/script/trajectory")
+    keys = [(float(w.findtext("time")), *map(float, w.findtext("pose").split()[:2])) for w in script]
+    env = RoverEnv(world_n=world, backend="warp", seed=0, length=1000)
+    env.reset()
+    for step in range(1, 800):
+        env.rand_step()
+        time = step * env.control_dt % keys[-1][0]
+        x, y = (np.interp(time, [key[0] for key in keys], [key[axis] for key in keys]) for axis in (1, 2))
+        assert env.movers.course.position[0, 0].numpy() == pytest.approx((x, y), abs=0.01)
 
 
 @pytest.mark.slow

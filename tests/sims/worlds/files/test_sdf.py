@@ -11,7 +11,8 @@ import torch
 import trimesh
 from PIL import Image
 
-from rover_rl.sims.worlds import Actor, World
+from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds.movers import Person
 from tests.extras import needs_worlds
 
 pytestmark = needs_worlds
@@ -225,23 +226,25 @@ def test_visual_geometry_counts_where_a_link_has_no_other(tmp_path):
     assert inside(world_of(tmp_path, body, visuals=False), (2.0, 0.0, 1.0), (-2.0, 0.0, 1.0)) == [False, True]
 
 
-def test_actors_keep_their_waypoints(tmp_path):
+def test_actors_are_people_who_walk_from_waypoint_to_waypoint(tmp_path):
     actor = """<actor name='walker'><pose>1 0 0 0 0 1.5707963268</pose><skin><filename>https://x/walk.dae</filename></skin>
     <script><loop>false</loop><delay_start>2</delay_start><trajectory id='0' type='walk'>
     <waypoint><time>3</time><pose>1 0 1 0 0 0</pose></waypoint>
     <waypoint><time>0</time><pose>0 0 1 0 0 0</pose></waypoint>
     </trajectory></script></actor>"""
-    (found,) = world_of(tmp_path, actor).actors
-    assert isinstance(found, Actor)
-    assert (found.name, found.times, found.loop, found.delay_start, found.auto_start) == (
-        "walker",
-        (0.0, 3.0),
-        False,
-        2.0,
-        True,
-    )
-    assert found.poses[0] == pytest.approx((1, 0, 1, 0, 0, math.pi / 2), abs=1e-6)
-    assert found.poses[1] == pytest.approx((1, 1, 1, 0, 0, math.pi / 2), abs=1e-6)
+    (found,) = world_of(tmp_path, actor).movers
+    assert (found.name, found.shape, found.motion.repeat, found.motion.delay) == ("walker", Person(), "once", 2.0)
+    assert found.motion.keys[0] == pytest.approx((0, 1, 0, math.pi / 2), abs=1e-6)
+    assert found.motion.keys[1] == pytest.approx((3, 1, 1, math.pi / 2), abs=1e-6)
+
+
+def test_an_actor_that_does_not_start_by_itself_stands_at_its_first_waypoint(tmp_path):
+    actor = """<actor name='guard'><script><auto_start>false</auto_start><trajectory id='0' type='walk'>
+    <waypoint><time>0</time><pose>2 1 0 0 0 0</pose></waypoint>
+    <waypoint><time>3</time><pose>4 1 0 0 0 0</pose></waypoint>
+    </trajectory></script></actor>"""
+    (found,) = world_of(tmp_path, actor).movers
+    assert (found.motion.keys, found.motion.repeat) == (((0.0, 2.0, 1.0, 0.0),), "once")
 
 
 def test_meshes_have_scales_and_submeshes(tmp_path):
@@ -357,10 +360,8 @@ def test_movers_that_stand_still_are_told(tmp_path):
         "<plugin filename='libcamera.so' name='camera'/>"
     )
     body = model(link(POST), "cart", plugins) + model(link(POST, "3 0 0 0 0 0"), "crate")
-    body += "<actor name='walker'><script/></actor>"
     with pytest.warns(UserWarning, match="stand still"):
         world = world_of(tmp_path, body)
     told = " ".join(world.notes)
     assert "models that plugins move in Gazebo stand still: cart (VelocityControl)" in told
-    assert "actors do not move, and sensors do not see them: walker" in told
     assert "crate" not in told
