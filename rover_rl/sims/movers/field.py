@@ -16,6 +16,7 @@ from rover_rl.sims.rotations import quaternion_product, rotate, wrap_angle
 from rover_rl.sims.worlds.movers.motions.base import Course, Motion, Others, Scene
 from rover_rl.sims.worlds.movers.mover import Mover
 from rover_rl.sims.worlds.movers.shapes import KINDS, Part, radius_of
+from rover_rl.sims.worlds.region import union
 from rover_rl.sims.worlds.slot_table import SlotTable, TerrainTable
 from rover_rl.sims.worlds.table import WorldTable
 
@@ -94,7 +95,7 @@ class MoverField:
         self._is_live = is_live
         count, device = len(worlds), worlds.slots.device
         self._tables, self._terrains, self._walls = MoverTables(device), TerrainTable(device), WallTable(worlds)
-        self._bounds = SlotTable((4,), torch.float32, device)
+        self._areas = SlotTable((8,), torch.float32, device)
         self._slots: Tensor | None = None
         self._steps = torch.zeros(count, 1, dtype=torch.int64, device=device)
         self._keys = torch.zeros_like(self._steps)
@@ -118,8 +119,8 @@ class MoverField:
         for slot, world in self._entered().items():
             self._tables[slot] = () if self._is_live else world.movers
             self._terrains[slot] = world.terrain
-            (x_low, x_high), (y_low, y_high) = world.bounds
-            self._bounds[slot] = torch.tensor([(x_low, y_low, x_high, y_high)])
+            areas = torch.tensor([world.bounds, union(world.spawn_range, world.goal_range)])
+            self._areas[slot] = areas.mT.reshape(1, 8)
             if any(mover.motion.has_walls for mover in world.movers):
                 self._walls[slot] = world
         if self._slots is not self._worlds.slots:
@@ -133,7 +134,7 @@ class MoverField:
         self._motion, self.radius = tables.motion.values[slots], tables.radius.values[slots]
         self.present = self._motion >= 0
         self._settings = {motion: tables.settings_of(motion, slots) for motion in tables.motions}
-        self._corners = self._bounds.values[slots, 0]
+        self._corners = self._areas.values[slots, 0]
         added = self.radius.shape[1] - self._walked.shape[1]
         self.course, self._walked = self.course.padded(added), pad(self._walked, (0, added))
         self._local = {name: table.values[slots] for name, table in tables.parts.items()}
@@ -156,6 +157,7 @@ class MoverField:
         if self.parts is None:
             return
         count, movers = self.radius.shape
+        self._mover_keys = random_bits(self._keys, _MOVERS, 0, movers)
         blank = Course.at_rest(count, movers, mask.device)
         self.course = blank.where(mask.expand_as(self.present), self.course)
         still = Others(rovers[:, None], torch.zeros_like(rovers)[:, None], self._rover_radius)
@@ -216,8 +218,10 @@ class MoverField:
                 time=self._steps.double() * self._dt,
                 dt=self._dt,
                 walls=self._walls,
-                bounds=self._corners,
+                bounds=self._corners[:, :4],
+                arena=self._corners[:, 4:],
                 rovers=rovers,
+                keys=self._mover_keys,
                 bits=self._bits,
             )
             after = getattr(motion, method)(scene).where(mine, after)
@@ -226,8 +230,9 @@ class MoverField:
     def _bits(self, count: int) -> Tensor:
         """Returns random bits of each mover and draw, int64 ``[N, M, count]``."""
         draws = self.course.draws
-        movers = random_bits(self._keys, _MOVERS, 0, draws.shape[1])
-        return random_bits(movers.reshape(-1, 1), _DRAWS, draws.reshape(-1, 1), count).reshape(*draws.shape, count)
+        return random_bits(self._mover_keys.reshape(-1, 1), _DRAWS, draws.reshape(-1, 1), count).reshape(
+            *draws.shape, count
+        )
 
     def _place(self, rows: Tensor, begins: bool = False) -> None:
         """Places the parts of the movers in ``rows``, on the ground. Parts of the other rows do not move."""

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.worlds.clearance import clearance_on_grid
+from rover_rl.sims.worlds.movers.motions.base import WallGrids
 from rover_rl.sims.worlds.slot_table import SlotTable
 from rover_rl.sims.worlds.table import WorldTable
 from rover_rl.sims.worlds.world import World
@@ -50,8 +51,8 @@ class WallTable:
         i = torch.minimum(u.floor().clamp(min=0), columns - 2).long().clamp(min=0)
         j = torch.minimum(v.floor().clamp(min=0), rows - 2).long().clamp(min=0)
         corner, width = j * columns.long() + i, columns.long()
-        flat = self._distances.values[slots]
-        d00, d10, d01, d11 = (flat.gather(1, k) for k in (corner, corner + 1, corner + width, corner + width + 1))
+        corners = (corner, corner + 1, corner + width, corner + width + 1)
+        d00, d10, d01, d11 = (self._distances.values[slots[:, None], k] for k in corners)
         s, t = (u - i).clamp(0, 1), (v - j).clamp(0, 1)
         low, high = d00 + s * (d10 - d00), d01 + s * (d11 - d01)
         # Beyond the grid, the distance falls with that from its edge.
@@ -59,6 +60,11 @@ class WallTable:
         rise = torch.stack(((1 - t) * (d10 - d00) + t * (d11 - d01), high - low), -1)
         length = rise.norm(dim=-1, keepdim=True)
         return low + t * (high - low) - beyond, torch.where(length > 1e-6, rise / length.clamp(min=1e-6), rise * 0)
+
+    def grids(self) -> WallGrids:
+        """Returns the grids of all slots: see ``Walls.grids``."""
+        used = len(self._grids.values)
+        return WallGrids(self._distances.values, self._grids.values[:, 0], self._worlds.slots.clamp(max=used - 1))
 
 
 @lru_cache(maxsize=256)

@@ -96,7 +96,7 @@ class World:
         if len(self.movers) > MAX_MOVERS:
             raise ValueError(f"world {self.name!r} may have at most {MAX_MOVERS} movers, got {len(self.movers)}")
         for mover in self.movers:
-            start = mover.motion.start()
+            start = mover.motion.first_point()
             if start is None:
                 continue
             point = torch.tensor(start, dtype=torch.float64)

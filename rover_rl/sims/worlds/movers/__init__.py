@@ -2,8 +2,37 @@
 
 from __future__ import annotations
 
-from rover_rl.sims.worlds.movers.motions import Motion, Waypoints
+from rover_rl.sims.worlds.movers.motions import (
+    Course,
+    Cross,
+    Door,
+    Motion,
+    Orca,
+    Scene,
+    Slider,
+    SocialForce,
+    Wander,
+    Waypoints,
+)
 from rover_rl.sims.worlds.movers.mover import Mover
 from rover_rl.sims.worlds.movers.shapes import Box, Capsule, Cylinder, Part, Person, Shape
 
-__all__ = ["Box", "Capsule", "Cylinder", "Motion", "Mover", "Part", "Person", "Shape", "Waypoints"]
+__all__ = [
+    "Box",
+    "Capsule",
+    "Course",
+    "Cross",
+    "Cylinder",
+    "Door",
+    "Motion",
+    "Mover",
+    "Orca",
+    "Part",
+    "Person",
+    "Scene",
+    "Shape",
+    "Slider",
+    "SocialForce",
+    "Wander",
+    "Waypoints",
+]

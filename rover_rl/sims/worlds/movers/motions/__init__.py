@@ -3,6 +3,13 @@
 from __future__ import annotations
 
 from rover_rl.sims.worlds.movers.motions.base import Course, Motion, Scene
+from rover_rl.sims.worlds.movers.motions.cross import Cross
+from rover_rl.sims.worlds.movers.motions.door import Door
+from rover_rl.sims.worlds.movers.motions.orca import Orca
+from rover_rl.sims.worlds.movers.motions.slider import Slider
+from rover_rl.sims.worlds.movers.motions.social_force import SocialForce
+from rover_rl.sims.worlds.movers.motions.walks import Walk
+from rover_rl.sims.worlds.movers.motions.wander import Wander
 from rover_rl.sims.worlds.movers.motions.waypoints import Waypoints
 
-__all__ = ["Course", "Motion", "Scene", "Waypoints"]
+__all__ = ["Course", "Cross", "Door", "Motion", "Orca", "Scene", "Slider", "SocialForce", "Walk", "Wander", "Waypoints"]

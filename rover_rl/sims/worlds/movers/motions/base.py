@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from typing import ClassVar, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -56,6 +56,20 @@ class Course:
         return replace(self, **chosen)
 
 
+class WallGrids(NamedTuple):
+    """Distances to walls on the grids of worlds in slots.
+
+    Attributes:
+        distances: distances on the points of each grid, row by row, float32 ``[slots, capacity]``, m.
+        grids: x and y of the first point and spacing (m), and numbers of rows and columns, float32 ``[slots, 5]``.
+        slots: slot of each row, int64 ``[N]``.
+    """
+
+    distances: Tensor
+    grids: Tensor
+    slots: Tensor
+
+
 class Walls(Protocol):
     """What movers keep away from: obstacles and the bounds of the world of each row."""
 
@@ -68,6 +82,10 @@ class Walls(Protocol):
         Returns:
             Distances ``[N, K]``, m, negative beyond the bounds, and unit vectors ``[N, K, 2]``, 0 far from all walls.
         """
+        ...
+
+    def grids(self) -> WallGrids:
+        """Returns the distances on grids, for kernels."""
         ...
 
 
@@ -100,7 +118,9 @@ class Scene:
         dt: duration of a step, s.
         walls: walls of each row's world.
         bounds: bounds of each row's world: lower x and y, and upper x and y, ``[N, 4]``, m.
+        arena: the smallest rectangle around the areas in which episodes start and end, as ``bounds``.
         rovers: rovers of each row.
+        keys: random key of each mover and episode, from which ``bits`` come, int64 ``[N, M]``.
         bits: function from a number of hashes to random bits of each mover and draw, int64 ``[N, M, count]``.
     """
 
@@ -113,7 +133,9 @@ class Scene:
     dt: float
     walls: Walls
     bounds: Tensor
+    arena: Tensor
     rovers: Others
+    keys: Tensor
     bits: Callable[[int], Tensor]
 
 
@@ -149,6 +171,6 @@ class Motion(ABC):
     def advance(cls, scene: Scene) -> Course:
         """Returns the course of the movers after a step."""
 
-    def start(self) -> tuple[float, float] | None:
+    def first_point(self) -> tuple[float, float] | None:
         """Returns the point at which every episode starts, m, or ``None`` if it is drawn."""
         return None

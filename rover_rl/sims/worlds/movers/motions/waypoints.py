@@ -57,7 +57,7 @@ class Waypoints(Motion):
         if not (math.isfinite(self.delay) and self.delay >= 0):
             raise ValueError(f"delay must be at least 0, got {self.delay}")
 
-    def start(self) -> tuple[float, float] | None:
+    def first_point(self) -> tuple[float, float] | None:
         """Returns the first point, unless the start is random."""
         return None if self.random_start else self.keys[0][1:3]
 
