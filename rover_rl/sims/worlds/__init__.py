@@ -68,10 +68,8 @@ def get_world(world: str | World) -> World:
         world: name in :func:`world_names`, ``"module:attribute"`` of a world or of a function that returns one, or a
             world. A suffix ``:seed`` selects another layout, for example ``"maze:7"`` or ``"my_package:canyon:7"``, and
             a suffix ``@difficulty``, from 0 to 1, an easier or harder one, for example ``"maze@0.2"``, ``"maze:7@1"``.
-            The path of a world file also is a name: see :meth:`World.from_file`.
-
-    Returns:
-        The world. The same name returns the same object (the last 256 names are cached).
+            The path of a world file also is a name: see :meth:`World.from_file`. The same name returns the same object
+            (the last 256 names are cached).
 
     Raises:
         FileNotFoundError: if the name is a path, and there is no such file.

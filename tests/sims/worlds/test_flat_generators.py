@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -40,13 +41,41 @@ class TestMaze:
         """Blocked squares of the grid, with the walls around it: bool ``[22, 22]``."""
         return np.pad(covered(WORLDS["maze"](seed, difficulty), 1.0, 20.0), 1, constant_values=True)
 
+    def test_walls_of_2_meters_enclose_a_flat_floor(self):
+        world = WORLDS["maze"](0)
+        assert world.terrain.is_flat
+        assert world.terrain.extent == ((-10.0, 10.0), (-10.0, 10.0))
+        walls = world.obstacles[:4]
+        assert all(float(wall.vertices[:, 2].max()) == 2.0 for wall in walls)
+        angle = torch.linspace(0, 2 * math.pi, 721, dtype=torch.float64)
+        border = torch.stack((angle.cos(), angle.sin()), -1)
+        border = 10.1 * border / border.abs().amax(1, keepdim=True)
+        at = torch.cat((border, torch.ones(len(border), 1)), -1)
+        assert torch.stack([wall.contains(at) for wall in walls]).any(0).all()
+
     @pytest.mark.parametrize("difficulty", DIFFICULTIES)
     @pytest.mark.parametrize("seed", SEEDS)
     def test_free_squares_are_connected(self, seed, difficulty):
         free = ~self.squares(seed, difficulty)
         assert label(free)[1] == 1
+        # Squares that touch only at a corner would leave a gap without width.
         a, b, c, d = free[:-1, :-1], free[:-1, 1:], free[1:, :-1], free[1:, 1:]
         assert not ((a == d) & (b == c) & (a != b)).any()
+
+    @pytest.mark.parametrize("seed", range(12))
+    def test_blocks_of_the_default_difficulty(self, seed):
+        world = WORLDS["maze"](seed)
+        left, bottom, right, top = corners = rectangles(world).T
+        assert np.allclose(corners, corners.round(), atol=1e-6)
+        sizes = sorted(tuple(sorted(size)) for size in np.rint((right - left, top - bottom)).astype(int).T.tolist())
+        assert len(sizes) == 36
+        assert sizes.count((2, 9)) == 1
+        assert set(sizes) <= {(1, 1), (1, 2), (1, 3), (1, 4), (1, 5), (2, 9)}
+        squares = self.squares(seed, 0.5)[1:-1, 1:-1]
+        assert squares.sum() == sum(a * b for a, b in sizes), "blocks overlap"
+        assert 0.25 <= squares[6:14, 6:14].mean() <= 0.4
+        heights = {(float(o.vertices[:, 2].min()), float(o.vertices[:, 2].max())) for o in world.obstacles[4:]}
+        assert heights == {(0.0, 1.0)}
 
     @pytest.mark.parametrize("seed", SEEDS)
     def test_blocks_get_more_with_the_difficulty(self, seed):

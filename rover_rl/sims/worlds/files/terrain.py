@@ -52,10 +52,8 @@ class Ground:
 def make_terrain(ground: Ground, around: np.ndarray, cell: float | None) -> tuple[Terrain, list[str]]:
     """Returns the terrain, and notes about its accuracy.
 
-    Args:
-        ground: all ground, at least one of it.
-        around: points of the obstacles and areas ``[P, 2]``, m, around which a plane is laid out.
-        cell: spacing, m. ``None``: automatic.
+    A plane is laid out around the points ``around [P, 2]`` (m) of obstacles and areas. Without a ``cell`` (m), the
+    spacing is automatic.
     """
     exact = _as_it_is(ground, cell)
     if exact is not None:

@@ -43,13 +43,6 @@ def forest(seed: int = 0, difficulty: float = DEFAULT) -> World:
 
     With the difficulty, the clutter and the number of trunks grow, and the gaps that the rover has to pass shrink from
     1.2 m over 0.9 m (at 0.5) to 0.7 m: gaps of that width connect at least 60 % of the open ground of the task area.
-
-    Args:
-        seed: seed of the layout.
-        difficulty: difficulty in [0, 1].
-
-    Raises:
-        ValueError: if the difficulty is not in [0, 1].
     """
     gap, rng = scaled(difficulty, *GAP), np.random.default_rng(seed)
     while True:

@@ -42,15 +42,8 @@ MAX_ATTEMPTS = 1000
 def inspect(seed: int = 0, difficulty: float = DEFAULT) -> World:
     """Creates the inspection site: a knoll in the southwest, rough ground, panels and low walls in the north.
 
-    The difficulty makes the ground rougher: half as rough at 0 as at 0.5, and 8 % rougher at 1. Above 0.5, up to
-    10 crates stand in the task area.
-
-    Args:
-        seed: seed of the ground and of the crates. The positions of the other structures do not depend on it.
-        difficulty: difficulty in [0, 1].
-
-    Raises:
-        ValueError: if the difficulty is not in [0, 1].
+    The seed changes the ground. The difficulty makes it rougher: half as rough at 0 as at 0.5, and 8 % rougher at 1.
+    Above 0.5, up to 10 crates stand in the task area.
     """
     rng = np.random.default_rng(seed)
     terrain = _ground(rng, scaled(difficulty, *HUMPS))

@@ -47,13 +47,6 @@ def maze(seed: int = 0, difficulty: float = DEFAULT) -> World:
     least 1 m wide, the narrowest in which the rover drives and turns with a margin. Toward 0, blocks are removed until
     10 are left, and corridors widen to 1.5 m (1.25 m where blocks touch). Toward 1, passages between blocks are closed,
     which turns loops into dead ends and detours; at 1, as many as possible, so that hardly any loop is left.
-
-    Args:
-        seed: seed of the layout.
-        difficulty: difficulty in [0, 1].
-
-    Raises:
-        ValueError: if the difficulty is not in [0, 1].
     """
     count, rng = round(scaled(difficulty, FEWEST_BLOCKS, BLOCKS, BLOCKS)), np.random.default_rng(seed)
     blocks = _layout(rng)

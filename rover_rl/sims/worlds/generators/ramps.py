@@ -45,13 +45,6 @@ def ramps(seed: int = 0, difficulty: float = DEFAULT) -> World:
     difficulty, more of them are not passable, and barriers close up to 8 of the 24 road sections between two crossings.
     At least 80 % of the passable ground of the task area is connected. The lidar does not see ditches, and edges only
     from below.
-
-    Args:
-        seed: seed of the layout.
-        difficulty: difficulty in [0, 1].
-
-    Raises:
-        ValueError: if the difficulty is not in [0, 1].
     """
     rng = np.random.default_rng(seed)
     while True:

@@ -45,18 +45,11 @@ LEG, TABLE_TOP = 1, (0.70, 0.75)
 
 
 def rooms(seed: int = 0, difficulty: float = DEFAULT) -> World:
-    """Creates a building of 14 x 14 m: a corridor, rooms with doors, and furniture.
+    """Creates a building of 14 x 14 m: a corridor, rooms with doors, and furniture. All rooms are reachable.
 
     With the difficulty, rooms get smaller and more, doors narrow from 1.4 m over 1.1 m (at 0.5) to 0.9 m and the
     corridor from 2 m to 1.2 m, furniture gets denser, and there are fewer ways around: at 1, rooms have a single way to
-    each other. All rooms are reachable.
-
-    Args:
-        seed: seed of the layout.
-        difficulty: difficulty in [0, 1].
-
-    Raises:
-        ValueError: if the difficulty is not in [0, 1].
+    each other.
     """
     rng = np.random.default_rng(seed)
     corridor, smallest, door, gap = (round(scaled(difficulty, *lengths)) for lengths in (CORRIDOR, SMALLEST, DOOR, GAP))
@@ -132,10 +125,7 @@ def _legs(table: Rect) -> list[Rect]:
 
 
 def _reachable(plan: FloorPlan, furniture: list[tuple[Rect, float]]) -> bool:
-    """Returns whether ways that keep a distance of ``REACH`` from all solids connect the doors.
-
-    The ways run over a grid of 0.1 m. Solids are extended to rectangles, which is conservative.
-    """
+    """Returns whether ways that keep a distance of ``REACH`` from all solids, on a grid of 0.1 m, connect the doors."""
     free = np.zeros((SIDE, SIDE), dtype=bool)
     border = int(np.ceil(REACH))
     free[border:-border, border:-border] = True

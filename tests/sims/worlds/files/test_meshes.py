@@ -15,7 +15,7 @@ from PIL import Image
 from rover_rl.sims.worlds import World, get_world
 from tests.extras import needs_worlds
 from tests.sims.worlds.files.rays import lidar_errors
-from tests.sims.worlds.files.scenes import corner_wall, hill_height, hills, house, with_y_up, yard
+from tests.sims.worlds.files.scenes import corner_wall, hill_height, hills, house, inside, with_y_up, yard
 
 pytestmark = needs_worlds
 FLOOR = trimesh.creation.box((10.0, 10.0, 0.1))
@@ -39,10 +39,6 @@ def saved(scene: trimesh.Scene, path: Path) -> Path:
     return path
 
 
-def sheet(world: World, *points: tuple[float, float, float]) -> list[bool]:
-    return world.inside(torch.tensor(points, dtype=torch.float64)).tolist()
-
-
 @pytest.mark.parametrize("kind", ["obj", "stl", "ply", "glb", "gltf", "dae"])
 def test_a_house_is_the_same_in_all_formats(kind, tmp_path):
     world = World.from_file(saved(house(), tmp_path / f"house.{kind}"))
@@ -54,7 +50,7 @@ def test_a_house_is_the_same_in_all_formats(kind, tmp_path):
     assert (bottom, top) == pytest.approx((-4.8, 4.8), abs=0.12)
     # In the inner wall, beside it, under the table, in the table, and in the roof.
     points = [(1.0, -2.0, 0.5), (1.2, -2.0, 0.5), (-2.0, 2.0, 0.5), (-2.0, 2.0, 0.76), (0.0, 0.0, 2.6)]
-    assert sheet(world, *points) == [True, False, False, True, True]
+    assert inside(world, *points) == [True, False, False, True, True]
 
 
 def test_heights_and_outlines_and_lidar_are_those_of_the_mesh(tmp_path):
@@ -111,7 +107,7 @@ def test_node_transforms_of_gltf_may_mirror_and_scale(tmp_path):
     world = World.from_file(path)
     assert len(world.obstacles) == 7
     # The inner wall was at x = 1.
-    assert sheet(world, (-2.0, -4.0, 1.0), (2.0, -4.0, 1.0)) == [True, False]
+    assert inside(world, (-2.0, -4.0, 1.0), (2.0, -4.0, 1.0)) == [True, False]
 
 
 def test_buffers_within_gltf_are_read(tmp_path):
@@ -173,7 +169,7 @@ def test_open_surfaces_become_plates_and_closed_ones_solids(tmp_path):
     trimesh.Scene([ground, sign, bottomless, inward]).to_mesh().export(tmp_path / "sheets.ply")
     world = World.from_file(tmp_path / "sheets.ply")
     points = [(2.0, 0.0, 0.5), (2.02, 0.0, 0.5), (-3.0, 0.0, 0.5), (0.0, 4.0, 0.5), (1.0, 4.0, 0.5)]
-    assert sheet(world, *points) == [True, False, True, False, True]
+    assert inside(world, *points) == [True, False, True, False, True]
 
 
 def test_a_decomposition_is_cached_by_content(tmp_path, cache, monkeypatch):
