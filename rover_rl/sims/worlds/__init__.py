@@ -19,13 +19,7 @@ from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
 
 WORLDS: dict[str, Callable[..., World]] = {
-    "inspect": inspect,
-    "moon": moon,
-    "maze": maze,
-    "rooms": rooms,
-    "forest": forest,
-    "hills": hills,
-    "ramps": ramps,
+    generate.__name__: generate for generate in (inspect, moon, maze, rooms, forest, hills, ramps)
 }
 """Built-in worlds: functions from a seed and a difficulty to a world, by name."""
 

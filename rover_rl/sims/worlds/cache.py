@@ -11,13 +11,16 @@ import zlib
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from rover_rl.files import written_whole
 from rover_rl.sims.worlds.obstacles import groups_of
-from rover_rl.sims.worlds.world import World
+
+if TYPE_CHECKING:
+    from rover_rl.sims.worlds.world import World
 
 KEPT_BYTES = 2**30
 """Size of the files of a kind, above which the oldest ones are deleted."""

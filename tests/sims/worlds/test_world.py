@@ -12,13 +12,10 @@ from rover_rl.sims.worlds import Terrain, World, box
 FLOOR = Terrain.flat((10, 10))
 
 
-def test_default_areas_follow_from_the_terrain():
+def test_default_areas_follow_from_the_terrain_and_the_spawn_area():
     world = World("plain", FLOOR)
     assert world.bounds == ((-5.0, 5.0), (-5.0, 5.0))
     assert world.spawn_range == world.goal_range == ((-4.0, 4.0), (-4.0, 4.0))
-
-
-def test_the_default_goal_area_is_the_spawn_area():
     area = ((-1.0, 1.0), (-2.0, 2.0))
     assert World("plain", FLOOR, spawn_range=area).goal_range == area
 

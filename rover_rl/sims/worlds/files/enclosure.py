@@ -29,7 +29,6 @@ from rover_rl.sims.worlds.region import Area, Region, expanded
 CELL = 0.1
 """Smallest side length of a cell, m."""
 MAX_CELLS = 1_000_000
-"""Largest number of cells."""
 CLEARANCE = 0.35
 """Distance from obstacles that a rover's center keeps, m."""
 PASSAGE = 0.3

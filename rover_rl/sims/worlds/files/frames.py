@@ -15,7 +15,6 @@ from rover_rl.sims.worlds.files.xml_tree import numbers, text_of
 MODEL = "__model__"
 WORLD = "world"
 MAX_DEPTH = 200
-"""Longest chain of frames."""
 
 
 def pose_of(element: Element, what: str) -> tuple[np.ndarray, str]:

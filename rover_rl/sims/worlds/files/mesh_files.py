@@ -19,9 +19,7 @@ from rover_rl.sims.worlds.files.options import Up
 from rover_rl.sims.worlds.files.xml_tree import read_xml, text_of
 
 MAX_BYTES = 512 * 2**20
-"""Largest mesh file."""
 MAX_FACES = 5_000_000
-"""Largest number of triangles of a mesh file."""
 _TO_Z_UP = {
     "x": np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]),
     "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),

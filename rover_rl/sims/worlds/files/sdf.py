@@ -25,7 +25,6 @@ MOVING = re.compile(
 )
 """What is in the name of a plugin that moves its model: VelocityControl, JointController, TrajectoryFollower."""
 MAX_NESTING = 20
-"""Largest number of includes and models within one another."""
 
 
 def read_sdf(path: Path, options: ImportOptions) -> Contents:

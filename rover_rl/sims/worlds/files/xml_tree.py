@@ -11,7 +11,6 @@ import numpy as np
 from rover_rl.sims.worlds.files import optional
 
 MAX_BYTES = 64 * 2**20
-"""Largest XML file."""
 
 
 def read_xml(path: Path, data: bytes | None = None) -> Element:

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 WALL = 1
-"""Thickness of the walls."""
 DOOR_MARGIN = 3
 """Minimum distance between a door and the corner of a room."""
 

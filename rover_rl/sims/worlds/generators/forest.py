@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from rover_rl.sims.worlds.generators.common import DEFAULT, largest_part, scaled
+from rover_rl.sims.worlds.generators.layouts import DEFAULT, largest_part, scaled
 from rover_rl.sims.worlds.obstacles import cylinders
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from scipy.ndimage import binary_erosion
 
-from rover_rl.sims.worlds.generators.common import DEFAULT, gentle_cells, largest_part, relief, scaled, smoothstep
+from rover_rl.sims.worlds.generators.layouts import DEFAULT, gentle_cells, largest_part, relief, scaled, smoothstep
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
 

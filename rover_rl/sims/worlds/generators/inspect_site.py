@@ -10,7 +10,7 @@ import math
 import numpy as np
 import torch
 
-from rover_rl.sims.worlds.generators.common import DEFAULT, relief, scaled, smoothstep
+from rover_rl.sims.worlds.generators.layouts import DEFAULT, relief, scaled, smoothstep
 from rover_rl.sims.worlds.obstacles import Obstacle, box
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
@@ -36,7 +36,6 @@ HUMPS = (0.12, 0.25, 0.27)
 CRATES, CRATE_SIDE, CRATE_GAP = (0, 0, 10), (0.4, 1.0), 1.3
 """Maximum number of crates in the task area, range of their side lengths, and minimum gap between two of them, m."""
 MAX_ATTEMPTS = 1000
-"""Maximum number of positions tried for the crates."""
 
 
 def inspect(seed: int = 0, difficulty: float = DEFAULT) -> World:

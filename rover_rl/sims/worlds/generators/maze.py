@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rover_rl.sims.worlds.generators.common import DEFAULT, enclosing_walls, scaled
+from rover_rl.sims.worlds.generators.layouts import DEFAULT, enclosing_walls, scaled
 from rover_rl.sims.worlds.obstacles import Obstacle, boxes
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
@@ -26,7 +26,6 @@ MIDDLE = range(SIDE // 2 - 4, SIDE // 2 + 4)
 MIDDLE_SHARE = (0.25, 0.4)
 """Minimum and maximum fraction of the task area's squares that blocks cover."""
 MAX_ATTEMPTS = 3000
-"""Maximum number of positions tried for the blocks of a layout."""
 WIDENING = 0.5
 """Width by which corridors exceed 1 m at difficulty 0, m."""
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import torch
 
-from rover_rl.sims.worlds.generators.common import DEFAULT, relief, scaled
+from rover_rl.sims.worlds.generators.layouts import DEFAULT, relief, scaled
 from rover_rl.sims.worlds.obstacles import Obstacle, boulder
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World

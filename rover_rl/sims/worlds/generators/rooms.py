@@ -5,20 +5,16 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import label
 
-from rover_rl.sims.worlds.generators.common import DEFAULT, WALL_HEIGHT, enclosing_walls, scaled
 from rover_rl.sims.worlds.generators.floor_plan import WALL, FloorPlan, Rect, floor_plan
+from rover_rl.sims.worlds.generators.layouts import DEFAULT, WALL_HEIGHT, enclosing_walls, scaled
 from rover_rl.sims.worlds.obstacles import Obstacle, boxes
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
 
 SIDE = 140
 """Side length of the building, dm. All lengths in this module are in decimeters unless they name another unit."""
-CORRIDOR = (20, 16, 12)
-"""Width of the corridor at difficulty 0, 0.5 and 1."""
-SMALLEST = (42, 33, 26)
-"""Minimum width and depth of a room."""
-DOOR = (14, 11, 9)
-"""Width of the doors."""
+CORRIDOR, SMALLEST, DOOR = (20, 16, 12), (42, 33, 26), (14, 11, 9)
+"""Width of the corridor, least width and depth of a room, and width of the doors, at difficulty 0, 0.5 and 1."""
 EXTRA_DOORS = (0.8, 0.3, 0.0)
 """Fraction of adjacent rooms with a door that is no part of the only way between them."""
 FURNITURE = (0.06, 0.13, 0.22)
@@ -26,7 +22,6 @@ FURNITURE = (0.06, 0.13, 0.22)
 GAP = (14, 11, 9)
 """Minimum gap between two pieces of furniture, and between a piece and a wall that it does not stand at."""
 ATTEMPTS = 4
-"""Number of positions tried for a piece of furniture."""
 DOORWAY = 10
 """Depth of the free space on both sides of a door."""
 REACH = 4.2

@@ -1,4 +1,4 @@
-"""Parts that generators share: difficulties, smooth height fields, open ground, and enclosing walls."""
+"""Parts of layouts: difficulties, smooth height fields, open ground, and enclosing walls."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from rover_rl.sims.worlds.obstacles import Obstacle, boxes
 from rover_rl.sims.worlds.terrain import MAX_SLOPE
 
 DEFAULT = 0.5
-"""Difficulty without a choice."""
 WALL_THICKNESS, WALL_HEIGHT = 0.2, 2.0
 """Of the walls around a floor, m."""
 
