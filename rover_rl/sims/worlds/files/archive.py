@@ -87,7 +87,8 @@ def read_archive(path: Path) -> dict[str, Any]:
     try:
         return _fields(from_plain(about, _About, "its description"), arrays)
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is a damaged world file: {error}") from error
+        reason = f"{error} is missing" if isinstance(error, KeyError) else error
+        raise ValueError(f"{path} is a damaged world file: {reason}") from error
 
 
 def _fields(about: _About, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
@@ -97,11 +98,12 @@ def _fields(about: _About, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
     terrain = Terrain(torch.from_numpy(arrays["heights"]), about.cell, about.origin)
     if not np.isfinite((terrain.extent, about.bounds, about.spawn_range, about.goal_range)).all():
         raise ValueError("the ground and the areas must be finite")
+    places = {name: place for name, place in about.regions.items() if name in REGIONS}
     return {
         "terrain": terrain,
         "obstacles": [Obstacle(torch.from_numpy(part)) for part in np.split(vertices, ends[:-1]) if len(ends)],
         **{name: getattr(about, name) for name in FIELDS},
-        **{name: Region(torch.from_numpy(arrays[name] > 0), *place) for name, place in about.regions.items()},
+        **{name: Region(torch.from_numpy(arrays[name] > 0), *place) for name, place in places.items()},
     }
 
 

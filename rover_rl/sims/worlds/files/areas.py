@@ -122,10 +122,10 @@ class _Finder:
     def _check(self, name: str, area: Area, region: Region | None) -> None:
         """Checks that a rover finds a place in an area."""
         terrain = self.site.terrain
-        common = overlap(area, self.site.terrain.extent)
+        common = overlap(area, terrain.extent)
         none = f"the world has no free ground in {written(name)} {_text(area)}:"
         if any(high - low < 2 * CLEARANCE for low, high in common):
-            raise ValueError(f"{none} its ground is {_text(self.site.terrain.extent)}")
+            raise ValueError(f"{none} its ground is {_text(terrain.extent)}")
         x, y = grid_axes(common)
         centers = torch.from_numpy(np.stack(np.meshgrid(x, y), -1))
         free = centers[clearance_on_grid(self.site, x, y, 2 * CLEARANCE) >= CLEARANCE]

@@ -92,15 +92,8 @@ def _place(rng: np.random.Generator, room: Rect, kind: tuple, gap: int) -> Rect 
     """Samples a position of a piece of furniture in a room. Returns ``None`` if it does not fit."""
     at_wall, lengths, depths, _ = kind
     length, depth = int(rng.integers(lengths[0], lengths[1] + 1)), int(rng.integers(depths[0], depths[1] + 1))
-    if rng.random() < 0.5:
-        turned = _place_along_x(rng, room.transposed(), at_wall, length, depth, gap)
-        return turned and turned.transposed()
-    return _place_along_x(rng, room, at_wall, length, depth, gap)
-
-
-def _place_along_x(
-    rng: np.random.Generator, room: Rect, at_wall: bool, length: int, depth: int, gap: int
-) -> Rect | None:
+    turned = rng.random() < 0.5
+    room = room.transposed() if turned else room
     low, high = room.left + gap, room.right - gap - length
     bottom, top = room.bottom + gap, room.top - gap - depth
     if high < low or (top < bottom and not at_wall) or room.size[1] < depth + gap:
@@ -110,7 +103,8 @@ def _place_along_x(
         bottom = room.bottom if rng.random() < 0.5 else room.top - depth
     else:
         bottom = int(rng.integers(bottom, top + 1))
-    return Rect(left, bottom, left + length, bottom + depth)
+    piece = Rect(left, bottom, left + length, bottom + depth)
+    return piece.transposed() if turned else piece
 
 
 def _legs(table: Rect) -> list[Rect]:
