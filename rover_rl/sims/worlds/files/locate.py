@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from functools import cached_property
+from itertools import takewhile
 from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
 
@@ -89,9 +90,12 @@ class Locator:
     def _by_name(self, uri: str, wanted: PurePosixPath) -> Path | None:
         """Returns the file or model of the same name whose path ends most like the one that is wanted."""
         ends = wanted.parts[::-1]
+
+        def alike(path: Path) -> int:
+            return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(path.parts[::-1], ends, strict=False)))
+
         candidates = self._names.get(wanted.name, ()) if wanted.name not in ("", "..") else ()
-        # The length of the common end of the paths.
-        found = max(candidates, key=lambda path: len(os.path.commonprefix((path.parts[::-1], ends))), default=None)
+        found = max(candidates, key=alike, default=None)
         if found is not None:
             self.elsewhere.append(f"{uri} is taken from {found}")
         return found
