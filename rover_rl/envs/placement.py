@@ -20,8 +20,7 @@ from rover_rl.sims.base import Dynamics
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.space import HEADINGS
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.slot_table import SlotTable
-from rover_rl.sims.worlds.table import WorldTable
+from rover_rl.sims.worlds.table import SlotTable, WorldTable
 
 _START, _GOAL, _DYNAMICS = 0, 1, 2
 """Streams of random numbers. Other modules of this package use 3 to 10 and 16."""

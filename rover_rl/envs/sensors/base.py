@@ -23,8 +23,7 @@ from rover_rl.sims.movers.rays import cast_at_movers
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import rotate
 from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.slot_table import TerrainTable
-from rover_rl.sims.worlds.table import WorldTable
+from rover_rl.sims.worlds.table import TerrainTable, WorldTable
 
 if TYPE_CHECKING:
     from rover_rl.sims.rays import RayCaster

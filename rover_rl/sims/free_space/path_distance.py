@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.worlds.slot_table import SlotTable
+from rover_rl.sims.worlds.table import SlotTable
 from rover_rl.sims.worlds.world import Worlds
 
 SQUARE = 0.5

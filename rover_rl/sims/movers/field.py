@@ -17,8 +17,7 @@ from rover_rl.sims.worlds.movers.motions.base import Course, Motion, Others, Sce
 from rover_rl.sims.worlds.movers.mover import Mover
 from rover_rl.sims.worlds.movers.shapes import KINDS, Part, radius_of
 from rover_rl.sims.worlds.region import union
-from rover_rl.sims.worlds.slot_table import SlotTable, TerrainTable
-from rover_rl.sims.worlds.table import WorldTable
+from rover_rl.sims.worlds.table import SlotTable, TerrainTable, WorldTable
 
 STRIDE = 1.3
 """Way in which a walking mover swings its legs once to and fro, m: two steps of 0.65 m."""

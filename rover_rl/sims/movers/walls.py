@@ -10,8 +10,7 @@ from torch import Tensor
 
 from rover_rl.sims.worlds.clearance import clearance_on_grid
 from rover_rl.sims.worlds.movers.motions.base import WallGrids
-from rover_rl.sims.worlds.slot_table import SlotTable
-from rover_rl.sims.worlds.table import WorldTable
+from rover_rl.sims.worlds.table import SlotTable, WorldTable
 from rover_rl.sims.worlds.world import World
 
 CELL = 0.1

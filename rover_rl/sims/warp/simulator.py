@@ -28,8 +28,7 @@ from rover_rl.sims.warp.scene import SceneTable, make_robot_model
 from rover_rl.sims.warp.settings import WarpSettings
 from rover_rl.sims.warp.state_buffers import StateBuffers
 from rover_rl.sims.worlds import Obstacle, Terrain, World
-from rover_rl.sims.worlds.slot_table import TerrainTable
-from rover_rl.sims.worlds.table import WorldTable
+from rover_rl.sims.worlds.table import TerrainTable, WorldTable
 
 MIN_ROVERS_PER_THREAD = 16
 """Minimum number of rovers per CPU thread; with fewer, another thread does not pay."""

@@ -31,17 +31,8 @@ from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
 
 WORLDS: dict[str, Callable[..., World]] = {
-    "inspect": inspect,
-    "moon": moon,
-    "maze": maze,
-    "rooms": rooms,
-    "forest": forest,
-    "hills": hills,
-    "ramps": ramps,
-    "plaza": plaza,
-    "corridor": corridor,
-    "crossing": crossing,
-    "field": field,
+    generate.__name__: generate
+    for generate in (inspect, moon, maze, rooms, forest, hills, ramps, plaza, corridor, crossing, field)
 }
 """Built-in worlds: functions from a seed and a difficulty to a world, by name."""
 
@@ -87,10 +78,8 @@ def get_world(world: str | World) -> World:
             world. A suffix ``:seed`` selects another layout, for example ``"maze:7"`` or ``"my_package:canyon:7"``, and
             a suffix ``@difficulty``, from 0 to 1, an easier or harder one, for example ``"maze@0.2"``, ``"maze:7@1"``.
             The path of a world file also is a name: see :meth:`World.from_file`. A suffix ``+walkers`` adds people who
-            walk: ``"maze+walkers:7@0.3"``, ``"yard.yaml+walkers"``.
-
-    Returns:
-        The world. The same name returns the same object (the last 256 names are cached).
+            walk: ``"maze+walkers:7@0.3"``, ``"yard.yaml+walkers"``. The same name returns the same object (the last 256
+            names are cached).
 
     Raises:
         FileNotFoundError: if the name is a path, and there is no such file.

@@ -11,13 +11,16 @@ import zlib
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from rover_rl.files import written_whole
 from rover_rl.sims.worlds.obstacles import groups_of
-from rover_rl.sims.worlds.world import World
+
+if TYPE_CHECKING:
+    from rover_rl.sims.worlds.world import World
 
 KEPT_BYTES = 2**30
 """Size of the files of a kind, above which the oldest ones are deleted."""
@@ -101,8 +104,8 @@ def store_arrays(kind: str, key: str, arrays: dict[str, np.ndarray]) -> None:
 
     A file is compressed with zlib, whose checksum covers all of it. It has the length of a description (4 bytes,
     little-endian), the description (JSON: name, type and shape of each array), and the arrays one after the other, each
-    at a multiple of 8 bytes, those of booleans as bits. Such files are read three times as fast as those of
-    ``numpy.savez_compressed``.
+    at a multiple of 8 bytes, those of booleans as bits. ``numpy.savez_compressed`` files take three times as long to
+    read.
     """
     described = json.dumps([(name, array.dtype.str, array.shape) for name, array in arrays.items()]).encode()
     data = bytearray(_SIZE.pack(len(described)) + described)

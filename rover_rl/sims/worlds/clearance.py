@@ -40,7 +40,7 @@ def clearance_on_grid(world: World | Site, xs: np.ndarray, ys: np.ndarray, limit
     """
     # Importing NVIDIA Warp takes half a second.
     from rover_rl.sims.native.warp import wp
-    from rover_rl.sims.worlds.clearance_kernels import measure_clearance
+    from rover_rl.sims.worlds.ground_kernels import measure_clearance
 
     clearance = torch.full((len(ys), len(xs)), limit, dtype=torch.float64)
     outlines = [solids.outlines[_is_near_ground(world, solids)] for solids in groups_of(world.obstacles)]

@@ -132,8 +132,7 @@ def is_world_file(name: str) -> bool:
 def unseen(name: str) -> str:
     """Returns a world for evaluation of a policy that was trained in the worlds ``name``.
 
-    For a range, it is the one with the first seed that is neither in the range nor for training. Other names are
-    returned unchanged.
+    For a range, it has the first seed that is neither in the range nor for training. Other names stay unchanged.
     """
     seeds = WorldRange.parse(name)
     if seeds is None:
@@ -143,11 +142,7 @@ def unseen(name: str) -> str:
 
 
 def check_training_seed(name: str) -> None:
-    """Checks that a world, or all worlds of a range, are for training.
-
-    Raises:
-        ValueError: if a seed is 10,000 or higher.
-    """
+    """Raises a ``ValueError`` if a world, or one of a range, is for evaluation: has a seed of 10,000 or more."""
     seeds = WorldRange.parse(name)
     last = WorldName.parse(name).seed if seeds is None else seeds.last
     if last is not None and last >= TRAINING_SEEDS:

@@ -203,7 +203,7 @@ def boxes(centers: ArrayLike, sizes: ArrayLike) -> tuple[Obstacle, ...]:
 
 
 def cylinders(centers: ArrayLike, radii: ArrayLike, heights: ArrayLike, sides: int = 16) -> tuple[Obstacle, ...]:
-    """Creates upright cylinders, approximated by prisms whose vertices lie on the circle.
+    """Creates upright cylinders, approximated by prisms of ``sides`` sides whose vertices lie on the circle.
 
     Args:
         centers: centers ``[N, 3]``, m.
@@ -212,7 +212,7 @@ def cylinders(centers: ArrayLike, radii: ArrayLike, heights: ArrayLike, sides: i
         sides: number of sides of the prisms.
 
     Raises:
-        ValueError: if a number is not finite, a radius or height is not positive, or there are fewer than three sides.
+        ValueError: if a number is not finite, a radius or height not positive, or there are fewer than three sides.
     """
     center = np.asarray(centers, dtype=np.float64).reshape(-1, 3)
     radius, height = (np.broadcast_to(np.asarray(v, dtype=np.float64), len(center))[:, None] for v in (radii, heights))
@@ -260,9 +260,7 @@ def box(
     Args:
         center: center ``(x, y, z)``, m.
         size: side lengths along x, y and z before the rotation, m.
-        yaw: rotation about the fixed z axis, applied last, rad.
-        pitch: rotation about the fixed y axis, rad.
-        roll: rotation about the fixed x axis, applied first, rad.
+        yaw, pitch, roll: rotations about the fixed z, y and x axis, rad. Roll is applied first, yaw last.
 
     Raises:
         ValueError: if a number is not finite or a side length is not positive.
@@ -276,18 +274,7 @@ def box(
 
 
 def cylinder(center: tuple[float, float, float], radius: float, height: float, sides: int = 16) -> Obstacle:
-    """Creates an upright cylinder, approximated by a prism whose vertices lie on the circle.
-
-    Args:
-        center: center ``(x, y, z)``, m.
-        radius: radius, m.
-        height: height, m.
-        sides: number of sides of the prism.
-
-    Raises:
-        ValueError: if a number is not finite, the radius or the height is not positive, or there are fewer than three
-            sides.
-    """
+    """Creates an upright cylinder around ``center``, with lengths in meters. See :func:`cylinders`."""
     return cylinders([center], radius, height, sides)[0]
 
 

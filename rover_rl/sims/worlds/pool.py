@@ -88,15 +88,14 @@ class WorldPool:
 
     def source(self, index: int) -> str | World:
         """Returns world ``index`` as it was given: its name, which takes no work, or the world."""
-        entry, number = self._locate(index)
-        return entry.name(number) if isinstance(entry, WorldRange) else entry
+        if not 0 <= index < len(self):
+            raise IndexError(f"the pool has {len(self)} worlds, got index {index}")
+        part = bisect_right(self._starts, index) - 1
+        seeds = self._ranges[part]
+        return self.entries[part] if seeds is None else seeds.name(index - self._starts[part])
 
     def __getitem__(self, index: int) -> World:
-        """Returns world ``index``.
-
-        Raises:
-            IndexError: if there is no such world.
-        """
+        """Returns world ``index``."""
         with self._lock:
             world = self._kept.get(index)
         if world is None:
@@ -111,13 +110,6 @@ class WorldPool:
     def __iter__(self) -> Iterator[World]:
         """Iterates over all worlds."""
         return (self[index] for index in range(len(self)))
-
-    def _locate(self, index: int) -> tuple[str | World | WorldRange, int]:
-        """Returns the entry of a world, and the number of the world in it."""
-        if not 0 <= index < len(self):
-            raise IndexError(f"the pool has {len(self)} worlds, got index {index}")
-        part = bisect_right(self._starts, index) - 1
-        return self._ranges[part] or self.entries[part], index - self._starts[part]
 
 
 def draws_worlds(worlds: WorldSource) -> bool:

@@ -134,7 +134,7 @@ class World:
         """
         from rover_rl.sims.worlds.files.read import read_world
 
-        return cls(**vars(read_world(Path(path), **options)))
+        return cls(**read_world(Path(path), **options))
 
     def save(self, path: str | Path) -> None:
         """Writes the world to a file that :meth:`from_file` reads without any extra.

@@ -31,8 +31,7 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.worlds import Terrain, World
 from rover_rl.sims.worlds.pool import WorldPool, WorldSource
-from rover_rl.sims.worlds.slot_table import TerrainTable
-from rover_rl.sims.worlds.table import WorldTable
+from rover_rl.sims.worlds.table import TerrainTable, WorldTable
 from tests.accelerator import Accelerator, accelerator
 from tests.algos.train.runs import FIELD, WALL
 

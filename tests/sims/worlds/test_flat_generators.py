@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import label
 
 from rover_rl.sims.worlds import WORLDS
-from rover_rl.sims.worlds.generators.floor_plan import WALL, FloorPlan, floor_plan
+from rover_rl.sims.worlds.generators.floor_plan import WALL, floor_plan
 
 DIFFICULTIES = (0.0, 0.25, 0.5, 0.75, 1.0)
 SEEDS = range(6)
@@ -40,13 +41,41 @@ class TestMaze:
         """Blocked squares of the grid, with the walls around it: bool ``[22, 22]``."""
         return np.pad(covered(WORLDS["maze"](seed, difficulty), 1.0, 20.0), 1, constant_values=True)
 
+    def test_walls_of_2_meters_enclose_a_flat_floor(self):
+        world = WORLDS["maze"](0)
+        assert world.terrain.is_flat
+        assert world.terrain.extent == ((-10.0, 10.0), (-10.0, 10.0))
+        walls = world.obstacles[:4]
+        assert all(float(wall.vertices[:, 2].max()) == 2.0 for wall in walls)
+        angle = torch.linspace(0, 2 * math.pi, 721, dtype=torch.float64)
+        border = torch.stack((angle.cos(), angle.sin()), -1)
+        border = 10.1 * border / border.abs().amax(1, keepdim=True)
+        at = torch.cat((border, torch.ones(len(border), 1)), -1)
+        assert torch.stack([wall.contains(at) for wall in walls]).any(0).all()
+
     @pytest.mark.parametrize("difficulty", DIFFICULTIES)
     @pytest.mark.parametrize("seed", SEEDS)
     def test_free_squares_are_connected(self, seed, difficulty):
         free = ~self.squares(seed, difficulty)
         assert label(free)[1] == 1
+        # Squares that touch only at a corner would leave a gap without width.
         a, b, c, d = free[:-1, :-1], free[:-1, 1:], free[1:, :-1], free[1:, 1:]
         assert not ((a == d) & (b == c) & (a != b)).any()
+
+    @pytest.mark.parametrize("seed", range(12))
+    def test_blocks_of_the_default_difficulty(self, seed):
+        world = WORLDS["maze"](seed)
+        left, bottom, right, top = corners = rectangles(world).T
+        assert np.allclose(corners, corners.round(), atol=1e-6)
+        sizes = sorted(tuple(sorted(size)) for size in np.rint((right - left, top - bottom)).astype(int).T.tolist())
+        assert len(sizes) == 36
+        assert sizes.count((2, 9)) == 1
+        assert set(sizes) <= {(1, 1), (1, 2), (1, 3), (1, 4), (1, 5), (2, 9)}
+        squares = self.squares(seed, 0.5)[1:-1, 1:-1]
+        assert squares.sum() == sum(a * b for a, b in sizes), "blocks overlap"
+        assert 0.25 <= squares[6:14, 6:14].mean() <= 0.4
+        heights = {(float(o.vertices[:, 2].min()), float(o.vertices[:, 2].max())) for o in world.obstacles[4:]}
+        assert heights == {(0.0, 1.0)}
 
     @pytest.mark.parametrize("seed", SEEDS)
     def test_blocks_get_more_with_the_difficulty(self, seed):
@@ -85,33 +114,27 @@ class TestMaze:
 
 
 class TestRooms:
-    plans = st.builds(
-        lambda seed, corridor, smallest, door, extra: floor_plan(
-            np.random.default_rng(seed), 140, corridor, smallest, door, extra
-        ),
+    @settings(max_examples=50, deadline=None)
+    @given(
         seed=st.integers(0, 10**6),
         corridor=st.integers(12, 20),
         smallest=st.integers(26, 42),
         door=st.integers(9, 14),
         extra=st.floats(0, 1),
     )
-
-    @settings(max_examples=50, deadline=None)
-    @given(plan=plans)
-    def test_rooms_walls_and_doors_cover_the_building_once(self, plan: FloorPlan):
-        cells = np.zeros((140, 140), dtype=int)
-        for left, bottom, right, top in np.array((*plan.rooms, *plan.walls, *plan.doors)) + 70:
+    def test_rooms_walls_and_doors_cover_the_building_once_and_are_connected(
+        self, seed, corridor, smallest, door, extra
+    ):
+        plan = floor_plan(np.random.default_rng(seed), 140, corridor, smallest, door, extra)
+        count, free = np.zeros((140, 140), dtype=int), np.zeros((140, 140), dtype=bool)
+        open_parts = {*plan.rooms, *plan.doors}
+        for part in (*open_parts, *plan.walls):
+            left, bottom, right, top = np.array(part) + 70
             assert right > left
             assert top > bottom
-            cells[bottom:top, left:right] += 1
-        assert (cells == 1).all()
-
-    @settings(max_examples=50, deadline=None)
-    @given(plan=plans)
-    def test_doors_connect_all_rooms(self, plan: FloorPlan):
-        free = np.zeros((140, 140), dtype=bool)
-        for left, bottom, right, top in np.array((*plan.rooms, *plan.doors)) + 70:
-            free[bottom:top, left:right] = True
+            count[bottom:top, left:right] += 1
+            free[bottom:top, left:right] = part in open_parts
+        assert (count == 1).all()
         assert label(free)[1] == 1
         assert all(min(door.size) == WALL for door in plan.doors)
         assert len(plan.doors) >= len(plan.rooms) - 1

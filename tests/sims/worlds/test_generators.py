@@ -45,15 +45,11 @@ def test_layouts_of_the_default_difficulty_never_change(name, seed):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_default_difficulty_is_one_half(name):
-    assert digest(WORLDS[name](5)) == digest(WORLDS[name](seed=5, difficulty=0.5))
-
-
-@pytest.mark.parametrize("name", NAMES)
 def test_seed_and_difficulty_determine_a_layout(name):
     layouts = [digest(WORLDS[name](seed, difficulty)) for seed in (3, 4) for difficulty in (0.0, 0.8) for _ in range(2)]
     assert layouts[::2] == layouts[1::2]
     assert len(set(layouts)) == 4
+    assert digest(WORLDS[name](5)) == digest(WORLDS[name](seed=5, difficulty=0.5))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -63,12 +59,24 @@ def test_a_difficulty_out_of_range_raises(name, difficulty):
         WORLDS[name](0, difficulty)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_worlds_have_the_name_of_their_generator_and_a_task_area_of_8_meters_or_more(name):
+@pytest.mark.parametrize(
+    ("name", "task_area", "bounds", "spawn_height"),
+    [
+        ("inspect", ((-27, -19), (-27, -19)), ((-29, -13), (-29, -17)), 5.5),
+        ("moon", ((-4, 4), (-4, 4)), ((-20, 10), (-20, 20)), 0.75),
+        ("maze", ((-4, 4), (-4, 4)), ((-30, 30), (-30, 30)), 0.75),
+        ("forest", ((-4, 4), (-4, 4)), ((-5, 5), (-5, 5)), 0.75),
+        ("hills", ((-6, 6), (-6, 6)), ((-10, 10), (-10, 10)), 0.75),
+        ("rooms", ((-7, 7), (-7, 7)), ((-8, 8), (-8, 8)), 0.75),
+        ("ramps", (pytest.approx((-8.2, 8.2)),) * 2, (pytest.approx((-8.8, 8.8)),) * 2, 0.75),
+    ],
+)
+def test_names_areas_and_spawn_heights(name, task_area, bounds, spawn_height):
     world = WORLDS[name](1, 0.7)
     assert world.name == name
-    for area in (world.spawn_range, world.goal_range):
-        assert all(high - low >= 8 for low, high in area)
+    assert world.spawn_range == world.goal_range == task_area
+    assert world.bounds == bounds
+    assert world.spawn_height == spawn_height
 
 
 @pytest.mark.parametrize("name", ["forest", "maze", "rooms"])

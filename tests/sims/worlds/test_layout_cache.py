@@ -22,6 +22,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "rover_rl" / "layouts"
 
 
+MAZE = WorldName("maze", 3)
+
+
+def generated() -> World:
+    return WORLDS["maze"](3)
+
+
 def never() -> World:
     raise AssertionError("the world is on disk")
 
@@ -50,26 +57,25 @@ def test_a_stored_world_equals_the_generated_one(name: str) -> None:
 
 
 def test_a_world_is_found_by_its_whole_name() -> None:
-    first = WorldName("maze", 3)
-    stored_layout(first, lambda: WORLDS["maze"](3))
+    stored_layout(MAZE, generated)
     for name in (WorldName("maze", 4), WorldName("rooms", 3), WorldName("maze", 3, 0.2)):
         with pytest.raises(AssertionError, match="on disk"):
             stored_layout(name, never)
 
 
 def test_another_version_of_numpy_generates_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    stored_layout(WorldName("maze", 3), lambda: WORLDS["maze"](3))
+    stored_layout(MAZE, generated)
     monkeypatch.setattr(layout_cache.np, "__version__", "99.0")
     with pytest.raises(AssertionError, match="on disk"):
-        stored_layout(WorldName("maze", 3), never)
+        stored_layout(MAZE, never)
 
 
 def test_a_damaged_file_is_replaced(folder: Path) -> None:
-    world = stored_layout(WorldName("maze", 3), lambda: WORLDS["maze"](3))
+    world = stored_layout(MAZE, generated)
     (file,) = folder.rglob("*.bin")
     file.write_bytes(file.read_bytes()[:-10])
-    assert_equal(world, stored_layout(WorldName("maze", 3), lambda: WORLDS["maze"](3)))
-    assert_equal(world, stored_layout(WorldName("maze", 3), never))
+    assert_equal(world, stored_layout(MAZE, generated))
+    assert_equal(world, stored_layout(MAZE, never))
 
 
 def test_only_built_in_worlds_are_stored(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""World: defaults, validation, queries, and lookup by name."""
+"""World: defaults, validation, and queries."""
 
 from __future__ import annotations
 
@@ -7,18 +7,15 @@ import math
 import pytest
 import torch
 
-from rover_rl.sims.worlds import WORLDS, Terrain, World, box, get_world
+from rover_rl.sims.worlds import Terrain, World, box
 
 FLOOR = Terrain.flat((10, 10))
 
 
-def test_default_areas_follow_from_the_terrain():
+def test_default_areas_follow_from_the_terrain_and_the_spawn_area():
     world = World("plain", FLOOR)
     assert world.bounds == ((-5.0, 5.0), (-5.0, 5.0))
     assert world.spawn_range == world.goal_range == ((-4.0, 4.0), (-4.0, 4.0))
-
-
-def test_the_default_goal_area_is_the_spawn_area():
     area = ((-1.0, 1.0), (-2.0, 2.0))
     assert World("plain", FLOOR, spawn_range=area).goal_range == area
 
@@ -47,26 +44,3 @@ def test_the_first_area_that_contains_a_point_sets_its_drop_height():
     world = World("plain", FLOOR, spawn_height_areas=((east, 3.0), (everywhere, 2.0)))
     points = torch.tensor([[1.0, 0.0], [-1.0, 0.0], [10.0, 0.0]])
     assert world.drop_height(points).tolist() == [3.0, 2.0, 0.75]
-
-
-def test_get_world_returns_the_same_object_for_the_same_name():
-    assert set(WORLDS) == {
-        *("inspect", "moon", "maze", "rooms", "forest", "hills", "ramps"),
-        *("plaza", "corridor", "crossing", "field"),
-    }
-    assert get_world("maze") is get_world("maze") is get_world("maze:0")
-    assert get_world("maze:7") is get_world("maze:7")
-    assert get_world("maze:7") is not get_world("maze")
-    world = World("plain", FLOOR)
-    assert get_world(world) is world
-
-
-@pytest.mark.parametrize("name", ["mars", "maze:", "maze:x", "maze:-1", "maze:1.5", "", "Maze", ":1", "maze:²"])
-def test_an_unknown_world_raises_with_the_known_names(name):
-    with pytest.raises(ValueError) as error:
-        get_world(name)
-    assert str(error.value).startswith(f"unknown world {name!r}")
-    assert str(error.value).endswith(
-        f"; use one of {sorted(WORLDS)}, 'name:seed', 'name:seed@difficulty', the path of a file, a World, "
-        "or 'module:attribute' of your own"
-    )

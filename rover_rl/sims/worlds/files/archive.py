@@ -6,7 +6,7 @@ import json
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -18,11 +18,12 @@ from rover_rl.sims.worlds.names import ARCHIVE_SUFFIX
 from rover_rl.sims.worlds.obstacles import Obstacle
 from rover_rl.sims.worlds.region import Area, Range, Region
 from rover_rl.sims.worlds.terrain import Terrain
-from rover_rl.sims.worlds.world import World
+
+if TYPE_CHECKING:
+    from rover_rl.sims.worlds.world import World
 
 FORMAT = "rover_rl world, version 1"
 MAX_BYTES = 512 * 2**20
-"""Largest size of the arrays of a file."""
 ARRAYS = {"about": (1, "u1"), "heights": (2, "<f4"), "vertices": (2, "<f8"), "ends": (1, "<i8")}
 """Number of dimensions and type of each array: JSON text as bytes, the terrain, and the obstacles' vertices."""
 REGIONS = {"spawn_region": (2, "u1"), "goal_region": (2, "u1")}
@@ -74,8 +75,8 @@ def write_archive(world: World, path: Path) -> None:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
-def read_archive(path: Path) -> World:
-    """Reads a world file. Raises a ``ValueError`` if it is damaged, too large, or of another format."""
+def read_archive(path: Path) -> dict[str, Any]:
+    """Returns the fields of the world in a file. Files that are damaged, too large, or of another format are errors."""
     arrays = _read_arrays(path)
     try:
         about = json.loads(arrays["about"].tobytes())
@@ -85,28 +86,27 @@ def read_archive(path: Path) -> World:
     if given != FORMAT:
         raise ValueError(f"{path} is a world file of the format {given!r}; this version of rover_rl reads {FORMAT!r}")
     try:
-        return _world(from_plain(about, _About, "its description"), arrays)
+        return _fields(from_plain(about, _About, "its description"), arrays)
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is a damaged world file: {error}") from error
+        reason = f"{error} is missing" if isinstance(error, KeyError) else error
+        raise ValueError(f"{path} is a damaged world file: {reason}") from error
 
 
-def _world(about: _About, arrays: dict[str, np.ndarray]) -> World:
+def _fields(about: _About, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
     ends, vertices = arrays["ends"], arrays["vertices"]
     if len(ends) and (ends[-1] != len(vertices) or (np.diff(ends, prepend=0) < 4).any()):
         raise ValueError("the obstacles do not match their vertices")
     terrain = Terrain(torch.from_numpy(arrays["heights"]), about.cell, about.origin)
     if not np.isfinite((terrain.extent, about.bounds, about.spawn_range, about.goal_range)).all():
         raise ValueError("the ground and the areas must be finite")
-    regions: dict[str, Any] = {
-        name: Region(torch.from_numpy(arrays[name] > 0), *place) for name, place in about.regions.items()
-    }
-    return World(
-        terrain=terrain,
-        obstacles=[Obstacle(torch.from_numpy(part)) for part in np.split(vertices, ends[:-1]) if len(ends)],
-        movers=tuple(map(mover_from_plain, about.movers)),
+    places = {name: place for name, place in about.regions.items() if name in REGIONS}
+    return {
+        "terrain": terrain,
+        "obstacles": [Obstacle(torch.from_numpy(part)) for part in np.split(vertices, ends[:-1]) if len(ends)],
+        "movers": tuple(map(mover_from_plain, about.movers)),
         **{name: getattr(about, name) for name in FIELDS},
-        **regions,
-    )
+        **{name: Region(torch.from_numpy(arrays[name] > 0), *place) for name, place in places.items()},
+    }
 
 
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -46,52 +47,48 @@ def find_areas(
 
     Returns:
         Areas and regions, as arguments of :class:`rover_rl.World`, and notes on how they were found.
-
-    Raises:
-        ValueError: if there is no free ground in the areas, or a point is not in a room.
     """
-    return _Finder(Site(terrain, obstacles), options, limits, known).areas()
+    return _Finder(Site(terrain, obstacles), options, overlap(limits, terrain.extent), known).areas()
 
 
+@dataclass
 class _Finder:
     """Finds the areas of a world. See :func:`find_areas`."""
 
-    def __init__(
-        self, site: Site, options: ImportOptions, limits: Area, known: Callable[[np.ndarray], np.ndarray] | None
-    ) -> None:
-        self._site, self._options, self._known = site, options, known
-        self._extent = site.terrain.extent
-        self._limits = overlap(limits, self._extent)
-        self._notes: list[str] = []
+    site: Site
+    options: ImportOptions
+    limits: Area
+    known: Callable[[np.ndarray], np.ndarray] | None
+    notes: list[str] = field(default_factory=list)
 
     @cached_property
     def _enclosures(self) -> Enclosures:
-        return Enclosures(self._site, self._known)
+        return Enclosures(self.site, self.known)
 
     def areas(self) -> tuple[dict[str, Any], list[str]]:
         """Returns the areas and the notes."""
         automatic, around, note = self._automatic()
         spawn = self._given("spawn_range") or automatic
         goal = self._given("goal_range") or spawn
-        bounds = self._options.bounds or union(
-            around, overlap(expanded(union(spawn[0], goal[0]), MARGIN), self._extent)
+        bounds = self.options.bounds or union(
+            around, overlap(expanded(union(spawn[0], goal[0]), MARGIN), self.site.terrain.extent)
         )
         areas: dict[str, Any] = {"bounds": bounds}
         for name, (area, region) in (("spawn", spawn), ("goal", goal)):
             area = overlap(area, bounds) if region or area is automatic[0] else area
             self._check(f"{name}_range", area, region)
             areas |= {f"{name}_range": area, f"{name}_region": region}
-        return areas, self._notes if self._options.spawn_range is not None else [note, *self._notes]
+        return areas, self.notes if self.options.spawn_range is not None else [note, *self.notes]
 
     def _given(self, name: str) -> tuple[Area, Region | None] | None:
         """Returns the area that an option gives: a rectangle, and a region in it if it is a polygon or a point."""
-        place = getattr(self._options, name)
+        place = getattr(self.options, name)
         if place is None:
             return None
         if isinstance(place[0], float):
             found = self._enclosures.room(*place)
             where = f"the room around ({place[0]:g}, {place[1]:g})"
-            self._notes.append(f"{name.partition('_')[0]} area: {where}, {found.area:.0f} m^2 of free ground")
+            self.notes.append(f"{name.partition('_')[0]} area: {where}, {found.area:.0f} m^2 of free ground")
             return found.region.bounds, found.region
         if len(place) == 2:
             return place, None
@@ -100,38 +97,38 @@ class _Finder:
 
     def _automatic(self) -> tuple[tuple[Area, Region | None], Area, str]:
         """Returns the automatic spawn area with its region, an area that the bounds cover, and a note."""
-        found = self._enclosures.interior() if self._site.obstacles else None
+        found = self._enclosures.interior() if self.site.obstacles else None
         if found is not None:
             area = found.region.bounds
             where = ", in the middle of an enclosed yard" if found.in_yard else ""
             note = f"areas: the interior that the obstacles enclose{where}, {found.area:.0f} m^2 of free ground"
-            return (area, found.region), overlap(expanded(area, MARGIN), self._extent), note
-        box = expanded(self._enclosures.box, 2 * MARGIN) if self._site.obstacles else self._limits
-        within = overlap(_shrunk(self._limits), box)
+            return (area, found.region), overlap(expanded(area, MARGIN), self.site.terrain.extent), note
+        box = expanded(self._enclosures.box, 2 * MARGIN) if self.site.obstacles else self.limits
+        within = overlap(_shrunk(self.limits), box)
         if any(high <= low for low, high in within):
-            within = _shrunk(self._limits)
+            within = _shrunk(self.limits)
         spawn = _middle(*within[0]), _middle(*within[1])
-        bounds = overlap(union(self._limits, expanded(spawn, MARGIN)), self._extent)
+        bounds = overlap(union(self.limits, expanded(spawn, MARGIN)), self.site.terrain.extent)
         return (spawn, self._known_part(spawn)), bounds, "areas: the middle of the open ground"
 
     def _known_part(self, area: Area) -> Region | None:
         """Returns the largest connected part of an area that a map knows."""
-        if self._known is None:
+        if self.known is None:
             return None
         x, y = grid_axes(area)
-        part = largest(label(self._known(np.stack(np.meshgrid(x, y), -1)))[0])
+        part = largest(label(self.known(np.stack(np.meshgrid(x, y), -1)))[0])
         return None if part is None else region_of(part, x, y)
 
     def _check(self, name: str, area: Area, region: Region | None) -> None:
         """Checks that a rover finds a place in an area."""
-        terrain = self._site.terrain
-        common = overlap(area, self._extent)
+        terrain = self.site.terrain
+        common = overlap(area, terrain.extent)
         none = f"the world has no free ground in {written(name)} {_text(area)}:"
         if any(high - low < 2 * CLEARANCE for low, high in common):
-            raise ValueError(f"{none} its ground is {_text(self._extent)}")
+            raise ValueError(f"{none} its ground is {_text(terrain.extent)}")
         x, y = grid_axes(common)
         centers = torch.from_numpy(np.stack(np.meshgrid(x, y), -1))
-        free = centers[clearance_on_grid(self._site, x, y, 2 * CLEARANCE) >= CLEARANCE]
+        free = centers[clearance_on_grid(self.site, x, y, 2 * CLEARANCE) >= CLEARANCE]
         if region is not None:
             free = free[region.contains(free)]
         if not bool((terrain.normal_at(free)[..., 2] >= math.cos(MAX_SLOPE)).any()):

@@ -14,7 +14,6 @@ from rover_rl.sims.worlds.files.triangles import face_normals, signed_volume
 VERSION = "1"
 """Changes when the same mesh would give other parts."""
 MAX_FACES = 200_000
-"""Largest number of triangles of a mesh that is decomposed."""
 SAMPLES = 6_000
 """Points with which the error of a decomposition is measured."""
 COARSE = 2.5

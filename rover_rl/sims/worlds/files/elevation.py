@@ -19,7 +19,6 @@ from rover_rl.sims.worlds.files.options import MAX_SIZE, ImportOptions
 from rover_rl.sims.worlds.names import TIFF_SUFFIXES
 
 MAX_PIXELS = 36_000_000
-"""Largest number of pixels or values."""
 FAR = 1000.0
 """Distance from the origin beyond which a georeferenced grid is moved to the origin, m."""
 

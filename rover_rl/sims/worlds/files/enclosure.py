@@ -29,7 +29,6 @@ from rover_rl.sims.worlds.region import Area, Region, expanded
 CELL = 0.1
 """Smallest side length of a cell, m."""
 MAX_CELLS = 1_000_000
-"""Largest number of cells."""
 CLEARANCE = 0.35
 """Distance from obstacles that a rover's center keeps, m."""
 PASSAGE = 0.3
@@ -75,12 +74,7 @@ class _Found(NamedTuple):
 
 
 class Enclosures:
-    """Distances to the obstacles of a world on a grid, from which interiors and rooms are found.
-
-    Args:
-        site: ground with the obstacles.
-        known: function of points ``[..., 2]`` (m) that returns which of them a map knows. ``None``: all.
-    """
+    """Distances to the obstacles of a world on a grid, from which interiors and rooms are found."""
 
     def __init__(self, site: Site, known: Callable[[np.ndarray], np.ndarray] | None = None) -> None:
         outlines = [obstacle.footprint.numpy() for obstacle in site.obstacles] or [np.array(site.terrain.extent).T]
@@ -110,11 +104,7 @@ class Enclosures:
         return self._enclosure(found, in_yard)
 
     def room(self, x: float, y: float) -> Enclosure:
-        """Returns the room that contains a point: its ground up to the doorways.
-
-        Raises:
-            ValueError: if the point is in an obstacle, or outside of everything that is enclosed.
-        """
+        """Returns the room that contains a point: its ground up to the doorways. Raises a ``ValueError`` outside."""
         (left, bottom), cell = corner_of(self._x, self._y), self._cell
         row, column = math.floor((y - bottom) / cell), math.floor((x - left) / cell)
         outside = ValueError(f"the point ({x:g}, {y:g}) lies outside: no obstacles enclose it")

@@ -15,18 +15,12 @@ from rover_rl.sims.worlds.files.xml_tree import numbers, text_of
 MODEL = "__model__"
 WORLD = "world"
 MAX_DEPTH = 200
-"""Longest chain of frames."""
 
 
 def pose_of(element: Element, what: str) -> tuple[np.ndarray, str]:
-    """Returns the pose in the ``<pose>`` of an element, and the frame that it is relative to.
+    """Returns the pose in the ``<pose>`` of an element, ``[4, 4]``, and the frame that it is relative to.
 
-    Args:
-        element: element that may have a ``<pose>``.
-        what: what the element is, for messages.
-
-    Returns:
-        Transform ``[4, 4]``, and the name of the frame, empty for the default one.
+    The frame is empty for the default one. ``what`` is what the element is, for messages.
     """
     pose = element.find("pose")
     transform = np.eye(4)
@@ -58,13 +52,9 @@ def to_pose(transform: np.ndarray) -> Pose:
 
 @dataclass
 class Scope:
-    """The frames of a model or of the world, by name.
+    """The frames of a model or of the world, by name: a pose, and the frame that it is relative to.
 
-    Attributes:
-        name: name of the model, for messages.
-        frames: pose and the frame that it is relative to.
-        children: scopes of the models in it.
-        merged: scopes of included models that were merged into this one.
+    ``children`` are the scopes of the models in it, and ``merged`` those of models that were merged into it.
     """
 
     name: str

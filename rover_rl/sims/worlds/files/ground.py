@@ -69,13 +69,8 @@ def ground_pieces(pieces: list[Piece], wanted: str, has_base: bool) -> list[Surf
     Automatically, a piece is a candidate if it is broad: at most half as high as its shorter side, and its upward
     faces cover a fifth of its bounding rectangle. Seen from below, a candidate is ground if it is the lowest one over
     at least half of its own area, and most other pieces above or below it do not end below it. All ground together
-    must cover a quarter of the scene, or else there is no ground. On top of a plane or an elevation grid, a piece must
-    also cover a quarter of the scene and 16 m^2 itself, and be a mesh or at most 0.5 m high.
-
-    Args:
-        pieces: connected pieces.
-        wanted: ``"auto"``, ``"none"``, or patterns of names, separated by commas.
-        has_base: whether there is a plane or an elevation grid.
+    must cover a quarter of the scene, or else there is no ground. On top of a plane or an elevation grid,
+    (``has_base``) a piece must also cover a quarter of the scene and 16 m^2, and be a mesh or at most 0.5 m high.
     """
     if not pieces or wanted == "none":
         return []

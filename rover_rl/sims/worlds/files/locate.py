@@ -26,10 +26,6 @@ class Locator:
     A file may only be in the folder of the world file, in its sibling folder ``models``, or in a folder of models. A
     symbolic link in such a folder is followed: ROS workspaces install models as links.
 
-    Args:
-        file: the world file.
-        model_paths: folders of models.
-
     Attributes:
         elsewhere: what was found by its name alone, one sentence each.
         missing: what :meth:`file` did not find, and why.
@@ -47,14 +43,11 @@ class Locator:
         self._allowed = [*self._searched, *([folder.parent] if (folder / "model.config").is_file() else [])]
 
     def find(self, uri: str, folder: Path) -> Path | None:
-        """Returns the file or folder that a URI names. ``None`` if there is no such file.
+        """Returns the file or folder that a URI names in a file of ``folder``. ``None`` if there is no such file.
 
-        What is not where the URI says, such as a file of another machine, is searched by its name in the folder of the
-        world and the folders of models, and what is in them.
-
-        Args:
-            uri: ``model://NAME/path``, ``package://NAME/path``, ``file://path``, or a path relative to ``folder``.
-            folder: folder of the file that holds the URI.
+        URIs are ``model://NAME/path``, ``package://NAME/path``, ``file://path``, or relative paths. What is not where
+        the URI says, such as a file of another machine, is searched by its name in the folder of the world and the
+        folders of models, and what is in them.
 
         Raises:
             OutsideError: if the URI is on the network, or outside of the folders that may be read and not found by its

@@ -7,11 +7,10 @@ import json
 import logging
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
-from trimesh.resolvers import Resolver
+from trimesh.resolvers import FilePathResolver
 
 from rover_rl.sims.worlds.files import optional
 from rover_rl.sims.worlds.files.contents import Piece
@@ -19,9 +18,7 @@ from rover_rl.sims.worlds.files.options import Up
 from rover_rl.sims.worlds.files.xml_tree import read_xml, text_of
 
 MAX_BYTES = 512 * 2**20
-"""Largest mesh file."""
 MAX_FACES = 5_000_000
-"""Largest number of triangles of a mesh file."""
 _TO_Z_UP = {
     "x": np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]),
     "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
@@ -71,9 +68,8 @@ def _load(path: Path, data: bytes) -> trimesh.Scene:
     # A missing material is of no interest, and a damaged file is told in one sentence.
     log.setLevel(logging.CRITICAL)
     try:
-        return trimesh.load_scene(
-            io.BytesIO(data), file_type=path.suffix.lower()[1:], resolver=_FolderResolver(path.parent), process=False
-        )
+        kind, resolver = path.suffix.lower()[1:], _FolderResolver(str(path.parent))
+        return trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=resolver, process=False)
     except MemoryError as error:
         raise ValueError(f"{path} asks for more memory than there is; it may be damaged") from error
     # The readers raise errors of all kinds for a damaged file.
@@ -88,32 +84,18 @@ class _LeavesError(ValueError):
     """A mesh names a file outside of its folder."""
 
 
-class _FolderResolver(Resolver):
+class _FolderResolver(FilePathResolver):
     """Gives the mesh readers the geometry in the files of one folder, and nothing for materials and textures."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = Path(os.path.abspath(folder))
 
     def get(self, name: str) -> bytes:
         """Returns the content of a file with geometry, such as a glTF buffer."""
-        path = Path(os.path.abspath(self._folder / name.strip()))
+        path = Path(os.path.abspath(Path(self.parent) / name.strip()))
         if path.suffix.lower() not in (".bin", ".glb"):
             # Materials and pictures are no geometry, and often missing: they are empty, and white.
             return b"" if path.suffix.lower() == ".mtl" else _WHITE_PIXEL
-        if "://" in name or not path.is_relative_to(self._folder):
+        if "://" in name or not path.is_relative_to(self.parent):
             raise _LeavesError(f"{name} is outside of its folder")
         return _read(path)
-
-    def write(self, name: str, data: Any) -> None:
-        """Writes nothing."""
-
-    def namespaced(self, namespace: str) -> _FolderResolver:
-        """Returns the resolver of a folder in the folder."""
-        return _FolderResolver(self._folder / namespace)
-
-    def keys(self) -> list[str]:
-        """Returns no names: nothing is searched."""
-        return []
 
 
 def _check_json(path: Path, data: bytes) -> None:

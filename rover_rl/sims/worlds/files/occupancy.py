@@ -19,11 +19,9 @@ from rover_rl.sims.worlds.files.options import MAX_SIZE, ImportOptions
 from rover_rl.sims.worlds.files.rectangles import cover
 from rover_rl.sims.worlds.files.terrain import Ground, make_terrain
 from rover_rl.sims.worlds.obstacles import Obstacle, box
-from rover_rl.sims.worlds.world import World
 
 MODES = ("trinary", "scale", "raw")
 MAX_BYTES = 2**20
-"""Largest YAML file."""
 OCCUPIED, UNKNOWN = 100, 255
 """Values of nav_msgs/OccupancyGrid; UNKNOWN is its -1 as an unsigned byte."""
 
@@ -57,8 +55,8 @@ class _Map(NamedTuple):
         return ~inside | cells[row, column]
 
 
-def read_map(path: Path, options: ImportOptions) -> World:
-    """Reads an occupancy grid: walls become boxes on flat ground.
+def read_map(path: Path, options: ImportOptions) -> dict[str, Any]:
+    """Returns the fields of the world of an occupancy grid: walls become boxes on flat ground.
 
     Cells are occupied, free or unknown as in nav2's map_server. ``trinary`` and ``scale`` compare the darkness of a
     pixel with the thresholds; between them it is unknown, also where ``scale`` gives a share. ``raw`` takes the values
@@ -87,7 +85,7 @@ def read_map(path: Path, options: ImportOptions) -> World:
     share = float((states == UNKNOWN).mean())
     unknown = [f"map: {100 * share:.0f} % of the cells are unknown, taken as {options.unknown}"] if share else []
     notes = (*renamed, f"map: {int(walls.sum()):,} wall cells in {len(rectangles):,} boxes", *unknown, *about)
-    return World(name=options.name or path.stem, terrain=terrain, obstacles=obstacles, **areas, notes=notes)
+    return {"name": options.name or path.stem, "terrain": terrain, "obstacles": obstacles, **areas, "notes": notes}
 
 
 def _picture(path: Path, name: str) -> tuple[Path, list[str]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeAlias, Union, get_args
 
@@ -105,12 +104,17 @@ def _number(name: str, value: Any) -> float:
     return float(value)
 
 
+def _numbers(place: Any) -> np.ndarray:
+    """Returns the numbers of a place, an array of no shape that is allowed if there are others."""
+    try:
+        return np.array(place, dtype=float)
+    except (TypeError, ValueError):
+        return np.empty(0)
+
+
 def _place(name: str, place: Any) -> Place:
     """Returns a rectangle, a polygon of at least three corners, or a point."""
-    try:
-        numbers = np.array(place, dtype=float)
-    except (TypeError, ValueError):
-        numbers = np.empty(0)
+    numbers = _numbers(place)
     if numbers.shape == (2, 2):
         return _area(name, place)
     if numbers.shape != (2,) and (numbers.ndim != 2 or numbers.shape[1] != 2 or len(numbers) < 3):
@@ -120,18 +124,14 @@ def _place(name: str, place: Any) -> Place:
         )
     if not (np.abs(numbers) <= MAX_SIZE).all():
         raise ValueError(f"{written(name)} must lie within {MAX_SIZE:g} m, got {place}")
-    if numbers.ndim == 1:
-        return float(numbers[0]), float(numbers[1])
-    return [(float(x), float(y)) for x, y in numbers]
+    points = [(float(x), float(y)) for x, y in numbers.reshape(-1, 2)]
+    return points if numbers.ndim == 2 else points[0]
 
 
 def _area(name: str, area: Any) -> Area:
-    try:
-        (x_low, x_high), (y_low, y_high) = area
-        ends = tuple(float(end) for end in (x_low, x_high, y_low, y_high))
-    except (TypeError, ValueError):
-        ends = (math.nan,) * 4
-    if not (-MAX_SIZE <= ends[0] < ends[1] <= MAX_SIZE and -MAX_SIZE <= ends[2] < ends[3] <= MAX_SIZE):
+    numbers = _numbers(area)
+    if numbers.shape != (2, 2) or not ((np.abs(numbers) <= MAX_SIZE).all() and (numbers[:, 0] < numbers[:, 1]).all()):
         form = "((x_low, x_high), (y_low, y_high))"
         raise ValueError(f"{written(name)} must be {form} within {MAX_SIZE:g} m, got {area}")
-    return (ends[0], ends[1]), (ends[2], ends[3])
+    x, y = numbers.tolist()
+    return tuple(x), tuple(y)

@@ -27,16 +27,14 @@ from rover_rl.sims.worlds.names import ELEVATION_SUFFIXES, MAP_SUFFIXES, SDF_SUF
 from rover_rl.sims.worlds.obstacles import Obstacle
 from rover_rl.sims.worlds.region import Area
 from rover_rl.sims.worlds.terrain import Terrain
-from rover_rl.sims.worlds.world import World
 
 MAX_PIECES = 50_000
-"""Largest number of connected pieces of a world."""
 EMPTY_SIDE = 20.0
 """Largest side of the area of an empty plane, m."""
 
 
-def read_world(path: Path, **options: Any) -> World:
-    """Reads a world from a file. See :meth:`rover_rl.World.from_file`."""
+def read_world(path: Path, **options: Any) -> dict[str, Any]:
+    """Returns the fields of the world in a file. See :meth:`rover_rl.World.from_file`."""
     chosen = make_options(options)
     if not path.is_file():
         raise FileNotFoundError(f"there is no world file {path}")
@@ -63,8 +61,8 @@ def _contents(path: Path, options: ImportOptions) -> Contents:
     return Contents(path.name.partition(".")[0], read_mesh(path, options.up, options.scale))
 
 
-def _assemble(contents: Contents, options: ImportOptions, display: ProgressDisplay) -> World:
-    """Turns the contents of a file into a world."""
+def _assemble(contents: Contents, options: ImportOptions, display: ProgressDisplay) -> dict[str, Any]:
+    """Turns the contents of a file into the fields of a world."""
     for sentence in contents.left_out:
         warnings.warn(f"{contents.name}: {sentence}", stacklevel=4)
     pieces = [part for piece in contents.pieces for part in split(piece)]
@@ -88,14 +86,14 @@ def _assemble(contents: Contents, options: ImportOptions, display: ProgressDispl
     obstacles, buried = _obstacles(others, terrain, options, display)
     about_pieces = [f"obstacles: {buried} pieces below the ground were left out"] if buried else []
     areas, about_areas = find_areas(terrain, obstacles, options, _limits(around, ground, terrain))
-    return World(
-        name=options.name or contents.name,
-        terrain=terrain,
-        obstacles=obstacles,
+    return {
+        "name": options.name or contents.name,
+        "terrain": terrain,
+        "obstacles": obstacles,
         **areas,
-        movers=tuple(contents.movers),
-        notes=(*notes, *about_ground, *about_pieces, *about_areas),
-    )
+        "movers": tuple(contents.movers),
+        "notes": (*notes, *about_ground, *about_pieces, *about_areas),
+    }
 
 
 def _around(pieces: list[Piece], ground: Ground, options: ImportOptions) -> np.ndarray:

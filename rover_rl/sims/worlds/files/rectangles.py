@@ -6,16 +6,10 @@ import numpy as np
 
 
 def cover(cells: np.ndarray) -> list[tuple[int, int, int, int]]:
-    """Covers the true cells of a grid by rectangles that do not overlap, greedily with the largest first in each run.
+    """Covers the true cells of a grid by few rectangles ``(row, column, rows, columns)`` that do not overlap.
 
-    Scans the rows and joins equal runs of consecutive rows, once along the rows and once along the columns, and takes
-    the smaller number of rectangles.
-
-    Args:
-        cells: bool ``[rows, columns]``.
-
-    Returns:
-        Rectangles ``(row, column, rows, columns)``.
+    Takes the best of three covers: equal runs of consecutive rows, equal runs of consecutive columns, and greedily the
+    larger of the widest and the tallest rectangle at each cell.
     """
     along = _joined_runs(cells)
     across = [(row, column, rows, columns) for column, row, columns, rows in _joined_runs(cells.T)]

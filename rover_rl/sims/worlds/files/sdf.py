@@ -25,7 +25,6 @@ MOVING = re.compile(
 )
 """What is in the name of a plugin that moves its model: VelocityControl, JointController, TrajectoryFollower."""
 MAX_NESTING = 20
-"""Largest number of includes and models within one another."""
 
 
 def read_sdf(path: Path, options: ImportOptions) -> Contents:
@@ -116,21 +115,21 @@ class _Reader:
     def _read_children(self, parent: Element, place: _Place) -> None:
         """Reads the models of a world or a model: first all frames, which may be relative to one another."""
         state = _state_poses(parent)
-        found: list[tuple[Element, Path, Element | None]] = []
+        found: list[tuple[Element, Path, Element]] = []
         for element in parent:
             if element.tag == "include":
                 included = self._included(element, place)
                 if included is not None:
                     found.append(included)
             elif element.tag in ("model", "actor"):
-                found.append((element, place.file, None))
+                found.append((element, place.file, Element("include")))
         entries = [self._enter(element, file, include, place, state) for element, file, include in found]
         for (element, file, include), (name, scope) in zip(found, entries, strict=True):
             if element.tag == "actor":
                 self._actor(element, place.transform @ place.scope.pose(name), name)
                 continue
             # What the include says about its model counts.
-            says = element if include is None or include.find("static") is None else include
+            says = element if include.find("static") is None else include
             inner = _Place(
                 file,
                 place.transform @ place.scope.pose(name),
@@ -143,18 +142,16 @@ class _Reader:
             self._model(element, inner)
 
     def _enter(
-        self, element: Element, file: Path, include: Element | None, place: _Place, state: dict[str, np.ndarray]
+        self, element: Element, file: Path, include: Element, place: _Place, state: dict[str, np.ndarray]
     ) -> tuple[str, Scope]:
         """Adds the frame of a model to its parent's, and returns its name there and its own frames."""
-        name = (text_of(include.find("name")) if include is not None else "") or element.get("name", "")
+        name = text_of(include.find("name")) or element.get("name", "")
         scope = Scope.of(element, f"the model {name!r}") if element.tag == "model" else Scope(name)
-        source = include if include is not None and include.find("pose") is not None else element
+        source = element if include.find("pose") is None else include
         transform, base = pose_of(source, f"{element.tag} {name!r} in {file.name}")
         if name in state:
             transform, base = state[name], ""
-        placement = element.get("placement_frame", "") if element.tag == "model" else ""
-        if include is not None:
-            placement = text_of(include.find("placement_frame")) or placement
+        placement = text_of(include.find("placement_frame")) or element.get("placement_frame", "")
         if placement:
             transform = transform @ np.linalg.inv(scope.pose(placement))
         # Gazebo gives a second model of the same name another one.
@@ -162,7 +159,7 @@ class _Reader:
             name += "_"
         place.scope.frames[name] = (transform, base)
         place.scope.children[name] = scope
-        if include is not None and include.get("merge", "").lower() in ("1", "true"):
+        if include.get("merge", "").lower() in ("1", "true"):
             place.scope.merged.append((name, scope))
         return name, scope
 

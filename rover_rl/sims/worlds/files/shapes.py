@@ -34,14 +34,7 @@ class ShapeReader:
         self._meshes: dict[Path, list[Piece]] = {}
 
     def add(self, geometry: Element, transform: np.ndarray, name: str, folder: Path) -> None:
-        """Adds the shape in a ``<geometry>``.
-
-        Args:
-            geometry: the element.
-            transform: pose of the shape in the world, ``[4, 4]``.
-            name: name of the shape, for messages.
-            folder: folder of the file that holds the element.
-        """
+        """Adds the shape in a ``<geometry>``, by its pose in the world, ``[4, 4]``, and the folder of its file."""
         for shape in geometry:
             if shape.tag == "plane":
                 self._plane(shape, transform, name)

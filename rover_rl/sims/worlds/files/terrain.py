@@ -14,13 +14,11 @@ from rover_rl.sims.worlds.files.ground import Surface
 from rover_rl.sims.worlds.terrain import Terrain
 
 MAX_VALUES = 4_000_000
-"""Largest number of heights of a terrain."""
 CELLS = (0.1, 0.05, 0.025)
 """Spacings that are tried for meshes, m."""
 GOOD = 0.01
 """Accepted error of the ground for 99 % of it, m."""
 FLAT_CELL = 1.0
-"""Spacing of flat ground, m."""
 SURROUNDINGS = 15.0
 """Width of a plane around the obstacles, beyond the range of the lidar, m."""
 
@@ -52,10 +50,8 @@ class Ground:
 def make_terrain(ground: Ground, around: np.ndarray, cell: float | None) -> tuple[Terrain, list[str]]:
     """Returns the terrain, and notes about its accuracy.
 
-    Args:
-        ground: all ground, at least one of it.
-        around: points of the obstacles and areas ``[P, 2]``, m, around which a plane is laid out.
-        cell: spacing, m. ``None``: automatic.
+    A plane is laid out around the points ``around [P, 2]`` (m) of obstacles and areas. Without a ``cell`` (m), the
+    spacing is automatic.
     """
     exact = _as_it_is(ground, cell)
     if exact is not None:

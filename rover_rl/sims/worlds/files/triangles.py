@@ -43,10 +43,8 @@ def split(piece: Piece) -> list[Piece]:
 def connected(faces: np.ndarray, normals: np.ndarray | None = None, sine: float = 0.0) -> list[np.ndarray]:
     """Returns groups of triangles that are connected by edges with no third triangle, as indices.
 
-    Args:
-        faces: ``[F, 3]``.
-        normals: unit normals ``[F, 3]``, which may point to either side. If given, only triangles in one plane connect.
-        sine: largest sine of the angle between triangles in one plane.
+    With unit normals ``[F, 3]``, which may point to either side, triangles only connect if the sine of the angle
+    between them is less than ``sine``.
     """
     if not len(faces):
         return []
@@ -83,11 +81,11 @@ def upward_faces(vertices: np.ndarray, faces: np.ndarray, both_sides: bool) -> n
 def surface_heights(
     vertices: np.ndarray, faces: np.ndarray, origin: tuple[float, float], cell: float, shape: tuple[int, int]
 ) -> np.ndarray:
-    """Returns the lowest height of a surface at each point of a grid, by vertical rays through its triangles.
+    """Returns the lowest height of a surface without vertical faces at each point of a grid, by vertical rays.
 
     Args:
         vertices: ``[V, 3]``, m.
-        faces: triangles of the surface, without vertical ones, ``[F, 3]``.
+        faces: ``[F, 3]``.
         origin: ``(x, y)`` of the first point, m.
         cell: spacing of the points, m.
         shape: number of points along y and x.
@@ -132,10 +130,9 @@ def _heights_in(corners: np.ndarray, column: np.ndarray, row: np.ndarray) -> tup
 
 
 def merge_triangles(points: np.ndarray, triangles: np.ndarray) -> list[list[int]]:
-    """Merges triangles ``[T, 3]`` of ``points [P, 2]`` into convex polygons, greedily.
+    """Merges triangles ``[T, 3]`` of ``points [P, 2]`` into convex polygons, greedily, as indices of the points.
 
-    Returns:
-        Indices of the points of each polygon, some of which may lie on its edges.
+    Some of the points may lie on the edges of their polygon.
     """
     whole = {*triangles.ravel().tolist()}
     left = {k: ({*triangle}, _area({*triangle}, points)) for k, triangle in enumerate(triangles.tolist())}

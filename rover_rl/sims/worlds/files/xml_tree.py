@@ -11,7 +11,6 @@ import numpy as np
 from rover_rl.sims.worlds.files import optional
 
 MAX_BYTES = 64 * 2**20
-"""Largest XML file."""
 
 
 def read_xml(path: Path, data: bytes | None = None) -> Element:
@@ -33,13 +32,9 @@ def text_of(element: Element | None) -> str:
 
 
 def numbers(element: Element | None, count: int, default: tuple[float, ...] | None, what: str) -> np.ndarray:
-    """Returns the numbers in the text of an element: ``[count]``.
+    """Returns the numbers in the text of an element: ``[count]``. ``what`` describes it for messages.
 
-    Args:
-        element: the element.
-        count: how many numbers there must be.
-        default: value for a missing or empty element. ``None``: there is none.
-        what: what the element describes, for messages.
+    ``default`` is the value for a missing or empty element; ``None``: there must be one.
     """
     text = text_of(element)
     if not text and default is not None:

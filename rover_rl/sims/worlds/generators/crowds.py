@@ -155,7 +155,9 @@ def crossing(seed: int = 0, difficulty: float = DEFAULT) -> World:
         start, goal = (north, south) if number % 2 else (south, north)
         movers.append(Mover(Cross(speed, start, goal), person, f"person {number}"))
     block = half - arm
-    corners = [(x, y, HEIGHT / 2) for x in (-half + block / 2, half - block / 2) for y in (-half + block / 2, half - block / 2)]
+    corners = [
+        (x, y, HEIGHT / 2) for x in (-half + block / 2, half - block / 2) for y in (-half + block / 2, half - block / 2)
+    ]
     side = arm - 0.4
     return World(
         name="crossing",
@@ -206,7 +208,9 @@ def _people(rng: np.random.Generator, difficulty: float, count: int) -> list[tup
     pace = scaled(difficulty, *PACE)
     speeds = np.clip(rng.normal(pace, SPREAD * pace / PACE[-1], count), 0.3, 2.0)
     heights = rng.uniform(*HEIGHTS, count)
-    return [(float(speed), Person(float(height))) for speed, height in zip(speeds.round(3), heights.round(2), strict=True)]
+    return [
+        (float(speed), Person(float(height))) for speed, height in zip(speeds.round(3), heights.round(2), strict=True)
+    ]
 
 
 def _union(a: Area, b: Area) -> Area:

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 WALL = 1
-"""Thickness of the walls."""
 DOOR_MARGIN = 3
 """Minimum distance between a door and the corner of a room."""
 
@@ -45,13 +44,7 @@ class Rect(NamedTuple):
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """Rooms, doors and walls of a building.
-
-    Attributes:
-        rooms: rooms without their walls. The first is the corridor.
-        doors: openings in the walls, as thick as these.
-        walls: parts of the inner walls.
-    """
+    """Rooms (without their walls, the corridor first), doors (as thick as walls) and parts of the inner walls."""
 
     rooms: tuple[Rect, ...]
     doors: tuple[Rect, ...]
@@ -69,7 +62,7 @@ def floor_plan(
     """Samples a floor plan of a square building around the origin.
 
     Rooms are split until they are too small for another wall. A random spanning tree of adjacent rooms has doors,
-    preferably to the corridor, so that every room is reachable.
+    preferably to the corridor, so that every room is reachable, and a fraction of the others.
 
     Args:
         rng: random number generator.
@@ -77,7 +70,7 @@ def floor_plan(
         corridor: width of the corridor.
         smallest: minimum width and depth of a room.
         door: width of the doors.
-        extra_doors: fraction of the other pairs of adjacent rooms that have a door, too.
+        extra_doors: fraction of the other pairs of rooms that have a door, too.
     """
     half = side // 2
     walls: list[Rect] = []

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from rover_rl.sims.worlds.generators.common import DEFAULT, largest_part, scaled
+from rover_rl.sims.worlds.generators.layouts import DEFAULT, largest_part, scaled
 from rover_rl.sims.worlds.obstacles import cylinders
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
@@ -43,13 +43,6 @@ def forest(seed: int = 0, difficulty: float = DEFAULT) -> World:
 
     With the difficulty, the clutter and the number of trunks grow, and the gaps that the rover has to pass shrink from
     1.2 m over 0.9 m (at 0.5) to 0.7 m: gaps of that width connect at least 60 % of the open ground of the task area.
-
-    Args:
-        seed: seed of the layout.
-        difficulty: difficulty in [0, 1].
-
-    Raises:
-        ValueError: if the difficulty is not in [0, 1].
     """
     gap, rng = scaled(difficulty, *GAP), np.random.default_rng(seed)
     while True:

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from scipy.ndimage import binary_erosion
 
-from rover_rl.sims.worlds.generators.common import DEFAULT, gentle_cells, largest_part, relief, scaled, smoothstep
+from rover_rl.sims.worlds.generators.layouts import DEFAULT, gentle_cells, largest_part, relief, scaled, smoothstep
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
 
@@ -35,13 +35,6 @@ def hills(seed: int = 0, difficulty: float = DEFAULT) -> World:
     Ground steeper than 25 degrees is not passable. With the difficulty, faces get higher and steeper, ramps between the
     levels rarer, and the ground between the faces rougher. At least 60 % of the gentle ground of the task area is
     connected. The lidar sees a face from below, and not from above.
-
-    Args:
-        seed: seed of the ground.
-        difficulty: difficulty in [0, 1].
-
-    Raises:
-        ValueError: if the difficulty is not in [0, 1].
     """
     rng = np.random.default_rng(seed)
     while True:

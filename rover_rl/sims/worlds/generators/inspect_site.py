@@ -10,7 +10,7 @@ import math
 import numpy as np
 import torch
 
-from rover_rl.sims.worlds.generators.common import DEFAULT, relief, scaled, smoothstep
+from rover_rl.sims.worlds.generators.layouts import DEFAULT, relief, scaled, smoothstep
 from rover_rl.sims.worlds.obstacles import Obstacle, box
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
@@ -36,21 +36,13 @@ HUMPS = (0.12, 0.25, 0.27)
 CRATES, CRATE_SIDE, CRATE_GAP = (0, 0, 10), (0.4, 1.0), 1.3
 """Maximum number of crates in the task area, range of their side lengths, and minimum gap between two of them, m."""
 MAX_ATTEMPTS = 1000
-"""Maximum number of positions tried for the crates."""
 
 
 def inspect(seed: int = 0, difficulty: float = DEFAULT) -> World:
     """Creates the inspection site: a knoll in the southwest, rough ground, panels and low walls in the north.
 
-    The difficulty makes the ground rougher: half as rough at 0 as at 0.5, and 8 % rougher at 1. Above 0.5, up to
-    10 crates stand in the task area.
-
-    Args:
-        seed: seed of the ground and of the crates. The positions of the other structures do not depend on it.
-        difficulty: difficulty in [0, 1].
-
-    Raises:
-        ValueError: if the difficulty is not in [0, 1].
+    The seed changes the ground. The difficulty makes it rougher: half as rough at 0 as at 0.5, and 8 % rougher at 1.
+    Above 0.5, up to 10 crates stand in the task area.
     """
     rng = np.random.default_rng(seed)
     terrain = _ground(rng, scaled(difficulty, *HUMPS))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from functools import reduce
+from operator import or_
 from typing import NamedTuple
 
 import numpy as np
 
-from rover_rl.sims.worlds.generators.common import DEFAULT, enclosing_walls, scaled
+from rover_rl.sims.worlds.generators.layouts import DEFAULT, enclosing_walls, scaled
 from rover_rl.sims.worlds.obstacles import Obstacle, boxes
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
@@ -26,7 +27,6 @@ MIDDLE = range(SIDE // 2 - 4, SIDE // 2 + 4)
 MIDDLE_SHARE = (0.25, 0.4)
 """Minimum and maximum fraction of the task area's squares that blocks cover."""
 MAX_ATTEMPTS = 3000
-"""Maximum number of positions tried for the blocks of a layout."""
 WIDENING = 0.5
 """Width by which corridors exceed 1 m at difficulty 0, m."""
 
@@ -47,13 +47,6 @@ def maze(seed: int = 0, difficulty: float = DEFAULT) -> World:
     least 1 m wide, the narrowest in which the rover drives and turns with a margin. Toward 0, blocks are removed until
     10 are left, and corridors widen to 1.5 m (1.25 m where blocks touch). Toward 1, passages between blocks are closed,
     which turns loops into dead ends and detours; at 1, as many as possible, so that hardly any loop is left.
-
-    Args:
-        seed: seed of the layout.
-        difficulty: difficulty in [0, 1].
-
-    Raises:
-        ValueError: if the difficulty is not in [0, 1].
     """
     count, rng = round(scaled(difficulty, FEWEST_BLOCKS, BLOCKS, BLOCKS)), np.random.default_rng(seed)
     blocks = _layout(rng)
@@ -130,16 +123,15 @@ def _closable_squares(blocks: list[Block], rng: np.random.Generator) -> list[Blo
     west, east, south, north = _shifted(taken | _WALLS)
     corridors = _FLOOR & ~taken & ((west & east & ~south & ~north) | (south & north & ~west & ~east))
     closed: list[Block] = []
-    for index in rng.permutation(list(_bits(corridors))):
-        square = 1 << int(index)
+    for index in rng.permutation([bit for bit in range(corridors.bit_length()) if corridors >> bit & 1]).tolist():
+        square = 1 << index
         beside = _FLOOR & ~taken & sum(_shifted(square))
         if beside.bit_count() == 2 and _connected(_FLOOR & ~(taken | square)):
             taken |= square
-            closed.append(Block(int(index) // _WIDTH - 1, int(index) % _WIDTH - 1, 1, 1))
+            closed.append(Block(index // _WIDTH - 1, index % _WIDTH - 1, 1, 1))
     return closed
 
 
-# -----------------------------------------------------------------------------------------------------------
 # Sets of squares as integers, which are much faster than arrays. Square (row, column) is bit
 # (row + 1) * _WIDTH + column + 1, so that there is a margin of one square for the walls.
 
@@ -153,10 +145,7 @@ def _squares(block: Block) -> int:
 
 
 def _union(blocks: list[Block]) -> int:
-    squares = 0
-    for block in blocks:
-        squares |= _squares(block)
-    return squares
+    return reduce(or_, map(_squares, blocks), 0)
 
 
 def _shifted(squares: int) -> tuple[int, int, int, int]:
@@ -181,22 +170,12 @@ def _connected(free: int) -> bool:
         reached = more
 
 
-def _bits(squares: int) -> Iterator[int]:
-    while squares:
-        lowest = squares & -squares
-        yield lowest.bit_length() - 1
-        squares ^= lowest
-
-
 _COLUMN = [sum(1 << row * _WIDTH for row in range(rows)) for rows in range(SIDE + 1)]
 """Squares of a column of each length."""
 _FLOOR = _squares(Block(0, 0, SIDE, SIDE))
 _NOT_LAST = _squares(Block(0, 0, SIDE - 1, SIDE - 1))
 _WALLS = ((1 << _WIDTH * _WIDTH) - 1) & ~_FLOOR
 _MIDDLE = _squares(Block(MIDDLE[0], MIDDLE[0], len(MIDDLE), len(MIDDLE)))
-
-# -----------------------------------------------------------------------------------------------------------
-# Solids
 
 
 def _solid(blocks: list[Block], difficulty: float) -> tuple[Obstacle, ...]:
@@ -214,9 +193,7 @@ def _solid(blocks: list[Block], difficulty: float) -> tuple[Obstacle, ...]:
 def _free_sides(blocks: list[Block]) -> tuple[np.ndarray, np.ndarray]:
     """Returns which sides touch no block and no wall: west and south, and east and north of each block, ``[2, N]``."""
     solid = _union(blocks) | _WALLS
-    free = []
-    for squares in map(_squares, blocks):
-        others = solid & ~squares
-        free.append([not neighbors & squares for neighbors in _shifted(others)])
+    pairs = ((squares, _shifted(solid & ~squares)) for squares in map(_squares, blocks))
+    free = [[not neighbors & squares for neighbors in sides] for squares, sides in pairs]
     west, east, south, north = np.array(free).T
     return np.stack((west, south)), np.stack((east, north))

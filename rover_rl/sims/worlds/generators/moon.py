@@ -7,7 +7,7 @@ import math
 import numpy as np
 import torch
 
-from rover_rl.sims.worlds.generators.common import DEFAULT, relief, scaled
+from rover_rl.sims.worlds.generators.layouts import DEFAULT, relief, scaled
 from rover_rl.sims.worlds.obstacles import Obstacle, boulder
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
@@ -48,19 +48,8 @@ def moon(seed: int = 0, difficulty: float = DEFAULT, size: float = SIZE) -> Worl
     """Creates a moonlike plateau. Some of its craters and boulders are in the task area.
 
     With the difficulty, hills get higher, craters deeper, and boulders more (4, 9, 16 in the default task area) and
-    closer together: the gaps between them are at least 1.6 m, 1.2 m (at 0.5) and 0.95 m wide.
-
-    Args:
-        seed: seed of the hills, craters and boulders.
-        difficulty: difficulty in [0, 1].
-        size: side length of the task area, 4 to 64 m. The terrain exceeds it by 26 m on every side.
-
-    Raises:
-        ValueError: if the difficulty is not in [0, 1], or the size out of range.
-
-    Example:
-        >>> moon(3, size=20.0).spawn_range
-        ((-10.0, 10.0), (-10.0, 10.0))
+    closer together: the gaps between them are at least 1.6 m, 1.2 m (at 0.5) and 0.95 m wide. The task area has sides
+    of ``size``, from 4 to 64 m. The terrain exceeds it by 26 m on every side.
     """
     if not SIZES[0] <= size <= SIZES[1]:
         raise ValueError(f"size must be from {SIZES[0]:g} to {SIZES[1]:g} m, got {size}")

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from scipy.ndimage import binary_erosion
 
-from rover_rl.sims.worlds.generators.common import DEFAULT, gentle_cells, largest_part, scaled
+from rover_rl.sims.worlds.generators.layouts import DEFAULT, gentle_cells, largest_part, scaled
 from rover_rl.sims.worlds.obstacles import boxes
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
@@ -20,13 +20,11 @@ LOTS, LOT, ROAD = 3, 20, 7
 """Number of lots along a side, side length of a lot, and width of the roads between and around the lots."""
 PITCH = LOT + ROAD
 CELLS = LOTS * PITCH + ROAD
-"""Number of cells along a side of the ground."""
 IMPASSABLE = (0.15, 0.45, 0.75)
 """Probability that the structure of a lot is not passable, at difficulty 0, 0.5 and 1."""
 BARRIERS = (0, 4, 8)
 """Number of road sections that a barrier closes."""
 BARRIER_HEIGHT = 0.6
-"""Height of a barrier, m."""
 PLATFORM, MOUND, STEEP_MOUND, DITCH, LOW_STEP, HIGH_STEP = 0.4, 0.35, 0.7, 0.35, 0.06, 0.2
 """Heights and depths, m. The lidar, at 0.32 m, sees platforms from below."""
 CONNECTED, SPACIOUS = 0.8, 0.35
@@ -45,13 +43,6 @@ def ramps(seed: int = 0, difficulty: float = DEFAULT) -> World:
     difficulty, more of them are not passable, and barriers close up to 8 of the 24 road sections between two crossings.
     At least 80 % of the passable ground of the task area is connected. The lidar does not see ditches, and edges only
     from below.
-
-    Args:
-        seed: seed of the layout.
-        difficulty: difficulty in [0, 1].
-
-    Raises:
-        ValueError: if the difficulty is not in [0, 1].
     """
     rng = np.random.default_rng(seed)
     while True:

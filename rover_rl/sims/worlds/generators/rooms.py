@@ -5,20 +5,16 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import label
 
-from rover_rl.sims.worlds.generators.common import DEFAULT, WALL_HEIGHT, enclosing_walls, scaled
 from rover_rl.sims.worlds.generators.floor_plan import WALL, FloorPlan, Rect, floor_plan
+from rover_rl.sims.worlds.generators.layouts import DEFAULT, WALL_HEIGHT, enclosing_walls, scaled
 from rover_rl.sims.worlds.obstacles import Obstacle, boxes
 from rover_rl.sims.worlds.terrain import Terrain
 from rover_rl.sims.worlds.world import World
 
 SIDE = 140
 """Side length of the building, dm. All lengths in this module are in decimeters unless they name another unit."""
-CORRIDOR = (20, 16, 12)
-"""Width of the corridor at difficulty 0, 0.5 and 1."""
-SMALLEST = (42, 33, 26)
-"""Minimum width and depth of a room."""
-DOOR = (14, 11, 9)
-"""Width of the doors."""
+CORRIDOR, SMALLEST, DOOR = (20, 16, 12), (42, 33, 26), (14, 11, 9)
+"""Width of the corridor, least width and depth of a room, and width of the doors, at difficulty 0, 0.5 and 1."""
 EXTRA_DOORS = (0.8, 0.3, 0.0)
 """Fraction of adjacent rooms with a door that is no part of the only way between them."""
 FURNITURE = (0.06, 0.13, 0.22)
@@ -26,7 +22,6 @@ FURNITURE = (0.06, 0.13, 0.22)
 GAP = (14, 11, 9)
 """Minimum gap between two pieces of furniture, and between a piece and a wall that it does not stand at."""
 ATTEMPTS = 4
-"""Number of positions tried for a piece of furniture."""
 DOORWAY = 10
 """Depth of the free space on both sides of a door."""
 REACH = 4.2
@@ -45,18 +40,11 @@ LEG, TABLE_TOP = 1, (0.70, 0.75)
 
 
 def rooms(seed: int = 0, difficulty: float = DEFAULT) -> World:
-    """Creates a building of 14 x 14 m: a corridor, rooms with doors, and furniture.
+    """Creates a building of 14 x 14 m: a corridor, rooms with doors, and furniture. All rooms are reachable.
 
     With the difficulty, rooms get smaller and more, doors narrow from 1.4 m over 1.1 m (at 0.5) to 0.9 m and the
     corridor from 2 m to 1.2 m, furniture gets denser, and there are fewer ways around: at 1, rooms have a single way to
-    each other. All rooms are reachable.
-
-    Args:
-        seed: seed of the layout.
-        difficulty: difficulty in [0, 1].
-
-    Raises:
-        ValueError: if the difficulty is not in [0, 1].
+    each other.
     """
     rng = np.random.default_rng(seed)
     corridor, smallest, door, gap = (round(scaled(difficulty, *lengths)) for lengths in (CORRIDOR, SMALLEST, DOOR, GAP))
@@ -104,15 +92,8 @@ def _place(rng: np.random.Generator, room: Rect, kind: tuple, gap: int) -> Rect 
     """Samples a position of a piece of furniture in a room. Returns ``None`` if it does not fit."""
     at_wall, lengths, depths, _ = kind
     length, depth = int(rng.integers(lengths[0], lengths[1] + 1)), int(rng.integers(depths[0], depths[1] + 1))
-    if rng.random() < 0.5:
-        turned = _place_along_x(rng, room.transposed(), at_wall, length, depth, gap)
-        return turned and turned.transposed()
-    return _place_along_x(rng, room, at_wall, length, depth, gap)
-
-
-def _place_along_x(
-    rng: np.random.Generator, room: Rect, at_wall: bool, length: int, depth: int, gap: int
-) -> Rect | None:
+    turned = rng.random() < 0.5
+    room = room.transposed() if turned else room
     low, high = room.left + gap, room.right - gap - length
     bottom, top = room.bottom + gap, room.top - gap - depth
     if high < low or (top < bottom and not at_wall) or room.size[1] < depth + gap:
@@ -122,7 +103,8 @@ def _place_along_x(
         bottom = room.bottom if rng.random() < 0.5 else room.top - depth
     else:
         bottom = int(rng.integers(bottom, top + 1))
-    return Rect(left, bottom, left + length, bottom + depth)
+    piece = Rect(left, bottom, left + length, bottom + depth)
+    return piece.transposed() if turned else piece
 
 
 def _legs(table: Rect) -> list[Rect]:
@@ -132,10 +114,7 @@ def _legs(table: Rect) -> list[Rect]:
 
 
 def _reachable(plan: FloorPlan, furniture: list[tuple[Rect, float]]) -> bool:
-    """Returns whether ways that keep a distance of ``REACH`` from all solids connect the doors.
-
-    The ways run over a grid of 0.1 m. Solids are extended to rectangles, which is conservative.
-    """
+    """Returns whether ways that keep a distance of ``REACH`` from all solids, on a grid of 0.1 m, connect the doors."""
     free = np.zeros((SIDE, SIDE), dtype=bool)
     border = int(np.ceil(REACH))
     free[border:-border, border:-border] = True

@@ -1,10 +1,21 @@
-"""Meshes of the tests, with z up and in meters."""
+"""Meshes of the tests, with z up and in meters, and what worlds are like at points."""
 
 from __future__ import annotations
 
 import numpy as np
+import torch
 import trimesh
 from trimesh.transformations import concatenate_matrices, rotation_matrix, translation_matrix
+
+from rover_rl.sims.worlds import World
+
+
+def inside(world: World, *points: tuple[float, float, float]) -> list[bool]:
+    return world.inside(torch.tensor(points, dtype=torch.float64)).tolist()
+
+
+def heights_at(world: World, *points: tuple[float, float]) -> list[float]:
+    return world.height_at(torch.tensor(points, dtype=torch.float64)).tolist()
 
 
 def hills(points: int = 65, side: float = 16.0) -> trimesh.Trimesh:

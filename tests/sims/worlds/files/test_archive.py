@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -42,16 +43,8 @@ def test_a_world_file_gives_the_same_world_without_the_extra(tmp_path):
     world, path = plain(), tmp_path / "folder" / "plain.world.npz"
     world.save(path)
     read = World.from_file(path)
-    for name in (
-        "name",
-        "spawn_range",
-        "goal_range",
-        "bounds",
-        "spawn_height",
-        "spawn_height_areas",
-        "movers",
-        "notes",
-    ):
+    areas = ("spawn_range", "goal_range", "bounds", "spawn_height_areas")
+    for name in ("name", *areas, "spawn_height", "movers", "notes"):
         assert getattr(read, name) == getattr(world, name), name
     assert torch.equal(read.terrain.heights, world.terrain.heights)
     assert (read.terrain.cell, read.terrain.origin) == (world.terrain.cell, world.terrain.origin)
@@ -62,8 +55,11 @@ def test_a_world_file_gives_the_same_world_without_the_extra(tmp_path):
 
 
 def test_a_world_without_obstacles_can_be_saved(tmp_path):
-    World("bare", Terrain.flat((10, 10))).save(tmp_path / "bare.world.npz")
-    assert get_world(str(tmp_path / "bare.world.npz")).obstacles == ()
+    everywhere = (((-math.inf, math.inf), (-math.inf, 0.0)), 2.0)
+    World("bare", Terrain.flat((10, 10)), spawn_height_areas=(everywhere,)).save(tmp_path / "bare.world.npz")
+    world = get_world(str(tmp_path / "bare.world.npz"))
+    assert world.obstacles == ()
+    assert world.spawn_height_areas == (everywhere,)
 
 
 def test_the_name_of_a_world_file_has_its_ending(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import struct
 import sys
 import zipfile
@@ -26,17 +27,9 @@ pytestmark = needs_worlds
 Case = tuple[Callable[[Path], Path], str]
 
 
-def text(name: str, content: str) -> Callable[[Path], Path]:
+def file(name: str, content: str | bytes) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
-        (folder / name).write_text(content)
-        return folder / name
-
-    return write
-
-
-def data(name: str, content: bytes) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        (folder / name).write_bytes(content)
+        (folder / name).write_bytes(content.encode() if isinstance(content, str) else content)
         return folder / name
 
     return write
@@ -44,7 +37,7 @@ def data(name: str, content: bytes) -> Callable[[Path], Path]:
 
 def sdf(body: str, plane: bool = True) -> Callable[[Path], Path]:
     ground = PLANE.format(size="20 20") if plane else ""
-    return text("bad.sdf", f"<sdf version='1.9'><world name='w'>{ground}{body}</world></sdf>")
+    return file("bad.sdf", f"<sdf version='1.9'><world name='w'>{ground}{body}</world></sdf>")
 
 
 def shape(content: str, pose: str = "") -> Callable[[Path], Path]:
@@ -56,19 +49,14 @@ def yaml(**changes: object) -> Callable[[Path], Path]:
 
 
 def mesh(name: str, found: trimesh.Trimesh | trimesh.Scene) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        found.export(folder / name)
-        return folder / name
-
-    return write
+    content = found.export(file_type=name.rpartition(".")[2])
+    return file(name, content)
 
 
 def array(values: np.ndarray) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        np.save(folder / "bad.npy", values, allow_pickle=True)
-        return folder / "bad.npy"
-
-    return write
+    content = io.BytesIO()
+    np.save(content, values, allow_pickle=True)
+    return file("bad.npy", content.getvalue())
 
 
 def png_header(width: int, height: int) -> bytes:
@@ -105,7 +93,7 @@ def many_includes(folder: Path) -> Path:
 
 def gltf(uri: str) -> Callable[[Path], Path]:
     content = {"asset": {"version": "2.0"}, "buffers": [{"uri": uri, "byteLength": 10}], "meshes": []}
-    return text("bad.gltf", json.dumps(content))
+    return file("bad.gltf", json.dumps(content))
 
 
 def archive(**changes: object) -> Callable[[Path], Path]:
@@ -131,15 +119,12 @@ def archive(**changes: object) -> Callable[[Path], Path]:
 def huge_header(folder: Path) -> Path:
     """A world file whose heights say that they are 8 TB."""
     path = archive()(folder)
-    with zipfile.ZipFile(path) as file:
-        parts = {info.filename: file.read(info) for info in file.infolist()}
     content = io.BytesIO()
     np.lib.format.write_array_header_1_0(content, {"descr": "<f4", "fortran_order": False, "shape": (10**6, 2 * 10**6)})
-    parts["heights.npy"] = content.getvalue()
-    with zipfile.ZipFile(path, "w") as file:
-        for name, part in parts.items():
-            file.writestr(name, part)
-    return path
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(folder / "new", "w") as new:
+        for name in old.namelist():
+            new.writestr(name, content.getvalue() if name == "heights.npy" else old.read(name))
+    return (folder / "new").replace(path)
 
 
 def zip_bomb(folder: Path) -> Path:
@@ -155,14 +140,12 @@ def cut(write: Callable[[Path], Path], share: float) -> Callable[[Path], Path]:
 
     def write_part(folder: Path) -> Path:
         path = write(folder)
-        content = path.read_bytes()
-        path.write_bytes(content[: int(share * len(content))])
+        os.truncate(path, int(share * path.stat().st_size))
         return path
 
     return write_part
 
 
-NAN_HEIGHTS = np.where(np.eye(8) > 0, np.nan, 0.0)
 BOMB = "<!DOCTYPE x [<!ENTITY a 'aaaaaaaaaa'>" + "".join(
     f"<!ENTITY {b} '{('&' + a + ';') * 10}'>" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
 )
@@ -173,14 +156,14 @@ OUTSIDE = "leaves the folder of the world"
 
 CASES: dict[str, Case] = {
     # XML
-    "xml bomb": (text("bad.sdf", f"{BOMB}]><sdf version='1.9'>&i;</sdf>"), "declares XML entities"),
-    "external entity": (text("bad.sdf", f"{EXTERNAL}<sdf version='1.9'>&e;</sdf>"), "declares XML entities"),
-    "bomb in a mesh": (text("bad.dae", f"{BOMB}]><COLLADA>&i;</COLLADA>"), "declares XML entities"),
-    "cut off sdf": (text("bad.sdf", "<sdf version='1.9'><world>"), "is not valid XML"),
-    "empty sdf": (text("bad.sdf", ""), "is not valid XML"),
-    "binary sdf": (data("bad.world", bytes(range(256))), "is not valid XML"),
-    "urdf": (text("bad.sdf", "<robot name='r'/>"), "is not SDF: its root is <robot>"),
-    "old sdf": (text("bad.sdf", "<sdf version='1.2'/>"), "has the SDF version '1.2'; 1.4 to 1.12 are supported"),
+    "xml bomb": (file("bad.sdf", f"{BOMB}]><sdf version='1.9'>&i;</sdf>"), "declares XML entities"),
+    "external entity": (file("bad.sdf", f"{EXTERNAL}<sdf version='1.9'>&e;</sdf>"), "declares XML entities"),
+    "bomb in a mesh": (file("bad.dae", f"{BOMB}]><COLLADA>&i;</COLLADA>"), "declares XML entities"),
+    "cut off sdf": (file("bad.sdf", "<sdf version='1.9'><world>"), "is not valid XML"),
+    "empty sdf": (file("bad.sdf", ""), "is not valid XML"),
+    "binary sdf": (file("bad.world", bytes(range(256))), "is not valid XML"),
+    "urdf": (file("bad.sdf", "<robot name='r'/>"), "is not SDF: its root is <robot>"),
+    "old sdf": (file("bad.sdf", "<sdf version='1.2'/>"), "has the SDF version '1.2'; 1.4 to 1.12 are supported"),
     # SDF
     "nothing in it": (sdf("", plane=False), "holds no ground and no obstacles"),
     "no number": (shape("<box><size>1 one 1</size></box>"), "the size of the box .* must be 3 finite numbers"),
@@ -221,23 +204,23 @@ CASES: dict[str, Case] = {
     ),
     "no free ground": (shape("<box><size>40 40 2</size></box>"), "has no free ground in spawn_range"),
     # Meshes
-    "empty mesh": (data("bad.obj", b""), "cannot be read as a mesh|holds no triangles"),
-    "no faces": (text("bad.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n"), "cannot be read as a mesh|holds no triangles"),
-    "faces of no vertex": (text("bad.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n"), "cannot be read as a mesh"),
-    "nan vertex": (text("bad.obj", "v 0 0 0\nv 1 nan 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n"), "NaN or infinite"),
+    "empty mesh": (file("bad.obj", b""), "cannot be read as a mesh|holds no triangles"),
+    "no faces": (file("bad.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n"), "cannot be read as a mesh|holds no triangles"),
+    "faces of no vertex": (file("bad.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n"), "cannot be read as a mesh"),
+    "nan vertex": (file("bad.obj", "v 0 0 0\nv 1 nan 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n"), "NaN or infinite"),
     "absurd mesh": (mesh("bad.stl", BOX.copy().apply_scale(1e7)), "from the origin; at most 10000 m"),
     "flat mesh": (mesh("bad.ply", FLAT_TRIANGLES), "holds no ground and no obstacles"),
     "cut off stl": (cut(mesh("bad.stl", BOX), 0.6), "cannot be read as a mesh|holds no triangles"),
     "cut off glb": (cut(mesh("bad.glb", trimesh.Scene([BOX])), 0.6), "cannot be read as a mesh"),
     "cut off ply": (cut(mesh("bad.ply", BOX), 0.9), "cannot be read as a mesh|no triangles"),
     "stl with a lie": (
-        data("bad.stl", bytes(80) + struct.pack("<I", 2**31) + bytes(50)),
+        file("bad.stl", bytes(80) + struct.pack("<I", 2**31) + bytes(50)),
         "holds no triangles|cannot be read",
     ),
     "wrong suffix": (lambda folder: mesh("a.stl", BOX)(folder).rename(folder / "bad.glb"), "cannot be read as a mesh"),
-    "no collada": (text("bad.dae", "<html/>"), "cannot be read as a mesh"),
-    "bad unit": (text("bad.dae", "<COLLADA><asset><unit meter='-1'/></asset></COLLADA>"), "must be a positive number"),
-    "no gltf": (text("bad.gltf", "{"), "is no glTF with buffers"),
+    "no collada": (file("bad.dae", "<html/>"), "cannot be read as a mesh"),
+    "bad unit": (file("bad.dae", "<COLLADA><asset><unit meter='-1'/></asset></COLLADA>"), "must be a positive number"),
+    "no gltf": (file("bad.gltf", "{"), "is no glTF with buffers"),
     "buffer outside": (gltf("../../../etc/passwd"), "outside of its folder"),
     "buffer on the network": (gltf("https://example.com/b.bin"), "outside of its folder"),
     # Elevation models
@@ -249,16 +232,16 @@ CASES: dict[str, Case] = {
     "cut off npy": (cut(array(np.zeros((64, 64))), 0.5), "no array of numbers"),
     "absurd heights": (array(np.full((8, 8), 1e9)), "check pixel and height"),
     "steep": (array(20.0 * np.mgrid[0:64, 0:64][0]), "no free ground .* too steep"),
-    "huge picture": (data("bad.png", png_header(100_000, 100_000)), "at most 36,000,000 are supported"),
-    "picture of nothing": (data("bad.png", b"no picture"), "is no picture that can be read"),
-    "cut off picture": (data("bad.png", png_header(64, 64)), "is a damaged picture|no picture"),
-    "cut off tiff": (data("bad.tif", b"II*\0\x08\0\0\0"), "TIFF"),
-    "empty tiff": (data("bad.tif", b""), "TIFF"),
+    "huge picture": (file("bad.png", png_header(100_000, 100_000)), "at most 36,000,000 are supported"),
+    "picture of nothing": (file("bad.png", b"no picture"), "is no picture that can be read"),
+    "cut off picture": (file("bad.png", png_header(64, 64)), "is a damaged picture|no picture"),
+    "cut off tiff": (file("bad.tif", b"II*\0\x08\0\0\0"), "TIFF"),
+    "empty tiff": (file("bad.tif", b""), "TIFF"),
     # Maps
-    "yaml code": (text("bad.yaml", "image: !!python/object/apply:os.system ['true']\n"), "is not valid YAML"),
-    "no map": (text("bad.yaml", "a: 1\n"), "is no map: it must have image, resolution and origin"),
-    "a list": (text("bad.yaml", "- 1\n"), "is no map"),
-    "broken yaml": (text("bad.yaml", "image: [\n"), "is not valid YAML"),
+    "yaml code": (file("bad.yaml", "image: !!python/object/apply:os.system ['true']\n"), "is not valid YAML"),
+    "no map": (file("bad.yaml", "a: 1\n"), "is no map: it must have image, resolution and origin"),
+    "a list": (file("bad.yaml", "- 1\n"), "is no map"),
+    "broken yaml": (file("bad.yaml", "image: [\n"), "is not valid YAML"),
     "no picture": (map_without_picture, "names the picture no.pgm"),
     "picture outside": (yaml(image="../../../../etc/passwd"), OUTSIDE),
     "absolute picture": (yaml(image="/etc/passwd"), OUTSIDE),
@@ -272,7 +255,7 @@ CASES: dict[str, Case] = {
     "negate": (yaml(negate="often"), "negate in .* must be 0 or 1"),
     "all walls": (lambda folder: write_map(folder, np.zeros(ROOM.shape)), "has no free cell"),
     # World files
-    "no archive": (data("bad.world.npz", b"PK no"), "is no world file, or a damaged one"),
+    "no archive": (file("bad.world.npz", b"PK no"), "is no world file, or a damaged one"),
     "cut off archive": (cut(archive(), 0.7), "is no world file, or a damaged one"),
     "missing array": (archive(heights=None), "has no heights"),
     "pickled array": (archive(heights=np.array([[None]], dtype=object)), "is no world file"),
@@ -284,7 +267,7 @@ CASES: dict[str, Case] = {
     "huge header": (huge_header, "is no world file, or a damaged one"),
     "zip bomb": (zip_bomb, "unpacks to more than 512 MB"),
     # Names
-    "suffix": (text("bad.txt", "x"), "is no world file; use one of"),
+    "suffix": (file("bad.txt", "x"), "is no world file; use one of"),
 }
 
 
@@ -296,10 +279,6 @@ def test_bad_files_get_one_sentence(tmp_path, case):
     with pytest.raises((ValueError, FileNotFoundError), match=expected) as error:
         World.from_file(path, **options)
     assert "\n" not in str(error.value)
-
-
-def test_there_are_enough_cases():
-    assert len(CASES) >= 45
 
 
 @pytest.mark.parametrize(
@@ -317,15 +296,14 @@ def test_there_are_enough_cases():
     ],
 )
 def test_bad_options_get_one_sentence(tmp_path, options, expected):
-    corner_wall().export(tmp_path / "wall.stl")
     trimesh.Scene([BOX]).export(tmp_path / "floor.stl")
     with pytest.raises(ValueError, match=expected):
         World.from_file(tmp_path / "floor.stl", **options)
 
 
 def test_holes_in_heights_are_filled(tmp_path):
-    world = World.from_file(array(NAN_HEIGHTS)(tmp_path), pixel=1.0)
-    assert world.terrain.is_flat
+    heights = np.where(np.eye(8) > 0, np.nan, 0.0)
+    assert World.from_file(array(heights)(tmp_path), pixel=1.0).terrain.is_flat
 
 
 def test_a_mesh_that_intersects_itself_is_repaired(tmp_path):
@@ -343,8 +321,8 @@ def test_a_mesh_that_intersects_itself_is_repaired(tmp_path):
     [
         ("defusedxml.ElementTree", sdf("")),
         ("coacd", mesh("bad.stl", trimesh.Scene([BOX, corner_wall()]).to_mesh())),
-        ("collada", text("bad.dae", "<COLLADA/>")),
-        ("tifffile", data("bad.tif", b"")),
+        ("collada", file("bad.dae", "<COLLADA/>")),
+        ("tifffile", file("bad.tif", b"")),
     ],
 )
 def test_a_missing_package_of_the_extra_is_named(tmp_path, monkeypatch, module, write):

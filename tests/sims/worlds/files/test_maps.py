@@ -7,19 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.files.rectangles import cover
 from tests.extras import needs_worlds
+from tests.sims.worlds.files.scenes import heights_at, inside
 
 SLOPE = 0.1 * np.mgrid[0:9, 0:9][1] - 0.05 * np.mgrid[0:9, 0:9][0]
 """Heights that rise by 0.1 m a column, and fall by 0.05 m a row."""
-
-
-def heights_at(world: World, *points: tuple[float, float]) -> list[float]:
-    return world.height_at(torch.tensor(points, dtype=torch.float64)).tolist()
 
 
 def write_tiff(path: Path, values: np.ndarray, corner: tuple[float, float] | None = None, **tags) -> None:
@@ -108,7 +104,7 @@ def write_map(folder: Path, states: np.ndarray | None = None, name: str = "map",
 
 
 def is_wall(world: World, *points: tuple[float, float]) -> list[bool]:
-    return world.inside(torch.tensor([(*point, 0.5) for point in points], dtype=torch.float64)).tolist()
+    return inside(world, *((*point, 0.5) for point in points))
 
 
 # In the west wall, beside it, in the pillar, south of it, and in the unseen corner.
@@ -123,8 +119,7 @@ def test_a_map_has_its_walls_where_they_are(tmp_path):
     assert world.spawn_range == (pytest.approx((-0.9, 4.9), abs=0.11), pytest.approx((-1.9, 1.9), abs=0.11))
     walls = World.from_file(tmp_path / "map.yaml", unknown="wall", wall_height=0.7)
     assert is_wall(walls, *POINTS) == [True, False, True, False, True]
-    low = torch.tensor([[-0.5, 1.5, 0.6], [-0.5, 1.5, 0.8]], dtype=torch.float64)
-    assert walls.inside(low).tolist() == [True, False]
+    assert inside(walls, (-0.5, 1.5, 0.6), (-0.5, 1.5, 0.8)) == [True, False]
 
 
 def test_the_yaw_of_the_origin_turns_the_map(tmp_path):

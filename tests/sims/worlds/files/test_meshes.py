@@ -15,7 +15,7 @@ from PIL import Image
 from rover_rl.sims.worlds import World, get_world
 from tests.extras import needs_worlds
 from tests.sims.worlds.files.rays import lidar_errors
-from tests.sims.worlds.files.scenes import corner_wall, hill_height, hills, house, with_y_up, yard
+from tests.sims.worlds.files.scenes import corner_wall, heights_at, hill_height, hills, house, inside, with_y_up, yard
 
 pytestmark = needs_worlds
 FLOOR = trimesh.creation.box((10.0, 10.0, 0.1))
@@ -39,22 +39,16 @@ def saved(scene: trimesh.Scene, path: Path) -> Path:
     return path
 
 
-def sheet(world: World, *points: tuple[float, float, float]) -> list[bool]:
-    return world.inside(torch.tensor(points, dtype=torch.float64)).tolist()
-
-
 @pytest.mark.parametrize("kind", ["obj", "stl", "ply", "glb", "gltf", "dae"])
 def test_a_house_is_the_same_in_all_formats(kind, tmp_path):
     world = World.from_file(saved(house(), tmp_path / f"house.{kind}"))
     assert world.name == "house"
     assert len(world.obstacles) == 7
     assert world.terrain.heights.abs().max() < 1e-6
-    ((left, right), (bottom, top)) = world.spawn_range
-    assert (left, right) == pytest.approx((-5.8, 5.8), abs=0.12)
-    assert (bottom, top) == pytest.approx((-4.8, 4.8), abs=0.12)
+    assert world.spawn_range == (pytest.approx((-5.8, 5.8), abs=0.12), pytest.approx((-4.8, 4.8), abs=0.12))
     # In the inner wall, beside it, under the table, in the table, and in the roof.
     points = [(1.0, -2.0, 0.5), (1.2, -2.0, 0.5), (-2.0, 2.0, 0.5), (-2.0, 2.0, 0.76), (0.0, 0.0, 2.6)]
-    assert sheet(world, *points) == [True, False, False, True, True]
+    assert inside(world, *points) == [True, False, False, True, True]
 
 
 def test_heights_and_outlines_and_lidar_are_those_of_the_mesh(tmp_path):
@@ -65,10 +59,8 @@ def test_heights_and_outlines_and_lidar_are_those_of_the_mesh(tmp_path):
     # The mesh itself is off the sines by at most 3 mm.
     assert np.abs(ours - hill_height(x, y)).max() < 0.01
     assert any("error 0.0 cm for 99 %" in note for note in world.notes)
-    corner = torch.tensor(
-        [[-2.0 + u, -4.0 + v, 0.3] for u, v in ((1.98, 0.28), (0.28, 1.98), (0.35, 0.35), (1.0, 1.0))]
-    )
-    assert world.inside(corner).tolist() == [True, True, False, False]
+    corner = [(-2.0 + u, -4.0 + v, 0.3) for u, v in ((1.98, 0.28), (0.28, 1.98), (0.35, 0.35), (1.0, 1.0))]
+    assert inside(world, *corner) == [True, True, False, False]
     triangles = scene.to_mesh().triangles
     errors = lidar_errors(world, triangles, [(0.0, 0.0, 0.0), (-5.0, 0.0, 1.0), (1.0, -3.0, 2.0), (4.5, 4.0, -2.0)])
     assert len(errors) == 4 * 128
@@ -85,8 +77,7 @@ def test_the_unit_and_the_axis_of_collada_count(tmp_path):
     assert "<up_axis>Y_UP</up_axis>" in text
     path.write_text(text.replace("<up_axis>", '<unit name="centimeter" meter="0.01"/><up_axis>'))
     centimeters = World.from_file(path)
-    assert centimeters.terrain.extent[0] == pytest.approx(meters.terrain.extent[0], abs=1e-5)
-    assert centimeters.terrain.extent[1] == pytest.approx(meters.terrain.extent[1], abs=1e-5)
+    assert np.allclose(centimeters.terrain.extent, meters.terrain.extent, atol=1e-5)
     assert len(centimeters.obstacles) == len(meters.obstacles) == 7
 
 
@@ -99,10 +90,7 @@ def test_up_and_scale_are_options(tmp_path):
 
 
 def test_node_transforms_of_gltf_may_mirror_and_scale(tmp_path):
-    path = tmp_path / "mirrored.gltf"
-    scene = with_y_up(house())
-    for name, data in scene.export(file_type="gltf").items():
-        (tmp_path / (path.name if name == "model.gltf" else name)).write_bytes(data)
+    path = saved(house(), tmp_path / "mirrored.gltf")
     data = json.loads(path.read_text())
     roots = data["scenes"][0]["nodes"]
     data["nodes"].append({"name": "mirror", "children": roots, "scale": [-2.0, 2.0, 2.0]})
@@ -111,7 +99,7 @@ def test_node_transforms_of_gltf_may_mirror_and_scale(tmp_path):
     world = World.from_file(path)
     assert len(world.obstacles) == 7
     # The inner wall was at x = 1.
-    assert sheet(world, (-2.0, -4.0, 1.0), (2.0, -4.0, 1.0)) == [True, False]
+    assert inside(world, (-2.0, -4.0, 1.0), (2.0, -4.0, 1.0)) == [True, False]
 
 
 def test_buffers_within_gltf_are_read(tmp_path):
@@ -127,15 +115,14 @@ def test_buffers_within_gltf_are_read(tmp_path):
 def test_ground_can_be_named_or_denied(tmp_path):
     path = saved(yard(), tmp_path / "yard.glb")
     assert len(World.from_file(path, ground="hi*").obstacles) == len(World.from_file(path).obstacles)
-    crate = World.from_file(path, ground="hills,crate")
-    assert crate.height_at(torch.tensor([[3.0, 0.0]])).item() == pytest.approx(1.35, abs=0.01)
+    assert heights_at(World.from_file(path, ground="hills,crate"), (3.0, 0.0)) == pytest.approx([1.35], abs=0.01)
     with pytest.raises(ValueError, match=r"ground='sea' matches no piece .*'ball', 'corner', 'crate', 'hills'"):
         World.from_file(path, ground="sea")
     scene = yard()
     scene.delete_geometry(["geometry_0"])
     bare = World.from_file(saved(scene, tmp_path / "bare.glb"), ground="none")
     assert bare.terrain.is_flat
-    assert bare.height_at(torch.zeros(1, 2)).item() == pytest.approx(-0.4, abs=0.02)
+    assert heights_at(bare, (0.0, 0.0)) == pytest.approx([-0.4], abs=0.02)
 
 
 def test_the_cell_is_an_option_and_its_error_is_told(tmp_path):
@@ -149,60 +136,45 @@ def test_the_cell_is_an_option_and_its_error_is_told(tmp_path):
 
 
 def test_what_is_under_other_ground_counts(tmp_path):
-    scene = trimesh.Scene([trimesh.creation.box((10.0, 10.0, 0.1))])
-    bridge = trimesh.creation.box((2.0, 10.0, 0.2))
-    bridge.apply_translation((0.0, 0.0, 1.5))
-    scene.add_geometry(bridge)
-    scene.export(tmp_path / "bridge.stl")
+    bridge = trimesh.creation.box(bounds=[(-1.0, -5.0, 1.4), (1.0, 5.0, 1.6)])
+    trimesh.Scene([FLOOR, bridge]).export(tmp_path / "bridge.stl")
     world = World.from_file(tmp_path / "bridge.stl")
-    assert world.height_at(torch.zeros(1, 2)).item() == pytest.approx(0.05)
+    assert heights_at(world, (0.0, 0.0)) == pytest.approx([0.05])
     assert len(world.obstacles) == 1
 
 
 def test_open_surfaces_become_plates_and_closed_ones_solids(tmp_path):
-    ground = trimesh.creation.box((12.0, 12.0, 0.2))
-    ground.apply_translation((0.0, 0.0, -0.1))
+    ground = trimesh.creation.box(bounds=[(-6.0, -6.0, -0.2), (6.0, 6.0, 0.0)])
     sign = trimesh.Trimesh([(2, -1, 0), (2, 1, 0), (2, 1, 1), (2, -1, 1)], [(0, 1, 2), (0, 2, 3)], process=False)
-    crate = trimesh.creation.box((1.0, 1.0, 1.0))
-    crate.apply_translation((-3.0, 0.0, 0.5))
+    crate = trimesh.creation.box(bounds=[(-3.5, -0.5, 0.0), (-2.5, 0.5, 1.0)])
     bottomless = trimesh.Trimesh(crate.vertices, crate.faces[crate.face_normals[:, 2] > -0.5], process=False)
-    pen = trimesh.creation.box((2.0, 2.0, 1.0))
-    pen.apply_translation((0.0, 4.0, 0.5))
+    pen = trimesh.creation.box(bounds=[(-1.0, 3.0, 0.0), (1.0, 5.0, 1.0)])
     walls = np.abs(pen.face_normals[:, 2]) < 0.5
     inward = trimesh.Trimesh(pen.vertices, pen.faces[walls][:, ::-1], process=False)
     trimesh.Scene([ground, sign, bottomless, inward]).to_mesh().export(tmp_path / "sheets.ply")
     world = World.from_file(tmp_path / "sheets.ply")
     points = [(2.0, 0.0, 0.5), (2.02, 0.0, 0.5), (-3.0, 0.0, 0.5), (0.0, 4.0, 0.5), (1.0, 4.0, 0.5)]
-    assert sheet(world, *points) == [True, False, True, False, True]
+    assert inside(world, *points) == [True, False, True, False, True]
 
 
-def test_a_decomposition_is_cached_by_content(tmp_path, cache, monkeypatch):
+def test_a_decomposition_is_cached_by_content_and_computed_again_if_damaged(tmp_path, cache, monkeypatch):
     path = tmp_path / "corner.stl"
     trimesh.Scene([FLOOR, corner_wall()]).to_mesh().export(path)
-    first = World.from_file(path)
-    assert len([*(cache / "convex_parts").rglob("*.bin")]) == 1
-    monkeypatch.setattr("rover_rl.sims.worlds.files.decomposition._attempt", lambda *_: pytest.fail("decomposed again"))
-    second = World.from_file(path)
-    assert len(second.obstacles) == len(first.obstacles) > 1
-    for a, b in zip(first.obstacles, second.obstacles, strict=True):
-        assert torch.equal(a.vertices, b.vertices)
-
-
-def test_a_damaged_cache_is_computed_again(tmp_path, cache):
-    path = tmp_path / "corner.stl"
-    trimesh.Scene([FLOOR, corner_wall()]).to_mesh().export(path)
-    expected = len(World.from_file(path).obstacles)
+    first = World.from_file(path).obstacles
     (file,) = (cache / "convex_parts").rglob("*.bin")
     for content in (b"", file.read_bytes()[:40], b"PK\x03\x04" + bytes(100)):
         file.write_bytes(content)
-        assert len(World.from_file(path).obstacles) == expected
+        assert len(World.from_file(path).obstacles) == len(first) > 1
+    monkeypatch.setattr("rover_rl.sims.worlds.files.decomposition._attempt", lambda *_: pytest.fail("decomposed again"))
+    for a, b in zip(first, World.from_file(path).obstacles, strict=True):
+        assert torch.equal(a.vertices, b.vertices)
 
 
 def test_a_path_is_a_name_of_a_world(tmp_path):
     path = saved(house(), tmp_path / "house.stl")
     world = get_world(str(path))
     assert get_world(str(path)) is world
-    trimesh.Scene([trimesh.creation.box((10.0, 10.0, 0.1))]).export(path)
+    FLOOR.export(path)
     assert get_world(str(path)).obstacles == ()
     with pytest.raises(FileNotFoundError, match="there is no world file"):
         get_world(str(tmp_path / "other.sdf"))
@@ -210,8 +182,7 @@ def test_a_path_is_a_name_of_a_world(tmp_path):
 
 @pytest.mark.slow
 def test_spheres_are_simplified_within_the_error(tmp_path):
-    scene = trimesh.Scene([trimesh.creation.box((10.0, 10.0, 0.1)), trimesh.creation.icosphere(5, 1.0)])
-    scene.to_mesh().export(tmp_path / "ball.stl")
+    trimesh.Scene([FLOOR, trimesh.creation.icosphere(5, 1.0)]).to_mesh().export(tmp_path / "ball.stl")
     (ball,) = World.from_file(tmp_path / "ball.stl").obstacles
     assert len(ball.vertices) <= 1024
     assert ball.vertices.norm(dim=1).min() > 0.99

@@ -91,25 +91,6 @@ def test_the_obstacles_of_the_mazes_are_those_of_the_file(name):
     assert world.spawn_range == (pytest.approx((-10, 10), abs=0.2),) * 2
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["maze.sdf", "maze_pillars.sdf"])
-def test_the_lidar_in_the_mazes_is_that_of_the_file(name):
-    world = imported(f"roboterrain/{name}")
-    triangles = np.concatenate([solid.triangles for solid in solids(DATA / "roboterrain" / name)])
-    rng = np.random.default_rng(0)
-    poses = [(float(x), float(y), float(yaw)) for x, y, yaw in rng.uniform((-8, -8, -3), (8, 8, 3), (24, 3))]
-    away = [
-        p
-        for p in poses
-        if not world.inside(
-            torch.tensor([[p[0] + dx, p[1] + dy, 0.3] for dx in (-0.6, 0, 0.6) for dy in (-0.6, 0, 0.6)])
-        ).any()
-    ]
-    assert len(away) >= 6
-    errors = lidar_errors(world, triangles, away)
-    assert (np.abs(errors) < 0.05).mean() >= 0.99
-
-
 def test_the_person_in_the_maze_walks_as_the_file_says():
     world = imported("roboterrain/maze_and_person.sdf")
     (walker,) = world.movers

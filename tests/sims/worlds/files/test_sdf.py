@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 import trimesh
 from PIL import Image
 
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.movers import Person
 from tests.extras import needs_worlds
+from tests.sims.worlds.files.scenes import heights_at, inside, with_y_up
 
 pytestmark = needs_worlds
 
@@ -38,10 +38,6 @@ def world_of(tmp_path: Path, body: str, version: str = "1.9", size: str = "20 20
     plane = PLANE.format(size=size)
     path.write_text(f"<sdf version='{version}'><world name='w'>{plane}{body}</world></sdf>")
     return World.from_file(path, **options)
-
-
-def inside(world: World, *points: tuple[float, float, float]) -> list[bool]:
-    return world.inside(torch.tensor(points, dtype=torch.float64)).tolist()
 
 
 @pytest.mark.parametrize(
@@ -76,55 +72,42 @@ def test_round_shapes_are_within_half_a_centimeter(tmp_path):
         assert middles.norm(dim=1).min().item() > radius - 0.005
 
 
-@pytest.mark.parametrize(
-    "body",
-    [
-        model(link(POST, "3 2 0 0 0 0")),
-        model(link(POST, "2 -3 0 0 0 0"), extra="<static>1</static><pose>0 0 0 0 0 1.5707963268</pose>"),
-        model(link(POST, "2 -3 0 0 0 0"), extra="<static>1</static><pose degrees='true'>0 0 0 0 0 90</pose>"),
-        model(
-            link(POST, "2 -3 0 0 0 0"),
-            extra="<static>1</static><pose rotation_format='quat_xyzw'>0 0 0 0 0 0.70710678 0.70710678</pose>",
-        ),
-        model(
-            link(POST, "1 0 0 0 0 0") + "<frame name='f'><pose>1 1 0 0 0 0</pose></frame>",
-            extra="<static>1</static><pose>2 2 0 0 0 0</pose>",
-        ),
-        model(
-            link(POST, "1 1 0 0 0 0", attributes="relative_to='f'") + "<frame name='f'><pose>2 1 0 0 0 0</pose></frame>"
-        ),
-        model(
-            link(POST, "0 1 0 0 0 0", attributes="relative_to='g'")
-            + "<frame name='g' attached_to='f'><pose>1 0 0 0 0 0</pose></frame>"
-            + "<frame name='f'><pose>2 1 0 0 0 0</pose></frame>"
-        ),
-        model(link(POST), extra="<static>1</static><pose relative_to='far'>1 0 0 0 0 0</pose>")
-        + "<frame name='far'><pose>2 2 0 0 0 0</pose></frame>",
-        model(model(link(POST, "1 1 0 0 0 0"), "inner", "<pose>2 1 0 0 0 0</pose>")),
-        model(
-            model(link(POST, "9 9 0 0 0 0", name="x"), "inner", "<pose>-6 -7 0 0 0 0</pose>").replace(POST, "<empty/>")
-            + link(POST, "0 0 0 0 0 0", attributes="relative_to='inner::x'")
-        ),
-        model(link(POST) + "<frame name='f'><pose>-3 -2 0 0 0 0</pose></frame>").replace(
-            "<model name='m'>", "<model name='m' placement_frame='f'>"
-        ),
-        "<state world_name='w'><model name='m'><pose>3 2 0 0 0 0</pose></model></state>" + model(link(POST)),
-    ],
-    ids=[
-        "link",
-        "model",
-        "degrees",
-        "quaternion",
-        "two",
-        "relative",
-        "chain",
-        "world",
-        "nested",
-        "nested-frame",
-        "placement",
-        "state",
-    ],
-)
+STATIC = "<static>1</static>"
+POSES = {
+    "link": model(link(POST, "3 2 0 0 0 0")),
+    "model": model(link(POST, "2 -3 0 0 0 0"), extra=f"{STATIC}<pose>0 0 0 0 0 1.5707963268</pose>"),
+    "degrees": model(link(POST, "2 -3 0 0 0 0"), extra=f"{STATIC}<pose degrees='true'>0 0 0 0 0 90</pose>"),
+    "quaternion": model(
+        link(POST, "2 -3 0 0 0 0"),
+        extra=f"{STATIC}<pose rotation_format='quat_xyzw'>0 0 0 0 0 0.70710678 0.70710678</pose>",
+    ),
+    "two": model(
+        link(POST, "1 0 0 0 0 0") + "<frame name='f'><pose>1 1 0 0 0 0</pose></frame>",
+        extra=f"{STATIC}<pose>2 2 0 0 0 0</pose>",
+    ),
+    "relative": model(
+        link(POST, "1 1 0 0 0 0", attributes="relative_to='f'") + "<frame name='f'><pose>2 1 0 0 0 0</pose></frame>"
+    ),
+    "chain": model(
+        link(POST, "0 1 0 0 0 0", attributes="relative_to='g'")
+        + "<frame name='g' attached_to='f'><pose>1 0 0 0 0 0</pose></frame>"
+        + "<frame name='f'><pose>2 1 0 0 0 0</pose></frame>"
+    ),
+    "world": model(link(POST), extra=f"{STATIC}<pose relative_to='far'>1 0 0 0 0 0</pose>")
+    + "<frame name='far'><pose>2 2 0 0 0 0</pose></frame>",
+    "nested": model(model(link(POST, "1 1 0 0 0 0"), "inner", "<pose>2 1 0 0 0 0</pose>")),
+    "nested frame": model(
+        model(link("<empty/>", "9 9 0 0 0 0", name="x"), "inner", "<pose>-6 -7 0 0 0 0</pose>")
+        + link(POST, "0 0 0 0 0 0", attributes="relative_to='inner::x'")
+    ),
+    "placement": model(link(POST) + "<frame name='f'><pose>-3 -2 0 0 0 0</pose></frame>").replace(
+        "<model name='m'>", "<model name='m' placement_frame='f'>"
+    ),
+    "state": "<state world_name='w'><model name='m'><pose>3 2 0 0 0 0</pose></model></state>" + model(link(POST)),
+}
+
+
+@pytest.mark.parametrize("body", POSES.values(), ids=POSES)
 def test_poses_and_frames(tmp_path, body):
     world = world_of(tmp_path, body)
     assert len(world.obstacles) == 1
@@ -250,13 +233,10 @@ def test_an_actor_that_does_not_start_by_itself_stands_at_its_first_waypoint(tmp
 def test_meshes_have_scales_and_submeshes(tmp_path):
     scene = trimesh.Scene()
     for name, x in (("one", 0.0), ("two", 4.0)):
-        scene.add_geometry(
-            trimesh.creation.box((1, 1, 1), transform=trimesh.transformations.translation_matrix((x, 0, 0.5))),
-            node_name=name,
-        )
+        cube = trimesh.creation.box(bounds=[(x - 0.5, -0.5, 0), (x + 0.5, 0.5, 1)])
+        scene.add_geometry(cube, node_name=name)
     (tmp_path / "meshes").mkdir()
-    scene.apply_transform(trimesh.transformations.rotation_matrix(-math.pi / 2, (1, 0, 0)))
-    scene.export(tmp_path / "meshes" / "two.glb")
+    with_y_up(scene).export(tmp_path / "meshes" / "two.glb")
     shape = "<mesh><uri>meshes/two.glb</uri><scale>1 -2 1</scale></mesh>"
     world = world_of(tmp_path, model(link(shape)))
     assert inside(world, (0.0, 0.9, 0.5), (4.0, 0.9, 0.5), (0.9, 0.0, 0.5)) == [True, True, False]
@@ -273,47 +253,37 @@ def test_a_heightmap_is_as_high_and_wide_as_gazebo_makes_it(tmp_path):
     world = world_of(tmp_path, model(link(shape), extra="<static>1</static><pose>1 0 0 0 0 0</pose>"))
     assert world.terrain.extent == ((-7.0, 9.0), (-8.0, 8.0))
     # The brightest pixel, 192, is in the southeast: the first row is in the north.
-    corners = torch.tensor([[9.0, -8.0], [-7.0, 8.0], [-7.0, -8.0], [9.0, 8.0]], dtype=torch.float64)
-    assert world.height_at(corners).tolist() == pytest.approx(
-        [3.5, 0.5, 0.5 + 3 * 32 / 192, 0.5 + 3 * 160 / 192], abs=1e-5
-    )
+    corners = [(9.0, -8.0), (-7.0, 8.0), (-7.0, -8.0), (9.0, 8.0)]
+    expected = [3.5, 0.5, 0.5 + 3 * 32 / 192, 0.5 + 3 * 160 / 192]
+    assert heights_at(world, *corners) == pytest.approx(expected, abs=1e-5)
 
 
 def test_a_terrain_mesh_on_a_plane_is_ground_and_a_low_box_is_not(tmp_path):
     slab = "<box><size>18 18 0.4</size></box>"
     low = "<box><size>2 2 0.3</size></box>"
     world = world_of(tmp_path, model(link(slab), "slab") + model(link(low, "3 3 0.3 0 0 0"), "low"))
-    assert world.height_at(torch.tensor([[0.0, 0.0], [3.0, 3.0]])).tolist() == pytest.approx([0.2, 0.2], abs=1e-6)
+    assert heights_at(world, (0.0, 0.0), (3.0, 3.0)) == pytest.approx([0.2, 0.2], abs=1e-6)
     assert len(world.obstacles) == 1
 
 
 def test_an_inclined_plane_is_ground(tmp_path):
     inclined = "<plane><normal>-0.2 0 1</normal><size>10 10</size></plane>"
     world = world_of(tmp_path, model(link(inclined)), size="10 10")
-    heights = world.height_at(torch.tensor([[-3.0, 0.0], [3.0, 0.0]]))
-    assert heights.tolist() == pytest.approx([0.0, 0.6], abs=0.01)
+    assert heights_at(world, (-3.0, 0.0), (3.0, 0.0)) == pytest.approx([0.0, 0.6], abs=0.01)
 
 
 def test_the_interior_of_walls_is_the_spawn_area_and_open_ground_its_middle(tmp_path):
-    wall = "<box><size>{}</size></box>"
-    walls = [
-        ("10 0.2 2", "0 5 1 0 0 0"),
-        ("10 0.2 2", "0 -5 1 0 0 0"),
-        ("0.2 10 2", "5 0 1 0 0 0"),
-        ("0.2 10 2", "-5 0 1 0 0 0"),
-    ]
-    shut = model("".join(link(wall.format(size), pose, f"l{k}") for k, (size, pose) in enumerate(walls)))
+    places = ("0 5 1 0 0 0", "0 -5 1 0 0 0", "5 0 1 0 0 1.5707963", "-5 0 1 0 0 1.5707963")
+    walls = [link("<box><size>10 0.2 2</size></box>", pose, f"l{k}") for k, pose in enumerate(places)]
+    shut = model("".join(walls))
     world = world_of(tmp_path, shut)
     assert world.spawn_range == (pytest.approx((-4.9, 4.9), abs=0.12),) * 2
     assert any("interior" in note for note in world.notes)
-    gap = model("".join(link(wall.format(size), pose, f"l{k}") for k, (size, pose) in enumerate(walls[:3])))
-    world = world_of(tmp_path, gap)
+    world = world_of(tmp_path, model("".join(walls[:3])))
     assert any("open ground" in note for note in world.notes)
-    given = world_of(
-        tmp_path, shut, spawn_range=((-1, 1), (-2, 2)), goal_range=((0, 3), (0, 3)), bounds=((-4, 4), (-4, 4))
-    )
-    assert (given.spawn_range, given.goal_range) == (((-1.0, 1.0), (-2.0, 2.0)), ((0.0, 3.0), (0.0, 3.0)))
-    assert given.bounds == ((-4.0, 4.0), (-4.0, 4.0))
+    areas = {"spawn_range": ((-1, 1), (-2, 2)), "goal_range": ((0, 3), (0, 3)), "bounds": ((-4, 4), (-4, 4))}
+    given = world_of(tmp_path, shut, **areas)
+    assert {name: getattr(given, name) for name in areas} == areas
 
 
 def test_merged_includes_share_their_frames(tmp_path):
@@ -348,9 +318,8 @@ def test_models_are_found_by_their_name(tmp_path):
 
 
 def test_a_world_called_default_has_the_name_of_its_file(tmp_path):
-    (tmp_path / "yard.sdf").write_text(
-        f"<sdf version='1.9'><world name='default'>{PLANE.format(size='9 9')}</world></sdf>"
-    )
+    world = f"<world name='default'>{PLANE.format(size='9 9')}</world>"
+    (tmp_path / "yard.sdf").write_text(f"<sdf version='1.9'>{world}</sdf>")
     assert World.from_file(tmp_path / "yard.sdf").name == "yard"
 
 

@@ -1,4 +1,4 @@
-"""Parts that generators share: difficulties, smooth height fields, open ground, and enclosing walls."""
+"""Parts of layouts: difficulties, smooth height fields, open ground, and enclosing walls."""
 
 from __future__ import annotations
 
@@ -11,19 +11,12 @@ from rover_rl.sims.worlds.obstacles import Obstacle, boxes
 from rover_rl.sims.worlds.terrain import MAX_SLOPE
 
 DEFAULT = 0.5
-"""Difficulty without a choice."""
 WALL_THICKNESS, WALL_HEIGHT = 0.2, 2.0
 """Of the walls around a floor, m."""
 
 
 def scaled(difficulty: float, easy: float, default: float, hard: float) -> float:
-    """Returns a parameter at a difficulty, piecewise linear between its values at 0, 0.5 and 1.
-
-    The value at 0.5 is exactly ``default``.
-
-    Raises:
-        ValueError: if the difficulty is not in [0, 1].
-    """
+    """Returns a parameter at a difficulty, piecewise linear between its values at 0, 0.5 (exact) and 1."""
     if not 0 <= difficulty <= 1:
         raise ValueError(f"difficulty must be a number from 0 to 1, got {difficulty}")
     if difficulty == DEFAULT:
@@ -65,14 +58,9 @@ def smoothstep(t: np.ndarray) -> np.ndarray:
 
 
 def largest_part(open_cells: np.ndarray, inside: np.ndarray) -> tuple[float, float]:
-    """Returns how much of an area the largest part of open cells that are connected by their sides covers.
+    """Returns how much of an area ``inside`` the largest part of open cells covers, as a fraction of two counts.
 
-    Args:
-        open_cells: cells that a rover may enter, bool ``[rows, columns]``.
-        inside: cells of the area, bool ``[rows, columns]``.
-
-    Returns:
-        The part's cells in the area, as fractions of the open cells in the area and of all cells in the area.
+    The part's cells in the area are divided by the open cells in the area, and by all cells in the area.
     """
     counts = np.bincount(label(open_cells)[0][inside])
     largest = counts[1:].max(initial=0)
