@@ -171,7 +171,7 @@ def _description(world: World) -> str:
     (x_low, x_high), (y_low, y_high) = world.bounds
     lowest, highest = (float(end) for end in terrain.heights.aminmax())
     lines = [
-        f"{world.name}: {len(world.obstacles)} obstacles, {len(world.actors)} actors",
+        f"{world.name}: {len(world.obstacles)} obstacles, {len(world.movers)} movers",
         f"  ground: {lowest:.2f} to {highest:.2f} m high, cell {terrain.cell:.3g} m",
         f"  bounds: x {x_low:.1f} to {x_high:.1f} m, y {y_low:.1f} to {y_high:.1f} m",
     ]

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 from rover_rl.registry import Registry
 from rover_rl.sims.worlds.generators import (
@@ -23,6 +24,7 @@ from rover_rl.sims.worlds.generators import (
     rooms,
     with_walkers,
 )
+from rover_rl.sims.worlds.generators.layouts import DEFAULT
 from rover_rl.sims.worlds.layout_cache import stored_layout
 from rover_rl.sims.worlds.names import WorldName, WorldRange, is_world_file
 from rover_rl.sims.worlds.obstacles import Obstacle, boulder, box, boxes, cylinder, cylinders
@@ -163,5 +165,6 @@ __all__ = [
     "cylinders",
     "get_world",
     "register_world",
+    "with_walkers",
     "world_names",
 ]

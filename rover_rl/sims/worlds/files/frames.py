@@ -9,7 +9,6 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rover_rl.sims.worlds.actor import Pose
 from rover_rl.sims.worlds.files.xml_tree import numbers, text_of
 
 MODEL = "__model__"
@@ -42,7 +41,7 @@ def pose_of(element: Element, what: str) -> tuple[np.ndarray, str]:
     return transform, pose.get("relative_to", pose.get("frame", "")).strip()
 
 
-def to_pose(transform: np.ndarray) -> Pose:
+def to_pose(transform: np.ndarray) -> tuple[float, float, float, float, float, float]:
     """Returns x, y, z (m), roll, pitch, yaw (rad) of a transform ``[4, 4]``."""
     x, y, z = transform[:3, 3].tolist()
     pitch = math.asin(min(1.0, max(-1.0, -float(transform[2, 0]))))

@@ -40,7 +40,7 @@ def _to_plain(part: Any) -> dict[str, Any]:
 
 
 def _from_plain(data: Any) -> Any:
-    kind = CLASSES.get(data.get("kind")) if isinstance(data, dict) else None
+    kind = CLASSES.get(str(data.get("kind"))) if isinstance(data, dict) else None
     if kind is None:
         raise ValueError(f"the kind of a motion or shape must be one of {sorted(CLASSES)}, got {data!r}")
     return from_plain({key: value for key, value in data.items() if key != "kind"}, kind, data["kind"])

@@ -9,4 +9,17 @@ from rover_rl.sims.worlds.generators.moon import moon
 from rover_rl.sims.worlds.generators.ramps import ramps
 from rover_rl.sims.worlds.generators.rooms import rooms
 
-__all__ = ["forest", "hills", "inspect", "maze", "moon", "ramps", "rooms"]
+__all__ = [
+    "corridor",
+    "crossing",
+    "field",
+    "forest",
+    "hills",
+    "inspect",
+    "maze",
+    "moon",
+    "plaza",
+    "ramps",
+    "rooms",
+    "with_walkers",
+]

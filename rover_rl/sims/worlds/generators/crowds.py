@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rover_rl.sims.worlds.generators.common import DEFAULT, enclosing_walls, scaled
+from rover_rl.sims.worlds.generators.layouts import DEFAULT, enclosing_walls, scaled
 from rover_rl.sims.worlds.movers import Box, Cross, Cylinder, Mover, Person, SocialForce, Wander
 from rover_rl.sims.worlds.obstacles import Obstacle, boxes, cylinders
 from rover_rl.sims.worlds.region import Area
@@ -64,7 +64,7 @@ def with_walkers(world: World, seed: int = 0, difficulty: float = DEFAULT) -> Wo
         Mover(Wander(speed, area=area), person, f"walker {number}")
         for number, (speed, person) in enumerate(_people(rng, difficulty, min(max(count, 1), MOST_WALKERS)))
     )
-    return replace(world, movers=(*world.movers, *people))
+    return replace(world, name=f"{world.name}+walkers", movers=(*world.movers, *people))
 
 
 def plaza(seed: int = 0, difficulty: float = DEFAULT) -> World:
@@ -154,10 +154,8 @@ def crossing(seed: int = 0, difficulty: float = DEFAULT) -> World:
     for number, (speed, person) in enumerate(_people(rng, difficulty, round(scaled(difficulty, *CROSSING_PEOPLE)))):
         start, goal = (north, south) if number % 2 else (south, north)
         movers.append(Mover(Cross(speed, start, goal), person, f"person {number}"))
-    block = half - arm
-    corners = [
-        (x, y, HEIGHT / 2) for x in (-half + block / 2, half - block / 2) for y in (-half + block / 2, half - block / 2)
-    ]
+    block, middle = half - arm, (half + arm) / 2
+    corners = [(x, y, HEIGHT / 2) for x in (-middle, middle) for y in (-middle, middle)]
     side = arm - 0.4
     return World(
         name="crossing",
@@ -185,9 +183,9 @@ def field(seed: int = 0, difficulty: float = DEFAULT) -> World:
     inner: Area = ((-half + 0.7, half - 0.7),) * 2
     movers, rest = [], list[Obstacle]()
     for number in range(round(scaled(difficulty, *FIELD_MOVERS))):
-        length, width = rng.uniform(0.3, 1.0, 2)
+        length, width = rng.uniform(0.3, 1.0, 2).round(2).tolist()
         shape = Cylinder(length / 2, 1.0) if rng.random() < 0.7 else Box(length, width, 1.0)
-        speed, turn_time = rng.uniform(low, high), rng.uniform(2.0, 8.0)
+        speed, turn_time = round(rng.uniform(low, high), 3), round(rng.uniform(2.0, 8.0), 1)
         if number % 10 == 9:
             rest += cylinders(_raised(rng.uniform(-half + 2, half - 2, (1, 2)), 0.5), length / 2, 1.0, 16)
         else:
@@ -208,9 +206,8 @@ def _people(rng: np.random.Generator, difficulty: float, count: int) -> list[tup
     pace = scaled(difficulty, *PACE)
     speeds = np.clip(rng.normal(pace, SPREAD * pace / PACE[-1], count), 0.3, 2.0)
     heights = rng.uniform(*HEIGHTS, count)
-    return [
-        (float(speed), Person(float(height))) for speed, height in zip(speeds.round(3), heights.round(2), strict=True)
-    ]
+    pairs = zip(speeds.round(3).tolist(), heights.round(2).tolist(), strict=True)
+    return [(speed, Person(height)) for speed, height in pairs]
 
 
 def _union(a: Area, b: Area) -> Area:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from importlib import import_module
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar, TypeAlias, cast
 
 import torch
 from torch import Tensor
@@ -43,12 +43,12 @@ def checked_place(name: str, place: Any) -> Place | None:
     if numbers.ndim == 2 and not (numbers[:, 0] < numbers[:, 1]).all():
         raise ValueError(message)
     values = numbers.tolist()
-    return tuple(values) if numbers.ndim == 1 else tuple(map(tuple, values))
+    return cast("Place", tuple(values) if numbers.ndim == 1 else tuple(map(tuple, values)))
 
 
 def point_of(place: Place | None) -> Point | None:
     """Returns a place that is a point, and ``None`` for others."""
-    return None if place is None or isinstance(place[0], Sequence) else place  # type: ignore[return-value]
+    return None if place is None or isinstance(place[0], Sequence) else place
 
 
 def check_walk(speed: float, pause: float = 0.0, patience: float = 1.0) -> None:
