@@ -16,8 +16,7 @@ from rover_rl.envs.seen_map.scans import lidar_mount
 from rover_rl.envs.seen_map.seen_map import BOUNDS
 from rover_rl.envs.sensors.suite import policy_sensors
 
-CHECKED = 1000
-"""Number of observations on which an exported policy is compared with the original."""
+CHECKED = 1000  # number of observations on which an exported policy is compared with the original
 CHECKED_DRIVE, CHECKED_JUMPS = 100, 20
 """Number of decisions of a drive, and of random observations after it, on which a policy with a map is compared."""
 EQUAL_SHARE = 0.99
@@ -25,12 +24,9 @@ EQUAL_SHARE = 0.99
 
 Sines and cosines of other libraries may differ in the last bit. If a beam ends that close to the edge of a cell,
 another cell is marked, and the route may differ for a while."""
-_DECISION = 0.2
-"""Time between two decisions of the drive, s."""
-_YARD = 7.0
-"""Half of the width of the yard, m."""
-_WALLS = 24
-"""Number of walls in the yard."""
+_DECISION = 0.2  # time between two decisions of the drive, s
+_YARD = 7.0  # half of the width of the yard, m
+_WALLS = 24  # number of walls in the yard
 
 
 def action_difference(checkpoint: Checkpoint, exported: ExportedFunction, policy: PlainPolicy) -> float:

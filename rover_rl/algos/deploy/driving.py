@@ -34,12 +34,9 @@ from rover_rl.sims.timing import CONTROL_DT
 
 _log = logging.getLogger(__name__)
 
-TRAINED_VIEW = 2 * math.pi
-"""Field of view of the lidar in training, rad."""
-VIEW_TOLERANCE = math.radians(10)
-"""Largest difference of two fields of view that count as the same, rad."""
-CLOCK_TOLERANCE = 0.5
-"""Largest backward jump of a robot's clock that does not count as a restart, s."""
+TRAINED_VIEW = 2 * math.pi  # field of view of the lidar in training, rad
+VIEW_TOLERANCE = math.radians(10)  # largest difference of two fields of view that count as the same, rad
+CLOCK_TOLERANCE = 0.5  # largest backward jump of a robot's clock that does not count as a restart, s
 POSE_TOLERANCE = 1.0
 """Largest jump of a pose, beyond the distance that the robot can drive, that does not count as a restart, m."""
 

@@ -53,12 +53,9 @@ if TYPE_CHECKING:
 
 Format: TypeAlias = Literal["onnx", "torch"]
 
-SUFFIXES: dict[str, str] = {"onnx": ".onnx", "torch": ".pt2"}
-"""File suffix of each format."""
-TOLERANCE = 1e-4
-"""Largest accepted difference of an action, m/s or rad."""
-_STATE = "memory"
-"""Entry of a tensordict that holds the state of a policy from a file, float32 ``[N, s]``."""
+SUFFIXES: dict[str, str] = {"onnx": ".onnx", "torch": ".pt2"}  # file suffix of each format
+TOLERANCE = 1e-4  # largest accepted difference of an action, m/s or rad
+_STATE = "memory"  # entry of a tensordict that holds the state of a policy from a file, float32 [N, s]
 _SETTINGS, _CHECKSUM = "rover_rl", "rover_rl_sha256"
 """Properties of an ONNX file that hold the settings, as JSON, and its checksum."""
 _ZEROS = "0" * 64
@@ -71,11 +68,6 @@ def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
 
     To a policy with memory, they are the observations of one episode. A policy that reads ``route`` is compared over a
     drive of 100 decisions among random walls, and on 20 random observations.
-
-    Args:
-        checkpoint: checkpoint of the policy.
-        path: path of the file to write.
-        form: file format, ``"onnx"`` or ``"torch"``.
 
     Returns:
         Largest difference of an action. For a policy that reads ``route``: the largest in 99 % of the decisions.
@@ -113,8 +105,7 @@ def _write_program(program: ExportedProgram, settings: str, path: Path) -> None:
 def program_function(path: Path) -> ExportedFunction:
     """Loads a ``torch.export`` program as a function, which raises ``ValueError`` for NaN or infinity.
 
-    Raises:
-        ValueError: if the file is no such program, or damaged.
+    Raises ``ValueError`` if the file is no such program, or damaged.
     """
     content, extra = path.read_bytes(), {"rover_rl.json": ""}
     try:
@@ -192,26 +183,20 @@ def _session_function(session: InferenceSession) -> ExportedFunction:
 def onnx_function(path: Path) -> ExportedFunction:
     """Loads an ONNX file as a function, on one thread, which raises ``ValueError`` for NaN or infinity.
 
-    Raises:
-        ImportError: if ``onnxruntime`` is not installed.
-        ValueError: if the file is no ONNX policy, or damaged.
+    Raises ``ImportError`` without ``onnxruntime``, and ``ValueError`` if the file is no ONNX policy, or damaged.
     """
     return _session_function(_open_onnx(path))
 
 
 class OnnxPolicy:
-    """Policy from an ONNX file, for :func:`~rover_rl.algos.evaluation.evaluate.evaluate`.
+    """Policy from an ONNX file that :func:`export` wrote, for :func:`~rover_rl.algos.evaluation.evaluate.evaluate`.
 
-    Args:
-        path: path of a file that :func:`export` wrote.
+    Each row takes a call of its own. With a map or a memory, the policy reads and writes its state.
 
     Attributes:
         config: settings that the policy was trained with.
         made_for: environment that the policy was made for.
         trained_action_repeat: number of steps that each action was held for in training.
-        row_by_row: whether each row takes a call of its own: always.
-        in_keys: entries that the policy reads. With a map or a memory, its state is one of them.
-        out_keys: entries that the policy writes.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -250,10 +235,7 @@ class OnnxPolicy:
         return type(self), (self._path,)
 
     def __call__(self, now: TensorDictBase) -> TensorDictBase:
-        """Sets ``"action"``, float32 ``[N, 2]``, and the next state.
-
-        Computes them row by row, because the file has a batch size of 1.
-        """
+        """Sets ``"action"``, float32 ``[N, 2]``, and the next state, row by row: the file has a batch size of 1."""
         rows = now.select(*self._entries).split(1)
         if self._state_size is None:
             return now.set("action", torch.cat([self._act(dict(row)) for row in rows]))

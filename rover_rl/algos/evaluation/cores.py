@@ -27,8 +27,7 @@ from rover_rl.sims.worlds import World
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_POLL_INTERVAL = 0.2
-"""Time between two updates of the display, s."""
+_POLL_INTERVAL = 0.2  # time between two updates of the display, s
 
 
 def over_cores(
@@ -117,8 +116,7 @@ def _context() -> multiprocessing.context.BaseContext:
     return context
 
 
-_fractions: SynchronizedArray[float]
-"""In a worker process: fraction of each item that is done."""
+_fractions: SynchronizedArray[float]  # in a worker process: fraction of each item that is done
 
 
 def _start_worker(fractions: SynchronizedArray[float]) -> None:
@@ -154,11 +152,9 @@ def _apply(work_and_item: bytes, number: int) -> bytes:
 def dumps(content: Any) -> bytes:
     """Pickles anything by value, for :func:`pickle.loads` in another process.
 
-    PyTorch's own pickles between processes pass a file descriptor for each tensor. Hundreds of trajectories then need
-    more than the 1,024 open files that Linux allows by default.
-
-    A world arrives as the same object each time, so that what is computed once per world, such as its free space, is
-    computed once per process.
+    PyTorch's own pickles pass a file descriptor for each tensor, and hundreds of trajectories need more than the 1,024
+    open files that Linux allows by default. A world arrives as the same object each time, so that what is computed once
+    per world, such as its free space, is computed once per process.
     """
     buffer = BytesIO()
     _Pickler(buffer, pickle.HIGHEST_PROTOCOL).dump(content)
@@ -181,8 +177,7 @@ class _Pickler(pickle.Pickler):
 
 
 _IN_NUMPY = {torch.bool, torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64, torch.float32, torch.float64}
-_KEPT = 64
-"""Number of pickled and of unpickled worlds that a process keeps."""
+_KEPT = 64  # number of pickled and of unpickled worlds that a process keeps
 
 
 @lru_cache(maxsize=_KEPT)

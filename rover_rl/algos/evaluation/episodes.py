@@ -37,22 +37,14 @@ from rover_rl.sims.worlds import WORLDS, World, WorldName, get_world
 from rover_rl.sims.worlds.pool import WorldPool, WorldSource
 from rover_rl.sims.worlds.table import WorldTable
 
-DEFAULT_SEED = 20_000
-"""Seed of the stored episodes."""
-STORED_WORLDS = ("inspect", "moon", "maze")
-"""Worlds with a stored set."""
-STORED = 256
-"""Number of episodes in a stored set."""
-PER_WORLD = 4
-"""Default number of episodes in each world of a range."""
-MIN_PATH = 2.0
-"""Smallest length of the shortest path of an episode, m."""
-FOLDER = Path(__file__).with_name("episode_sets")
-"""Folder of the stored sets."""
-_FEW_WORLDS = 16
-"""Number of worlds below which episodes are drawn in this process."""
-_MAX_DRAWS = 100
-"""Largest number of draws per requested episode."""
+DEFAULT_SEED = 20_000  # seed of the stored episodes
+STORED_WORLDS = ("inspect", "moon", "maze")  # worlds with a stored set
+STORED = 256  # number of episodes in a stored set
+PER_WORLD = 4  # default number of episodes in each world of a range
+MIN_PATH = 2.0  # smallest length of the shortest path of an episode, m
+FOLDER = Path(__file__).with_name("episode_sets")  # folder of the stored sets
+_FEW_WORLDS = 16  # number of worlds below which episodes are drawn in this process
+_MAX_DRAWS = 100  # largest number of draws per requested episode
 
 
 @dataclass(frozen=True)
@@ -95,11 +87,7 @@ class EpisodeSet:
 
     @property
     def world(self) -> World:
-        """World of the episodes.
-
-        Raises:
-            ValueError: if the episodes are in several worlds.
-        """
+        """World of the episodes. Raises ``ValueError`` if they are in several."""
         indices = self.world_index.unique().tolist()
         if len(indices) > 1:
             raise ValueError(f"the episodes are in {len(indices)} worlds; use the worlds of each episode")
@@ -115,11 +103,7 @@ class EpisodeSet:
         return self.pool.name(int(self.world_index[episode])) if self.several_worlds else self.name
 
     def first(self, count: int) -> EpisodeSet:
-        """Returns the first ``count`` episodes.
-
-        Raises:
-            ValueError: if ``count`` is below 1 or above the number of episodes.
-        """
+        """Returns the first ``count`` episodes. Raises ``ValueError`` if there are not as many."""
         if not 1 <= count <= len(self):
             raise ValueError(f"count must be between 1 and {len(self)}, got {count}")
         return self.part(0, count)
@@ -163,7 +147,7 @@ def draw_episodes(
         seed: seed of the first draw.
         min_path: smallest length of the shortest path, m; draws with a shorter one are skipped.
         episodes: another name for ``count``, as on the command line.
-        robot: name of a robot, or a robot, for which the starts, goals and paths must be free.
+        robot: robot, or its name, for which the starts, goals and paths must be free.
         workers: largest number of processes; ``None``: the number of cores. The episodes do not depend on it.
 
     Raises:
@@ -227,11 +211,7 @@ def _draw(world: World, robot: Robot, count: int, seed: int) -> tuple[Tensor, Te
 
 
 def stored_episodes(world: str) -> EpisodeSet:
-    """Returns the stored set of 256 episodes of a world.
-
-    Raises:
-        ValueError: for a world without a stored set.
-    """
+    """Returns the stored set of 256 episodes of a world. Raises ``ValueError`` for a world without one."""
     if world not in STORED_WORLDS:
         raise ValueError(f"no episodes are stored for world {world!r}; draw them with draw_episodes()")
     data = json.loads((FOLDER / f"{world}.json").read_text())
@@ -251,12 +231,8 @@ def choose_episodes(
 ) -> EpisodeSet:
     """Returns the first stored episodes of a world, or draws episodes if there are not enough stored ones.
 
-    Args:
-        world: name of a world or of a range of worlds.
-        count: number of episodes in each world; ``None``: 256 in one world, 4 in each world of a range.
-        seed: seed of the first draw; ``None``: use the stored episodes if possible.
-        robot: name of a robot, or a robot. The stored episodes are those of ``rover_zero``.
-        workers: largest number of processes, as for :func:`draw_episodes`.
+    ``count`` is the number in each world, by default 256 in one world and 4 in each of a range. With a ``seed``, or for
+    another robot than ``rover_zero``, all episodes are drawn: see :func:`draw_episodes`.
     """
     several = len(WorldPool(world)) > 1
     if count is None:

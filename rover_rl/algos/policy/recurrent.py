@@ -34,8 +34,8 @@ MEMORY_KEYS: dict[str, tuple[str, ...]] = {
 def recurrent_network(embedding: TensorDictModule, units: int, head: nn.Module, kind: str, size: int) -> nn.Module:
     """Combines a module that writes ``embedding [..., units]``, a memory of ``size`` units and a head into one module.
 
-    The ``head`` maps embedding and memory, ``[..., units + size]``, to mean and standard deviation. It reads the
-    embedding, too, so that reactions to what the rover sees need not pass through the memory.
+    The ``head`` maps embedding and memory, ``[..., units + size]``, to mean and standard deviation: reactions to what
+    the rover sees need not pass through the memory.
     """
     state = MEMORY_KEYS[kind]
     recurrent = {"gru": GRU, "lstm": LSTMModule}[kind](
@@ -90,10 +90,7 @@ class RecurrentStep(nn.Module):
         self.state_size = self._cell.hidden_size * (1 if self._is_gru else 2)
 
     def forward(self, state: Tensor, *observation: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns the mean of the action and the next state.
-
-        The state ``[N, state_size]`` is the hidden state, for an LSTM followed by the state of the cell.
-        """
+        """Returns the mean of the action and the next state ``[N, state_size]``; for an LSTM, hidden, then cell."""
         embedded = self._embedding(*observation)
         weights = self._cell.all_weights[0]
         if self._is_gru:
