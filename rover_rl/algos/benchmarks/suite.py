@@ -58,8 +58,7 @@ class Course:
 def open_world(name: str, obstacles: Sequence[Obstacle], points: np.ndarray) -> World:
     """Creates a world on flat, open ground, whose bounds no run reaches.
 
-    The environment needs areas from which it could draw starts and goals: these are the free ground left of the course.
-    Nothing in a run depends on them.
+    The environment needs areas for starts and goals: these are free ground left of the course, where no run is.
     """
     low = np.floor(points.min(0)) - _MARGIN
     columns, rows = (np.ceil(points.max(0)) + _MARGIN - low).astype(int) + 1
@@ -74,7 +73,6 @@ class Suite(ABC):
     """Courses of a benchmark, and how runs of them are scored.
 
     Args:
-        courses: courses.
         runs: number of runs of each course. All but the first start near the given start.
         seed: seed of these starts.
         goal_radius: distance from the goal at which it is reached, m.

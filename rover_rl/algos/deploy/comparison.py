@@ -30,10 +30,7 @@ _WALLS = 24  # number of walls in the yard
 
 
 def action_difference(checkpoint: Checkpoint, exported: ExportedFunction, policy: PlainPolicy) -> float:
-    """Returns the largest difference between the actions of a checkpoint's policy and the exported one; NaN if one is.
-
-    For a policy with a map, it is the largest in a share of the decisions: see ``EQUAL_SHARE``.
-    """
+    """Returns the largest difference of actions, with a map in ``EQUAL_SHARE`` of the decisions; NaN if one is."""
     if BOUNDS in policy.inputs:
         drive, jumps = drive_observations(checkpoint, CHECKED_DRIVE), random_observations(checkpoint, CHECKED_JUMPS)
         observations = {key: torch.cat((drive[key], jumps[key])) for key in drive}
@@ -66,7 +63,7 @@ def random_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]
 
 
 def drive_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]:
-    """Returns inputs ``[count, n]`` of a policy with a map, except its state, of consecutive decisions of a drive.
+    """Returns inputs ``[count, n]``, except the state, of consecutive decisions of a drive, for a policy with a map.
 
     The rover drives a figure of eight in a yard with random walls, which it sees but does not feel, on ground with
     small waves. Every fifth second it gets a new goal. At a quarter of the drive, it stands on a steep slope.

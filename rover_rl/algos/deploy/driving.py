@@ -88,8 +88,6 @@ def drive_to(
         seconds: time limit of the drive, s.
         clearance: lidar reading below which the drive ends, m.
         allow_unseen: whether to accept a lidar with a smaller field of view than in training.
-        watch: function that is called after each step.
-        log: log that each step is written to.
 
     Returns:
         The ending: ``"goal"``, ``"time limit"``, ``"obstacle too near"``, ``"robot restarted"``, or one of

@@ -103,10 +103,7 @@ def _write_program(program: ExportedProgram, settings: str, path: Path) -> None:
 
 
 def program_function(path: Path) -> ExportedFunction:
-    """Loads a ``torch.export`` program as a function, which raises ``ValueError`` for NaN or infinity.
-
-    Raises ``ValueError`` if the file is no such program, or damaged.
-    """
+    """Loads a ``torch.export`` program as a function. Raises ``ValueError`` if it is none, or damaged."""
     content, extra = path.read_bytes(), {"rover_rl.json": ""}
     try:
         program = torch.export.load(checked_copy(content), extra_files=extra)
@@ -181,10 +178,7 @@ def _session_function(session: InferenceSession) -> ExportedFunction:
 
 
 def onnx_function(path: Path) -> ExportedFunction:
-    """Loads an ONNX file as a function, on one thread, which raises ``ValueError`` for NaN or infinity.
-
-    Raises ``ImportError`` without ``onnxruntime``, and ``ValueError`` if the file is no ONNX policy, or damaged.
-    """
+    """Loads an ONNX file as a function, on one thread. Raises ``ValueError`` if it is no policy, or damaged."""
     return _session_function(_open_onnx(path))
 
 

@@ -25,10 +25,7 @@ and the function returns the action and ``state_out``."""
 
 
 def input_names(network: NetworkConfig) -> list[str]:
-    """Returns the names of the inputs of an exported policy, in their order.
-
-    A policy that reads ``route`` reads what the route is computed from instead, and the bounds of the area.
-    """
+    """Returns the inputs of an exported policy: in place of ``route``, what it is computed from."""
     with_map = ROUTE in network.observation
     state = [STATE_IN] if with_map or network.memory != "none" else []
     of_map = (*ROUTE_KEYS, BOUNDS) if with_map else ()
@@ -85,10 +82,7 @@ class PlainPolicy(nn.Module):
 
 
 def finite_arrays(inputs: Mapping[str, Any], names: Sequence[str]) -> list[NDArray[np.float32]]:
-    """Returns the inputs of a policy with the given names.
-
-    Raises ``ValueError`` for the first one with NaN or infinity, which a network would accept silently.
-    """
+    """Returns the inputs with the given names. Raises ``ValueError`` for NaN or infinity, which networks accept."""
     arrays = [np.asarray(inputs[name], np.float32) for name in names]
     for name, array in zip(names, arrays, strict=True):
         if not np.isfinite(array).all():

@@ -33,18 +33,10 @@ _POLL_INTERVAL = 0.2  # time between two updates of the display, s
 def over_cores(
     work: Callable[[Item], Result], items: Sequence[Item], description: str, workers: int | None = None
 ) -> list[Result]:
-    """Applies ``work`` to each item, with one process per CPU core, and returns the results in order.
+    """Applies ``work`` to each item, with a process per CPU core or ``workers`` at most, and returns results in order.
 
-    Displays the progress of all items together. Ctrl-C and errors end all processes.
-
-    Args:
-        work: module-level function, or a ``partial`` of one. Its standard output is discarded.
-        items: arguments of ``work``. They and the results must be picklable.
-        description: name of the operation, for the display of its progress.
-        workers: largest number of processes; ``None``: the number of cores. 1 works in this process.
-
-    Raises:
-        ChildProcessError: if a process has ended. The message tells its exit code or signal.
+    ``work`` is a module-level function, or a ``partial`` of one, whose standard output is discarded. Ctrl-C and errors
+    end all processes. Raises ``ChildProcessError`` with the exit code or signal of a process that has ended.
     """
     workers = min(usable_cores() if workers is None else workers, len(items))
     with ProgressDisplay(description) as display:
@@ -150,11 +142,10 @@ def _apply(work_and_item: bytes, number: int) -> bytes:
 
 
 def dumps(content: Any) -> bytes:
-    """Pickles anything by value, for :func:`pickle.loads` in another process.
+    """Pickles anything by value, for :func:`pickle.loads` in another process, and a world once for all.
 
     PyTorch's own pickles pass a file descriptor for each tensor, and hundreds of trajectories need more than the 1,024
-    open files that Linux allows by default. A world arrives as the same object each time, so that what is computed once
-    per world, such as its free space, is computed once per process.
+    open files that Linux allows by default.
     """
     buffer = BytesIO()
     _Pickler(buffer, pickle.HIGHEST_PROTOCOL).dump(content)

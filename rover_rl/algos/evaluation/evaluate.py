@@ -21,7 +21,8 @@ from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl.algos.evaluation.cores import over_cores
-from rover_rl.algos.evaluation.episodes import DEFAULT_SEED, EpisodeSet, draw_episodes
+from rover_rl.algos.evaluation.episodes import DEFAULT_SEED, EpisodeSet
+from rover_rl.algos.evaluation.episodes import draw_episodes as draw_episodes
 from rover_rl.algos.evaluation.metrics import TIME_LIMIT, Trajectory
 from rover_rl.algos.evaluation.results import EndlessEvaluation, Evaluation
 from rover_rl.algos.policy.baselines import RandomPolicy
@@ -34,17 +35,6 @@ from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World, get_world
-
-__all__ = [
-    "ENDINGS",
-    "EndlessEvaluation",
-    "EpisodeSet",
-    "Evaluation",
-    "Policy",
-    "draw_episodes",
-    "evaluate",
-    "evaluate_endless",
-]
 
 ENDINGS = {
     StepEvent.INVALID_ACTION: "invalid action",
@@ -79,8 +69,6 @@ def evaluate(
 
     Args:
         policy: module that maps observations to actions, used without exploration; ``None`` acts at random.
-        episodes: episodes to drive.
-        name: name of the policy, for tables and plots.
         action_repeat: number of steps that each action is held for; 1 decides at 20 Hz. ``None``: 1, and for a policy
             with memory the number in training.
         seconds: time limit of each episode, s.
@@ -143,17 +131,12 @@ def evaluate_endless(
     For the arguments that are not listed, see :func:`evaluate`.
 
     Args:
-        policy: policy to evaluate.
-        world: world to drive in.
-        name: name of the policy.
         rows: number of rovers, each of which drives one episode.
         seed: seed of the episodes; episode ``i`` is that of an environment seeded ``seed + i``.
         offset: index of the first episode.
         jam: whether a collision of more than 15 steps ends an episode, as in the contract. In the original it never
             does: its counter is never incremented.
         steps: number of steps after which an episode ends.
-        action_repeat: number of steps that each action is held for.
-        env: environment to drive in.
 
     Raises:
         ValueError: for a number out of range, an unknown world, or a policy that was made for another environment.
@@ -233,10 +216,7 @@ def _drive(
 
 
 class _Schedule:
-    """Distribution of episodes over rovers, each of which stays in one world.
-
-    Rovers first take the first episodes of the worlds, then the second ones, and so on.
-    """
+    """Distribution of episodes over rovers, each of which stays in one world. Worlds take turns."""
 
     def __init__(self, worlds: Sequence[int], rows: int) -> None:
         self.count = len(worlds)

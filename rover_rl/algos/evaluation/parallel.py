@@ -32,10 +32,7 @@ last one. In several worlds, each episode of a part has a rover, as rovers stay 
 
 @dataclass(frozen=True)
 class GoalRequest:
-    """Request for an evaluation with one goal per episode; a policy of ``None`` acts at random.
-
-    ``options`` are further arguments of :func:`~rover_rl.algos.evaluation.evaluate.evaluate`, except for ``rows``.
-    """
+    """Request for an evaluation with one goal per episode, with further arguments of ``evaluate``."""
 
     policy: Policy | None
     episodes: EpisodeSet
@@ -66,10 +63,7 @@ class GoalRequest:
 
 @dataclass(frozen=True)
 class EndlessRequest:
-    """Request for an evaluation in endless mode: ``rows`` episodes from the one with the index ``offset``.
-
-    ``options`` are further arguments of :func:`~rover_rl.algos.evaluation.evaluate.evaluate_endless`.
-    """
+    """Request for an evaluation in endless mode, with further arguments of ``evaluate_endless``."""
 
     policy: Policy | None
     world: str | World

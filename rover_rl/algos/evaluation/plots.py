@@ -172,7 +172,6 @@ def draw_reward_components(rollout: TensorDictBase, path: Path, *, dt: float = C
     Args:
         rollout: rollout of one rover, ``[T]`` or ``[1, T]``, as returned by ``make_env(...).rollout(T)``; it may
             contain several episodes.
-        path: path of the figure; its suffix selects the format.
         dt: duration of a step, s.
 
     Raises:

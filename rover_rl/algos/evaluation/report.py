@@ -37,8 +37,6 @@ def print_table(
     reach their goal in one backend and not in another. A last paragraph explains the columns.
 
     Args:
-        evaluations: evaluations to print, of any worlds and modes.
-        console: console to print to; ``None``: standard output.
         groups: group name of each policy that belongs to a group, by the policy's name. Each group of several policies,
             such as those that differ in their seed only, has a row with its mean and standard deviation.
         columns: names or headings of metrics, or ``"all"``; empty: success, contacts, SPL, time and endings.
@@ -149,17 +147,13 @@ def _legend(shown: Sequence[str], evaluations: Sequence[Evaluation | EndlessEval
 
 
 def write_evaluation(path: Path, evaluations: Sequence[Evaluation | EndlessEvaluation]) -> None:
-    """Writes evaluations as a JSON file with everything, and as CSV files.
+    """Writes evaluations as a JSON file with everything, such as ``evaluation.json``, and as CSV files beside it.
 
     ``evaluation.csv`` has a row for each episode, ``evaluation-summary.csv`` a row for each evaluation with all
     metrics and their intervals, and with several worlds, ``evaluation-worlds.csv`` a row for each world.
 
     Evaluations of a policy in several backends also list ``disagreements``: the episodes that reach their goal in one
     backend and not in another. The summary has their indices.
-
-    Args:
-        path: path of the JSON file, such as ``evaluation.json``, from which the CSV files have their names.
-        evaluations: evaluations to write, of any worlds and modes.
     """
     found = {id(one): find_disagreements(group) for group in _comparable(evaluations) for one in group}
     results, summaries, by_world = [], [], []
@@ -194,10 +188,7 @@ class Disagreement:
 
 
 def find_disagreements(group: Sequence[Evaluation]) -> list[Disagreement]:
-    """Finds the episodes that reach their goal in one backend and not in another.
-
-    ``group`` has evaluations of a policy on the same episodes, one for each backend.
-    """
+    """Finds these episodes, in evaluations of a policy on the same episodes in several backends."""
     reached, episodes = torch.stack([evaluation.reached for evaluation in group]), group[0].episodes
     return [
         Disagreement(
@@ -213,10 +204,7 @@ def find_disagreements(group: Sequence[Evaluation]) -> list[Disagreement]:
 
 
 def _comparable(evaluations: Sequence[Evaluation | EndlessEvaluation]) -> list[list[Evaluation]]:
-    """Groups of evaluations of a policy on the same episodes, one for each of several backends.
-
-    Episodes in endless mode are not compared, since their goals depend on the goals before.
-    """
+    """Groups of evaluations of a policy on the same episodes with one goal each, one per backend."""
     groups: dict[tuple[object, ...], list[dict[str, Evaluation]]] = {}
     for one in evaluations:
         if isinstance(one, Evaluation):

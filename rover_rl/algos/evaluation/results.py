@@ -252,10 +252,7 @@ class EndlessEvaluation(_Results):
 
 
 def worst_worlds(evaluations: Sequence[Evaluation], count: int = WORST) -> list[int]:
-    """Returns the indices of the worlds with the lowest mean success rates, the lowest first.
-
-    Among worlds with equal success rates, those with more contacts and longer times come first.
-    """
+    """Returns the indices of the worlds with the lowest mean success, then with most contacts, then slowest."""
 
     def merit(index: int) -> tuple[float, float, float]:
         results = [evaluation.by_world[index] for evaluation in evaluations]

@@ -56,8 +56,6 @@ def read_evaluation(path: Path, policy: str, world: str | None = None, backend: 
     """Reads the first evaluation of a policy from a file, or from ``evaluation.json`` in a folder.
 
     Args:
-        path: file or folder.
-        policy: name of the policy in the file.
         world: name of the world, or range of worlds; ``None``: any.
         backend: name of the simulator; ``None``: any.
 

@@ -46,7 +46,6 @@ def draw_learning_curve(
 
     Args:
         runs: folders of the runs, each with ``config.yaml`` and ``progress.csv``.
-        path: path of the figure; its suffix selects the format.
         baseline: evaluation of a policy whose values are drawn as dashed lines in the panels of its world.
         panels: what each column of panels shows.
 

@@ -32,12 +32,7 @@ _POINTS = 480  # number of points at which a curve is searched for a level
 
 @dataclass(frozen=True)
 class Run:
-    """Record of a training run.
-
-    Attributes:
-        x: steps and minutes after each row of the table, ``[rows]`` each, by name.
-        measures: numerators and denominators of each measure in each row, ``[rows]`` each, by name.
-    """
+    """Record of a training run: numerators and denominators of each measure in each row of its table, ``[rows]``."""
 
     folder: Path
     config: TrainingConfig
@@ -63,10 +58,7 @@ class Run:
         return float(self.x[against][-1])
 
     def curve(self, measure: Measure, against: Against, at: np.ndarray, width: float) -> np.ndarray:
-        """Averages a measure over windows of ``width`` around ``at [points]``, cut at both ends of the run.
-
-        Each point is a ratio of sums, so that it does not depend on the number of rows; nan where the denominator is 0.
-        """
+        """Ratio of sums of a measure over windows of ``width`` around ``at [points]``; nan where nothing is counted."""
         edges = np.concatenate(([0.0], self.x[against]))
 
         def window_sums(values: np.ndarray) -> np.ndarray:
@@ -93,10 +85,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Runs that differ in their seed at most.
-
-    The title has algorithm, world, and the settings in which it differs from other experiments of both.
-    """
+    """Runs that differ in their seed at most. The title has the settings in which others differ."""
 
     title: str
     world: str
@@ -153,8 +142,8 @@ def _natural(path: Path) -> list[Any]:
 def evaluated_success(runs: Sequence[Run]) -> tuple[str, dict[Path, float]] | None:
     """Success rates of the runs' policies in the same evaluation, by folder, and what it was.
 
-    All runs' folders are searched, because ``rover-rl evaluate`` writes the results of several policies into the first
-    one's. Evaluations that are older than the run's checkpoint do not count.
+    ``rover-rl evaluate`` writes several policies' results into the first one's folder. Older ones than a checkpoint do
+    not count.
     """
     rates: dict[str, dict[Path, float]] = {}
     checkpoints = {run.folder: run.folder / CHECKPOINT for run in runs if (run.folder / CHECKPOINT).is_file()}

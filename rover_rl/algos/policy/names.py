@@ -26,10 +26,7 @@ BASELINES = {
 
 
 def make_baseline(name: str, robot: RobotLike | None = None) -> Policy:
-    """Creates a baseline policy for a robot; ``None``: the default robot.
-
-    Raises ``ValueError`` if the name or the robot is unknown.
-    """
+    """Creates a baseline policy, for a robot or the default one. Raises ``ValueError`` for an unknown name."""
     if name not in BASELINES:
         raise ValueError(f"unknown baseline {name!r}{perhaps(name, BASELINES)}; use one of {[*BASELINES]}")
     module, _, attribute = BASELINES[name].partition(":")

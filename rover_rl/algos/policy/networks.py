@@ -42,10 +42,7 @@ def middle_and_half(spec: Bounded) -> tuple[Tensor, Tensor]:
 
 
 class BoundedTanhNormal(TanhNormal):
-    """Normal distribution that is squashed by tanh into bounds: parameters ``[..., n]``, bounds ``[n]``.
-
-    Equals TorchRL's ``TanhNormal``, to the last bit, without its checks of the bounds, which would wait for a GPU.
-    """
+    """TorchRL's ``TanhNormal`` within bounds ``[n]``, without its checks of them, which would wait for a GPU."""
 
     def __init__(self, loc: Tensor, scale: Tensor, low: Tensor, high: Tensor) -> None:
         # Does what the constructor of TanhNormal does after its checks.
@@ -84,8 +81,7 @@ class EncodedNetwork(nn.Module):
 class PrivilegedEncoder(nn.Module):
     """Encodes the privileged observation as ``features`` numbers of about [-1, 1], for critics.
 
-    It leaves out the position and the heading, by which a critic would know one map by heart. They would also
-    contradict mirror images, which belong to another map.
+    Without position and heading, by which a critic would know one map by heart, and which mirror images contradict.
     """
 
     keys: tuple[NestedKey, ...] = tuple(("privileged", key) for key in FEATURES if key != "position")
@@ -322,8 +318,7 @@ _SENSORS = policy_sensors(LidarConfig())  # sensors of every rover
 def mirrored(transitions: TensorDictBase, rows: Tensor, sensors: Mapping[str, Sensor] | None = None) -> TensorDictBase:
     """Returns ``transitions [...]`` with the selected ``rows`` (bool ``[...]``) mirrored left to right.
 
-    The ``sensors`` of the observation, by default those of every rover, mirror their values. The state of a memory is
-    not mirrored: see :class:`~rover_rl.algos.train.ppo.MirrorMemory`.
+    The ``sensors`` of the observation mirror their values. See also :class:`~rover_rl.algos.train.ppo.MirrorMemory`.
     """
     mirrors = _MIRROR | {key: sensor.mirror for key, sensor in (sensors or _SENSORS).items()}
     image = transitions.copy()

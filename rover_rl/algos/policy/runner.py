@@ -62,7 +62,6 @@ class PolicyRunner:
     it adds the bounds of the world.
 
     Args:
-        policy: policy to run.
         action_repeat: number of steps that each action is held for; ``None``: see :func:`default_action_repeat`.
         min_rows: smallest number of rows that the policy is called with. Copies of the last row fill them up. Matrix
             products of few rows round differently.
