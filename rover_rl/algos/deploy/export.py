@@ -1,16 +1,11 @@
 """Export of trained policies to files that run without TorchRL: ONNX, or a ``torch.export`` program.
 
 The exported policy maps raw observations, each float32 ``[1, n]`` by name, to the action ``[1, 2]`` without
-exploration: forward speed (m/s) and heading offset (rad). It includes the scaling of the observations.
-
-A policy with memory also takes ``state_in`` and returns ``state_out``, each float32 ``[1, s]``. The state is zero at
-the start of an episode, and ``state_out`` of a decision is ``state_in`` of the next one. A policy that reads ``route``
-has a state, too: the file includes the map of what the lidar has seen and the planner, and reads ``lidar``, ``pose``,
-``imu``, ``target`` and ``bounds`` in place of ``route``.
+exploration: forward speed (m/s) and heading offset (rad). A policy with memory, or with a map of what the lidar has
+seen, also takes ``state_in``, zero at the start of an episode, and returns ``state_out``, each float32 ``[1, s]``.
 
 Both kinds of files contain checksums, which are verified when the files are loaded here. An ONNX file has the SHA-256
-of its bytes as the property ``rover_rl_sha256``, computed with 64 zeros in its place. A program has a checksum for each
-record.
+of its bytes as the property ``rover_rl_sha256``, computed with 64 zeros in its place.
 
 Example:
     >>> export(load_pretrained("moon-ppo"), Path("moon.onnx"))

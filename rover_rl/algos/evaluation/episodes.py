@@ -166,12 +166,8 @@ def draw_episodes(
         drawn = over_cores(draw, sources, "drawing starts and goals", 1 if len(pool) < _FEW_WORLDS else workers)
     start, goal, shortest = (torch.cat(part) for part in zip(*drawn, strict=True))
     index = torch.arange(len(pool)).repeat_interleave(count)
-    return EpisodeSet(_name_of(world), pool, seed, start, goal, shortest, world_index=index)
-
-
-def _name_of(world: WorldSource) -> str:
-    """Returns the name of a world, a range, or several of them."""
-    return world if isinstance(world, str) else ", ".join(EnvConfig(world=world).world_names)
+    name = world if isinstance(world, str) else ", ".join(EnvConfig(world=world).world_names)
+    return EpisodeSet(name, pool, seed, start, goal, shortest, world_index=index)
 
 
 def portable(world: str | World) -> str | World:
@@ -187,18 +183,15 @@ def _draw_in(
     """Draws the starts, goals and shortest paths of ``count`` episodes in a world: see :func:`draw_episodes`."""
     place, goal_radius = get_world(world), TaskConfig().success_distance
     found: list[tuple[Tensor, Tensor, Tensor]] = []
-    taken = drawn = 0
-    while taken < count:
-        if drawn >= _MAX_DRAWS * count:
-            raise ValueError(f"world {place.name!r} has hardly any shortest path of {min_path:g} m or more")
-        start, goal = _draw(place, robot, count, seed + drawn)
+    for first in range(seed, seed + _MAX_DRAWS * count, count):
+        start, goal = _draw(place, robot, count, first)
         shortest = shortest_paths(place, robot, start, goal, goal_radius)
         long_enough = shortest >= min_path
         found.append((start[long_enough], goal[long_enough], shortest[long_enough]))
-        drawn += count
-        taken += int(long_enough.sum())
-    start, goal, shortest = (torch.cat(part)[:count] for part in zip(*found, strict=True))
-    return start, goal, shortest
+        start, goal, shortest = (torch.cat(part)[:count] for part in zip(*found, strict=True))
+        if len(shortest) == count:
+            return start, goal, shortest
+    raise ValueError(f"world {place.name!r} has hardly any shortest path of {min_path:g} m or more")
 
 
 def _draw(world: World, robot: Robot, count: int, seed: int) -> tuple[Tensor, Tensor]:
@@ -215,10 +208,8 @@ def stored_episodes(world: str) -> EpisodeSet:
     if world not in STORED_WORLDS:
         raise ValueError(f"no episodes are stored for world {world!r}; draw them with draw_episodes()")
     data = json.loads((FOLDER / f"{world}.json").read_text())
-    start, goal, shortest = (
-        torch.tensor([row[key] for row in data["episodes"]]) for key in ("start", "goal", "shortest")
-    )
-    return EpisodeSet(world, WorldPool(world), data["seed"], start, goal, shortest)
+    places = [torch.tensor([row[key] for row in data["episodes"]]) for key in ("start", "goal", "shortest")]
+    return EpisodeSet(world, WorldPool(world), data["seed"], *places)
 
 
 def choose_episodes(
@@ -247,10 +238,10 @@ def choose_episodes(
 
 def write_episodes(episodes: EpisodeSet, path: Path) -> None:
     """Writes a set as JSON, one episode per line, with the shortest exact decimal form of each float32."""
-    columns = {key: getattr(episodes, key).numpy() for key in ("start", "goal", "shortest")}
-    exact, lines = np.vectorize(lambda number: float(str(number))), []
-    for index in range(len(episodes)):
-        lines.append(json.dumps({key: exact(value[index]).tolist() for key, value in columns.items()}))
+    exact = np.vectorize(lambda number: float(str(number)))
+    columns = [exact(getattr(episodes, key).numpy()).tolist() for key in ("start", "goal", "shortest")]
+    rows = (dict(zip(("start", "goal", "shortest"), row, strict=True)) for row in zip(*columns, strict=True))
+    lines = [json.dumps(row) for row in rows]
     head = json.dumps({"world": episodes.name, "seed": episodes.seed})[:-1]
     with written_whole(path) as temporary:
         temporary.write_text(f'{head}, "episodes": [\n' + ",\n".join(lines) + "\n]}\n")

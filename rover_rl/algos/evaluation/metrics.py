@@ -1,9 +1,9 @@
 """Evaluation metrics: functions of recorded trajectories, with 95 % confidence intervals.
 
 Names in brackets are those of the original environment, which has no formula for MTT and TR and never logs VORT.
-Proportions of episodes have Wilson score intervals. All other metrics are ratios of sums over episodes and have
-percentile bootstrap intervals. The intervals cover the variation between episodes, not the variation between training
-runs: train with several seeds to measure that.
+Proportions of episodes have Wilson score intervals, all other metrics are ratios of sums over episodes with percentile
+bootstrap intervals. They cover the variation between episodes, not between training runs: train with several seeds to
+measure that.
 """
 
 from __future__ import annotations
@@ -31,21 +31,14 @@ ROUGH_TILT = math.radians(10)
 moon, and nothing of maze. The original environment defines rough ground by an acceleration above 15 m/s^2, which a
 wheeled rover does not reach at 1 m/s: the maximum in the 20 Hz positions of 192 episodes in the three worlds is
 10 m/s^2."""
-STANDSTILL = 0.05
-"""Speed below which the rover stands still, m/s."""
-RESAMPLES = 2000
-"""Number of bootstrap resamples."""
+STANDSTILL = 0.05  #: Speed below which the rover stands still, m/s.
+RESAMPLES = 2000  #: Number of bootstrap resamples.
 
-TIME_LIMIT = "time limit"
-"""Ending of an episode at its time limit."""
-TOO_NEAR = "obstacle too near"
-"""Ending of a live drive: an obstacle is closer than the required clearance."""
-CONTACT = "contact"
-"""Ending of a run of a benchmark: the body touches an obstacle."""
-STOPPED = "stopped"
-"""Ending of a live drive: a person interrupted it, or the connection to the rover was lost."""
-RESTARTED = "robot restarted"
-"""Ending of a live drive: the rover's clock went backwards, or its pose jumped."""
+TIME_LIMIT = "time limit"  #: Ending of an episode at its time limit.
+TOO_NEAR = "obstacle too near"  #: Ending of a live drive: an obstacle is closer than the required clearance.
+CONTACT = "contact"  #: Ending of a run of a benchmark: the body touches an obstacle.
+STOPPED = "stopped"  #: Ending of a live drive: a person interrupted it, or the connection to the rover was lost.
+RESTARTED = "robot restarted"  #: Ending of a live drive: the rover's clock went backwards, or its pose jumped.
 EARLY_ENDINGS = ("flipped", "jammed", "out of bounds", "stuck", "invalid action", TOO_NEAR, RESTARTED, STOPPED)
 """Endings of an episode before its time limit, other than at its goal."""
 
@@ -142,12 +135,12 @@ def proportion(successes: int, count: int) -> Estimate:
 
 
 def ratio(numerators: Sequence[float], denominators: Sequence[float] | None = None) -> Estimate:
-    """Computes ``sum(numerators) / sum(denominators)`` over episodes with its percentile bootstrap interval.
+    """Computes ``sum(numerators) / sum(denominators)`` over episodes, or the mean, with its bootstrap interval.
 
-    The 2,000 paired resamples of :func:`scipy.stats.bootstrap` are the same in every call with the same number of
-    episodes (Efron, "Bootstrap methods", Ann. Stat. 7, 1979). Resamples with the ratio 0 / 0 are left out. The interval
-    has no width if all episodes are equal. Its ends are nan if the value is nan, or if fewer than two episodes have a
-    denominator above 0. Without denominators, it is the mean.
+    The 2,000 paired resamples (percentiles) of :func:`scipy.stats.bootstrap` are the same in every call with the same
+    number of episodes (Efron, "Bootstrap methods", Ann. Stat. 7, 1979). Resamples with the ratio 0 / 0 are left out.
+    The interval has no width if all episodes are equal. Its ends are nan if the value is nan, or if fewer than two
+    episodes have a denominator above 0.
 
     Example:
         >>> ratio([1.0, 3.0], [1.0, 1.0])
@@ -204,10 +197,7 @@ def spl(trajectories: Sequence[Trajectory], shortest: Tensor) -> Estimate:
 
 
 def mean_time_to_traverse(trajectories: Sequence[Trajectory]) -> Estimate:
-    """[MTT] Mean time to the goal of the episodes that reach it, s.
-
-    Read it together with the success rate: a policy that reaches only near goals has a short mean time.
-    """
+    """[MTT] Mean time to the goal of the episodes that reach it, s: short for a policy that reaches near goals only."""
     reached = [t.ending == "goal" for t in trajectories]
     return ratio([t.seconds * r for t, r in zip(trajectories, reached, strict=True)], reached)
 
@@ -326,8 +316,7 @@ def _body_contact_share(d: Drives) -> Estimate:
     return proportion(sum(count > 0 for count in d.touches), len(d))
 
 
-ENDING = "ending_"
-"""First part of the names of metrics that are shares of endings."""
+ENDING = "ending_"  #: First part of the names of metrics that are shares of endings.
 _ON_GROUND = "mean speed on ground with a tilt of 10 degrees or more"
 _CLEAN = "episodes that reach their goal without touching an obstacle"
 _TOUCHED = "episodes in which the body touches an obstacle, other than rubble lower than the wheel hubs"

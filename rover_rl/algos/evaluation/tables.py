@@ -42,12 +42,12 @@ def print_tables(
     Long names continue in the next line, after a separator such as ``-``. Nothing else is broken or cut.
     """
     console.print(Text(title, "bold"))
-    longest = max(len(line) for name in names for line in name.splitlines())
+    longest = max(len(heading), *(len(line) for name in names for line in name.splitlines()))
     rest = [*columns]
     while True:
         rooms = {count: _room(len(names), rest[:count], console) for count in range(len(rest), 0, -1)}
         count = next((count for count, room in rooms.items() if room >= min(longest, LEAST_NAME_WIDTH)), 1)
-        width = min(max(longest, len("policy")), NAME_WIDTH, rooms.get(count, NAME_WIDTH))
+        width = min(longest, NAME_WIDTH, rooms.get(count, NAME_WIDTH))
         console.print(_table(names, rest[:count], max(width, LEAST_NAME_WIDTH), heading))
         rest = rest[count:]
         if not rest:

@@ -13,7 +13,9 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import reduce
 from itertools import chain
+from operator import getitem
 from typing import Any, TypeAlias
 
 import yaml
@@ -121,7 +123,7 @@ def _read(word: str, config: TrainingConfig) -> Setting:
     numbers = all(isinstance(end, int | float) and not isinstance(end, bool) for end in (low, high))
     if not (numbers and low < high):
         raise ValueError(f"the ends of {word!r} must be numbers, the smaller one first")
-    current = _get(plain(config), places[name])
+    current = reduce(getitem, places[name], plain(config))
     if isinstance(current, bool | str | list | dict):
         raise ValueError(f"{name} is no number: vary it as {name}=A,B,C")
     integer = isinstance(low, int) and isinstance(high, int)
@@ -135,7 +137,7 @@ def with_varied(config: TrainingConfig, values: Mapping[str, Any]) -> TrainingCo
     data, places = plain(config), _places(config)
     for name, value in values.items():
         *parts, last = places[name]
-        _get(data, parts)[last] = value
+        reduce(getitem, parts, data)[last] = value
     return config_from(data, "--vary")
 
 
@@ -150,12 +152,6 @@ def _value(text: str) -> Any:
         return yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise ValueError(f"--vary takes {FORM}, got the value {text!r}") from error
-
-
-def _get(data: Any, path: Sequence[str]) -> Any:
-    for key in path:
-        data = data[key]
-    return data
 
 
 def _places(config: TrainingConfig) -> dict[str, tuple[str, ...]]:

@@ -151,16 +151,9 @@ def actor_of(
 ) -> ProbabilisticActor:
     """Creates a policy with these settings: see :func:`make_actor`."""
     network, env = config.network, config.env
-    return make_actor(
-        encoder or encoder_of(config),
-        network.hidden,
-        env.action,
-        network.max_std,
-        device,
-        memory=network.memory,
-        memory_size=network.memory_size,
-        follower=None if network.prior == "none" else get_robot(env.robot),
-    )
+    follower = None if network.prior == "none" else get_robot(env.robot)
+    encoder, memory = encoder or encoder_of(config), (network.memory, network.memory_size)
+    return make_actor(encoder, network.hidden, env.action, network.max_std, device, *memory, follower)
 
 
 def make_actor(
@@ -216,14 +209,9 @@ def on_features(actor: ProbabilisticActor) -> ProbabilisticActor:
 
 
 def _actor(network: TensorDictModuleBase, spec: Bounded) -> ProbabilisticActor:
-    return ProbabilisticActor(
-        network,
-        in_keys=["loc", "scale"],
-        spec=spec,
-        distribution_class=BoundedTanhNormal,
-        distribution_kwargs={"low": spec.space.low, "high": spec.space.high},
-        return_log_prob=True,
-    )
+    bounds = {"low": spec.space.low, "high": spec.space.high}
+    distribution = {"distribution_class": BoundedTanhNormal, "distribution_kwargs": bounds}
+    return ProbabilisticActor(network, ["loc", "scale"], spec=spec, **distribution, return_log_prob=True)
 
 
 class NormalParameters(nn.Module):

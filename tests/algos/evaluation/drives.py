@@ -41,6 +41,12 @@ def assert_same(ours: Sequence[Trajectory], theirs: Sequence[Trajectory]) -> Non
             assert torch.equal(getattr(one, key), getattr(other, key))
 
 
+def assert_alike(ours: Sequence[Trajectory], theirs: Sequence[Trajectory]) -> None:
+    """The same to a millimeter."""
+    for one, other in zip(ours, theirs, strict=True):
+        torch.testing.assert_close(one.position, other.position, atol=1e-3, rtol=0)
+
+
 def printed(show: Callable[..., None], content: Any, width: int = 160, **options: Any) -> str:
     """What a function prints to a console of a certain width."""
     console = Console(file=io.StringIO(), width=width)

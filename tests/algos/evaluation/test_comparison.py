@@ -84,6 +84,9 @@ def test_groups_of_policies_have_their_mean_in_each_backend(firm: Evaluation) ->
     assert [lines[row].split()[1] for row in rows] == ["100.0", "0.0"]
     for row, backend in zip(rows, ("bullet", "warp"), strict=True):
         assert lines[row + 1].startswith(f" 2 policies, {backend}")
+    # Results of one policy in several modes are no group.
+    endless = evaluate_endless(straight, FIELD, name="straight", rows=1, steps=5)
+    assert "standard deviation" not in table(firm, endless, groups={"straight": "alone"})
 
 
 def test_no_evaluation_is_left_out_and_agreement_is_stated(firm: Evaluation) -> None:

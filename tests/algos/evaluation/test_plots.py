@@ -104,7 +104,7 @@ def test_a_rollout_of_one_rover_may_have_a_batch_dimension(tmp_path: Path) -> No
 
 
 def test_invalid_rollouts_raise(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="one rover"):
-        draw_reward_components(torch.stack([rollout(), rollout()]), tmp_path / "rewards.png")
-    with pytest.raises(ValueError, match="no reward components"):
-        draw_reward_components(rollout().exclude(("next", "reward_components")), tmp_path / "rewards.png")
+    two, without = torch.stack([rollout(), rollout()]), rollout().exclude(("next", "reward_components"))
+    for invalid, message in ((two, "one rover"), (without, "no reward components")):
+        with pytest.raises(ValueError, match=message):
+            draw_reward_components(invalid, tmp_path / "rewards.png")
