@@ -208,8 +208,9 @@ def stored_episodes(world: str) -> EpisodeSet:
     if world not in STORED_WORLDS:
         raise ValueError(f"no episodes are stored for world {world!r}; draw them with draw_episodes()")
     data = json.loads((FOLDER / f"{world}.json").read_text())
-    places = [torch.tensor([row[key] for row in data["episodes"]]) for key in ("start", "goal", "shortest")]
-    return EpisodeSet(world, WorldPool(world), data["seed"], *places)
+    columns = ("start", "goal", "shortest")
+    start, goal, shortest = (torch.tensor([row[key] for row in data["episodes"]]) for key in columns)
+    return EpisodeSet(world, WorldPool(world), data["seed"], start, goal, shortest)
 
 
 def choose_episodes(

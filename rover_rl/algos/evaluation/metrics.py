@@ -365,7 +365,10 @@ _BOTH = {
 METRICS = dict(
     sorted((_ONE_GOAL | _ENDLESS | _BOTH).items(), key=lambda item: (not item[1].default, item[0].startswith(ENDING)))
 )
-"""All metrics by name, in the order in which tables show them. A new one is an entry in one of the tables above."""
+"""All metrics by name, in the order in which tables show them. A new one is an entry in one of the tables above.
+
+:meta hide-value:
+"""
 
 
 def goal_metrics(
