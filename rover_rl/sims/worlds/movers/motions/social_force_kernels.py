@@ -29,7 +29,7 @@ BEHIND = wp.constant(OWN + 6)
 FORESIGHT = wp.constant(OWN + 7)
 FLUCTUATION = wp.constant(OWN + 8)
 
-PAPER_RADIUS = wp.constant(0.3)
+PAPER_RADIUS = wp.constant(0.2)
 """Radius of the people who are points in the paper, m."""
 COS_VIEW = wp.constant(-0.1736482)
 """Cosine of 100 degrees, half the angle of sight."""
@@ -130,16 +130,19 @@ def follow_forces(crowd: Crowd, walls: Walls, before: Courses, after: Courses):
     velocity = before.velocity[row, mover] + dt * sum
     most = MAX_FACTOR * crowd.settings[row, mover, SPEED]
     velocity = velocity * wp.min(1.0, most / wp.max(wp.length(velocity), 1.0e-6))
-    # Contact.
+    # Contact, where the others will be if they go on.
+    next = start + dt * velocity
     radius = crowd.radius[row, mover]
     push = wp.vec2(0.0, 0.0)
     for other in range(crowd.present.shape[1]):
         if crowd.present[row, other] and other != mover:
             share = wp.where(crowd.mine[row, other], 0.5, 1.0)
-            push += push_apart(start - before.position[row, other], radius + crowd.radius[row, other], share)
+            offset = next - before.position[row, other] - dt * before.velocity[row, other]
+            push += push_apart(offset, radius + crowd.radius[row, other], share)
     if crowd.settings[row, mover, SEES_ROVER] > 0.0:
         for k in range(crowd.rovers.shape[1]):
-            push += push_apart(start - crowd.rovers[row, k], radius + crowd.rover_radius, 1.0)
+            offset = next - crowd.rovers[row, k] - dt * crowd.rover_velocities[row, k]
+            push += push_apart(offset, radius + crowd.rover_radius, 1.0)
     push = push * wp.min(1.0, MAX_PUSH / wp.max(wp.length(push), 1.0e-6))
-    point = walked(walls, row, start, dt * velocity + push, kept_distance(walls, row, radius))
+    point = walked(walls, row, start, next - start + push, kept_distance(walls, row, radius))
     finish_step(crowd, walls, before, after, row, mover, point, clock)

@@ -42,13 +42,16 @@ def checked_place(name: str, place: Any) -> Place | None:
         raise ValueError(message)
     if numbers.ndim == 2 and not (numbers[:, 0] < numbers[:, 1]).all():
         raise ValueError(message)
-    values = numbers.tolist()
-    return tuple(values) if numbers.ndim == 1 else tuple(map(tuple, values))
+    if numbers.ndim == 1:
+        x, y = numbers.tolist()
+        return x, y
+    (x_low, x_high), (y_low, y_high) = numbers.tolist()
+    return (x_low, x_high), (y_low, y_high)
 
 
 def point_of(place: Place | None) -> Point | None:
     """Returns a place that is a point, and ``None`` for others."""
-    return None if place is None or isinstance(place[0], Sequence) else place  # type: ignore[return-value]
+    return None if place is None or isinstance(place[0], Sequence) else place
 
 
 def check_walk(speed: float, pause: float = 0.0, patience: float = 1.0) -> None:
