@@ -200,17 +200,20 @@ def wall_line(walls: Walls, row: int, start: wp.vec2, probe: wp.vec2, kept: floa
 
 @wp.func
 def nearest_movers(crowd: Crowd, before: Courses, row: int, mover: int) -> Indices:
-    """Indices of the nearest movers, -1 for none, in ascending order of the distance."""
+    """Indices of the nearest movers that it could meet within the horizon, -1 for none, by ascending distance."""
     indices = Indices()
     squares = Distances()
     for k in range(NEIGHBORS):
         indices[k] = -1
         squares[k] = FAR
     point = before.position[row, mover]
+    horizon = crowd.settings[row, mover, HORIZON]
+    own = crowd.radius[row, mover] + crowd.settings[row, mover, MARGIN] + horizon * crowd.settings[row, mover, SPEED]
     for other in range(crowd.present.shape[1]):
         if crowd.present[row, other] and other != mover:
             square = wp.length_sq(before.position[row, other] - point)
-            if square < squares[NEIGHBORS - 1]:
+            reach = own + crowd.radius[row, other] + horizon * wp.length(before.velocity[row, other])
+            if square < reach * reach and square < squares[NEIGHBORS - 1]:
                 k = int(NEIGHBORS - 1)
                 while k > 0 and squares[wp.max(k - 1, 0)] > square:
                     squares[k] = squares[k - 1]

@@ -37,6 +37,8 @@ MAX_FACTOR = wp.constant(1.3)
 """Largest speed, in desired speeds."""
 MAX_PUSH = wp.constant(0.1)
 """Largest way by which movers that overlap are pushed apart in a step, m."""
+CUT_OFF = wp.constant(10.0)
+"""Distance without a force, in ranges of the potential: exp(-10) is 5e-5."""
 ROOT_3 = wp.constant(1.7320508)
 
 
@@ -54,6 +56,8 @@ def repulsion(offset: wp.vec2, stride: wp.vec2, excess: float, strength: float, 
         strength: potential, m^2/s^2.
         reach: range of the potential, m.
     """
+    if wp.length(offset) > CUT_OFF * reach + excess + wp.length(stride):
+        return wp.vec2(0.0, 0.0)
     ahead = offset - stride
     near = wp.max(wp.length(offset), 1.0e-4)
     far = wp.max(wp.length(ahead), 1.0e-4)
@@ -72,8 +76,11 @@ def weight(force: wp.vec2, direction: wp.vec2, behind: float) -> float:
 @wp.func
 def push_apart(offset: wp.vec2, least: float, share: float) -> wp.vec2:
     """Way of a mover that overlaps with another one, whose centers must be ``least`` apart."""
-    distance = wp.length(offset)
-    return wp.max(least - distance, 0.0) * share * offset / wp.max(distance, 1.0e-4)
+    square = wp.length_sq(offset)
+    if square >= least * least:
+        return wp.vec2(0.0, 0.0)
+    distance = wp.max(wp.sqrt(square), 1.0e-4)
+    return (least - distance) * share * offset / distance
 
 
 @wp.func
