@@ -7,10 +7,28 @@ import torch
 from torch import Tensor
 
 from rover_rl.sims.movers import MoverField
-from rover_rl.sims.worlds.movers import Cross, Cylinder, Motion, Mover, Wander, Waypoints
+from rover_rl.sims.worlds.movers import (
+    Cross,
+    Cylinder,
+    Door,
+    Motion,
+    Mover,
+    Orca,
+    Slider,
+    SocialForce,
+    Wander,
+    Waypoints,
+)
 from tests.sims.worlds.movers.crowds import begun, pillars, rovers_at, walk, yard
 
-MOTIONS = [Wander(turn_time=1.0), Cross(patience=1.0, pause=0.3)]
+MOTIONS = [
+    Wander(turn_time=1.0),
+    Cross(patience=1.0, pause=0.3),
+    SocialForce(patience=1.0, pause=0.3),
+    Orca(patience=1.0, pause=0.3),
+    Slider(to=(4.0, 3.0), phase=None, smooth=True),
+    Door(hinge=(0.0, 0.0), phase=None),
+]
 
 
 def circling(rows: int, seed: int, step: int) -> Tensor:

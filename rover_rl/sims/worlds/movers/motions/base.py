@@ -47,12 +47,15 @@ class Course:
         )
 
     def where(self, mask: Tensor, other: Course) -> Course:
-        """Returns this course for the movers of ``mask`` (bool ``[N, M]``), and ``other`` for the others."""
+        """Returns this course for the movers of ``mask`` (bool ``[N, M]``), and ``other`` for the others.
+
+        Numbers are of the types of ``other``.
+        """
         chosen = {}
         for item in fields(self):
-            value = getattr(self, item.name)
+            value, rest = getattr(self, item.name), getattr(other, item.name)
             rows = mask.reshape(*mask.shape, *[1] * (value.ndim - mask.ndim))
-            chosen[item.name] = torch.where(rows, value, getattr(other, item.name))
+            chosen[item.name] = torch.where(rows, value.to(rest.dtype), rest)
         return replace(self, **chosen)
 
 

@@ -16,7 +16,7 @@ class Orca(Walk):
     It takes the velocity next to the desired one with which it collides with nobody within ``horizon`` (J. van den
     Berg, S. J. Guy, M. Lin and D. Manocha, "Reciprocal n-body collision avoidance", ISRR 2009, Springer Tracts in
     Advanced Robotics 70, 2011). Two of its kind share the evasion. It evades movers of other motions and the rover
-    alone. It considers the 16 nearest movers, and walks toward a wall no faster than it can stop.
+    alone. It considers the 10 nearest movers, and walks toward a wall no faster than it can stop.
 
     Args:
         speed: desired and largest speed, m/s.

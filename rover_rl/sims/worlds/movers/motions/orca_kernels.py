@@ -29,9 +29,11 @@ HORIZON = wp.constant(OWN)
 SEES_ROVER = wp.constant(OWN + 1)
 MARGIN = wp.constant(OWN + 2)
 
-NEIGHBORS = wp.constant(16)
-"""Number of nearest movers that are avoided."""
-MAX_LINES = 24
+NEIGHBORS = wp.constant(10)
+"""Number of nearest movers that are avoided, as in the examples of RVO2."""
+MAX_ROVERS = wp.constant(4)
+"""Number of rovers that are avoided."""
+MAX_LINES = 16
 """Number of lines for which there is space: two walls, rovers and movers."""
 WALL_TIME = wp.constant(0.5)
 """Time within which a mover keeps off walls, s."""
@@ -40,8 +42,8 @@ NOISE = wp.constant(0.02)
 TINY = wp.constant(1.0e-5)
 
 Lines = wp.types.matrix(shape=(MAX_LINES, 4), dtype=float)
-Indices = wp.types.vector(length=16, dtype=int)
-Distances = wp.types.vector(length=16, dtype=float)
+Indices = wp.types.vector(length=NEIGHBORS, dtype=int)
+Distances = wp.types.vector(length=NEIGHBORS, dtype=float)
 
 
 @wp.func
@@ -198,17 +200,20 @@ def wall_line(walls: Walls, row: int, start: wp.vec2, probe: wp.vec2, kept: floa
 
 @wp.func
 def nearest_movers(crowd: Crowd, before: Courses, row: int, mover: int) -> Indices:
-    """Indices of the nearest movers, -1 for none, in ascending order of the distance."""
+    """Indices of the nearest movers that it could meet within the horizon, -1 for none, by ascending distance."""
     indices = Indices()
     squares = Distances()
     for k in range(NEIGHBORS):
         indices[k] = -1
         squares[k] = FAR
     point = before.position[row, mover]
+    horizon = crowd.settings[row, mover, HORIZON]
+    own = crowd.radius[row, mover] + crowd.settings[row, mover, MARGIN] + horizon * crowd.settings[row, mover, SPEED]
     for other in range(crowd.present.shape[1]):
         if crowd.present[row, other] and other != mover:
             square = wp.length_sq(before.position[row, other] - point)
-            if square < squares[NEIGHBORS - 1]:
+            reach = own + crowd.radius[row, other] + horizon * wp.length(before.velocity[row, other])
+            if square < reach * reach and square < squares[NEIGHBORS - 1]:
                 k = int(NEIGHBORS - 1)
                 while k > 0 and squares[wp.max(k - 1, 0)] > square:
                     squares[k] = squares[k - 1]
@@ -254,7 +259,7 @@ def avoid(crowd: Crowd, walls: Walls, before: Courses, after: Courses):
     reach = radius + crowd.settings[row, mover, MARGIN]
     horizon = crowd.settings[row, mover, HORIZON]
     if crowd.settings[row, mover, SEES_ROVER] > 0.0:
-        for rover in range(wp.min(crowd.rovers.shape[1], 4)):
+        for rover in range(wp.min(crowd.rovers.shape[1], MAX_ROVERS)):
             relative = velocity - crowd.rover_velocities[row, rover]
             offset = crowd.rovers[row, rover] - start
             line = line_of(offset, velocity, relative, reach + crowd.rover_radius, horizon, dt, 1.0)

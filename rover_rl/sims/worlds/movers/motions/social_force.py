@@ -13,11 +13,11 @@ from rover_rl.sims.worlds.movers.motions.walks import MAX_TIME, Walk
 class SocialForce(Walk):
     """Walks from goal to goal as :class:`Cross` does, and keeps away from walls, other movers and the rover by forces.
 
-    The model and its constants are those of D. Helbing and P. Molnar, "Social force model for pedestrian dynamics",
-    Physical Review E 51 (1995) 4282, in section "Computer simulations". Pedestrians are points there, which stand for
-    people with a radius of 0.3 m: larger movers keep farther away by what they are larger. Movers that touch are pushed
-    apart, each by half of the overlap (D. Helbing, I. Farkas and T. Vicsek, "Simulating dynamical features of escape
-    panic", Nature 407 (2000) 487, where a spring does so that is too stiff for steps of 50 ms).
+    The model and its constants, but for ``foresight``, are those of D. Helbing and P. Molnar, "Social force model for
+    pedestrian dynamics", Physical Review E 51 (1995) 4282. Pedestrians are points there, which stand for people with a
+    radius of 0.2 m: larger movers keep farther away by what they are larger. Movers that touch are pushed apart, each
+    by half of the overlap (D. Helbing, I. Farkas and T. Vicsek, "Simulating dynamical features of escape panic",
+    Nature 407 (2000) 487, have a spring instead, which is too stiff for steps of 50 ms).
 
     Args:
         speed: desired speed v0, m/s. The largest one is 1.3 times as high.
@@ -32,7 +32,10 @@ class SocialForce(Walk):
         wall_strength: potential U0 of a wall, m^2/s^2.
         wall_reach: range R of this potential, m.
         behind: weight c of what is not within 100 degrees of the desired direction.
-        foresight: time Delta t of the steps of others that it expects, s.
+        foresight: time Delta t of the steps of others that it expects, s. It is the one of A. Johansson, D. Helbing and
+            P. Shukla, "Specification of the social force pedestrian model by evolutionary adjustment to video tracking
+            data", Advances in Complex Systems 10 (2007) 271. With the 2 s of the first paper, no lanes form: those
+            behind push those ahead of them aside.
         fluctuation: standard deviation of a random acceleration in each step, m/s^2. The paper gives no number.
 
     Raises:
@@ -49,8 +52,8 @@ class SocialForce(Walk):
     wall_strength: float = 10.0
     wall_reach: float = 0.2
     behind: float = 0.5
-    foresight: float = 2.0
-    fluctuation: float = 0.5
+    foresight: float = 0.5
+    fluctuation: float = 0.1
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -29,7 +29,7 @@ BEHIND = wp.constant(OWN + 6)
 FORESIGHT = wp.constant(OWN + 7)
 FLUCTUATION = wp.constant(OWN + 8)
 
-PAPER_RADIUS = wp.constant(0.3)
+PAPER_RADIUS = wp.constant(0.2)
 """Radius of the people who are points in the paper, m."""
 COS_VIEW = wp.constant(-0.1736482)
 """Cosine of 100 degrees, half the angle of sight."""
@@ -37,6 +37,8 @@ MAX_FACTOR = wp.constant(1.3)
 """Largest speed, in desired speeds."""
 MAX_PUSH = wp.constant(0.1)
 """Largest way by which movers that overlap are pushed apart in a step, m."""
+CUT_OFF = wp.constant(10.0)
+"""Distance without a force, in ranges of the potential: exp(-10) is 5e-5."""
 ROOT_3 = wp.constant(1.7320508)
 
 
@@ -54,6 +56,8 @@ def repulsion(offset: wp.vec2, stride: wp.vec2, excess: float, strength: float, 
         strength: potential, m^2/s^2.
         reach: range of the potential, m.
     """
+    if wp.length(offset) > CUT_OFF * reach + excess + wp.length(stride):
+        return wp.vec2(0.0, 0.0)
     ahead = offset - stride
     near = wp.max(wp.length(offset), 1.0e-4)
     far = wp.max(wp.length(ahead), 1.0e-4)
@@ -72,8 +76,11 @@ def weight(force: wp.vec2, direction: wp.vec2, behind: float) -> float:
 @wp.func
 def push_apart(offset: wp.vec2, least: float, share: float) -> wp.vec2:
     """Way of a mover that overlaps with another one, whose centers must be ``least`` apart."""
-    distance = wp.length(offset)
-    return wp.max(least - distance, 0.0) * share * offset / wp.max(distance, 1.0e-4)
+    square = wp.length_sq(offset)
+    if square >= least * least:
+        return wp.vec2(0.0, 0.0)
+    distance = wp.max(wp.sqrt(square), 1.0e-4)
+    return (least - distance) * share * offset / distance
 
 
 @wp.func
@@ -130,16 +137,19 @@ def follow_forces(crowd: Crowd, walls: Walls, before: Courses, after: Courses):
     velocity = before.velocity[row, mover] + dt * sum
     most = MAX_FACTOR * crowd.settings[row, mover, SPEED]
     velocity = velocity * wp.min(1.0, most / wp.max(wp.length(velocity), 1.0e-6))
-    # Contact.
+    # Contact, where the others will be if they go on.
+    next = start + dt * velocity
     radius = crowd.radius[row, mover]
     push = wp.vec2(0.0, 0.0)
     for other in range(crowd.present.shape[1]):
         if crowd.present[row, other] and other != mover:
             share = wp.where(crowd.mine[row, other], 0.5, 1.0)
-            push += push_apart(start - before.position[row, other], radius + crowd.radius[row, other], share)
+            offset = next - before.position[row, other] - dt * before.velocity[row, other]
+            push += push_apart(offset, radius + crowd.radius[row, other], share)
     if crowd.settings[row, mover, SEES_ROVER] > 0.0:
         for k in range(crowd.rovers.shape[1]):
-            push += push_apart(start - crowd.rovers[row, k], radius + crowd.rover_radius, 1.0)
+            offset = next - crowd.rovers[row, k] - dt * crowd.rover_velocities[row, k]
+            push += push_apart(offset, radius + crowd.rover_radius, 1.0)
     push = push * wp.min(1.0, MAX_PUSH / wp.max(wp.length(push), 1.0e-6))
-    point = walked(walls, row, start, dt * velocity + push, kept_distance(walls, row, radius))
+    point = walked(walls, row, start, next - start + push, kept_distance(walls, row, radius))
     finish_step(crowd, walls, before, after, row, mover, point, clock)

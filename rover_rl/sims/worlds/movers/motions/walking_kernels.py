@@ -177,17 +177,19 @@ def walked(walls: Walls, row: int, start: wp.vec2, move: wp.vec2, kept: float) -
     pieces = wp.clamp(int(wp.ceil(2.0 * wp.length(move) / wp.max(kept, 0.01))), 1, 64)
     point = start
     for _piece in range(pieces):
-        before = wall_at(walls, row, point)[0]
         to = point + move / float(pieces)
         gap = float(0.0)
-        for _push in range(4):
+        for push in range(5):
             wall = wall_at(walls, row, to)
             gap = wall[0] - kept
-            if gap < 0.0:
+            if gap >= 0.0:
+                break
+            if push < 4:
                 to = to - gap * wp.vec2(wall[1], wall[2])
-        gap = wall_at(walls, row, to)[0] - kept
         # In a corner, it stays where it is.
-        if gap > -SLACK or gap + kept > before:
+        if gap > -SLACK:
+            point = to
+        elif gap + kept > wall_at(walls, row, point)[0]:
             point = to
     return point
 

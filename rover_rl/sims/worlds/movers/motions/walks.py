@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from importlib import import_module
-from typing import Any, ClassVar, TypeAlias, cast
+from typing import Any, ClassVar, TypeAlias
 
 import torch
 from torch import Tensor
@@ -42,8 +42,11 @@ def checked_place(name: str, place: Any) -> Place | None:
         raise ValueError(message)
     if numbers.ndim == 2 and not (numbers[:, 0] < numbers[:, 1]).all():
         raise ValueError(message)
-    values = numbers.tolist()
-    return cast("Place", tuple(values) if numbers.ndim == 1 else tuple(map(tuple, values)))
+    if numbers.ndim == 1:
+        x, y = numbers.tolist()
+        return x, y
+    (x_low, x_high), (y_low, y_high) = numbers.tolist()
+    return (x_low, x_high), (y_low, y_high)
 
 
 def point_of(place: Place | None) -> Point | None:
