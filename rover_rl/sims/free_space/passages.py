@@ -1,15 +1,17 @@
 """Narrow passages: cells that a rover passes in some orientations only, where its footprint fits.
 
-An orientation is a heading without front and back: orientation k of 32 is the yaw ``2 pi k / 64``, or its opposite,
-plus or minus half a bin of ``2 pi / 64``. The footprint, a rectangle of half length a and half width b, is covered by n
-discs along the rover's x axis (:func:`rover_rl.sims.robots.footprint.covering_discs`). It is free at the center of a
-cell, with the margin m, if the distance to the nearest obstacle is at least ``r + m + |x_i| pi / 64`` at the center of
-each disc, where r is the radius of the discs, and the last term covers the half bin.
+The footprint, a rectangle, is covered by discs along the rover's x axis
+(:func:`rover_rl.sims.robots.footprint.covering_discs`). It is free at the center of a cell in an orientation of
+:mod:`rover_rl.sims.free_space.path_steps`, plus or minus half a bin of ``2 pi / 64``, with the margin m, if the
+distance to the nearest obstacle is at least ``r + m + |x_i| pi / 64`` at the center of each disc, where r is the radius
+of the discs, and the last term covers the half bin.
 
 A rectangle that moves along its length, by less than its length, sweeps what it covers at both ends. So the rover
 drives straight from the center of a cell to that of another without touching if its footprint is free at both ends,
 forward or backward. It turns on the spot while all orientations between are free. Chains of such motions join cells.
-Drives have the 32 directions of :mod:`rover_rl.sims.free_space.path_steps`, and all cells that they cross must be free.
+
+The search for such chains, sweeps in :func:`~rover_rl.sims.free_space.kernels.join_parts`, finds what can be reached,
+not how far it is: a cell has 32 states, one per orientation, which other path searches do not tell apart.
 
 Gaps of 0.7 m are passable for Rover Zero however they lie on the grid, 99 % of those of 0.65 m, 12 % of those of 0.6 m
 (120 gaps in a wall of 0.2 m at random offsets and angles).
@@ -18,7 +20,6 @@ Gaps of 0.7 m are passable for Rover Zero however they lie on the grid, 99 % of 
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -26,35 +27,23 @@ import torch
 from scipy.ndimage import label
 
 from rover_rl.sims.free_space.cell_grid import CellGrid, ring
-from rover_rl.sims.free_space.path_steps import STEPS
+from rover_rl.sims.free_space.path_steps import ALL_ORIENTATIONS, ORIENTATIONS, STEP_ORIENTATIONS, STEPS, free_steps
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.footprint import covering_discs
 
-ORIENTATIONS = 32
-"""Number of orientations."""
-ALL_ORIENTATIONS = 2**ORIENTATIONS - 1
-"""Mask with all orientations."""
 MARGIN = 0.02
 """Minimum distance of the footprint from obstacles at the center of a cell, m. It exceeds the error of interpolated
 distances, 5 mm at obstacles like thin cylinders."""
 
 
 class Reach(NamedTuple):
-    """Cells that a rover reaches.
+    """Cells that a rover reaches: roomy ones, bool ``[rows, columns]``, and orientations in narrow ones, uint32 bits.
 
-    Attributes:
-        roomy: reached roomy cells, bool ``[rows, columns]``.
-        narrow: orientations in which it reaches narrow cells, as bits, uint32 ``[rows, columns]``; 0 in other cells,
-            and everywhere if narrow cells are not needed.
+    Nothing is narrow if narrow cells are not needed.
     """
 
     roomy: np.ndarray
     narrow: np.ndarray
-
-
-def orientation_of(x: float, y: float) -> int:
-    """Returns the number of the orientation nearest to a direction."""
-    return round(math.atan2(y, x) / math.pi * ORIENTATIONS) % ORIENTATIONS
 
 
 def headings_of_bins() -> np.ndarray:
@@ -63,16 +52,10 @@ def headings_of_bins() -> np.ndarray:
 
 
 def fit_orientations(robot: Robot, grid: CellGrid, room: np.ndarray, margin: float = MARGIN) -> np.ndarray:
-    """Returns the orientations in which the footprint at the center of each cell is free.
+    """Returns the orientations in which the footprint at the center of each cell is free: bits of uint32.
 
-    Args:
-        robot: robot.
-        grid: grid of the cells.
-        room: distance of the centers from the nearest obstacle, float64 ``[rows, columns]``, m.
-        margin: minimum distance of the footprint from obstacles, m.
-
-    Returns:
-        Bits of uint32, ``[rows, columns]``.
+    ``room`` is the distance of the centers from the nearest obstacle, float64 ``[rows, columns]``, m. The footprint
+    keeps the ``margin`` (m).
     """
     from rover_rl.sims.free_space.kernels import fit_footprint
     from rover_rl.sims.native.warp import wp
@@ -99,9 +82,7 @@ def find_reach(
         robot: robot.
         grid: grid of the cells.
         room: distance of the centers from the nearest obstacle, float64 ``[rows, columns]``, m.
-        gentle: cells on gentle ground, bool ``[rows, columns]``.
-        roomy: roomy cells, bool ``[rows, columns]``.
-        areas: cells of the spawn area and of the goal area, bool ``[rows, columns]`` each.
+        gentle, roomy, areas: cells on gentle ground, roomy ones, and those of the spawn and the goal area, bool.
     """
     parts, count = label(roomy)
     spawns, goals = (np.bincount(parts[roomy & area], minlength=count + 1) for area in areas)
@@ -121,11 +102,7 @@ def find_reach(
 
 
 def _join(fits: np.ndarray, parts: np.ndarray, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Returns which of ``count`` parts the rover reaches from the part ``first``, and the reached orientations.
-
-    Returns:
-        Bool ``[count + 1]``, by number of the part, and bits of uint32 ``[rows, columns]``.
-    """
+    """Returns which of ``count`` parts the rover reaches from the part ``first``, and the orientations in cells."""
     from rover_rl.sims.free_space.kernels import join_parts
     from rover_rl.sims.native.warp import wp
 
@@ -133,22 +110,10 @@ def _join(fits: np.ndarray, parts: np.ndarray, first: int, count: int) -> tuple[
     joined = np.zeros(count + 1, dtype=np.int32)
     joined[first] = 1
     reached, done = np.zeros(fits.shape, dtype=np.uint32), np.zeros(len(narrow), dtype=np.int32)
-    inputs = [np.ascontiguousarray(narrow), fits, parts.astype(np.int32), *_drives(), reached, joined, done]
+    steps = [free_steps(fits), np.array(STEPS, dtype=np.int32), np.array(STEP_ORIENTATIONS, dtype=np.int32)]
+    inputs = [np.ascontiguousarray(narrow), fits, parts.astype(np.int32), *steps, reached, joined, done]
     wp.launch(join_parts, 1, inputs, device="cpu")
     return joined > 0, reached
-
-
-@lru_cache(maxsize=1)
-def _drives() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Straight drives: their other ends, their orientations, and flat lists of crossed cells with their starts."""
-    steps = list(STEPS)
-    crossed = [cells[1:] for cells in STEPS.values()]
-    return (
-        np.array(steps, dtype=np.int32),
-        np.array([orientation_of(*step) for step in steps], dtype=np.int32),
-        np.array([cell for cells in crossed for cell in cells], dtype=np.int32),
-        np.cumsum([0, *map(len, crossed)], dtype=np.int32),
-    )
 
 
 def orientations_of_bins(masks: np.ndarray) -> torch.Tensor:
