@@ -118,13 +118,10 @@ def film_to_goal(
     If none reaches its goal, the first drive is filmed, however it ends.
 
     Args:
-        policy: policy that drives, as for :func:`film`.
-        path: path of the video.
-        world: world to drive in.
+        policy, path, world: as for :func:`film`.
         seconds: time limit of a drive, s.
         seed: seed of starts and goals; ``None``: the stored ones if the world has them.
-        width, height: size of the video, pixels.
-        env: environment to drive in, as for :func:`film`.
+        width, height, env: as for :func:`film`.
 
     Returns:
         The drive that is filmed. Its ``ending`` is ``"goal"``, or how it failed; its ``episode`` is the index of its

@@ -29,17 +29,10 @@ from rover_rl.sims.worlds import World
 
 @dataclass(frozen=True)
 class Moment:
-    """State of ``N`` rovers in one frame of a video.
+    """State of ``N`` rovers at a time (s) of a video: scans ``[N, beams]`` and current goals ``[N, 2]``, m.
 
-    Attributes:
-        seconds: time since the start of the video, s.
-        rover: states of the rovers, ``[N]``.
-        scan: their raw scans, ``[N, beams]``, m.
-        goal: current goal of each rover, ``[N, 2]``, m.
-        goals: number of goals that each rover has reached, int64 ``[N]``.
-        episodes: number of episodes that each rover has started, int64 ``[N]``.
-        endings: endings of all episodes so far, such as ``"jammed"`` and ``"flipped"``.
-        event: last event of the first rover, and its time, s.
+    ``goals`` and ``episodes`` count those that each has reached and started. ``endings`` are those of all episodes so
+    far, ``event`` is the last one of the first rover, and its time (s).
     """
 
     seconds: float
@@ -128,10 +121,7 @@ def record_endless(
 def record_episodes(
     policy: Policy | None, episodes: EpisodeSet, wanted: Sequence[int] | None = None, **options: Any
 ) -> list[Recording]:
-    """Evaluates a policy, and records its drives of the ``wanted`` episodes; ``None``: of all.
-
-    ``options`` are further arguments of :func:`~rover_rl.algos.evaluation.evaluate.evaluate`, except for ``rows``.
-    """
+    """Evaluates a policy with the options of ``evaluate``, and records its drives of the ``wanted`` episodes, or all."""
     wanted = range(len(episodes)) if wanted is None else wanted
     states: dict[int, list[tuple[RoverState, Tensor]]] = {index: [] for index in wanted}
     angles, dt = torch.zeros(0), 0.0
@@ -146,19 +136,13 @@ def record_episodes(
     # As in an evaluation: a randomized drive depends on its row.
     rows = len(episodes) if episodes.several_worlds else ROWS
     evaluation = evaluate(policy, episodes, rows=rows, watch=watch, **options)
-    robot = get_robot(evaluation.env.robot)
-    return [
-        Recording(
-            moments_of(states[index], episodes.goal[index : index + 1], dt, evaluation.endings[index]),
-            episodes.worlds[index],
-            robot,
-            angles,
-            dt,
-            evaluation.endings[index],
-            episodes.offset + index,
-        )
-        for index in wanted
-    ]
+    robot, drives = get_robot(evaluation.env.robot), []
+    for index in wanted:
+        ending = evaluation.endings[index]
+        moments = moments_of(states[index], episodes.goal[index : index + 1], dt, ending)
+        where = episodes.offset + index
+        drives.append(Recording(moments, episodes.worlds[index], robot, angles, dt, ending, where))
+    return drives
 
 
 def moments_of(states: Sequence[tuple[RoverState, Tensor]], goal: Tensor, dt: float, ending: str) -> list[Moment]:

@@ -6,14 +6,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import View
 from rover_rl.sims.native.warp import wp
-from rover_rl.sims.rendering.camera import Camera, focal_length
+from rover_rl.sims.rendering.camera import Camera, Sight, focal_length
 from rover_rl.sims.rendering.kernels import pictures, rays
 from rover_rl.sims.rendering.kernels.pictures import STEP
 from rover_rl.sims.rendering.launches import DEVICE, launch
 from rover_rl.sims.rendering.scene import RenderScene
-from rover_rl.sims.rendering.sight import Sight
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
@@ -24,18 +22,7 @@ _FAR_BELOW = (0.0, 0.0, -1e6)
 
 
 class Renderer:
-    """Renderer of one world.
-
-    Args:
-        world: world to render.
-        robot: robot model.
-
-    Attributes:
-        sight: tells which points the obstacles of the world hide.
-
-    Raises:
-        ValueError: if the robot has a visual shape that cannot be rendered.
-    """
+    """Renderer of a robot in one world. ``sight`` tells which points the obstacles hide."""
 
     def __init__(self, world: World, robot: Robot) -> None:
         self._world = world
@@ -44,35 +31,14 @@ class Renderer:
         self._scene = RenderScene(world, robot)
         self.sight = Sight(world)
 
-    def render(
-        self, position: Tensor, orientation: Tensor, view: View, width: int, height: int, goal: Tensor | None = None
-    ) -> Tensor:
-        """Renders a rover at a pose, with a post at its goal.
-
-        Args:
-            position: position of the rover, ``[3]``, float64, m.
-            orientation: orientation of the rover, unit quaternion (x, y, z, w), ``[4]``, float64.
-            view: ``"chase"`` (from behind) or ``"top"`` (from above).
-            width: width of the image, pixels.
-            height: height of the image, pixels.
-            goal: position of the goal, ``[2]``, m. ``None`` draws no goal.
-
-        Returns:
-            RGB image, uint8 ``[height, width, 3]``.
-
-        Raises:
-            ValueError: if the view is unknown.
-        """
-        camera = Camera.on(position, orientation, self.sight, view)
-        return self.render_from(camera, position, orientation, width, height, goal)
-
     def render_from(
         self, camera: Camera, position: Tensor, orientation: Tensor, width: int, height: int, goal: Tensor | None = None
     ) -> Tensor:
-        """Renders what a camera sees: see :meth:`render`. Several threads may call it."""
+        """Renders what a camera sees: see ``RendererCache.render``. Several threads may call it."""
         pinhole = _pinhole(camera, height)
         rover = (*position.tolist(), *orientation.tolist())
-        poses = np.array((_AT_ORIGIN, rover, (*self._post_position(goal), *_AT_ORIGIN[3:])), dtype=np.float32)
+        post = _FAR_BELOW if goal is None else (*goal.tolist(), self._world.height_at(goal.double().cpu()).item())
+        poses = np.array((_AT_ORIGIN, rover, (*post, *_AT_ORIGIN[3:])), dtype=np.float32)
         colors = wp.empty((height, width), dtype=wp.vec3, device=DEVICE)
         # Samples surround all pixels.
         rows, columns = ((side - 1) // STEP + 2 for side in (height, width))
@@ -83,13 +49,6 @@ class Renderer:
         launch(pictures.fill_pixels, (height, width), [*scene, samples, colors])
         launch(pictures.smooth_edges, (height, width), [*scene, colors, wp.from_torch(picture)])
         return picture
-
-    def _post_position(self, goal: Tensor | None) -> tuple[float, ...]:
-        """Returns the position of the foot of the post, m."""
-        if goal is None:
-            return _FAR_BELOW
-        at = goal.double().cpu()
-        return *at.tolist(), self._world.height_at(at).item()
 
 
 def _pinhole(camera: Camera, height: int) -> rays.Pinhole:

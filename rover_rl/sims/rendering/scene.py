@@ -25,18 +25,7 @@ SHADOW_RINGS = 2
 
 
 class RenderScene:
-    """World, robot and goal post, ready for the kernels.
-
-    Args:
-        world: world to render.
-        robot: robot model.
-
-    Attributes:
-        arrays: struct that the kernels read.
-
-    Raises:
-        ValueError: if the robot has a visual shape that cannot be rendered.
-    """
+    """World, robot and goal post in ``arrays``, the struct that the kernels read."""
 
     def __init__(self, world: World, robot: Robot) -> None:
         ground, obstacles = ground_surface(world.terrain), obstacles_surface(world)

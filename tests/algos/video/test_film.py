@@ -15,8 +15,7 @@ from rover_rl import RoverEnv, World, make_env
 from rover_rl.algos.video.film import film
 from rover_rl.algos.video.views import lidar_hits
 from rover_rl.cli.film import Film
-from rover_rl.sims.rendering.camera import Camera
-from rover_rl.sims.rendering.sight import Sight
+from rover_rl.sims.rendering.camera import Camera, Sight
 from rover_rl.sims.worlds import Terrain, box
 from tests.algos.drivers import straight
 from tests.algos.policy.memories import CountingPolicy

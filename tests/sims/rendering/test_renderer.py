@@ -13,9 +13,8 @@ from torch import Tensor
 
 from rover_rl.sims.rendering import launches
 from rover_rl.sims.rendering.cache import RendererCache
-from rover_rl.sims.rendering.camera import Camera
+from rover_rl.sims.rendering.camera import Camera, Sight
 from rover_rl.sims.rendering.scenery import SUN
-from rover_rl.sims.rendering.sight import Sight
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.rotations import quaternion_product
 from rover_rl.sims.worlds import Terrain, World, box
