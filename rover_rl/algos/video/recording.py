@@ -121,7 +121,7 @@ def record_endless(
 def record_episodes(
     policy: Policy | None, episodes: EpisodeSet, wanted: Sequence[int] | None = None, **options: Any
 ) -> list[Recording]:
-    """Evaluates a policy with the options of ``evaluate``, and records its drives of the ``wanted`` episodes, or all."""
+    """Evaluates a policy with options of ``evaluate``, and records its drives of the ``wanted`` episodes, or all."""
     wanted = range(len(episodes)) if wanted is None else wanted
     states: dict[int, list[tuple[RoverState, Tensor]]] = {index: [] for index in wanted}
     angles, dt = torch.zeros(0), 0.0

@@ -1,4 +1,4 @@
-"""Warp kernels over the cells of the free space: slopes, headings, and narrow passages.
+"""Warp kernels over the cells of the free space: slopes, and headings of the rover, its lidar and its footprint.
 
 Heading k of 64 is the yaw ``2 pi k / 64 - pi``. Orientation k of 32 stands for the headings k and k + 32, which are
 equal for a symmetric footprint.
@@ -276,82 +276,3 @@ def fit_footprint(
                         good = good | (wp.uint64(1) << wp.uint64(k))
                 both = both & wp.uint32(good) & wp.uint32(good >> wp.uint64(32))
             fits[j, i] = both
-
-
-@wp.func
-def spread_turns(reached: wp.uint32, fits: wp.uint32) -> wp.uint32:
-    """Adds the orientations that turns on the spot reach: those beside reached ones, as far as all between fit."""
-    bits = wp.uint32(reached)
-    one = wp.uint32(1)
-    last = wp.uint32(31)
-    more = bool(bits != wp.uint32(0))
-    while more:
-        grown = (bits | (bits << one) | (bits >> last) | (bits >> one) | (bits << last)) & fits
-        more = grown != bits
-        bits = grown
-    return bits
-
-
-@wp.kernel
-def join_parts(
-    narrow: wp.array[wp.vec2i],
-    fits: wp.array2d[wp.uint32],
-    parts: wp.array2d[int],
-    free_steps: wp.array2d[wp.uint32],
-    steps: wp.array[wp.vec2i],
-    orientations: wp.array[int],
-    reached: wp.array2d[wp.uint32],
-    joined: wp.array[int],
-    done: wp.array[int],
-):
-    """Finds what a rover reaches from a part of the roomy cells through narrow cells. Runs as a single thread.
-
-    A rover takes steps from cell to cell in their orientation, forward or backward, and turns on the spot while all
-    orientations between fit. Sweeps over the narrow cells repeat until nothing changes.
-
-    Args:
-        narrow: column and row of the narrow cells.
-        fits: free orientations of all cells; all in roomy cells.
-        parts: number of the part of each roomy cell, 0 in other cells.
-        free_steps: free steps from each cell, as bits.
-        steps: column and row of the other end of each step, relative to the first.
-        orientations: orientation of each step.
-        reached: results: orientations in which the rover reaches each narrow cell; on input 0.
-        joined: whether the rover reaches each part, 0 or 1; on input 1 for the part from which it starts.
-        done: working memory for each narrow cell, on input 0.
-    """
-    changed = bool(True)
-    count = narrow.shape[0]
-    forward = bool(True)
-    while changed:
-        changed = bool(False)
-        for m in range(count):
-            n = wp.where(forward, m, count - 1 - m)
-            i = narrow[n][0]
-            j = narrow[n][1]
-            free = fits[j, i]
-            bits = wp.uint32(reached[j, i])
-            if done[n] > 0:
-                continue
-            if bits == free:
-                # This sweep joins the parts beside the cell, and nothing is left to do.
-                done[n] = 1
-            for k in range(steps.shape[0]):
-                bit = wp.uint32(1) << wp.uint32(orientations[k])
-                if ((free_steps[j, i] >> wp.uint32(k)) & wp.uint32(1)) != wp.uint32(0):
-                    column = i + steps[k][0]
-                    row = j + steps[k][1]
-                    part = parts[row, column]
-                    if part > 0:
-                        if joined[part] > 0:
-                            bits = bits | bit
-                        elif (bits & bit) != wp.uint32(0):
-                            joined[part] = 1
-                            changed = bool(True)
-                    else:
-                        bits = bits | (reached[row, column] & bit)
-            bits = spread_turns(bits, free)
-            if bits != reached[j, i]:
-                reached[j, i] = bits
-                changed = bool(True)
-        forward = not forward
