@@ -1,10 +1,12 @@
-"""Recorded drives, which films show."""
+"""Recorded drives, which films show: of policies, and in logs of ``rover-rl drive``."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -12,6 +14,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from rover_rl.algos.deploy.drive_log import LoggedDrive, logged_drives
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import ENDINGS, Policy, environment_for, evaluate
 from rover_rl.algos.evaluation.parallel import ROWS
@@ -24,7 +27,13 @@ from rover_rl.envs.rewards import reward_components
 from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.robots import Robot, get_robot
-from rover_rl.sims.worlds import World
+from rover_rl.sims.rotations import euler_to_matrix, matrix_to_quaternion
+from rover_rl.sims.worlds import Terrain, World, get_world
+
+NO_WORLD = "none"
+"""Name that stands for flat ground without obstacles, on which the lidar readings show what was there."""
+_MARGIN = 12.0
+"""Size of that ground around the drive, m."""
 
 
 @dataclass(frozen=True)
@@ -154,3 +163,50 @@ def moments_of(states: Sequence[tuple[RoverState, Tensor]], goal: Tensor, dt: fl
     endings = () if reached else (ending,)
     moments[-1] = replace(moments[-1], goals=one if reached else none, endings=endings, event=event)
     return moments
+
+
+def recording_of_log(path: Path, number: int | None = None, world: str | None = None) -> Recording:
+    """Reads a drive of a log, resampled to 20 Hz."""
+    drives = logged_drives(path)
+    number = len(drives) - 1 if number is None else number
+    if not 0 <= number < len(drives):
+        raise ValueError(f"{path} has {len(drives)} drives: --episode must be at most {len(drives) - 1}, got {number}")
+    drive = drives[number]
+    driven, scans, goal = drive.trajectory(), drive.scans(), torch.tensor([drive.goal])
+    place = _world(drive, world, torch.cat((driven.path, goal)))
+    position = driven.position.clone()
+    if place.name == NO_WORLD:
+        position[:, 2] = 0.0
+    orientation = matrix_to_quaternion(euler_to_matrix(driven.angles))
+    # The log holds no wheel odometry.
+    speeds = torch.cat((torch.zeros(1), driven.signed_speed))
+    parts = zip(position, orientation, speeds, scans, strict=True)
+    states = [(_state(at, turn, speed, driven.dt), scan[None]) for at, turn, speed, scan in parts]
+    angles = torch.arange(scans.shape[1]) * (2 * math.pi / max(1, scans.shape[1]))
+    moments = moments_of(states, goal, driven.dt, drive.ending)
+    return Recording(moments, place, get_robot(drive.robot), angles, driven.dt, drive.ending, number)
+
+
+def _world(drive: LoggedDrive, world: str | None, points: Tensor) -> World:
+    """Returns the world to show, by default the log's, or flat ground around ``points [P, 2]``."""
+    if world not in (None, NO_WORLD):
+        return get_world(world)
+    if world is None:
+        try:
+            return get_world(drive.world)
+        except (ValueError, OSError, ImportError):
+            pass
+    side = math.ceil(2 * (points.abs().max().item() + _MARGIN))
+    return World(NO_WORLD, Terrain.flat((float(side), float(side))))
+
+
+def _state(position: Tensor, orientation: Tensor, speed: Tensor, dt: float) -> RoverState:
+    nothing = torch.zeros(1, 1)
+    return RoverState.pack(
+        position=position[None],
+        orientation=orientation[None],
+        linear_velocity=speed.reshape(1, 1),
+        angular_velocity=nothing,
+        dt=torch.full((1, 1), dt),
+        stamp=nothing.double(),
+    )
