@@ -75,16 +75,11 @@ def fit_orientations(robot: Robot, grid: CellGrid, room: np.ndarray, margin: flo
 def find_reach(
     robot: Robot, grid: CellGrid, room: np.ndarray, gentle: np.ndarray, roomy: np.ndarray, areas: list[np.ndarray]
 ) -> Reach:
-    """Returns the cells that are connected to most goals.
+    """Returns the cells that are connected to most goals, of grids ``[rows, columns]``.
 
     Roomy cells are connected by their sides. Narrow cells count only if they join roomy cells of the spawn and goal
-    areas that are separate otherwise, and the robot turns in place, as it has to where two motions meet.
-
-    Args:
-        robot: robot.
-        grid: grid of the cells.
-        room: distance of the centers from the nearest obstacle, float64 ``[rows, columns]``, m.
-        gentle, roomy, areas: cells on gentle ground, roomy ones, and those of the spawn and the goal area, bool.
+    ``areas`` that are separate otherwise, and the robot turns in place, as it has to where two motions meet. They must
+    be on ``gentle`` ground and have ``room``, the distance from the nearest obstacle, m.
     """
     parts, count = label(roomy)
     spawns, goals = (np.bincount(parts[roomy & area], minlength=count + 1) for area in areas)
@@ -113,13 +108,10 @@ _BITS = np.uint32(1) << np.arange(ORIENTATIONS, dtype=np.uint32)
 def _components(
     fits: np.ndarray, is_narrow: np.ndarray, parts: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns what a rover can drive between: the component of each part, and of each orientation in narrow cells.
+    """Returns the component of what a rover can reach of each part ``[count + 1]`` and narrow pose ``[cells, 32]``.
 
     A rover takes steps from cell to cell in their orientation, forward or backward, and turns on the spot while all
     orientations between fit.
-
-    Returns:
-        Numbers of components, ``[count + 1]`` and ``[narrow cells, 32]``.
     """
     rows, columns = np.nonzero(is_narrow)
     nodes = np.arange(len(rows) * ORIENTATIONS).reshape(-1, ORIENTATIONS)

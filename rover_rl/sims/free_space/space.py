@@ -241,9 +241,8 @@ def distance_to_polygon(points: Tensor, polygon: Tensor) -> Tensor:
 def _gentle(world: World, robot: Robot, grid: CellGrid) -> np.ndarray:
     """Returns the cells on gentle ground, with no cliff within the turning circle: bool ``[rows, columns]``.
 
-    Strips and corners narrower than ``LANE_WIDTH`` do not count. Cliffs are cells with ground steeper than
-    ``CLIFF_SLOPE``. Their distance counts between centers. No rover passes between cliffs through narrow cells, as
-    wheels slip on slopes.
+    Strips and corners narrower than ``LANE_WIDTH`` do not count. The distance of cliffs counts between centers. No
+    rover passes between cliffs through narrow cells, as wheels slip on slopes.
     """
     if world.terrain.is_flat:
         return np.ones(grid.shape, dtype=bool)
