@@ -229,28 +229,24 @@ def test_methods_that_ask_for_something_have_no_side_effects(env):
 
 
 @pytest.mark.parametrize(
-    ("roll", "pitch", "expected"),
+    ("roll", "pitch", "threshold", "expected"),
     [
-        (1.5, 0.0, "roll_left"),
-        (-1.5, 0.0, "roll_right"),
-        (0.0, -1.5, "pitch_forward"),
-        (0.0, 1.5, "pitch_backward"),
-        (1.4, 0.0, False),
-        (0.0, -1.4, False),
+        (1.5, 0.0, 1.48, "roll_left"),
+        (-1.5, 0.0, 1.48, "roll_right"),
+        (0.0, -1.5, 1.48, "pitch_forward"),
+        (0.0, 1.5, 1.48, "pitch_backward"),
+        (1.4, 0.0, 1.48, False),
+        (0.0, -1.4, 1.48, False),
+        (0.3, 0.0, 0.2, "roll_left"),
     ],
 )
-def test_flips_are_named(env, monkeypatch, roll, pitch, expected):
+def test_flips_are_named(env, monkeypatch, roll, pitch, threshold, expected):
+    monkeypatch.setattr(env.base_env, "task", TaskConfig(flip_threshold=threshold))
     orientation = torch.tensor([[math.sin(roll / 2), math.sin(pitch / 2), 0.0, math.cos((abs(roll) + abs(pitch)) / 2)]])
     monkeypatch.setattr(BatchedRoverEnv, "rover_state", Message(orientation=orientation))
     assert env.current_roll == pytest.approx(roll, abs=1e-5)
     assert env.current_pitch == pytest.approx(pitch, abs=1e-5)
     assert env.is_robot_flipped() == expected
-
-
-def test_the_flip_threshold_is_the_tasks(monkeypatch):
-    orientation = torch.tensor([[math.sin(0.15), 0.0, 0.0, math.cos(0.15)]])
-    monkeypatch.setattr(BatchedRoverEnv, "rover_state", Message(orientation=orientation))
-    assert make(task=TaskConfig(flip_threshold=0.2)).is_robot_flipped() == "roll_left"
 
 
 def test_heading_controller_is_the_contracts_pid(env):
@@ -280,7 +276,7 @@ def test_render_returns_an_image(env):
     assert image.std() > 0
 
 
-def test_a_window_shows_each_reset_and_step(pygame, env, monkeypatch):
+def test_a_window_shows_each_reset_and_step_until_the_user_closes_it(pygame, env, monkeypatch):
     waits = []
     monkeypatch.setattr(pygame.time, "Clock", lambda: Message(tick=waits.append))
     human = make(render_mode="human")
@@ -291,18 +287,14 @@ def test_a_window_shows_each_reset_and_step(pygame, env, monkeypatch):
         np.testing.assert_array_equal(shown, env.render())
     assert human.render() is None
     assert waits == [20, 20]
-    human.close()
-    assert pygame.display.get_surface() is None
-
-
-def test_a_window_stays_closed_after_the_user_closes_it(pygame):
-    human = make(render_mode="human")
-    human.reset(seed=0)
     pygame.event.post(pygame.event.Event(pygame.QUIT))
     for _ in range(2):
         human.step([0.0, 0.0])
         assert pygame.display.get_surface() is None
+    human = make(render_mode="human")
+    human.reset()
     human.close()
+    assert pygame.display.get_surface() is None
 
 
 def test_a_window_needs_pygame_and_a_display(pygame, monkeypatch):

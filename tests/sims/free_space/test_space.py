@@ -158,7 +158,7 @@ def test_overhead_and_buried_obstacles_are_ignored(height, passable):
 
 
 def test_an_enclosed_pocket_has_no_goal_and_no_spawn_cell():
-    ring = [box((x, y, 0.5), size) for x, y, size in ((0, 1.5, (3.4, 0.4, 1)), (0, -1.5, (3.4, 0.4, 1)))]
+    ring = [box((0, y, 0.5), (3.4, 0.4, 1)) for y in (-1.5, 1.5)]
     ring += [box((x, 0, 0.5), (0.4, 3.4, 1)) for x in (-1.5, 1.5)]
     free = free_space(World("ring", Terrain.flat((12, 12)), ring), ROVER)
     assert free.contains(torch.zeros(2))
