@@ -20,7 +20,6 @@ Gaps of 0.7 m are passable for Rover Zero however they lie on the grid, 99 % of 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -36,16 +35,6 @@ from rover_rl.sims.robots.footprint import covering_discs
 MARGIN = 0.02
 """Minimum distance of the footprint from obstacles at the center of a cell, m. It exceeds the error of interpolated
 distances, 5 mm at obstacles like thin cylinders."""
-
-
-class Reach(NamedTuple):
-    """Cells that a rover reaches: roomy ones, bool ``[rows, columns]``, and orientations in narrow ones, uint32 bits.
-
-    Nothing is narrow if narrow cells are not needed.
-    """
-
-    roomy: np.ndarray
-    narrow: np.ndarray
 
 
 def headings_of_bins() -> np.ndarray:
@@ -74,8 +63,8 @@ def fit_orientations(robot: Robot, grid: CellGrid, room: np.ndarray, margin: flo
 
 def find_reach(
     robot: Robot, grid: CellGrid, room: np.ndarray, gentle: np.ndarray, roomy: np.ndarray, areas: list[np.ndarray]
-) -> Reach:
-    """Returns the cells that are connected to most goals, of grids ``[rows, columns]``.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the cells that are connected to most goals: roomy ones, bool, and orientations in narrow ones, as bits.
 
     Roomy cells are connected by their sides. Narrow cells count only if they join roomy cells of the spawn and goal
     ``areas`` that are separate otherwise, and the robot turns in place, as it has to where two motions meet. They must
@@ -99,7 +88,7 @@ def find_reach(
             if joined[wanted].sum() > 1 and goals @ joined >= goals @ best:
                 best = joined
                 narrow[is_narrow] = (of_narrow == component) @ _BITS
-    return Reach(roomy & best[parts], narrow)
+    return roomy & best[parts], narrow
 
 
 _BITS = np.uint32(1) << np.arange(ORIENTATIONS, dtype=np.uint32)

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import torch
-from scipy.ndimage import label
 from torch import Tensor
 
 from rover_rl.sims.free_space.cell_grid import CellGrid, distance_to_cells
@@ -72,7 +71,7 @@ class PathGrid:
         self.origin, self.cell = space.origin, space.cell
         self._shape = space.passable.shape
         self._prepare(space, caution, _steepness(world) if caution else 0.0)
-        reachable = self._reachable(space)
+        reachable = np.isfinite(self._spread(self._number(space.goal_cells[:1]))).reshape(self._shape)
         self.reachable = torch.from_numpy(reachable)
         self._nearest = distance_to_cells(reachable)[1].ravel()
 
@@ -90,19 +89,9 @@ class PathGrid:
         arrays = ((weights, float), (steps, wp.uint32), ((edge > SPAN) & even, bool), (offsets, int), (lengths, float))
         self._grid = [wp.array(np.ravel(values), dtype=kind, device="cpu") for values, kind in arrays]
 
-    def _reachable(self, space: FreeSpace) -> np.ndarray:
-        """Returns the cells with a path to the goals: bool ``[rows, columns]``."""
-        goal = self._cells(space.goal_cells[:1])
-        if len(space.narrow_orientations):
-            return np.isfinite(self._spread(np.ravel_multi_index(tuple(goal.T), self._shape))).reshape(self._shape)
-        # Diagonal steps between two obstacles that touch at a corner connect cells, too.
-        parts, _ = label(space.roomy.numpy(), structure=np.ones((3, 3)))
-        return parts == parts[tuple(goal[0])]
-
     def costs(self, goals: Tensor) -> Tensor:
         """Returns the costs from every cell to goals ``[G, 2]`` (m): float32 ``[G, rows, columns]``, m, on the CPU."""
-        sources = self._nearest[np.ravel_multi_index(tuple(self._cells(goals).T), self._shape)]
-        costs = self._spread(sources).take(self._nearest, axis=1) * np.float32(self.cell)
+        costs = self._spread(self._nearest[self._number(goals)]).take(self._nearest, axis=1) * np.float32(self.cell)
         return torch.from_numpy(costs).reshape(len(goals), *self._shape)
 
     def _spread(self, sources: np.ndarray) -> np.ndarray:
@@ -115,11 +104,11 @@ class PathGrid:
         wp.launch(spread_costs, dim=count, inputs=inputs, device="cpu")
         return costs.numpy()
 
-    def _cells(self, points: Tensor) -> np.ndarray:
-        """Returns the row and column of the cells nearest to points ``[..., 2]``: int64 ``[..., 2]``."""
-        index = (points.double().cpu().numpy() - self.origin) / self.cell
+    def _number(self, points: Tensor) -> np.ndarray:
+        """Returns the numbers of the cells nearest to points ``[P, 2]`` (m): int64 ``[P]``."""
         # Of two cells that are equally near, the first one.
-        return np.ceil(index - 0.5).astype(np.int64)[..., ::-1].clip(0, np.array(self._shape) - 1)
+        index = np.ceil((points.double().cpu().numpy() - self.origin) / self.cell - 0.5).astype(np.int64)
+        return np.ravel_multi_index(tuple(index.T[::-1]), self._shape, mode="clip")
 
 
 def _steepness(world: World) -> np.ndarray | float:

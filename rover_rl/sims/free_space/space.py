@@ -26,7 +26,6 @@ from rover_rl.sims.free_space.ground_limits import (
 )
 from rover_rl.sims.free_space.passages import (
     MARGIN,
-    Reach,
     find_reach,
     fit_orientations,
     headings_of_bins,
@@ -181,19 +180,22 @@ def _compute(world: World, robot: Robot) -> FreeSpace:
     clearance = clearance_on_grid(world, grid.x, grid.y, robot.radius + LIDAR_CLEARANCES[0] + EXTRA_CLEARANCE)
     room, gentle = clearance.numpy(), _gentle(world, robot, grid)
     areas = [grid.within(world.spawn_range, world.spawn_region), grid.within(world.goal_range, world.goal_region)]
-    roomy, reach = _find_roomy(robot, grid, room, gentle, robot.radius + grid.half_diagonal, areas)
-    poses = np.full(grid.shape, ALL_ORIENTATIONS, dtype=np.uint32)
-    if not all((reach.roomy & area).any() for area in areas):
+    x, y = ((low + robot.radius, high - robot.radius) for low, high in grid.area)
+    open_ground = gentle & grid.within((x, y))
+    roomy, poses = open_ground & (room >= robot.radius + grid.half_diagonal), np.full(grid.shape, ALL_ORIENTATIONS)
+    reached, narrow = find_reach(robot, grid, room, gentle, roomy, areas)
+    if not all((reached & area).any() for area in areas):
         # The rover turns at the centers of cells, but does not fit in all orientations wherever in a cell it is.
-        roomy, reach = _find_roomy(robot, grid, room, gentle, robot.radius + MARGIN, areas)
-        poses = fit_orientations(robot, grid, room, margin=grid.half_diagonal)
-    spawn, goal = (reach.roomy & area & (poses != 0) for area in areas)
+        roomy = open_ground & (room >= robot.radius + MARGIN)
+        poses = fit_orientations(robot, grid, room, grid.half_diagonal)
+        reached, narrow = find_reach(robot, grid, room, gentle, roomy, areas)
+    spawn, goal = (reached & area & (poses != 0) for area in areas)
     goal_cells, spawn_cells = grid.centers(goal), grid.centers(spawn)
     _check_any(world, robot, "goal", goal_cells)
     headings = _headings(world, robot, grid, clearance, spawn_cells) & orientations_of_bins(poses[spawn])
     spawn_cells, headings = spawn_cells[headings != 0], headings[headings != 0]
     _check_any(world, robot, "spawn", spawn_cells)
-    narrow = np.where(roomy, 0, reach.narrow)
+    narrow[roomy] = 0
     return FreeSpace(
         cell=grid.cell,
         origin=grid.origin,
@@ -251,15 +253,6 @@ def _gentle(world: World, robot: Robot, grid: CellGrid) -> np.ndarray:
     away, _ = distance_to_cells(slopes > math.tan(CLIFF_SLOPE), least + 1)
     gentle = (slopes <= math.tan(MAX_SLOPE)) & (away >= least)
     return binary_opening(gentle, np.ones([round(LANE_WIDTH / grid.cell)] * 2))
-
-
-def _find_roomy(
-    robot: Robot, grid: CellGrid, room: np.ndarray, gentle: np.ndarray, least: float, areas: list[np.ndarray]
-) -> tuple[np.ndarray, Reach]:
-    """Returns the gentle cells with at least ``least`` (m) of room, and what a rover reaches over them."""
-    x, y = ((low + robot.radius, high - robot.radius) for low, high in grid.area)
-    roomy = gentle & (room >= least) & grid.within((x, y))
-    return roomy, find_reach(robot, grid, room, gentle, roomy, areas)
 
 
 def _headings(world: World, robot: Robot, grid: CellGrid, clearance: Tensor, cells: Tensor) -> Tensor:
