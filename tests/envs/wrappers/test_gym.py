@@ -241,7 +241,7 @@ def test_methods_that_ask_for_something_have_no_side_effects(env):
     ],
 )
 def test_flips_are_named(env, monkeypatch, roll, pitch, threshold, expected):
-    monkeypatch.setattr(env.base_env, "task", TaskConfig(flip_threshold=threshold))
+    monkeypatch.setattr(BatchedRoverEnv, "task", TaskConfig(flip_threshold=threshold))
     orientation = torch.tensor([[math.sin(roll / 2), math.sin(pitch / 2), 0.0, math.cos((abs(roll) + abs(pitch)) / 2)]])
     monkeypatch.setattr(BatchedRoverEnv, "rover_state", Message(orientation=orientation))
     assert env.current_roll == pytest.approx(roll, abs=1e-5)
