@@ -77,7 +77,7 @@ class Film:
         """Runs the command."""
         self._check()
         if self.policy.endswith(LOG):
-            from rover_rl.algos.video.drive_log import recording_of_log
+            from rover_rl.algos.video.recording import recording_of_log
 
             self._film(recording_of_log(Path(self.policy), self.episode, self.world), self.out, f"of {self.policy}")
         elif self.episode is not None or self.failures:
@@ -243,8 +243,8 @@ class Play:
         return 0
 
     def _film_log(self) -> tuple[Path, Recording]:
-        from rover_rl.algos.video.drive_log import recording_of_log
         from rover_rl.algos.video.film import Style, film_recording
+        from rover_rl.algos.video.recording import recording_of_log
 
         path, drive = Path(self.policy).with_suffix(".gif"), recording_of_log(Path(self.policy), world=self.world)
         film_recording(drive.last(self.seconds), path, Style(width=PLAY_WIDTH, height=PLAY_HEIGHT))

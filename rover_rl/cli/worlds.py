@@ -99,7 +99,7 @@ class ShowWorld:
 
     def __call__(self) -> int:
         """Runs the command."""
-        from rover_rl.sims.free_space.draw_task import draw_task
+        from rover_rl.sims.free_space.draw import draw_task
         from rover_rl.sims.robots import get_robot
         from rover_rl.sims.worlds import get_world
 

@@ -1,10 +1,12 @@
-"""Recorded drives, which films show."""
+"""Recorded drives, which films show: of policies, and in logs of ``rover-rl drive``."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -12,6 +14,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from rover_rl.algos.deploy.drive_log import LoggedDrive, logged_drives
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import ENDINGS, Policy, environment_for, evaluate
 from rover_rl.algos.evaluation.parallel import ROWS
@@ -24,22 +27,21 @@ from rover_rl.envs.rewards import reward_components
 from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.robots import Robot, get_robot
-from rover_rl.sims.worlds import World
+from rover_rl.sims.rotations import euler_to_matrix, matrix_to_quaternion
+from rover_rl.sims.worlds import Terrain, World, get_world
+
+NO_WORLD = "none"
+"""Name that stands for flat ground without obstacles, on which the lidar readings show what was there."""
+_MARGIN = 12.0
+"""Size of that ground around the drive, m."""
 
 
 @dataclass(frozen=True)
 class Moment:
-    """State of ``N`` rovers in one frame of a video.
+    """State of ``N`` rovers at a time (s) of a video: scans ``[N, beams]`` and current goals ``[N, 2]``, m.
 
-    Attributes:
-        seconds: time since the start of the video, s.
-        rover: states of the rovers, ``[N]``.
-        scan: their raw scans, ``[N, beams]``, m.
-        goal: current goal of each rover, ``[N, 2]``, m.
-        goals: number of goals that each rover has reached, int64 ``[N]``.
-        episodes: number of episodes that each rover has started, int64 ``[N]``.
-        endings: endings of all episodes so far, such as ``"jammed"`` and ``"flipped"``.
-        event: last event of the first rover, and its time, s.
+    ``goals`` and ``episodes`` count those that each has reached and started. ``endings`` are those of all episodes so
+    far, ``event`` is the last one of the first rover, and its time (s).
     """
 
     seconds: float
@@ -128,10 +130,7 @@ def record_endless(
 def record_episodes(
     policy: Policy | None, episodes: EpisodeSet, wanted: Sequence[int] | None = None, **options: Any
 ) -> list[Recording]:
-    """Evaluates a policy, and records its drives of the ``wanted`` episodes; ``None``: of all.
-
-    ``options`` are further arguments of :func:`~rover_rl.algos.evaluation.evaluate.evaluate`, except for ``rows``.
-    """
+    """Evaluates a policy with options of ``evaluate``, and records its drives of the ``wanted`` episodes, or all."""
     wanted = range(len(episodes)) if wanted is None else wanted
     states: dict[int, list[tuple[RoverState, Tensor]]] = {index: [] for index in wanted}
     angles, dt = torch.zeros(0), 0.0
@@ -146,19 +145,13 @@ def record_episodes(
     # As in an evaluation: a randomized drive depends on its row.
     rows = len(episodes) if episodes.several_worlds else ROWS
     evaluation = evaluate(policy, episodes, rows=rows, watch=watch, **options)
-    robot = get_robot(evaluation.env.robot)
-    return [
-        Recording(
-            moments_of(states[index], episodes.goal[index : index + 1], dt, evaluation.endings[index]),
-            episodes.worlds[index],
-            robot,
-            angles,
-            dt,
-            evaluation.endings[index],
-            episodes.offset + index,
-        )
-        for index in wanted
-    ]
+    robot, drives = get_robot(evaluation.env.robot), []
+    for index in wanted:
+        ending = evaluation.endings[index]
+        moments = moments_of(states[index], episodes.goal[index : index + 1], dt, ending)
+        where = episodes.offset + index
+        drives.append(Recording(moments, episodes.worlds[index], robot, angles, dt, ending, where))
+    return drives
 
 
 def moments_of(states: Sequence[tuple[RoverState, Tensor]], goal: Tensor, dt: float, ending: str) -> list[Moment]:
@@ -170,3 +163,50 @@ def moments_of(states: Sequence[tuple[RoverState, Tensor]], goal: Tensor, dt: fl
     endings = () if reached else (ending,)
     moments[-1] = replace(moments[-1], goals=one if reached else none, endings=endings, event=event)
     return moments
+
+
+def recording_of_log(path: Path, number: int | None = None, world: str | None = None) -> Recording:
+    """Reads a drive of a log, resampled to 20 Hz."""
+    drives = logged_drives(path)
+    number = len(drives) - 1 if number is None else number
+    if not 0 <= number < len(drives):
+        raise ValueError(f"{path} has {len(drives)} drives: --episode must be at most {len(drives) - 1}, got {number}")
+    drive = drives[number]
+    driven, scans, goal = drive.trajectory(), drive.scans(), torch.tensor([drive.goal])
+    place = _world(drive, world, torch.cat((driven.path, goal)))
+    position = driven.position.clone()
+    if place.name == NO_WORLD:
+        position[:, 2] = 0.0
+    orientation = matrix_to_quaternion(euler_to_matrix(driven.angles))
+    # The log holds no wheel odometry.
+    speeds = torch.cat((torch.zeros(1), driven.signed_speed))
+    parts = zip(position, orientation, speeds, scans, strict=True)
+    states = [(_state(at, turn, speed, driven.dt), scan[None]) for at, turn, speed, scan in parts]
+    angles = torch.arange(scans.shape[1]) * (2 * math.pi / max(1, scans.shape[1]))
+    moments = moments_of(states, goal, driven.dt, drive.ending)
+    return Recording(moments, place, get_robot(drive.robot), angles, driven.dt, drive.ending, number)
+
+
+def _world(drive: LoggedDrive, world: str | None, points: Tensor) -> World:
+    """Returns the world to show, by default the log's, or flat ground around ``points [P, 2]``."""
+    if world not in (None, NO_WORLD):
+        return get_world(world)
+    if world is None:
+        try:
+            return get_world(drive.world)
+        except (ValueError, OSError, ImportError):
+            pass
+    side = math.ceil(2 * (points.abs().max().item() + _MARGIN))
+    return World(NO_WORLD, Terrain.flat((float(side), float(side))))
+
+
+def _state(position: Tensor, orientation: Tensor, speed: Tensor, dt: float) -> RoverState:
+    nothing = torch.zeros(1, 1)
+    return RoverState.pack(
+        position=position[None],
+        orientation=orientation[None],
+        linear_velocity=speed.reshape(1, 1),
+        angular_velocity=nothing,
+        dt=torch.full((1, 1), dt),
+        stamp=nothing.double(),
+    )

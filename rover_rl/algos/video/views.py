@@ -25,7 +25,7 @@ from rover_rl.sims.base import RoverState
 from rover_rl.sims.rendering.camera import Camera
 from rover_rl.sims.rendering.renderer import Renderer
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.rotations import quaternion_to_euler
+from rover_rl.sims.rotations import quaternion_to_euler, rotate
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.world import Area
 
@@ -58,13 +58,7 @@ class _FrameFigure:
         self._background = None
 
     def picture(self, caption: Sequence[str], event: str = "", backdrop: np.ndarray | None = None) -> np.ndarray:
-        """Draws a frame, uint8 ``[height, width, 3]``.
-
-        Args:
-            caption: parts of the caption at the bottom.
-            event: text at the top.
-            backdrop: picture below everything, uint8 ``[height, width, 3]``; ``None``: what the axes hold.
-        """
+        """Draws a frame, uint8 ``[height, width, 3]``, with texts at the bottom and top, over a picture or the axes."""
         above = [*self.artists, self._band, *self._caption, self._event]
         if self._background is None:
             for artist in above:
@@ -84,13 +78,7 @@ class _FrameFigure:
 
 
 class Rendered(NamedTuple):
-    """Rendered picture of a rover, and where its lidar beams are in it.
-
-    Attributes:
-        image: picture, uint8 ``[height, width, 3]``.
-        beams: pixels along each beam, ``[beams, points, 2]``; NaN behind the camera.
-        seen: whether each of these points is visible, bool ``[beams, points]``.
-    """
+    """Rendered picture of a rover, pixels along its lidar beams, ``[beams, points, 2]``, and whether they are seen."""
 
     image: np.ndarray
     beams: Tensor
@@ -157,26 +145,17 @@ def lidar_hits(rover: RoverState, ranges: Tensor, robot: Robot, angles: Tensor) 
     hit = torch.isfinite(ranges)
     rays = torch.stack((angles.cos(), angles.sin(), torch.zeros_like(angles)), -1)[hit] * ranges[hit, None]
     mount = torch.tensor(robot.lidar_position)
-    points = rover.position + _rotated(rover.orientation, torch.cat((mount[None], mount + rays)))
+    points = rover.position + rotate(rover.orientation, torch.cat((mount[None], mount + rays)))
     return points[0], points[1:]
 
 
 def _points(start: Tensor, hits: Tensor, count: int = 13) -> Tensor:
-    """Computes points along the beams from ``start [3]`` to ``hits [n, 3]``: ``[n, count, 3]``, m.
-
-    The first 0.35 m of each beam is left out, so that the beams do not cover the rover.
-    """
+    """Computes points along the beams from ``start [3]`` to ``hits [n, 3]``: ``[n, count, 3]``, m."""
     beams = hits - start
+    # Without their first 0.35 m, beams do not cover the rover.
     first = (0.35 / beams.norm(dim=-1, keepdim=True)).clamp(max=1)
     shares = first + (1 - first) * torch.linspace(0, 1, count)
     return start + shares[..., None] * beams[:, None]
-
-
-def _rotated(quaternion: Tensor, vectors: Tensor) -> Tensor:
-    """Rotates ``vectors [n, 3]`` by a unit quaternion ``[4]``."""
-    axis, w = quaternion[:3].expand_as(vectors), quaternion[3]
-    twice = 2 * torch.linalg.cross(axis, vectors)
-    return vectors + w * twice + torch.linalg.cross(axis, twice)
 
 
 class TopView:

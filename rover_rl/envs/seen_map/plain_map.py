@@ -17,19 +17,7 @@ from torch import Tensor, nn
 from torch._higher_order_ops.while_loop import while_loop
 
 from rover_rl.envs.config import LidarConfig
-from rover_rl.envs.seen_map.route_kernels import (
-    BESIDE,
-    BESIDE_WEIGHT,
-    DIAGONAL,
-    LONGEST,
-    NEAR_WEIGHT,
-    NEAREST,
-    OPEN_WEIGHT,
-    ROOM,
-    SLOW_WEIGHT,
-    STRAIGHT,
-    UNKNOWN_COST,
-)
+from rover_rl.envs.seen_map import route_kernels as routes
 from rover_rl.envs.seen_map.scans import (
     CELL,
     CLOSED,
@@ -68,21 +56,10 @@ _SWEEPS = 4
 
 
 class PlainSeenMap(nn.Module):
-    """One decision of a :class:`~rover_rl.envs.seen_map.seen_map.SeenMap` of one rover as a function of plain tensors.
-
-    Args:
-        lidar: settings of the lidar; ``None``: the defaults.
-        robot: robot, or its name, for the position of the lidar.
-        interval: time from one decision to the next, s.
-
-    Attributes:
-        state_size: number of entries of the state.
-
-    Raises:
-        ValueError: if the lidar is mounted too far from the robot's center.
-    """
+    """One decision of a :class:`~rover_rl.envs.seen_map.seen_map.SeenMap` of one rover as a function of tensors."""
 
     state_size = sum(STATE) + 2 * SIZE * SIZE
+    """Number of entries of the state."""
 
     def __init__(
         self, lidar: LidarConfig | None = None, robot: str | Robot = "rover_zero", interval: float = 0.2
@@ -168,15 +145,9 @@ def _unpacked(codes: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _in_cells(scan: Scan, points: Tensor, counts: Tensor, values: Tensor, none: float, reduce: str) -> Tensor:
-    """Returns the sum or the largest of the values of the points in each cell, ``[k, SIZE, SIZE]``.
+    """Reduces (``"sum"``, ``"amax"``) the ``values [k, n]`` of the points in each cell that count: ``[k, SIZE, SIZE]``.
 
-    Args:
-        scan: scan that the points are from.
-        points: x and y, ``[n, 2]``, in cells.
-        counts: which points count, bool ``[n]``.
-        values: values of the points, ``[k, n]``.
-        none: value of cells without points.
-        reduce: ``"sum"`` or ``"amax"``.
+    ``points [n, 2]`` are in cells, and ``none`` is the value of cells without any.
     """
     column, row = ((points.floor() - scan.center + HALF).long() % SIZE).unbind(-1)
     # Points that do not count are collected behind the last cell.
@@ -199,13 +170,7 @@ def _along(start: Tensor, vectors: Tensor, lengths: Tensor, last: int) -> tuple[
 
 
 def _with_scan(codes: Tensor, walls: Tensor, scan: Scan) -> Tensor:
-    """Returns what is known of the cells after a scan: see ``add_scans`` in ``scan_kernels``.
-
-    Args:
-        codes: what was known before, ``[SIZE, SIZE]``.
-        walls: cells that are too steep, bool ``[SIZE, SIZE]``.
-        scan: scan.
-    """
+    """Returns what is known of the cells after a scan: see ``add_scans`` in ``scan_kernels``. Walls are too steep."""
     (evidence, sides), origin = _unpacked(codes), scan.origin[0]
     beams, hits, was_closed = scan.beams[0, :, :2], scan.hits[0], evidence > MOST
     ends = origin + beams
@@ -253,20 +218,15 @@ def _walls(heights: Tensor) -> Tensor:
 def _plan(levels: Tensor, goal: Tensor, edges: Tensor) -> tuple[Tensor, Tensor]:
     """Plans the route from the middle of the window to a cell: see ``plan_routes`` in ``route_kernels``.
 
-    Args:
-        levels: level of each cell, ``[SIZE, SIZE]``.
-        goal: column and row of the goal, int64 ``[2]``.
-        edges: column and row of the cells that hold the lower and the upper bounds, ``[4]``.
-
-    Returns:
-        Column and row of the first two corners, ``[2, 2]``, -1 for the goal, and the length of the route, ``[]``, m.
+    Columns and rows are those of the goal, int64 ``[2]``, of the ``edges`` at the bounds, ``[4]``, and of the first two
+    corners, ``[2, 2]``, -1 for the goal. The length is in m.
     """
     weights = _weights(levels, goal, edges)
     costs = _costs(weights, goal)
     total = costs[HALF, HALF]
-    reachable = total < UNKNOWN_COST
+    reachable = total < routes.UNKNOWN_COST
     corners = _corners(levels, costs, weights, goal, torch.where(reachable, torch.full_like(goal, HALF), goal))
-    return corners, torch.where(reachable, total * CELL / (OPEN_WEIGHT * STRAIGHT), -1.0)
+    return corners, torch.where(reachable, total * CELL / (routes.OPEN_WEIGHT * routes.STRAIGHT), -1.0)
 
 
 def _weights(levels: Tensor, goal: Tensor, edges: Tensor) -> Tensor:
@@ -275,13 +235,15 @@ def _weights(levels: Tensor, goal: Tensor, edges: Tensor) -> Tensor:
     column, row = number, number[:, None]
     from_home = torch.maximum((column - HALF).abs(), (row - HALF).abs())
     from_goal = torch.maximum((column - goal[0]).abs(), (row - goal[1]).abs())
-    none, is_goal = float(UNKNOWN_COST), from_goal == 0
-    by_level = levels.new_tensor((none, BESIDE_WEIGHT, NEAR_WEIGHT, SLOW_WEIGHT, OPEN_WEIGHT))
+    none, is_goal = float(routes.UNKNOWN_COST), from_goal == 0
+    by_level = levels.new_tensor(
+        (none, routes.BESIDE_WEIGHT, routes.NEAR_WEIGHT, routes.SLOW_WEIGHT, routes.OPEN_WEIGHT)
+    )
     weights = by_level[levels.long()]
-    weights = torch.where((levels == 1) & (torch.minimum(from_home, from_goal) > BESIDE), none, weights)
-    weights = torch.where((levels == 0) & is_goal, float(OPEN_WEIGHT), weights)
-    inside = (column >= edges[0] + ROOM) & (row >= edges[1] + ROOM)
-    inside = inside & (column <= edges[2] - ROOM) & (row <= edges[3] - ROOM)
+    weights = torch.where((levels == 1) & (torch.minimum(from_home, from_goal) > routes.BESIDE), none, weights)
+    weights = torch.where((levels == 0) & is_goal, float(routes.OPEN_WEIGHT), weights)
+    inside = (column >= edges[0] + routes.ROOM) & (row >= edges[1] + routes.ROOM)
+    inside = inside & (column <= edges[2] - routes.ROOM) & (row <= edges[3] - routes.ROOM)
     return torch.where(inside | is_goal, weights, none)
 
 
@@ -300,25 +262,21 @@ def _costs(weights: Tensor, goal: Tensor) -> Tensor:
     def sweep(costs: Tensor, going: Tensor) -> tuple[Tensor, Tensor]:
         after = costs
         for _ in range(_SWEEPS):
-            straight, diagonal = after + STRAIGHT * weights, after + DIAGONAL * weights
+            straight, diagonal = after + routes.STRAIGHT * weights, after + routes.DIAGONAL * weights
             aside = torch.minimum(lowest(straight, 1, 3), lowest(straight, 3, 1))
             after = torch.minimum(after, torch.minimum(aside, lowest(diagonal, 3, 3)))
         return after, ((after < costs) & (after <= after[HALF, HALF])).any()
 
-    start = torch.where(is_goal, 0.0, float(UNKNOWN_COST))
+    start = torch.where(is_goal, 0.0, float(routes.UNKNOWN_COST))
     return _repeat(lambda costs, going: going.clone(), sweep, (start, is_goal.any()))[0]
 
 
 def _corners(levels: Tensor, costs: Tensor, weights: Tensor, goal: Tensor, start: Tensor) -> Tensor:
-    """Finds up to two corners of the cheapest path by string pulling: see ``find_corners`` in ``route_kernels``.
-
-    Returns:
-        Column and row of the corners, ``[2, 2]``; -1 for the goal.
-    """
+    """Finds up to two corners of the cheapest path by string pulling: see ``find_corners`` in ``route_kernels``."""
     device = levels.device
     steps, direction = torch.tensor(_STEPS, device=device), torch.arange(8, device=device)
-    lengths = torch.where(direction % 2 == 0, float(STRAIGHT), float(DIAGONAL))
-    numbers, index = torch.arange(1, LONGEST, device=device), torch.arange(2, device=device)[:, None]
+    lengths = torch.where(direction % 2 == 0, float(routes.STRAIGHT), float(routes.DIAGONAL))
+    numbers, index = torch.arange(1, routes.LONGEST, device=device), torch.arange(2, device=device)[:, None]
 
     def at(values: Tensor, cells: Tensor) -> Tensor:
         column, row = cells.clamp(0, SIZE - 1).unbind(-1)
@@ -326,12 +284,12 @@ def _corners(levels: Tensor, costs: Tensor, weights: Tensor, goal: Tensor, start
         return values.flatten().index_select(0, (SIZE * row + column).flatten()).reshape(row.shape)
 
     def going(n: Tensor, cell: Tensor, step: Tensor, first: Tensor, walked: Tensor, least: Tensor, found: Tensor):
-        return (n < LONGEST) & (found[1, 0] < 0) & (cell != goal).any()
+        return (n < routes.LONGEST) & (found[1, 0] < 0) & (cell != goal).any()
 
     def walk(n: Tensor, cell: Tensor, step: Tensor, first: Tensor, walked: Tensor, least: Tensor, found: Tensor):
         around = cell + steps
         inside = ((around >= 0) & (around < SIZE)).all(-1)
-        cost = torch.where(inside, at(costs, around) + lengths * at(weights, around), float(UNKNOWN_COST)).long()
+        cost = torch.where(inside, at(costs, around) + lengths * at(weights, around), float(routes.UNKNOWN_COST)).long()
         # Of equally cheap steps, the path takes that which goes on ahead, or the first.
         step = (16 * cost + torch.where(direction == step, -1, direction)).argmin()
         following = cell + steps.index_select(0, step.reshape(1))[0]
@@ -340,21 +298,14 @@ def _corners(levels: Tensor, costs: Tensor, weights: Tensor, goal: Tensor, start
         count = way.abs().amax(0)
         line = first + ((numbers / count)[:, None] * way + 0.5).floor().long()
         lowest = torch.where(numbers < count, at(levels, line), float(OPEN)).amin(0)
-        is_corner = (walked >= NEAREST) & (lowest < least)
+        is_corner = (walked >= routes.NEAREST) & (lowest < least)
         found = torch.where(is_corner & (index == (found[0, 0] >= 0).long()), cell, found)
         first, least = torch.where(is_corner, cell, first), torch.where(is_corner, level, least)
         return n + 1, following, step, first, torch.where(is_corner, 0, walked) + 1, least, found
 
     zero = torch.zeros((), dtype=torch.int64, device=device)
-    state = (
-        zero,
-        start,
-        zero - 1,
-        start + 0,
-        zero + 0,
-        levels.new_tensor(float(OPEN)),
-        zero - torch.ones_like(steps[:2]),
-    )
+    none = zero - torch.ones_like(steps[:2])
+    state = (zero, start, zero - 1, start + 0, zero + 0, levels.new_tensor(float(OPEN)), none)
     return _repeat(going, walk, state)[-1]
 
 

@@ -2,7 +2,10 @@
 
 What has not been seen counts as free. A step to a neighboring cell costs its length (``STRAIGHT`` or ``DIAGONAL``)
 times the weight of the cell that is nearer to the goal. Weights grow near obstacles. All costs are integers, so that
-every exact method finds the same ones.
+every exact method finds the same ones: ``PlainSeenMap`` does by sweeps, which can be exported.
+
+The map changes with each scan, and each rover has its own, so that this search, A*, looks at few of its cells. That of
+:mod:`rover_rl.sims.free_space.path_kernels` finds the costs from all cells of a known world.
 """
 
 from __future__ import annotations
@@ -42,19 +45,15 @@ LONGEST = wp.constant(96)
 
 
 @wp.func
+def side_of(step: int):
+    """Returns on which side along x neighbor 0 to 7 lies, counter-clockwise from +x: -1, 0 or 1."""
+    return wp.where(step % 4 == 2, 0, wp.where((step + 1) % 8 < 3, 1, -1))
+
+
+@wp.func
 def neighbor(step: int):
-    """Returns the offset of neighbor 0 to 7, counter-clockwise from +x."""
-    dx = int(0)
-    dy = int(0)
-    if step == 0 or step == 1 or step == 7:
-        dx = 1
-    elif step == 3 or step == 4 or step == 5:
-        dx = -1
-    if step == 1 or step == 2 or step == 3:
-        dy = 1
-    elif step == 5 or step == 6 or step == 7:
-        dy = -1
-    return wp.vec2i(dx, dy)
+    """Returns the offset of neighbor 0 to 7."""
+    return wp.vec2i(side_of(step), side_of((step + 6) % 8))
 
 
 @wp.func
@@ -73,18 +72,13 @@ def least_cost(x: int, y: int):
 
 @wp.struct
 class Window:
-    """The cells that a route is planned on, addressed within the window: the rover's is (HALF, HALF).
+    """The cells that a route is planned on, addressed within the window: the rover's is (HALF, HALF)."""
 
-    Attributes:
-        center: cell of the world in the middle of the window.
-        goal: cell of the goal, ``row * SIZE + column``.
-        fence: first column and row, and last column and row, that a route may lead through.
-        levels: level of each cell by its distance from obstacles.
-        doubts: number of suspected cells around each one.
-    """
-
+    # Cell of the world in the middle of the window.
     center: wp.vec2i
+    # Cell of the goal, row * SIZE + column.
     goal: int
+    # First column and row, and last column and row, that a route may lead through.
     fence: wp.vec4i
     levels: wp.array[wp.uint8]
     doubts: wp.array[wp.int16]
@@ -202,14 +196,13 @@ def next_step(x: int, y: int, before: int, window: Window, costs: wp.array[int])
 def is_open(from_x: int, from_y: int, to_x: int, to_y: int, least: int, window: Window):
     """Returns whether all cells between two cells of the window have at least the level ``least``."""
     count = wp.max(wp.abs(to_x - from_x), wp.abs(to_y - from_y))
-    free = bool(True)
     for n in range(1, count):
         part = float(n) / float(count)
         x = from_x + int(wp.floor(part * float(to_x - from_x) + 0.5))
         y = from_y + int(wp.floor(part * float(to_y - from_y) + 0.5))
         if level_of(x, y, window) < least:
-            free = False
-    return free
+            return False
+    return True
 
 
 @wp.func
@@ -266,24 +259,17 @@ def plan_routes(
     first: int,
     last: int,
 ):
-    """Plans the route from each rover to its goal; thread ``t`` does every T-th row from ``first + t`` on.
+    """Plans the routes to the goals of rows ``first`` to ``last - 1``; thread ``t`` does every T-th one from ``t`` on.
 
     Args:
         goals: x and y of the goals, ``[N, 2]``, m.
         bounds: lower x and y and upper x and y of the area that routes stay in, ``[N, 4]``, m.
         planned: rows to plan for, ``[N]``. The results of others do not change.
         centers: cells in the middle of the windows.
-        levels: level of each cell: see :class:`Window`.
-        doubts: number of suspected cells around each one.
-        costs: working memory, ``[T, SIZE * SIZE]``.
-        heads: working memory, ``[T, BUCKETS]``.
-        following: working memory, ``[T, SIZE * SIZE]``.
-        preceding: working memory, ``[T, SIZE * SIZE]``.
+        levels, doubts: the map: see ``scan_kernels.Cells``.
+        costs, heads, following, preceding: working memory, ``[T, SIZE * SIZE]``, and ``[T, BUCKETS]`` for ``heads``.
         corners: results: x and y of the first two corners, ``[N, 2, 2]``, m; the goal if there are fewer, or no path.
-        lengths: results: cost of the route, as the length of an open route of that cost, m; -1 if there is no path.
-            ``[N]``.
-        first: first row.
-        last: row after the last one.
+        lengths: results: cost of the route, as the length of an open route of that cost, ``[N]``, m; -1 without a path.
     """
     t = wp.tid()
     for i in range(first + t, last, costs.shape[0]):

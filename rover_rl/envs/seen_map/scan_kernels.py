@@ -33,27 +33,21 @@ def address_at(x: float, y: float):
 
 @wp.struct
 class Cells:
-    """The map of a row.
-
-    Attributes:
-        rough: whether the ground is rough.
-        limits: distances from obstacles at which levels begin: see :class:`~rover_rl.envs.seen_map.scans.Limits`.
-        reach: number of cells within which an obstacle changes levels.
-        evidence: evidence of an obstacle in each cell.
-        boxes: where in each occupied cell the obstacle has been seen since the cell was free: ``PARTS - 1 - first`` and
-            ``last`` part along x, and along y. Larger numbers are larger boxes.
-        heights: height of the ground in each cell, m.
-        levels: level of each cell by the distance of its middle from the nearest box.
-        doubts: number of suspected cells around each one.
-    """
+    """The map of a row. ``limits`` and ``reach`` are those of :class:`~rover_rl.envs.seen_map.scans.Limits`."""
 
     rough: bool
     limits: wp.vec4i
     reach: int
+    # Evidence of an obstacle in each cell.
     evidence: wp.array[wp.uint8]
+    # Where in each occupied cell the obstacle has been seen since the cell was free: PARTS - 1 - first and last part
+    # along x, and along y. Larger numbers are larger boxes.
     boxes: wp.array[wp.vec4ub]
+    # Height of the ground in each cell, m.
     heights: wp.array[float]
+    # Level of each cell by the distance of its middle from the nearest box.
     levels: wp.array[wp.uint8]
+    # Number of suspected cells around each one.
     doubts: wp.array[wp.int16]
 
 
@@ -90,11 +84,7 @@ def find_level(x: int, y: int, lowest: int, cells: Cells):
 
 @wp.func
 def set_evidence(x: int, y: int, value: int, cells: Cells):
-    """Sets the evidence of a cell.
-
-    If that frees the cell, the levels that it has lowered are computed again. On rough ground, the number of suspected
-    cells is kept up to date in the cells around it.
-    """
+    """Sets the evidence of a cell, and updates the levels around it that it has lowered and the number of doubts."""
     here = address(x, y)
     before = int(cells.evidence[here])
     cells.evidence[here] = wp.uint8(value)
@@ -220,13 +210,9 @@ def add_scans(
     on a steep slope, and one on the route of a rover that makes no way, whether it cannot or does not dare to. On rough
     ground, the height of a cell is the greatest one that has been seen there, at the end of a beam or below the rover.
 
-    Args:
-        added: rows whose scan is added, ``[N]``. The others do not change.
-        befores: cells in the middle of the windows before, ``[N]``.
-        centers: cells in the middle of the windows: this and what follows are those of a
-            :class:`~rover_rl.envs.seen_map.scans.Scan`.
-        limits: see :class:`Cells`, as of what follows, ``[N, SIZE * SIZE]`` each, which is updated.
-        first: row of the first thread.
+    The rows ``added`` change. ``befores`` are the cells in the middle of the windows before. ``centers`` and what
+    follows are those of a :class:`~rover_rl.envs.seen_map.scans.Scan`, ``limits`` and what follows those of
+    :class:`Cells`, ``[N, SIZE * SIZE]``.
     """
     i = first + wp.tid()
     if not added[i]:

@@ -110,13 +110,7 @@ class Scan(NamedTuple):
 class ScanReader(nn.Module):
     """Computes what scans tell, from the observation and a small state of each rover.
 
-    Args:
-        lidar: settings of the lidar.
-        robot: robot, or its name, for the position of the lidar.
-        interval: time from one scan to the next, s.
-
-    Raises:
-        ValueError: if the lidar is mounted too far from the robot's center.
+    ``interval`` is the time from one scan to the next, s.
     """
 
     _directions: Tensor
@@ -134,13 +128,9 @@ class ScanReader(nn.Module):
         self.register_buffer("_mount", torch.tensor(lidar_mount(robot)))
 
     def forward(self, state: Tensor, lidar: Tensor, pose: Tensor, imu: Tensor) -> tuple[Scan, Tensor]:
-        """Returns what scans tell, and the next state up to the corner of the route, which is not known yet.
+        """Returns what scans tell, and the next ``STATE`` up to the corner of the route, which is not known yet.
 
-        Args:
-            state: state before, ``[N, 8]``: see ``STATE``.
-            lidar: lidar readings, ``[N, P]``, m.
-            pose: x, y and z of the rovers, ``[N, 3]``, m.
-            imu: pitch, roll and yaw of the rovers, ``[N, 3]``, rad.
+        The arguments are the state before, ``[N, 8]``, and entries of the observation, ``[N, n]``.
         """
         _, was_rough, place, waits, corner = state.split(STATE, -1)
         axes, xy = euler_to_matrix(imu[:, [1, 0, 2]]), pose[:, :2]
@@ -190,11 +180,8 @@ class ScanReader(nn.Module):
 class Limits(NamedTuple):
     """Squares of the distances from obstacles, in parts of a cell, below which the middles of cells have levels 1 to 3.
 
-    Attributes:
-        tight: below it, the rover does not fit.
-        near: below it, it hardly fits.
-        wide: below it, it should be slow.
-        doubt: below it, the middles of a cell and of a suspected one are near each other.
+    Below ``tight``, the rover does not fit, below ``near``, it hardly fits, below ``wide``, it should be slow. Below
+    ``doubt``, the middles of a cell and of a suspected one are near each other.
     """
 
     tight: int
@@ -217,11 +204,7 @@ def limits_of(robot: str | Robot) -> Limits:
 
 
 def lidar_mount(robot: str | Robot) -> tuple[float, float, float]:
-    """Returns the position of the lidar in the frame of the robot, whose origin is on the ground, m.
-
-    Raises:
-        ValueError: if the lidar is mounted too far from the robot's center.
-    """
+    """Returns the position of the lidar in the robot's frame, m. Raises ``ValueError`` if it is too far off center."""
     x, y, z = get_robot(robot).lidar_position
     if max(abs(x), abs(y)) > FARTHEST_MOUNT:
         raise ValueError(
@@ -237,14 +220,7 @@ def goal_positions(pose: Tensor, imu: Tensor, target: Tensor) -> Tensor:
 
 
 def relative_route(corners: Tensor, lengths: Tensor, pose: Tensor, imu: Tensor) -> Tensor:
-    """Returns routes as entries of the observation, ``[N, 5]``.
-
-    Args:
-        corners: x and y of two corners, ``[N, 2, 2]``, m.
-        lengths: lengths of the routes, ``[N]``, m.
-        pose: x, y and z of the rovers, ``[N, 3]``, m.
-        imu: pitch, roll and yaw of the rovers, ``[N, 3]``, rad.
-    """
+    """Returns routes with ``corners [N, 2, 2]`` and ``lengths [N]`` (m) as entries of the observation, ``[N, 5]``."""
     offset = corners - pose[:, None, :2]
     angle = wrap_angle(torch.atan2(offset[..., 1], offset[..., 0]) - imu[:, 2:])
     return torch.cat((torch.stack((offset.norm(dim=-1), angle), -1).flatten(1), lengths[:, None]), -1)

@@ -30,19 +30,12 @@ if TYPE_CHECKING:
 
 
 class Surroundings:
-    """Ground, obstacles and movers around each row. Nothing is built until a sensor asks for it.
-
-    Args:
-        worlds: world of each row.
-        movers: movers of each row.
-
-    Attributes:
-        is_live: whether the rover is a live one, around which nothing is known but the map of its world.
-    """
+    """Ground, obstacles and movers around each row. Nothing is built until a sensor asks for it."""
 
     def __init__(self, worlds: WorldTable, movers: MoverField) -> None:
         self._worlds, self._movers = worlds, movers
         self.is_live = False
+        """Whether the rover is a live one, around which nothing is known but the map of its world."""
 
     def cast(self, origins: Tensor, directions: Tensor) -> Tensor:
         """Casts rays: see :meth:`rover_rl.sims.rays.RayCaster.cast`.
@@ -142,8 +135,7 @@ class SensorInput:
     def uniform(self, sensor: Sensor, count: int) -> Tensor:
         """Returns random numbers in [0, 1) of a sensor, float32 ``[N, count]``.
 
-        They depend on the seed of the row, the episode, the step and the name of the sensor alone, so that they are
-        the same at each call in a step.
+        They depend on the seed of the row, the episode, the step and the name of the sensor alone.
         """
         return to_unit(random_bits(self.keys, _stream(sensor, "uniform"), self.steps, count))
 
@@ -209,8 +201,7 @@ class Sensor(ABC):
         Args:
             noise: parameters of the noise.
             truth: true state of the rovers and their scans, ``[N]``.
-            keys: random keys of the episodes, ``[N, 1]``.
-            step: index of the step in its episode, ``[N, 1]``.
+            keys, step: random keys of the episodes, and indices of their steps, ``[N, 1]``.
         """
         return {}
 
@@ -240,12 +231,7 @@ def _signs(signs: tuple[float, ...], device: torch.device) -> Tensor:
 
 
 class Observer:
-    """Computes observations.
-
-    Args:
-        sensors: sensors to read, by key.
-        rig: what they are mounted on.
-    """
+    """Computes observations with sensors, by key, on a rig."""
 
     def __init__(self, sensors: Mapping[str, Sensor], rig: Rig) -> None:
         self._sensors = sensors
@@ -257,15 +243,7 @@ class Observer:
     def sense(
         self, noise: Randomization, truth: Perception, keys: Tensor, step: Tensor, pooling: Callable[[Tensor], Tensor]
     ) -> Perception:
-        """Adds the noise of the sensors to the true state. Returns the same object if there is none.
-
-        Args:
-            noise: parameters of the noise.
-            truth: true state of the rovers, ``[N]``.
-            keys: random keys of the episodes, ``[N, 1]``.
-            step: index of the step in its episode, ``[N, 1]``.
-            pooling: pooling of the scan.
-        """
+        """Adds the noise of the sensors (see :meth:`Sensor.sense`) to the true state. Returns it if there is none."""
         sensed: dict[str, Tensor] = {}
         for sensor in self._sensors.values():
             sensed |= sensor.sense(noise, truth, keys, step)
@@ -281,14 +259,16 @@ class Observer:
             ValueError: if a reading does not fit the bounds of its sensor.
         """
         for key, sensor in self._sensors.items():
-            inputs.observation[key] = self._read(key, inputs) if sensor.period == 1 else self._held_or_read(key, inputs)
+            inputs.observation[key] = (self._read if sensor.period == 1 else self._held_or_read)(key, inputs)
         self._is_checked = True
         return inputs.observation
 
     def _read(self, key: str, inputs: SensorInput) -> Tensor:
         value = self._readers[key](inputs)
-        if not self._is_checked:
-            _check(self._sensors[key], value, len(inputs.steps))
+        shape = len(inputs.steps), len(self._sensors[key].bounds.low)
+        if not self._is_checked and (value.shape != shape or value.dtype != torch.float32):
+            got = f"{value.dtype} {(*value.shape,)}"
+            raise ValueError(f"sensor {key!r} must read float32 {shape} by its bounds, got {got}")
         return value.clamp(*self._limits[key]) if key in self._limits else value
 
     def _held_or_read(self, key: str, inputs: SensorInput) -> Tensor:
@@ -299,12 +279,3 @@ class Observer:
             value = self._read(key, inputs)
             self._held[key] = value if last is None else torch.where(due[:, None], value, last)
         return self._held[key]
-
-
-def _check(sensor: Sensor, value: Tensor, rows: int) -> None:
-    """Raises an error for a reading that does not fit the bounds of its sensor."""
-    shape = rows, len(sensor.bounds.low)
-    if value.shape != shape or value.dtype != torch.float32:
-        raise ValueError(
-            f"sensor {sensor.name!r} must read float32 {shape} by its bounds, got {value.dtype} {(*value.shape,)}"
-        )

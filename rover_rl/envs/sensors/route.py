@@ -40,11 +40,7 @@ class Route(Sensor):
     threads: int = 1
     clips = False
     mirror_signs = (1.0, -1.0, 1.0, -1.0, 1.0)
-
-    @property
-    def bounds(self) -> Bounds:
-        """Bounds of distances (m) and angles (rad) of the corners, and of the length (m)."""
-        return Bounds((0.0, -math.pi, 0.0, -math.pi, -1.0), (100.0, math.pi, 100.0, math.pi, 1000.0))
+    bounds = Bounds((0.0, -math.pi, 0.0, -math.pi, -1.0), (100.0, math.pi, 100.0, math.pi, 1000.0))
 
     def reader(self, rig: Rig) -> Callable[[SensorInput], Tensor]:
         """Returns a reader with maps of its own."""

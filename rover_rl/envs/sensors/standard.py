@@ -28,8 +28,7 @@ class Lidar(Sensor):
     """Nearest reading of each segment of the scan, ``[N, points]``, m.
 
     Args:
-        name: key of the entry.
-        period: number of steps from one scan to the next.
+        name, period: as for :class:`~rover_rl.Sensor`.
         points: number of readings.
         max_range: maximum of a reading, m.
     """
@@ -69,11 +68,7 @@ class Lidar(Sensor):
         return value.log1p() / 1.3 - 1
 
     def mirror(self, value: Tensor) -> Tensor:
-        """Reverses the order of the readings.
-
-        They are minima over segments of the scan, the first of which begins straight ahead, so that the mirror image is
-        exact to one beam of the raw scan.
-        """
+        """Reverses the order of the readings, which is exact to one beam of the raw scan."""
         return value.flip(-1)
 
 
@@ -81,22 +76,11 @@ class LidarPooling:
     """Cleans raw scans and reduces each of ``points`` segments to its minimum.
 
     Segments consist of neighboring beams. The first segment starts straight ahead. Sizes differ by at most one beam and
-    no beam is dropped. ``+inf`` and NaN become ``max_range``. ``-inf`` means that an obstacle is too close to measure
-    (REP 117) and becomes 0. All readings are clipped to ``[0, max_range]``.
-
-    Args:
-        beams: number of beams of a raw scan.
-        points: number of segments (the contract's ``lidar_points``).
-        max_range: maximum of a reading (the contract's ``max_lidar_range``), m.
-        device: device of the scans.
+    no beam is dropped. ``+inf`` and NaN become ``max_range`` (m). ``-inf`` means that an obstacle is too close to
+    measure (REP 117) and becomes 0. All readings are clipped to ``[0, max_range]``.
 
     Raises:
         ValueError: if there are fewer beams than points, no points, or the range is not positive and finite.
-
-    Example:
-        >>> pool = LidarPooling(beams=4, points=2, max_range=12.0)
-        >>> pool(torch.tensor([[3.0, float("inf"), 1.0, 2.0]]))
-        tensor([[3., 1.]])
     """
 
     def __init__(self, beams: int, points: int, max_range: float, device: torch.device | str | None = None) -> None:
@@ -106,9 +90,7 @@ class LidarPooling:
             raise ValueError(f"lidar_beams must be at least lidar_points, got {beams} beams for {points} points")
         if not 0 < max_range < float("inf"):
             raise ValueError(f"max_lidar_range must be a positive number of meters, got {max_range}")
-        self.beams = beams
-        self.points = points
-        self.max_range = float(max_range)
+        self.beams, self.points, self.max_range = beams, points, float(max_range)
         self._gather = None if beams % points == 0 else _segments(beams, points).to(device)
 
     def __call__(self, ranges: Tensor) -> Tensor:
@@ -134,11 +116,7 @@ class Pose(Sensor):
     """
 
     name: str = "pose"
-
-    @property
-    def bounds(self) -> Bounds:
-        """Bounds of the position, m."""
-        return Bounds((-30.0, -30.0, -10.0), (30.0, 30.0, 10.0))
+    bounds = Bounds((-30.0, -30.0, -10.0), (30.0, 30.0, 10.0))
 
     def read(self, inputs: SensorInput) -> Tensor:
         """Returns the position."""
@@ -152,12 +130,8 @@ class Pose(Sensor):
 
 
 def clipped_pose(world: World) -> list[str]:
-    """Returns a sentence about a world in which ``pose`` is clipped; an empty list for another world.
-
-    ``pose`` is clipped where the rover may drive and is farther from the origin than its bounds.
-    """
-    bounds = Pose().bounds
-    (x_low, y_low, _), (x_high, y_high, _) = bounds.low, bounds.high
+    """Returns a sentence about a world in which a rover may drive beyond the bounds of ``pose``; else an empty list."""
+    (x_low, y_low, _), (x_high, y_high, _) = Pose.bounds.low, Pose.bounds.high
     driven = overlap(world.bounds, world.terrain.extent)
     if overlap(driven, ((x_low, x_high), (y_low, y_high))) == driven:
         return []
@@ -173,21 +147,14 @@ def clipped_pose(world: World) -> list[str]:
 class Imu(Sensor):
     """Pitch, roll and yaw, ``[N, 3]``, rad.
 
-    Args:
-        name: key of the entry.
-        period: number of steps from one reading to the next.
-        heading: whether networks read the yaw. Only policies of one map need it.
+    ``heading`` tells whether networks read the yaw. Only policies of one map need it.
     """
 
     name: str = "imu"
     heading: bool = False
     clips = False
     mirror_signs = (1.0, -1.0, -1.0)
-
-    @property
-    def bounds(self) -> Bounds:
-        """Bounds of the angles, rad."""
-        return Bounds((-math.pi,) * 3, (math.pi,) * 3)
+    bounds = Bounds((-math.pi,) * 3, (math.pi,) * 3)
 
     def read(self, inputs: SensorInput) -> Tensor:
         """Returns the angles."""
@@ -215,11 +182,7 @@ class Target(Sensor):
 
     name: str = "target"
     mirror_signs = (1.0, -1.0)
-
-    @property
-    def bounds(self) -> Bounds:
-        """Bounds of distance (m) and angle (rad)."""
-        return Bounds((0.0, -math.pi), (100.0, math.pi))
+    bounds = Bounds((0.0, -math.pi), (100.0, math.pi))
 
     def read(self, inputs: SensorInput) -> Tensor:
         """Returns distance and angle."""
@@ -237,11 +200,7 @@ class WheelOdometry(Sensor):
 
     name: str = "velocities"
     mirror_signs = (1.0, -1.0)
-
-    @property
-    def bounds(self) -> Bounds:
-        """Bounds of speed (m/s) and yaw rate (rad/s)."""
-        return Bounds((-10.0, -10.0), (10.0, 10.0))
+    bounds = Bounds((-10.0, -10.0), (10.0, 10.0))
 
     def read(self, inputs: SensorInput) -> Tensor:
         """Returns speed and yaw rate."""
@@ -272,11 +231,7 @@ class SidewaysOdometry(Sensor):
 
     name: str = "sideways"
     mirror_signs = (-1.0,)
-
-    @property
-    def bounds(self) -> Bounds:
-        """Bounds of the speed, m/s."""
-        return Bounds((-10.0,), (10.0,))
+    bounds = Bounds((-10.0,), (10.0,))
 
     def read(self, inputs: SensorInput) -> Tensor:
         """Returns the speed to the left; 0 for a drive that does not move sideways."""

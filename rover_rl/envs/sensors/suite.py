@@ -65,15 +65,7 @@ def own_sensors(sensors: Sequence[SensorLike]) -> dict[str, Sensor]:
 
 
 def policy_sensors(lidar: LidarConfig, own: Sequence[SensorLike] = ()) -> dict[str, Sensor]:
-    """Returns the sensors that a policy can read, by the key of their entry.
-
-    Args:
-        lidar: settings of the lidar.
-        own: sensors of one's own, as objects or by name.
-
-    Raises:
-        ValueError: as :func:`own_sensors`.
-    """
+    """Returns the sensors that a policy can read, by key, with those of one's ``own``: see :func:`own_sensors`."""
     settings = {"lidar": {"points": lidar.points, "max_range": lidar.max_range, "period": lidar.period}}
     return {name: _REGISTRY.find(name)(**settings.get(name, {})) for name in BUILT_IN} | own_sensors(own)
 
@@ -85,15 +77,7 @@ def environment_sensors(lidar: LidarConfig, own: Sequence[SensorLike] = ()) -> d
 
 
 def require_entries(observation: Sequence[str], own: Sequence[SensorLike]) -> None:
-    """Checks the names of the entries that a policy reads.
-
-    Args:
-        observation: names of the entries.
-        own: sensors of one's own, as objects or by name.
-
-    Raises:
-        ValueError: if a name is unknown or given twice, or there is none, or a sensor is unknown.
-    """
+    """Raises ``ValueError`` if names of entries that a policy reads are unknown or given twice, or there is none."""
     known = (*BUILT_IN, *own_sensors(own))
     if not observation or len(set(observation)) < len(observation) or not set(observation) <= set(known):
         raise ValueError(f"observation must be some of {known}, each once, got {observation}")

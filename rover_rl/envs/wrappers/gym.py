@@ -55,6 +55,9 @@ def _euler(axis: int, doc: str) -> property:
 class _OriginalNames:
     """Read-only attributes of the original environment, with its names and spelling."""
 
+    _step = property(lambda wrapper: wrapper._steps, doc="Number of steps in the episode.")
+    _robot_connected = _original(lambda env: env.robot_connected, "Whether the rover is connected.")
+
     size = _original(lambda env: env.size, "Size of the camera buffer, pixels. Reserved for vision.")
     length = _length = _original(lambda env: env.length, "Number of steps after which an episode ends.")
     lidar_points = _original(lambda env: env.lidar.points, "Number of lidar readings in an observation.")
@@ -154,11 +157,6 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
         self._reward, self._steps = 0.0, 0
 
     @property
-    def _step(self) -> int:
-        """Number of steps in the episode. The original environment uses this name."""
-        return self._steps
-
-    @property
     def total_steps(self) -> int:
         """Number of steps since the environment was last seeded."""
         return int(self._batch.total_steps[0])
@@ -171,9 +169,6 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
         Args:
             seed: seed of this and the following episodes. ``None`` continues with the current seed.
             options: ``"start"`` (x, y in m, yaw in rad) and ``"goal"`` (x, y in m), both optional.
-
-        Returns:
-            The observation and an empty info.
 
         Raises:
             ValueError: if the seed is out of range, or an option is unknown or has the wrong shape.
@@ -191,9 +186,6 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
         Args:
             action: forward speed (m/s) and heading offset (rad), ``[2]``. Clipped to the action space.
 
-        Returns:
-            Observation, reward, terminated, truncated and info.
-
         Raises:
             ValueError: if the shape is wrong, or values are not finite.
         """
@@ -204,7 +196,7 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
         info = {key: value[0].item() for key, value in step.info.items()}
         self._reward, self._steps = info["reward"], info["steps"]
         self._show()
-        return (row_of(step.observation, 0), self._reward, bool(step.terminated[0]), bool(step.truncated[0]), info)
+        return row_of(step.observation, 0), self._reward, bool(step.terminated[0]), bool(step.truncated[0]), info
 
     def render(self) -> NDArray[np.uint8] | None:
         """Returns an image, uint8 ``[480, 640, 3]``, if the render mode is ``"rgb_array"``, and ``None`` otherwise."""
@@ -246,11 +238,9 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
         return False
 
     def heading_controller(self, desired_heading: float, current_heading: float) -> float:
-        """Returns the yaw rate (rad/s) that the heading PID would command, without changing the state of the PID.
+        """Returns the yaw rate (rad/s) that the heading PID would command for headings in the world frame (rad).
 
-        Args:
-            desired_heading: desired heading in the world frame, rad.
-            current_heading: current heading in the world frame, rad.
+        The state of the PID does not change.
         """
         # The controller replaces its state tensors and does not modify them in place, so that a shallow copy suffices.
         controller = copy.copy(self.base_env.controller)
@@ -264,11 +254,6 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
         (x_low, x_high), (y_low, y_high) = self.base_env.worlds[0].bounds
         return not (x_low <= x <= x_high and y_low <= y <= y_high)
 
-    @property
-    def _robot_connected(self) -> bool:
-        """Whether the rover is connected. The original environment uses this name."""
-        return self.base_env.robot_connected
-
     def _check_robot_connection(self, timeout: float) -> bool:
         """Waits up to ``timeout`` seconds for a live rover's first scan. Returns whether the rover is connected."""
         wait = getattr(self.base_env.simulator, "wait_for_robot", None)
@@ -281,8 +266,7 @@ class GymWrapper(_OriginalNames, gymnasium.Env[Any, Any]):
     def lidar_callback(self, msg: Any) -> None:
         """Passes a ``sensor_msgs/LaserScan`` to a live backend, as if it were received on the topic.
 
-        Args:
-            msg: object with the attributes of the message. A malformed message is ignored with a warning.
+        A malformed message is ignored with a warning.
 
         Raises:
             RuntimeError: if the backend is a simulator, which generates its own sensor data.
@@ -340,11 +324,7 @@ RoverEnv.__signature__ = _signature()  # type: ignore[attr-defined]
 
 
 class _Window:
-    """Window of pygame for ``render_mode="human"``, of which a process has one.
-
-    :meth:`show` waits so that there are at most ``fps`` images per second. The window is not opened again after the
-    user has closed it, which ``dismissed`` tells.
-    """
+    """Window of pygame for ``render_mode="human"``, of which a process has one. ``dismissed``: the user closed it."""
 
     def __init__(self, fps: float) -> None:
         # Prevents pygame from printing a greeting to standard output.
@@ -361,7 +341,7 @@ class _Window:
             raise RuntimeError(f'render_mode="human" needs a display: {error}; "rgb_array" needs none') from error
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Shows an image, uint8 ``[height, width, 3]``."""
+        """Shows an image, uint8 ``[height, width, 3]``, and waits so that there are at most ``fps`` per second."""
         display = self._pygame.display
         size = picture.shape[1], picture.shape[0]
         screen = display.get_surface() if display.get_init() else None

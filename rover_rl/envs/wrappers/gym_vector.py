@@ -79,9 +79,6 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
             options: ``"start"`` (``[N, 3]``: x, y in m, yaw in rad), ``"goal"`` (``[N, 2]``, m) and ``"reset_mask"``
                 (bool ``[N]``, rows to reset), all optional.
 
-        Returns:
-            The observations of all rows and an empty info.
-
         Raises:
             ValueError: if seeds are out of range or not consecutive, a seed is given for some rows only, or an option
                 is unknown or has the wrong shape.
@@ -99,9 +96,6 @@ class GymVectorWrapper(VectorEnv[Any, Any, Any]):
 
         Args:
             actions: forward speed (m/s) and heading offset (rad), ``[N, 2]``. Clipped to the action space.
-
-        Returns:
-            Observations, rewards, terminations, truncations and infos.
 
         Raises:
             ValueError: if the shape is wrong, or values are not finite.
@@ -188,14 +182,9 @@ def _first_seed(seed: int | Sequence[int | None] | None, num_envs: int) -> int |
 
 
 def _masked(info: dict[str, NDArray[Any]], rows: Mask) -> dict[str, Any]:
-    """Converts ``info`` to Gymnasium's format for vector environments, without the reward.
-
-    Every entry gets a mask, and is zero outside of ``rows``. The result is empty if there are no rows.
-    """
-    if not rows.any():
-        return {}
+    """Converts ``info`` to Gymnasium's format: without the reward, 0 outside of ``rows``, and with a mask per entry."""
     infos: dict[str, Any] = {}
-    for key, value in ((key, value) for key, value in info.items() if key != "reward"):
-        infos[key] = np.where(rows, value, value.dtype.type(0))
-        infos[f"_{key}"] = rows.copy()
+    for key, value in info.items():
+        if key != "reward" and rows.any():
+            infos |= {key: np.where(rows, value, value.dtype.type(0)), f"_{key}": rows.copy()}
     return infos

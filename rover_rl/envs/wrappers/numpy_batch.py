@@ -57,10 +57,9 @@ class Step:
 
 
 class NumpyBatch:
-    """Resets, steps and renders a :class:`~rover_rl.envs.RoverEnv` with NumPy arrays.
+    """Resets, steps and renders a :class:`~rover_rl.envs.RoverEnv` with NumPy arrays: see ``GymWrapper``.
 
-    The arguments are those of :class:`~rover_rl.envs.wrappers.gym.GymWrapper`. Spaces are those of one row, after the
-    transforms. ``reward_config`` is ``None`` if this class has not added the contract's reward.
+    Spaces are those of one row, after the transforms.
     """
 
     def __init__(
@@ -82,9 +81,7 @@ class NumpyBatch:
         self.num_envs: int = self.base_env.num_envs
         self.observation_space = _observation_space(self.env, self._flat)
         self.action_space = _box(self.env.action_spec_unbatched)
-        self.render_mode = render_mode
-        self._camera = camera
-        self._time_limit = time_limit
+        self.render_mode, self._camera, self._time_limit = render_mode, camera, time_limit
         self._root: TensorDictBase | None = None
         self._goals = np.zeros(self.num_envs, np.int64)
         self._seeded_at = np.zeros(self.num_envs, np.int64)

@@ -83,14 +83,10 @@ class RslRlVecEnv(VecEnv):
         return TensorDict(groups, [self.num_envs], device=self.device)
 
     def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict[str, Any]]:
-        """Takes one step in every row.
+        """Takes one step in every row with actions ``[N, 2]``, which are clipped to their bounds.
 
-        Args:
-            actions: actions, ``[N, 2]``. Clipped to their bounds.
-
-        Returns:
-            Observations after the reset of the rows that ended, rewards ``[N]``, dones ``[N]`` (bool), and extras:
-            ``time_outs`` (bool ``[N]``) and, in ``log``, the share of the ended episodes that reached a goal.
+        Returns observations after the reset of the rows that ended, rewards ``[N]``, dones ``[N]`` (bool), and extras:
+        ``time_outs`` (bool ``[N]``) and, in ``log``, the share of the ended episodes that reached a goal.
         """
         result = self.env.step(self._root.set("action", actions))
         after = result.get("next")

@@ -1,4 +1,4 @@
-"""Maps of worlds with the free space of a robot and the areas of the task."""
+"""Maps of worlds with the free space of a robot, the areas of the task, and a path."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from scipy.ndimage import label
 
-from rover_rl.sims.free_space.space import free_space
+from rover_rl.sims.free_space.cell_grid import cells_of
+from rover_rl.sims.free_space.shortest_paths import shortest_paths
+from rover_rl.sims.free_space.space import FreeSpace, free_space
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.draw import OBSTACLE, OBSTACLE_EDGE, draw_map
 from rover_rl.sims.worlds.region import Area, Region, expanded, overlap
@@ -29,6 +31,12 @@ LEGEND_WIDTH = 7.2
 """Least width of a figure, so that the legend fits, inches."""
 DASHES = (0, (3, 3))
 """Line of the goal area, so that both outlines are visible where they coincide."""
+CANDIDATES = 16
+"""Number of goals, of which :func:`draw_task` draws the farthest from the start."""
+CAUTION = 1.0
+"""Relative extra cost of the drawn path at obstacles: it keeps away from them where there is room."""
+STEP = 3
+"""Longest step of the drawn path, in cells."""
 
 
 def draw_world(world: World, robot: Robot, path: str | Path | None = None, ax: Axes | None = None) -> Figure:
@@ -56,7 +64,7 @@ def draw_world(world: World, robot: Robot, path: str | Path | None = None, ax: A
     _draw_area(ax, world.spawn_range, world.spawn_region, SPAWN, "solid")
     _draw_area(ax, world.goal_range, world.goal_region, GOAL, DASHES)
     ax.set_title(f"{world.name}: where {robot.name} can drive")
-    add_legend(ax, map_legend(world))
+    _add_legend(ax, world)
     if path is not None:
         figure.savefig(path, dpi=150)
     return figure
@@ -73,8 +81,7 @@ def _draw_free_space(ax: Axes, world: World, robot: Robot) -> None:
     passable = free.passable.numpy()
     used = np.zeros_like(passable)
     for cells in (free.spawn_cells, free.goal_cells):
-        column, row = ((cells - torch.tensor(free.origin)) / free.cell).round().long().unbind(-1)
-        used[row, column] = True
+        used[cells_of(free, cells)] = True
     parts, _ = label(passable, np.ones((3, 3)))
     reached = np.isin(parts, np.unique(parts[used & passable]))
     colors = np.zeros((*passable.shape, 4))
@@ -99,17 +106,9 @@ def _draw_area(ax: Axes, area: Area, region: Region | None, color: str, line: An
         return
     mask = np.pad(region.mask.numpy(), 1)
     x, y = region.origin
-    corner = x - region.cell / 2, y - region.cell / 2
-    ax.contour(
-        mask,
-        levels=[0.5],
-        colors=color,
-        linestyles=[line],
-        linewidths=2.2,
-        origin="lower",
-        extent=_extent(corner, region.cell, mask),
-        zorder=4,
-    )
+    extent = _extent((x - region.cell / 2, y - region.cell / 2), region.cell, mask)
+    style: dict[str, Any] = {"colors": color, "linestyles": [line], "linewidths": 2.2, "zorder": 4}
+    ax.contour(mask, levels=[0.5], origin="lower", extent=extent, **style)
 
 
 def _outline(ax: Axes, area: Area, **style: Any) -> None:
@@ -117,23 +116,10 @@ def _outline(ax: Axes, area: Area, **style: Any) -> None:
     ax.add_patch(Rectangle((x, y), right - x, top - y, fill=False, zorder=4, **style))
 
 
-def add_legend(ax: Axes, handles: list[Patch | Line2D]) -> None:
-    """Puts a legend below a map, in the place of the one that it has."""
-    ax.legend(
-        handles=handles,
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.09),
-        ncols=3,
-        frameon=False,
-        handlelength=1.8,
-        columnspacing=1.4,
-    )
-
-
-def map_legend(world: World) -> list[Patch | Line2D]:
-    """Returns the entries of the legend of a map by :func:`draw_world`."""
+def _add_legend(ax: Axes, world: World, *more: Line2D) -> None:
+    """Puts a legend with ``more`` entries below a map of :func:`draw_world`, in the place of the one that it has."""
     visible = overlap(world.bounds, _view(world)) == world.bounds
-    return [
+    handles = [
         Patch(facecolor=to_rgba(FREE, USED), edgecolor=FREE, label="free: starts, goals"),
         Patch(facecolor=to_rgba(FREE, UNUSED), edgecolor=FREE, label="free: only driven over"),
         Patch(facecolor=to_rgba(CUT_OFF, 2 * UNUSED), label="free, but out of reach"),
@@ -141,4 +127,52 @@ def map_legend(world: World) -> list[Patch | Line2D]:
         Line2D([], [], color=SPAWN, linewidth=2.2, label="start area"),
         Line2D([], [], color=GOAL, linewidth=2.2, linestyle=(0, (2, 1)), label="goal area"),
         Line2D([], [], color=BOUNDS, linestyle="--", label="bounds" if visible else "bounds (beyond the map)"),
+        *more,
     ]
+    style: dict[str, Any] = {"ncols": 3, "frameon": False, "handlelength": 1.8, "columnspacing": 1.4}
+    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.09), **style)
+
+
+def draw_task(world: World, robot: Robot, seed: int, path: str | Path) -> float:
+    """Draws a map with a start and a goal by a seed and a path between them. Returns the length of the shortest, m.
+
+    Raises:
+        ValueError: if the world has no free space for the robot.
+    """
+    # Importing NVIDIA Warp takes half a second.
+    from rover_rl.sims.free_space.path_grid import PathGrid
+
+    space, rng = free_space(world, robot), np.random.default_rng(seed)
+    start = space.spawn_cells[int(rng.integers(len(space.spawn_cells)))]
+    goals = space.goal_cells[torch.from_numpy(rng.integers(len(space.goal_cells), size=CANDIDATES))]
+    goal = goals[int((goals - start).norm(dim=-1).argmax())]
+    figure = draw_world(world, robot)
+    ax = figure.axes[0]
+    field = PathGrid(world, robot, CAUTION).costs(goal[None])[0].numpy()
+    way = _descend(space, field, start.numpy())
+    ax.plot(*way.T, color="white", linewidth=4.5, zorder=5)
+    ax.plot(*way.T, color=OBSTACLE_EDGE, linewidth=2.2, zorder=6)
+    marks: dict[str, Any] = {"markeredgecolor": "white", "markersize": 15, "linestyle": "none", "zorder": 7}
+    places = [
+        *ax.plot(*start.tolist(), color=SPAWN, label="start", marker="o", **marks),
+        *ax.plot(*goal.tolist(), color=GOAL, label="goal", marker="*", **marks),
+    ]
+    path_line = Line2D([], [], color=OBSTACLE_EDGE, linewidth=2.2, label="shortest path, with clearance")
+    _add_legend(ax, world, *places, path_line)
+    figure.savefig(path, dpi=150)
+    return float(shortest_paths(world, robot, start[None], goal[None])[0])
+
+
+def _descend(space: FreeSpace, field: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Returns the path that descends the distances to a goal from cell to cell: ``[P, 2]``, m."""
+    passable = space.passable.numpy()
+    column, row = np.rint((start - space.origin) / space.cell).astype(int)
+    cells = [(row, column)]
+    while True:
+        rows, columns = (slice(max(0, k - STEP), k + STEP + 1) for k in cells[-1])
+        near = np.where(passable[rows, columns], field[rows, columns], np.inf)
+        best = np.unravel_index(near.argmin(), near.shape)
+        cell = int(rows.start + best[0]), int(columns.start + best[1])
+        if field[cell] >= field[cells[-1]]:
+            return np.array(cells)[:, ::-1] * space.cell + space.origin
+        cells.append(cell)

@@ -1,15 +1,199 @@
-"""Warp kernels over the cells of the free space: headings for the lidar and the footprint, and narrow passages.
+"""Warp kernels over the cells of the free space: slopes, and headings of the rover, its lidar and its footprint.
 
-Headings are numbered: heading k of 64 is the yaw ``2 pi k / 64 - pi``. An orientation is a heading without front and
-back: orientation k of 32 stands for the headings k and k + 32, which are equal for a symmetric footprint.
+Heading k of 64 is the yaw ``2 pi k / 64 - pi``. Orientation k of 32 stands for the headings k and k + 32, which are
+equal for a symmetric footprint.
 """
 
 from __future__ import annotations
 
 from rover_rl.sims.native.warp import wp
+from rover_rl.sims.worlds.ground_kernels import Ground, plane_at
 
+RINGS = wp.constant(4)
+"""Number of rings of test points around a cell."""
 ALL = wp.constant(wp.uint32(0xFFFFFFFF))
 """Mask with all 32 orientations."""
+
+
+@wp.kernel
+def measure_slopes(
+    ground: Ground,
+    xs: wp.array[wp.float64],
+    ys: wp.array[wp.float64],
+    around: wp.array[wp.vec2d],
+    slopes: wp.array2d[wp.float64],
+):
+    """Square of the steepest slope at the points ``around`` the centers of cells; thread ``j`` does row j."""
+    j = wp.tid()
+    for i in range(xs.shape[0]):
+        steepest = wp.float64(0.0)
+        for n in range(around.shape[0]):
+            plane = plane_at(ground, xs[i] + around[n][0], ys[j] + around[n][1])
+            steepest = wp.max(steepest, plane[1] * plane[1] + plane[2] * plane[2])
+        slopes[j, i] = steepest
+
+
+@wp.struct
+class Stance:
+    """Dimensions of a rover and the limits for its rest on the ground, m."""
+
+    # x and y of the wheels relative to their mean, the mean, and the sums of squares along both axes.
+    wheels: wp.array[wp.vec2d]
+    middle: wp.vec2d
+    spread: wp.vec2d
+    lidar: wp.vec3d
+    # Least z of the rover's up axis.
+    upright: wp.float64
+    # Radius of the outermost ring of test points, and least height of the scan plane above the ground there.
+    reach: wp.float64
+    gap: wp.float64
+
+
+@wp.func
+def deviation(ground: Ground, at: wp.vec2d, slope: wp.vec2d, radius: wp.float64) -> wp.vec2d:
+    """Lowest and highest vertex in a square around a point, relative to a plane through height 0 there.
+
+    Infinite values if the square exceeds the terrain.
+    """
+    low = wp.float64(wp.inf)
+    high = wp.float64(-wp.inf)
+    first_i = int(wp.floor((at[0] - radius - ground.origin[0]) / ground.cell))
+    first_j = int(wp.floor((at[1] - radius - ground.origin[1]) / ground.cell))
+    last_i = int(wp.ceil((at[0] + radius - ground.origin[0]) / ground.cell))
+    last_j = int(wp.ceil((at[1] + radius - ground.origin[1]) / ground.cell))
+    if first_i < 0 or first_j < 0 or last_i >= ground.heights.shape[1] or last_j >= ground.heights.shape[0]:
+        return wp.vec2d(-low, -high)
+    for j in range(first_j, last_j + 1):
+        y = ground.origin[1] + wp.float64(j) * ground.cell - at[1]
+        for i in range(first_i, last_i + 1):
+            x = ground.origin[0] + wp.float64(i) * ground.cell - at[0]
+            height = wp.float64(ground.heights[j, i]) - slope[0] * x - slope[1] * y
+            low = wp.min(low, height)
+            high = wp.max(high, height)
+    return wp.vec2d(low, high)
+
+
+@wp.kernel
+def find_level_cells(ground: Ground, stance: Stance, cells: wp.array[wp.vec2d], level: wp.array[wp.bool]):
+    """Finds cells on ground so level that :func:`find_rest_headings` allows all headings; thread ``t`` does cell ``t``.
+
+    The ground around the center lies between two planes of slope s: by ``[a, b]`` within the wheels' distance, and
+    below B within reach. The plane fitted below the wheels then has a slope g with ``|g - s| <= e``, where e follows
+    from ``(b - a) / 2`` and the wheels' leverage, ``sum |x| / sum x^2`` along both axes. So the scan plane is at least
+    ``a - e |middle| + lidar_z - e reach - B`` above the ground.
+    """
+    t = wp.tid()
+    at = cells[t]
+    wheel = wp.float64(0.0)
+    leverage = wp.vec2d()
+    for n in range(stance.wheels.shape[0]):
+        arm = stance.wheels[n]
+        wheel = wp.max(wheel, wp.length(arm + stance.middle))
+        leverage += wp.vec2d(wp.abs(arm[0]) / stance.spread[0], wp.abs(arm[1]) / stance.spread[1])
+    east = plane_at(ground, at[0] + wheel, at[1])[0]
+    west = plane_at(ground, at[0] - wheel, at[1])[0]
+    north = plane_at(ground, at[0], at[1] + wheel)[0]
+    south = plane_at(ground, at[0], at[1] - wheel)[0]
+    slope = wp.vec2d(east - west, north - south) / (wp.float64(2.0) * wheel)
+    near = deviation(ground, at, slope, wheel)
+    far = deviation(ground, at, slope, stance.reach)
+    error = wp.length(leverage) * (near[1] - near[0]) / wp.float64(2.0)
+    # The cosine of the steepest possible tilt.
+    steepest = wp.length(slope) + error
+    upright = wp.float64(1.0) / wp.sqrt(wp.float64(1.0) + steepest * steepest)
+    height = near[0] + stance.lidar[2] - error * (wp.length(stance.middle) + stance.reach) - far[1]
+    level[t] = upright > stance.upright and height > stance.gap
+
+
+@wp.func
+def fit_plane(ground: Ground, stance: Stance, at: wp.vec2d, ahead: wp.vec2d) -> wp.vec3d:
+    """Height (m) and slopes, forward and to the left, of the plane fitted below the wheels: see ``ground_frame``."""
+    total = wp.float64(0.0)
+    forward = wp.float64(0.0)
+    left = wp.float64(0.0)
+    count = stance.wheels.shape[0]
+    for n in range(count):
+        arm = stance.wheels[n]
+        x = arm[0] + stance.middle[0]
+        y = arm[1] + stance.middle[1]
+        height = plane_at(ground, at[0] + x * ahead[0] - y * ahead[1], at[1] + x * ahead[1] + y * ahead[0])[0]
+        total += height
+        forward += height * arm[0]
+        left += height * arm[1]
+    forward = forward / stance.spread[0]
+    left = left / stance.spread[1]
+    mean = total / wp.float64(count)
+    return wp.vec3d(mean - forward * stance.middle[0] - left * stance.middle[1], forward, left)
+
+
+@wp.kernel
+def find_rest_headings(
+    ground: Ground,
+    stance: Stance,
+    cells: wp.array[wp.vec2d],
+    ring: wp.array[wp.vec2d],
+    yaws: wp.array[wp.vec2d],
+    surface: wp.array2d[wp.float64],
+    offsets: wp.array2d[wp.vec2d],
+    headings: wp.array[wp.uint64],
+):
+    """Finds the headings in which a rover rests upright and scans above the ground; thread ``t`` does cell ``t``.
+
+    At heading k, the rover lies on the plane ``z(p) = h + g p`` that is fitted below its wheels, where p is the
+    position relative to the cell's center. Its up axis is ``(-g, 1) / n`` with ``n = sqrt(1 + g^2)``, and the scan
+    plane is ``n lidar_z`` above the plane. Bit k of ``headings`` is set if the up axis is upright enough, and the scan
+    plane is above the ground at all test points, which lie on four rings around the center. ``offsets`` are the
+    positions of the lidar relative to the center, ``surface`` is memory for the heights of ``[rings * points]``.
+    """
+    t = wp.tid()
+    at = cells[t]
+    points = ring.shape[0]
+    # The mean slope of the surroundings makes the bound of the highest ground of a ring tight.
+    mean = wp.vec2d()
+    squares = wp.float64(0.0)
+    for r in range(RINGS):
+        radius = stance.reach / wp.float64(4.0) * wp.float64(r + 1)
+        for n in range(points):
+            p = radius * ring[n]
+            height = plane_at(ground, at[0] + p[0], at[1] + p[1])[0]
+            surface[t, r * points + n] = height
+            mean = mean + height * p
+        squares += radius * radius * wp.float64(points) / wp.float64(2.0)
+    mean = mean / squares
+    highest = wp.vec4d()
+    for r in range(RINGS):
+        radius = stance.reach / wp.float64(4.0) * wp.float64(r + 1)
+        top = wp.float64(-wp.inf)
+        for n in range(points):
+            top = wp.max(top, surface[t, r * points + n] - wp.dot(mean, radius * ring[n]))
+        highest[r] = top
+
+    good = wp.uint64(0)
+    for k in range(yaws.shape[0]):
+        ahead = yaws[k]
+        plane = fit_plane(ground, stance, at, ahead)
+        slope = wp.vec2d(plane[1] * ahead[0] - plane[2] * ahead[1], plane[1] * ahead[1] + plane[2] * ahead[0])
+        stretch = wp.sqrt(wp.float64(1.0) + wp.dot(slope, slope))
+        up = wp.vec3d(-slope[0] / stretch, -slope[1] / stretch, wp.float64(1.0) / stretch)
+        forward = wp.vec3d(ahead[0], ahead[1], plane[1])
+        forward = wp.normalize(forward - wp.dot(forward, up) * up)
+        side = wp.cross(up, forward)
+        lidar = stance.lidar[0] * forward + stance.lidar[1] * side + stance.lidar[2] * up
+        offsets[t, k] = wp.vec2d(lidar[0], lidar[1])
+        if up[2] >= stance.upright:
+            scan = plane[0] + stance.lidar[2] * stretch - stance.gap
+            steeper = wp.length(slope - mean)
+            free = bool(True)
+            for r in range(RINGS):
+                radius = stance.reach / wp.float64(4.0) * wp.float64(r + 1)
+                # In no direction is the scan plane lower than this, relative to the mean slope.
+                if free and scan - steeper * radius <= highest[r]:
+                    for m in range(points):
+                        if scan + wp.dot(slope, radius * ring[m]) <= surface[t, r * points + m]:
+                            free = False
+            if free:
+                good = good | (wp.uint64(1) << wp.uint64(k))
+    headings[t] = good
 
 
 @wp.func
@@ -44,18 +228,8 @@ def find_headings(
 ):
     """Finds the heading bins in which the lidar is far enough from all obstacles; thread ``t`` does cell ``t``.
 
-    Bit k of ``headings`` is set if that holds at both ends of bin k, the headings k and k + 1 of 64.
-
-    Args:
-        cells: centers of the cells, m.
-        offsets: position of the lidar relative to the rover at each of the 64 headings, m, for each cell or for all.
-        rests: headings in which a rover may rest, for each cell or for all.
-        clearance: distances to the nearest obstacle at the points of a grid, m, ``[rows, columns]``. Between them, the
-            distance is interpolated bilinearly.
-        origin: x, y of ``clearance[0, 0]``, m.
-        cell: spacing of the grid, m.
-        least: least distance of the lidar, m.
-        headings: results.
+    Bit k of ``headings`` is set if that holds at both ends of bin k, the headings k and k + 1 of 64. ``offsets`` of the
+    lidar and the headings in which a rover ``rests`` are those of each cell, or the same for all.
     """
     t = wp.tid()
     own = wp.min(t, rests.shape[0] - 1)
@@ -82,16 +256,8 @@ def fit_footprint(
 
     The footprint is covered by discs with the centers ``x_i (cos yaw, sin yaw)``, in pairs ``x_i`` and ``-x_i``. An
     orientation is free if the distance to the nearest obstacle is at least a disc's radius at the center of each disc.
-    All orientations are free if the turning circle is.
-
-    Args:
-        clearance: distances to the nearest obstacle at the centers of the cells, m, ``[rows, columns]``.
-        cell: side length of a cell, m.
-        turning: radius of the turning circle with its margin, m.
-        discs: centers of the discs at x >= 0, the innermost first, m.
-        radii: radii of the discs with their margins, m.
-        yaws: cosine and sine of the 64 headings.
-        fits: results. Bit k of a mask is orientation k.
+    All orientations are free if the circle of radius ``turning`` is. ``discs`` are the centers at x >= 0, the innermost
+    first. Bit k of ``fits`` is orientation k.
     """
     j = wp.tid()
     for i in range(clearance.shape[1]):
@@ -110,101 +276,3 @@ def fit_footprint(
                         good = good | (wp.uint64(1) << wp.uint64(k))
                 both = both & wp.uint32(good) & wp.uint32(good >> wp.uint64(32))
             fits[j, i] = both
-
-
-@wp.func
-def spread_turns(reached: wp.uint32, fits: wp.uint32) -> wp.uint32:
-    """Adds the orientations that turns on the spot reach: those beside reached ones, as far as all between fit."""
-    bits = wp.uint32(reached)
-    one = wp.uint32(1)
-    last = wp.uint32(31)
-    more = bool(bits != wp.uint32(0))
-    while more:
-        grown = (bits | (bits << one) | (bits >> last) | (bits >> one) | (bits << last)) & fits
-        more = grown != bits
-        bits = grown
-    return bits
-
-
-@wp.func
-def step_fits(
-    fits: wp.array2d[wp.uint32], j: int, i: int, bit: wp.uint32, crossed: wp.array[wp.vec2i], first: int, last: int
-) -> bool:
-    """Whether an orientation fits in all cells ``crossed[first:last]``, relative to the cell in row j and column i."""
-    for n in range(first, last):
-        column = i + crossed[n][0]
-        row = j + crossed[n][1]
-        if row < 0 or column < 0 or row >= fits.shape[0] or column >= fits.shape[1]:
-            return False
-        # Kernels evaluate both sides of "or", so that a single condition would read outside of the grid.
-        if (fits[row, column] & bit) == wp.uint32(0):
-            return False
-    return True
-
-
-@wp.kernel
-def join_parts(
-    narrow: wp.array[wp.vec2i],
-    fits: wp.array2d[wp.uint32],
-    parts: wp.array2d[int],
-    steps: wp.array[wp.vec2i],
-    orientations: wp.array[int],
-    crossed: wp.array[wp.vec2i],
-    starts: wp.array[int],
-    reached: wp.array2d[wp.uint32],
-    joined: wp.array[int],
-    done: wp.array[int],
-):
-    """Finds what a rover reaches from a part of the roomy cells through narrow cells. Runs as a single thread.
-
-    A rover drives straight, forward or backward, from the center of a cell to that of another, where its orientation
-    is that of the step and fits in all cells that the step crosses. It turns on the spot while all orientations
-    between fit. Sweeps over the narrow cells repeat until nothing changes.
-
-    Args:
-        narrow: column and row of the narrow cells.
-        fits: free orientations of all cells, from :func:`fit_footprint`; all in roomy cells.
-        parts: number of the part of each roomy cell, 0 in other cells.
-        steps: column and row of the other end of each step, relative to the first.
-        orientations: orientation of each step.
-        crossed: cells that each step crosses, without the first, relative to the first.
-        starts: index of the first crossed cell of each step, and the number of all.
-        reached: results: orientations in which the rover reaches each narrow cell; on input 0.
-        joined: whether the rover reaches each part, 0 or 1; on input 1 for the part from which it starts.
-        done: working memory for each narrow cell, on input 0.
-    """
-    changed = bool(True)
-    count = narrow.shape[0]
-    forward = bool(True)
-    while changed:
-        changed = bool(False)
-        for m in range(count):
-            n = wp.where(forward, m, count - 1 - m)
-            i = narrow[n][0]
-            j = narrow[n][1]
-            free = fits[j, i]
-            bits = wp.uint32(reached[j, i])
-            if done[n] > 0:
-                continue
-            if bits == free:
-                # This sweep joins the parts beside the cell, and nothing is left to do.
-                done[n] = 1
-            for k in range(steps.shape[0]):
-                bit = wp.uint32(1) << wp.uint32(orientations[k])
-                if (free & bit) != wp.uint32(0) and step_fits(fits, j, i, bit, crossed, starts[k], starts[k + 1]):
-                    column = i + steps[k][0]
-                    row = j + steps[k][1]
-                    part = parts[row, column]
-                    if part > 0:
-                        if joined[part] > 0:
-                            bits = bits | bit
-                        elif (bits & bit) != wp.uint32(0):
-                            joined[part] = 1
-                            changed = bool(True)
-                    else:
-                        bits = bits | (reached[row, column] & bit)
-            bits = spread_turns(bits, free)
-            if bits != reached[j, i]:
-                reached[j, i] = bits
-                changed = bool(True)
-        forward = not forward

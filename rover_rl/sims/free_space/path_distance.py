@@ -78,9 +78,7 @@ class PathDistances:
     def fields(self, world: Tensor, goal: Tensor) -> Tensor:
         """Returns the number of each goal's field for :meth:`along`, valid until the next call: int64 ``[N]``.
 
-        Args:
-            world: index of each row's world, int64 ``[N]``.
-            goal: goals, ``[N, 2]``, m.
+        The arguments are the index of each row's world, int64 ``[N]``, and the goals, ``[N, 2]``, m.
         """
         square = (goal / SQUARE).round().long() + _OFFSET
         keys, row = torch.unique((world << 32) | (square[:, 0] << 16) | square[:, 1], return_inverse=True)
@@ -94,26 +92,16 @@ class PathDistances:
         return torch.tensor([self._slots[key] for key in keys], device=goal.device)[row]
 
     def along(self, fields: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns the distance from positions to the goals of ``fields``, and whether a path leads there.
+        """Returns the distance (m) from positions ``[N, ..., 2]`` to the goals of ``fields [N]``, and if there is one.
 
-        Args:
-            fields: number of each row's field, from :meth:`fields`, int64 ``[N]``.
-            position: positions, ``[N, ..., 2]``, m.
-
-        Returns:
-            Distances, float32 ``[N, ...]``, m, and bool ``[N, ...]``.
+        They are float32 and bool ``[N, ...]``.
         """
         slot, cell, inside = self._cells(fields, position)
         values = self._fields.values[slot, cell]
         return values.abs(), inside & ~values.signbit()
 
     def narrow(self, fields: Tensor, position: Tensor) -> Tensor:
-        """Returns whether positions are in cells that the rover passes in some orientations only: bool ``[N, ...]``.
-
-        Args:
-            fields: number of each row's field, from :meth:`fields`, int64 ``[N]``.
-            position: positions, ``[N, ..., 2]``, m.
-        """
+        """Returns whether positions are in cells that the rover passes in some orientations only, as :meth:`along`."""
         slot, cell, inside = self._cells(fields, position)
         return inside & self._narrow.values[slot, cell]
 
@@ -127,12 +115,9 @@ class PathDistances:
         return fields.reshape(rows), (row * count_x + column).long(), inside
 
     def _compute(self, index: int, keys: list[int], needed: int) -> None:
-        """Computes the fields of squares in one world.
+        """Computes the fields of squares in one world, of ``needed`` fields that the current call needs in all.
 
-        Args:
-            index: index of the world.
-            keys: keys of the squares: index of the world, and numbers of the square, in 32, 16 and 16 bits.
-            needed: number of fields that the current call needs in all.
+        A key consists of the index of the world, and the numbers of the square, in 32, 16 and 16 bits.
         """
         grid = self._grid(index)
         squares = torch.tensor([((key >> 16) & 0xFFFF, key & 0xFFFF) for key in keys]) - _OFFSET

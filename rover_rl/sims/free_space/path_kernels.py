@@ -1,9 +1,4 @@
-"""Warp kernels of shortest paths over the cells of a grid.
-
-Cells are numbered row by row. Costs are in cells: a step costs its length times the mean weight of its two
-ends, and weights are at least 1. A path may leave a cell in 32 directions: the steps of
-:mod:`rover_rl.sims.free_space.path_steps`.
-"""
+"""Warp kernel of shortest paths over the cells of a grid, which are numbered row by row."""
 
 from __future__ import annotations
 
@@ -11,55 +6,6 @@ from rover_rl.sims.native.warp import wp
 
 BUCKETS = wp.constant(64)
 """Number of buckets of the queue. The cost of a step must be below ``BUCKETS - 1``."""
-ALL = wp.constant(wp.uint32(0xFFFFFFFF))
-"""Mask with all 32 steps."""
-OPEN = wp.constant(2)
-"""Value of cells in whose surroundings all steps are free and all weights are 1."""
-FREE = wp.constant(1)
-"""Value of cells from which all steps are free."""
-
-
-@wp.kernel
-def find_steps(
-    fits: wp.array2d[wp.uint32],
-    openness: wp.array2d[int],
-    orientations: wp.array[int],
-    crossed: wp.array[wp.vec2i],
-    crossed_starts: wp.array[int],
-    steps: wp.array2d[wp.uint32],
-):
-    """Finds the steps that are free from each cell; thread ``j`` does row j.
-
-    Bit k of ``steps`` is set if the orientation of step k is free in all cells that the step runs through.
-
-    Args:
-        fits: free orientations of each cell, as bits; 0 if the cell is not passable.
-        openness: ``FREE`` or ``OPEN`` if all steps are free from a cell, else 0.
-        orientations: orientation of each step.
-        crossed: cells that each step runs through, relative to its first cell.
-        crossed_starts: index of the first crossed cell of each step, and the number of all.
-        steps: results.
-    """
-    j = wp.tid()
-    for i in range(fits.shape[1]):
-        bits = wp.uint32(0)
-        if openness[j, i] > 0:
-            bits = ALL
-        elif fits[j, i] != wp.uint32(0):
-            for k in range(orientations.shape[0]):
-                bit = wp.uint32(1) << wp.uint32(orientations[k])
-                free = bool(True)
-                for n in range(crossed_starts[k], crossed_starts[k + 1]):
-                    column = i + crossed[n][0]
-                    row = j + crossed[n][1]
-                    if row < 0 or column < 0 or row >= fits.shape[0] or column >= fits.shape[1]:
-                        free = False
-                    # Kernels evaluate both sides of "or", so that one condition would read outside of the grid.
-                    elif (fits[row, column] & bit) == wp.uint32(0):
-                        free = False
-                if free:
-                    bits = bits | (wp.uint32(1) << wp.uint32(k))
-        steps[j, i] = bits
 
 
 @wp.func
@@ -90,7 +36,7 @@ def link(cell: int, bucket: int, heads: wp.array[int], following: wp.array[int],
 def spread_costs(
     weights: wp.array[float],
     steps: wp.array[wp.uint32],
-    openness: wp.array[int],
+    is_open: wp.array[wp.bool],
     offsets: wp.array[int],
     lengths: wp.array[float],
     sources: wp.array[int],
@@ -102,25 +48,23 @@ def spread_costs(
 ):
     """Costs of the shortest paths from all cells to one cell; thread ``t`` does so for the cell ``sources[t]``.
 
-    Dijkstra's algorithm with a circular queue of buckets. A bucket holds the cells whose costs have the same whole part
-    (E. V. Denardo and B. L. Fox, "Shortest-route methods: 1. Reaching, pruning, and buckets", Operations Research 27,
-    1979). As no step costs less than 1, no cell of the first bucket can improve another one in it.
+    A step costs its length in cells times the mean weight of its two ends. Dijkstra's algorithm with a circular queue
+    of buckets. A bucket holds the cells whose costs have the same whole part (E. V. Denardo and B. L. Fox,
+    "Shortest-route methods: 1. Reaching, pruning, and buckets", Operations Research 27, 1979). As no step costs less
+    than 1, no cell of the first bucket can improve another one in it.
 
     In open surroundings, a shortest path consists of steps in two neighboring directions, so that a path that arrives
     in an open cell by step k goes on by step k - 1, k or k + 1.
 
     Args:
-        weights: weights of the cells; 0 for a cell that is not passable.
-        steps: free steps of each cell, from :func:`find_steps`, in the order of their directions.
-        openness: ``OPEN`` in cells in whose surroundings all steps are free and all weights are 1.
-        offsets: difference of the cell numbers at the two ends of each step.
-        lengths: lengths of the steps, in cells.
+        weights: weights of the cells, at least 1; 0 for a cell that is not passable.
+        steps: free steps of each cell, as bits in the order of their directions.
+        is_open: whether all steps are free and all weights are 1 in the surroundings of each cell.
+        offsets, lengths: difference of the cell numbers at the two ends of each step, and its length, in cells.
         sources: numbers of the cells at which the paths end.
         costs: results, ``[sources, cells]``, filled with infinity.
         heads: first cell of each bucket, ``[sources, BUCKETS]``, filled with -1.
-        following: working memory, ``[sources, cells]``.
-        preceding: working memory, ``[sources, cells]``.
-        arrivals: working memory: last step of the path to each cell, ``[sources, cells]``.
+        following, preceding, arrivals: working memory, ``[sources, cells]``; the last step of the path to each cell.
     """
     t = wp.tid()
     first = heads[t]
@@ -147,7 +91,7 @@ def spread_costs(
             free = steps[cell]
             k = int(0)
             end = offsets.shape[0]
-            if openness[cell] == OPEN and cell != sources[t]:
+            if is_open[cell] and cell != sources[t]:
                 # As step numbers wrap around, the step before is count - 1 ahead.
                 k = arrive[cell] + end - 1
                 end = k + 3

@@ -1,13 +1,23 @@
-"""Steps of paths between the cells of a grid, in 32 directions."""
+"""Steps of paths between the cells of a grid, in 32 directions, and orientations of a rover.
+
+An orientation is a heading without front and back: orientation k of 32 is the yaw ``2 pi k / 64``, or its opposite.
+"""
 
 from __future__ import annotations
 
 import math
 from fractions import Fraction
+from functools import reduce
 from itertools import pairwise
+
+import numpy as np
 
 LONGEST = 3
 """Greatest extent of a step along an axis, in cells."""
+ORIENTATIONS = 32
+"""Number of orientations."""
+ALL_ORIENTATIONS = 2**ORIENTATIONS - 1
+"""Mask with all orientations."""
 
 
 def _crossed_cells(step: tuple[int, int]) -> list[tuple[int, int]]:
@@ -22,12 +32,28 @@ def _crossed_cells(step: tuple[int, int]) -> list[tuple[int, int]]:
     return [(math.floor(t * step[0] + Fraction(1, 2)), math.floor(t * step[1] + Fraction(1, 2))) for t in middles]
 
 
-STEPS = {
-    (x, y): _crossed_cells((x, y))
-    for x in range(-LONGEST, LONGEST + 1)
-    for y in range(-LONGEST, LONGEST + 1)
-    if math.gcd(x, y) == 1
-}
-"""Steps ``(x, y)`` to other cells in 32 directions, in cells, and the cells that each runs through."""
-TURNED_STEPS = sorted(STEPS, key=lambda step: math.atan2(step[1], step[0]))
-"""Steps in the order of their directions, counter-clockwise."""
+_SIDES = range(-LONGEST, LONGEST + 1)
+STEPS = sorted(
+    ((x, y) for x in _SIDES for y in _SIDES if math.gcd(x, y) == 1), key=lambda step: math.atan2(*step[::-1])
+)
+"""Steps ``(x, y)`` to other cells in 32 directions, in cells, counter-clockwise."""
+STEP_ORIENTATIONS = [round(math.atan2(y, x) / math.pi * ORIENTATIONS) % ORIENTATIONS for x, y in STEPS]
+"""Orientation that is nearest to the direction of each step."""
+
+
+def free_steps(fits: np.ndarray) -> np.ndarray:
+    """Returns the steps that are free from each cell: bit k of uint32 ``[rows, columns]`` is step k.
+
+    The orientation of a step must fit in all cells that it runs through.
+
+    Args:
+        fits: orientations that fit in each cell, as bits ``[rows, columns]``; 0 in cells that are not passable.
+    """
+    rows, columns = fits.shape
+    around = np.pad(fits.astype(np.uint32), LONGEST)
+    steps = np.zeros_like(fits, dtype=np.uint32)
+    for k, (step, orientation) in enumerate(zip(STEPS, STEP_ORIENTATIONS, strict=True)):
+        crossed = [around[LONGEST + y :, LONGEST + x :][:rows, :columns] for x, y in _crossed_cells(step)]
+        free = (reduce(np.bitwise_and, crossed) >> np.uint32(orientation)) & np.uint32(1)
+        steps |= free << np.uint32(k)
+    return steps

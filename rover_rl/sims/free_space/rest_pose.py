@@ -47,16 +47,9 @@ def rest_on_ground(ground: Ground, robot: Robot, poses: Tensor) -> tuple[Tensor,
 
 
 def ground_frame(ground: Ground, robot: Robot, poses: Tensor) -> tuple[Tensor, Tensor]:
-    """Fits a plane to the ground below the wheels.
+    """Fits a plane to the ground below the wheels at planar poses ``[N, 3]``.
 
-    Args:
-        ground: ground below the rovers.
-        robot: robot that defines the wheels.
-        poses: planar poses ``[N, 3]``: x, y (m) and yaw (rad).
-
-    Returns:
-        Height of the plane at x, y, ``[N]`` (m), and rotation of a rover on the plane, ``[N, 3, 3]`` (columns:
-        forward, left, up), in the dtype of ``poses``.
+    Returns its height at x, y, ``[N]`` (m), and the rotation of a rover on it, ``[N, 3, 3]``.
     """
     wheels = _hubs(robot, poses.dtype, poses.device)
     xy, yaw = poses[:, :2], poses[:, 2]
@@ -89,7 +82,5 @@ def _rims(robot: Robot, device: torch.device) -> Tensor:
     angle = torch.linspace(-1.2, 1.2, 13, dtype=torch.float64, device=device)
     across = torch.tensor((-robot.wheels.width / 2, 0.0, robot.wheels.width / 2), dtype=torch.float64, device=device)
     arc = robot.wheels.radius * torch.stack((angle.sin(), -angle.cos()), -1)
-    rim = torch.stack(
-        (arc[:, None, 0].expand(-1, 3), across.expand(angle.numel(), 3), arc[:, None, 1].expand(-1, 3)), -1
-    ).reshape(-1, 3)
-    return (_hubs(robot, torch.float64, device)[:, None] + rim).reshape(-1, 3)
+    (x, z), y = arc.T[..., None].expand(2, -1, 3), across.expand(angle.numel(), 3)
+    return (_hubs(robot, torch.float64, device)[:, None] + torch.stack((x, y, z), -1).reshape(-1, 3)).reshape(-1, 3)

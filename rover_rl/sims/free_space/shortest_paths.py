@@ -17,8 +17,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
-from rover_rl.sims.free_space.passages import ORIENTATIONS, orientation_of
-from rover_rl.sims.free_space.path_steps import LONGEST, STEPS
+from rover_rl.sims.free_space.path_steps import ORIENTATIONS, STEPS, free_steps
 from rover_rl.sims.free_space.space import free_space
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.world import World
@@ -53,9 +52,9 @@ def shortest_paths(world: World, robot: Robot, start: Tensor, goal: Tensor, goal
 
 
 class _PathFinder:
-    """Shortest paths over the passable cells of a world.
+    """Shortest paths over the passable cells of a world. Coordinates and lengths are in cells, centers whole numbers.
 
-    Internal coordinates and lengths are in cells, so that cell centers are whole numbers.
+    SciPy's search tells the path, which strings are pulled along, and that in float64; ``PathGrid`` tells costs alone.
     """
 
     def __init__(self, world: World, robot: Robot, goal_radius: float = GOAL_RADIUS) -> None:
@@ -108,16 +107,13 @@ class _PathFinder:
     @cached_property
     def _graph(self) -> csr_array:
         """Lengths of the steps between passable cells in 32 directions: sparse ``[P, P]``."""
-        number = np.pad(self._number, LONGEST, constant_values=-1)
-        fits = np.pad(self._fits, LONGEST - 1)
+        free, number = free_steps(self._fits[1:-1, 1:-1]), self._number
         rows, columns, lengths = [], [], []
-        for step, crossed in STEPS.items():
-            starts = number[LONGEST:-LONGEST, LONGEST:-LONGEST]
-            bit = 1 << orientation_of(*step)
-            free = np.bitwise_and.reduce([_shifted(fits, cell) for cell in crossed]) & bit > 0
-            rows.append(starts[free])
-            columns.append(_shifted(number, step)[free])
-            lengths.append(np.full(len(rows[-1]), math.hypot(*step)))
+        for k, (x, y) in enumerate(STEPS):
+            row, column = np.nonzero((free >> np.uint32(k)) & np.uint32(1))
+            rows.append(number[row, column])
+            columns.append(number[row + y, column + x])
+            lengths.append(np.full(len(row), math.hypot(x, y)))
         entries = (np.concatenate(lengths), (np.concatenate(rows), np.concatenate(columns)))
         return csr_array(entries, shape=(len(self._points),) * 2)
 
@@ -154,10 +150,3 @@ class _PathFinder:
         for k in range(1, count):
             best[k] = (best[:k] + length[:k, k]).min()
         return float(min(best[-1], (best + np.diagonal(length, count)).min()))
-
-
-def _shifted(values: np.ndarray, step: tuple[int, int]) -> np.ndarray:
-    """Returns a view of ``values``, a grid with a margin of 3 cells: each cell's neighbor at ``step``, less margin."""
-    x, y = step
-    rows, columns = values.shape
-    return values[LONGEST + y : rows - LONGEST + y, LONGEST + x : columns - LONGEST + x]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -12,9 +14,8 @@ import torch
 from scipy.ndimage import binary_opening
 from torch import Tensor
 
-from rover_rl.sims.free_space.cache import load_free_space, store_free_space
-from rover_rl.sims.free_space.cell_distance import distance_to_cells
-from rover_rl.sims.free_space.cell_grid import CellGrid, ring
+from rover_rl.sims import robots, worlds
+from rover_rl.sims.free_space.cell_grid import CellGrid, cells_of, distance_to_cells, ring
 from rover_rl.sims.free_space.ground_limits import (
     CLIFF_SLOPE,
     LANE_WIDTH,
@@ -24,15 +25,15 @@ from rover_rl.sims.free_space.ground_limits import (
     slopes_on_grid,
 )
 from rover_rl.sims.free_space.passages import (
-    ALL_ORIENTATIONS,
     MARGIN,
-    Reach,
     find_reach,
     fit_orientations,
     headings_of_bins,
     orientations_of_bins,
 )
+from rover_rl.sims.free_space.path_steps import ALL_ORIENTATIONS
 from rover_rl.sims.robots import Robot
+from rover_rl.sims.worlds.cache import code_key, content_key, load_arrays, store_arrays, world_key
 from rover_rl.sims.worlds.clearance import clearance_on_grid
 from rover_rl.sims.worlds.region import overlap
 from rover_rl.sims.worlds.terrain import MAX_SLOPE
@@ -41,10 +42,7 @@ from rover_rl.sims.worlds.world import World
 HEADINGS = 64
 """Number of heading bins. Bin k covers yaw from ``-pi + 2 pi k / 64`` to ``-pi + 2 pi (k + 1) / 64``."""
 LIDAR_CLEARANCES = (0.4, 0.3, 0.0)
-"""Minimum distance of obstacles from the lidar at a spawn pose, m: the first for which there is any spawn pose.
-
-A reading below 0.3 m is a collision in the original environment.
-"""
+"""Minimum distance of obstacles from the lidar at a spawn pose, m: the first for which there is any spawn pose."""
 MIN_GOAL_DISTANCE = 1.0
 """Minimum distance of the farthest goal from every spawn cell and goal cell, m."""
 EXTRA_CLEARANCE = 0.2
@@ -127,37 +125,76 @@ def free_space(world: World, robot: Robot) -> FreeSpace:
     """
     by_robot = _cache.setdefault(world, {})
     if robot not in by_robot:
-        stored = load_free_space(FreeSpace, world, robot)
-        by_robot[robot] = stored or _compute(world, robot)
-        if stored is None:
-            store_free_space(world, robot, by_robot[robot])
+        space = load_free_space(world, robot)
+        if space is None:
+            space = _compute(world, robot)
+            store_free_space(world, robot, space)
+        by_robot[robot] = space
     return by_robot[robot]
 
 
 _cache: WeakKeyDictionary[World, dict[Robot, FreeSpace]] = WeakKeyDictionary()
+_KIND = "free_space"
+_CELLS = ("spawn_cells", "goal_cells")
+"""Lists of cells, which are stored as booleans of the grid."""
+
+
+def load_free_space(world: World, robot: Robot) -> FreeSpace | None:
+    """Returns the free space that is stored on disk. ``None`` if there is none, or the file is damaged."""
+    arrays = load_arrays(_KIND, _key(world, robot))
+    if arrays is None:
+        return None
+    grid = _grid(world)
+    cells = {name: grid.centers(arrays.pop(name)) for name in _CELLS}
+    return FreeSpace(grid.cell, grid.origin, **cells, **{name: torch.from_numpy(each) for name, each in arrays.items()})
+
+
+def store_free_space(world: World, robot: Robot, space: FreeSpace) -> None:
+    """Stores free space on disk. A full or read-only disk is no error."""
+    arrays = {name: value.numpy() for name, value in vars(space).items() if isinstance(value, Tensor)}
+    for name in _CELLS:
+        arrays[name] = np.zeros_like(arrays["passable"])
+        arrays[name][cells_of(space, getattr(space, name))] = True
+    store_arrays(_KIND, _key(world, robot), arrays)
+
+
+def _key(world: World, robot: Robot) -> str:
+    folders = (Path(module).parent for module in (__file__, worlds.__file__, robots.__file__))
+    return content_key(code_key(*folders), _description(robot), world_key(world))
+
+
+@lru_cache(maxsize=16)
+def _description(robot: Robot) -> bytes:
+    """Content of the description of a robot: its numbers and its URDF file, wherever that is."""
+    numbers = {name: value for name, value in asdict(robot).items() if name not in ("name", "urdf")}
+    return repr(numbers).encode() + robot.urdf.read_bytes()
+
+
+def _grid(world: World) -> CellGrid:
+    return CellGrid(overlap(world.bounds, world.terrain.extent))
 
 
 def _compute(world: World, robot: Robot) -> FreeSpace:
-    grid = CellGrid(overlap(world.bounds, world.terrain.extent))
+    grid = _grid(world)
     clearance = clearance_on_grid(world, grid.x, grid.y, robot.radius + LIDAR_CLEARANCES[0] + EXTRA_CLEARANCE)
     room, gentle = clearance.numpy(), _gentle(world, robot, grid)
-    areas = [
-        grid.within(area) if region is None else grid.within(area) & grid.within_region(region)
-        for area, region in ((world.spawn_range, world.spawn_region), (world.goal_range, world.goal_region))
-    ]
-    roomy, reach = _find_roomy(robot, grid, room, gentle, robot.radius + grid.half_diagonal, areas)
-    poses = np.full(grid.shape, ALL_ORIENTATIONS, dtype=np.uint32)
-    if not all((reach.roomy & area).any() for area in areas):
+    areas = [grid.within(world.spawn_range, world.spawn_region), grid.within(world.goal_range, world.goal_region)]
+    x, y = ((low + robot.radius, high - robot.radius) for low, high in grid.area)
+    open_ground = gentle & grid.within((x, y))
+    roomy, poses = open_ground & (room >= robot.radius + grid.half_diagonal), np.full(grid.shape, ALL_ORIENTATIONS)
+    reached, narrow = find_reach(robot, grid, room, gentle, roomy, areas)
+    if not all((reached & area).any() for area in areas):
         # The rover turns at the centers of cells, but does not fit in all orientations wherever in a cell it is.
-        roomy, reach = _find_roomy(robot, grid, room, gentle, robot.radius + MARGIN, areas)
-        poses = fit_orientations(robot, grid, room, margin=grid.half_diagonal)
-    spawn, goal = (reach.roomy & area & (poses != 0) for area in areas)
+        roomy = open_ground & (room >= robot.radius + MARGIN)
+        poses = fit_orientations(robot, grid, room, grid.half_diagonal)
+        reached, narrow = find_reach(robot, grid, room, gentle, roomy, areas)
+    spawn, goal = (reached & area & (poses != 0) for area in areas)
     goal_cells, spawn_cells = grid.centers(goal), grid.centers(spawn)
     _check_any(world, robot, "goal", goal_cells)
     headings = _headings(world, robot, grid, clearance, spawn_cells) & orientations_of_bins(poses[spawn])
     spawn_cells, headings = spawn_cells[headings != 0], headings[headings != 0]
     _check_any(world, robot, "spawn", spawn_cells)
-    narrow = np.where(roomy, 0, reach.narrow)
+    narrow[roomy] = 0
     return FreeSpace(
         cell=grid.cell,
         origin=grid.origin,
@@ -193,12 +230,7 @@ def _extremes(world: World, goal_cells: Tensor, spawn_cells: Tensor, cell: float
 
 
 def distance_to_polygon(points: Tensor, polygon: Tensor) -> Tensor:
-    """Returns the distance from ``points [..., 2]`` to a convex polygon, 0 inside it: ``[...]``.
-
-    Args:
-        points: points, ``[..., 2]``.
-        polygon: vertices in counter-clockwise order, ``[K, 2]``.
-    """
+    """Returns the distance from ``points [..., 2]`` to a convex polygon, counter-clockwise ``[K, 2]``, 0 inside it."""
     edges = polygon.roll(-1, 0) - polygon
     offsets = points[..., None, :] - polygon
     along = ((offsets * edges).sum(-1) / (edges**2).sum(-1)).clamp(0, 1)
@@ -210,9 +242,8 @@ def distance_to_polygon(points: Tensor, polygon: Tensor) -> Tensor:
 def _gentle(world: World, robot: Robot, grid: CellGrid) -> np.ndarray:
     """Returns the cells on gentle ground, with no cliff within the turning circle: bool ``[rows, columns]``.
 
-    Strips and corners narrower than ``LANE_WIDTH`` do not count. Cliffs are cells with ground steeper than
-    ``CLIFF_SLOPE``. Their distance counts between centers. No rover passes between cliffs through narrow cells, as
-    wheels slip on slopes.
+    Strips and corners narrower than ``LANE_WIDTH`` do not count. The distance of cliffs counts between centers. No
+    rover passes between cliffs through narrow cells, as wheels slip on slopes.
     """
     if world.terrain.is_flat:
         return np.ones(grid.shape, dtype=bool)
@@ -221,15 +252,6 @@ def _gentle(world: World, robot: Robot, grid: CellGrid) -> np.ndarray:
     away, _ = distance_to_cells(slopes > math.tan(CLIFF_SLOPE), least + 1)
     gentle = (slopes <= math.tan(MAX_SLOPE)) & (away >= least)
     return binary_opening(gentle, np.ones([round(LANE_WIDTH / grid.cell)] * 2))
-
-
-def _find_roomy(
-    robot: Robot, grid: CellGrid, room: np.ndarray, gentle: np.ndarray, least: float, areas: list[np.ndarray]
-) -> tuple[np.ndarray, Reach]:
-    """Returns the gentle cells with at least ``least`` (m) of room, and what a rover reaches over them."""
-    x, y = ((low + robot.radius, high - robot.radius) for low, high in grid.area)
-    roomy = gentle & (room >= least) & grid.within((x, y))
-    return roomy, find_reach(robot, grid, room, gentle, roomy, areas)
 
 
 def _headings(world: World, robot: Robot, grid: CellGrid, clearance: Tensor, cells: Tensor) -> Tensor:
@@ -248,8 +270,7 @@ def _headings(world: World, robot: Robot, grid: CellGrid, clearance: Tensor, cel
     else:
         # At the center of an easy cell, the lidar is far enough from obstacles in every direction.
         reach = LIDAR_CLEARANCES[0] + margin + math.hypot(ahead, left) + above * math.sin(MAX_TILT) + grid.cell
-        row, column = grid.indices(cells)
-        hard = (clearance[row, column] < reach) | ~level_cells(world.terrain, robot, grid, cells)
+        hard = (clearance[cells_of(grid, cells)] < reach) | ~level_cells(world.terrain, robot, grid, cells)
         parts = cells[hard].split(CHUNK)
         chunks = [(part, *rest_headings(world.terrain, robot, grid, part, yaws)) for part in parts]
     for least in LIDAR_CLEARANCES:
@@ -262,15 +283,9 @@ def _headings(world: World, robot: Robot, grid: CellGrid, clearance: Tensor, cel
 def _clear_headings(
     grid: CellGrid, clearance: Tensor, least: float, cells: Tensor, rests: Tensor, offsets: Tensor
 ) -> Tensor:
-    """Returns the heading bins of cells in which the lidar is at least ``least`` (m) from obstacles: ``[S]``.
+    """Returns the heading bins of ``cells [S, 2]`` in which the lidar is ``least`` (m) from obstacles: ``[S]``.
 
-    Args:
-        grid: grid of the clearance.
-        clearance: distances from obstacles, ``[rows, columns]``, m.
-        least: minimum distance, m.
-        cells: centers of the cells, ``[S, 2]``, m.
-        rests: headings in which the rover may rest, as bits, ``[S]`` or ``[1]``.
-        offsets: position of the lidar relative to the center at each heading, ``[S, 64, 2]`` or ``[1, 64, 2]``, m.
+    The headings in which the rover ``rests``, and ``offsets`` of the lidar there, are those of each cell or of all.
     """
     from rover_rl.sims.free_space.kernels import find_headings
     from rover_rl.sims.native.warp import wp

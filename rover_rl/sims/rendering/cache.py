@@ -20,13 +20,7 @@ MAX_SIDE = 8192
 
 
 class RendererCache:
-    """One renderer per world, created on first use.
-
-    NVIDIA Warp is imported with the first renderer, so that simulators without it start faster.
-
-    Args:
-        robot: robot model.
-    """
+    """One renderer per world for a robot, created on first use."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
@@ -35,32 +29,29 @@ class RendererCache:
     def render(
         self, world: World, pose: Tensor, view: View, width: int, height: int, goal: Tensor | None = None
     ) -> Tensor:
-        """Renders a rover at a pose, with a post at its goal.
+        """Renders a rover at a pose, with a post at its goal: uint8 ``[height, width, 3]``.
 
         Args:
             world: world of the rover.
             pose: position (m) and unit quaternion (x, y, z, w) of the base frame, ``[7]``, on any device.
             view: ``"chase"`` (from behind) or ``"top"`` (from above).
-            width: width of the image, pixels.
-            height: height of the image, pixels.
+            width, height: size of the image, pixels.
             goal: position of the goal, ``[2]``, m. ``None`` draws no goal.
-
-        Returns:
-            RGB image, uint8 ``[height, width, 3]``.
 
         Raises:
             ValueError: if the view is unknown, the size is out of range, or the URDF has a visual shape that cannot be
                 rendered.
-            ImportError: if NVIDIA Warp is not installed.
         """
         check_at_least(1, MAX_SIDE, width=width, height=height)
-        if world not in self._renderers:
-            # Importing it compiles nothing, but takes a second.
-            from rover_rl.sims.rendering.renderer import Renderer
+        # Importing them compiles nothing, but takes a second.
+        from rover_rl.sims.rendering.camera import Camera
+        from rover_rl.sims.rendering.renderer import Renderer
 
+        if world not in self._renderers:
             self._renderers[world] = Renderer(world, self._robot)
-        position, orientation = pose.double().cpu().split((3, 4))
-        return self._renderers[world].render(position, orientation, view, width, height, goal)
+        renderer, (position, turn) = self._renderers[world], pose.double().cpu().split((3, 4))
+        camera = Camera.on(position, turn, renderer.sight, view)
+        return renderer.render_from(camera, position, turn, width, height, goal)
 
     def close(self) -> None:
         """Releases all renderers. Idempotent; rendering after this creates new ones."""

@@ -1,16 +1,20 @@
-"""Cameras that follow a rover, and the projection of points into their images."""
+"""Cameras that follow a rover, lines of sight, and the projection of points into their images."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from rover_rl.sims.base import View
-from rover_rl.sims.rendering.sight import Sight
+from rover_rl.sims.native.warp import wp
+from rover_rl.sims.rendering.kernels import light
+from rover_rl.sims.rendering.launches import array, launch
 from rover_rl.sims.rotations import quaternion_to_euler
+from rover_rl.sims.worlds import World
 
 FIELD_OF_VIEW = 60.0
 """Vertical field of view, degrees."""
@@ -24,18 +28,34 @@ _ELEVATIONS = torch.linspace(math.radians(30.5), math.radians(85), 20, dtype=tor
 """Elevation angles of the chase view, rad. The camera uses the first at which no obstacle hides the rover."""
 _BODY_POINTS = torch.tensor([(x, y, 0.1) for x in (-0.25, 0.25) for y in (-0.25, 0.25)], dtype=torch.float64)
 """Points of the rover that must be visible, relative to its origin, m."""
+FREE_FRACTION = 0.98
+"""Fraction of a line of sight that must be free, less than 1 because its end may lie on an obstacle."""
+
+
+class Sight:
+    """Tells which points the obstacles of a world hide. The ground hides nothing."""
+
+    def __init__(self, world: World) -> None:
+        self._mesh: wp.Mesh | None = None
+        if world.obstacles:
+            corners = [obstacle.vertices[obstacle.faces.flatten()].numpy() for obstacle in world.obstacles]
+            vertices = np.concatenate(corners)
+            self._mesh = wp.Mesh(array(vertices, wp.vec3), array(np.arange(len(vertices)), int))
+
+    def hidden(self, eye: Tensor, points: Tensor) -> Tensor:
+        """Returns whether an obstacle lies between ``eye [..., 3]`` and ``points [..., 3]`` (m): bool ``[...]``."""
+        eye, points = torch.broadcast_tensors(eye, points)
+        hidden = torch.zeros(points.shape[:-1], dtype=torch.uint8)
+        if self._mesh is not None and hidden.numel():
+            ends = [array(part.reshape(-1, 3).numpy(), wp.vec3) for part in (eye, points)]
+            flags = wp.from_torch(hidden.view(-1))
+            launch(light.find_hidden, flags.shape, [self._mesh.id, *ends, FREE_FRACTION, flags])
+        return hidden.bool()
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Camera in a world. Vectors are ``[3]``, float64.
-
-    Attributes:
-        eye: position of the camera, m.
-        target: point at the center of the image, m.
-        up: direction that points up in the image.
-        sight: tells which points obstacles hide.
-    """
+    """Camera at ``eye`` that looks at ``target`` (m), with a direction ``up``: float64 ``[3]`` each."""
 
     eye: Tensor
     target: Tensor
@@ -44,18 +64,9 @@ class Camera:
 
     @classmethod
     def on(cls, position: Tensor, orientation: Tensor, sight: Sight, view: View) -> Camera:
-        """Creates the camera behind (``"chase"``) or above (``"top"``) a rover.
+        """Creates the camera behind (``"chase"``) or above (``"top"``) a rover with a quaternion (x, y, z, w).
 
-        The chase camera moves up when an obstacle hides the rover.
-
-        Args:
-            position: position of the rover, ``[3]``, m.
-            orientation: orientation of the rover, unit quaternion (x, y, z, w), ``[4]``.
-            sight: tells which points the obstacles of the world hide.
-            view: ``"chase"`` or ``"top"``.
-
-        Raises:
-            ValueError: if the view is unknown.
+        The chase camera moves up when an obstacle hides the rover. Raises ``ValueError`` for an unknown view.
         """
         position = position.double()
         up = torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
@@ -79,16 +90,9 @@ class Camera:
         return torch.stack((right, torch.linalg.cross(forward, right), forward))
 
     def see(self, points: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
-        """Projects points into an image.
+        """Projects ``points [..., 3]`` (m) into an image, and returns their pixels and whether they are visible.
 
-        Args:
-            points: points to project, ``[..., 3]``, m.
-            width: width of the image, pixels.
-            height: height of the image, pixels.
-
-        Returns:
-            Pixels ``[..., 2]`` (right, down), NaN behind the near plane; and whether each point is visible, bool
-            ``[...]``. Obstacles hide points, the ground does not.
+        Pixels are ``[..., 2]`` (right, down), NaN behind the near plane. Obstacles hide points, the ground does not.
         """
         points = points.double()
         offset, depth = ((points - self.eye) @ self.axes.T).split((2, 1), -1)

@@ -24,13 +24,7 @@ SMALL = 4096
 
 
 def launch(kernel: wp.Kernel, size: Sequence[int], inputs: Sequence[Any]) -> None:
-    """Launches a kernel whose first argument is the first row, on several threads, and waits for it.
-
-    Args:
-        kernel: kernel to launch.
-        size: number of rows, and of elements along further axes.
-        inputs: other arguments of the kernel.
-    """
+    """Launches a kernel whose first argument is the first row of ``size``, on several threads, and waits for it."""
     threads = min(os.cpu_count() or 1, MAX_THREADS)
     count = BANDS_PER_THREAD * threads if math.prod(size) > SMALL else 1
     ends = np.linspace(0, size[0], count + 1).astype(int).tolist()

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import torch
 from torch import Tensor
 
-from rover_rl.sims.base import View
 from rover_rl.sims.native.warp import wp
-from rover_rl.sims.rendering.camera import Camera, focal_length
-from rover_rl.sims.rendering.kernels import pictures, rays
+from rover_rl.sims.rendering.camera import Camera, Sight, focal_length
+from rover_rl.sims.rendering.kernels import light, pictures, rays
 from rover_rl.sims.rendering.kernels.pictures import STEP
-from rover_rl.sims.rendering.launches import DEVICE, launch
-from rover_rl.sims.rendering.scene import RenderScene
-from rover_rl.sims.rendering.sight import Sight
+from rover_rl.sims.rendering.launches import DEVICE, array, launch
+from rover_rl.sims.rendering.robot_surface import robot_surface
+from rover_rl.sims.rendering.surfaces import Surface, ground_surface, obstacles_surface, post_surface
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
@@ -21,75 +22,69 @@ _AT_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 """Position and quaternion (x, y, z, w) of the scenery."""
 _FAR_BELOW = (0.0, 0.0, -1e6)
 """Position of the post without a goal, out of sight, m."""
+OPENNESS_RAYS = 16
+"""Number of rays of each vertex that tell how much of the sky it sees."""
+SCENERY_REACH, BODY_REACH = 1.2, 0.25
+"""Distance up to which the scenery, and any other body, hides the sky from its own vertices, m."""
+SHADOW_RINGS = 2
+"""Number of triangles between the border of a shadow and vertices that count as surely lit or surely in shadow."""
 
 
 class Renderer:
-    """Renderer of one world.
-
-    Args:
-        world: world to render.
-        robot: robot model.
-
-    Attributes:
-        sight: tells which points the obstacles of the world hide.
-
-    Raises:
-        ValueError: if the robot has a visual shape that cannot be rendered.
-    """
+    """Renderer of a robot in one world, with precomputed light. ``sight`` tells which points the obstacles hide."""
 
     def __init__(self, world: World, robot: Robot) -> None:
         self._world = world
         # Here, as it must not happen in two threads at a time.
         wp.load_module(pictures, device=DEVICE)
-        self._scene = RenderScene(world, robot)
+        ground, obstacles = ground_surface(world.terrain), obstacles_surface(world)
+        scenery = ground if obstacles is None else Surface.join([ground, obstacles])
+        bodies = [scenery, robot_surface(robot), post_surface()]
+        # The arrays hold no reference to the meshes.
+        self._meshes = [_mesh(body) for body in bodies]
+        self._arrays = arrays = rays.Scene()
+        arrays.meshes = array([mesh.id for mesh in self._meshes], wp.uint64)
+        arrays.radii = array([np.linalg.norm(body.vertices, axis=1).max() for body in bodies], float)
+        arrays.first_triangles = array(np.cumsum([0, *(len(body.faces) for body in bodies[:-1])]), int)
+        heights = world.terrain.heights
+        arrays.level = torch.cat((heights[0], heights[-1], heights[:, 0], heights[:, -1])).mean().item()
+        low, high = bodies[rays.ROVER].vertices.min(0), bodies[rays.ROVER].vertices.max(0)
+        arrays.rover_center, arrays.rover_half = wp.vec3(*((low + high) / 2)), wp.vec3(*((high - low) / 2))
+        joined = Surface.join(bodies)
+        is_ground = np.arange(len(joined.faces)) < len(ground.faces)
+        arrays.triangles = array(joined.faces, int)
+        # Squares turn displayed colors into intensities.
+        arrays.colors = array(np.column_stack((joined.colors**2, is_ground)), wp.vec4)
+        arrays.normals = array(joined.normals, wp.vec3)
+        reaches = [SCENERY_REACH, *(BODY_REACH for _ in bodies[1:])]
+        openness = [_openness(*each) for each in zip(self._meshes, bodies, reaches, strict=True)]
+        arrays.openness = array(np.concatenate(openness), float)
+        sunshine = np.full(len(joined.vertices), 0.5)
+        sunshine[: len(ground.vertices)] = _sunshine(self._meshes[0], ground)
+        arrays.sunshine = array(sunshine, float)
+        side = rays.NOISE_CELLS * rays.NOISE_SAMPLES
+        arrays.noise = wp.empty((side, side), dtype=float, device=DEVICE)
+        launch(light.find_noise, (side, side), [arrays.noise])
         self.sight = Sight(world)
-
-    def render(
-        self, position: Tensor, orientation: Tensor, view: View, width: int, height: int, goal: Tensor | None = None
-    ) -> Tensor:
-        """Renders a rover at a pose, with a post at its goal.
-
-        Args:
-            position: position of the rover, ``[3]``, float64, m.
-            orientation: orientation of the rover, unit quaternion (x, y, z, w), ``[4]``, float64.
-            view: ``"chase"`` (from behind) or ``"top"`` (from above).
-            width: width of the image, pixels.
-            height: height of the image, pixels.
-            goal: position of the goal, ``[2]``, m. ``None`` draws no goal.
-
-        Returns:
-            RGB image, uint8 ``[height, width, 3]``.
-
-        Raises:
-            ValueError: if the view is unknown.
-        """
-        camera = Camera.on(position, orientation, self.sight, view)
-        return self.render_from(camera, position, orientation, width, height, goal)
 
     def render_from(
         self, camera: Camera, position: Tensor, orientation: Tensor, width: int, height: int, goal: Tensor | None = None
     ) -> Tensor:
-        """Renders what a camera sees: see :meth:`render`. Several threads may call it."""
+        """Renders what a camera sees: see ``RendererCache.render``. Several threads may call it."""
         pinhole = _pinhole(camera, height)
         rover = (*position.tolist(), *orientation.tolist())
-        poses = np.array((_AT_ORIGIN, rover, (*self._post_position(goal), *_AT_ORIGIN[3:])), dtype=np.float32)
+        post = _FAR_BELOW if goal is None else (*goal.tolist(), self._world.height_at(goal.double().cpu()).item())
+        poses = np.array((_AT_ORIGIN, rover, (*post, *_AT_ORIGIN[3:])), dtype=np.float32)
         colors = wp.empty((height, width), dtype=wp.vec3, device=DEVICE)
         # Samples surround all pixels.
         rows, columns = ((side - 1) // STEP + 2 for side in (height, width))
         samples = wp.empty((rows, columns), dtype=rays.Seen, device=DEVICE)
         picture = torch.empty((height, width, 3), dtype=torch.uint8)
-        scene = [self._scene.arrays, wp.array(poses, dtype=wp.transform, device=DEVICE), pinhole]
+        scene = [self._arrays, wp.array(poses, dtype=wp.transform, device=DEVICE), pinhole]
         launch(pictures.trace_samples, (rows, columns), [*scene, height, width, samples])
         launch(pictures.fill_pixels, (height, width), [*scene, samples, colors])
         launch(pictures.smooth_edges, (height, width), [*scene, colors, wp.from_torch(picture)])
         return picture
-
-    def _post_position(self, goal: Tensor | None) -> tuple[float, ...]:
-        """Returns the position of the foot of the post, m."""
-        if goal is None:
-            return _FAR_BELOW
-        at = goal.double().cpu()
-        return *at.tolist(), self._world.height_at(at).item()
 
 
 def _pinhole(camera: Camera, height: int) -> rays.Pinhole:
@@ -100,3 +95,38 @@ def _pinhole(camera: Camera, height: int) -> rays.Pinhole:
     pinhole.eye, pinhole.forward = wp.vec3(*camera.eye.tolist()), wp.vec3(*forward.tolist())
     pinhole.right, pinhole.down = wp.vec3(*(right / focal).tolist()), wp.vec3(*(down / focal).tolist())
     return pinhole
+
+
+def _mesh(surface: Surface) -> wp.Mesh:
+    return wp.Mesh(array(surface.vertices, wp.vec3), array(surface.faces.flatten(), int))
+
+
+def _openness(mesh: wp.Mesh, surface: Surface, reach: float) -> np.ndarray:
+    """Computes the visible share of the sky for each vertex, ``[V]``."""
+    # Points of a Fibonacci sphere have the same distance from one another.
+    k = np.arange(OPENNESS_RAYS) + 0.5
+    height, turn = 1 - 2 * k / OPENNESS_RAYS, math.pi * (1 + math.sqrt(5)) * k
+    radius = np.sqrt(1 - height**2)
+    directions = array(np.stack((radius * np.cos(turn), radius * np.sin(turn), height), -1), wp.vec3)
+    openness = wp.empty(len(surface.vertices), dtype=float, device=DEVICE)
+    inputs = [mesh.id, mesh.points, array(surface.normals, wp.vec3), directions, reach, openness]
+    launch(light.find_openness, (len(surface.vertices),), inputs)
+    return openness.numpy()
+
+
+def _sunshine(mesh: wp.Mesh, ground: Surface) -> np.ndarray:
+    """Computes the light of the sun on each vertex of the ground: 1, 0 for shadow, or 0.5 near borders, ``[V]``."""
+    sunshine = torch.empty(len(ground.vertices))
+    inputs = [mesh.id, mesh.points, array(ground.normals, wp.vec3), wp.from_torch(sunshine)]
+    launch(light.find_sunshine, sunshine.shape, inputs)
+    corners = torch.from_numpy(ground.faces)
+    low = high = sunshine
+    for _ in range(SHADOW_RINGS):
+        low, high = _spread(low, corners, "amin"), _spread(high, corners, "amax")
+    return torch.where(low == high, low, 0.5).numpy()
+
+
+def _spread(values: Tensor, corners: Tensor, reduce: str) -> Tensor:
+    """Reduces the values of each vertex and of all vertices that share a triangle with it, ``[V]``."""
+    of_triangles = getattr(values[corners], reduce)(1)
+    return values.scatter_reduce(0, corners.flatten(), of_triangles.repeat_interleave(3), reduce)

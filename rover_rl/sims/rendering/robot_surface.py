@@ -17,12 +17,9 @@ _PACKAGE = "package://"
 
 
 def robot_surface(robot: Robot) -> Surface:
-    """Creates the surface of a robot in its base frame.
+    """Creates the surface of a robot in its base frame, by its collision shapes if it has no visual ones.
 
-    A robot without visual shapes has its collision shapes instead.
-
-    Raises:
-        ValueError: if a shape is neither a box, cylinder, sphere nor mesh, or a mesh file is missing or unreadable.
+    Raises ``ValueError`` if a shape is neither a box, cylinder, sphere nor mesh, or a mesh file cannot be read.
     """
     description = Description(robot.urdf)
     links = [(description.links[name], frame) for name, frame in description.frames.items()]
@@ -77,9 +74,8 @@ def find_mesh(file: str, urdf: Path) -> Path:
         package, _, rest = file.removeprefix(_PACKAGE).partition("/")
         paths = [parent / rest for parent in folder.parents if parent.name == package]
         paths += [parent / package / rest for parent in (folder, *folder.parents)]
-    for path in paths:
-        if path.is_file():
-            return path
+    if found := next((path for path in paths if path.is_file()), None):
+        return found
     raise ValueError(f"the mesh {file!r} does not exist; mesh files are relative to the folder of the URDF")
 
 

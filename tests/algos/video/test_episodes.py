@@ -20,9 +20,8 @@ from rover_rl.algos.evaluation.report import write_evaluation
 from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.algos.evaluation.stored import read_evaluation
 from rover_rl.algos.policy.baselines import ScriptedPolicy
-from rover_rl.algos.video.drive_log import recording_of_log
 from rover_rl.algos.video.film import film_to_goal
-from rover_rl.algos.video.recording import record_episodes
+from rover_rl.algos.video.recording import record_episodes, recording_of_log
 from rover_rl.cli.film import Film
 from rover_rl.cli.main import main
 from rover_rl.envs import EnvConfig, Randomization, RoverEnv
@@ -53,16 +52,10 @@ def test_an_episode_is_driven_as_in_the_evaluation(randomized: bool, tmp_path: P
     stored = read_evaluation(tmp_path, "scripted")
     assert stored.endings == before.endings
     assert {"goal", "time limit"} <= set(stored.endings)
+    options = {"seconds": stored.seconds, "action_repeat": stored.action_repeat, "env": stored.env}
     for episode in (0, 9):
         episodes = stored.to_drive(episode)
-        (drive,) = record_episodes(
-            ScriptedPolicy(),
-            episodes,
-            seconds=stored.seconds,
-            action_repeat=stored.action_repeat,
-            env=stored.env,
-            wanted=[episode - episodes.offset],
-        )
+        (drive,) = record_episodes(ScriptedPolicy(), episodes, [episode - episodes.offset], **options)
         positions = torch.cat([moment.rover.position for moment in drive.moments])
         assert torch.equal(positions, before.trajectories[episode].position)
         assert drive.ending == before.endings[episode]
@@ -89,6 +82,9 @@ def test_the_command_films_an_episode_or_those_that_failed(tmp_path: Path, capsy
     assert sorted(path.name for path in tmp_path.glob("film-*.gif")) == sorted(f"film-{one}.gif" for one in failed[:2])
     assert f"Not filmed: {failed[2]} ({before.endings[failed[2]]})" in told
     assert len(failed) < 10
+    # An episode that was not evaluated is one of its world.
+    assert Film("scripted", out=out, episode=7, world="maze", seconds=0.5, **SMALL)() == 0
+    assert f"Film: {out}: episode 7 of the episodes for maze in maze, " in capsys.readouterr().out
 
 
 def _durations(picture: Image.Image) -> list[float]:
@@ -98,15 +94,6 @@ def _durations(picture: Image.Image) -> list[float]:
         picture.seek(frame)
         durations.append(picture.info["duration"])
     return durations
-
-
-@pytest.mark.slow
-def test_an_episode_that_was_not_evaluated_is_one_of_its_world(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "film.gif"
-    assert Film("scripted", out=out, episode=7, world="maze", seconds=0.5, **SMALL)() == 0
-    assert f"Film: {out}: episode 7 of the episodes for maze in maze, " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

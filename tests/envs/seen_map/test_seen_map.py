@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import heapq
 import math
 from dataclasses import replace
+from itertools import product
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 from tensordict import TensorDict
 from torch import Tensor
 
@@ -76,10 +79,6 @@ def level_at(seen: SeenMap, x: float, y: float) -> int:
     return int(levels[0, math.floor(row), math.floor(column)])
 
 
-# -----------------------------------------------------------------------------------------------------------
-# Routes
-
-
 def test_without_obstacles_the_route_leads_straight_to_the_goal() -> None:
     route = one_map()(observed((0.0, 0.0), (3.0, 4.0), yaw=0.4))[0]
     bearing = math.atan2(4.0, 3.0) - 0.4
@@ -88,9 +87,11 @@ def test_without_obstacles_the_route_leads_straight_to_the_goal() -> None:
     assert 5.0 - 0.3 < route[4] < 5.0 * 1.083 + 0.3
 
 
-def test_a_route_leads_around_a_wall() -> None:
-    walls = ((2.0, -3.0, 2.0, 1.0),)
-    distance, angle, _, _, length = one_map()(observed((0.0, 0.0), (4.0, 0.0), walls))[0].tolist()
+def test_a_route_leads_around_a_wall_within_bounds() -> None:
+    observation = observed((0.0, 0.0), (4.0, 0.0), ((2.0, -3.0, 2.0, 1.0),))
+    # The shorter way around, to the left, leads out of the bounds.
+    assert one_map()(observation, bounds=torch.tensor([[-1.0, -5.0, 6.0, 1.3]]))[0, 1] < -0.5
+    distance, angle, _, _, length = one_map()(observation, bounds=torch.tensor([[-1.0, -5.0, 6.0, 5.0]]))[0].tolist()
     corner = distance * math.cos(angle), distance * math.sin(angle)
     # Around its left end, which is nearer than the right one.
     assert 1.4 < corner[0] < 2.6
@@ -128,15 +129,6 @@ def test_a_gap_of_070_m_is_open_and_one_of_050_m_is_not() -> None:
 
     assert 0 < length(0.7) < 10.0
     assert length(0.5) == -1.0, "the room is closed"
-
-
-def test_a_route_stays_in_bounds() -> None:
-    walls = ((2.0, -3.0, 2.0, 1.0),)
-    observation = observed((0.0, 0.0), (4.0, 0.0), walls)
-    # The shorter way around, to the left, leads out of the bounds.
-    angle = one_map()(observation, bounds=torch.tensor([[-1.0, -5.0, 6.0, 1.3]]))[0, 1]
-    assert angle < -0.5
-    assert one_map()(observation, bounds=torch.tensor([[-1.0, -5.0, 6.0, 5.0]]))[0, 1] > 0.3
 
 
 def test_a_route_avoids_ground_on_which_the_rover_tilted() -> None:
@@ -178,14 +170,6 @@ def test_on_rough_ground_routes_avoid_far_ends_of_beams_unless_the_detour_is_lon
     assert abs(angle(4.0)) < 1e-6, "across a slope"
 
 
-def test_beams_that_pass_clear_suspected_cells() -> None:
-    seen = one_map()
-    seen(observed((0.0, 0.0), (6.0, 0.0), ((3.0, -0.3, 3.0, 0.3),), pitch=-0.1))
-    assert level_at(seen, 3.0, 0.0) == 2
-    seen(observed((0.0, 0.0), (6.0, 0.0)))
-    assert level_at(seen, 3.0, 0.0) == 4
-
-
 @pytest.mark.parametrize("interval", [0.2, 1.0])
 def test_a_place_on_the_route_is_closed_if_the_rover_does_not_get_on_for_8_seconds(interval: float) -> None:
     seen = SeenMap(1, LIDAR, CENTERED, interval=interval)
@@ -205,10 +189,10 @@ def test_a_place_on_the_route_is_closed_if_the_rover_does_not_get_on_for_8_secon
 
 
 def test_ground_between_heights_that_differ_too_much_is_closed() -> None:
-    def seen_at(distance: float) -> SeenMap:
+    def seen_at(distance: float, pitch: float = -0.1) -> SeenMap:
         """Ground that rises from 0.3 m at x = 2 to 0.6 m some way behind, as the lidar sees it from two heights."""
         seen = one_map()
-        seen(observed((0.0, 0.0), (6.0, 0.0), pitch=-0.1))
+        seen(observed((0.0, 0.0), (6.0, 0.0), pitch=pitch))
         for z, x in ((0.0, 2.0), (0.3, 2.0 + distance)):
             seen(observed((0.0, 0.0), (6.0, 0.0), ((x, -3.0, x, 3.0),), z=z))
         return seen
@@ -219,6 +203,10 @@ def test_ground_between_heights_that_differ_too_much_is_closed() -> None:
     assert abs(float(route[0, 1])) > 0.3, "around it, though no beam ends there any more"
     gentle = seen_at(0.7)
     assert not any(is_occupied(gentle, 2.0 + 0.15 * k, 0.0) for k in range(6)), "by 23 degrees"
+    level = seen_at(0.4, pitch=0.0)
+    for _ in range(12):
+        level(observed((0.0, 0.0), (6.0, 0.0)))
+    assert not is_occupied(level, 2.3, 0.0), "on level ground, heights close nothing"
 
 
 def test_ground_is_as_high_as_the_rover_stands() -> None:
@@ -229,15 +217,6 @@ def test_ground_is_as_high_as_the_rover_stands() -> None:
     assert is_occupied(seen, 0.2, 0.0)
 
 
-def test_on_level_ground_heights_close_nothing() -> None:
-    seen = one_map()
-    for z, x in ((0.0, 2.0), (0.3, 2.4)):
-        seen(observed((0.0, 0.0), (6.0, 0.0), ((x, -3.0, x, 3.0),), z=z))
-    for _ in range(12):
-        seen(observed((0.0, 0.0), (6.0, 0.0)))
-    assert not is_occupied(seen, 2.3, 0.0)
-
-
 def test_nothing_is_closed_ahead_of_a_rover_that_gets_on() -> None:
     seen = SeenMap(1, LIDAR, CENTERED, interval=1.0)
     for k in range(30):
@@ -245,38 +224,19 @@ def test_nothing_is_closed_ahead_of_a_rover_that_gets_on() -> None:
         assert (seen.levels()[0] == 4).all()
 
 
-def test_slopes_are_measured_from_the_ground_below_the_lidar() -> None:
+@pytest.mark.parametrize(("pitch", "occupied"), [(6.0, False), (8.0, True)], ids=["23 degrees", "25 degrees"])
+def test_slopes_are_measured_from_the_ground_below_the_lidar(pitch: float, occupied: bool) -> None:
     """From a lidar at 0.3 m, the line to a point 1 m ahead on the same height rises by 17 degrees."""
-    wall = ((1.0, -4.0, 1.0, 4.0),)
-
-    def occupied(pitch: float) -> bool:
-        seen = one_map()
-        # The walls are drawn in two dimensions, and the beams end 1 m ahead of the lidar along the rover's axis.
-        seen(observed((0.0, 0.0), (6.0, 0.0), wall, pitch=pitch))
-        return is_occupied(seen, 0.98, 0.0)
-
-    assert not occupied(-math.radians(6)), "23 degrees"
-    assert occupied(-math.radians(8)), "25 degrees"
-
-
-def test_a_new_episode_starts_on_level_ground() -> None:
-    wall = ((3.0, -4.0, 3.0, 4.0),)
     seen = one_map()
-    seen(observed((0.0, 0.0), (6.0, 0.0), wall, pitch=-0.1))
-    seen(observed((0.0, 0.0), (6.0, 0.0), wall))
-    assert not is_occupied(seen, 3.0, 0.0)
-    seen(observed((0.0, 0.0), (6.0, 0.0), wall), renewed=torch.tensor([True]))
-    assert is_occupied(seen, 3.0, 0.0)
+    # The walls are drawn in two dimensions, and the beams end 1 m ahead of the lidar along the rover's axis.
+    seen(observed((0.0, 0.0), (6.0, 0.0), ((1.0, -4.0, 1.0, 4.0),), pitch=-math.radians(pitch)))
+    assert is_occupied(seen, 0.98, 0.0) == occupied
 
 
 def test_a_goal_beyond_the_window_leads_towards_its_edge() -> None:
     route = one_map()(observed((0.0, 0.0), (30.0, 0.0)))[0]
     torch.testing.assert_close(route[:2], torch.tensor([30.0, 0.0]))
     assert 9.0 < route[4] < 11.0
-
-
-# -----------------------------------------------------------------------------------------------------------
-# The map
 
 
 def test_the_ends_of_beams_are_occupied() -> None:
@@ -287,8 +247,7 @@ def test_the_ends_of_beams_are_occupied() -> None:
 
 
 def test_the_lidar_is_where_the_robot_carries_it() -> None:
-    robot = replace(CENTERED, lidar=(0.3, -0.2, 0.3), radius=0.4)
-    seen = SeenMap(1, LIDAR, robot)
+    seen = one_map(replace(CENTERED, lidar=(0.3, -0.2, 0.3), radius=0.4))
     # Facing +y, the lidar is at (0.2, 0.3).
     observation = observed((0.2, 0.3), (4.0, 0.0), ((-1.0, 2.02, 1.0, 2.02),), yaw=math.pi / 2)
     observation["pose"] = torch.zeros(1, 3)
@@ -313,20 +272,19 @@ def test_levels_tell_how_far_a_wall_is_from_the_middle_of_a_cell(distance: float
         gap = distance - float(torch.tensor((x + CELL / 2, y + CELL / 2)) @ normal)
         level = level_at(seen, x + CELL / 2, y + CELL / 2)
         # Half of the width is 0.225 m: it does not fit below 0.235, hardly below 0.3, and should be slow below 0.45 m.
-        least = next(k for k, limit in enumerate((-1.0, 0.235, 0.3, 0.45, math.inf)) if gap - 0.13 < limit)
-        most = next(k for k, limit in enumerate((-1.0, 0.235, 0.3, 0.45, math.inf)) if gap + 0.05 < limit)
+        least, most = np.searchsorted((-1.0, 0.235, 0.3, 0.45), (gap - 0.13, gap + 0.05), side="right")
         assert least <= level <= most or level == 0, (gap, level)
 
 
-def test_beams_clear_what_is_gone() -> None:
-    seen = one_map()
-    wall = ((1.5, -0.3, 1.5, 0.3),)
-    seen(observed((0.0, 0.0), (4.0, 0.0), wall))
-    assert is_occupied(seen, 1.5, 0.0)
-    for _ in range(12):
-        seen(observed((0.0, 0.0), (4.0, 0.0)))
-    assert not is_occupied(seen, 1.5, 0.0)
-    assert seen(observed((0.0, 0.0), (4.0, 0.0)))[0, 4] == one_map()(observed((0.0, 0.0), (4.0, 0.0)))[0, 4]
+@pytest.mark.parametrize(("x", "pitch", "level", "scans"), [(1.5, 0.0, 0, 12), (3.0, -0.1, 2, 1)])
+def test_beams_clear_what_is_gone_and_what_is_suspected(x: float, pitch: float, level: int, scans: int) -> None:
+    seen, fresh = one_map(), observed((0.0, 0.0), (6.0, 0.0))
+    seen(observed((0.0, 0.0), (6.0, 0.0), ((x, -0.3, x, 0.3),), pitch=pitch))
+    assert level_at(seen, x, 0.0) == level
+    for _ in range(scans):
+        seen(fresh)
+    assert level_at(seen, x, 0.0) == 4
+    assert seen(fresh)[0, 4] == one_map()(fresh)[0, 4]
 
 
 def test_beams_that_point_to_the_ground_mark_nothing() -> None:
@@ -336,11 +294,12 @@ def test_beams_that_point_to_the_ground_mark_nothing() -> None:
         assert is_occupied(seen, x, 0.0) == marked, (x, pitch)
 
 
-def test_an_episode_that_begins_clears_its_map() -> None:
+def test_an_episode_begins_with_an_empty_map_on_level_ground() -> None:
     seen = one_map()
-    seen(observed((0.0, 0.0), (4.0, 0.0), U_SHAPE))
-    fresh = observed((0.0, 0.0), (4.0, 0.0))
-    assert torch.equal(seen(fresh, renewed=torch.tensor([True])), one_map()(fresh))
+    seen(observed((0.0, 0.0), (4.0, 0.0), U_SHAPE, pitch=-0.1))
+    for fresh in (observed((0.0, 0.0), (4.0, 0.0)), observed((0.0, 0.0), (6.0, 0.0), ((3.0, -4.0, 3.0, 4.0),))):
+        assert torch.equal(seen(fresh, renewed=torch.tensor([True])), one_map()(fresh))
+    assert is_occupied(seen, 3.0, 0.0)
 
 
 @settings(max_examples=20, deadline=None)
@@ -392,43 +351,29 @@ def test_rows_that_are_not_added_keep_their_maps() -> None:
 
 def test_a_lidar_far_from_the_center_is_refused() -> None:
     with pytest.raises(ValueError, match=r"at most 0\.45 m"):
-        SeenMap(1, LIDAR, replace(CENTERED, lidar=(0.6, 0.0, 0.3), radius=1.0))
+        one_map(replace(CENTERED, lidar=(0.6, 0.0, 0.3), radius=1.0))
 
 
-# -----------------------------------------------------------------------------------------------------------
-# The costs, against an implementation of its own
-
-
-def cheapest(levels: Tensor, goal: tuple[int, int]) -> float:
-    """Length of the cheapest route from the middle of a window to a cell, by Dijkstra's algorithm with a heap."""
-    size = len(levels)
-    column, row = goal
-    home = (size // 2, size // 2)
-    beside = torch.zeros(levels.shape, dtype=torch.bool)
-    for y, x in ((row, column), home):
+def cheapest(levels: np.ndarray, goal: tuple[int, int]) -> float:
+    """Length of the cheapest route from a cell to the middle of a window, by SciPy."""
+    size, (column, row) = len(levels), goal
+    home, beside = size // 2, np.zeros(levels.shape, dtype=bool)
+    for y, x in ((row, column), (home, home)):
         beside[max(0, y - 4) : y + 5, max(0, x - 4) : x + 5] = True
-    weight = torch.tensor([0, 0, 6, 3, 2])[levels.long()]
-    weight[(levels == 1) & beside] = 40
-    if levels[row, column] == 0:
-        weight[row, column] = 2
-    weights = weight.tolist()
-    costs, queue = {(row, column): 0}, [(0, (row, column))]
-    while queue:
-        cost, (row, column) = heapq.heappop(queue)
-        if (row, column) == home:
-            return cost * CELL / 10
-        if cost > costs[row, column]:
-            continue
-        for dy in (-1, 0, 1):
-            for dx in (-1, 0, 1):
-                to = row + dy, column + dx
-                inside = 0 <= to[0] < size and 0 <= to[1] < size
-                if inside and (weights[to[0]][to[1]] > 0 or to == home):
-                    total = cost + (7 if dx and dy else 5) * weights[row][column]
-                    if total < costs.get(to, 1 << 30):
-                        costs[to] = total
-                        heapq.heappush(queue, (total, to))
-    return -1.0
+    weights = np.where((levels == 1) & beside, 40, np.array([0, 0, 6, 3, 2])[levels])
+    weights[row, column] = weights[row, column] or 2
+    free = weights > 0
+    free[home, home] = True
+    cells = np.arange(size * size).reshape(size, size)
+    around, steps = np.pad(cells, 1, constant_values=-1), []
+    for dy, dx in product((0, 1, 2), repeat=2):
+        to = around[dy : dy + size, dx : dx + size]
+        taken = (to >= 0) & (weights > 0) & free.ravel()[to]
+        steps.append((cells[taken], to[taken], (7 if dy != 1 and dx != 1 else 5) * weights[taken]))
+    start, end, costs = np.concatenate(steps, 1)
+    graph = csr_array((costs, (start, end)), shape=(size * size,) * 2)
+    cost = dijkstra(graph, indices=cells[row, column])[cells[home, home]]
+    return cost * CELL / 10 if np.isfinite(cost) else -1.0
 
 
 @settings(max_examples=12, deadline=None)
@@ -443,4 +388,4 @@ def test_the_length_is_that_of_the_cheapest_route(seed: int) -> None:
         route = seen(observed(position, goal, walls))[0]
     levels, origin = seen.levels()
     cell = tuple(math.floor((value - low) / CELL + 1e-6) for value, low in zip(goal, origin[0].tolist(), strict=True))
-    assert float(route[4]) == pytest.approx(cheapest(levels[0], cell), abs=1e-4)
+    assert float(route[4]) == pytest.approx(cheapest(levels[0].numpy(), cell), abs=1e-4)

@@ -64,20 +64,15 @@ def test_the_constructor_is_the_contracts():
 
 
 def test_the_spaces_are_the_contracts(shared):
+    def space(low, high):
+        return gymnasium.spaces.Box(np.float32(low), np.float32(high), dtype=np.float32)
+
     pi = np.pi
-    bounds = {
-        "lidar": (np.zeros(32), np.full(32, 12.0)),
-        "pose": ([-30.0, -30.0, -10.0], [30.0, 30.0, 10.0]),
-        "imu": ([-pi] * 3, [pi] * 3),
-        "target": ([0, -pi], [100, pi]),
-        "velocities": ([-10.0, -10.0], [10.0, 10.0]),
-    }
-    boxes = {
-        key: gymnasium.spaces.Box(np.float32(low), np.float32(high), dtype=np.float32)
-        for key, (low, high) in bounds.items()
-    }
+    boxes = {"lidar": space(np.zeros(32), np.full(32, 12.0)), "pose": space([-30, -30, -10], [30, 30, 10])}
+    boxes |= {"imu": space([-pi] * 3, [pi] * 3), "target": space([0, -pi], [100, pi])}
+    boxes["velocities"] = space([-10, -10], [10, 10])
     assert shared.observation_space == gymnasium.spaces.Dict(boxes)
-    assert shared.action_space == gymnasium.spaces.Box(np.float32([-1, -pi]), np.float32([1, pi]), dtype=np.float32)
+    assert shared.action_space == space([-1, -pi], [1, pi])
 
 
 @pytest.fixture
@@ -108,19 +103,14 @@ def test_a_seed_reproduces_everything():
     np.testing.assert_equal(rollout(env, 5, 30), first)
 
 
-def test_reset_without_a_seed_starts_another_episode(env):
-    first, _ = env.reset(seed=3)
+def test_a_seed_gives_the_episode_of_the_batched_environment_and_no_seed_another_one(env):
+    first, _ = env.reset(seed=11)
+    expected = BatchedRoverEnv(world_n="maze", num_envs=3, seed=10).reset()
+    for key, value in first.items():
+        np.testing.assert_array_equal(value, expected[key][1])
     second, info = env.reset()
     assert info == {}
     assert (first["pose"] != second["pose"]).any()
-
-
-def test_a_seed_gives_the_episode_of_the_batched_environment(env):
-    observation, _ = env.reset(seed=11)
-    batched = BatchedRoverEnv(world_n="maze", num_envs=3, seed=10)
-    expected = batched.reset()
-    for key, value in observation.items():
-        np.testing.assert_array_equal(value, expected[key][1])
 
 
 def test_reset_takes_start_and_goal(env):
@@ -169,24 +159,30 @@ def test_observations_and_actions_are_copied(env):
     env.step([0.3, 0.2])
 
 
-def test_step_needs_a_reset():
-    env = make()
-    with pytest.raises(RuntimeError, match="reset"):
-        env.step([0.0, 0.0])
-    with pytest.raises(RuntimeError, match="reset"):
-        env.get_observation()
-    with pytest.raises(RuntimeError, match="reset"):
-        env.is_robot_flipped()
+def test_use_before_a_reset_and_after_close_raises():
+    env = make(render_mode="rgb_array")
+    for use in (env.get_observation, env.is_robot_flipped, lambda: env.step([0.0, 0.0])):
+        with pytest.raises(RuntimeError, match="reset"):
+            use()
     assert env.task_reward() == 0.0
+    env.reset()
+    env.close()
+    env.close()
+    for use in (env.reset, env.render, lambda: env.step([0.0, 0.0])):
+        with pytest.raises(RuntimeError, match="closed"):
+            use()
 
 
 @pytest.mark.parametrize(("time_limit", "flags"), [("terminated", (True, False)), ("truncated", (False, True))])
-def test_the_time_limit_sets_the_configured_flag(time_limit, flags):
+def test_the_time_limit_sets_the_configured_flag_and_total_steps_continue(time_limit, flags):
     env = make(length=3, time_limit=time_limit)
-    env.reset()
-    steps = [env.step([0.0, 0.0]) for _ in range(3)]
-    assert [step[2:4] for step in steps] == [(False, False), (False, False), flags]
-    assert {"steps", "total_steps", "reward"} <= steps[-1][4].keys()
+    for episode in range(2):
+        env.reset()
+        for step in range(1, 4):
+            *_, terminated, truncated, info = env.step([0.0, 0.0])
+            assert (terminated, truncated) == (flags if step == 3 else (False, False))
+            assert info["total_steps"] == env.total_steps == 3 * episode + step
+            assert info["steps"] == env._step == step
 
 
 @pytest.mark.parametrize("end_on_goal", [False, True])
@@ -203,29 +199,22 @@ def test_a_goal_pays_and_is_a_success_whether_the_episode_goes_on_or_ends(end_on
         assert env.step([0.0, 0.0])[4]["is_success"]
 
 
-def test_total_steps_continue_across_episodes():
-    env = make(length=3)
-    for episode in range(3):
-        env.reset()
-        for step in range(3):
-            _, _, _, _, info = env.step([0.0, 0.0])
-            assert info["total_steps"] == env.total_steps == 3 * episode + step + 1
-            assert info["steps"] == env._step == step + 1
-
-
 # The contract's methods
 
 
-def test_get_observation_returns_the_observation_of_the_step(env):
-    observation, _ = env.reset(seed=1)
-    np.testing.assert_equal(env.get_observation(), observation)
-    observation, *_ = env.step([0.4, 0.1])
-    np.testing.assert_equal(env.get_observation(), observation)
-
-
-def test_get_target_info_is_distance_and_angle(env):
-    env.reset(options={"start": (0.0, 0.0, 1.0), "goal": (0.0, 2.0)})
-    np.testing.assert_allclose(env.get_target_info(), (2.0, math.pi / 2 - 1.0), atol=1e-5)
+def test_observation_and_state_are_those_of_the_step(env):
+    for act in (lambda: env.reset(seed=1)[0], lambda: env.step([0.6, 0.3])[0]):
+        observation = act()
+        np.testing.assert_equal(env.get_observation(), observation)
+        velocities = env.current_linear_velocity, env.current_angular_velocity
+        state = {
+            "lidar": env.lidar_data,
+            "pose": env.rover_position,
+            "imu": np.float32([env.current_pitch, env.current_roll, env.current_yaw]),
+            "target": env.get_target_info(),
+            "velocities": np.float32(velocities),
+        }
+        np.testing.assert_equal(state, observation)
 
 
 def test_methods_that_ask_for_something_have_no_side_effects(env):
@@ -240,30 +229,24 @@ def test_methods_that_ask_for_something_have_no_side_effects(env):
 
 
 @pytest.mark.parametrize(
-    ("roll", "pitch", "expected"),
+    ("roll", "pitch", "threshold", "expected"),
     [
-        (1.5, 0.0, "roll_left"),
-        (-1.5, 0.0, "roll_right"),
-        (0.0, -1.5, "pitch_forward"),
-        (0.0, 1.5, "pitch_backward"),
-        (1.4, 0.0, False),
-        (0.0, -1.4, False),
+        (1.5, 0.0, 1.48, "roll_left"),
+        (-1.5, 0.0, 1.48, "roll_right"),
+        (0.0, -1.5, 1.48, "pitch_forward"),
+        (0.0, 1.5, 1.48, "pitch_backward"),
+        (1.4, 0.0, 1.48, False),
+        (0.0, -1.4, 1.48, False),
+        (0.3, 0.0, 0.2, "roll_left"),
     ],
 )
-def test_flips_are_named(env, monkeypatch, roll, pitch, expected):
+def test_flips_are_named(env, monkeypatch, roll, pitch, threshold, expected):
+    monkeypatch.setattr(BatchedRoverEnv, "task", TaskConfig(flip_threshold=threshold))
     orientation = torch.tensor([[math.sin(roll / 2), math.sin(pitch / 2), 0.0, math.cos((abs(roll) + abs(pitch)) / 2)]])
     monkeypatch.setattr(BatchedRoverEnv, "rover_state", Message(orientation=orientation))
     assert env.current_roll == pytest.approx(roll, abs=1e-5)
     assert env.current_pitch == pytest.approx(pitch, abs=1e-5)
     assert env.is_robot_flipped() == expected
-
-
-def test_the_flip_threshold_is_the_tasks(monkeypatch):
-    env = make(task=TaskConfig(flip_threshold=0.2))
-    env.reset()
-    orientation = torch.tensor([[math.sin(0.15), 0.0, 0.0, math.cos(0.15)]])
-    monkeypatch.setattr(BatchedRoverEnv, "rover_state", Message(orientation=orientation))
-    assert env.is_robot_flipped() == "roll_left"
 
 
 def test_heading_controller_is_the_contracts_pid(env):
@@ -293,33 +276,25 @@ def test_render_returns_an_image(env):
     assert image.std() > 0
 
 
-def window_content(pygame):
-    """The image in the window."""
-    return pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
-
-
-def test_a_window_shows_each_reset_and_step(pygame, env, monkeypatch):
+def test_a_window_shows_each_reset_and_step_until_the_user_closes_it(pygame, env, monkeypatch):
     waits = []
     monkeypatch.setattr(pygame.time, "Clock", lambda: Message(tick=waits.append))
     human = make(render_mode="human")
     for act in (lambda each: each.reset(seed=0), lambda each: each.step([1.0, 0.0])):
         act(human)
         act(env)
-        np.testing.assert_array_equal(window_content(pygame), env.render())
+        shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
+        np.testing.assert_array_equal(shown, env.render())
     assert human.render() is None
     assert waits == [20, 20]
-    human.close()
-    assert pygame.display.get_surface() is None
-
-
-def test_a_window_stays_closed_after_the_user_closes_it(pygame):
-    human = make(render_mode="human")
-    human.reset(seed=0)
     pygame.event.post(pygame.event.Event(pygame.QUIT))
     for _ in range(2):
         human.step([0.0, 0.0])
         assert pygame.display.get_surface() is None
+    human = make(render_mode="human")
+    human.reset()
     human.close()
+    assert pygame.display.get_surface() is None
 
 
 def test_a_window_needs_pygame_and_a_display(pygame, monkeypatch):
@@ -331,29 +306,13 @@ def test_a_window_needs_pygame_and_a_display(pygame, monkeypatch):
         make(render_mode="human")
 
 
-def test_close_is_idempotent_and_use_after_it_raises():
-    env = make(render_mode="rgb_array")
-    env.reset()
-    env.close()
-    env.close()
-    for use in (env.reset, env.render, lambda: env.step([0.0, 0.0])):
-        with pytest.raises(RuntimeError, match="closed"):
-            use()
-
-
 def test_attributes_have_the_names_of_the_original_environment(env):
-    places = ("rand_x_range", "rand_y_range", "rand_goal_x_range", "rand_goal_y_range")
-    expected = dict.fromkeys(places, (-4, 4)) | {
-        "size": (64, 64),
-        "length": 2000,
-        "_length": 2000,
-        "world_n": "maze",
-        "lidar_points": 32,
+    expected = {"size": (64, 64), "length": 2000, "_length": 2000, "world_n": "maze", "lidar_points": 32}
+    for axis in "xy":
+        expected |= {f"rand_{axis}_range": (-4, 4), f"rand_goal_{axis}_range": (-4, 4)}
+        expected |= {f"too_far_away_low_{axis}": -30, f"too_far_away_high_{axis}": 30}
+    expected |= {
         "max_lidar_range": 12.0,
-        "too_far_away_low_x": -30,
-        "too_far_away_high_x": 30,
-        "too_far_away_low_y": -30,
-        "too_far_away_high_y": 30,
         "too_far_away_penilty": -10.0,
         "stuck_penilty": -25.0,
         "general_penility": -20.0,
@@ -370,45 +329,20 @@ def test_attributes_have_the_names_of_the_original_environment(env):
     assert {name: getattr(env, name) for name in expected} == expected
 
 
-def test_state_has_the_names_of_the_original_environment(env):
-    observation, *_ = env.step([0.6, 0.3])
-    np.testing.assert_array_equal(env.lidar_data, observation["lidar"])
-    np.testing.assert_array_equal(env.rover_position, observation["pose"])
-    np.testing.assert_array_equal(
-        np.float32([env.current_pitch, env.current_roll, env.current_yaw]), observation["imu"]
-    )
-    np.testing.assert_array_equal(
-        np.float32([env.current_linear_velocity, env.current_angular_velocity]), observation["velocities"]
-    )
-
-
-CALLBACKS = {
-    "scan": "lidar_callback",
-    "imu": "imu_callback",
-    "pose": "pose_array_callback",
-    "odometry": "odom_callback",
-}
-
-
-def test_callbacks_raise_if_the_backend_simulates_its_sensors(env):
-    for name in CALLBACKS.values():
+def test_callbacks_pass_messages_to_a_live_backend_alone(env, monkeypatch):
+    callbacks = {"scan": env.lidar_callback, "imu": env.imu_callback, "pose": env.pose_array_callback}
+    callbacks["odometry"] = env.odom_callback
+    for callback in callbacks.values():
         with pytest.raises(RuntimeError, match="makes its own sensor data; callbacks are for backend='ros2'"):
-            getattr(env, name)(Message())
-
-
-def test_callbacks_pass_messages_to_a_live_backend(env, monkeypatch):
+            callback(Message())
     received = {}
     monkeypatch.setattr(env.base_env.simulator, "receive", received.__setitem__, raising=False)
-    for kind, name in CALLBACKS.items():
-        getattr(env, name)(kind)
-    assert received == {kind: kind for kind in CALLBACKS}
+    for kind, callback in callbacks.items():
+        callback(kind)
+    assert received == {kind: kind for kind in callbacks}
 
 
 # Wrapped environments and rewards
-
-
-def without_imu_and_target():
-    return TransformedEnv(BatchedRoverEnv(), CatTensors(["imu", "target"], "vector"))
 
 
 @pytest.mark.parametrize(
@@ -417,7 +351,7 @@ def without_imu_and_target():
         (object, {}, TypeError, r"rover_rl\.RoverEnv.* is needed; got object"),
         (lambda: BatchedRoverEnv(num_envs=2), {}, ValueError, "num_envs=2; use GymVectorWrapper"),
         (make_env, {"reward": "contract"}, ValueError, "has its reward already"),
-        (without_imu_and_target, {}, ValueError, r"lacks \['imu', 'target'\]"),
+        (lambda: TransformedEnv(BatchedRoverEnv(), CatTensors(["imu"], "vector")), {}, ValueError, r"lacks \['imu'\]"),
         (BatchedRoverEnv, {"time_limit": "never"}, ValueError, "time_limit must be one of .* got 'never'"),
         (BatchedRoverEnv, {"render_mode": "film"}, ValueError, "render_mode must be one of .* got 'film'"),
         (BatchedRoverEnv, {"camera": "left"}, ValueError, "camera must be one of .* got 'left'"),
@@ -446,14 +380,11 @@ def test_wrapping_make_env_equals_wrapping_the_bare_environment(env):
 
 def test_the_reward_can_be_chosen(env):
     contract = rewards_of(env)
-    task = make(reward="task")
-    assert rewards_of(task) == [0.0] * 4
-    config = RewardConfig(idle_penalty=-1.0, min_progress=1e9, velocity_scale=0.0, turn_scale=0.0)
-    configured = make(reward=config)
+    assert rewards_of(make(reward="task")) == [0.0] * 4
+    configured = make(reward=RewardConfig(idle_penalty=-1.0, min_progress=1e9, velocity_scale=0.0, turn_scale=0.0))
     assert rewards_of(configured) == [-1.5] * 4 != contract
     assert configured.distance_delta_scale == 0.3
-    listed = make(reward=contract_reward())
-    assert rewards_of(listed) == contract
+    assert rewards_of(make(reward=contract_reward())) == contract
 
 
 def test_gymnasium_make_builds_it():

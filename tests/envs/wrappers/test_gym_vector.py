@@ -97,36 +97,14 @@ def test_it_equals_gymnasiums_vector_environment_of_single_rovers(mode, settings
     """Compares observations, rewards, flags and infos (except the reward) over several episodes and two seeds."""
     time_limit = "truncated" if mode is AutoresetMode.SAME_STEP else "terminated"
     batch, single = native(mode, time_limit=time_limit, **settings), one_by_one(mode, time_limit, **settings)
+    for name in ("num_envs", "observation_space", "action_space", "single_observation_space", "single_action_space"):
+        assert getattr(batch, name) == getattr(single, name)
     for seed in (7, 100):
         ours, theirs = trace(batch, seed, 30), trace(single, seed, 30)
         assert_same(ours, without_reward(theirs))
         ended = endings(ours)
         assert (ended.sum(0) >= 2).all()
         assert (ended.any(1) & ~ended.all(1)).any() == (settings is ENDING_APART)
-
-
-def test_the_spaces_are_batches_of_the_single_ones(shared):
-    single = RoverEnv(world_n="maze")
-    assert shared.single_observation_space == single.observation_space
-    assert shared.single_action_space == single.action_space
-    assert shared.observation_space["lidar"].shape == (ROWS, 32)
-    assert shared.action_space.shape == (ROWS, 2)
-    assert shared.num_envs == ROWS
-    single.close()
-
-
-def test_same_step_returns_the_final_observation():
-    envs = native(AutoresetMode.SAME_STEP, length=2)
-    envs.reset(seed=0)
-    envs.step(np.full((ROWS, 2), 0.5))
-    observation, _, terminated, _, infos = envs.step(np.full((ROWS, 2), 0.5))
-    assert terminated.all()
-    for row in range(ROWS):
-        assert infos["final_obs"][row] in envs.single_observation_space
-        assert (infos["final_obs"][row]["pose"] != observation["pose"][row]).any()
-    assert infos["_final_obs"].all()
-    assert infos["final_info"]["steps"].tolist() == [2] * ROWS
-    assert "steps" not in infos
 
 
 def test_disabled_requires_a_reset_of_ended_rows():
@@ -158,14 +136,12 @@ def some_rows(*rows: bool) -> dict:
     [
         ("reset", {"options": {"reset_mask": np.zeros(ROWS, bool)}}, "reset_mask must be 3 bools"),
         ("reset", {"options": {"reset_mask": np.ones(ROWS)}}, "reset_mask must be 3 bools"),
-        ("reset", {"options": {"reset_mask": np.ones(ROWS + 1, bool)}}, "reset_mask must be 3 bools"),
         ("reset", {"seed": [4, 5]}, "seeds must be 3 numbers that count on"),
         ("reset", {"seed": [4, 6, 8]}, "seeds must be 3 numbers that count on"),
         ("reset", {"seed": [None, 1, 2]}, "seeds must be 3 numbers that count on"),
         ("reset", {"seed": []}, "seeds must be 3 numbers that count on"),
         ("reset", {"seed": 1, **some_rows(True, False, False)}, "a seed is for all rows"),
         ("step", {"actions": np.zeros(ROWS)}, r"actions must have shape \(3, 2\)"),
-        ("step", {"actions": np.zeros((ROWS + 1, 2))}, r"actions must have shape \(3, 2\)"),
         ("step", {"actions": np.zeros((2, ROWS))}, r"actions must have shape \(3, 2\)"),
     ],
 )
@@ -186,16 +162,11 @@ def test_step_and_a_partial_reset_need_a_reset():
             use()
 
 
-def test_reset_takes_starts_and_goals(envs):
-    start = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 0.5], [0.0, 0.0, 1.0]])
-    observation, _ = envs.reset(options={"start": start, "goal": start[:, :2] + (2.0, 0.0)})
-    np.testing.assert_allclose(observation["pose"][:, :2], start[:, :2], atol=1e-5)
-    np.testing.assert_allclose(observation["target"][:, 0], 2.0, atol=1e-5)
-
-
-def test_seeds_can_be_a_list(envs):
+def test_seeds_can_be_a_list_and_starts_differ_by_row(envs):
     assert_same(envs.reset(seed=[4, 5, 6]), envs.reset(seed=4))
-    envs.reset(seed=[None] * ROWS)
+    start = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 0.5], [0.0, 0.0, 1.0]])
+    observation, _ = envs.reset(seed=[None] * ROWS, options={"start": start})
+    np.testing.assert_allclose(observation["pose"][:, :2], start[:, :2], atol=1e-5)
 
 
 def test_returned_arrays_are_copies(envs):
@@ -233,15 +204,8 @@ def test_render_returns_an_image_per_row():
 
 
 def test_make_vec_builds_it():
-    envs = gymnasium.make_vec(
-        "rover_rl/Rover-v0",
-        num_envs=4,
-        vectorization_mode="vector_entry_point",
-        world_n="maze",
-        length=3,
-        time_limit="truncated",
-        autoreset_mode="SameStep",
-    )
+    options = {"world_n": "maze", "length": 3, "time_limit": "truncated", "autoreset_mode": "SameStep"}
+    envs = gymnasium.make_vec("rover_rl/Rover-v0", 4, "vector_entry_point", **options)
     assert isinstance(envs, GymVectorWrapper)
     assert envs.spec.id == "rover_rl/Rover-v0"
     statistics = RecordEpisodeStatistics(envs)

@@ -60,9 +60,8 @@ def test_scaled_observations_are_one_vector_with_the_features_of_the_encoder() -
 def test_rows_equal_single_rovers_also_after_they_end() -> None:
     ending = {"length": 24, "end_on_goal": True, "task": TaskConfig(success_distance=2.5), "time_limit": "truncated"}
     envs = make_vec(LEARNING_ENV_ID, backend="bullet", autoreset_mode="SameStep", **ending)
-    single = [
-        gymnasium.make(LEARNING_ENV_ID, world_n="maze", seed=row, backend="bullet", **ending) for row in range(ROWS)
-    ]
+    ending |= {"world_n": "maze", "backend": "bullet"}
+    single = [gymnasium.make(LEARNING_ENV_ID, seed=row, **ending) for row in range(ROWS)]
     np.testing.assert_array_equal(envs.reset(seed=0)[0], [env.reset(seed=i)[0] for i, env in enumerate(single)])
     rng, endings = np.random.default_rng(0), 0
     for _ in range(12):
@@ -94,9 +93,7 @@ def test_the_goal_is_known_when_observations_are_scaled() -> None:
     env = GymWrapper(BatchedRoverEnv(world_n="maze", seed=0), scale_observations=True)
     observation, _ = env.reset(seed=0)
     assert observation.shape == env.get_observation().shape
-    distance, _ = env.get_target_info()
-    assert env.unwrapped.base_env.goal.shape == (1, 2)
-    assert distance > 1
+    assert env.get_target_info()[0] > 1
 
 
 def test_other_lidars_and_environments_with_transforms() -> None:

@@ -33,10 +33,9 @@ def make(adapter, length: int = 40, **kwargs):
 
 
 def test_it_equals_the_environment_with_transforms(adapter) -> None:
-    envs = make(adapter, task=TaskConfig(success_distance=2.0), end_on_goal=True)
-    same = make_env(
-        world_n="maze", num_envs=ROWS, length=40, seed=0, task=TaskConfig(success_distance=2.0), end_on_goal=True
-    ).append_transform(ActionRepeat(4))
+    ending = {"task": TaskConfig(success_distance=2.0), "end_on_goal": True}
+    envs = make(adapter, **ending)
+    same = make_env(world_n="maze", num_envs=ROWS, length=40, seed=0, **ending).append_transform(ActionRepeat(4))
     root, generator, ended = same.reset(), torch.Generator().manual_seed(0), 0
     for _ in range(25):
         actions = torch.rand(ROWS, 2, generator=generator) * 2 - 1

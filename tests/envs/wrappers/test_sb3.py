@@ -36,8 +36,7 @@ def shared():
 
 @pytest.mark.filterwarnings("ignore:.*symmetric and normalized.*")
 def test_sb3_check_env():
-    env = RoverEnv(world_n="maze")
-    check_env(env)
+    check_env(RoverEnv(world_n="maze"))
 
 
 def test_it_equals_sb3s_vector_environment_of_single_rovers(shared):
@@ -63,17 +62,12 @@ def test_it_equals_sb3s_vector_environment_of_single_rovers(shared):
     single_envs.close()
 
 
-def test_a_termination_in_the_last_step_is_no_time_limit():
-    tilted = BatchedRoverEnv(world_n="moon", num_envs=ROWS, length=1, seed=0, task=TaskConfig(flip_threshold=0.0))
-    envs = SB3VecEnv(tilted, time_limit="truncated")
-    envs.reset()
-    _, _, dones, infos = envs.step(np.zeros((ROWS, 2)))
-    assert dones.all()
-    assert not any(info["TimeLimit.truncated"] for info in infos)
-
-
-def test_the_contracts_time_limit_can_be_chosen():
-    envs = make(length=1, time_limit="terminated")
+@pytest.mark.parametrize(
+    ("time_limit", "threshold"), [("truncated", 0.0), ("terminated", 1.48)], ids=["flip", "contract"]
+)
+def test_a_termination_in_the_last_step_is_no_time_limit(time_limit, threshold):
+    tilted = BatchedRoverEnv(world_n="moon", num_envs=ROWS, length=1, seed=0, task=TaskConfig(flip_threshold=threshold))
+    envs = SB3VecEnv(tilted, time_limit=time_limit)
     envs.reset()
     _, _, dones, infos = envs.step(np.zeros((ROWS, 2)))
     assert dones.all()
@@ -93,27 +87,26 @@ def test_episodes_are_counted_by_vec_monitor(shared):
         assert infos[row]["episode"]["is_success"] in (True, False)
 
 
-def test_a_seed_applies_to_one_reset(shared):
+def test_seeds_and_options_apply_to_one_reset(shared):
     shared.seed(3)
-    first = shared.reset()
-    second = shared.reset()
+    first, second = shared.reset(), shared.reset()
     shared.seed(3)
     np.testing.assert_equal(shared.reset(), first)
     assert (first["pose"] != second["pose"]).any()
-
-
-def test_options_apply_to_one_reset(shared):
     shared.set_options({"start": (0.0, 0.0, 0.5), "goal": (2.0, 0.0)})
-    observation = shared.reset()
-    np.testing.assert_allclose(observation["target"], [(2.0, -0.5)] * ROWS, atol=1e-5)
+    np.testing.assert_allclose(shared.reset()["target"], [(2.0, -0.5)] * ROWS, atol=1e-5)
     assert (shared.reset()["target"][:, 0] != 2.0).any()
 
 
-def test_options_must_be_equal_for_all_rows(shared):
+def test_wrong_options_and_seeds_are_refused(shared):
     shared.set_options([{"goal": (2.0, 0.0)}, {}, {}])
     with pytest.raises(ValueError, match="every row must have the same options"):
         shared.reset()
     shared.set_options()
+    shared.seed(-1)
+    with pytest.raises(ValueError, match="seed must be a whole number from 0 to"):
+        shared.reset()
+    shared.seed(0)
 
 
 def test_attributes_are_those_of_the_batched_environment(shared):
@@ -125,9 +118,6 @@ def test_attributes_are_those_of_the_batched_environment(shared):
     assert shared.base_env.size == (1, 1)
     assert shared.env_method("extra_repr") == [shared.base_env.extra_repr()] * ROWS
     assert shared.env_is_wrapped(object) == [False] * ROWS
-
-
-def test_rows_share_one_environment(shared):
     with pytest.raises(ValueError, match="share one RoverEnv"):
         shared.set_attr("size", (1, 1), indices=[0])
     with pytest.raises(ValueError, match="share one RoverEnv"):
@@ -161,10 +151,3 @@ def test_a_missing_library_is_named(monkeypatch):
         monkeypatch.delitem(sys.modules, module)
     with pytest.raises(ImportError, match=r"pip install \"rover_rl\[sb3\]\""):
         importlib.import_module("rover_rl.envs.sb3")
-
-
-def test_seeds_out_of_range_are_refused(shared):
-    shared.seed(-1)
-    with pytest.raises(ValueError, match="seed must be a whole number from 0 to"):
-        shared.reset()
-    shared.seed(0)

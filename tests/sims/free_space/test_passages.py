@@ -12,6 +12,7 @@ import torch
 
 from rover_rl.algos.evaluation.episodes import STORED_WORLDS, stored_episodes
 from rover_rl.sims.free_space import free_space
+from rover_rl.sims.free_space.cell_grid import cells_of
 from rover_rl.sims.free_space.path_grid import PathGrid
 from rover_rl.sims.free_space.shortest_paths import shortest_paths
 from rover_rl.sims.robots import get_robot
@@ -41,9 +42,9 @@ def test_gaps_of_70_cm_are_passable(offset, degrees):
     free = free_space(world, ROVER)
     assert len(free.narrow_orientations) > 0
     costs = PathGrid(world, ROVER).costs(torch.tensor([[3.5, 0.0]]))[0]
-    column, row = ((torch.tensor([-3.5, 0.0]) - torch.tensor(free.origin)) / free.cell).round().long().tolist()
-    assert 6.9 < costs[row, column] < 7.7
-    length = shortest_paths(world, ROVER, torch.tensor([[-3.5, 0.0]]), torch.tensor([[3.5, 0.0]]))
+    start = torch.tensor([[-3.5, 0.0]])
+    assert 6.9 < costs[cells_of(free, start)].item() < 7.7
+    length = shortest_paths(world, ROVER, start, torch.tensor([[3.5, 0.0]]))
     assert 6.4 < length.item() < 7.2
 
 
@@ -52,15 +53,11 @@ def test_gaps_below_the_width_of_the_rover_are_closed():
         free_space(with_gap(0.45), ROVER)
 
 
-def test_wide_gaps_need_no_narrow_cells():
-    free = free_space(with_gap(1.0), ROVER)
-    assert len(free.narrow_orientations) == 0
-    assert torch.equal(free.passable, free.roomy)
-
-
 def test_nothing_is_narrow_where_roomy_cells_connect_everything():
-    for name in ("maze", "rooms:4", "inspect"):
-        assert len(free_space(get_world(name), ROVER).narrow_orientations) == 0
+    for world in (with_gap(1.0), *map(get_world, ("maze", "rooms:4", "inspect"))):
+        free = free_space(world, ROVER)
+        assert len(free.narrow_orientations) == 0
+        assert torch.equal(free.passable, free.roomy)
 
 
 def narrow_poses(world: World) -> np.ndarray:
@@ -78,7 +75,7 @@ def test_the_footprint_is_free_in_all_orientations_of_narrow_cells():
     poses = narrow_poses(world)
     assert len(poses) > 5000
     outline = footprint(ROVER)
-    center, half = np.zeros(2), np.array((outline.half_length, outline.half_width))
+    half = np.array((outline.half_length, outline.half_width))
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     nearest = np.full(len(poses), np.inf)
     for obstacle in world.obstacles:
@@ -88,7 +85,7 @@ def test_the_footprint_is_free_in_all_orientations_of_narrow_cells():
         offset = middle - poses[:, :2]
         inside = np.stack((cos * offset[:, 0] + sin * offset[:, 1], cos * offset[:, 1] - sin * offset[:, 0]), -1)
         # The distance of the circle around the solid from the rectangle. Prisms are up to 6 mm smaller.
-        away = np.linalg.norm(np.maximum(np.abs(inside - center) - half, 0), axis=1) - radius
+        away = np.linalg.norm(np.maximum(np.abs(inside) - half, 0), axis=1) - radius
         nearest = np.minimum(nearest, away)
     assert nearest.min() > 0.0
     # The margin is no larger than needed.

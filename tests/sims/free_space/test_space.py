@@ -14,12 +14,13 @@ from hypothesis import strategies as st
 from scipy.ndimage import label
 
 from rover_rl.sims.free_space import free_space, rest_on_ground
-from rover_rl.sims.free_space.cell_grid import CellGrid
+from rover_rl.sims.free_space.cell_grid import CellGrid, cells_of
 from rover_rl.sims.free_space.ground_limits import level_cells, rest_headings
 from rover_rl.sims.free_space.passages import headings_of_bins
 from rover_rl.sims.free_space.space import HEADINGS, distance_to_polygon
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, World, box, cylinder, get_world
+from rover_rl.sims.worlds.region import overlap
 
 ROVER = get_robot("rover_zero")
 NAMES = ["inspect", "moon", "maze", "maze:1"]
@@ -58,18 +59,19 @@ def sample(cells: torch.Tensor, cell: float, count: int, rng: np.random.Generato
     return cells.numpy()[index] + rng.uniform(-cell / 2, cell / 2, (count, 2)), index
 
 
-def cell_index(free, xy: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
-    column, row = ((xy - torch.tensor(free.origin)) / free.cell).round().long().T.numpy()
-    return row, column
-
-
 @pytest.mark.parametrize("name", NAMES)
-def test_spawn_and_goal_cells_are_in_one_connected_part_of_the_free_cells(name):
+def test_spawn_cells_have_headings_and_goals_that_can_be_reached_and_are_a_meter_away(name):
     free = free_space(get_world(name), ROVER)
     labels, _ = label(free.passable.numpy())
-    goal_labels, spawn_labels = (labels[cell_index(free, cells)] for cells in (free.goal_cells, free.spawn_cells))
+    goal_labels, spawn_labels = (labels[cells_of(free, cells)] for cells in (free.goal_cells, free.spawn_cells))
     assert goal_labels.min() > 0
     assert {*goal_labels, *spawn_labels} == {goal_labels[0]}
+    assert free.spawn_headings.shape == (len(free.spawn_cells),)
+    assert allowed(free.spawn_headings).any(1).all()
+    goals = {tuple(goal) for goal in free.goal_cells.tolist()}
+    assert {tuple(extreme) for extreme in free.goal_extremes.tolist()} <= goals
+    cells = torch.cat((free.spawn_cells, free.goal_cells))
+    assert torch.cdist(cells, free.goal_extremes).amax(1).min() >= 1.0
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -90,23 +92,12 @@ def test_sampled_positions_are_in_range_and_the_rovers_disc_is_free(name, kind):
 def test_passable_cells_are_within_the_bounds_and_not_on_steep_ground(name):
     world = get_world(name)
     free = free_space(world, ROVER)
-    row, column = free.passable.nonzero().unbind(1)
-    centers = torch.stack((column, row), 1).double() * free.cell + torch.tensor(free.origin, dtype=torch.float64)
-    for axis, ends in enumerate(world.bounds):
-        extent = world.terrain.extent[axis]
-        low, high = max(ends[0], extent[0]), min(ends[1], extent[1])
+    centers = free.passable.nonzero().flip(1).double() * free.cell + torch.tensor(free.origin, dtype=torch.float64)
+    for axis, (low, high) in enumerate(overlap(world.bounds, world.terrain.extent)):
         assert centers[:, axis].min() - free.cell / 2 >= low + ROVER.radius - 1e-5
         assert centers[:, axis].max() + free.cell / 2 <= high - ROVER.radius + 1e-5
     nudged = centers + torch.from_numpy(np.random.default_rng(0).uniform(-1e-4, 1e-4, centers.shape))
     assert world.normal_at(nudged)[:, 2].min() >= math.cos(math.radians(25)) - 1e-9
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_every_spawn_cell_has_a_heading(name):
-    free = free_space(get_world(name), ROVER)
-    assert free.spawn_headings.shape == (len(free.spawn_cells),)
-    assert free.spawn_headings.dtype == torch.int64
-    assert allowed(free.spawn_headings).any(1).all()
 
 
 def allowed(headings: torch.Tensor) -> torch.Tensor:
@@ -139,16 +130,6 @@ def test_spawn_poses_are_upright_with_a_clear_lidar(name):
         assert (points[..., 2] > world.height_at(points[..., :2])).all()
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_an_extreme_goal_is_a_meter_away_from_every_cell(name):
-    free = free_space(get_world(name), ROVER)
-    assert free.goal_extremes.shape == (16, 2)
-    goals = {tuple(goal) for goal in free.goal_cells.tolist()}
-    assert all(tuple(extreme) in goals for extreme in free.goal_extremes.tolist())
-    cells = torch.cat((free.spawn_cells, free.goal_cells))
-    assert torch.cdist(cells, free.goal_extremes).amax(1).min() >= 1.0
-
-
 def test_contains_looks_up_the_cell():
     free = free_space(get_world("maze"), ROVER)
     row, column = (int(i) for i in free.passable.nonzero()[100])
@@ -170,17 +151,14 @@ def test_free_space_is_cached_while_the_world_exists():
     assert gone() is None
 
 
-def test_overhead_and_buried_obstacles_are_ignored():
-    floor = Terrain.flat((10, 10))
-    roof, pipe = box((0, 0, 2), (6, 6, 0.5)), box((0, 0, -2), (6, 6, 0.5))
-    empty = free_space(World("plain", floor), ROVER)
-    assert torch.equal(free_space(World("plain", floor, [roof, pipe]), ROVER).passable, empty.passable)
-    low_roof = box((0, 0, 0.6), (6, 6, 0.4))
-    assert not free_space(World("plain", floor, [low_roof]), ROVER).contains(torch.zeros(2))
+@pytest.mark.parametrize(("height", "passable"), [(2.0, True), (-2.0, True), (0.6, False)])
+def test_overhead_and_buried_obstacles_are_ignored(height, passable):
+    world = World("plain", Terrain.flat((10, 10)), [box((0, 0, height), (6, 6, 0.4))])
+    assert free_space(world, ROVER).contains(torch.zeros(2)) == passable
 
 
 def test_an_enclosed_pocket_has_no_goal_and_no_spawn_cell():
-    ring = [box((x, y, 0.5), size) for x, y, size in ((0, 1.5, (3.4, 0.4, 1)), (0, -1.5, (3.4, 0.4, 1)))]
+    ring = [box((0, y, 0.5), (3.4, 0.4, 1)) for y in (-1.5, 1.5)]
     ring += [box((x, 0, 0.5), (0.4, 3.4, 1)) for x in (-1.5, 1.5)]
     free = free_space(World("ring", Terrain.flat((12, 12)), ring), ROVER)
     assert free.contains(torch.zeros(2))
@@ -211,12 +189,15 @@ def test_strips_between_steep_ground_have_a_minimum_width():
         free_space(valley(0.3), ROVER)
 
 
-def test_no_part_of_a_rover_is_above_a_cliff():
+def cliff(height: float) -> World:
+    """A cliff that rises by a height from x = 0.9 to 1.0."""
     heights = np.zeros((101, 101))
-    heights[:, 60:] = -2.0
-    # The cliff falls from x = 0.9 to 1.0.
-    world = World("cliff", Terrain(heights, 0.1), spawn_range=((-4, 0.9), (-4, 4)), goal_range=((-4, 0.9), (-4, 4)))
-    free = free_space(world, ROVER)
+    heights[:, 60:] = height
+    return World("cliff", Terrain(heights, 0.1), spawn_range=((-4, 0.9), (-4, 4)), goal_range=((-4, 0.9), (-4, 4)))
+
+
+def test_no_part_of_a_rover_is_above_a_cliff():
+    free = free_space(cliff(-2.0), ROVER)
     _, column = free.passable.nonzero().unbind(1)
     x = column * free.cell + free.origin[0]
     left = x[x < 0.9]
@@ -236,11 +217,7 @@ def test_level_ground_allows_all_headings(name):
 
 
 def test_spawn_poses_keep_the_lidar_away_from_a_cliff():
-    heights = np.zeros((101, 101))
-    heights[:, 60:] = 2.0
-    world = World("cliff", Terrain(heights, 0.1), spawn_range=((-4, 0.9), (-4, 4)), goal_range=((-4, 0.9), (-4, 4)))
-    lidar, _ = lidar_poses(world, 500)
-    # The cliff rises from x = 0.9 to 1.0.
+    lidar, _ = lidar_poses(cliff(2.0), 500)
     assert lidar[:, 0].max() < 0.9 - 0.4
 
 

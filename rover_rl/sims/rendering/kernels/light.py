@@ -1,8 +1,4 @@
-"""Warp kernels that run once per scene, and that find hidden points.
-
-:func:`find_openness` computes how much of the sky each vertex sees, which darkens corners; :func:`find_sunshine` finds
-the vertices that lie in the shadow of the scenery, so that most pixels need no shadow ray.
-"""
+"""Warp kernels that run once per scene, and that find hidden points."""
 
 from __future__ import annotations
 
@@ -20,7 +16,7 @@ def find_openness(
     reach: float,
     openness: wp.array[float],
 ):
-    """Writes the visible share of the sky for each vertex of a mesh, beginning with vertex ``first``.
+    """Writes the visible share of the sky for each vertex of a mesh, which darkens corners.
 
     Ambient occlusion: the mean over rays of ``min(t / reach, 1)``, where t is the distance to the first triangle. A
     sum of the normal and a point on the unit sphere (``directions``) gives rays in proportion to the cosine of their
@@ -41,7 +37,7 @@ def find_openness(
 def find_sunshine(
     first: int, mesh: wp.uint64, vertices: wp.array[wp.vec3], normals: wp.array[wp.vec3], sunshine: wp.array[float]
 ):
-    """Writes whether the sun reaches each vertex of a mesh, 0 or 1, beginning with vertex ``first``."""
+    """Writes whether the sun reaches each vertex of a mesh, 0 or 1, so that most pixels need no shadow ray."""
     vertex = first + wp.tid()
     start = vertices[vertex] + 10.0 * OFFSET * normals[vertex]
     sunshine[vertex] = wp.where(wp.mesh_query_ray_anyhit(mesh, start, SUN_DIRECTION, FAR), 0.0, 1.0)
@@ -49,7 +45,7 @@ def find_sunshine(
 
 @wp.kernel
 def find_noise(first: int, noise: wp.array2d[float]):
-    """Writes the periodic noise of the ground (Perlin), beginning with row ``first``."""
+    """Writes the periodic noise of the ground (Perlin)."""
     row, column = wp.tid()
     row += first
     at = wp.vec2(float(column) / float(NOISE_SAMPLES), float(row) / float(NOISE_SAMPLES))

@@ -3,8 +3,8 @@
 :func:`trace_samples` traces a ray for one pixel in nine. :func:`fill_pixels` interpolates the others where the samples
 around them see the same smooth surface, and traces their own rays elsewhere. :func:`smooth_edges` traces four more rays
 for each pixel that differs from a neighbor, so that edges of things and of shadows are smooth.
-
-A pixel depends on few pixels near it, so that a picture is the same with any number of threads.
+A pixel depends on few pixels near it, so that a picture is the same with any number of threads, each of which begins
+with the row ``first``.
 """
 
 from __future__ import annotations
@@ -49,11 +49,8 @@ def from_center(index: int, count: int) -> float:
 @wp.func
 def displayed(color: wp.vec3) -> wp.vec3:
     """Value of a screen, 0 to 1, that shows a color: gamma correction with an exponent of 2."""
-    return wp.vec3(
-        wp.sqrt(wp.clamp(color[0], 0.0, 1.0)),
-        wp.sqrt(wp.clamp(color[1], 0.0, 1.0)),
-        wp.sqrt(wp.clamp(color[2], 0.0, 1.0)),
-    )
+    shown = wp.min(wp.max(color, wp.vec3()), wp.vec3(1.0))
+    return wp.vec3(wp.sqrt(shown[0]), wp.sqrt(shown[1]), wp.sqrt(shown[2]))
 
 
 @wp.func
@@ -74,7 +71,7 @@ def trace_samples(
     width: int,
     samples: wp.array2d[Seen],
 ):
-    """Writes what is seen at the center of one pixel in nine, beginning with row ``first`` of the samples."""
+    """Writes what is seen at the center of one pixel in nine."""
     row, column = wp.tid()
     row += first
     ray = ray_to(view, from_center(STEP * column, width), from_center(STEP * row, height))
@@ -109,7 +106,7 @@ def fill_pixels(
     samples: wp.array2d[Seen],
     colors: wp.array2d[wp.vec3],
 ):
-    """Writes the displayed color of the center of each pixel, beginning with row ``first``."""
+    """Writes the displayed color of the center of each pixel."""
     row, column = wp.tid()
     row += first
     ray = ray_to(view, from_center(column, colors.shape[1]), from_center(row, colors.shape[0]))
@@ -140,10 +137,7 @@ def smooth_edges(
     colors: wp.array2d[wp.vec3],
     picture: wp.array3d[wp.uint8],
 ):
-    """Writes the picture, ``[height, width, 3]``, beginning with row ``first``.
-
-    A pixel on an edge is the mean of four points on a rotated grid. Each sees another point of the sun.
-    """
+    """Writes the picture. A pixel on an edge is the mean of four points, which see different points of the sun."""
     row, column = wp.tid()
     row += first
     color = colors[row, column]

@@ -1,8 +1,5 @@
 """Warp functions of the renderer: what a ray from the camera sees.
 
-The kernels of :mod:`~rover_rl.sims.rendering.kernels.pictures` run for each picture, those of
-:mod:`~rover_rl.sims.rendering.kernels.light` once per scene.
-
 The scene consists of bodies, each a triangle mesh with a pose: body 0 is the scenery, whose pose is the world frame,
 body 1 the rover, in its base frame, body 2 the post of the goal. To intersect a ray with a body, the kernels transform
 the ray to the frame of the body. Vertices and triangles of all bodies are numbered consecutively.
@@ -178,15 +175,7 @@ def meets_body(scene: Scene, poses: wp.array[wp.transform], start: wp.vec3, dire
 
 @wp.func
 def is_lit(scene: Scene, poses: wp.array[wp.transform], start: wp.vec3, sun: wp.vec3, sunshine: float) -> bool:
-    """Whether nothing lies between a point and the sun.
-
-    Args:
-        scene: scene.
-        poses: poses of the bodies.
-        start: point in the world frame.
-        sun: direction to the sun.
-        sunshine: light of the sun past the scenery: 0 for none, 1 for all, or between them if a ray must tell.
-    """
+    """Whether nothing lies between a point and the sun. Where ``sunshine`` is neither 0 nor 1, a ray must tell."""
     if sunshine == 0.0:
         return False
     if sunshine < 1.0:
@@ -205,12 +194,7 @@ def sky_color(direction: wp.vec3) -> wp.vec3:
 
 @wp.func
 def line_coverage(x: float, width: float) -> float:
-    """Share of a pixel that a line of the grid covers.
-
-    Args:
-        x: coordinate across the lines, m.
-        width: width of the pixel on the ground, m. It blurs the lines.
-    """
+    """Share of a pixel at ``x`` across the lines of the grid that a line covers. The pixel's width blurs it."""
     distance = GRID * wp.abs(x / GRID - wp.round(x / GRID))
     blurred = wp.max(width, LINE_WIDTH)
     return wp.clamp(0.5 + (0.5 * LINE_WIDTH - distance) / blurred, 0.0, 1.0) * LINE_WIDTH / blurred
@@ -231,21 +215,13 @@ def noise_at(noise: wp.array2d[float], x: float, y: float) -> float:
     right = (column + 1) & last
     low = row & last
     high = (row + 1) & last
-    return wp.lerp(
-        wp.lerp(noise[low, left], noise[low, right], u), wp.lerp(noise[high, left], noise[high, right], u), v
-    )
+    below = wp.lerp(noise[low, left], noise[low, right], u)
+    return wp.lerp(below, wp.lerp(noise[high, left], noise[high, right], u), v)
 
 
 @wp.func
 def ground_pattern(noise: wp.array2d[float], x: float, y: float, width: float) -> float:
-    """Brightness of the ground: patches, grain near the camera, and a grid, which show how the rover moves.
-
-    Args:
-        noise: stored noise.
-        x: coordinate in the world frame, m.
-        y: coordinate in the world frame, m.
-        width: width of the pixel on the ground, m.
-    """
+    """Brightness of the ground: patches, grain near the camera, and a grid, which show how the rover moves."""
     brightness = 1.0 + 0.12 * noise_at(noise, 0.4 * x, 0.4 * y)
     detail = 1.0 - 20.0 * width
     if detail > 0.0:
@@ -274,15 +250,8 @@ def look(
     """What a ray from the camera sees.
 
     The light on a surface of normal n is ``max(n . s, 0) sunlight + openness ambient(n)`` with the direction s to the
-    sun (Lambert's law) and the ambient light of a sky above a bright ground.
-
-    Args:
-        scene: scene.
-        poses: poses of the bodies.
-        start: position of the camera.
-        direction: unit vector.
-        sun: direction to the visible point of the sun.
-        spread: width of a pixel at distance 1.
+    ``sun`` (Lambert's law) and the ambient light of a sky above a bright ground. ``spread`` is the width of a pixel at
+    distance 1.
     """
     seen = Seen()
     hit = closest_hit(scene, poses, start, direction)
@@ -331,10 +300,7 @@ def look(
 
 @wp.func
 def shade(scene: Scene, seen: Seen, start: wp.vec3, direction: wp.vec3) -> wp.vec3:
-    """Color of what a ray sees, with the pattern of the ground and haze.
-
-    Haze hides the share ``1 - exp(-(t / t_haze)^2)`` at the distance t.
-    """
+    """Color of what a ray sees, with the pattern of the ground and haze, ``1 - exp(-(t / t_haze)^2)`` at distance t."""
     haze = sky_color(direction)
     if seen.surface == SKY:
         return haze
