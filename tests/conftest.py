@@ -6,8 +6,11 @@ import os
 import shutil
 import tempfile
 from importlib import import_module
+from pathlib import Path
 
 import pytest
+
+from tests.pages import ROOT, blocks
 
 _FOLDER = pytest.StashKey[str]()
 _REGISTRIES = ("sims.backends", "sims.robots", "sims.worlds", "envs.rewards")
@@ -19,6 +22,15 @@ def own_registries(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in _REGISTRIES:
         registry = import_module(f"rover_rl.{module}")._REGISTRY
         monkeypatch.setattr(registry, "_parts", dict(registry._parts))
+
+
+@pytest.fixture
+def guide(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own_registries: None) -> str:
+    """Import path of the backend that ``docs/backends.md`` builds, in a module of its own."""
+    page, *_ = blocks((ROOT / "docs" / "backends.md").read_text(), "python")
+    (tmp_path / "guide_backend.py").write_text(page.code)
+    monkeypatch.syspath_prepend(tmp_path)
+    return "guide_backend:Kinematic"
 
 
 def pytest_configure(config: pytest.Config) -> None:

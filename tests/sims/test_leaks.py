@@ -7,7 +7,7 @@ import pytest
 from benchmarks.leaks import in_fresh_process
 from tests.extras import needs_mujoco
 
-WARMUP, CYCLES = 5, 5
+WARMUP, CYCLES = 3, 5
 WORLDS = ("inspect", "new")
 """The worlds with meshes of the ground and of boulders; the maze and the moon have nothing that these do not have."""
 LIMIT = 5.0 * CYCLES

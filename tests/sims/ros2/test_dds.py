@@ -130,7 +130,7 @@ def test_environments_release_threads_and_files(in_domain):
 
     once()
     before = open_resources()
-    for _ in range(20):
+    for _ in range(10):
         once()
     until(lambda: open_resources() == before)
 

@@ -106,7 +106,7 @@ def driving(environment, log) -> Iterator[Callable[..., Command]]:
 
 
 def test_drive_writes_a_log_that_evaluate_reads(driving, observer, log, tmp_path):
-    goals = ("--random", "2", "--seconds", "5", "--clearance", "0")
+    goals = ("--random", "2", "--seconds", "3", "--clearance", "0")
     drive = driving("pretrained:anywhere", "--world", "maze", *goals)
     code = drive.wait(90)
     assert code in (0, 1), drive.output
