@@ -1,4 +1,7 @@
-"""All tests of a run share a cache on disk, which is empty at first; those that register parts forget them."""
+"""All tests of a run share a cache on disk, which is empty at first; those that register parts forget them.
+
+Compiled kernels of Warp are kept from run to run: their names are hashes of what they are compiled from.
+"""
 
 from __future__ import annotations
 
@@ -36,6 +39,8 @@ def guide(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own_registries: None)
 def pytest_configure(config: pytest.Config) -> None:
     """Moves the cache to an empty folder. Processes of pytest-xdist inherit that of the first one."""
     if "PYTEST_XDIST_WORKER" not in os.environ:
+        caches = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        os.environ.setdefault("WARP_CACHE_PATH", str(Path(caches, "warp")))
         config.stash[_FOLDER] = os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="rover_rl-tests-")
 
 

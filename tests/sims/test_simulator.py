@@ -11,14 +11,14 @@ from torchrl.envs.utils import check_env_specs
 from rover_rl import make_env
 from rover_rl.sims import RoverState, Simulator, make_scanner
 from rover_rl.sims.worlds import Terrain, World, box, get_world
-from tests.extras import needs_mujoco
+from tests.extras import BACKENDS, needs_mujoco
 from tests.sims.driven import FLAT, ROVER, WALLED, all_rows, drive, placed
 
-WARP_AND_MUJOCO = ["warp", pytest.param("mujoco", marks=needs_mujoco)]
+WARP_AND_MUJOCO = BACKENDS[1:]
 FIELDS = ("position", "orientation", "linear_velocity", "angular_velocity", "stamp")
 
 
-@pytest.fixture(params=["bullet", *WARP_AND_MUJOCO, "guide"])
+@pytest.fixture(params=[*BACKENDS, "guide"])
 def backend(request: pytest.FixtureRequest) -> str:
     """Name of a backend, or the import path of the page's."""
     return request.getfixturevalue("guide") if request.param == "guide" else request.param
@@ -141,7 +141,7 @@ def test_the_height_of_the_edge_continues_outside_the_terrain(backend):
     assert (state.position[:, 2].abs() < 0.02).all()
 
 
-@pytest.mark.parametrize("backend", ["bullet", *WARP_AND_MUJOCO])
+@pytest.mark.parametrize("backend", BACKENDS)
 def test_render_has_a_chase_view_and_a_top_view(backend):
     sim = placed(backend, get_world("moon"), torch.zeros(1, 3))
     for view in ("chase", "top"):
@@ -154,7 +154,7 @@ def test_render_has_a_chase_view_and_a_top_view(backend):
     sim.close()
 
 
-@pytest.mark.parametrize("backend", ["bullet", *WARP_AND_MUJOCO])
+@pytest.mark.parametrize("backend", BACKENDS)
 def test_rendering_after_close_and_in_several_worlds(backend):
     sim = placed(backend, [FLAT, WALLED, FLAT], torch.zeros(3, 3))
     flat, other, same = (sim.render(row, "chase", 64, 48, torch.tensor([1.0, 0.0])) for row in range(3))

@@ -26,9 +26,7 @@ from tests.sims.ros2.processes import Command, start_robot, until
 
 pytestmark = [pytest.mark.ros2, pytest.mark.slow]
 
-FAR = ("--goal", "9", "9")
-"""Arguments with a goal that is not reached soon."""
-LONG = ("scripted", "--world", "maze", *FAR)
+LONG = ("scripted", "--world", "maze", "--goal", "9", "9")
 """Arguments of a drive that does not end soon."""
 
 

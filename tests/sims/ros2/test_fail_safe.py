@@ -78,15 +78,11 @@ def test_a_robot_with_unusable_scans_is_not_driven(wire, start):
     assert max(robot.driven) < 0.01
 
 
-def test_a_lidar_with_a_narrower_view_than_the_policys_is_rejected(start):
+def test_a_rover_with_a_forward_lidar_does_not_back_up_nor_drive_a_policy_with_a_wider_view(start):
     robot, env = start(view=math.pi)
     with pytest.raises(ValueError, match=r"the scan covers 18\d degrees, and the policy was trained with 360"):
         drive_to(env, straight(1.0), (6.0, 0.0))
     assert max(robot.driven) < 0.01
-
-
-def test_a_rover_with_a_forward_lidar_does_not_back_up(start):
-    robot, env = start(view=math.pi)
     moments: list[Moment] = []
     ending = drive_to(env, straight(-1.0), (-6.0, 0.0), seconds=2.0, allow_unseen=True, watch=moments.append)
     assert ending == TIME_LIMIT
