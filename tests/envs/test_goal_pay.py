@@ -11,6 +11,8 @@ from rover_rl.envs.task import StepEvent
 
 
 class Tilt(RewardComponent):
+    """Active in every step, and written for batches."""
+
     name = "tilt"
 
     def value(self, outcome, observation):

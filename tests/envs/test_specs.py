@@ -12,19 +12,11 @@ from rover_rl import RewardComponent, RewardConfig, RoverEnv, contract_reward, m
 from rover_rl.envs import StepEvent, TotalReward, add_reward
 from rover_rl.envs.rewards import ProgressReward, TurnPenalty
 from rover_rl.envs.task import EVENTS
+from tests.envs.test_goal_pay import Tilt
 
 NAMES = ["goal", "progress", "velocity", "turn", "collision", "stuck", "general", "out_of_bounds"]
 COMPONENTS = [("reward_components", name) for name in NAMES]
 OBSERVATION = ("lidar", "pose", "imu", "target", "velocities")
-
-
-class TiltPenalty(RewardComponent):
-    """Custom component that is active in every step."""
-
-    name = "tilt"
-
-    def value(self, outcome, observation):
-        return -0.1 * observation["imu"][:, :2].abs().sum(-1, keepdim=True)
 
 
 class CollisionHeat(RewardComponent):
@@ -133,7 +125,7 @@ def test_each_field_of_the_config_reaches_its_component(field, component):
 
 
 def test_custom_components_are_added_to_the_total():
-    env = rovers(reward=[*contract_reward(), TiltPenalty(), CollisionHeat()])
+    env = rovers(reward=[*contract_reward(), Tilt(), CollisionHeat()])
     check_env_specs(env, break_when_any_done="both")
     td = rollout(env)
     assert set(td["reward_components"].keys()) == {*NAMES, "tilt", "heat"}

@@ -10,26 +10,18 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import Compose, InitTracker, RewardSum, StepCounter, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
-from rover_rl import GymVectorWrapper, GymWrapper, RewardComponent, RoverEnv, contract_reward, make_env
+from rover_rl import GymVectorWrapper, GymWrapper, RoverEnv, contract_reward, make_env
 from rover_rl.algos.train.attempts import AttemptCounter, SpreadEnds
 from rover_rl.envs import Randomization
 from rover_rl.envs.config import ActionConfig
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.envs.transforms.path_reward import PathReward
 from rover_rl.envs.transforms.step_clock import StepClock
-
-
-class TiltPenalty(RewardComponent):
-    """Custom component written for batches."""
-
-    name = "tilt"
-
-    def value(self, outcome, observation):
-        return -0.1 * observation["imu"][:, :2].abs().sum(-1, keepdim=True)
+from tests.envs.test_goal_pay import Tilt
 
 
 def make(num_envs, **settings):
-    reward = [*contract_reward(), TiltPenalty()]
+    reward = [*contract_reward(), Tilt()]
     return make_env(**{"world_n": "maze", "num_envs": num_envs, "seed": 3, "length": 15, "reward": reward, **settings})
 
 

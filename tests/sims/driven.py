@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
@@ -50,5 +51,5 @@ def slope(degrees: float, size: float = 40.0, cell: float = 0.25) -> World:
 def in_world(state: RoverState, points: Any) -> Tensor:
     """Returns the places ``[N, P, 3]`` in the world of ``points [P, 3]`` of the base frame, in float64."""
     turns = Rotation.from_quat(state.orientation.numpy()).as_matrix()
-    turned = torch.as_tensor(points, dtype=torch.float64) @ torch.from_numpy(turns).mT
+    turned = torch.from_numpy(np.asarray(points, dtype=float)) @ torch.from_numpy(turns).mT
     return state.position.double()[:, None] + turned

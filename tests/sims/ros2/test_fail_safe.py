@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from rover_rl.algos.deploy.drive_log import DriveLog
 from rover_rl.algos.deploy.driving import Moment, drive_to
 from rover_rl.algos.evaluation.metrics import RESTARTED, TIME_LIMIT, count_reversals
 from rover_rl.algos.pretrained import load_pretrained
-from rover_rl.sims.ros2 import RobotLostError, Ros2Settings
+from rover_rl.sims.ros2 import RobotLostError
 from rover_rl.sims.ros2.messages import Header, LaserScan, PoseArray, Twist
 from tests.sims.ros2.wire import SimulatedRobot
 
@@ -34,18 +34,9 @@ FRONT, TAIL = 0.265, 0.27
 
 
 @pytest.fixture
-def start(start_robot) -> Iterator[Callable[..., tuple[SimulatedRobot, RoverEnv]]]:
+def start(start_env) -> Callable[..., tuple[SimulatedRobot, RoverEnv]]:
     """Starts a robot on the course, and the environment that drives it."""
-    with ExitStack() as stack:
-
-        def make(view: float = 2 * math.pi, **settings: object) -> tuple[SimulatedRobot, RoverEnv]:
-            robot = start_robot(COURSE, (0.0, 0.0, 0.0), view)
-            backend = replace(Ros2Settings(reset="none", settle=0.05, step_timeout=20.0), **settings)
-            env = RoverEnv(world_n=COURSE, length=10**9, backend=backend, end_on_goal=True, seed=0)
-            stack.callback(env.close)
-            return robot, env
-
-        yield make
+    return partial(start_env, COURSE, (0.0, 0.0, 0.0))
 
 
 def straight(speed: float) -> Callable[[TensorDictBase], TensorDictBase]:
