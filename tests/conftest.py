@@ -1,4 +1,7 @@
-"""All tests of a run share a cache on disk, which is empty at first; those that register parts forget them."""
+"""All tests of a run share a cache on disk, which is empty at first; those that register parts forget them.
+
+Compiled kernels of Warp are kept from run to run: their names are hashes of what they are compiled from.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,11 @@ import os
 import shutil
 import tempfile
 from importlib import import_module
+from pathlib import Path
 
 import pytest
+
+from tests.pages import ROOT, blocks
 
 _FOLDER = pytest.StashKey[str]()
 _REGISTRIES = ("sims.backends", "sims.robots", "sims.worlds", "envs.rewards")
@@ -21,9 +27,20 @@ def own_registries(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(registry, "_parts", dict(registry._parts))
 
 
+@pytest.fixture
+def guide(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own_registries: None) -> str:
+    """Import path of the backend that ``docs/backends.md`` builds, in a module of its own."""
+    page, *_ = blocks((ROOT / "docs" / "backends.md").read_text(), "python")
+    (tmp_path / "guide_backend.py").write_text(page.code)
+    monkeypatch.syspath_prepend(tmp_path)
+    return "guide_backend:Kinematic"
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Moves the cache to an empty folder. Processes of pytest-xdist inherit that of the first one."""
     if "PYTEST_XDIST_WORKER" not in os.environ:
+        caches = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        os.environ.setdefault("WARP_CACHE_PATH", str(Path(caches, "warp")))
         config.stash[_FOLDER] = os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="rover_rl-tests-")
 
 

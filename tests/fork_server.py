@@ -11,7 +11,10 @@ PRELOADED = [
     "rover_rl.algos.train.ppo",
     "rover_rl.algos.train.sac",
     "rover_rl.algos.evaluation.evaluate",
+    "rover_rl.algos.deploy.driving",
     "rover_rl.cli",
+    "rover_rl.sims.bullet",
+    "rover_rl.sims.ros2.dds",
     "stable_baselines3",
 ]
 """Modules that the server imports, those of them that are installed."""

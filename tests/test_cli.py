@@ -305,19 +305,16 @@ def test_a_policy_is_trained_further_in_another_world(capsys: pytest.CaptureFixt
     assert not (tmp_path / "more").exists()
 
 
-def test_a_reward_without_goals_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "rewards.py").write_text(
-        "from rover_rl import RewardComponent\n\n\nclass TiltPenalty(RewardComponent):\n    name = 'tilt'\n\n"
-        "    def value(self, outcome, observation):\n"
-        "        return -0.1 * observation['imu'][:, :2].abs().sum(-1, keepdim=True)\n"
+def test_a_reward_without_goals_is_told(tmp_path: Path) -> None:
+    given, tilt = (
+        ["train", "--world", "maze", "--runs", str(tmp_path), *SIZE, "--reward"],
+        "tests.envs.test_goal_pay:Tilt",
     )
-    monkeypatch.syspath_prepend(tmp_path)
-    given = ["train", "--world", "maze", "--runs", str(tmp_path), *SIZE, "--reward"]
-    with pytest.warns(UserWarning, match=r"no component of reward='rewards:TiltPenalty' pays for a goal"):
-        assert main([*given, "rewards:TiltPenalty"]) == 0
+    with pytest.warns(UserWarning, match=rf"no component of reward='{tilt}' pays for a goal"):
+        assert main([*given, tilt]) == 0
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
-        assert main([*given, "contract", "rewards:TiltPenalty"]) == 0
+        assert main([*given, "contract", tilt]) == 0
 
 
 def written(folder: Path, text: str) -> Path:

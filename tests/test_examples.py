@@ -83,10 +83,11 @@ def shortened(code: str) -> str:
     """Shortens or leaves out training, which has its own tests, and makes large batches small."""
     code = re.sub(r"\.learn\([\d_]+\)", "", code)
     code = re.sub(r"\b1_000\b", "100", code)
+    code = re.sub(r"\bnum_iter=\d+", "num_iter=20", code)
     code = re.sub(r"total_frames=\d+_000", "total_frames=320", code)
     code = re.sub(r"\brollout\(\d{3}\b", "rollout(10", code)
     code = code.replace(".first(8)", ".first(1)")
-    return code.replace("num_envs=4096", "num_envs=64")
+    return re.sub(r"\bnum_envs=(48|64|4096)\b", "num_envs=6", code)
 
 
 @pytest.mark.parametrize("page", [pytest.param(page, id=name_of(page)) for page in PAGES])

@@ -13,7 +13,7 @@ import yaml
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.cli import main
 from rover_rl.sims.robots import get_robot
-from tests.extras import needs_mujoco
+from tests.extras import BACKENDS
 from tests.fork_server import quick_workers
 from tests.pages import ROOT, blocks
 
@@ -186,7 +186,7 @@ def test_the_policy_is_evaluated_filmed_exported_and_trained_on(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("backend", ["bullet", "warp", pytest.param("mujoco", marks=needs_mujoco)])
+@pytest.mark.parametrize("backend", BACKENDS)
 def test_the_robot_drives_and_is_filmed_in_every_simulator(folder: Path, backend: str) -> None:
     drive = ["runs/own", "--backend", backend]
     assert main(["evaluate", *drive, "--count", "1", "--seconds", "0.5", "--workers", "1", "--out", backend]) == 0

@@ -43,20 +43,14 @@ def locked() -> list[str]:
     return [line for line in lines if line and not line.startswith("#")]
 
 
-@pytest.mark.parametrize(("python", "system"), [*product(PYTHONS, HAVE_WHEELS)])
-def test_one_pybullet_is_installed_where_it_has_wheels(python, system):
-    original = system == HAVE_WHEELS[0] and python in PYTHONS[:2]
+@pytest.mark.parametrize(("python", "system"), [*product(PYTHONS, (*HAVE_WHEELS, *COMPILE))])
+def test_one_pybullet_is_installed_where_it_has_wheels_and_elsewhere_by_the_extra_bullet_alone(python, system):
+    original = python in PYTHONS[:2] if system == HAVE_WHEELS[0] else system in COMPILE
     expected = {"pybullet" if original else "pybullet-arm64"}
-    assert pybullets(PROJECT["dependencies"], python, *system) == expected
-    assert pybullets(EXTRAS["bullet"], python, *system) == set()
+    with_wheels = system in HAVE_WHEELS
+    assert pybullets(PROJECT["dependencies"], python, *system) == (expected if with_wheels else set())
+    assert pybullets(EXTRAS["bullet"], python, *system) == (set() if with_wheels else expected)
     assert pybullets(locked(), python, *system) == expected
-
-
-@pytest.mark.parametrize(("python", "system"), [*product(PYTHONS, COMPILE)])
-def test_only_the_extra_bullet_installs_pybullet_elsewhere(python, system):
-    assert pybullets(PROJECT["dependencies"], python, *system) == set()
-    assert pybullets(EXTRAS["bullet"], python, *system) == {"pybullet"}
-    assert pybullets(locked(), python, *system) == {"pybullet"}
 
 
 @pytest.mark.parametrize("python", PYTHONS)

@@ -7,6 +7,7 @@ import io
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -32,6 +33,13 @@ def options(tmp_path: Path) -> Options:
     )
 
 
+def shown(table: Any) -> str:
+    """What a wide console prints."""
+    output = io.StringIO()
+    Console(width=160, file=output).print(table)
+    return output.getvalue()
+
+
 @pytest.mark.slow
 def test_a_rehearsal_on_the_cpu_measures_everything(options: Options, tmp_path: Path) -> None:
     results = gpu.measure(options)
@@ -50,9 +58,7 @@ def test_a_rehearsal_on_the_cpu_measures_everything(options: Options, tmp_path: 
     assert results["processors"][0]["gpu_speedup"] > 0
     assert results["machine"]["bytes_per_s"] > 0
     assert (tmp_path / "gpu.png").stat().st_size > 1000
-    console = Console(width=160, file=io.StringIO())
-    console.print(gpu.table(results))
-    told = console.file.getvalue()  # type: ignore[attr-defined]
+    told = shown(gpu.table(results))
     assert "failed" not in told
     assert all(title in told for title in ("Machine", "Steps/s", "Kernels", "PPO", "other settings", "CPU of"))
 
@@ -66,9 +72,7 @@ def test_a_section_that_fails_does_not_end_the_others(options: Options, monkeypa
     results = gpu.measure(options)
     assert results is not None
     assert {results[name]["error"] for name in gpu.SECTIONS} == {"RuntimeError: no counters"}
-    console = Console(width=160, file=io.StringIO())
-    console.print(gpu.table(results))
-    assert console.file.getvalue().count("failed:") == len(gpu.SECTIONS)  # type: ignore[attr-defined]
+    assert shown(gpu.table(results)).count("failed:") == len(gpu.SECTIONS)
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
@@ -122,9 +126,7 @@ def test_counters_that_cannot_be_read_do_not_lose_the_times(monkeypatch: pytest.
     monkeypatch.setattr(kernels, "count", fail)
     found = kernels.counted("maze", 8, 32, {"flops_per_s": 1.0, "bytes_per_s": 1.0})
     assert found == {"counters_error": "RuntimeError: ncu ended with 1: ERR_NVGPUCTRPERM"}
-    console = Console(width=160, file=io.StringIO())
     case = {"world": "maze", "rovers": 8, "beams": 32, "seconds": {"scan": 0.004}}
-    console.print(kernels.table({**case, **found}))
-    told = console.file.getvalue()  # type: ignore[attr-defined]
+    told = shown(kernels.table({**case, **found}))
     assert "4.000" in told
     assert "ERR_NVGPUCTRPERM" in told

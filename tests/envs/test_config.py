@@ -98,16 +98,31 @@ def test_the_signature_shows_every_name_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("make", "config", "arguments", "message"),
     [
-        ({"world": "maze", "world_n": "moon"}, "^make_env: world and world_n set the same: give one of them$"),
-        ({"lidar": LidarConfig(), "lidar_points": 16}, "^make_env: lidar and lidar_points set the same: give one of"),
-        ({"wrld": "maze"}, "^make_env: got an unexpected keyword argument 'wrld', perhaps 'world'$"),
+        (
+            make_env,
+            (),
+            {"world": "maze", "world_n": "moon"},
+            "^make_env: world and world_n set the same: give one of them$",
+        ),
+        (
+            make_env,
+            (),
+            {"lidar": LidarConfig(), "lidar_points": 16},
+            "^make_env: lidar and lidar_points set the same: give",
+        ),
+        (make_env, (), {"wrld": "maze"}, "^make_env: got an unexpected keyword argument 'wrld', perhaps 'world'$"),
+        (make_env, (EnvConfig(),), {"num_envs": 4}, "make_env takes an EnvConfig alone"),
+        (make_env, (EnvConfig(),), {"reward": "task"}, "make_env takes an EnvConfig alone"),
+        (RoverEnv, (EnvConfig(),), {"num_envs": 4}, "RoverEnv takes an EnvConfig alone"),
     ],
 )
-def test_arguments_that_do_not_go_together_are_refused_in_one_sentence(arguments: Any, message: str) -> None:
+def test_arguments_that_do_not_go_together_are_refused_in_one_sentence(
+    make: Any, config: Any, arguments: Any, message: str
+) -> None:
     with pytest.raises(TypeError, match=message):
-        make_env(**arguments)
+        make(*config, **arguments)
 
 
 @pytest.mark.parametrize(
@@ -120,7 +135,9 @@ def test_parts_of_another_type_are_refused_in_one_sentence(part: str, value: Any
         EnvConfig(**{part: value})
 
 
-def test_worlds_and_robots_of_another_type_are_refused_in_one_sentence() -> None:
+def test_values_of_another_type_are_refused_in_one_sentence() -> None:
+    with pytest.raises(ValueError, match="outcome_from must be one of"):
+        EnvConfig(outcome_from="luck")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="^world must be a name, a World, or a list of them, got 3$"):
         EnvConfig(world=3)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="^robot must be a name or a Robot, got int 3$"):
@@ -223,14 +240,3 @@ def test_robots_are_compared_by_their_parameters() -> None:
 def test_a_description_needs_no_pytorch() -> None:
     code = "import sys; from rover_rl.envs.config import EnvConfig; EnvConfig(); assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_an_environment_config_stands_alone() -> None:
-    with pytest.raises(TypeError, match="an EnvConfig alone"):
-        make_env(EnvConfig(), num_envs=4)
-    with pytest.raises(TypeError, match="make_env takes an EnvConfig alone"):
-        make_env(EnvConfig(), reward="task")
-    with pytest.raises(TypeError, match="RoverEnv takes an EnvConfig alone"):
-        RoverEnv(EnvConfig(), num_envs=4)
-    with pytest.raises(ValueError, match="outcome_from must be one of"):
-        EnvConfig(outcome_from="luck")  # type: ignore[arg-type]

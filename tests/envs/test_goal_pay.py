@@ -11,6 +11,8 @@ from rover_rl.envs.task import StepEvent
 
 
 class Tilt(RewardComponent):
+    """Active in every step, and written for batches."""
+
     name = "tilt"
 
     def value(self, outcome, observation):
@@ -44,28 +46,19 @@ class OfAnotherTransform(RewardComponent):
 
 
 @pytest.mark.parametrize(
-    "components",
+    ("components", "pays"),
     [
-        contract_reward(),
-        [Tilt(), *contract_reward()],
-        reward_components("task"),
-        [Haste()],
-        [GentleArrival()],
-        [OfAnotherTransform()],
+        (contract_reward(), True),
+        ([Tilt(), *contract_reward()], True),
+        (reward_components("task"), True),
+        ([Haste()], True),
+        ([GentleArrival()], True),
+        ([OfAnotherTransform()], True),
+        (contract_reward()[1:], False),
+        (contract_reward(RewardConfig(goal_reward=0.0)), False),
+        ([Tilt()], False),
+        ([Caution(), ClearancePenalty(-1.0)], False),
     ],
 )
-def test_rewards_that_pay_for_a_goal(components: list[Transform]) -> None:
-    assert pays_for_goals(components)
-
-
-@pytest.mark.parametrize(
-    "components",
-    [
-        contract_reward()[1:],
-        contract_reward(RewardConfig(goal_reward=0.0)),
-        [Tilt()],
-        [Caution(), ClearancePenalty(-1.0)],
-    ],
-)
-def test_rewards_that_do_not(components: list[Transform]) -> None:
-    assert not pays_for_goals(components)
+def test_whether_a_reward_pays_for_a_goal(components: list[Transform], pays: bool) -> None:
+    assert pays_for_goals(components) == pays

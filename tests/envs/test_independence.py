@@ -4,11 +4,31 @@ from __future__ import annotations
 
 import pytest
 import torch
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import check_env_specs
 
 from rover_rl import make_env
-from tests.extras import needs_mujoco
+from rover_rl.envs.config import PoseConfig, Randomization
+from rover_rl.envs.task import StepEvent
+from rover_rl.sims.worlds.pool import WorldPool
+from tests.envs.test_sensors import Ground, RangeFinder
+from tests.envs.test_world_pools import ROOMS
+from tests.extras import BACKENDS, needs_mujoco
 
-OBSERVED = ("lidar", "pose", "imu", "target", "velocities", "reward", "done", "terminated", "truncated")
+TYPICAL, NOISY = Randomization.typical(), [RangeFinder(noise=0.1), RangeFinder(name="other", noise=0.1), Ground()]
+FEATURES = [
+    pytest.param({"backend": "bullet", "randomization": TYPICAL}, id="randomized in Bullet"),
+    pytest.param({"backend": "warp", "randomization": TYPICAL}, id="randomized in Warp"),
+    pytest.param({"backend": "mujoco", "randomization": TYPICAL}, id="randomized in MuJoCo", marks=needs_mujoco),
+    pytest.param({"backend": "warp", "pose": PoseConfig("odometry")}, id="odometry"),
+    pytest.param({"backend": "warp", "pose": PoseConfig("localized")}, id="localization"),
+    pytest.param({"backend": "warp", "world_n": "moon", "sensors": NOISY}, id="sensors"),
+    pytest.param({"backend": "warp", "sensors": ["route"]}, id="route"),
+    pytest.param({"backend": "warp", "lidar_period": 4}, id="slow lidar"),
+    pytest.param({"backend": "warp", "world_n": WorldPool(*ROOMS)}, id="pool of worlds"),
+    pytest.param({"backend": "warp", "world_n": "maze:0-2"}, id="range of worlds"),
+]
+"""Settings of environments that draw numbers, or have a memory, for each rover."""
 
 
 def actions(steps: int, rows: int, low: torch.Tensor, high: torch.Tensor, seed: int = 0) -> torch.Tensor:
@@ -21,15 +41,15 @@ def actions(steps: int, rows: int, low: torch.Tensor, high: torch.Tensor, seed: 
 
 
 def trajectory(env, steps: int, row: int, row_actions: torch.Tensor) -> dict[str, torch.Tensor]:
-    """Results of ``row`` over ``steps`` steps with ``row_actions [steps, 2]``. The other rows act at random."""
+    """All results of ``row`` over ``steps`` steps with ``row_actions [steps, 2]``. The other rows act at random."""
     spec = env.action_spec.space
     all_actions = actions(steps, env.batch_size[0], spec.low[0], spec.high[0], seed=1)
     all_actions[:, row] = row_actions
     td, records = env.reset(), []
     for action in all_actions:
         step, td = env.step_and_maybe_reset(td.set("action", action))
-        records.append({key: step["next", key][row] for key in OBSERVED})
-    return {key: torch.stack([record[key] for record in records]) for key in OBSERVED}
+        records.append(step["next"][row])
+    return dict(torch.stack(records).items(True, True))
 
 
 def actions_of_one_row(env, steps: int) -> torch.Tensor:
@@ -38,7 +58,8 @@ def actions_of_one_row(env, steps: int) -> torch.Tensor:
 
 
 def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
-    for key in OBSERVED:
+    assert a.keys() == b.keys()
+    for key in a:
         assert torch.equal(a[key], b[key]), f"{key} differs first at step {(a[key] != b[key]).nonzero()[0, 0].item()}"
 
 
@@ -51,15 +72,16 @@ SETTINGS = {"lidar_beams": 32, "length": 100}
 @pytest.mark.parametrize(
     ("backend", "world", "batches"),
     [
-        # The large batch is compared over one episode and the beginning of the next: in Bullet, its steps take long.
-        ("bullet", "maze", [(16, 5, 210), (64, 50, 110)]),
-        ("bullet", "moon", [(16, 15, 150)]),
-        ("bullet", "inspect", [(16, 0, 150)]),
+        # Over two episodes and the beginning of a third in a small batch, else over one and the beginning of the next:
+        # in Bullet and in MuJoCo, the steps of a large batch take long.
+        ("bullet", "maze", [(6, 5, 210), (64, 50, 110)]),
+        ("bullet", "moon", [(6, 5, 110)]),
+        ("bullet", "inspect", [(6, 0, 110)]),
         ("warp", "maze", [(256, 200, 110)]),
         ("warp", "moon", [(16, 15, 150)]),
         ("warp", "inspect", [(33, 0, 150)]),
-        pytest.param("mujoco", "maze", [(16, 5, 210)], marks=needs_mujoco),
-        pytest.param("mujoco", "moon", [(16, 15, 150)], marks=needs_mujoco),
+        pytest.param("mujoco", "maze", [(6, 5, 210)], marks=needs_mujoco),
+        pytest.param("mujoco", "moon", [(16, 15, 110)], marks=needs_mujoco),
     ],
 )
 def test_a_rover_is_the_same_alone_and_in_a_batch(backend, world, batches):
@@ -77,17 +99,67 @@ def test_a_rover_is_the_same_alone_and_in_a_batch(backend, world, batches):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("backend", ["bullet", "warp", pytest.param("mujoco", marks=needs_mujoco)])
+@pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("world", ["maze", "inspect"])
 def test_a_rover_is_the_same_after_fifty_resets_of_itself_and_others(world, backend):
-    env = make_env(backend=backend, world_n=world, num_envs=8, seed=3, lidar_beams=32, length=100)
-    row_actions = actions_of_one_row(env, 120)
-    expected = trajectory(env, 120, 2, row_actions)
+    env = make_env(backend=backend, world_n=world, num_envs=4, seed=3, lidar_beams=32, length=60)
+    row_actions = actions_of_one_row(env, 80)
+    expected = trajectory(env, 80, 2, row_actions)
     td = env.reset()
     for k in range(50):
-        reset = torch.zeros(8, 1, dtype=torch.bool)
-        reset[k % 8] = reset[2] = True
+        reset = torch.zeros(4, 1, dtype=torch.bool)
+        reset[k % 4] = reset[2] = True
         td = env.reset(td.set("_reset", reset))
         td = env.step(td.set("action", env.action_spec.rand()))["next"]
     env.set_seed(3)
-    assert_same(trajectory(env, 120, 2, row_actions), expected)
+    found = trajectory(env, 80, 2, row_actions)
+    for results in (expected, found):
+        del results["outcome", "total_steps"]  # of the environment, since it was made
+    assert_same(found, expected)
+
+
+def featured(num_envs: int, seed: int, settings: dict) -> EnvBase:
+    return make_env(
+        **{"world_n": "maze", "num_envs": num_envs, "seed": seed, "length": 25, "lidar_beams": 64, **settings}
+    )
+
+
+@pytest.mark.parametrize("settings", FEATURES)
+def test_what_is_drawn_or_remembered_for_a_rover_is_the_same_alone_and_in_a_batch(settings):
+    alone, batch = featured(1, 10, settings), featured(5, 7, settings)
+    row_actions = actions_of_one_row(alone, 40)
+    expected = trajectory(alone, 40, 0, row_actions)
+    assert_same(trajectory(batch, 40, 3, row_actions), expected)
+    assert expected["done"].any()
+
+
+@pytest.mark.parametrize("settings", FEATURES)
+def test_environments_match_their_specs(settings):
+    check_env_specs(featured(3, 0, settings), break_when_any_done="both")
+
+
+@pytest.mark.parametrize("settings", FEATURES)
+def test_partial_resets_and_held_steps_leave_other_rovers_as_they_are(settings):
+    env = featured(4, 0, settings)
+    td, keep = env.reset(), torch.tensor([True, False, True, True])
+    for action in actions(5, 4, *(bound[0] for bound in (env.action_spec.space.low, env.action_spec.space.high))):
+        td = env.step(td.set("action", action))["next"]
+    before = td.clone()
+    after = env.reset(td.set("_reset", ~keep[:, None])).exclude("_reset")
+    active = torch.tensor([False, False, True, True])
+    held = env.step(after.clone().set("action", torch.zeros(4, 2)).set("_step", active))["next"]
+    sensed = [key for key in env.observation_spec.keys() if key != "outcome"]  # noqa: SIM118
+    assert {"lidar", "pose", "imu", "target", "velocities"} <= {*sensed}
+    for key in [*sensed, *([("outcome", "world")] if settings.get("world_n", "moon") != "moon" else [])]:
+        assert torch.equal(after[key][keep], before[key][keep]), key
+        assert torch.equal(held[key][~active], after[key][~active]), key
+    assert not torch.equal(after["pose"][1], before["pose"][1])
+    # Rows that are held, in their episode and at its beginning, keep their counters and get no reward.
+    for key in env.observation_spec["outcome"].keys():  # noqa: SIM118
+        assert key == "phase" or torch.equal(held["outcome", key][~active], after["outcome", key][~active]), key
+    assert held["outcome", "steps"].flatten().tolist() == [5, 0, 6, 6]
+    assert torch.equal(held["outcome", "phase"].flatten() == StepEvent.NONE, ~active)
+    assert not held["reward"][~active].any()
+    assert not any(component[~active].any() for component in held["reward_components"].values())
+    assert held["reward"][active].all()
+    assert not torch.equal(held["imu"][2], after["imu"][2])

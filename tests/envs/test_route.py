@@ -32,17 +32,9 @@ def driven(env: EnvBase, decisions: int) -> torch.Tensor:
     return torch.stack(routes, -2)
 
 
-def test_it_keeps_the_specs() -> None:
+def test_it_keeps_the_specs_and_an_unbatched_rover_has_the_route_of_a_batch_of_one() -> None:
     check_env_specs(routed())
-
-
-def test_an_unbatched_rover_has_the_route_of_a_batch_of_one() -> None:
     assert torch.equal(driven(routed(None), 3), driven(routed(1), 3)[0])
-
-
-def test_a_rows_route_does_not_depend_on_the_other_rows() -> None:
-    together, alone = driven(routed(4), 5), driven(routed(1, seed=2), 5)
-    assert torch.equal(together[2], alone[0])
 
 
 def test_a_partial_reset_forgets_the_map_of_the_rows_that_it_resets_only() -> None:

@@ -106,37 +106,36 @@ def test_invalid_settings_are_refused_with_a_message(settings, message):
         RoverEnv(**{"world_n": "maze", **settings})
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_actions_that_are_not_finite_are_refused(env, value):
+def test_actions_and_starts_that_are_not_finite_or_of_another_shape_are_refused(env):
     td = env.reset()
-    action = torch.zeros(3, 2)
-    action[1, 0] = value
-    with pytest.raises(ValueError, match=r"finite numbers.*rows \[1\]"):
-        env.step(td.set("action", action))
-
-
-def test_actions_of_the_wrong_shape_are_refused(env):
-    td = env.reset()
+    for value in (float("nan"), float("inf")):
+        action = torch.zeros(3, 2)
+        action[1, 0] = value
+        with pytest.raises(ValueError, match=r"finite numbers.*rows \[1\]"):
+            env.step(td.set("action", action))
     with pytest.raises(ValueError, match=r"action must have shape \(3, 2\), got \(3, 3\)"):
         env.step(td.set("action", torch.zeros(3, 3)))
-
-
-def test_starts_of_the_wrong_shape_are_refused(env):
     with pytest.raises(ValueError, match=r"start must be finite numbers of shape \(3, 3\), got shape \(3, 2\)"):
         env.reset(start=torch.zeros(3, 2))
 
 
-def test_stepping_before_reset_and_after_close_are_refused():
+def test_stepping_before_reset_and_after_close_is_refused_and_a_reset_builds_another_simulator():
     env = RoverEnv(world_n="maze", lidar_beams=32)
-    td = TensorDict({"action": torch.zeros(1, 2)}, batch_size=[1])
+    first, td = env.simulator, TensorDict({"action": torch.zeros(1, 2)}, batch_size=[1])
     with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
         env.step(td)
     env.reset()
     env.close()
     env.close()
-    for call in (lambda: env.step(td), env.render):
-        with pytest.raises(RuntimeError, match=r"closed RoverEnv; call reset\(\) first"):
+    assert env.simulator is first
+    for name, call in (("step", lambda: env.step(td)), ("render", env.render)):
+        with pytest.raises(RuntimeError, match=rf"{name}\(\) was called on a closed RoverEnv; call reset\(\) first"):
             call()
+    env.reset()
+    assert env.simulator is not first
+    assert env.render(width=8, height=8).shape == (8, 8, 3)
+    env.step(td)
+    env.close()
 
 
 def test_moving_to_another_device_is_refused_with_the_alternative(env):

@@ -113,24 +113,6 @@ def test_the_target_is_that_of_the_sensed_pose_and_events_are_of_the_true_one():
     assert td["outcome", "goal_reached"].item()
 
 
-@pytest.mark.parametrize("source", ["odometry", "localized"])
-def test_a_row_does_not_depend_on_its_company(source):
-    together, _ = drive(make(source, num_envs=3, seed=5), 12, turn=0.3)
-    for row in range(3):
-        alone, _ = drive(make(source, seed=5 + row), 12, turn=0.3)
-        assert torch.equal(alone[0], together[row])
-
-
-@pytest.mark.parametrize("source", ["odometry", "localized"])
-def test_rows_that_are_held_keep_their_pose(source):
-    env = make(source, num_envs=2)
-    td = env.reset()
-    td = env.step(td.set("action", torch.ones(2, 2)).set("_step", torch.tensor([True, False])))["next"]
-    held = td["pose"][1]
-    td = env.step(td.exclude("_step").set("action", torch.ones(2, 2)).set("_step", torch.tensor([True, False])))["next"]
-    assert torch.equal(td["pose"][1], held)
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

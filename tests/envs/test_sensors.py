@@ -8,15 +8,17 @@ from typing import Any
 
 import pytest
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 
-from rover_rl import Bounds, EnvConfig, RoverEnv, Sensor, Terrain, World, box, make_env
+from rover_rl import Bounds, EnvConfig, LidarConfig, Randomization, RoverEnv, Sensor, Terrain, World, box, make_env
 from rover_rl.envs import SensorInput
 from rover_rl.envs.config import plain_env, require_match
 from rover_rl.envs.encoding import ObservationEncoder
 from rover_rl.envs.gym import GymWrapper
 from rover_rl.envs.sensors.suite import register_sensor
 from tests.envs.scripted import ScriptedBackend, ScriptedSimulator
+from tests.extras import BACKENDS
 
 FLAT = World("flat", Terrain.flat((12.0, 12.0)), [box((3.0, 0.0, 0.5), (1.0, 2.0, 1.0))])
 
@@ -60,19 +62,6 @@ def no_sensor() -> int:
     return 3
 
 
-def drive(env: RoverEnv, key: str, steps: int = 9, reset_at: int = -1) -> Tensor:
-    """Readings of the first state and of each step, ``[steps + 1, N, k]``. Before a step, the second row is reset."""
-    observation = env.reset()
-    readings, rows = [observation[key]], torch.arange(env.num_envs)[:, None]
-    for step in range(steps):
-        if step == reset_at:
-            observation = env.reset(observation.select("done").set("_reset", rows == 1))
-        action = torch.tensor([[0.6, 0.2]]).expand(env.num_envs, 2)
-        observation = env.step(observation.set("action", action))["next"]
-        readings.append(observation[key])
-    return torch.stack(readings)
-
-
 def test_a_range_finder_measures_the_ground_and_the_obstacle_ahead() -> None:
     env = make_env(world=FLAT, num_envs=2, sensors=[RangeFinder()])
     start = torch.tensor([[-2.0, 3.0, 1.0], [2.1, 0.0, 0.0]])
@@ -83,36 +72,43 @@ def test_a_range_finder_measures_the_ground_and_the_obstacle_ahead() -> None:
     assert env.observation_spec["range"].space.high.tolist() == [[4.0], [4.0]]
 
 
-def test_noise_and_terrain_are_those_of_each_row_whatever_the_batch_is() -> None:
+def test_noise_is_that_of_each_row_and_each_sensor_and_terrain_that_of_its_place() -> None:
     sensors = [RangeFinder(noise=0.1), RangeFinder(name="other", noise=0.1), Ground()]
-
-    def make(count: int, seed: int) -> RoverEnv:
-        return RoverEnv(world="moon", num_envs=count, seed=seed, backend="warp", sensors=sensors)
-
-    several, alone = make(5, 7), make(1, 9)
-    for key in ("range", "other", "ground"):
-        assert torch.equal(drive(several, key)[:, 2:3], drive(alone, key))
-    ground = several.reset()
-    xy = several.rover_state.position[:, :2] + torch.tensor([1.0, 0.0])
-    torch.testing.assert_close(ground["ground"][:, 0], several.worlds[0].height_at(xy))
-    assert not torch.equal(ground["range"], ground["other"])
-    assert len(set(ground["ground"][:, 1].tolist())) == 5
+    env = RoverEnv(world="moon", num_envs=5, seed=7, backend="warp", sensors=sensors)
+    td = env.reset()
+    xy = env.rover_state.position[:, :2] + torch.tensor([1.0, 0.0])
+    torch.testing.assert_close(td["ground"][:, 0], env.worlds[0].height_at(xy))
+    assert not torch.equal(td["range"], td["other"])
+    assert len(set(td["ground"][:, 1].tolist())) == 5
 
 
-def test_readings_are_held_between_periods() -> None:
-    def readings(period: int) -> tuple[Tensor, Tensor]:
-        sensors = [RangeFinder(noise=0.1, period=period), Ground()]
-        make = RoverEnv(world="moon", num_envs=3, seed=2, backend="warp", sensors=sensors)
-        steps = drive(RoverEnv(make.config), "ground", reset_at=6)[:, :, 2]
-        return drive(make, "range", reset_at=6)[..., 0], steps
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_readings_and_scans_are_held_between_periods_and_are_those_of_every_step(backend: str) -> None:
+    def drive(period: int) -> TensorDictBase:
+        """Observations of the first state and of nine steps. Before the seventh, the second row is reset."""
+        sensors, lidar = [RangeFinder(noise=0.1, period=period)], LidarConfig(period=period)
+        noise = Randomization(range_noise=0.05, dropout=0.1)
+        env = RoverEnv(
+            world="maze", num_envs=3, seed=2, backend=backend, sensors=sensors, lidar=lidar, randomization=noise
+        )
+        seen = [env.reset()]
+        for step in range(9):
+            td = seen[-1].clone()
+            if step == 6:
+                td = env.reset(td.select("done").set("_reset", torch.tensor([[False], [True], [False]])))
+            seen.append(env.step(td.set("action", torch.tensor([[0.6, 0.4]] * 3)))["next"])
+        return torch.stack([each.select("lidar", "range", "pose", "outcome") for each in seen])
 
-    (held, steps), (every, _) = readings(4), readings(1)
+    sparse, every = drive(4), drive(1)
+    steps = sparse["outcome", "steps"].squeeze(-1)
+    assert torch.equal(sparse["pose"], every["pose"])
+    assert steps[:, 1].tolist() == [0, 1, 2, 3, 4, 5, 6, 1, 2, 3], "each row counts its own steps"
     read = steps % 4 == 0
-    assert steps[:, 1].tolist() == [0, 1, 2, 3, 4, 5, 6, 1, 2, 3]
-    assert torch.equal(held[read], every[read])
     kept = ~read[1:] & (steps[1:] > 1)
-    assert torch.equal(held[1:][kept], held[:-1][kept])
-    assert not torch.equal(held[1:][kept], every[1:][kept])
+    for key in ("lidar", "range"):
+        assert torch.equal(sparse[key][read], every[key][read])
+        assert torch.equal(sparse[key][1:][kept], sparse[key][:-1][kept])
+        assert not torch.equal(sparse[key][1:][kept], every[key][1:][kept])
 
 
 def test_networks_read_and_mirror_the_entry() -> None:
@@ -148,10 +144,17 @@ def test_a_reading_of_another_shape_is_refused() -> None:
         RoverEnv(world=FLAT, sensors=[Ground(columns=2)]).reset()
 
 
-@pytest.mark.parametrize(("settings", "message"), [({"period": 0}, "period must be"), ({"name": "a b"}, "identifier")])
-def test_settings_are_checked(settings: dict[str, object], message: str) -> None:
+@pytest.mark.parametrize(
+    ("kind", "settings", "message"),
+    [
+        (RangeFinder, {"period": 0}, "period must be"),
+        (RangeFinder, {"name": "a b"}, "identifier"),
+        (LidarConfig, {"period": 0}, "period must be at least 1 .*got 0"),
+    ],
+)
+def test_settings_are_checked(kind: type, settings: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        RangeFinder(**settings)  # type: ignore[arg-type]
+        kind(**settings)
 
 
 def test_sensors_are_registered_and_written_by_name() -> None:

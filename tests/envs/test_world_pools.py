@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 from tensordict import TensorDictBase
-from torchrl.envs.utils import check_env_specs
+from torch import Tensor
 
 from rover_rl import EnvConfig, GymWrapper, RoverEnv, Terrain, World, box, make_env
 from rover_rl.sims.worlds.pool import WorldPool
@@ -37,11 +37,6 @@ def rollout(env: RoverEnv, steps: int, actions: torch.Tensor) -> TensorDictBase:
 def drawn_actions(rows: int, steps: int = 60) -> torch.Tensor:
     generator = torch.Generator().manual_seed(1)
     return torch.rand(steps, rows, 2, generator=generator) * torch.tensor([0.8, 1.0]) + torch.tensor([0.2, -0.5])
-
-
-def test_the_environment_matches_its_specs() -> None:
-    check_env_specs(make(3))
-    check_env_specs(make(3, world_n="maze:0-2"))
 
 
 def test_each_episode_draws_a_world() -> None:
@@ -138,18 +133,6 @@ def test_a_row_is_the_same_after_its_pool_has_changed() -> None:
         assert torch.equal(found[key], expected[key]), key
 
 
-def test_partial_resets_leave_the_worlds_of_other_rows() -> None:
-    env = make(6, seed=1)
-    td = env.rollout(3)[:, -1]["next"].exclude("reward", "reward_components")
-    before, worlds = td.clone(), list(env.worlds)
-    reset = torch.tensor([[True], [False]] * 3)
-    after = env.reset(td.set("_reset", reset))
-    kept = ~reset.squeeze(-1)
-    for key in ("lidar", "pose", ("outcome", "world")):
-        assert torch.equal(after[key][kept], before[key][kept])
-    assert [env.worlds[row] for row in (1, 3, 5)] == [worlds[row] for row in (1, 3, 5)]
-
-
 def test_a_mixed_pool_has_as_many_episodes_in_each_entry() -> None:
     env = make(64, world_n=[ROOMS[0], "maze:0-3"])
     entries = torch.cat([env.reset()["outcome", "world"] for _ in range(4)])
@@ -157,26 +140,21 @@ def test_a_mixed_pool_has_as_many_episodes_in_each_entry() -> None:
     assert 96 <= (entries == 0).sum() <= 160
 
 
-def test_a_list_of_worlds_is_assigned_to_blocks_of_rows_for_life() -> None:
+def test_a_list_of_worlds_is_assigned_to_blocks_of_rows_for_life_and_one_world_adds_nothing_to_the_outcome() -> None:
     env = make(4, world_n=ROOMS[:2])
     for _ in range(3):
         assert env.reset()["outcome", "world"].flatten().tolist() == [0, 0, 1, 1]
-
-
-def test_one_world_adds_nothing_to_the_outcome() -> None:
     assert "world" not in make(2, world_n=ROOMS[0]).reset()["outcome"].keys()  # noqa: SIM118
 
 
-def test_in_bullet_a_row_keeps_the_world_of_its_first_episode() -> None:
+def test_every_simulator_draws_the_same_and_in_bullet_a_row_keeps_the_world_of_its_first_episode() -> None:
     in_warp, in_bullet = make(6, seed=5), make(6, seed=5, backend="bullet")
-    first = in_warp.reset()["outcome", "world"]
-    for _ in range(3):
-        assert torch.equal(in_bullet.reset()["outcome", "world"], first)
-    assert len(first.unique()) > 1
-
-
-def test_the_same_worlds_are_drawn_on_every_simulator() -> None:
-    assert torch.equal(make(3, seed=9).reset()["target"], make(3, seed=9, backend="bullet").reset()["target"])
+    first = in_warp.reset()
+    for number in range(3):
+        td = in_bullet.reset()
+        assert torch.equal(td["outcome", "world"], first["outcome", "world"])
+        assert number or torch.equal(td["target"], first["target"])
+    assert len(first["outcome", "world"].unique()) > 1
 
 
 def test_gymnasium_and_configuration_take_ranges() -> None:
@@ -186,3 +164,69 @@ def test_gymnasium_and_configuration_take_ranges() -> None:
     config = EnvConfig(world=("maze:0-4", "moon"), num_envs=2, backend="warp")
     assert config.world_names == ("maze:0-4", "moon")
     assert len(make_env(config).pool) == 6
+
+
+# Weights
+
+WEIGHTS = torch.tensor([0.0, 3.0, 1.0, 0.0, 4.0])
+
+
+def draws(env: RoverEnv, count: int) -> Tensor:
+    """Worlds of the next episodes of each row, ``[count, N]``."""
+    return torch.stack([env.reset()["outcome", "world"].squeeze(-1) for _ in range(count)])
+
+
+def test_worlds_are_drawn_by_their_weights() -> None:
+    env = make(64)
+    env.set_world_weights(WEIGHTS)
+    env.reset()
+    counts = draws(env, 10).flatten().bincount(minlength=5)
+    assert counts[[0, 3]].tolist() == [0, 0]
+    # Of 640 draws, 240, 80 and 320 are expected: three standard deviations are 37, 25 and 38.
+    assert (counts - 640 * WEIGHTS / WEIGHTS.sum()).abs().max() < 38
+
+
+def test_weighted_draws_depend_on_the_row_and_the_episode_alone() -> None:
+    company, again = make(8, seed=3), make(8, seed=3)
+    alone = make(1, seed=3 + 5)
+    for env in (company, again, alone):
+        env.set_world_weights(WEIGHTS)
+    drawn = draws(company, 12)
+    assert torch.equal(draws(again, 12), drawn)
+    assert torch.equal(draws(alone, 12)[:, 0], drawn[:, 5])
+    assert len(drawn[:, 5].unique()) > 1
+    for env in (company, again):
+        env.set_seed(3)
+        env.reset()
+    assert torch.equal(draws(company, 11), draws(again, 11))
+
+
+def test_the_next_episode_of_each_row_has_drawn_before_the_weights_change() -> None:
+    env, plain = make(16, seed=1), make(16, seed=1)
+    expected = draws(plain, 3)
+    assert torch.equal(draws(env, 2), expected[:2])
+    env.set_world_weights(torch.tensor([0.0, 0.0, 0.0, 0.0, 1.0]))
+    assert torch.equal(draws(env, 1), expected[2:])
+    assert (draws(env, 2) == 4).all()
+
+
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        (torch.ones(4), r"weights must have the shape \(5,\), one for each world, got \(4,\)"),
+        (torch.tensor([1.0, -1, 0, 0, 0]), "weights must be finite and not negative, and not all 0"),
+        (torch.tensor([1.0, torch.nan, 0, 0, 0]), "weights must be finite"),
+        (torch.tensor([1.0, torch.inf, 0, 0, 0]), "weights must be finite"),
+        (torch.zeros(5), "not all 0"),
+    ],
+)
+def test_invalid_weights_raise(weights: Tensor, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make(1).set_world_weights(weights)
+
+
+def test_worlds_that_are_not_drawn_have_no_weights() -> None:
+    with pytest.raises(ValueError, match="weights are for a range of worlds"):
+        make(2, world_n=ROOMS[:2]).set_world_weights(torch.ones(2))
+    with pytest.raises(ValueError, match="rows keep their worlds in BulletSimulator"):
+        RoverEnv(world_n=WorldPool(*ROOMS), num_envs=1, seed=0).set_world_weights(WEIGHTS)

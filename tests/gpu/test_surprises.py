@@ -63,12 +63,12 @@ def test_an_interrupted_training_goes_on(gpu: torch.device, tmp_path: Path) -> N
         str(gpu),
         "--num-envs",
         "64",
+        "--max-minutes",
+        "5",
         "--runs",
         str(tmp_path),
         "--name",
         "run",
-        "--max-minutes",
-        "5",
     ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
         progress, deadline = tmp_path / "run" / "progress.csv", time.monotonic() + 240

@@ -8,9 +8,9 @@ from contextlib import contextmanager
 import pytest
 import torch
 
-from rover_rl import make_env
 from rover_rl.envs.sensors.route import Route
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
+from tests.gpu.driven import environment
 
 
 @contextmanager
@@ -28,15 +28,8 @@ def waiting_forbidden(device: torch.device) -> Iterator[None]:
 
 @pytest.mark.parametrize("repeat", [1, 4])
 def test_a_step_and_a_reset_do_not_wait(gpu: torch.device, repeat: int) -> None:
-    settings = {
-        "world_n": "maze",
-        "num_envs": 256,
-        "backend": "warp",
-        "seed": 0,
-        "lidar_points": 128,
-        "device": str(gpu),
-    }
-    env = make_env(**settings, sensors=[Route(period=repeat)]).append_transform(ActionRepeat(repeat))
+    env = environment(gpu, 256, lidar_points=128, length=2000, sensors=[Route(period=repeat)])
+    env = env.append_transform(ActionRepeat(repeat))
     td = env.reset()
     action = torch.full((256, 2), 0.3, device=gpu)
     mask = (torch.arange(256, device=gpu) % 3 == 0)[:, None]

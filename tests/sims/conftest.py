@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from tests.extras import needs_mujoco
+from tests.extras import BACKENDS
 
 
-@pytest.fixture(params=["bullet", "warp", pytest.param("mujoco", marks=needs_mujoco)])
+@pytest.fixture(params=BACKENDS)
 def backend(request: pytest.FixtureRequest) -> str:
     """Name of a simulation backend."""
     return request.param

@@ -3,48 +3,38 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
 import torch
 
 from rover_rl.algos.evaluation.metrics import Trajectory, find_body_contacts
-from rover_rl.sims import make_simulator
-from rover_rl.sims.robots import get_robot
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.worlds import Terrain, World, box, cylinder
+from tests.sims.driven import ROVER, drive, placed
 
-ROVER = get_robot("rover_zero")
 SIDE = 0.18 + 0.045
 """Distance from the middle of the rover to the outside of its wheels, m."""
 WALL_X = 2.5
 """Near side of the wall, m."""
 
 
-@lru_cache
-def walled() -> World:
-    """Level ground with a wall and a post."""
-    wall = box((WALL_X + 0.5, 0, 1), (1, 16, 2))
-    return World("walled", Terrain.flat((24, 24)), [wall, cylinder((-3, 0, 0.5), 0.2, 1.0)])
+WALLED = World(
+    "walled", Terrain.flat((24, 24)), [box((WALL_X + 0.5, 0, 1), (1, 16, 2)), cylinder((-3, 0, 0.5), 0.2, 1.0)]
+)
+"""Level ground with a wall and a post."""
 
 
-def placed(backend: str, world: World, poses: list[tuple[float, float, float]]):
-    simulator = make_simulator(backend, worlds=[world] * len(poses), robot=ROVER)
-    simulator.reset(torch.ones(len(poses), dtype=torch.bool), torch.tensor(poses))
-    return simulator
-
-
-def contacts(backend: str, world: World, poses, speeds: list[float], steps: int) -> tuple[torch.Tensor, torch.Tensor]:
+def contacts(backend: str, poses, speeds: list[float], steps: int) -> tuple[torch.Tensor, torch.Tensor]:
     """Reported and geometric contacts of straight drives at ``speeds`` (m/s), bool ``[N, steps + 1]`` each."""
-    simulator = placed(backend, world, poses)
+    simulator = placed(backend, WALLED, poses)
     commands = torch.stack((torch.tensor(speeds), torch.zeros(len(speeds))), -1)
-    states = [simulator.state(), *(simulator.step(commands) for _ in range(steps))]
+    states = [simulator.state(), *drive(simulator, commands, steps)]
     simulator.close()
     position = torch.stack([state.position for state in states], 1)
     angles = torch.stack([quaternion_to_euler(state.orientation) for state in states], 1)
     nothing = torch.zeros(steps, dtype=torch.bool)
     drives = [Trajectory(p, a, nothing, nothing, "time limit") for p, a in zip(position, angles, strict=True)]
     reported = torch.cat([state.contact for state in states], 1)
-    return reported, torch.stack(find_body_contacts(drives, world, ROVER))
+    return reported, torch.stack(find_body_contacts(drives, WALLED, ROVER))
 
 
 def first(flags: torch.Tensor) -> torch.Tensor:
@@ -57,7 +47,7 @@ def test_a_contact_begins_where_the_outline_meets_a_wall(backend):
     headings = [0.0, 0.35, -0.8, 1.2, 1.9, -2.4, 2.8, math.pi]
     poses = [(1.85, 1.5 * row - 6, heading) for row, heading in enumerate(headings)]
     # With its front or its rear toward the wall.
-    reported, geometric = contacts(backend, walled(), poses, [math.copysign(1, math.cos(h)) for h in headings], 30)
+    reported, geometric = contacts(backend, poses, [math.copysign(1, math.cos(h)) for h in headings], 30)
     assert not reported[:, 0].any()
     assert ((first(reported) - first(geometric)).abs() <= 1).all()
     # A rover that bounces off the wall may touch it between two poses that do not.
@@ -68,14 +58,14 @@ def test_a_contact_begins_where_the_outline_meets_a_wall(backend):
 def test_a_post_is_touched_as_geometry_tells(backend):
     # The outline of the geometric contacts has no gap between the wheels: the post meets a front wheel.
     ahead, beside = (-4.0, 0.18, 0.0), (-4.0, -0.2 - SIDE + 0.05, 0.0)
-    reported, geometric = contacts(backend, walled(), [ahead, beside], [1.0, 1.0], 24)
+    reported, geometric = contacts(backend, [ahead, beside], [1.0, 1.0], 24)
     assert ((first(reported) - first(geometric)).abs() <= 1).all()
 
 
 def test_passing_at_3_cm_is_no_contact(backend):
     gap = WALL_X - SIDE - 0.03
     poses = [(gap, -5.0, math.pi / 2), (gap, 5.0, -math.pi / 2), (-4.0, -0.2 - SIDE - 0.03, 0.0)]
-    reported, geometric = contacts(backend, walled(), poses, [1.0, 1.0, 1.0], 40)
+    reported, geometric = contacts(backend, poses, [1.0, 1.0, 1.0], 40)
     assert not reported.any()
     assert not geometric.any()
 
@@ -86,7 +76,7 @@ def test_the_ground_is_no_obstacle_even_where_the_chassis_scrapes_it(backend):
     heights[40] = 0.08
     ridge = World("ridge", Terrain(heights, 0.1), [box((0, 3, 0.5), (1, 1, 1))])
     simulator = placed(backend, ridge, [(-2.0, 0.0, 0.0)])
-    states = [simulator.step(torch.tensor([[0.5, 0.0]])) for _ in range(30)]
+    states = drive(simulator, (0.5, 0.0), 30)
     # The chassis carries a part of the weight: the rover stands higher than its wheels would hold it.
     assert states[-1].position[0, 2] > 0.005
     assert not any(state.contact.any() for state in states)
@@ -94,16 +84,14 @@ def test_the_ground_is_no_obstacle_even_where_the_chassis_scrapes_it(backend):
 
 def test_contacts_end_with_a_reset_and_stay_in_held_rows(backend):
     poses = [(1.8, -2.0, 0.0), (1.8, 2.0, 0.0), (-6.0, 0.0, 0.0)]
-    simulator = placed(backend, walled(), poses)
-    for _ in range(16):
-        touched = simulator.step(torch.tensor([[1.0, 0.0]] * 3)).contact
+    simulator = placed(backend, WALLED, poses)
+    touched = drive(simulator, (1.0, 0.0), 16)[-1].contact
     assert touched.flatten().tolist() == [True, True, False]
     mask = torch.tensor([True, False, False])
     assert simulator.reset(mask, torch.tensor(poses)).contact.flatten().tolist() == [False, True, False]
     held = simulator.step(torch.tensor([[0.0, 0.0], [-1.0, 0.0], [0.0, 0.0]]), torch.tensor([True, False, True]))
     assert held.contact.flatten().tolist() == [False, True, False]
-    for _ in range(6):
-        free = simulator.step(torch.tensor([[0.0, 0.0], [-1.0, 0.0], [0.0, 0.0]]))
+    free = drive(simulator, [[0.0, 0.0], [-1.0, 0.0], [0.0, 0.0]], 6)[-1]
     assert not free.contact.any()
     assert touched.any(), "returned states do not change"
 
@@ -112,9 +100,9 @@ def test_contacts_do_not_depend_on_other_rovers(backend):
     # In Bullet, rovers beyond the 64th have a client of their own.
     poses = [(1.9, -7.0 + 0.2 * row, 0.3 * math.sin(row)) for row in range(66)]
     speeds = [1.0 if row % 2 else 0.0 for row in range(66)]
-    together, _ = contacts(backend, walled(), poses, speeds, 12)
+    together, _ = contacts(backend, poses, speeds, 12)
     for row in (0, 65):
-        alone, _ = contacts(backend, walled(), [poses[row]], [speeds[row]], 12)
+        alone, _ = contacts(backend, [poses[row]], [speeds[row]], 12)
         assert torch.equal(together[row], alone[0])
     assert together[1::2].any(1).all()
     assert not together[::2].any()

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.leaks import in_fresh_process
-from tests.extras import needs_mujoco
+from tests.extras import BACKENDS
 
-WARMUP, CYCLES = 5, 5
+WARMUP, CYCLES = 3, 5
 WORLDS = ("inspect", "new")
 """The worlds with meshes of the ground and of boulders; the maze and the moon have nothing that these do not have."""
 LIMIT = 5.0 * CYCLES
@@ -19,7 +19,7 @@ or none of MuJoCo's and Bullet's, depending on the order of the calls."""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("backend", ["bullet", "warp", pytest.param("mujoco", marks=needs_mujoco)])
+@pytest.mark.parametrize("backend", BACKENDS)
 def test_opening_and_closing_environments_leaks_no_memory(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in ALLOCATOR.items():
         monkeypatch.setenv(name, value)

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from rover_rl.sims import make_scanner, make_simulator
+from rover_rl.sims import make_scanner
 from rover_rl.sims.bullet.lidar import RAYS_PER_CALL
 from rover_rl.sims.rays import RayScanner
-from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, World, box, cylinder, get_world
 from rover_rl.sims.worlds.table import WorldTable
+from tests.sims.driven import ROVER, all_rows, placed, slope
 
-ROVER = get_robot("rover_zero")
 MOUNT = ROVER.lidar_position[0]
 
 
@@ -28,10 +27,8 @@ def room(width: float, depth: float, height: float = 6.0) -> list:
 
 def scans(backend: str, world: World, poses: torch.Tensor, beams: int) -> torch.Tensor:
     """Scans ``[N, beams]`` from poses ``[N, 3]``."""
-    worlds = [world] * len(poses)
-    simulator = make_simulator(backend, worlds=worlds, robot=ROVER)
-    simulator.reset(torch.ones(len(poses), dtype=torch.bool), poses)
-    return make_scanner(simulator, worlds, ROVER, beams).scan()
+    simulator = placed(backend, world, poses)
+    return make_scanner(simulator, [world] * len(poses), ROVER, beams).scan()
 
 
 def scan(backend: str, world: World, pose: tuple[float, float, float], beams: int = 64) -> torch.Tensor:
@@ -60,9 +57,7 @@ def test_ranges_in_a_room_match_analytic_distances(backend, yaw, beams):
 @pytest.mark.parametrize("yaw", [0.0, math.pi])
 def test_tilted_scan_measures_slanted_distances(backend, tilt, yaw):
     """On a slope along x, beams ahead and behind hit vertical walls at d / cos(tilt), beams to the sides at d."""
-    count, cell = 121, 0.25
-    rise = math.tan(math.radians(tilt)) * (torch.arange(count) * cell - 15)
-    world = World("ramp", Terrain(rise.expand(count, -1), cell), room(8, 6, height=12))
+    world = World("ramp", slope(tilt, size=30).terrain, room(8, 6, height=12))
     ranges = scan(backend, world, (0.0, 0.0, yaw), 4)
     cos, sin = math.cos(math.radians(tilt)), math.sin(math.radians(tilt))
     # The lidar is MOUNT ahead along the slope; its height above the slope is corrected for the wheels' clearance.
@@ -83,10 +78,6 @@ def test_beam_0_points_forward_and_beams_go_counter_clockwise(backend):
     assert ranges[1] == pytest.approx(2.8, abs=0.01)
 
 
-def test_no_return_is_infinite(backend):
-    assert torch.isinf(scan(backend, World("plain", Terrain.flat((60, 60))), (0.0, 0.0, 0.0))).all()
-
-
 def test_wall_beyond_the_range_is_not_seen(backend):
     world = World("far", Terrain.flat((60, 60)), [box((ROVER.lidar_range + MOUNT + 0.55, 0, 1), (1, 4, 2))])
     assert torch.isinf(scan(backend, world, (0.0, 0.0, 0.0))).all()
@@ -99,7 +90,7 @@ def test_scan_from_inside_an_obstacle_is_zero(backend):
     assert (scan(backend, world, (-1.3, 0.0, 0.0))[1:] > 0).any()
 
 
-def test_rovers_are_invisible_to_one_another(backend):
+def test_no_return_is_infinite_and_rovers_are_invisible_to_one_another(backend):
     world = World("plain", Terrain.flat((60, 60)))
     assert torch.isinf(scans(backend, world, torch.tensor([[0.0, 0, 0], [1.0, 0, math.pi]]), 32)).all()
 
@@ -123,8 +114,7 @@ def test_terrain_blocks_beams(backend):
 def test_cast_rays_see_what_the_lidars_of_the_simulators_see(backend):
     world = get_world("moon")
     poses = torch.tensor([[0.0, 0.0, 0.3], [2.0, -1.0, 2.0], [-3.0, 2.0, -1.0]])
-    simulator = make_simulator(backend, worlds=[world] * 3, robot=ROVER)
-    simulator.reset(torch.ones(3, dtype=torch.bool), poses)
+    simulator = placed(backend, world, poses)
     table = WorldTable.of([world] * 3, "cpu")
     cast = RayScanner(simulator, table, ROVER, 256)
     own = make_scanner(simulator, table, ROVER, 256)
@@ -133,5 +123,5 @@ def test_cast_rays_see_what_the_lidars_of_the_simulators_see(backend):
     # A beam along an edge may hit or miss it.
     assert near.float().mean() > 0.99
     before = cast.scan()
-    simulator.reset(torch.ones(3, dtype=torch.bool), poses.flip(0))
+    simulator.reset(all_rows(3), poses.flip(0))
     assert torch.equal(cast.scan(torch.tensor([True, False, True]))[1], before[1])

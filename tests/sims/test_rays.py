@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -17,39 +18,31 @@ BOX = World("box", Terrain.flat((20.0, 20.0)), BOXES)
 SLOPE = World("slope", Terrain([[-5.0, 5.0], [-5.0, 5.0]], cell=20.0))
 
 
-def cast(world: World, origin: tuple[float, ...], *directions: tuple[float, ...]) -> list[float]:
-    origins = torch.tensor(origin).expand(1, len(directions), 3)
-    return RayCaster(WorldTable([world])).cast(origins, torch.tensor(directions)[None])[0].tolist()
-
-
-def test_flat_ground() -> None:
-    down, across, up, long = cast(FLAT, (9.0, -5.0, 2.5), (0, 0, -1), (-1, 0, -1), (0, 0, 1), (0, 0, -7))
-    assert (down, across, up, long) == pytest.approx((2.0, 2 * math.sqrt(2), math.inf, 2.0), rel=1e-6)
-
-
-def test_beyond_the_edge_of_the_terrain_there_is_no_return() -> None:
-    assert cast(FLAT, (9.0, 0.0, 2.5), (1.0, 0.0, -1.0)) == [math.inf]
-
-
-def test_a_box() -> None:
-    ahead, aside, over, above = cast(BOX, (0.0, 0.0, 1.0), (1, 0, 0), (1, 1, 0), (2, 0, 1.01), (1, 0.2, 0.1))
-    assert ahead == pytest.approx(2.0, rel=1e-6)
-    assert aside == math.inf
-    assert over == math.inf
-    assert above == pytest.approx(2.0 * math.sqrt(1 + 0.04 + 0.01), rel=1e-6)
-    assert cast(BOX, (3.0, 0.0, 5.0), (0.0, 0.0, -1.0)) == pytest.approx([3.0], rel=1e-6)
-
-
-def test_a_ray_from_inside_of_a_solid_is_0() -> None:
-    assert cast(BOX, (3.0, 0.0, 1.0), (1.0, 0.0, 0.0)) == [0.0]
-    assert cast(FLAT, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)) == [0.0]
-
-
-def test_a_slope() -> None:
-    # The ground rises by 1 m in 2 m along x: a level ray at 1 m meets it at x = 2, and a perpendicular one at once.
-    level, steep = cast(SLOPE, (-4.0, 3.0, 1.0), (1.0, 0.0, 0.0), (0.5, 0.0, -1.0))
-    assert level == pytest.approx(6.0, rel=1e-6)
-    assert steep == pytest.approx(3.0 * 2 / math.sqrt(5), rel=1e-6)
+@pytest.mark.parametrize(
+    ("world", "origin", "directions", "expected"),
+    [
+        (FLAT, (9, -5, 2.5), [(0, 0, -1), (-1, 0, -1), (0, 0, 1), (0, 0, -7)], [2, 2 * math.sqrt(2), math.inf, 2]),
+        # Beyond the edge of the terrain there is no return.
+        (FLAT, (9, 0, 2.5), [(1, 0, -1)], [math.inf]),
+        # Ahead at a box, aside and above of it, and ahead at an angle.
+        (
+            BOX,
+            (0, 0, 1),
+            [(1, 0, 0), (1, 1, 0), (2, 0, 1.01), (1, 0.2, 0.1)],
+            [2, math.inf, math.inf, 2 * math.sqrt(1 + 0.04 + 0.01)],
+        ),
+        (BOX, (3, 0, 5), [(0, 0, -1)], [3]),
+        # From inside of a solid, and of the ground.
+        (BOX, (3, 0, 1), [(1, 0, 0)], [0]),
+        (FLAT, (0, 0, 0), [(0, 0, 1)], [0]),
+        # The ground rises by 1 m in 2 m along x: a level ray at 1 m meets it at x = 2, and a perpendicular one at once.
+        (SLOPE, (-4, 3, 1), [(1, 0, 0), (0.5, 0, -1)], [6, 3 * 2 / math.sqrt(5)]),
+    ],
+)
+def test_ranges_are_those_of_geometry(world: World, origin: Any, directions: Any, expected: list[float]) -> None:
+    origins = torch.tensor(origin, dtype=torch.float32).expand(1, len(directions), 3)
+    ranges = RayCaster(WorldTable([world])).cast(origins, torch.tensor(directions, dtype=torch.float32)[None])
+    assert ranges[0].tolist() == pytest.approx(expected, rel=1e-6, abs=0)
 
 
 def test_hills_have_the_heights_of_the_terrain() -> None:

@@ -14,11 +14,8 @@ from rover_rl import RoverEnv, make_env
 from rover_rl.sims import Backend, Simulator, backend_names, make_simulator, register_backend
 from rover_rl.sims.bullet import BulletSettings
 from rover_rl.sims.bullet.simulator import BulletSimulator
-from rover_rl.sims.robots import get_robot
-from rover_rl.sims.worlds import Terrain, World
+from tests.sims.driven import FLAT, ROVER
 
-ROVER = get_robot("rover_zero")
-FLAT = World("flat", Terrain.flat((20, 20)))
 MAKE = re.escape("make(worlds=, robot=, connection=, device=)")
 WANTED = rf"backend must be one of \[.*\], settings of one, or an object with a method {MAKE} that returns a Simulator"
 """Patterns of the error messages."""
@@ -38,6 +35,9 @@ class CustomSettings:
     @classmethod
     def preset(cls, name: str) -> CustomSettings:
         return cls({"coarse": 2}[name])
+
+
+TWELVE = CustomSettings(12)
 
 
 class PlainBackend:
@@ -63,20 +63,11 @@ def test_a_registered_class_of_settings():
     assert substeps(CustomSettings(6)) == 6
 
 
-def test_backends_by_import_path(tmp_path, monkeypatch):
-    source = (
-        "from rover_rl.sims.bullet import BulletSettings\n"
-        "from rover_rl.sims.bullet.simulator import BulletSimulator\n"
-        "class Settings:\n"
-        "    def make(self, *, worlds, robot, connection=None, device=None):\n"
-        "        return BulletSimulator(worlds, robot, BulletSettings(substeps=12))\n"
-        "backend = Settings()\n"
-    )
-    (tmp_path / "registration_test_backends.py").write_text(source)
-    monkeypatch.syspath_prepend(tmp_path)
-    register_backend("registered-path", "registration_test_backends:Settings")
-    for name in ("registration_test_backends:Settings", "registration_test_backends:backend", "registered-path"):
-        assert substeps(name) == 12
+def test_backends_by_import_path():
+    here = "tests.sims.test_registration"
+    register_backend("registered-path", f"{here}:CustomSettings")
+    assert substeps("registered-path") == substeps(f"{here}:CustomSettings") == 4
+    assert substeps(f"{here}:TWELVE") == 12
 
 
 def test_an_environment_uses_a_registered_backend():
@@ -104,12 +95,6 @@ def test_anything_without_make_raises(name, part):
         substeps(name)
 
 
-@pytest.mark.parametrize("backend", [object(), 4, None, BulletSettings])
-def test_objects_that_are_no_backend_raise_before_anything_is_built(backend):
-    with pytest.raises(ValueError, match=f"^{WANTED}, got {re.escape(repr(backend))}$"):
-        make_env(world_n=FLAT, backend=backend)
-
-
 class WithoutRobot:
     """Backend that lacks a keyword of make()."""
 
@@ -117,27 +102,33 @@ class WithoutRobot:
         raise AssertionError("never called")
 
 
-def test_a_backend_whose_make_lacks_a_keyword_raises_before_it_is_called():
-    with pytest.raises(
-        ValueError,
-        match=f"^backend .*WithoutRobot object.* must have a method {MAKE}: got an unexpected keyword argument "
-        "'robot'$",
-    ):
-        make_env(world_n=FLAT, backend=WithoutRobot())
+class Broken:
+    """Backend whose make() fails."""
+
+    def make(self, **arguments) -> Simulator:
+        raise TypeError("inside")
 
 
-def test_a_class_in_place_of_a_backend_raises():
-    with pytest.raises(ValueError, match=r"PlainBackend'> must have .*: it is a class; pass an object of it$"):
-        make_env(world_n=FLAT, backend=PlainBackend)
+WITHOUT_ROBOT = (
+    f"^backend .*WithoutRobot object.* must have a method {MAKE}: got an unexpected keyword argument 'robot'$"
+)
 
 
-def test_errors_inside_make_are_not_replaced():
-    class Broken:
-        def make(self, **arguments) -> Simulator:
-            raise TypeError("inside")
-
-    with pytest.raises(TypeError, match="^inside$"):
-        make_env(world_n=FLAT, backend=Broken())
+@pytest.mark.parametrize(
+    ("backend", "error", "message"),
+    [
+        *(
+            (each, ValueError, f"^{WANTED}, got {re.escape(repr(each))}$")
+            for each in (object(), 4, None, BulletSettings)
+        ),
+        (WithoutRobot(), ValueError, WITHOUT_ROBOT),
+        (PlainBackend, ValueError, r"PlainBackend'> must have .*: it is a class; pass an object of it$"),
+        (Broken(), TypeError, "^inside$"),
+    ],
+)
+def test_what_is_no_backend_raises_before_it_is_called_and_errors_inside_make_are_not_replaced(backend, error, message):
+    with pytest.raises(error, match=message):
+        make_env(world_n=FLAT, backend=backend)
 
 
 class Returning:

@@ -1,95 +1,149 @@
-"""The Simulator interface, implemented by every simulation backend."""
+"""The Simulator interface, implemented by every simulation backend, and by the one that ``docs/backends.md`` builds."""
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
+from torchrl.envs.utils import check_env_specs
 
-from rover_rl.sims import Simulator, make_scanner, make_simulator
-from rover_rl.sims.robots import get_robot
+from rover_rl import make_env
+from rover_rl.sims import RoverState, Simulator, make_scanner
 from rover_rl.sims.worlds import Terrain, World, box, get_world
-from tests.extras import needs_mujoco
+from tests.extras import BACKENDS, needs_mujoco
+from tests.sims.driven import FLAT, ROVER, WALLED, all_rows, drive, placed
 
-ROVER = get_robot("rover_zero")
-FLAT = World("flat", Terrain.flat((20, 20)))
-
-
-def simulator(backend, worlds):
-    return make_simulator(backend, worlds=worlds, robot=ROVER)
+WARP_AND_MUJOCO = BACKENDS[1:]
+FIELDS = ("position", "orientation", "linear_velocity", "angular_velocity", "stamp")
 
 
-def all_rows(count):
-    return torch.ones(count, dtype=torch.bool)
+@pytest.fixture(params=[*BACKENDS, "guide"])
+def backend(request: pytest.FixtureRequest) -> str:
+    """Name of a backend, or the import path of the page's."""
+    return request.getfixturevalue("guide") if request.param == "guide" else request.param
+
+
+def differences(a: RoverState, b: RoverState, row: int, other: int) -> list[str]:
+    """Returns the names of the fields in which row ``row`` of ``a`` and row ``other`` of ``b`` differ in any bit."""
+    return [name for name in FIELDS if not torch.equal(getattr(a, name)[row], getattr(b, name)[other])]
 
 
 def test_backend_implements_the_simulator_interface(backend):
-    assert isinstance(simulator(backend, [FLAT]), Simulator)
-
-
-def test_state_has_the_shapes_and_dtypes_of_the_interface(backend):
-    state = simulator(backend, [FLAT] * 3).state()
+    simulator = placed(backend, FLAT, torch.zeros(3, 3))
+    assert isinstance(simulator, Simulator)
+    state = simulator.state()
     assert state.batch_size == (3,)
     shapes = {"position": 3, "orientation": 4, "linear_velocity": 1, "angular_velocity": 1, "dt": 1, "stamp": 1}
     for name, width in shapes.items():
         assert getattr(state, name).shape == (3, width)
         assert getattr(state, name).dtype == (torch.float64 if name == "stamp" else torch.float32)
     torch.testing.assert_close(state.dt, torch.full((3, 1), 0.05))
-    assert (state.contact.shape, state.contact.dtype) == ((3, 1), torch.bool)
+    if "contacts" in simulator.capabilities:
+        assert (state.contact.shape, state.contact.dtype) == ((3, 1), torch.bool)
 
 
-def test_returned_states_do_not_change(backend):
-    sim = simulator(backend, [FLAT])
-    first = sim.step(torch.tensor([[1.0, 0.0]]))
-    copy = first.clone()
-    for _ in range(5):
-        sim.step(torch.tensor([[1.0, 0.0]]))
-    assert (first == copy).all()
+def test_environments_match_their_specs_with_rows_in_several_worlds(backend):
+    env = make_env(backend=backend, world_n=["inspect", "maze"], num_envs=5, seed=0, lidar_beams=32)
+    check_env_specs(env, break_when_any_done="both")
+    env.close()
 
 
-def test_reset_changes_only_the_selected_rows(backend):
-    sim = simulator(backend, [FLAT] * 3)
-    poses = torch.tensor([[0.0, 0, 0], [2.0, 0, 0], [4.0, 0, 0]])
-    sim.reset(all_rows(3), poses)
-    scanner = make_scanner(sim, [FLAT] * 3, ROVER, beams=8)
-    for _ in range(10):
-        before = sim.step(torch.tensor([[1.0, 0.5]] * 3))
-    scan, only = scanner.scan(), torch.tensor([False, True, False])
-    after = sim.reset(only, poses)
-    assert torch.equal(scanner.scan(only)[[0, 2]], scan[[0, 2]])
-    for row in (0, 2):
-        assert torch.equal(after.position[row], before.position[row])
-    assert after.position[1, 0] == pytest.approx(2.0, abs=1e-3)
-    assert after.linear_velocity[1] == 0
+def test_reset_changes_only_the_selected_rows_and_no_returned_state(backend):
+    simulator = placed(backend, [FLAT, WALLED, FLAT], [[0.0, 0, 0], [-2.0, 0, 0], [4.0, 0, 0]])
+    states = drive(simulator, (1.0, 0.5), 10)
+    copies = [state.clone() for state in states]
+    poses = torch.full((3, 3), math.nan)
+    poses[1] = torch.tensor([1.0, 2.0, 0.0])
+    after = simulator.reset(torch.tensor([False, True, False]), poses)
+    assert [differences(after, states[-1], row, row) for row in (0, 2)] == [[], []]
+    torch.testing.assert_close(after.position[1, :2], torch.tensor([1.0, 2.0]), atol=1e-3, rtol=0)
+    assert after.linear_velocity[1] == after.angular_velocity[1] == 0
+    drive(simulator, (1.0, 0.0), 5)
+    assert all((state == copy).all() for state, copy in zip(states, copies, strict=True))
+
+
+def test_a_scan_depends_on_the_pose_alone_and_is_renewed_for_the_given_rows(backend):
+    world, first = get_world("maze"), torch.tensor([True, False, False])
+    poses = torch.tensor([[0.0, 0.0, 0.0], [0.5, 0.0, 1.0], [0.0, 0.5, 2.0]])
+    simulator = placed(backend, world, poses)
+    scanner = make_scanner(simulator, [world] * 3, ROVER, beams=32)
+    before = scanner.scan()
+    simulator.reset(first, poses + torch.tensor((0.3, 0.2, 0.0)))
+    for elsewhere in (scanner.scan(first), scanner.scan()):
+        assert not torch.equal(elsewhere[0], before[0])
+        assert torch.equal(elsewhere[1:], before[1:])
+    simulator.reset(first, poses)
+    assert torch.equal(scanner.scan(), before)
 
 
 def test_no_time_passes_for_inactive_rows(backend):
-    sim = simulator(backend, [FLAT] * 2)
-    sim.reset(all_rows(2), torch.tensor([[0.0, 0, 0], [3.0, 0, 0]]))
+    simulator = placed(backend, FLAT, [[0.0, 0, 0], [3.0, 0, 0]])
+    before = drive(simulator, (1.0, 0.0), 10)[-1]
     for _ in range(10):
-        before = sim.step(torch.tensor([[1.0, 0.0]] * 2))
-    for _ in range(10):
-        held = sim.step(torch.tensor([[1.0, 0.0]] * 2), torch.tensor([True, False]))
-    assert torch.equal(held.position[1], before.position[1])
-    assert held.stamp[1] == before.stamp[1]
+        held = simulator.step(torch.tensor([[1.0, 0.0]] * 2), torch.tensor([True, False]))
+    assert differences(held, before, 1, 1) == []
+    assert held.stamp[0] > before.stamp[0]
     assert held.position[0, 0] > before.position[0, 0] + 0.4
-    after = sim.step(torch.tensor([[1.0, 0.0]] * 2))
+    (after,) = drive(simulator, (1.0, 0.0), 1)
     # It continues at its previous speed.
     assert after.position[1, 0] - before.position[1, 0] == pytest.approx(0.05, abs=0.005)
 
 
+def test_rows_equal_single_rovers_bit_for_bit(backend):
+    worlds = [get_world("moon")] * 9 + [get_world("maze")] * 4 + [get_world("moon")] * 3
+    generator = torch.Generator().manual_seed(0)
+    poses = torch.rand(16, 3, generator=generator) * 6 - 3
+    commands = torch.rand(12, 16, 2, generator=generator) * torch.tensor([0.5, 2.0]) + torch.tensor([0.5, -1.0])
+    batch = placed(backend, worlds, poses)
+    start, together = batch.state(), [batch.step(command) for command in commands][-1]
+    scans = make_scanner(batch, worlds, ROVER, beams=8).scan()
+    # Most of them drive; the others stand in front of an obstacle and turn.
+    assert ((together.position - start.position).norm(dim=-1) > 0.2).sum() > 8
+    for row in (0, 8, 9, 15):
+        alone = placed(backend, worlds[row : row + 1], poses[row : row + 1])
+        # Earlier episodes leave no trace, except in the clock.
+        drive(alone, (1.0, 0.5), 3)
+        alone.reset(all_rows(1), poses[row : row + 1])
+        state = [alone.step(command[row : row + 1]) for command in commands][-1]
+        assert differences(state, together, 0, row) == ["stamp"]
+        assert torch.equal(make_scanner(alone, worlds[row : row + 1], ROVER, beams=8).scan()[0], scans[row])
+
+
+@pytest.mark.parametrize("backend", WARP_AND_MUJOCO)
+def test_results_do_not_depend_on_held_steps(backend):
+    held, free = placed(backend, FLAT, torch.zeros(2, 3)), placed(backend, FLAT, torch.zeros(1, 3))
+    for _ in range(10):
+        drive(held, (0.5, 0.5), 1)
+        held.step(torch.tensor([[1.0, 0.0]] * 2), torch.tensor([True, False]))
+        (state,) = drive(free, (0.5, 0.5), 1)
+    assert torch.equal(held.state().position[1], state.position[0])
+
+
 def test_rows_may_be_in_different_worlds(backend):
-    walled = World("walled", Terrain.flat((20, 20)), [box((3, 0, 1), (1, 10, 2))])
-    worlds = [FLAT, FLAT, walled]
-    sim = simulator(backend, worlds)
-    sim.reset(all_rows(3), torch.zeros(3, 3))
-    ranges = make_scanner(sim, worlds, ROVER, beams=8).scan()
+    worlds = [FLAT, FLAT, WALLED]
+    simulator = placed(backend, worlds, torch.zeros(3, 3))
+    ranges = make_scanner(simulator, worlds, ROVER, beams=8).scan()
     assert (ranges.shape, ranges.dtype) == ((3, 8), torch.float32)
     assert torch.isinf(ranges[:2, 0]).all()
     assert ranges[2, 0] == pytest.approx(2.5 - 0.174, abs=0.01)
 
 
+@pytest.mark.parametrize("backend", WARP_AND_MUJOCO)
+def test_the_height_of_the_edge_continues_outside_the_terrain(backend):
+    plain, far = Terrain.flat((8, 8)), box((30.0, 30.0, 0.5), (1.0, 1.0, 1.0))
+    triangles = Terrain(torch.tensor([[0.0, 0.0, 0.01]] * 3), 4.0)
+    worlds = [World("plain", plain), World("outside", plain, [far]), World("triangles", triangles)]
+    simulator = placed(backend, worlds, [[3.0, 0.0, 0.0], [3.0, 3.0, 1.0], [3.0, 0.0, 0.0]])
+    assert torch.isinf(make_scanner(simulator, worlds, ROVER, beams=16).scan()).all()
+    state = drive(simulator, (1.0, 0.0), 100)[-1]
+    assert (state.position[[0, 2], 0] > 5.5).all()
+    assert (state.position[:, 2].abs() < 0.02).all()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
 def test_render_has_a_chase_view_and_a_top_view(backend):
-    sim = simulator(backend, [get_world("moon")])
+    sim = placed(backend, get_world("moon"), torch.zeros(1, 3))
     for view in ("chase", "top"):
         image = sim.render(0, view, 64, 48, torch.tensor([1.0, 1.0]))
         assert image.shape == (48, 64, 3)
@@ -100,9 +154,9 @@ def test_render_has_a_chase_view_and_a_top_view(backend):
     sim.close()
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
 def test_rendering_after_close_and_in_several_worlds(backend):
-    walled = World("walled", Terrain.flat((20, 20)), [box((3, 0, 1), (1, 10, 2))])
-    sim = simulator(backend, [FLAT, walled, FLAT])
+    sim = placed(backend, [FLAT, WALLED, FLAT], torch.zeros(3, 3))
     flat, other, same = (sim.render(row, "chase", 64, 48, torch.tensor([1.0, 0.0])) for row in range(3))
     assert not torch.equal(flat, other)
     assert torch.equal(flat, same)
@@ -116,8 +170,7 @@ def test_rendering_after_close_and_in_several_worlds(backend):
 def test_all_backends_render_the_same_image():
     images = []
     for name in ("bullet", "warp", "mujoco"):
-        sim = simulator(name, [FLAT])
-        sim.reset(all_rows(1), torch.tensor([[1.0, 2.0, 0.5]]))
+        sim = placed(name, FLAT, [[1.0, 2.0, 0.5]])
         images.append(sim.render(0, "chase", 64, 48, torch.tensor([2.0, 2.0])).float())
         sim.close()
     assert (images[0] - images[1]).abs().mean() < 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable
 from itertools import count
 from pathlib import Path
@@ -85,16 +86,10 @@ def before_updates(monkeypatch: pytest.MonkeyPatch, algo: str, action: Callable[
     monkeypatch.setattr(learner, "update", watched)
 
 
-def kept_batches(monkeypatch: pytest.MonkeyPatch) -> list[TensorDictBase]:
-    """Returns a list to which the learners of PPO add each batch, as far as it concerns the memory."""
-    collected: list[TensorDictBase] = []
-
-    def keep(number: int, learner: PPOLearner, batch: TensorDictBase) -> None:
-        keys = ("is_init", *MEMORY_KEYS[learner.config.network.memory])
-        collected.append(batch.select(*keys, "next").clone())
-
-    before_updates(monkeypatch, "ppo", keep)
-    return collected
+def record_of(folder: Path) -> list[dict[str, str]]:
+    """Rows of a run's ``curriculum.csv``."""
+    with (folder / "curriculum.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
 
 
 def check_states(batches: list[TensorDictBase], memory: str) -> TensorDictBase:
@@ -111,3 +106,19 @@ def check_states(batches: list[TensorDictBase], memory: str) -> TensorDictBase:
         going_on = ~is_init[:, 1:]
         assert torch.equal(state[:, 1:][going_on], after[:, :-1][going_on])
     return batch
+
+
+def check_workers(monkeypatch: pytest.MonkeyPatch, runs: Path, memory: str, **settings: Any) -> None:
+    """Checks that two workers carry a policy's memory and have a curriculum each, also in a run that goes on."""
+    recurrent = {"memory": memory, "memory_size": 8, "rollout_length": 8, "minibatch": 16}
+    config, collected = with_settings(LEARNABLE, **recurrent, **settings, workers=2), list[TensorDictBase]()
+
+    def keep(number: int, learner: PPOLearner, batch: TensorDictBase) -> None:
+        collected.append(batch.select("is_init", *MEMORY_KEYS[memory], "next").clone())
+
+    before_updates(monkeypatch, "ppo", keep)
+    folder = run(config, runs, total_steps=384).folder
+    assert len(collected) == 3
+    check_states(collected, memory)
+    assert run(config, runs, folder, total_steps=512).steps == 512
+    assert sum(int(row["draws"]) for row in record_of(folder)) >= 8

@@ -25,17 +25,19 @@ def found() -> dict[str, Any]:
         return pickle.loads(pool.submit(on_both).result())
 
 
-@pytest.mark.parametrize("part", ["steps", "changes"])
-def test_an_environment_steps_as_on_the_cpu(part: str, found: dict[str, Any]) -> None:
+@pytest.mark.parametrize(("part", "looks"), [("steps", "looks"), ("changes", "looks of changes")])
+def test_an_environment_steps_and_changes_worlds_as_on_the_cpu_without_waiting(
+    part: str, looks: str, found: dict[str, Any]
+) -> None:
     there, here = found[part]
+    assert found[looks] == []
+    if part == "changes":
+        worlds = torch.cat([seen["('outcome', 'world')"] for seen in there], -1)
+        assert (worlds.diff() != 0).any(-1).all()
     for step, (a, b) in enumerate(zip(here, there, strict=True)):
         assert a.keys() == b.keys()
         for key in a:
             assert torch.equal(a[key], b[key]), (step, key)
-
-
-def test_a_step_does_not_wait_for_the_accelerator(found: dict[str, Any]) -> None:
-    assert found["looks"] == []
 
 
 @pytest.mark.parametrize("learner", COLLECTED)
@@ -54,12 +56,6 @@ def test_batches_are_collected_as_on_the_cpu_without_waiting(learner: str, found
                 torch.testing.assert_close(a[key], b[key], rtol=0, atol=1e-4 if learner == "gru" else 0)
     times = [batch["('next', 'clock', 'environment')"].max().item() for batch in there]
     assert 0 < times[0] < times[1] < times[2]
-
-
-def test_a_change_of_worlds_does_not_wait_for_the_accelerator(found: dict[str, Any]) -> None:
-    assert found["looks of changes"] == []
-    worlds = torch.cat([seen["('outcome', 'world')"] for seen in found["changes"][0]], -1)
-    assert (worlds.diff() != 0).any(-1).all()
 
 
 @pytest.mark.parametrize("learner", LEARNERS)

@@ -15,77 +15,52 @@ from rover_rl.envs.task import StepEvent
 DENSE, JAM, GOAL = int(StepEvent.DENSE), int(StepEvent.JAM), int(StepEvent.GOAL)
 
 
-def ends(*lengths: int) -> SpreadEnds:
-    transform = SpreadEnds(100)
-    transform.lengths = torch.tensor(lengths)[:, None]
-    return transform
+def column(value: Any) -> Tensor:
+    return torch.tensor([[value]])
 
 
-def column(*values: Any) -> Tensor:
-    return torch.tensor(values)[:, None]
+def counter(end: int, longest: int) -> AttemptCounter:
+    """Counts for a row whose episode is truncated after ``end`` decisions of four steps."""
+    ends = SpreadEnds(100)
+    ends.lengths = column(end)
+    return AttemptCounter(ends, 4, longest)
 
 
-def counted(counter: AttemptCounter, begun: Tensor, **step: Tensor) -> dict[str, list[int]]:
-    """Counts of a step in which each row does something else."""
-    before = TensorDict({"attempts": {"begun": begun}}, [len(begun)])
-    terminated = step["phase"] < StepEvent.GOAL
-    done = step.pop("truncated") | terminated
-    after = TensorDict({"outcome": step, "done": done, "terminated": terminated}, [len(begun)])
-    entries = counter._step(before, after)["attempts"]
-    return {key: entries[key].flatten().tolist() for key in ("begun", "reached", "failed")}
-
-
-def test_each_attempt_succeeds_or_fails() -> None:
-    # Episodes of 600 steps: a reached goal, no event, a jam, the time limit, and a goal in the last step.
-    counts = counted(
-        AttemptCounter(ends(*[150] * 5), 4, 600),
-        column(0, 100, 100, 300, 300),
-        steps=column(120, 200, 208, 600, 600),
-        goals=column(1, 0, 0, 0, 1),
-        phase=column(GOAL, DENSE, JAM, DENSE, GOAL),
-        truncated=column(False, False, False, True, True),
+@pytest.mark.parametrize(
+    ("end", "longest", "begun", "steps", "goals", "phase", "ending", "expected"),
+    [
+        pytest.param(150, 600, 0, 120, 1, GOAL, "none", [120, 1, 0], id="a goal"),
+        pytest.param(150, 600, 100, 200, 0, DENSE, "none", [100, 0, 0], id="no event"),
+        pytest.param(150, 600, 100, 208, 0, JAM, "terminated", [100, 0, 1], id="a jam"),
+        pytest.param(150, 600, 300, 600, 0, DENSE, "truncated", [300, 0, 1], id="the time limit"),
+        pytest.param(150, 600, 300, 600, 1, GOAL, "truncated", [600, 1, 0], id="a goal in the last step"),
+        # Attempts that begin too late do not count, however they end: the time that is left is less than half of the
+        # longest episode, in a short episode from the start and in a long one after step 300.
+        pytest.param(74, 600, 0, 100, 1, GOAL, "none", [100, 0, 0], id="too late in a short episode"),
+        pytest.param(150, 600, 304, 320, 1, GOAL, "none", [320, 0, 0], id="too late and a goal"),
+        pytest.param(150, 600, 304, 320, 0, JAM, "terminated", [304, 0, 0], id="too late and a jam"),
+        pytest.param(150, 600, 304, 600, 0, DENSE, "truncated", [304, 0, 0], id="too late and the time limit"),
+        pytest.param(1000, 4000, 0, 1200, 1, GOAL, "none", [1200, 1, 0], id="a goal within a minute"),
+        pytest.param(1000, 4000, 0, 1204, 1, GOAL, "none", [1204, 0, 1], id="a goal after a minute"),
+        # With end_on_goal, the goal ends the episode. A jam after it in the same decision ends the next attempt.
+        pytest.param(150, 600, 0, 120, 1, GOAL, "terminated", [120, 1, 0], id="a goal that ends the episode"),
+        pytest.param(150, 600, 0, 120, 1, JAM, "terminated", [120, 1, 1], id="a goal and a jam"),
+    ],
+)
+def test_each_attempt_succeeds_fails_or_does_not_count(
+    end: int, longest: int, begun: int, steps: int, goals: int, phase: int, ending: str, expected: list[int]
+) -> None:
+    outcome = {"steps": column(steps), "goals": column(goals), "phase": column(phase)}
+    endings = {"done": column(ending != "none"), "terminated": column(ending == "terminated")}
+    before, after = (
+        TensorDict({"attempts": {"begun": column(begun)}}, [1]),
+        TensorDict({"outcome": outcome, **endings}, [1]),
     )
-    assert counts == {"begun": [120, 100, 100, 300, 600], "reached": [1, 0, 0, 0, 1], "failed": [0, 0, 1, 1, 0]}
-
-
-def test_attempts_that_begin_too_late_do_not_count_however_they_end() -> None:
-    # The time that is left is less than half of the longest episode: in the first row, whose episode is short, from
-    # the start; in the others after step 300.
-    counts = counted(
-        AttemptCounter(ends(74, 150, 150, 150), 4, 600),
-        column(0, 304, 304, 304),
-        steps=column(100, 320, 320, 600),
-        goals=column(1, 1, 0, 0),
-        phase=column(GOAL, GOAL, JAM, DENSE),
-        truncated=column(False, False, False, True),
-    )
-    assert counts["reached"] == counts["failed"] == [0, 0, 0, 0]
-
-
-def test_a_goal_after_a_minute_is_a_failure() -> None:
-    counts = counted(
-        AttemptCounter(ends(1000, 1000), 4, 4000),
-        column(0, 0),
-        steps=column(1200, 1204),
-        goals=column(1, 1),
-        phase=column(GOAL, GOAL),
-        truncated=column(False, False),
-    )
-    assert (counts["reached"], counts["failed"]) == ([1, 0], [0, 1])
-
-
-@pytest.mark.parametrize(("phase", "failed"), [(GOAL, 0), (JAM, 1)])
-def test_a_goal_and_an_ending_in_one_decision(phase: int, failed: int) -> None:
-    """With end_on_goal, the goal ends the episode. A jam after it in the same decision ends the next attempt."""
-    begun, steps, goals = column(0), column(120), column(1)
-    outcome = {"steps": steps, "goals": goals, "phase": column(phase)}
-    after = TensorDict({"outcome": outcome, "done": column(True), "terminated": column(True)}, [1])
-    counter = AttemptCounter(ends(150), 4, 600)
-    entries = counter._step(TensorDict({"attempts": {"begun": begun}}, [1]), after)["attempts"]
-    assert (entries["reached"].item(), entries["failed"].item()) == (1, failed)
+    entries = counter(end, longest)._step(before, after)["attempts"]
+    assert [entries[key].item() for key in ("begun", "reached", "failed")] == expected
 
 
 def test_a_new_episode_begins_a_new_attempt() -> None:
     reset = TensorDict({"outcome": {"steps": column(7)}}, [1])
-    entries = AttemptCounter(ends(150), 4, 600)._reset(TensorDict({}, [1]), reset)["attempts"]
+    entries = counter(150, 600)._reset(TensorDict({}, [1]), reset)["attempts"]
     assert [entries[key].item() for key in ("begun", "reached", "failed")] == [0, 0, 0]

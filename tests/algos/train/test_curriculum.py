@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import pytest
@@ -17,7 +16,7 @@ from rover_rl.algos.train.curriculum import Curriculum, Learnability
 from rover_rl.envs.config import TaskConfig
 from rover_rl.envs.transforms.action_repeat import ActionRepeat
 from rover_rl.sims.worlds.pool import WorldPool
-from tests.algos.train.runs import LEARNABLE, equal, progress_of, run, state_of
+from tests.algos.train.runs import LEARNABLE, equal, progress_of, record_of, run, state_of
 
 WALLS = [World(f"wall {k}", Terrain.flat((8.0, 8.0)), [box((2.0, 0.0, 0.5), (0.2, 1.0 + k, 1.0))]) for k in range(3)]
 
@@ -105,7 +104,7 @@ def test_estimates_may_learn_from_whole_batches() -> None:
 
 def test_a_run_records_its_worlds_and_continues_with_its_estimates(tmp_path: Path) -> None:
     first, other = (run(LEARNABLE, tmp_path / name, total_steps=512) for name in "ab")
-    progress, rows = progress_of(first.folder), _record(first.folder)
+    progress, rows = progress_of(first.folder), record_of(first.folder)
     assert len(progress["drawn_learnability"]) == len(progress["steps"])
     assert 0 < progress["drawn_learnability"][0] <= 0.25
     assert 0 <= progress["drawn_difficulty"][0] <= 1
@@ -125,31 +124,12 @@ def test_a_run_records_its_worlds_and_continues_with_its_estimates(tmp_path: Pat
     again = state_of(second.folder)["curriculum"]
     assert (again["totals"] >= state["totals"]).all()
     assert again["totals"].sum() > state["totals"].sum()
-    assert sum(int(row["draws"]) for row in _record(second.folder)) >= sum(draws) + 4
-
-
-def _record(folder: Path) -> list[dict[str, str]]:
-    with (folder / "curriculum.csv").open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("quick_workers")
-def test_workers_have_a_curriculum_of_their_own(tmp_path: Path) -> None:
-    folder = run(LEARNABLE, tmp_path, workers=2, total_steps=512).folder
-    assert run(LEARNABLE, tmp_path, folder, workers=2, total_steps=768).steps == 768
-    assert sum(int(row["draws"]) for row in _record(folder)) >= 8
+    assert sum(int(row["draws"]) for row in record_of(second.folder)) >= sum(draws) + 4
 
 
 def test_a_range_of_one_world_leaves_nothing_to_choose(tmp_path: Path) -> None:
     folder = run(LEARNABLE, tmp_path, world="maze:7-7", total_steps=128).folder
-    assert [row["world"] for row in _record(folder)] == ["maze:7"]
-
-
-def test_a_curriculum_needs_worlds_to_choose_from(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="curriculum chooses among the worlds of a range"):
-        run(LEARNABLE, tmp_path, world="maze")
-    assert not list(tmp_path.iterdir())
+    assert [row["world"] for row in record_of(folder)] == ["maze:7"]
 
 
 # --- learnability
@@ -228,12 +208,8 @@ def test_difficulty_rises_with_success() -> None:
             rate = torch.sigmoid((skill - learnability.difficulty[drawn]) / 0.05)
             reached = (torch.rand(200, generator=generator) < rate).long()
             learnability.add(drawn, reached, 1 - reached)
-        difficulties.append(_mean(learnability.difficulty, learnability.probabilities(1.0, 0.25)))
+        difficulties.append((learnability.difficulty * learnability.probabilities(1.0, 0.25)).sum().item())
     assert difficulties == pytest.approx([0.2, 0.5, 0.8], abs=0.08)
-
-
-def _mean(values: Tensor, probabilities: Tensor) -> float:
-    return (values * probabilities).sum().item()
 
 
 def test_the_state_is_restored() -> None:

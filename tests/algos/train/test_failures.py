@@ -71,15 +71,18 @@ def test_a_closed_output_ends_a_run_with_a_checkpoint(
 
 
 @BOTH
-def test_invalid_settings_raise_before_anything_is_written(config: TrainingConfig, tmp_path: Path) -> None:
-    for settings, message in (({"world": "mars"}, "unknown world 'mars'"), ({"num_envs": 0}, "num_envs")):
-        with pytest.raises(ValueError, match=message):
-            run(config, tmp_path, **settings)
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
-def test_a_missing_gpu_raises(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"device='cuda' is not available: PyTorch .* finds cpu$"):
-        run(PPO, tmp_path, backend="warp", device="cuda")
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"world": "mars"}, "unknown world 'mars'"),
+        ({"num_envs": 0}, "num_envs"),
+        ({"backend": "warp", "curriculum": "learnability"}, "curriculum chooses among the worlds of a range"),
+        ({"backend": "warp", "device": "cuda:99"}, r"device='cuda:99' is not available: PyTorch .* finds cpu"),
+    ],
+)
+def test_invalid_settings_raise_before_anything_is_written(
+    config: TrainingConfig, settings: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        run(config, tmp_path, **settings)
     assert not list(tmp_path.iterdir())

@@ -27,9 +27,9 @@ from tests.algos.train.runs import (
     PPO,
     WALL,
     check_states,
+    check_workers,
     equal,
     field,
-    kept_batches,
     progress_of,
     run,
     state_of,
@@ -133,12 +133,11 @@ def test_sequences_are_mirrored_and_imitated_as_a_whole(config: TrainingConfig) 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick_workers")
-@BOTH
-def test_workers_carry_the_memory(config: TrainingConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    collected = kept_batches(monkeypatch)
-    run(config, tmp_path, workers=2, total_steps=384)
-    assert len(collected) == 3
-    check_states(collected, config.network.memory)
+@pytest.mark.parametrize("memory", ["gru", "lstm"])
+def test_workers_carry_the_memory_and_have_a_curriculum_of_their_own(
+    memory: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    check_workers(monkeypatch, tmp_path, memory)
 
 
 @pytest.mark.parametrize("memory", ["none", "gru"])

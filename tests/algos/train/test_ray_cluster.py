@@ -16,7 +16,7 @@ from rover_rl.algos.config import UNLIMITED_STEPS, with_settings
 from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.algos.train.collectors import WorkerError
 from tests.algos.train import runs
-from tests.algos.train.runs import before_updates, check_states, kept_batches, progress_of, run, state_of
+from tests.algos.train.runs import before_updates, check_workers, progress_of, run, state_of
 
 PPO = with_settings(runs.PPO, collector="ray", workers=None)
 SAC = with_settings(runs.SAC, collector="ray", workers=None)
@@ -62,15 +62,7 @@ def test_sac_learns_from_one_worker_while_the_other_collects(cluster: None, tmp_
 def test_remote_workers_carry_the_memory_and_have_a_curriculum_of_their_own(
     cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    collected = kept_batches(monkeypatch)
-    memory = {"memory": "gru", "memory_size": 8, "rollout_length": 8, "minibatch": 16}
-    config = with_settings(runs.LEARNABLE, **memory, collector="ray", workers=2)
-    folder = run(config, tmp_path, total_steps=384).folder
-    assert len(collected) == 3
-    check_states(collected, "gru")
-    assert run(config, tmp_path, folder, total_steps=512).steps == 512
-    record = (folder / "curriculum.csv").read_text().splitlines()
-    assert sum(int(row.split(",")[1]) for row in record[1:]) >= 8
+    check_workers(monkeypatch, tmp_path, "gru", collector="ray")
 
 
 def kill_a_worker_at_the_third_update(monkeypatch: pytest.MonkeyPatch, wait: float) -> None:

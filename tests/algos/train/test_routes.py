@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl import RoverEnv
@@ -48,11 +48,15 @@ def test_a_policy_with_routes_trains_and_drives_as_it_was_saved(tmp_path: Path, 
     assert torch.equal(*actions)
 
 
-def test_a_policy_with_a_prior_begins_as_the_driver_that_follows_the_route(tmp_path: Path) -> None:
-    settings = config(tmp_path, prior="route")
-    actor = PPOLearner(settings).actor
-    env = make_training_env(settings)
-    observation = env.rollout(4, break_when_any_done=False).select(*SENSES)
+@pytest.fixture(scope="module")
+def observation() -> TensorDictBase:
+    """What eight rovers see in four steps."""
+    env = make_training_env(config(Path(), prior="route"))
+    return env.rollout(4, break_when_any_done=False).select(*SENSES)
+
+
+def test_a_policy_with_a_prior_begins_as_the_driver_that_follows_the_route(observation: TensorDictBase) -> None:
+    actor = PPOLearner(config(Path(), prior="route")).actor
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         action = actor(observation.clone())["action"]
     expected = GridPlanner()(observation.clone())["action"]
@@ -63,10 +67,8 @@ def test_a_policy_with_a_prior_begins_as_the_driver_that_follows_the_route(tmp_p
     torch.testing.assert_close(action[inside], expected[inside], atol=0.2, rtol=0)
 
 
-def test_no_weights_take_back_what_the_driver_decides(tmp_path: Path) -> None:
-    settings = config(tmp_path, prior="route")
-    actor = PPOLearner(settings).actor
-    observation = make_training_env(settings).rollout(4, break_when_any_done=False).select(*SENSES)
+def test_no_weights_take_back_what_the_driver_decides(observation: TensorDictBase) -> None:
+    actor = PPOLearner(config(Path(), prior="route")).actor
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         for weight in actor.parameters():
             weight *= 100.0
@@ -81,8 +83,7 @@ def test_no_weights_take_back_what_the_driver_decides(tmp_path: Path) -> None:
     assert ((action - driver).abs() > 0.2)[decided].any(), "the weights change the action"
 
 
-def test_the_prior_of_a_mirror_image_is_the_mirror_image_of_the_prior(tmp_path: Path) -> None:
-    observation = make_training_env(config(tmp_path)).rollout(4, break_when_any_done=False).select(*SENSES)
+def test_the_prior_of_a_mirror_image_is_the_mirror_image_of_the_prior(observation: TensorDictBase) -> None:
     every = torch.ones(observation.batch_size, dtype=torch.bool)
     image = GridPlanner()(mirrored(observation, every))["action"]
     expected = GridPlanner()(observation.clone())["action"] * torch.tensor([1.0, -1.0])

@@ -22,17 +22,15 @@ def test_each_run_gets_a_new_folder(tmp_path: Path) -> None:
         new_run_folder(tmp_path, "../elsewhere", "ppo")
 
 
-def test_a_state_is_no_checkpoint_and_a_checkpoint_is_no_state(checkpoint: Checkpoint, tmp_path: Path) -> None:
+def test_a_state_is_no_checkpoint_a_checkpoint_is_no_state_and_truncated_files_raise(
+    checkpoint: Checkpoint, tmp_path: Path
+) -> None:
     save_run(tmp_path, checkpoint, {"steps": 3})
     assert load_state(tmp_path / "training_state.pt") == {"steps": 3}
     with pytest.raises(ValueError, match="no training state"):
         load_state(tmp_path / "checkpoint.pt")
     with pytest.raises(ValueError, match="no checkpoint"):
         Checkpoint.load(tmp_path / "training_state.pt")
-
-
-def test_truncated_files_raise(checkpoint: Checkpoint, tmp_path: Path) -> None:
-    save_run(tmp_path, checkpoint, {"steps": 3})
     for name, load in (("checkpoint.pt", Checkpoint.load), ("training_state.pt", load_state)):
         path = tmp_path / name
         data = path.read_bytes()

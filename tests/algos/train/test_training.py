@@ -23,7 +23,9 @@ Trained = Callable[[str], TrainingSummary]
 
 
 @BOTH
-def test_a_run_writes_settings_progress_and_policies(config: TrainingConfig, trained: Trained) -> None:
+def test_a_run_writes_settings_progress_and_policies_that_can_be_evaluated(
+    config: TrainingConfig, trained: Trained
+) -> None:
     summary = trained(config.algo)
     folder = summary.folder
     assert folder.name == f"{config.algo}-maze"
@@ -39,11 +41,7 @@ def test_a_run_writes_settings_progress_and_policies(config: TrainingConfig, tra
     assert sorted(file.name for file in (folder / "snapshots").iterdir()) == ["000000128.pt", "000000256.pt"]
     assert sum(summary.shares.values()) == pytest.approx(1)
     assert all(share >= 0 for share in summary.shares.values())
-
-
-@BOTH
-def test_a_trained_policy_can_be_evaluated(config: TrainingConfig, trained: Trained) -> None:
-    checkpoint = Checkpoint.load(trained(config.algo).checkpoint)
+    checkpoint = Checkpoint.load(summary.checkpoint)
     assert (checkpoint.config.algo, checkpoint.steps) == (config.algo, 256)
     assert len(evaluate(checkpoint.make_actor(), draw_episodes("maze", 2, 0), seconds=1).endings) == 2
 

@@ -186,10 +186,9 @@ def test_the_position_history_of_rows_that_are_not_active_does_not_move():
     assert displacement[1].item() == math.inf
 
 
-@pytest.mark.parametrize("settings", [{}, {"length": 1}, {"length": 7}])
-def test_an_episode_is_truncated_at_its_length_which_is_2000_by_default(settings):
-    length = settings.get("length", 2000)
-    results = play(scripted(moving(length), reward="task", **settings), length)
+@pytest.mark.parametrize("length", [1, 7])
+def test_an_episode_is_truncated_at_its_length(length):
+    results = play(scripted(moving(length), reward="task", length=length), length)
     assert [td["truncated"].item() for td in results] == done(results) == [False] * (length - 1) + [True]
     assert not results[-1]["terminated"].item()
 

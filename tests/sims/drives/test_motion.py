@@ -7,29 +7,24 @@ import math
 import pytest
 import torch
 
-from rover_rl.sims import make_simulator
-from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.rotations import quaternion_to_euler
-from rover_rl.sims.worlds import Terrain, World
+from tests.sims import driven
+from tests.sims.driven import FLAT, ROVER, placed
 from tests.sims.drives.vehicles import TRACK, WHEELBASE, make_car, make_omni
 
 DT = 0.05
-FLAT = World("flat", Terrain.flat((40, 40)))
 
 
 def drive(backend, robot, commands, settle=40, steps=20):
     """Returns poses (x, y, yaw) ``[steps + 1, N, 3]`` and the last state of rovers that hold their commands."""
-    simulator = make_simulator(backend, worlds=[FLAT] * len(commands), robot=robot)
-    simulator.reset(torch.ones(len(commands), dtype=torch.bool), torch.zeros(len(commands), 3))
-    for _ in range(settle):
-        state = simulator.step(torch.tensor(commands))
-    poses = []
-    for step in range(steps + 1):
-        poses.append(torch.cat((state.position[:, :2], quaternion_to_euler(state.orientation)[:, 2:]), -1))
-        state = simulator.step(torch.tensor(commands)) if step < steps else state
+    simulator = placed(backend, FLAT, torch.zeros(len(commands), 3), robot)
+    states = driven.drive(simulator, commands, settle + steps)[settle - 1 :]
     simulator.close()
-    return torch.stack(poses).double(), state
+    yaws = [quaternion_to_euler(state.orientation)[:, 2:] for state in states]
+    poses = [torch.cat((state.position[:, :2], yaw), -1) for state, yaw in zip(states, yaws, strict=True)]
+    return torch.stack(poses).double(), states[-1]
 
 
 def twist(poses, ahead=0.0):
@@ -99,13 +94,12 @@ def test_an_omnidirectional_robot_takes_commands_without_a_sideways_speed(tmp_pa
 
 
 def test_a_rover_with_spheres_for_wheels_drives_and_turns(backend, tmp_path):
-    rover = get_robot("rover_zero")
     cylinder = '<cylinder radius="0.122" length="0.09"/></geometry>\n    </collision>'
-    text = rover.urdf.read_text()
+    text = ROVER.urdf.read_text()
     assert cylinder in text
     urdf = tmp_path / "spheres.urdf"
     urdf.write_text(text.replace(cylinder, '<sphere radius="0.122"/></geometry>\n    </collision>'))
-    spheres = Robot.from_urdf(urdf, drive=rover.drive)
+    spheres = Robot.from_urdf(urdf, drive=ROVER.drive)
     # The spheres reach 0.122 m to the sides of their hubs.
     assert footprint(spheres).half_width == pytest.approx(0.18 + 0.122)
     poses, _ = drive(backend, spheres, [[0.5, 0.0], [0.0, 1.0]])

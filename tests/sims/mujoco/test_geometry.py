@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from rover_rl.sims import make_simulator
 from rover_rl.sims.free_space import free_space
-from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.inertial_model import read_inertial_model
 from rover_rl.sims.worlds import Terrain, World, get_world
+from tests.sims.driven import ROVER, drive, in_world, placed
 
 pytest.importorskip("mujoco", reason="needs rover_rl[mujoco]")
 
@@ -21,7 +20,6 @@ from rover_rl.sims.mujoco.lidar import Lidar, Scene
 from rover_rl.sims.mujoco.model import make_model
 from rover_rl.sims.native.mujoco import mujoco
 
-ROVER = get_robot("rover_zero")
 MODEL = read_inertial_model(ROVER)
 
 
@@ -49,21 +47,15 @@ def test_the_ground_of_the_wheels_and_of_the_lidar_has_the_triangles_of_the_terr
 
 def test_wheels_rest_on_the_triangles_of_the_terrain():
     world = hills()
-    poses = torch.tensor([(0.4 * k - 2, 0.3 * k - 1, 1.3 * k) for k in range(10)])
-    simulator = make_simulator(MujocoSettings(), worlds=[world] * 10, robot=ROVER)
-    simulator.reset(torch.ones(10, dtype=torch.bool), poses)
-    for _ in range(30):
-        state = simulator.step(torch.zeros(10, 2))
+    simulator = placed(MujocoSettings(), world, [(0.4 * k - 2, 0.3 * k - 1, 1.3 * k) for k in range(10)])
+    state = drive(simulator, (0.0, 0.0), 30)[-1]
     angle = torch.arange(180, dtype=torch.float64) * math.pi / 90
     # The ground carries each wheel at two circles, width / sqrt(3) apart.
     across = torch.tensor((-0.5, 0.5), dtype=torch.float64) * ROVER.wheels.width / math.sqrt(3)
     rim = ROVER.wheels.radius * torch.stack((angle.sin(), 0 * angle, -angle.cos()), -1)
     rims = rim[:, None] + torch.stack((0 * across, across, 0 * across), -1)
     rims = torch.tensor(ROVER.wheels.hubs, dtype=torch.float64)[:, None] + rims.reshape(-1, 3)
-    x, y, z, w = (part[:, None, None] for part in state.orientation.double().split(1, -1))
-    vector, points = torch.broadcast_tensors(torch.cat((x, y, z), -1), rims[None])
-    turned = points + 2 * torch.linalg.cross(vector, torch.linalg.cross(vector, points) + w * points)
-    points = state.position.double()[:, None, None] + turned
+    points = in_world(state, rims.reshape(-1, 3)).reshape(10, *rims.shape)
     gaps = (points[..., 2] - world.height_at(points[..., :2])).amin(-1)
     # A wheel sinks in by half a millimeter under a quarter of the weight. At least two wheels stand on the ground.
     assert gaps.min() > -0.003
@@ -78,8 +70,7 @@ def test_scans_match_those_of_bullet(name):
     poses = torch.cat((cells, 0.8 * torch.arange(len(cells))[:, None]), 1).float()
     scans = []
     for backend in ("bullet", "mujoco"):
-        simulator = make_simulator(backend, worlds=[world] * len(poses), robot=ROVER)
-        simulator.reset(torch.ones(len(poses), dtype=torch.bool), poses)
+        simulator = placed(backend, world, poses)
         scans.append(simulator.scanner(64).scan().clamp(max=ROVER.lidar_range))
         simulator.close()
     close = (scans[0] - scans[1]).abs() < 0.01

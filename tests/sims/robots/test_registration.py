@@ -11,29 +11,22 @@ from rover_rl.sims.robots import get_robot, register_robot, robot_names
 ROVER = get_robot("rover_zero")
 SLOW_ROVER = replace(ROVER, name="slow", drive=replace(ROVER.drive, max_speed=0.2))
 
+HERE = "tests.sims.robots.test_registration"
+
 pytestmark = pytest.mark.usefixtures("own_registries")
 
 
-@pytest.mark.parametrize("part", [SLOW_ROVER, lambda: SLOW_ROVER])
-def test_a_registered_robot_or_function(part):
+def make_slow():
+    return SLOW_ROVER
+
+
+@pytest.mark.parametrize("part", [SLOW_ROVER, make_slow, f"{HERE}:SLOW_ROVER", f"{HERE}:make_slow"])
+def test_a_registered_robot_function_or_import_path(part):
     register_robot("registered-robot", part)
     assert "registered-robot" in robot_names()
-    assert get_robot("registered-robot") is get_robot(SLOW_ROVER) is SLOW_ROVER
-
-
-def test_robots_by_import_path(tmp_path, monkeypatch):
-    source = (
-        "from dataclasses import replace\n"
-        "from rover_rl.sims.robots import get_robot\n"
-        "rover = get_robot('rover_zero')\n"
-        "fast = replace(rover, name='fast', drive=replace(rover.drive, max_speed=2.0))\n"
-        "def make():\n    return fast\n"
-    )
-    (tmp_path / "registration_test_robots.py").write_text(source)
-    monkeypatch.syspath_prepend(tmp_path)
-    register_robot("registered-robot-path", "registration_test_robots:make")
-    for name in ("registration_test_robots:fast", "registration_test_robots:make", "registered-robot-path"):
-        assert get_robot(name).name == "fast"
+    assert get_robot("registered-robot") == get_robot(SLOW_ROVER) == SLOW_ROVER
+    if isinstance(part, str):
+        assert get_robot(part) == SLOW_ROVER
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Validation of a robot's parameters."""
+"""Validation of a robot's parameters, and its footprint."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import warnings
 from dataclasses import replace
 from math import inf, nan
 
+import numpy as np
 import pytest
 
 from rover_rl.sims.drives import SkidSteer
 from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.robots.footprint import covering_discs, footprint
 
 ROVER = get_robot("rover_zero")
 DRIVE = ROVER.drive
@@ -100,3 +102,19 @@ def test_a_usual_robot_is_not_warned_of():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         replace(ROVER, radius=0.5, drive=replace(DRIVE, torque=3.0))
+
+
+def test_the_footprint_is_the_rectangle_around_the_wheels_within_the_turning_circle():
+    outline = footprint(ROVER)
+    assert outline == pytest.approx((-0.267, 0.2635, -0.225, 0.225))
+    assert np.hypot(outline.half_length, outline.half_width) <= ROVER.radius
+
+
+@pytest.mark.parametrize("excess", [0.005, 0.02, 0.1])
+def test_discs_cover_the_footprint(excess):
+    centers, radius = covering_discs(ROVER, excess)
+    outline = footprint(ROVER)
+    x, y = np.meshgrid(np.linspace(outline.back, outline.front, 60), np.linspace(outline.right, outline.left, 60))
+    away = np.hypot(x[..., None] - centers, y[..., None]).min(-1)
+    assert away.max() <= radius + 1e-9
+    assert outline.half_width < radius <= outline.half_width + excess + 1e-9

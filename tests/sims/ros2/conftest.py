@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 import os
 import random
 from collections.abc import Callable, Iterator
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
+    from rover_rl import RoverEnv, World
     from tests.sims.ros2.wire import Rover, SimulatedRobot, Wire
 
 # The tests need rover_rl[ros2].
@@ -56,15 +58,22 @@ def rover(wire: Wire) -> Rover:
 
 
 @pytest.fixture
-def start_robot(wire: Wire) -> Iterator[Callable[..., SimulatedRobot]]:
-    """Starts a simulated robot on the wire: see :class:`SimulatedRobot`. Closes it at the end."""
+def start_env(wire: Wire) -> Iterator[Callable[..., tuple[SimulatedRobot, RoverEnv]]]:
+    """Starts a simulated robot on the wire, in a world at a pose, and the environment that drives it."""
+    from rover_rl import RoverEnv
+    from rover_rl.sims.ros2 import Ros2Settings
     from tests.sims.ros2.wire import SimulatedRobot
 
     with ExitStack() as stack:
 
-        def start(*arguments: Any, **keywords: Any) -> SimulatedRobot:
-            robot = SimulatedRobot(wire, *arguments, **keywords)
+        def start(
+            world: World, pose: Any, view: float = 2 * math.pi, **settings: Any
+        ) -> tuple[SimulatedRobot, RoverEnv]:
+            robot = SimulatedRobot(wire, world, pose, view)
             stack.callback(robot.simulator.close)
-            return robot
+            backend = Ros2Settings(**{"reset": "none", "settle": 0.05, "step_timeout": 20.0, **settings})
+            env = RoverEnv(world_n=world, length=10**9, backend=backend, end_on_goal=True, seed=0)
+            stack.callback(env.close)
+            return robot, env
 
         yield start

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
+
+from tests.fork_server import fork_server
 
 
 def until(condition: Callable[[], object], seconds: float = 40.0) -> None:
@@ -21,20 +22,6 @@ def until(condition: Callable[[], object], seconds: float = 40.0) -> None:
 
 ROBOT = ("robot", "--lidar-beams", "128")
 
-# A new interpreter takes seconds to import PyTorch. The fork server imports once what the commands need; the processes
-# that it forks begin with that.
-_FORK_SERVER = multiprocessing.get_context("forkserver")
-_FORK_SERVER.set_forkserver_preload(
-    [
-        "pytest",
-        "rover_rl.cli",
-        "rover_rl.algos.deploy.driving",
-        "rover_rl.algos.evaluation.evaluate",
-        "rover_rl.sims.bullet",
-        "rover_rl.sims.ros2.dds",
-    ]
-)
-
 
 class Command:
     """``rover-rl`` in a process of its own, forked from a server that has imported the package.
@@ -46,7 +33,9 @@ class Command:
 
     def __init__(self, environment: dict[str, str], *arguments: str) -> None:
         self._output = tempfile.NamedTemporaryFile("r")  # noqa: SIM115
-        self._process = _FORK_SERVER.Process(target=_run, args=(environment, arguments, self._output.name), daemon=True)
+        self._process = fork_server().Process(  # type: ignore[attr-defined]
+            target=_run, args=(environment, arguments, self._output.name), daemon=True
+        )
         self._process.start()
 
     @property

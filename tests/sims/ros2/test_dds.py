@@ -70,22 +70,17 @@ def test_a_failing_callback_does_not_affect_others(pair, caplog):
     assert "the callback failed" in caplog.text
 
 
-def test_a_closed_connection_raises_an_error(domain):
+def test_a_topic_has_one_type_and_a_closed_connection_raises_an_error(domain):
     transport = DdsTransport("gone", domain)
     publish = transport.publisher("/cmd_vel", Twist)
+    with pytest.raises(ValueError, match=r"/cmd_vel has type geometry_msgs/msg/Twist, and cannot also have type"):
+        transport.subscribe("/cmd_vel", Clock, print)
     transport.close()
     transport.close()
     with pytest.raises(RuntimeError, match="connection of gone is closed"):
         publish(Twist())
     with pytest.raises(RuntimeError, match="connection of gone is closed"):
         transport.subscribe("/scan", LaserScan, print)
-
-
-def test_a_topic_has_one_type(pair):
-    talker, _ = pair
-    talker.publisher("/cmd_vel", Twist)
-    with pytest.raises(ValueError, match=r"/cmd_vel has type geometry_msgs/msg/Twist, and cannot also have type"):
-        talker.subscribe("/cmd_vel", Clock, print)
 
 
 def test_a_forked_process_is_rejected(domain):
@@ -102,15 +97,12 @@ def test_a_forked_process_is_rejected(domain):
     assert os.waitstatus_to_exitcode(status) == 0
 
 
-@pytest.mark.parametrize("text", ["-1", "233", "five", "1.5"])
-def test_an_invalid_domain_id_is_rejected(text):
-    with pytest.raises(ValueError, match="ROS_DOMAIN_ID must be a whole number from 0 to 232"):
-        domain_id({"ROS_DOMAIN_ID": text})
-
-
 def test_domain_and_discovery_range_follow_ros_variables():
     assert domain_id({}) == domain_id({"ROS_DOMAIN_ID": " "}) == 0
     assert domain_id({"ROS_DOMAIN_ID": "42"}) == 42
+    for text in ("-1", "233", "five", "1.5"):
+        with pytest.raises(ValueError, match="ROS_DOMAIN_ID must be a whole number from 0 to 232"):
+            domain_id({"ROS_DOMAIN_ID": text})
     assert "127.0.0.1" not in domain_settings({})
     for variables in ({"ROS_LOCALHOST_ONLY": "1"}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "localhost"}):
         assert "127.0.0.1" in domain_settings(variables)
@@ -130,7 +122,7 @@ def test_environments_release_threads_and_files(in_domain):
 
     once()
     before = open_resources()
-    for _ in range(20):
+    for _ in range(10):
         once()
     until(lambda: open_resources() == before)
 

@@ -26,9 +26,7 @@ from tests.sims.ros2.processes import Command, start_robot, until
 
 pytestmark = [pytest.mark.ros2, pytest.mark.slow]
 
-FAR = ("--goal", "9", "9")
-"""Arguments with a goal that is not reached soon."""
-LONG = ("scripted", "--world", "maze", *FAR)
+LONG = ("scripted", "--world", "maze", "--goal", "9", "9")
 """Arguments of a drive that does not end soon."""
 
 
@@ -106,7 +104,7 @@ def driving(environment, log) -> Iterator[Callable[..., Command]]:
 
 
 def test_drive_writes_a_log_that_evaluate_reads(driving, observer, log, tmp_path):
-    goals = ("--random", "2", "--seconds", "5", "--clearance", "0")
+    goals = ("--random", "2", "--seconds", "3", "--clearance", "0")
     drive = driving("pretrained:anywhere", "--world", "maze", *goals)
     code = drive.wait(90)
     assert code in (0, 1), drive.output

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,7 +15,6 @@ from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.algos.policy.runner import PolicyRunner
 from rover_rl.algos.pretrained import load_pretrained
 from rover_rl.cli import main
-from rover_rl.sims.ros2 import Ros2Settings
 from rover_rl.sims.ros2.messages import Twist
 from rover_rl.sims.worlds import get_world
 from tests.algos.policy.memories import CountingPolicy
@@ -27,23 +25,21 @@ GOAL = (-20.4, -24.2)
 
 
 @pytest.fixture
-def robot(start_robot) -> SimulatedRobot:
-    return start_robot(get_world("inspect"), START)
+def started(start_env) -> tuple[SimulatedRobot, RoverEnv]:
+    return start_env(get_world("inspect"), START)
 
 
 @pytest.fixture
-def env(robot: SimulatedRobot) -> Iterator[RoverEnv]:
-    settings = Ros2Settings(reset="none", settle=0.05, step_timeout=20.0)
-    env = RoverEnv(world_n="inspect", length=10**9, backend=settings, end_on_goal=True, seed=0)
-    yield env
-    env.close()
+def env(started) -> RoverEnv:
+    return started[1]
 
 
 def stopped(wire: Wire) -> bool:
     return wire.sent["/cmd_vel"][-3:] == [Twist()] * 3
 
 
-def test_a_drive_ends_and_stops_at_its_goal(env, wire, robot):
+def test_a_drive_ends_and_stops_at_its_goal(started, wire):
+    robot, env = started
     moments: list[Moment] = []
     assert drive_to(env, ScriptedPolicy(), GOAL, watch=moments.append) == "goal"
     assert stopped(wire)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from rover_rl.algos.deploy.drive_log import DriveLog
 from rover_rl.algos.deploy.driving import Moment, drive_to
 from rover_rl.algos.evaluation.metrics import RESTARTED, TIME_LIMIT, count_reversals
 from rover_rl.algos.pretrained import load_pretrained
-from rover_rl.sims.ros2 import RobotLostError, Ros2Settings
+from rover_rl.sims.ros2 import RobotLostError
 from rover_rl.sims.ros2.messages import Header, LaserScan, PoseArray, Twist
 from tests.sims.ros2.wire import SimulatedRobot
 
@@ -34,18 +34,9 @@ FRONT, TAIL = 0.265, 0.27
 
 
 @pytest.fixture
-def start(start_robot) -> Iterator[Callable[..., tuple[SimulatedRobot, RoverEnv]]]:
+def start(start_env) -> Callable[..., tuple[SimulatedRobot, RoverEnv]]:
     """Starts a robot on the course, and the environment that drives it."""
-    with ExitStack() as stack:
-
-        def make(view: float = 2 * math.pi, **settings: object) -> tuple[SimulatedRobot, RoverEnv]:
-            robot = start_robot(COURSE, (0.0, 0.0, 0.0), view)
-            backend = replace(Ros2Settings(reset="none", settle=0.05, step_timeout=20.0), **settings)
-            env = RoverEnv(world_n=COURSE, length=10**9, backend=backend, end_on_goal=True, seed=0)
-            stack.callback(env.close)
-            return robot, env
-
-        yield make
+    return partial(start_env, COURSE, (0.0, 0.0, 0.0))
 
 
 def straight(speed: float) -> Callable[[TensorDictBase], TensorDictBase]:
@@ -78,15 +69,11 @@ def test_a_robot_with_unusable_scans_is_not_driven(wire, start):
     assert max(robot.driven) < 0.01
 
 
-def test_a_lidar_with_a_narrower_view_than_the_policys_is_rejected(start):
+def test_a_rover_with_a_forward_lidar_does_not_back_up_nor_drive_a_policy_with_a_wider_view(start):
     robot, env = start(view=math.pi)
     with pytest.raises(ValueError, match=r"the scan covers 18\d degrees, and the policy was trained with 360"):
         drive_to(env, straight(1.0), (6.0, 0.0))
     assert max(robot.driven) < 0.01
-
-
-def test_a_rover_with_a_forward_lidar_does_not_back_up(start):
-    robot, env = start(view=math.pi)
     moments: list[Moment] = []
     ending = drive_to(env, straight(-1.0), (-6.0, 0.0), seconds=2.0, allow_unseen=True, watch=moments.append)
     assert ending == TIME_LIMIT

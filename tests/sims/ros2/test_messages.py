@@ -11,6 +11,7 @@ from rover_rl.sims.ros2 import messages
 from rover_rl.sims.ros2.messages import Header, Imu, LaserScan, Pose, PoseArray, Quaternion, Time, decode, encode
 
 HEADER = Header(Time(1, 2), "lidar")
+LONG = b"\x00\x01\x00\x00" + bytes(8) + b"\xff\xff\xff\x7f" + bytes(40)
 SENT = [
     LaserScan(HEADER, range_max=10.0, ranges=np.ones(8, np.float32)),
     Imu(HEADER),
@@ -47,16 +48,18 @@ def test_fields_have_defaults():
     assert LaserScan().ranges.dtype == np.float32
 
 
-def test_announced_lengths_are_checked():
-    header = b"\x00\x01\x00\x00" + bytes(8)
-    for kind in (LaserScan, PoseArray):
-        with pytest.raises(ValueError, match="Invalid sequence length|Invalid string length"):
-            decode(kind, header + b"\xff\xff\xff\x7f" + bytes(40))
-
-
-def test_other_representations_are_rejected():
-    with pytest.raises(ValueError, match="CDR encapsulation"):
-        decode(messages.Twist, b"\x00\x03\x00\x00" + bytes(48))
+@pytest.mark.parametrize(
+    ("kind", "payload", "message"),
+    [
+        (LaserScan, LONG, "Invalid sequence length|Invalid string length"),
+        (PoseArray, LONG, "Invalid sequence length|Invalid string length"),
+        (messages.Twist, b"\x00\x03\x00\x00" + bytes(48), "CDR encapsulation"),
+    ],
+    ids=["a text of 2 GB", "a sequence of 2 GB", "another representation"],
+)
+def test_announced_lengths_and_the_representation_are_checked(kind, payload, message):
+    with pytest.raises(ValueError, match=message):
+        decode(kind, payload)
 
 
 def test_an_array_of_wrong_length_is_rejected():

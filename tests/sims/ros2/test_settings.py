@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import pytest
 from hypothesis import given
@@ -11,6 +12,7 @@ from rover_rl.sims.robots import get_robot
 from rover_rl.sims.ros2 import Ros2Settings
 from rover_rl.sims.ros2.settings import MIN_REVERSAL, CommandLimiter, CommandLimits
 
+LIMIT_NAMES = ["max_speed", "max_yaw_rate", "max_acceleration", "max_yaw_acceleration"]
 LIMITS = CommandLimits(speed=1.0, yaw_rate=2.0, acceleration=5.0, yaw_acceleration=4.0)
 
 
@@ -64,23 +66,18 @@ def test_settings_override_the_limits_of_the_robot():
     assert settings.limits(robot) == CommandLimits(0.3, 0.5, 0.6, 0.7)
 
 
-@pytest.mark.parametrize("name", ["max_speed", "max_yaw_rate", "max_acceleration", "max_yaw_acceleration"])
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
-def test_an_invalid_limit_is_rejected(name, value):
-    with pytest.raises(ValueError, match=f"{name} must be positive and finite"):
-        Ros2Settings(**{name: value})
-
-
 @pytest.mark.parametrize(
-    ("settings", "message"),
+    ("names", "values", "message"),
     [
-        ({"reset": "later"}, "reset must be one of"),
-        ({"transport": "zenoh"}, "transport must be one of"),
-        ({"step_timeout": 0.0}, "step_timeout must be positive and finite"),
-        ({"lidar_yaw": math.nan}, "lidar_yaw must be a finite angle"),
-        ({"max_invalid": 1.0}, "max_invalid must be at least 0 and less than 1"),
+        (LIMIT_NAMES, [0.0, -1.0, math.nan, math.inf], "must be positive and finite"),
+        (["step_timeout"], [0.0], "must be positive and finite"),
+        (["reset"], ["later"], "must be one of"),
+        (["transport"], ["zenoh"], "must be one of"),
+        (["lidar_yaw"], [math.nan], "must be a finite angle"),
+        (["max_invalid"], [1.0], "must be at least 0 and less than 1"),
     ],
 )
-def test_invalid_settings_are_rejected(settings, message):
-    with pytest.raises(ValueError, match=message):
-        Ros2Settings(**settings)
+def test_invalid_settings_are_rejected(names, values, message):
+    for name, value in product(names, values):
+        with pytest.raises(ValueError, match=f"{name} {message}"):
+            Ros2Settings(**{name: value})
