@@ -121,7 +121,8 @@ class RoverPhysics:
         )
         self._states[rows] = trajectories[:, -1]
         all_contacts, with_ground, with_movers = contacts[..., :1], contacts[..., 1:2], contacts[..., 2:]
-        return np.concatenate((all_contacts > with_ground, with_movers > 0), -1).any(1)
+        touching: np.ndarray = np.concatenate((all_contacts > with_ground, with_movers > 0), -1)
+        return np.any(touching, axis=1)
 
     def read(self, rows: np.ndarray) -> Reading:
         """Returns the poses and joints of the given rovers."""
