@@ -230,7 +230,7 @@ class MoverField:
         return random_bits(movers.reshape(-1, 1), _DRAWS, draws.reshape(-1, 1), count).reshape(*draws.shape, count)
 
     def _place(self, rows: Tensor | None, begins: bool = False) -> None:
-        """Places the parts of the movers in ``rows`` (``None``: all), on the ground. Parts of the other rows do not move."""
+        """Places parts on the ground, of the movers in ``rows`` (``None``: all). Those of other rows do not move."""
         assert self.parts is not None
         parts, local, course = self.parts, self._local, self.course
         ground = self._terrains.of(self._worlds.slots).height_at(course.position.double()).float()
