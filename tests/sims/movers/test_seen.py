@@ -106,7 +106,7 @@ def compare(env: RoverEnv, alone: RoverEnv, steps: int, every: int) -> tuple[flo
                 ranges = expected(env, row, placed_meshes(env, row), alone.scan[row])
                 agree.append(shares_within_1_cm(env.scan[row], ranges))
                 meet.append(ranges < alone.scan[row].numpy())
-        assert torch.allclose(env.rover_state.position, alone.rover_state.position, atol=5e-4)
+        assert torch.allclose(env.rover_state.position, alone.rover_state.position, atol=2e-3)
     return float(np.mean(agree)), float(np.mean(meet))
 
 
