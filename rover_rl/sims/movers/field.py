@@ -13,7 +13,7 @@ from torch.nn.functional import pad
 from rover_rl.rng import random_bits
 from rover_rl.sims.movers.walls import WallTable
 from rover_rl.sims.rotations import wrap_angle
-from rover_rl.sims.worlds.movers.motions.base import Course, Motion, Others, Scene
+from rover_rl.sims.worlds.movers.motions.base import Courses, Motion, Others, Scene
 from rover_rl.sims.worlds.movers.mover import Mover
 from rover_rl.sims.worlds.movers.shapes import KINDS, Part, radius_of
 from rover_rl.sims.worlds.region import union
@@ -34,7 +34,7 @@ class Parts:
     """Convex solids of the movers of each row, for sensors and physics. Rows with fewer than ``P`` are filled up.
 
     Attributes:
-        kind: index in :data:`~rover_rl.sims.worlds.movers.shapes.KINDS`, -1 for none, int32 ``[N, P]``.
+        kind: 0 for a cylinder, 1 for a box, 2 for a capsule, -1 for none, int32 ``[N, P]``.
         form: index in :attr:`MoverField.forms`, -1 for none, int32 ``[N, P]``.
         half: half of the length, width and height, ``[N, P, 3]``, m.
         mover: index of the part's mover, int64 ``[N, P]``.
@@ -98,7 +98,7 @@ class MoverField:
         self._slots: Tensor | None = None
         self._steps = torch.zeros(count, 1, dtype=torch.int64, device=device)
         self._keys = torch.zeros_like(self._steps)
-        self.course = Course.at_rest(count, 0, device)
+        self.course = Courses.at_rest(count, 0, device)
         # Way that each mover has gone, from which its legs swing, [N, M], m.
         self._walked = torch.zeros(count, 0, device=device)
         self.present = torch.zeros(count, 0, dtype=torch.bool, device=device)
@@ -157,7 +157,7 @@ class MoverField:
             return
         count, movers = self.radius.shape
         self._mover_keys = random_bits(self._keys, _MOVERS, 0, movers)
-        blank = Course.at_rest(count, movers, mask.device)
+        blank = Courses.at_rest(count, movers, mask.device)
         self.course = blank.where(mask.expand_as(self.present), self.course)
         still = Others(rovers[:, None], torch.zeros_like(rovers)[:, None], self._rover_radius)
         self._change("begin", mask, still)

@@ -71,7 +71,7 @@ class Crowd:
 
 @wp.struct
 class Courses:
-    """Courses of all movers: see :class:`~rover_rl.sims.worlds.movers.motions.base.Course`."""
+    """Courses of all movers: see :class:`~rover_rl.sims.worlds.movers.motions.base.Courses`."""
 
     position: wp.array2d[wp.vec2]
     yaw: wp.array2d[float]
