@@ -182,9 +182,9 @@ def _walls(scene: Scene) -> Any:
 def _courses(course: Courses) -> Any:
     """Returns courses as a kernel reads and writes them, in the same memory."""
     from rover_rl.sims.native.warp import wp
-    from rover_rl.sims.worlds.movers.motions.walking_kernels import Courses
+    from rover_rl.sims.worlds.movers.motions.walking_kernels import CourseArrays
 
-    courses = Courses()
+    courses = CourseArrays()
     for item in fields(Courses):
         value = getattr(course, item.name)
         setattr(courses, item.name, wp.from_torch(value, dtype=wp.vec2) if value.ndim == 3 else wp.from_torch(value))
