@@ -22,6 +22,7 @@ BASELINES = {
     "dwa": "rover_rl.algos.policy.dwa:DynamicWindowPolicy",
     "gridplanner": "rover_rl.algos.policy.grid_planner:GridPlanner",
     "expert": "rover_rl.algos.policy.expert:MapExpert",
+    "foresight": "rover_rl.algos.policy.foresight:ForesightPolicy",
 }
 """Classes of the baseline policies, ``module:class``, by name. The first argument of each is the robot."""
 

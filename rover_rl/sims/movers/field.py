@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -202,26 +202,44 @@ class MoverField:
         speed = self.course.velocity.norm(dim=-1).gather(1, parts.mover.gather(1, which))
         return least, speed
 
+    def ahead(self, seconds: float) -> Course:
+        """Returns where the movers will be after some time, as far as that is known.
+
+        Those whose motion depends on time alone will be where they are then. Of others, such as those that react or
+        move at random, the velocity is taken to stay the same.
+        """
+        later = self.course
+        later = replace(later, position=later.position + seconds * later.velocity)
+        nobody = Others(self.course.position[:, :0], self.course.velocity[:, :0], self._rover_radius)
+        for number, motion in enumerate(self._tables.motions if self.parts is not None else ()):
+            if motion.is_foreseen:
+                mine = self._motion == number
+                later = motion.advance(self._scene(motion, mine, nobody, seconds)).where(mine, later)
+        return later
+
     def _change(self, method: str, rows: Tensor, rovers: Others) -> None:
         """Calls a method of every motion for its movers in ``rows``, and stores the courses."""
-        before = after = self.course
+        after = self.course
         for number, motion in enumerate(self._tables.motions):
             mine = (self._motion == number) & rows
-            scene = Scene(
-                course=before,
-                settings=self._settings[motion],
-                mine=mine,
-                present=self.present,
-                radius=self.radius,
-                time=self._steps.double() * self._dt,
-                dt=self._dt,
-                walls=self._walls,
-                bounds=self._corners,
-                rovers=rovers,
-                bits=self._bits,
-            )
-            after = getattr(motion, method)(scene).where(mine, after)
+            after = getattr(motion, method)(self._scene(motion, mine, rovers)).where(mine, after)
         self.course = after
+
+    def _scene(self, motion: type[Motion], mine: Tensor, rovers: Others, ahead: float = 0.0) -> Scene:
+        """Returns what a motion depends on, with the clock some time ``ahead`` (s)."""
+        return Scene(
+            course=self.course,
+            settings=self._settings[motion],
+            mine=mine,
+            present=self.present,
+            radius=self.radius,
+            time=self._steps.double() * self._dt + ahead,
+            dt=self._dt,
+            walls=self._walls,
+            bounds=self._corners,
+            rovers=rovers,
+            bits=self._bits,
+        )
 
     def _bits(self, count: int) -> Tensor:
         """Returns random bits of each mover and draw, int64 ``[N, M, count]``."""
