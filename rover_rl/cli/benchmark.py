@@ -13,6 +13,8 @@ from rover_rl.cli.policies import BACKEND, SEVERAL_POLICIES, EnvOptions, resolve
 
 if TYPE_CHECKING:
     from rover_rl.algos.benchmarks.suite import Suite
+    from rover_rl.algos.evaluation.evaluate import Policy
+    from rover_rl.envs import EnvConfig
 
 
 @dataclass(frozen=True)
@@ -123,6 +125,37 @@ class RosJackalBenchmark(_MovingBenchmark):
         return _run(RosJackal(read_ros_jackal(self.data, self._numbers()), runs=self.runs, seed=self.seed), self)
 
 
+@dataclass(frozen=True, kw_only=True)
+class RoboTerrainBenchmark(_Benchmark):
+    """Run policies among RoboTerrain's walkers: seconds close to people and seconds, per goal."""
+
+    data: Path
+    """Folder with SDF files of worlds with actors."""
+    rovers: int = 16
+    """Number of rovers in each world."""
+    seconds: float = 300.0
+    """Time that each drives, s."""
+    out: Path = Path("runs/benchmark-roboterrain")
+    """Folder to write to."""
+
+    def __call__(self) -> int:
+        """Runs the command."""
+        from rover_rl.algos.benchmarks import roboterrain as benchmark
+
+        worlds = benchmark.read_roboterrain(self.data)
+        suite = benchmark.RoboTerrain(worlds, self.rovers, self.seconds, self.seed)
+        policies = _policies(suite.name, self)
+        self.out.mkdir(parents=True, exist_ok=True)
+        runs = benchmark.run_roboterrain(suite, policies, self.workers)
+        try:
+            benchmark.write_roboterrain(self.out / "benchmark.json", suite, runs)
+        finally:
+            # Prints the results even if a file could not be written.
+            benchmark.print_roboterrain(suite, runs)
+        print(f"Results: {self.out / 'benchmark.json'}, benchmark.csv")
+        return 0
+
+
 @dataclass(frozen=True)
 class Benchmark:
     """Run policies in the worlds of others, as their benchmarks do."""
@@ -134,6 +167,7 @@ class Benchmark:
                 Annotated[JaxNavBenchmark, tyro.conf.subcommand("jaxnav", prefix_name=False)],
                 Annotated[DynaBarnBenchmark, tyro.conf.subcommand("dynabarn", prefix_name=False)],
                 Annotated[RosJackalBenchmark, tyro.conf.subcommand("ros-jackal", prefix_name=False)],
+                Annotated[RoboTerrainBenchmark, tyro.conf.subcommand("roboterrain", prefix_name=False)],
             ],
             tyro.conf.arg(name=""),
         ]
@@ -162,9 +196,7 @@ def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark | DynaBarnBenchm
     from rover_rl.algos.benchmarks.report import draw_worst_runs, print_results, write_results
     from rover_rl.algos.benchmarks.suite import run_suite
 
-    environment, out = options.environment, options.out
-    resolved = resolve_policies(options.policies, (suite.name,), environment.robot)
-    policies = {each.name: (each.module, environment.description(each.module, options.backend)) for each in resolved}
+    out, policies = options.out, _policies(suite.name, options)
     # Fails before the runs, which can take minutes.
     out.mkdir(parents=True, exist_ok=True)
     results = run_suite(suite, policies, options.workers)
@@ -179,3 +211,10 @@ def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark | DynaBarnBenchm
     print(f"Results: {out / 'benchmark.json'}, benchmark.csv")
     print("Worst runs: " + ", ".join(map(str, pictures)))
     return 0
+
+
+def _policies(suite: str, options: _Benchmark) -> dict[str, tuple[Policy | None, EnvConfig]]:
+    """Returns the policies that a command names, and their environments."""
+    environment = options.environment
+    resolved = resolve_policies(options.policies, (suite,), environment.robot)
+    return {each.name: (each.module, environment.description(each.module, options.backend)) for each in resolved}

@@ -26,7 +26,7 @@ GOAL_RADIUS = 1.0
 """Distance from the goal at which it is reached, m."""
 SECONDS = 100.0
 """Time limit, s."""
-HALF, WALL, HEIGHT = 10.0, 0.2, 1.0
+HALF, WALL, HEIGHT = 10.0, 0.1, 1.0
 """Half the side of the yard, and thickness and height of its three walls, m. The side of the start is open."""
 GROUPS = {"easy": 14, "medium": 19, "hard": math.inf}
 """Largest number of cylinders of each difficulty."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -37,7 +38,7 @@ class MotionFile:
 
     @classmethod
     def read(cls, path: Path) -> MotionFile:
-        """Reads a file with ``worlds`` (by number, or a list) and ``motions`` (by name).
+        """Reads a file with ``worlds`` (a list, or by names that end in numbers) and ``motions`` (by name).
 
         Raises:
             FileNotFoundError: if there is no such file.
@@ -52,10 +53,11 @@ class MotionFile:
         if not isinstance(content, dict) or not content.get("worlds") or not isinstance(content.get("motions"), dict):
             raise ValueError(f"{path} must have worlds, and motions by name")
         worlds = content["worlds"]
-        try:
-            numbered = dict(enumerate(worlds)) if isinstance(worlds, list) else {int(k): w for k, w in worlds.items()}
-        except (AttributeError, ValueError) as error:
-            raise ValueError(f"the worlds of {path} must be a list, or named by numbers") from error
+        named = dict(enumerate(worlds)) if isinstance(worlds, list) else worlds
+        ends = [re.search(r"[0-9]{1,6}\Z", str(name)) for name in named] if isinstance(named, dict) else []
+        numbered = {int(end[0]): world for end, world in zip(ends, named.values(), strict=True) if end} if ends else {}
+        if not numbered or len(numbered) < len(named):
+            raise ValueError(f"the worlds of {path} must be a list, or named by different numbers")
         return cls(path, content, numbered)
 
     def chosen(self, numbers: Sequence[int] | None) -> list[int]:
@@ -70,16 +72,18 @@ class MotionFile:
         return sorted(self.worlds) if numbers is None else [*numbers]
 
     def motion(self, name: Any) -> Waypoints:
-        """Returns a motion: keyframes with constant speed between them, again and again.
+        """Returns a motion, by its name or as it is: keyframes with constant speed between them, again and again.
 
         Raises:
             ValueError: if there is no such motion, or it is wrong. The message is one sentence.
         """
-        found = self.content["motions"].get(name) if isinstance(name, str) else None
+        found = self.content["motions"].get(name) if isinstance(name, str) else name
         if not isinstance(found, dict):
             raise ValueError(f"{self.path} has no motion {name!r}")
         try:
             keys = [tuple(float(number) for number in key) for key in found["keys"]]
+            # Of keyframes at the same time, the last one counts.
+            keys = [key for key, later in zip(keys, [*keys[1:], None], strict=True) if not later or later[0] != key[0]]
             period = float(found["period"])
             if math.isfinite(period) and period > keys[-1][0]:
                 # At rest until the path begins again.

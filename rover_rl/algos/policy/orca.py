@@ -1,9 +1,9 @@
 """``OrcaPolicy``: optimal reciprocal collision avoidance (ORCA) among what the lidar tracks.
 
 Source: J. van den Berg, S. J. Guy, M. Lin, D. Manocha, "Reciprocal n-body collision avoidance", ISRR 2011. Each
-obstacle allows a half-plane of velocities: those without a contact in the coming seconds. What moves does not make room here, so
-that the rover takes the whole change of velocity. It takes the allowed velocity that is nearest to full speed towards
-the goal, of a set of 16 speeds and 64 directions, or, if none is allowed, the one that violates least.
+obstacle allows a half-plane of velocities: those without a contact in the coming seconds. What moves does not make room
+here, so that the rover takes the whole change of velocity. It takes the allowed velocity that is nearest to full speed
+towards the goal, of a set of 16 speeds and 64 directions, or, if none is allowed, the one that violates least.
 
 The rover is no point: the velocity becomes a speed and a heading, backward if it points far enough to the rear.
 
