@@ -44,7 +44,7 @@ class MovingDynamicWindowPolicy(DynamicWindowPolicy):
     def __init__(self, robot: RobotLike = "rover_zero", lidar: LidarConfig = LIDAR, yaw_gain: float = YAW_GAIN) -> None:
         super().__init__(robot, lidar, yaw_gain)
         self.in_keys = ["lidar", "target", "velocities", "pose", "imu", "is_init", "tracks"]
-        self.out_keys = ["action", ("next", "tracks")]
+        self.out_keys = ["action", ("next", "tracks")]  # type: ignore[list-item]
         self._tracker = MoverTracker(self._robot, lidar, self.trained_action_repeat * CONTROL_DT)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
