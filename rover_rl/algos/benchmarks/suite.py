@@ -54,7 +54,6 @@ class Course:
         start: x, y (m) and yaw (rad) of the start.
         goal: x, y of the goal, m.
         length: length of the reference path, m.
-        group: name of a group of courses that are also reported apart; empty for none.
     """
 
     number: int
@@ -62,7 +61,7 @@ class Course:
     start: tuple[float, float, float]
     goal: tuple[float, float]
     length: float
-    group: str = ""
+    group: str = ""  # name of a group of courses that are also reported apart
 
 
 def open_world(name: str, obstacles: Sequence[Obstacle], points: np.ndarray, movers: Sequence[Mover] = ()) -> World:

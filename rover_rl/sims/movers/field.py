@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import torch
@@ -208,38 +209,38 @@ class MoverField:
         Those whose motion depends on time alone will be where they are then. Of others, such as those that react or
         move at random, the velocity is taken to stay the same.
         """
-        later = self.course
-        later = replace(later, position=later.position + seconds * later.velocity)
-        nobody = Others(self.course.position[:, :0], self.course.velocity[:, :0], self._rover_radius)
-        for number, motion in enumerate(self._tables.motions if self.parts is not None else ()):
-            if motion.is_foreseen:
-                mine = self._motion == number
-                later = motion.advance(self._scene(motion, mine, nobody, seconds)).where(mine, later)
-        return later
+        later, course = copy(self), self.course
+        later.course = replace(course, position=course.position + seconds * course.velocity)
+        if self.parts is not None:
+            nobody = Others(course.position[:, :0], course.velocity[:, :0], self._rover_radius)
+            later._change("advance", torch.ones_like(self._steps, dtype=torch.bool), nobody, seconds)
+        return later.course
 
-    def _change(self, method: str, rows: Tensor, rovers: Others) -> None:
-        """Calls a method of every motion for its movers in ``rows``, and stores the courses."""
-        after = self.course
+    def _change(self, method: str, rows: Tensor, rovers: Others, ahead: float = 0.0) -> None:
+        """Calls a method of every motion for its movers in ``rows``, and stores the courses.
+
+        With a time ``ahead`` (s), it calls only those motions that tell where a mover is then.
+        """
+        before = after = self.course
         for number, motion in enumerate(self._tables.motions):
+            if ahead and not motion.is_foreseen:
+                continue
             mine = (self._motion == number) & rows
-            after = getattr(motion, method)(self._scene(motion, mine, rovers)).where(mine, after)
+            scene = Scene(
+                course=before,
+                settings=self._settings[motion],
+                mine=mine,
+                present=self.present,
+                radius=self.radius,
+                time=self._steps.double() * self._dt + ahead,
+                dt=self._dt,
+                walls=self._walls,
+                bounds=self._corners,
+                rovers=rovers,
+                bits=self._bits,
+            )
+            after = getattr(motion, method)(scene).where(mine, after)
         self.course = after
-
-    def _scene(self, motion: type[Motion], mine: Tensor, rovers: Others, ahead: float = 0.0) -> Scene:
-        """Returns what a motion depends on, with the clock some time ``ahead`` (s)."""
-        return Scene(
-            course=self.course,
-            settings=self._settings[motion],
-            mine=mine,
-            present=self.present,
-            radius=self.radius,
-            time=self._steps.double() * self._dt + ahead,
-            dt=self._dt,
-            walls=self._walls,
-            bounds=self._corners,
-            rovers=rovers,
-            bits=self._bits,
-        )
 
     def _bits(self, count: int) -> Tensor:
         """Returns random bits of each mover and draw, int64 ``[N, M, count]``."""
