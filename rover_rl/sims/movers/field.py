@@ -216,14 +216,14 @@ class MoverField:
             later._change("advance", torch.ones_like(self._steps, dtype=torch.bool), nobody, seconds)
         return later.course
 
-    def _change(self, method: str, rows: Tensor, rovers: Others, ahead: float = 0.0) -> None:
+    def _change(self, method: str, rows: Tensor, rovers: Others, ahead: float | None = None) -> None:
         """Calls a method of every motion for its movers in ``rows``, and stores the courses.
 
         With a time ``ahead`` (s), it calls only those motions that tell where a mover is then.
         """
         before = after = self.course
         for number, motion in enumerate(self._tables.motions):
-            if ahead and not motion.is_foreseen:
+            if ahead is not None and not motion.is_foreseen:
                 continue
             mine = (self._motion == number) & rows
             scene = Scene(
@@ -232,7 +232,7 @@ class MoverField:
                 mine=mine,
                 present=self.present,
                 radius=self.radius,
-                time=self._steps.double() * self._dt + ahead,
+                time=self._steps.double() * self._dt + (ahead or 0.0),
                 dt=self._dt,
                 walls=self._walls,
                 bounds=self._corners,
