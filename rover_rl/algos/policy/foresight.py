@@ -87,6 +87,10 @@ class ForesightPolicy(TensorDictModuleBase):
         self.in_keys, self.out_keys = ["velocities", "outcome"], ["action"]
         self._env: RoverEnv | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        # For another process, which has its own environment.
+        return {**self.__dict__, "_env": None, "_paths": None, "_fixed": None, "_memory": None}
+
     def enter(self, env: RoverEnv) -> None:
         """Prepares for the worlds, the movers and the robot of an environment."""
         from rover_rl.algos.policy.foresight_kernels import LAYERS, SIZE

@@ -180,6 +180,19 @@ class MoverField:
         self._walked = self._walked + (self.course.position - before).norm(dim=-1)
         self._place(rows)
 
+    def ahead(self, seconds: float) -> Course:
+        """Returns where the movers will be after some time, as far as that is known.
+
+        Those whose motion depends on time alone will be where they are then. Of others, such as those that react or
+        move at random, the velocity is taken to stay the same.
+        """
+        later, course = copy(self), self.course
+        later.course = replace(course, position=course.position + seconds * course.velocity)
+        if self.parts is not None:
+            nobody = Others(course.position[:, :0], course.velocity[:, :0], self._rover_radius)
+            later._change("advance", torch.ones_like(self._steps, dtype=torch.bool), nobody, seconds)
+        return later.course
+
     def nearest(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the horizontal distance from points ``[N, 2]`` (m) to the nearest mover of each row, and its speed.
 
@@ -202,19 +215,6 @@ class MoverField:
         least, which = distance.masked_fill(parts.kind < 0, math.inf).min(-1, keepdim=True)
         speed = self.course.velocity.norm(dim=-1).gather(1, parts.mover.gather(1, which))
         return least, speed
-
-    def ahead(self, seconds: float) -> Course:
-        """Returns where the movers will be after some time, as far as that is known.
-
-        Those whose motion depends on time alone will be where they are then. Of others, such as those that react or
-        move at random, the velocity is taken to stay the same.
-        """
-        later, course = copy(self), self.course
-        later.course = replace(course, position=course.position + seconds * course.velocity)
-        if self.parts is not None:
-            nobody = Others(course.position[:, :0], course.velocity[:, :0], self._rover_radius)
-            later._change("advance", torch.ones_like(self._steps, dtype=torch.bool), nobody, seconds)
-        return later.course
 
     def _change(self, method: str, rows: Tensor, rovers: Others, ahead: float | None = None) -> None:
         """Calls a method of every motion for its movers in ``rows``, and stores the courses.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 
 import pytest
 import torch
@@ -75,8 +76,10 @@ def test_tracks_do_not_depend_on_other_rows() -> None:
 
 def test_foresight_passes_where_a_planner_without_it_is_hit() -> None:
     worlds = [crossing(speed, phase) for speed in SPEEDS for phase in (0.0, 1.5)]
-    foresight = drive(ForesightPolicy(), worlds)
-    assert foresight == ["goal_reached"] * len(worlds)
+    foresight = ForesightPolicy()
+    assert drive(foresight, worlds) == ["goal_reached"] * len(worlds)
+    # It forgets the environment on its way to another process.
+    assert drive(pickle.loads(pickle.dumps(foresight)), worlds[:1]) == ["goal_reached"]
     assert drive(GridPlanner(), worlds).count("goal_reached") < len(worlds)
 
 
