@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-Shape = tuple[int | None, ...]
-"""Length of each dimension of an array; ``None`` for any length."""
+Shape = tuple[int | None, ...]  # length of each dimension of an array; None for any length
 
 
 def read_npz(path: Path, shapes: Mapping[str, Shape]) -> dict[str, np.ndarray]:

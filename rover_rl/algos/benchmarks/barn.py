@@ -14,46 +14,33 @@ from typing import ClassVar
 import numpy as np
 
 from rover_rl.algos.benchmarks.arrays import read_npy, read_npz
-from rover_rl.algos.benchmarks.suite import Course, Result, Suite, describe_robot, open_world
+from rover_rl.algos.benchmarks.suite import RATES, TIME, Course, Result, Suite, describe_robot, open_world
 from rover_rl.algos.evaluation.metrics import Estimate, Trajectory, ratio
 from rover_rl.envs import EnvConfig
 from rover_rl.sims.worlds import cylinders
 from rover_rl.sims.worlds.files.xml_tree import numbers, read_xml
 
-WORLDS = 300
-"""Number of worlds."""
-TEST_WORLDS = tuple(range(0, WORLDS, 6))
-"""Worlds of the benchmark's score. A policy may be trained in the others."""
-FOLDER = Path("jackal_helper/worlds/BARN")
-"""Folder of the worlds in the public repository."""
-START = (-2.25, 3.0, math.pi / 2)
-"""x, y (m) and yaw (rad) of all starts."""
-GOAL = (-2.25, 13.0)
-"""x, y of all goals, m."""
-GOAL_RADIUS = 1.0
-"""Distance from the goal at which it is reached, m."""
-SECONDS = 100.0
-"""Time limit, s."""
-SPEED = 2.0
-"""Speed that the optimal time is computed with, m/s."""
-FASTEST, SLOWEST = 2.0, 8.0
-"""Range that the time is clipped to, in optimal times."""
-RADIUS, HEIGHT = 0.075, 1.0
-"""Radius and height of all cylinders, m."""
-CELL = 2 * RADIUS
-"""Side length of a cell of the reference paths, m."""
+WORLDS = 300  # number of worlds
+TEST_WORLDS = tuple(range(0, WORLDS, 6))  # Worlds of the benchmark's score. A policy may be trained in the others.
+FOLDER = Path("jackal_helper/worlds/BARN")  # folder of the worlds in the public repository
+START = (-2.25, 3.0, math.pi / 2)  # x, y (m) and yaw (rad) of all starts
+GOAL = (-2.25, 13.0)  # x, y of all goals, m
+GOAL_RADIUS = 1.0  # distance from the goal at which it is reached, m
+SECONDS = 100.0  # time limit, s
+SPEED = 2.0  # speed that the optimal time is computed with, m/s
+FASTEST, SLOWEST = 2.0, 8.0  # range that the time is clipped to, in optimal times
+RADIUS, HEIGHT = 0.075, 1.0  # radius and height of all cylinders, m
+CELL = 2 * RADIUS  # side length of a cell of the reference paths, m
 CELL_ORIGIN = (-RADIUS - 30 * CELL, 5.0 + RADIUS)
 """Center of cell (0, 0) of the reference paths, m (``path_coord_to_gazebo_coord`` in the benchmark's ``run.py``)."""
 
 
 def read_barn(data: Path, worlds: Sequence[int] | None = None) -> list[Course]:
-    """Reads worlds of BARN.
+    """Reads worlds of BARN by their numbers; ``None``: all that there are.
 
-    Args:
-        data: folder of the public repository, or its folder with the worlds, or an ``.npz`` file with the arrays
-            ``world [W]`` (numbers), ``cylinder_xy [C, 2]`` (m), ``offsets [W + 1]`` (first cylinder of each world) and
-            ``path_length [W]`` (m).
-        worlds: numbers of the worlds; ``None``: all that there are.
+    ``data`` is the folder of the public repository, or its folder with the worlds, or an ``.npz`` file with the arrays
+    ``world [W]`` (numbers), ``cylinder_xy [C, 2]`` (m), ``offsets [W + 1]`` (first cylinder of each world) and
+    ``path_length [W]`` (m).
 
     Raises:
         FileNotFoundError: if the data, or the path of a world, do not exist.
@@ -72,16 +59,12 @@ def _read_file(path: Path, worlds: Sequence[int] | None) -> list[Course]:
     if not (ordered and matching and ends[0] == 0 and ends[-1] == len(arrays["cylinder_xy"])):
         raise ValueError(f"the arrays of {path} do not match: offsets must be the first cylinder of each world")
     rows = {number: row for row, number in enumerate(numbers_)}
-    chosen = _chosen(path, list(rows), worlds)
-    return [
-        _course(
-            f"world {number} in {path}",
-            number,
-            arrays["cylinder_xy"][ends[rows[number]] : ends[rows[number] + 1]],
-            float(arrays["path_length"][rows[number]]),
-        )
-        for number in chosen
-    ]
+    courses = []
+    for number in _chosen(path, list(rows), worlds):
+        row = rows[number]
+        centers, length = arrays["cylinder_xy"][ends[row] : ends[row + 1]], float(arrays["path_length"][row])
+        courses.append(_course(f"world {number} in {path}", number, centers, length))
+    return courses
 
 
 def _read_folder(folder: Path, worlds: Sequence[int] | None) -> list[Course]:
@@ -149,19 +132,13 @@ class Barn(Suite):
     name = "BARN"
     score_name = "score"
     places = "worlds"
-    columns: ClassVar = {
-        "success_rate": ("success", "%"),
-        "contact_rate": ("contacts", "%"),
-        "time_limit_rate": ("time-outs", "%"),
-        "score": ("score", ""),
-        "mean_time": ("mean time", "s"),
-    }
+    columns: ClassVar = {**RATES, "score": ("score", ""), **TIME}
 
     def __init__(self, courses: Sequence[Course], *, runs: int = 1, seed: int = 0) -> None:
         super().__init__(courses, runs=runs, seed=seed, goal_radius=GOAL_RADIUS, seconds=SECONDS)
 
     def score(self, course: Course, run: Trajectory) -> float:
-        """Returns the score of a run, 0 to 0.5."""
+        """See :class:`Barn`."""
         optimal = course.length / SPEED
         clipped = min(max(run.seconds, FASTEST * optimal), SLOWEST * optimal)
         return (run.ending == "goal") * optimal / clipped

@@ -15,35 +15,25 @@ from typing import ClassVar
 import numpy as np
 
 from rover_rl.algos.benchmarks.arrays import read_npz
-from rover_rl.algos.benchmarks.suite import Course, Result, Suite, describe_robot, open_world
+from rover_rl.algos.benchmarks.suite import RATES, TIME, Course, Result, Suite, describe_robot, open_world
 from rover_rl.algos.evaluation.metrics import Estimate, Trajectory, ratio
 from rover_rl.envs import EnvConfig
 from rover_rl.sims.worlds import boxes
 from rover_rl.sims.worlds.files.rectangles import cover
 
-GOAL_RADIUS = 0.3
-"""Distance from the goal at which it is reached, m."""
-SECONDS = 50.0
-"""Time limit, s."""
-WALL_HEIGHT = 1.0
-"""Height of the walls, m."""
-WORST = 0.1
-"""Share of the levels with the lowest success rates, whose success rate is reported apart."""
-MAX_CELLS = 100
-"""Largest number of cells along a side of a level."""
+GOAL_RADIUS = 0.3  # distance from the goal at which it is reached, m
+SECONDS = 50.0  # time limit, s
+WALL_HEIGHT = 1.0  # height of the walls, m
+WORST = 0.1  # share of the levels with the lowest success rates, whose success rate is reported apart
+MAX_CELLS = 100  # largest number of cells along a side of a level
 
 
 def read_jaxnav(path: Path) -> tuple[list[Course], int]:
-    """Reads levels of JaxNav.
+    """Reads levels of JaxNav: those with a path from the start to the goal, and the number of the others.
 
-    Args:
-        path: ``.npz`` file with the arrays ``map_data [L, rows, columns]`` (1 is a wall), ``start_xy [L, 2]`` and
-            ``goal_xy [L, 2]`` (cells of 1 m from the corner, so meters), ``start_theta [L]`` (rad) and
-            ``geodesic8 [L]`` (length of the shortest path over the cells and their eight neighbors, ``inf`` if there
-            is none).
-
-    Returns:
-        The levels with a path from the start to the goal, and the number of the others.
+    The ``.npz`` file has the arrays ``map_data [L, rows, columns]`` (1 is a wall), ``start_xy [L, 2]`` and
+    ``goal_xy [L, 2]`` (cells of 1 m from the corner, so meters), ``start_theta [L]`` (rad) and ``geodesic8 [L]``
+    (length of the shortest path over the cells and their eight neighbors, ``inf`` if there is none).
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -110,14 +100,7 @@ class JaxNav(Suite):
     name = "JaxNav"
     score_name = "spl"
     places = "levels"
-    columns: ClassVar = {
-        "success_rate": ("success", "%"),
-        "contact_rate": ("contacts", "%"),
-        "time_limit_rate": ("time-outs", "%"),
-        "spl": ("SPL", ""),
-        "worst_levels": ("worst 10 %", "%"),
-        "mean_time": ("mean time", "s"),
-    }
+    columns: ClassVar = {**RATES, "spl": ("SPL", ""), "worst_levels": ("worst 10 %", "%"), **TIME}
 
     def __init__(
         self,

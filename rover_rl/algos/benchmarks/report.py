@@ -14,17 +14,11 @@ from rover_rl.algos.evaluation.results import plain_env_or_none, plain_estimates
 from rover_rl.algos.evaluation.tables import Column, cell, print_tables, write_rows
 from rover_rl.files import write_json
 
-WORST_RUNS = 6
-"""Number of runs in a picture."""
+WORST_RUNS = 6  # number of runs in a picture
 
 
 def print_results(results: Sequence[Result], console: Console | None = None) -> None:
-    """Prints a table of policies with 95 % confidence intervals, and what differs from the original benchmark.
-
-    Args:
-        results: results of policies in the same suite.
-        console: console to print to; ``None``: standard output.
-    """
+    """Prints a table of policies in the same suite, and what differs from the original benchmark."""
     console = console or Console()
     suite = results[0].suite
     shown = [part for result in results for part in (result, *result.groups().values())]
@@ -41,15 +35,9 @@ def print_results(results: Sequence[Result], console: Console | None = None) -> 
 
 
 def write_results(path: Path, results: Sequence[Result]) -> None:
-    """Writes results as a JSON file with every run, and as a CSV file with one row per run.
-
-    Args:
-        path: path of the JSON file; the CSV file has the same name with the suffix ``.csv``.
-        results: results of policies in the same suite.
-    """
+    """Writes results in the same suite as JSON, with every run, and beside it as CSV, with a row per run."""
     suite = results[0].suite
-    policies = []
-    rows = []
+    policies, rows = [], []
     for result in results:
         head = {"policy": result.name, "backend": result.evaluation.backend}
         rows += [head | row for row in result.rows()]
@@ -58,29 +46,16 @@ def write_results(path: Path, results: Sequence[Result]) -> None:
         groups = {name: plain_estimates(part.metrics) for name, part in result.groups().items()}
         metrics = {"metrics": plain_estimates(result.metrics), **({"groups": groups} if groups else {})}
         policies.append({**head, **differs, **metrics, "runs": result.rows()})
-    described = {
-        "benchmark": suite.name,
-        "worlds": [course.number for course in suite.courses],
-        "runs": suite.runs,
-        "seed": suite.seed,
-        "jitter": JITTER,
-        "goal_radius": suite.goal_radius,
-        "seconds": suite.seconds,
-        "policies": policies,
-    }
-    write_json(path, described)
+    worlds = [course.number for course in suite.courses]
+    described = {"benchmark": suite.name, "worlds": worlds, "runs": suite.runs, "seed": suite.seed, "jitter": JITTER}
+    limits = {"goal_radius": suite.goal_radius, "seconds": suite.seconds}
+    write_json(path, {**described, **limits, "policies": policies})
     write_rows(path.with_suffix(".csv"), rows)
 
 
 def draw_worst_runs(result: Result, path: Path) -> None:
-    """Draws the paths of the runs with the lowest scores, each in its world.
-
-    Args:
-        result: results of a policy.
-        path: path of the figure; its suffix selects the format.
-    """
-    rows = result.rows()
-    panels = []
+    """Draws the paths of the runs with the lowest scores; the suffix of ``path`` selects the format."""
+    rows, panels = result.rows(), []
     for run in result.worst(WORST_RUNS):
         row = rows[run]
         title = f"world {row['world']}, run {row['run']}: {row['ending']} after {row['seconds']:.1f} s"

@@ -1,7 +1,8 @@
 """Suites: fixed courses in the worlds of others, in which any contact of the body is a failure.
 
 A run of a course ends at its goal, at the first contact of the body's outline, or at the time limit, and in no other
-way. The observation of a policy is that of the environment it was made for.
+way. The observation of a policy is that of the environment it was made for. A new benchmark is a module with a
+function that reads its courses, and a subclass of :class:`Suite`, as in ``barn.py``.
 """
 
 from __future__ import annotations
@@ -32,28 +33,21 @@ from rover_rl.sims.worlds import Obstacle, Terrain, World
 from rover_rl.sims.worlds.movers import Mover
 from rover_rl.sims.worlds.pool import WorldPool
 
+RATES = {"success_rate": ("success", "%"), "contact_rate": ("contacts", "%"), "time_limit_rate": ("time-outs", "%")}
+TIME = {"mean_time": ("mean time", "s")}  # columns of the metrics that all suites share
 JITTER = (0.05, 0.05, 0.1)
 """Largest change of x (m), y (m) and yaw (rad) of a start, in all runs of a course but the first."""
-MAX_RUNS = 1000
-"""Largest number of runs of a course."""
-_TRIES = 32
-"""Number of changed starts of which the first without a contact is taken."""
-_MARGIN = 5
-"""Width of the open ground around a course, m."""
-_BOUND = 1e4
-"""Distance of the bounds of a course, which no run reaches, m."""
+MAX_RUNS = 1000  # largest number of runs of a course
+_TRIES = 32  # number of changed starts of which the first without a contact is taken
+_MARGIN = 5  # width of the open ground around a course, m
+_BOUND = 1e4  # distance of the bounds of a course, which no run reaches, m
 
 
 @dataclass(frozen=True)
 class Course:
-    """A world with a start and a goal.
+    """A world with a start (x, y in m, yaw in rad), a goal (x, y in m), and the length of the reference path, m.
 
-    Attributes:
-        number: number of the world in its benchmark.
-        world: the world.
-        start: x, y (m) and yaw (rad) of the start.
-        goal: x, y of the goal, m.
-        length: length of the reference path, m.
+    ``number`` is that of the world in its benchmark.
     """
 
     number: int
@@ -67,8 +61,7 @@ class Course:
 def open_world(name: str, obstacles: Sequence[Obstacle], points: np.ndarray, movers: Sequence[Mover] = ()) -> World:
     """Creates a world on flat, open ground, whose bounds no run reaches.
 
-    The starts and goals of a course are given. The environment still needs areas from which it could draw them: these
-    are the free ground left of the course. Nothing in a run depends on them.
+    The environment needs areas for starts and goals: these are free ground left of the course, where no run is.
     """
     low = np.floor(points.min(0)) - _MARGIN
     columns, rows = (np.ceil(points.max(0)) + _MARGIN - low).astype(int) + 1
@@ -83,7 +76,6 @@ class Suite(ABC):
     """Courses of a benchmark, and how runs of them are scored.
 
     Args:
-        courses: courses.
         runs: number of runs of each course. All but the first start near the given start.
         seed: seed of these starts.
         goal_radius: distance from the goal at which it is reached, m.
@@ -154,7 +146,7 @@ class Suite(ABC):
         return torch.stack(starts)
 
     def environment(self, env: EnvConfig) -> EnvConfig:
-        """Returns an environment in which only the goal and the time limit end a run; observations stay the same."""
+        """Returns an environment in which only the goal and the time limit end a run."""
         never = {"collision_window": MAX_COUNT, "stuck_threshold": 0.0, "flip_threshold": 2 * math.pi}
         return replace(env, task=replace(env.task, success_distance=self.goal_radius, **never))  # type: ignore[arg-type]
 
@@ -184,12 +176,7 @@ def describe_robot(env: EnvConfig) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class Result:
-    """Results of a policy in a suite.
-
-    Attributes:
-        suite: the suite.
-        evaluation: runs of the policy, course by course. They end at their first contact.
-    """
+    """Results of a policy in a suite: its runs, course by course, each up to its first contact."""
 
     suite: Suite
     evaluation: Evaluation
@@ -238,27 +225,24 @@ class Result:
 
     def rows(self) -> list[dict[str, Any]]:
         """Returns each run as plain data."""
-        runs = range(len(self.evaluation.trajectories))
+        scored = zip(self._course_of_run, self.evaluation.trajectories, self.scores.flatten().tolist(), strict=True)
         return [
             {
                 "world": course.number,
-                "run": run % self.suite.runs,
-                "ending": trajectory.ending,
-                "seconds": round(trajectory.seconds, 3),
-                "length": trajectory.length,
+                "run": number % self.suite.runs,
+                "ending": run.ending,
+                "seconds": round(run.seconds, 3),
+                "length": run.length,
                 "reference_length": course.length,
                 self.suite.score_name: score,
             }
-            for course, run, trajectory, score in zip(
-                self._course_of_run, runs, self.evaluation.trajectories, self.scores.flatten().tolist(), strict=True
-            )
+            for number, (course, run, score) in enumerate(scored)
         ]
 
     def worst(self, count: int) -> list[int]:
-        """Returns the indices of the runs with the lowest scores; among equals, those that end farthest from the goal.
+        """Returns the indices of the runs with the lowest scores, at most ``count``.
 
-        Args:
-            count: largest number of runs.
+        Among equals, those that end farthest from the goal come first.
         """
         runs, goals = self.evaluation.trajectories, self.evaluation.episodes.goal
         left = [torch.dist(run.path[-1], goal).item() for run, goal in zip(runs, goals, strict=True)]
@@ -279,8 +263,7 @@ class Result:
 def mean_rate(flags: Tensor) -> Estimate:
     """Returns the mean of flags ``[courses, runs]``.
 
-    The interval is Wilson's for one run of each course, and a bootstrap over the courses for several. If all runs are
-    equal, a bootstrap has no width, and the interval is Wilson's for as many runs as courses.
+    The interval is Wilson's for one run of each course, or if all runs are equal, and else a bootstrap over courses.
     """
     rates = flags.mean(1)
     if flags.shape[1] == 1 or flags.min() == flags.max():
@@ -291,12 +274,7 @@ def mean_rate(flags: Tensor) -> Estimate:
 def run_suite(
     suite: Suite, policies: Mapping[str, tuple[Policy | None, EnvConfig]], workers: int | None = None
 ) -> list[Result]:
-    """Runs policies in a suite. The results are bit-identical for any number of processes.
-
-    Args:
-        suite: the suite.
-        policies: policy (``None`` acts at random) and environment, by name.
-        workers: largest number of processes; ``None``: the number of cores.
+    """Runs policies (``None`` acts at random) in a suite. The results do not depend on the number of processes.
 
     Raises:
         ValueError: if a policy was made for another environment.
@@ -310,11 +288,12 @@ def run_suite(
 
 def _until_contact(evaluation: Evaluation) -> Evaluation:
     """Cuts each run at its first contact."""
-    pairs = zip(evaluation.trajectories, evaluation.contacts, strict=True)
-    runs = [_cut(run, int(touched.to(torch.uint8).argmax())) if touched.any() else run for run, touched in pairs]
+    runs = []
+    for run, touched in zip(evaluation.trajectories, evaluation.contacts, strict=True):
+        if touched.any():
+            end = int(touched.to(torch.uint8).argmax())
+            parts = {key: getattr(run, key)[:end] for key in ("collision", "goal")}
+            parts |= {key: getattr(run, key)[: end + 1] for key in ("position", "angles")}
+            run = replace(run, **parts, ending=CONTACT)
+        runs.append(run)
     return replace(evaluation, trajectories=runs)
-
-
-def _cut(run: Trajectory, steps: int) -> Trajectory:
-    poses = {key: getattr(run, key)[: steps + 1] for key in ("position", "angles")}
-    return replace(run, **poses, collision=run.collision[:steps], goal=run.goal[:steps], ending=CONTACT)

@@ -16,8 +16,7 @@ from rover_rl.envs.seen_map.scans import lidar_mount
 from rover_rl.envs.seen_map.seen_map import BOUNDS
 from rover_rl.envs.sensors.suite import policy_sensors
 
-CHECKED = 1000
-"""Number of observations on which an exported policy is compared with the original."""
+CHECKED = 1000  # number of observations on which an exported policy is compared with the original
 CHECKED_DRIVE, CHECKED_JUMPS = 100, 20
 """Number of decisions of a drive, and of random observations after it, on which a policy with a map is compared."""
 EQUAL_SHARE = 0.99
@@ -25,19 +24,13 @@ EQUAL_SHARE = 0.99
 
 Sines and cosines of other libraries may differ in the last bit. If a beam ends that close to the edge of a cell,
 another cell is marked, and the route may differ for a while."""
-_DECISION = 0.2
-"""Time between two decisions of the drive, s."""
-_YARD = 7.0
-"""Half of the width of the yard, m."""
-_WALLS = 24
-"""Number of walls in the yard."""
+_DECISION = 0.2  # time between two decisions of the drive, s
+_YARD = 7.0  # half of the width of the yard, m
+_WALLS = 24  # number of walls in the yard
 
 
 def action_difference(checkpoint: Checkpoint, exported: ExportedFunction, policy: PlainPolicy) -> float:
-    """Returns the largest difference between the actions of a checkpoint's policy and the exported one; NaN if one is.
-
-    For a policy with a map, it is the largest in a share of the decisions: see ``EQUAL_SHARE``.
-    """
+    """Returns the largest difference of actions, with a map in ``EQUAL_SHARE`` of the decisions; NaN if one is."""
     if BOUNDS in policy.inputs:
         drive, jumps = drive_observations(checkpoint, CHECKED_DRIVE), random_observations(checkpoint, CHECKED_JUMPS)
         observations = {key: torch.cat((drive[key], jumps[key])) for key in drive}
@@ -70,7 +63,7 @@ def random_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]
 
 
 def drive_observations(checkpoint: Checkpoint, count: int) -> dict[str, Tensor]:
-    """Returns inputs ``[count, n]`` of a policy with a map, except its state, of consecutive decisions of a drive.
+    """Returns inputs ``[count, n]``, except the state, of consecutive decisions of a drive, for a policy with a map.
 
     The rover drives a figure of eight in a yard with random walls, which it sees but does not feel, on ground with
     small waves. Every fifth second it gets a new goal. At a quarter of the drive, it stands on a steep slope.

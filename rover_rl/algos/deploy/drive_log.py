@@ -27,21 +27,14 @@ from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import get_world
 from rover_rl.sims.worlds.pool import WorldPool
 
-FORMAT = "rover_rl drive, version 1"
-"""Name of the file format."""
-BEAMS = 180
-"""Largest number of lidar readings in each line of a log."""
+FORMAT = "rover_rl drive, version 1"  # name of the file format
+BEAMS = 180  # largest number of lidar readings in each line of a log
 
 
 class DriveLog:
     """Context manager that logs drives to a file for :func:`read_drives` and ``rover-rl evaluate``.
 
-    Args:
-        path: path of the file. Drives are appended to an existing file.
-        world: name of the world.
-        policy: name of the policy.
-        seconds: time limit of each drive.
-        robot: name of the robot.
+    Drives are appended to an existing file. ``seconds`` is the time limit of each.
     """
 
     def __init__(self, path: Path, world: str, policy: str, seconds: float, robot: str = "rover_zero") -> None:
@@ -73,15 +66,11 @@ class DriveLog:
         latency: float,
         held: bool = False,
     ) -> None:
-        """Writes a step.
+        """Writes a step: the state of the rover and the raw scan after it, ``[1, beams]``, m, and its ``"outcome"``.
 
-        Args:
-            rover: state of the rover after the step.
-            scan: raw scan, ``[1, beams]``, m.
-            outcome: entry ``"outcome"`` of the step.
-            command: forward speed (m/s) and yaw rate (rad/s) that were sent.
-            latency: time from the arrival of the scan to the command, s.
-            held: whether the forward speed was set to 0, because no lidar beam covers the direction of travel.
+        ``command`` is the forward speed (m/s) and the yaw rate (rad/s) that were sent, ``latency`` the time from the
+        scan to the command, s, and ``held`` whether the speed was set to 0, as no lidar beam covers the direction of
+        travel.
         """
         self._turns.append(command[1])
         events = {"collision": bool(outcome["collision"]), "reached": bool(outcome["goal_reached"]), "held": held}

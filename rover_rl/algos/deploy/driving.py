@@ -34,12 +34,9 @@ from rover_rl.sims.timing import CONTROL_DT
 
 _log = logging.getLogger(__name__)
 
-TRAINED_VIEW = 2 * math.pi
-"""Field of view of the lidar in training, rad."""
-VIEW_TOLERANCE = math.radians(10)
-"""Largest difference of two fields of view that count as the same, rad."""
-CLOCK_TOLERANCE = 0.5
-"""Largest backward jump of a robot's clock that does not count as a restart, s."""
+TRAINED_VIEW = 2 * math.pi  # field of view of the lidar in training, rad
+VIEW_TOLERANCE = math.radians(10)  # largest difference of two fields of view that count as the same, rad
+CLOCK_TOLERANCE = 0.5  # largest backward jump of a robot's clock that does not count as a restart, s
 POSE_TOLERANCE = 1.0
 """Largest jump of a pose, beyond the distance that the robot can drive, that does not count as a restart, m."""
 
@@ -91,8 +88,6 @@ def drive_to(
         seconds: time limit of the drive, s.
         clearance: lidar reading below which the drive ends, m.
         allow_unseen: whether to accept a lidar with a smaller field of view than in training.
-        watch: function that is called after each step.
-        log: log that each step is written to.
 
     Returns:
         The ending: ``"goal"``, ``"time limit"``, ``"obstacle too near"``, ``"robot restarted"``, or one of

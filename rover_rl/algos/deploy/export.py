@@ -1,16 +1,11 @@
 """Export of trained policies to files that run without TorchRL: ONNX, or a ``torch.export`` program.
 
 The exported policy maps raw observations, each float32 ``[1, n]`` by name, to the action ``[1, 2]`` without
-exploration: forward speed (m/s) and heading offset (rad). It includes the scaling of the observations.
-
-A policy with memory also takes ``state_in`` and returns ``state_out``, each float32 ``[1, s]``. The state is zero at
-the start of an episode, and ``state_out`` of a decision is ``state_in`` of the next one. A policy that reads ``route``
-has a state, too: the file includes the map of what the lidar has seen and the planner, and reads ``lidar``, ``pose``,
-``imu``, ``target`` and ``bounds`` in place of ``route``.
+exploration: forward speed (m/s) and heading offset (rad). A policy with memory, or with a map of what the lidar has
+seen, also takes ``state_in``, zero at the start of an episode, and returns ``state_out``, each float32 ``[1, s]``.
 
 Both kinds of files contain checksums, which are verified when the files are loaded here. An ONNX file has the SHA-256
-of its bytes as the property ``rover_rl_sha256``, computed with 64 zeros in its place. A program has a checksum for each
-record.
+of its bytes as the property ``rover_rl_sha256``, computed with 64 zeros in its place.
 
 Example:
     >>> export(load_pretrained("moon-ppo"), Path("moon.onnx"))
@@ -53,12 +48,9 @@ if TYPE_CHECKING:
 
 Format: TypeAlias = Literal["onnx", "torch"]
 
-SUFFIXES: dict[str, str] = {"onnx": ".onnx", "torch": ".pt2"}
-"""File suffix of each format."""
-TOLERANCE = 1e-4
-"""Largest accepted difference of an action, m/s or rad."""
-_STATE = "memory"
-"""Entry of a tensordict that holds the state of a policy from a file, float32 ``[N, s]``."""
+SUFFIXES: dict[str, str] = {"onnx": ".onnx", "torch": ".pt2"}  # file suffix of each format
+TOLERANCE = 1e-4  # largest accepted difference of an action, m/s or rad
+_STATE = "memory"  # entry of a tensordict that holds the state of a policy from a file, float32 [N, s]
 _SETTINGS, _CHECKSUM = "rover_rl", "rover_rl_sha256"
 """Properties of an ONNX file that hold the settings, as JSON, and its checksum."""
 _ZEROS = "0" * 64
@@ -71,11 +63,6 @@ def export(checkpoint: Checkpoint, path: Path, form: Format = "onnx") -> float:
 
     To a policy with memory, they are the observations of one episode. A policy that reads ``route`` is compared over a
     drive of 100 decisions among random walls, and on 20 random observations.
-
-    Args:
-        checkpoint: checkpoint of the policy.
-        path: path of the file to write.
-        form: file format, ``"onnx"`` or ``"torch"``.
 
     Returns:
         Largest difference of an action. For a policy that reads ``route``: the largest in 99 % of the decisions.
@@ -111,11 +98,7 @@ def _write_program(program: ExportedProgram, settings: str, path: Path) -> None:
 
 
 def program_function(path: Path) -> ExportedFunction:
-    """Loads a ``torch.export`` program as a function, which raises ``ValueError`` for NaN or infinity.
-
-    Raises:
-        ValueError: if the file is no such program, or damaged.
-    """
+    """Loads a ``torch.export`` program as a function. Raises ``ValueError`` if it is none, or damaged."""
     content, extra = path.read_bytes(), {"rover_rl.json": ""}
     try:
         program = torch.export.load(checked_copy(content), extra_files=extra)
@@ -190,28 +173,19 @@ def _session_function(session: InferenceSession) -> ExportedFunction:
 
 
 def onnx_function(path: Path) -> ExportedFunction:
-    """Loads an ONNX file as a function, on one thread, which raises ``ValueError`` for NaN or infinity.
-
-    Raises:
-        ImportError: if ``onnxruntime`` is not installed.
-        ValueError: if the file is no ONNX policy, or damaged.
-    """
+    """Loads an ONNX file as a function, on one thread. Raises ``ValueError`` if it is no policy, or damaged."""
     return _session_function(_open_onnx(path))
 
 
 class OnnxPolicy:
-    """Policy from an ONNX file, for :func:`~rover_rl.algos.evaluation.evaluate.evaluate`.
+    """Policy from an ONNX file that :func:`export` wrote, for :func:`~rover_rl.algos.evaluation.evaluate.evaluate`.
 
-    Args:
-        path: path of a file that :func:`export` wrote.
+    Each row takes a call of its own. With a map or a memory, the policy reads and writes its state.
 
     Attributes:
         config: settings that the policy was trained with.
         made_for: environment that the policy was made for.
         trained_action_repeat: number of steps that each action was held for in training.
-        row_by_row: whether each row takes a call of its own: always.
-        in_keys: entries that the policy reads. With a map or a memory, its state is one of them.
-        out_keys: entries that the policy writes.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -250,10 +224,7 @@ class OnnxPolicy:
         return type(self), (self._path,)
 
     def __call__(self, now: TensorDictBase) -> TensorDictBase:
-        """Sets ``"action"``, float32 ``[N, 2]``, and the next state.
-
-        Computes them row by row, because the file has a batch size of 1.
-        """
+        """Sets ``"action"``, float32 ``[N, 2]``, and the next state, row by row: the file has a batch size of 1."""
         rows = now.select(*self._entries).split(1)
         if self._state_size is None:
             return now.set("action", torch.cat([self._act(dict(row)) for row in rows]))

@@ -18,18 +18,14 @@ from rover_rl.envs.seen_map.seen_map import BOUNDS, ROUTE_KEYS
 from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.sims.timing import CONTROL_DT
 
-STATE_IN, STATE_OUT = "state_in", "state_out"
-"""Names of the state, before and after a decision."""
+STATE_IN, STATE_OUT = "state_in", "state_out"  # names of the state, before and after a decision
 ExportedFunction: TypeAlias = Callable[[dict[str, Any]], Any]
 """Exported policy: function from inputs by name to an action ``[1, 2]``. With a state, the inputs include ``state_in``,
 and the function returns the action and ``state_out``."""
 
 
 def input_names(network: NetworkConfig) -> list[str]:
-    """Returns the names of the inputs of an exported policy, in their order.
-
-    A policy that reads ``route`` reads what the route is computed from instead, and the bounds of the area.
-    """
+    """Returns the inputs of an exported policy: in place of ``route``, what it is computed from."""
     with_map = ROUTE in network.observation
     state = [STATE_IN] if with_map or network.memory != "none" else []
     of_map = (*ROUTE_KEYS, BOUNDS) if with_map else ()
@@ -39,12 +35,8 @@ def input_names(network: NetworkConfig) -> list[str]:
 class PlainPolicy(nn.Module):
     """A checkpoint's policy as a module that maps tensors of observations to a tensor of actions.
 
-    Its state holds the map of what the lidar has seen, if the policy reads ``route``, and then the state of the memory.
-
-    Attributes:
-        inputs: names of the arguments, in their order.
-        outputs: names of the results, in their order.
-        state_size: number of entries of the state; 0 without map and memory.
+    Its ``state_size`` entries of state hold the map of what the lidar has seen, if the policy reads ``route``, and then
+    the state of the memory. ``inputs`` and ``outputs`` are the names of arguments and results.
     """
 
     _middle: Tensor
@@ -90,10 +82,7 @@ class PlainPolicy(nn.Module):
 
 
 def finite_arrays(inputs: Mapping[str, Any], names: Sequence[str]) -> list[NDArray[np.float32]]:
-    """Returns inputs of a policy, in the order of ``names``.
-
-    Raises ``ValueError`` for the first one with NaN or infinity, which a network would accept silently.
-    """
+    """Returns the inputs with the given names. Raises ``ValueError`` for NaN or infinity, which networks accept."""
     arrays = [np.asarray(inputs[name], np.float32) for name in names]
     for name, array in zip(names, arrays, strict=True):
         if not np.isfinite(array).all():

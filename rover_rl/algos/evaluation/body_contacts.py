@@ -14,16 +14,13 @@ from rover_rl.sims.rotations import euler_to_matrix
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.obstacles import Obstacle, groups_of
 
-TOUCH = 0.01
-"""Largest distance between the body and an obstacle that counts as a contact, m."""
-_OUTLINE_SPACING = 0.02
-"""Largest distance between neighboring points of the rover's outline, m."""
-_CHUNK = 4096
-"""Number of poses that are tested against an obstacle at once. Limits the memory to about 100 MB."""
+TOUCH = 0.01  # largest distance between the body and an obstacle that counts as a contact, m
+_OUTLINE_SPACING = 0.02  # largest distance between neighboring points of the rover's outline, m
+_CHUNK = 4096  # Number of poses that are tested against an obstacle at once. Limits the memory to about 100 MB.
 
 
 def is_touching(position: Tensor, angles: Tensor, world: World, robot: Robot) -> Tensor:
-    """Returns whether the rover's body touches an obstacle in each of several poses.
+    """Returns whether the rover's body touches an obstacle in each of several poses, bool ``[P]``.
 
     The body touches an obstacle if its footprint (:func:`rover_rl.sims.robots.footprint.footprint`), at the height of
     the wheel hubs, is within 1 cm of it. Obstacles below the wheel hubs count as ground.
@@ -33,9 +30,6 @@ def is_touching(position: Tensor, angles: Tensor, world: World, robot: Robot) ->
         angles: roll, pitch and yaw of the rover, ``[P, 3]``, rad.
         world: world with the obstacles.
         robot: robot that determines the footprint.
-
-    Returns:
-        Contact flags, bool ``[P]``.
     """
     outline = _outline(robot)
     reach = outline[:, :2].norm(dim=1).max().item() + TOUCH

@@ -27,25 +27,16 @@ from rover_rl.sims.worlds import World
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_POLL_INTERVAL = 0.2
-"""Time between two updates of the display, s."""
+_POLL_INTERVAL = 0.2  # time between two updates of the display, s
 
 
 def over_cores(
     work: Callable[[Item], Result], items: Sequence[Item], description: str, workers: int | None = None
 ) -> list[Result]:
-    """Applies ``work`` to each item, with one process per CPU core, and returns the results in order.
+    """Applies ``work`` to each item, with a process per CPU core or ``workers`` at most, and returns results in order.
 
-    Displays the progress of all items together. Ctrl-C and errors end all processes.
-
-    Args:
-        work: module-level function, or a ``partial`` of one. Its standard output is discarded.
-        items: arguments of ``work``. They and the results must be picklable.
-        description: name of the operation, for the display of its progress.
-        workers: largest number of processes; ``None``: the number of cores. 1 works in this process.
-
-    Raises:
-        ChildProcessError: if a process has ended. The message tells its exit code or signal.
+    ``work`` is a module-level function, or a ``partial`` of one, whose standard output is discarded. Ctrl-C and errors
+    end all processes. Raises ``ChildProcessError`` with the exit code or signal of a process that has ended.
     """
     workers = min(usable_cores() if workers is None else workers, len(items))
     with ProgressDisplay(description) as display:
@@ -117,8 +108,7 @@ def _context() -> multiprocessing.context.BaseContext:
     return context
 
 
-_fractions: SynchronizedArray[float]
-"""In a worker process: fraction of each item that is done."""
+_fractions: SynchronizedArray[float]  # in a worker process: fraction of each item that is done
 
 
 def _start_worker(fractions: SynchronizedArray[float]) -> None:
@@ -152,13 +142,10 @@ def _apply(work_and_item: bytes, number: int) -> bytes:
 
 
 def dumps(content: Any) -> bytes:
-    """Pickles anything by value, for :func:`pickle.loads` in another process.
+    """Pickles anything by value, for :func:`pickle.loads` in another process, and a world once for all.
 
-    PyTorch's own pickles between processes pass a file descriptor for each tensor. Hundreds of trajectories then need
-    more than the 1,024 open files that Linux allows by default.
-
-    A world arrives as the same object each time, so that what is computed once per world, such as its free space, is
-    computed once per process.
+    PyTorch's own pickles pass a file descriptor for each tensor, and hundreds of trajectories need more than the 1,024
+    open files that Linux allows by default.
     """
     buffer = BytesIO()
     _Pickler(buffer, pickle.HIGHEST_PROTOCOL).dump(content)
@@ -181,8 +168,7 @@ class _Pickler(pickle.Pickler):
 
 
 _IN_NUMPY = {torch.bool, torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64, torch.float32, torch.float64}
-_KEPT = 64
-"""Number of pickled and of unpickled worlds that a process keeps."""
+_KEPT = 64  # number of pickled and of unpickled worlds that a process keeps
 
 
 @lru_cache(maxsize=_KEPT)

@@ -37,22 +37,14 @@ from rover_rl.sims.worlds import WORLDS, World, WorldName, get_world
 from rover_rl.sims.worlds.pool import WorldPool, WorldSource
 from rover_rl.sims.worlds.table import WorldTable
 
-DEFAULT_SEED = 20_000
-"""Seed of the stored episodes."""
-STORED_WORLDS = ("inspect", "moon", "maze")
-"""Worlds with a stored set."""
-STORED = 256
-"""Number of episodes in a stored set."""
-PER_WORLD = 4
-"""Default number of episodes in each world of a range."""
-MIN_PATH = 2.0
-"""Smallest length of the shortest path of an episode, m."""
-FOLDER = Path(__file__).with_name("episode_sets")
-"""Folder of the stored sets."""
-_FEW_WORLDS = 16
-"""Number of worlds below which episodes are drawn in this process."""
-_MAX_DRAWS = 100
-"""Largest number of draws per requested episode."""
+DEFAULT_SEED = 20_000  # seed of the stored episodes
+STORED_WORLDS = ("inspect", "moon", "maze")  # worlds with a stored set
+STORED = 256  # number of episodes in a stored set
+PER_WORLD = 4  # default number of episodes in each world of a range
+MIN_PATH = 2.0  # smallest length of the shortest path of an episode, m
+FOLDER = Path(__file__).with_name("episode_sets")  # folder of the stored sets
+_FEW_WORLDS = 16  # number of worlds below which episodes are drawn in this process
+_MAX_DRAWS = 100  # largest number of draws per requested episode
 
 
 @dataclass(frozen=True)
@@ -95,11 +87,7 @@ class EpisodeSet:
 
     @property
     def world(self) -> World:
-        """World of the episodes.
-
-        Raises:
-            ValueError: if the episodes are in several worlds.
-        """
+        """World of the episodes. Raises ``ValueError`` if they are in several."""
         indices = self.world_index.unique().tolist()
         if len(indices) > 1:
             raise ValueError(f"the episodes are in {len(indices)} worlds; use the worlds of each episode")
@@ -115,11 +103,7 @@ class EpisodeSet:
         return self.pool.name(int(self.world_index[episode])) if self.several_worlds else self.name
 
     def first(self, count: int) -> EpisodeSet:
-        """Returns the first ``count`` episodes.
-
-        Raises:
-            ValueError: if ``count`` is below 1 or above the number of episodes.
-        """
+        """Returns the first ``count`` episodes. Raises ``ValueError`` if there are not as many."""
         if not 1 <= count <= len(self):
             raise ValueError(f"count must be between 1 and {len(self)}, got {count}")
         return self.part(0, count)
@@ -163,7 +147,7 @@ def draw_episodes(
         seed: seed of the first draw.
         min_path: smallest length of the shortest path, m; draws with a shorter one are skipped.
         episodes: another name for ``count``, as on the command line.
-        robot: name of a robot, or a robot, for which the starts, goals and paths must be free.
+        robot: robot, or its name, for which the starts, goals and paths must be free.
         workers: largest number of processes; ``None``: the number of cores. The episodes do not depend on it.
 
     Raises:
@@ -182,12 +166,8 @@ def draw_episodes(
         drawn = over_cores(draw, sources, "drawing starts and goals", 1 if len(pool) < _FEW_WORLDS else workers)
     start, goal, shortest = (torch.cat(part) for part in zip(*drawn, strict=True))
     index = torch.arange(len(pool)).repeat_interleave(count)
-    return EpisodeSet(_name_of(world), pool, seed, start, goal, shortest, world_index=index)
-
-
-def _name_of(world: WorldSource) -> str:
-    """Returns the name of a world, a range, or several of them."""
-    return world if isinstance(world, str) else ", ".join(EnvConfig(world=world).world_names)
+    name = world if isinstance(world, str) else ", ".join(EnvConfig(world=world).world_names)
+    return EpisodeSet(name, pool, seed, start, goal, shortest, world_index=index)
 
 
 def portable(world: str | World) -> str | World:
@@ -203,18 +183,15 @@ def _draw_in(
     """Draws the starts, goals and shortest paths of ``count`` episodes in a world: see :func:`draw_episodes`."""
     place, goal_radius = get_world(world), TaskConfig().success_distance
     found: list[tuple[Tensor, Tensor, Tensor]] = []
-    taken = drawn = 0
-    while taken < count:
-        if drawn >= _MAX_DRAWS * count:
-            raise ValueError(f"world {place.name!r} has hardly any shortest path of {min_path:g} m or more")
-        start, goal = _draw(place, robot, count, seed + drawn)
+    for first in range(seed, seed + _MAX_DRAWS * count, count):
+        start, goal = _draw(place, robot, count, first)
         shortest = shortest_paths(place, robot, start, goal, goal_radius)
         long_enough = shortest >= min_path
         found.append((start[long_enough], goal[long_enough], shortest[long_enough]))
-        drawn += count
-        taken += int(long_enough.sum())
-    start, goal, shortest = (torch.cat(part)[:count] for part in zip(*found, strict=True))
-    return start, goal, shortest
+        start, goal, shortest = (torch.cat(part)[:count] for part in zip(*found, strict=True))
+        if len(shortest) == count:
+            return start, goal, shortest
+    raise ValueError(f"world {place.name!r} has hardly any shortest path of {min_path:g} m or more")
 
 
 def _draw(world: World, robot: Robot, count: int, seed: int) -> tuple[Tensor, Tensor]:
@@ -227,17 +204,12 @@ def _draw(world: World, robot: Robot, count: int, seed: int) -> tuple[Tensor, Te
 
 
 def stored_episodes(world: str) -> EpisodeSet:
-    """Returns the stored set of 256 episodes of a world.
-
-    Raises:
-        ValueError: for a world without a stored set.
-    """
+    """Returns the stored set of 256 episodes of a world. Raises ``ValueError`` for a world without one."""
     if world not in STORED_WORLDS:
         raise ValueError(f"no episodes are stored for world {world!r}; draw them with draw_episodes()")
     data = json.loads((FOLDER / f"{world}.json").read_text())
-    start, goal, shortest = (
-        torch.tensor([row[key] for row in data["episodes"]]) for key in ("start", "goal", "shortest")
-    )
+    columns = ("start", "goal", "shortest")
+    start, goal, shortest = (torch.tensor([row[key] for row in data["episodes"]]) for key in columns)
     return EpisodeSet(world, WorldPool(world), data["seed"], start, goal, shortest)
 
 
@@ -251,12 +223,8 @@ def choose_episodes(
 ) -> EpisodeSet:
     """Returns the first stored episodes of a world, or draws episodes if there are not enough stored ones.
 
-    Args:
-        world: name of a world or of a range of worlds.
-        count: number of episodes in each world; ``None``: 256 in one world, 4 in each world of a range.
-        seed: seed of the first draw; ``None``: use the stored episodes if possible.
-        robot: name of a robot, or a robot. The stored episodes are those of ``rover_zero``.
-        workers: largest number of processes, as for :func:`draw_episodes`.
+    ``count`` is the number in each world, by default 256 in one world and 4 in each of a range. With a ``seed``, or for
+    another robot than ``rover_zero``, all episodes are drawn: see :func:`draw_episodes`.
     """
     several = len(WorldPool(world)) > 1
     if count is None:
@@ -271,10 +239,10 @@ def choose_episodes(
 
 def write_episodes(episodes: EpisodeSet, path: Path) -> None:
     """Writes a set as JSON, one episode per line, with the shortest exact decimal form of each float32."""
-    columns = {key: getattr(episodes, key).numpy() for key in ("start", "goal", "shortest")}
-    exact, lines = np.vectorize(lambda number: float(str(number))), []
-    for index in range(len(episodes)):
-        lines.append(json.dumps({key: exact(value[index]).tolist() for key, value in columns.items()}))
+    exact = np.vectorize(lambda number: float(str(number)))
+    columns = [exact(getattr(episodes, key).numpy()).tolist() for key in ("start", "goal", "shortest")]
+    rows = (dict(zip(("start", "goal", "shortest"), row, strict=True)) for row in zip(*columns, strict=True))
+    lines = [json.dumps(row) for row in rows]
     head = json.dumps({"world": episodes.name, "seed": episodes.seed})[:-1]
     with written_whole(path) as temporary:
         temporary.write_text(f'{head}, "episodes": [\n' + ",\n".join(lines) + "\n]}\n")

@@ -8,12 +8,12 @@ Example:
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from itertools import pairwise
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import torch
 from tensordict import TensorDictBase
@@ -21,7 +21,8 @@ from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rover_rl.algos.evaluation.cores import over_cores
-from rover_rl.algos.evaluation.episodes import DEFAULT_SEED, EpisodeSet, draw_episodes
+from rover_rl.algos.evaluation.episodes import DEFAULT_SEED, EpisodeSet
+from rover_rl.algos.evaluation.episodes import draw_episodes as draw_episodes
 from rover_rl.algos.evaluation.metrics import TIME_LIMIT, Trajectory
 from rover_rl.algos.evaluation.results import EndlessEvaluation, Evaluation
 from rover_rl.algos.policy.baselines import RandomPolicy
@@ -35,17 +36,6 @@ from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World, get_world
 
-__all__ = [
-    "ENDINGS",
-    "EndlessEvaluation",
-    "EpisodeSet",
-    "Evaluation",
-    "Policy",
-    "draw_episodes",
-    "evaluate",
-    "evaluate_endless",
-]
-
 ENDINGS = {
     StepEvent.INVALID_ACTION: "invalid action",
     StepEvent.FLIP: "flipped",
@@ -57,8 +47,7 @@ ENDINGS = {
 """Endings of an episode before its time limit, by the event of its last step."""
 Watcher: TypeAlias = Callable[[RoverEnv, Tensor, Tensor], None]
 """Function that watches an evaluation: see :func:`evaluate`."""
-_MIN_ROWS = 32
-"""Smallest number of rows that a policy is called with: matrix products of few rows round differently."""
+_MIN_ROWS = 32  # smallest number of rows that a policy is called with: matrix products of few rows round differently
 
 
 def evaluate(
@@ -75,15 +64,11 @@ def evaluate(
     """Evaluates a policy on episodes with one goal each and a time limit.
 
     If the policy treats rows independently, the result of an episode is bit-identical for any number of ``rows`` and
-    any other episodes. Matrix products of few rows round differently, so the policy is called with at least 32 rows.
-
-    Each rover stays in a world, so that episodes may be in several worlds in any simulator.
+    any other episodes. Matrix products of few rows round differently, so the policy is called with at least 32 rows:
+    copies of the last row fill them up. Each rover stays in a world.
 
     Args:
-        policy: module that maps observations to actions, used without exploration; ``None`` acts at random. It is
-            called with at least 32 rows; copies of the last row fill them up.
-        episodes: episodes to drive.
-        name: name of the policy, for tables and plots.
+        policy: module that maps observations to actions, used without exploration; ``None`` acts at random.
         action_repeat: number of steps that each action is held for; 1 decides at 20 Hz. ``None``: 1, and for a policy
             with memory the number in training.
         seconds: time limit of each episode, s.
@@ -104,7 +89,13 @@ def evaluate(
     policy = policy or RandomPolicy(episodes.seed)
 
     def drive(part: EpisodeSet) -> list[Trajectory]:
-        return _drive_episodes(policy, part, env_config, action_repeat, seconds, name, watch)
+        schedule = _Schedule(part.world_index.tolist(), min(rows, len(part)))
+        worlds = [part.pool[index] for index in schedule.worlds]
+        place, seed = tuple(worlds) if len(set(worlds)) > 1 else worlds[0], part.seed + part.offset
+        rovers = RoverEnv(replace(env_config, world=place, num_envs=len(worlds), seed=seed))
+        rovers.length = max(1, round(seconds / rovers.control_dt))
+        places = {"start": part.start, "goal": part.goal}
+        return _drive(rovers, policy, action_repeat, name, schedule, places, part.offset, watch)
 
     driven = over_cores(drive, _with_few_worlds(episodes, rows), name, workers=1)
     env_config = replace(env_config, world=episodes.name, seed=episodes.seed)
@@ -122,30 +113,6 @@ def _with_few_worlds(episodes: EpisodeSet, rows: int) -> list[EpisodeSet]:
     return [episodes.part(begin, end) for begin, end in pairwise([*begins, len(episodes)])]
 
 
-def _drive_episodes(
-    policy: Policy,
-    episodes: EpisodeSet,
-    env: EnvConfig,
-    action_repeat: int,
-    seconds: float,
-    name: str,
-    watch: Watcher | None,
-) -> list[Trajectory]:
-    """Drives episodes with as many rovers as ``env`` has. Their number is at least that of the worlds."""
-    schedule = _Schedule(episodes.world_index.tolist(), min(env.num_envs or 1, len(episodes)))
-    worlds = [episodes.pool[index] for index in schedule.worlds]
-    env = replace(
-        env,
-        world=tuple(worlds) if len(set(worlds)) > 1 else worlds[0],
-        num_envs=len(worlds),
-        seed=episodes.seed + episodes.offset,
-    )
-    rovers = RoverEnv(env)
-    rovers.length = max(1, round(seconds / rovers.control_dt))
-    places = {"start": episodes.start, "goal": episodes.goal}
-    return _drive(rovers, policy, action_repeat, name, schedule, places, episodes.offset, watch)
-
-
 def evaluate_endless(
     policy: Policy | None,
     world: str | World,
@@ -161,18 +128,15 @@ def evaluate_endless(
 ) -> EndlessEvaluation:
     """Evaluates a policy in endless mode: episodes of up to 2,000 steps, with a new goal whenever one is reached.
 
+    For the arguments that are not listed, see :func:`evaluate`.
+
     Args:
-        policy: policy to evaluate, as for :func:`evaluate`.
-        world: world to drive in.
-        name: name of the policy, for tables and plots.
         rows: number of rovers, each of which drives one episode.
         seed: seed of the episodes; episode ``i`` is that of an environment seeded ``seed + i``.
         offset: index of the first episode.
         jam: whether a collision of more than 15 steps ends an episode, as in the contract. In the original it never
             does: its counter is never incremented.
         steps: number of steps after which an episode ends.
-        action_repeat: number of steps that each action is held for, as for :func:`evaluate`.
-        env: environment to drive in, as for :func:`evaluate`.
 
     Raises:
         ValueError: for a number out of range, an unknown world, or a policy that was made for another environment.
@@ -182,14 +146,11 @@ def evaluate_endless(
     name = name or ("random" if policy is None else "policy")
     env_config, place = environment_for(policy, env), get_world(world)
     task = env_config.task if jam else replace(env_config.task, collision_window=steps)
-    env_config = replace(
-        env_config, world=place, num_envs=rows, length=steps, end_on_goal=False, seed=seed + offset, task=task
-    )
-    rovers = RoverEnv(env_config)
-    schedule = _Schedule([0] * rows, rows)
-    trajectories = _drive(rovers, policy or RandomPolicy(seed), action_repeat, name, schedule, offset=offset)
     world_name = world if isinstance(world, str) else place.name
-    env_config = replace(env_config, world=world_name, seed=seed)
+    limits: dict[str, Any] = {"num_envs": rows, "length": steps, "end_on_goal": False, "task": task}
+    env_config = replace(env_config, world=world_name, seed=seed, **limits)
+    rovers, schedule = RoverEnv(replace(env_config, world=place, seed=seed + offset)), _Schedule([0] * rows, rows)
+    trajectories = _drive(rovers, policy or RandomPolicy(seed), action_repeat, name, schedule, offset=offset)
     return EndlessEvaluation(name, world_name, place, seed, action_repeat, jam, steps, trajectories, env_config)
 
 
@@ -204,15 +165,8 @@ def environment_for(policy: Policy | None, env: EnvConfig | None) -> EnvConfig:
     made_for: EnvConfig | None = getattr(policy, "made_for", None)
     if env is None:
         # By default, policies are compared in Bullet without randomization, whatever they were trained with.
-        parts = made_for or EnvConfig()
-        return EnvConfig(
-            robot=parts.robot,
-            lidar=parts.lidar,
-            sensors=parts.sensors,
-            action=parts.action,
-            task=parts.task,
-            heading_gains=parts.heading_gains,
-        )
+        kept = ("robot", "lidar", "sensors", "action", "task", "heading_gains")
+        return EnvConfig(**{key: getattr(made_for or EnvConfig(), key) for key in kept})
     if made_for is not None:
         require_match(made_for, env)
     return replace(env, privileged=False)
@@ -262,25 +216,19 @@ def _drive(
 
 
 class _Schedule:
-    """Distribution of episodes over rovers, each of which stays in one world.
-
-    The first episodes of the worlds are assigned to rovers first, then the second ones, and so on. A rover that has
-    ended an episode takes the next one in its world.
-    """
+    """Distribution of episodes over rovers, each of which stays in one world. Worlds take turns."""
 
     def __init__(self, worlds: Sequence[int], rows: int) -> None:
         self.count = len(worlds)
-        taken: Counter[int] = Counter()
-        turns = []
+        waiting: dict[int, deque[int]] = {}
         for episode, world in enumerate(worlds):
-            turns.append((taken[world], episode))
-            taken[world] += 1
-        order = [episode for _, episode in sorted(turns)]
-        self.first = order[:rows]
+            waiting.setdefault(world, deque()).append(episode)
+        turns = sorted((turn, episode) for queue in waiting.values() for turn, episode in enumerate(queue))
+        self.first = [episode for _, episode in turns[:rows]]
         self.worlds = [worlds[episode] for episode in self.first]
-        self._waiting: dict[int, deque[int]] = {world: deque() for world in self.worlds}
-        for episode in order[rows:]:
-            self._waiting[worlds[episode]].append(episode)
+        for world in self.worlds:
+            waiting[world].popleft()
+        self._waiting = waiting
 
     def next(self, row: int) -> int | None:
         """Returns the next episode of a rover; ``None`` if there is no further one in its world."""
@@ -299,14 +247,7 @@ class _Recorder:
         self._endings = [""] * count
 
     def add(self, env: RoverEnv, tensordict: TensorDictBase, episode: Tensor, rows: Tensor) -> None:
-        """Records a step.
-
-        Args:
-            env: environment after the step.
-            tensordict: observation after the step.
-            episode: episode that each rover drives, int64 ``[N]``.
-            rows: rovers to record, bool ``[N]``.
-        """
+        """Records a step of the ``rows`` (bool ``[N]``), each of which drives an ``episode`` (int64 ``[N]``)."""
         outcome, rover = tensordict["outcome"], env.rover_state
         events = (outcome["collision"], outcome["goal_reached"])
         record = torch.cat((rover.position, quaternion_to_euler(rover.orientation), *events), -1)
@@ -330,15 +271,9 @@ class _Recorder:
     @property
     def trajectories(self) -> list[Trajectory]:
         """Trajectories of the episodes, in order."""
-        recorded = zip(self._records, self._steps.tolist(), self._endings, strict=True)
+        ended = zip(self._records, self._steps.tolist(), self._endings, strict=True)
+        parts = [(record[: steps + 1].split((3, 3, 1, 1), -1), ending) for record, steps, ending in ended]
         return [
-            Trajectory(
-                position=record[: steps + 1, :3],
-                angles=record[: steps + 1, 3:6],
-                collision=record[1 : steps + 1, 6].bool(),
-                goal=record[1 : steps + 1, 7].bool(),
-                ending=ending,
-                dt=self._dt,
-            )
-            for record, steps, ending in recorded
+            Trajectory(position, angles, collision[1:, 0].bool(), goal[1:, 0].bool(), ending, dt=self._dt)
+            for (position, angles, collision, goal), ending in parts
         ]

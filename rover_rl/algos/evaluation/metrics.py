@@ -1,16 +1,16 @@
 """Evaluation metrics: functions of recorded trajectories, with 95 % confidence intervals.
 
 Names in brackets are those of the original environment, which has no formula for MTT and TR and never logs VORT.
-Proportions of episodes have Wilson score intervals. All other metrics are ratios of sums over episodes and have
-percentile bootstrap intervals. The intervals cover the variation between episodes, not the variation between training
-runs: train with several seeds to measure that.
+Proportions of episodes have Wilson score intervals, all other metrics are ratios of sums over episodes with percentile
+bootstrap intervals. They cover the variation between episodes, not between training runs: train with several seeds to
+measure that.
 """
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from inspect import signature
@@ -31,77 +31,21 @@ ROUGH_TILT = math.radians(10)
 moon, and nothing of maze. The original environment defines rough ground by an acceleration above 15 m/s^2, which a
 wheeled rover does not reach at 1 m/s: the maximum in the 20 Hz positions of 192 episodes in the three worlds is
 10 m/s^2."""
-STANDSTILL = 0.05
-"""Speed below which the rover stands still, m/s."""
-RESAMPLES = 2000
-"""Number of bootstrap resamples."""
+STANDSTILL = 0.05  #: Speed below which the rover stands still, m/s.
+RESAMPLES = 2000  #: Number of bootstrap resamples.
 
-TIME_LIMIT = "time limit"
-"""Ending of an episode at its time limit."""
-TOO_NEAR = "obstacle too near"
-"""Ending of a live drive: an obstacle is closer than the required clearance."""
-CONTACT = "contact"
-"""Ending of a run of a benchmark: the body touches an obstacle."""
-STOPPED = "stopped"
-"""Ending of a live drive: a person interrupted it, or the connection to the rover was lost."""
-RESTARTED = "robot restarted"
-"""Ending of a live drive: the rover's clock went backwards, or its pose jumped."""
+TIME_LIMIT = "time limit"  #: Ending of an episode at its time limit.
+TOO_NEAR = "obstacle too near"  #: Ending of a live drive: an obstacle is closer than the required clearance.
+CONTACT = "contact"  #: Ending of a run of a benchmark: the body touches an obstacle.
+STOPPED = "stopped"  #: Ending of a live drive: a person interrupted it, or the connection to the rover was lost.
+RESTARTED = "robot restarted"  #: Ending of a live drive: the rover's clock went backwards, or its pose jumped.
 EARLY_ENDINGS = ("flipped", "jammed", "out of bounds", "stuck", "invalid action", TOO_NEAR, RESTARTED, STOPPED)
 """Endings of an episode before its time limit, other than at its goal."""
 
 
 @dataclass(frozen=True)
-class Metric:
-    """Presentation of a metric in tables.
-
-    Attributes:
-        heading: heading of the metric's column.
-        meaning: short description for the legend; empty for endings, whose heading describes them.
-        unit: ``"%"`` for proportions, which are stored as numbers up to 1, ``"s"``, ``"m/s"``, ``"1/s"``,
-            ``"m/s^3"``, or empty.
-    """
-
-    heading: str
-    meaning: str = ""
-    unit: str = ""
-
-
-METRICS = {
-    "success_rate": Metric("success", "episodes that reach their goal", "%"),
-    "contact_free_success_rate": Metric("clean", "episodes that reach their goal without touching an obstacle", "%"),
-    "spl": Metric("SPL", "success weighted by path length"),
-    "mean_time_to_traverse": Metric("time", "mean time to a reached goal", "s"),
-    "goals_per_episode": Metric("goals", "goals reached per episode"),
-    "seconds_per_goal": Metric("per goal", "driving time per goal reached", "s"),
-    "ended_early": Metric("early", "episodes that end before the time limit", "%"),
-    "body_contact_share": Metric(
-        "touched", "episodes in which the body touches an obstacle, other than rubble lower than the wheel hubs", "%"
-    ),
-    **{f"ending_{kind.replace(' ', '_')}": Metric(kind, unit="%") for kind in (TIME_LIMIT, *EARLY_ENDINGS)},
-    "traverse_rate": Metric("traverse rate", "shortest-path length to reached goals per second of driving", "m/s"),
-    "episode_seconds": Metric("duration", "mean duration of an episode", "s"),
-    "velocity_over_rough_terrain": Metric(
-        "speed on rough", "mean speed on ground with a tilt of 10 degrees or more", "m/s"
-    ),
-    "collisions": Metric("collisions", "collisions per episode, as the task defines them"),
-    "body_contacts": Metric("touches", "contacts of the body with obstacles per episode"),
-    "turns_per_goal": Metric("turns", "full turns per goal reached"),
-    "standstill": Metric("still", "time spent slower than 0.05 m/s", "%"),
-    "command_reversals": Metric("reversals", "changes of the commanded turning direction per second", "1/s"),
-    "jerk": Metric("jerk", "root mean square jerk of the driven speed", "m/s^3"),
-}
-"""All metrics by name, in the order in which tables show them."""
-
-
-@dataclass(frozen=True)
 class Estimate:
-    """A measured value and its 95 % confidence interval.
-
-    Attributes:
-        value: point estimate; nan if it is undefined.
-        low: lower end of the interval; nan if there are too few episodes for an interval.
-        high: upper end of the interval; nan if there are too few episodes for an interval.
-    """
+    """A value, nan if it is undefined, and the ends of its 95 % confidence interval, nan with too few episodes."""
 
     value: float
     low: float
@@ -113,11 +57,11 @@ class Trajectory:
     """Record of one episode of T steps.
 
     Attributes:
-        position: positions of the rover at the start and after each step, float32 ``[T + 1, 3]``, m.
-        angles: roll, pitch and yaw of the rover at the start and after each step, float32 ``[T + 1, 3]``, rad.
-        collision: whether each step ends in a collision, a lidar reading below 0.3 m, bool ``[T]``.
+        position: positions at the start and after each step, float32 ``[T + 1, 3]``, m.
+        angles: roll, pitch and yaw at the start and after each step, float32 ``[T + 1, 3]``, rad.
+        collision: whether each step ends in a collision, as the task defines it, bool ``[T]``.
         goal: whether each step reaches a goal, bool ``[T]``.
-        ending: how the episode ends: ``"goal"``, :data:`TIME_LIMIT`, or one of :data:`EARLY_ENDINGS`.
+        ending: ``"goal"``, :data:`TIME_LIMIT`, or one of :data:`EARLY_ENDINGS`.
         reversals: number of changes of the commanded turning direction; nan if commands are not recorded.
         dt: duration of a step, s.
     """
@@ -177,10 +121,6 @@ def proportion(successes: int, count: int) -> Estimate:
 
     Wilson, "Probable inference", J. Am. Stat. Assoc. 22, 1927.
 
-    Args:
-        successes: number of successes.
-        count: number of trials.
-
     Example:
         >>> proportion(5, 10)
         Estimate(value=0.5, low=0.2365..., high=0.7634...)
@@ -195,16 +135,12 @@ def proportion(successes: int, count: int) -> Estimate:
 
 
 def ratio(numerators: Sequence[float], denominators: Sequence[float] | None = None) -> Estimate:
-    """Computes ``sum(numerators) / sum(denominators)`` over episodes with its percentile bootstrap interval.
+    """Computes ``sum(numerators) / sum(denominators)`` over episodes, or the mean, with its bootstrap interval.
 
-    The 2,000 paired resamples of :func:`scipy.stats.bootstrap` are the same in every call with the same number of
-    episodes (Efron, "Bootstrap methods", Ann. Stat. 7, 1979). Resamples with the ratio 0 / 0 are left out. The interval
-    has no width if all episodes are equal. Its ends are nan if the value is nan, or if fewer than two episodes have a
-    denominator above 0.
-
-    Args:
-        numerators: numerator of each episode.
-        denominators: denominator of each episode; ``None``: 1 for each, which gives the mean.
+    The 2,000 paired resamples (percentiles) of :func:`scipy.stats.bootstrap` are the same in every call with the same
+    number of episodes (Efron, "Bootstrap methods", Ann. Stat. 7, 1979). Resamples with the ratio 0 / 0 are left out.
+    The interval has no width if all episodes are equal. Its ends are nan if the value is nan, or if fewer than two
+    episodes have a denominator above 0.
 
     Example:
         >>> ratio([1.0, 3.0], [1.0, 1.0])
@@ -225,7 +161,7 @@ def ratio(numerators: Sequence[float], denominators: Sequence[float] | None = No
         warnings.simplefilter("ignore", DegenerateDataWarning)
         resampled = bootstrap(
             (top.numpy(), bottom.numpy()),
-            _ratio_of_sums,
+            lambda numerators, denominators, axis: numerators.sum(axis) / denominators.sum(axis),
             n_resamples=RESAMPLES,
             vectorized=True,
             paired=True,
@@ -237,15 +173,8 @@ def ratio(numerators: Sequence[float], denominators: Sequence[float] | None = No
     return Estimate(value, low, high)
 
 
-def _ratio_of_sums(numerators: np.ndarray, denominators: np.ndarray, axis: int) -> np.ndarray:
-    return numerators.sum(axis) / denominators.sum(axis)
-
-
 def contact_free_success_rate(trajectories: Sequence[Trajectory], contacts: Sequence[Tensor]) -> Estimate:
-    """Proportion of episodes that reach their goal within the time limit without any contact of the body.
-
-    ``contacts`` are the flags of :func:`find_body_contacts`.
-    """
+    """Proportion of episodes that reach their goal without a contact: see :func:`find_body_contacts`."""
     pairs = zip(trajectories, contacts, strict=True)
     clean = sum(t.ending == "goal" and not touched.any() for t, touched in pairs)
     return proportion(clean, len(trajectories))
@@ -268,10 +197,7 @@ def spl(trajectories: Sequence[Trajectory], shortest: Tensor) -> Estimate:
 
 
 def mean_time_to_traverse(trajectories: Sequence[Trajectory]) -> Estimate:
-    """[MTT] Mean time to the goal of the episodes that reach it, s.
-
-    Read it together with the success rate: a policy that reaches only near goals has a short mean time.
-    """
+    """[MTT] Mean time to the goal of the episodes that reach it, s: short for a policy that reaches near goals only."""
     reached = [t.ending == "goal" for t in trajectories]
     return ratio([t.seconds * r for t, r in zip(trajectories, reached, strict=True)], reached)
 
@@ -279,8 +205,7 @@ def mean_time_to_traverse(trajectories: Sequence[Trajectory]) -> Estimate:
 def traverse_rate(trajectories: Sequence[Trajectory], shortest: Tensor) -> Estimate:
     """[TR] Shortest-path length to reached goals per second of driving: ``sum(S l) / sum(t)``, m/s.
 
-    The original environment names this metric and gives no formula. Here a failure contributes its time ``t`` and no
-    length, since SPL does not credit partial progress either. The speed limit of 1 m/s is an upper bound.
+    A failure contributes its time ``t`` and no length, since SPL does not credit partial progress either.
     ``shortest`` is that of :func:`spl`.
     """
     pairs = zip(trajectories, shortest.tolist(), strict=True)
@@ -290,8 +215,7 @@ def traverse_rate(trajectories: Sequence[Trajectory], shortest: Tensor) -> Estim
 def velocity_over_rough_terrain(trajectories: Sequence[Trajectory]) -> Estimate:
     """[VORT] Mean speed over ground in the steps with a tilt of 10 degrees or more, m/s.
 
-    The original environment defines rough ground by acceleration (see :data:`ROUGH_TILT`) and never logs this metric.
-    The value is nan if no ground is rough, as in the maze.
+    The value is nan if no ground is rough, as in the maze. The original defines rough ground by acceleration.
     """
     rough = [t.tilt >= ROUGH_TILT for t in trajectories]
     return ratio(
@@ -333,8 +257,7 @@ def find_body_contacts(
     """Finds the poses of each episode at which the rover's body touches an obstacle, bool ``[T + 1]`` each.
 
     See :func:`~rover_rl.algos.evaluation.body_contacts.is_touching`. A contact need not be a lidar collision: at the
-    sides and at the rear, the outline may be farther from the lidar than the collision distance. ``world`` is that of
-    all episodes, or that of each.
+    sides and at the rear, the outline may be farther from the lidar. ``world`` is that of all episodes, or of each.
     """
     worlds = [world] * len(trajectories) if isinstance(world, World) else world
     together: dict[World, list[int]] = {}
@@ -349,55 +272,114 @@ def find_body_contacts(
     return [contacts[episode] for episode in range(len(trajectories))]
 
 
+class Drives(list[Trajectory]):
+    """Recorded episodes, with the flags of :func:`find_body_contacts` and the shortest lengths of :func:`spl`."""
+
+    def __init__(
+        self, trajectories: Sequence[Trajectory], contacts: Sequence[Tensor], shortest: Tensor | None = None
+    ) -> None:
+        super().__init__(trajectories)
+        self.contacts, self.shortest = contacts, torch.zeros(0) if shortest is None else shortest
+        self.touches = [count_runs(touched) for touched in contacts]
+        self.goals = [t.goal.sum().item() for t in self]
+        self.seconds = [t.seconds for t in self]
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A metric: its column in tables, and its formula.
+
+    Attributes:
+        heading: heading of the column.
+        unit: ``"%"`` for proportions, which are stored as numbers up to 1, else that of the value.
+        meaning: short description for the legend; empty for endings, whose heading describes them.
+        of: computes the metric.
+        default: whether tables have the column by default.
+    """
+
+    heading: str
+    unit: str
+    meaning: str
+    of: Callable[[Drives], Estimate]
+    default: bool = False
+
+
+def _ended(*endings: str) -> Callable[[Drives], Estimate]:
+    return lambda d: ending_share(d, *endings)
+
+
+def _standstill(d: Drives) -> Estimate:
+    return ratio([(t.speed < STANDSTILL).sum().item() for t in d], [len(t) for t in d])
+
+
+def _body_contact_share(d: Drives) -> Estimate:
+    return proportion(sum(count > 0 for count in d.touches), len(d))
+
+
+ENDING = "ending_"  #: First part of the names of metrics that are shares of endings.
+_ON_GROUND = "mean speed on ground with a tilt of 10 degrees or more"
+_CLEAN = "episodes that reach their goal without touching an obstacle"
+_TOUCHED = "episodes in which the body touches an obstacle, other than rubble lower than the wheel hubs"
+_RATE = "shortest-path length to reached goals per second of driving"
+_REVERSALS = "changes of the commanded turning direction per second"
+_ONE_GOAL = {
+    "success_rate": Metric("success", "%", "episodes that reach their goal", _ended("goal"), True),
+    "contact_free_success_rate": Metric("clean", "%", _CLEAN, lambda d: contact_free_success_rate(d, d.contacts), True),
+    "spl": Metric("SPL", "", "success weighted by path length", lambda d: spl(d, d.shortest), True),
+    "mean_time_to_traverse": Metric("time", "s", "mean time to a reached goal", mean_time_to_traverse, True),
+    "traverse_rate": Metric("traverse rate", "m/s", _RATE, lambda d: traverse_rate(d, d.shortest)),
+}
+_ENDLESS = {
+    "goals_per_episode": Metric("goals", "", "goals reached per episode", lambda d: ratio(d.goals), True),
+    "seconds_per_goal": Metric(
+        "per goal", "s", "driving time per goal reached", lambda d: ratio(d.seconds, d.goals), True
+    ),
+    "episode_seconds": Metric("duration", "s", "mean duration of an episode", lambda d: ratio(d.seconds)),
+    "ended_early": Metric("early", "%", "episodes that end before the time limit", _ended(*EARLY_ENDINGS), True),
+}
+_BOTH = {
+    "velocity_over_rough_terrain": Metric("speed on rough", "m/s", _ON_GROUND, velocity_over_rough_terrain),
+    "collisions": Metric(
+        "collisions",
+        "",
+        "collisions per episode, as the task defines them",
+        lambda d: ratio([count_runs(t.collision) for t in d]),
+    ),
+    "body_contacts": Metric(
+        "touches", "", "contacts of the body with obstacles per episode", lambda d: ratio(d.touches)
+    ),
+    "body_contact_share": Metric("touched", "%", _TOUCHED, _body_contact_share, True),
+    # Circling is a common failure of policies for this task. Good policies have about 0.45 turns per goal.
+    "turns_per_goal": Metric(
+        "turns", "", "full turns per goal reached", lambda d: ratio([t.turns for t in d], d.goals)
+    ),
+    "standstill": Metric("still", "%", "time spent slower than 0.05 m/s", _standstill),
+    # Steady heading control has about one per second. A controller that oscillates has up to 20 at 20 Hz.
+    "command_reversals": Metric("reversals", "1/s", _REVERSALS, lambda d: ratio([t.reversals for t in d], d.seconds)),
+    "jerk": Metric("jerk", "m/s^3", "root mean square jerk of the driven speed", jerk),
+    **{
+        ENDING + kind.replace(" ", "_"): Metric(kind, "%", "", _ended(kind), True)
+        for kind in (TIME_LIMIT, *EARLY_ENDINGS)
+    },
+}
+METRICS = dict(
+    sorted((_ONE_GOAL | _ENDLESS | _BOTH).items(), key=lambda item: (not item[1].default, item[0].startswith(ENDING)))
+)
+"""All metrics by name, in the order in which tables show them. A new one is an entry in one of the tables above.
+
+:meta hide-value:
+"""
+
+
 def goal_metrics(
     trajectories: Sequence[Trajectory], shortest: Tensor, contacts: Sequence[Tensor]
 ) -> dict[str, Estimate]:
-    """Computes the metrics of episodes with one goal each, by name.
-
-    Args:
-        trajectories: recorded episodes.
-        shortest: lengths of the shortest paths, ``[count]``, m.
-        contacts: contact flags of :func:`find_body_contacts`.
-    """
-    return {
-        "success_rate": ending_share(trajectories, "goal"),
-        "contact_free_success_rate": contact_free_success_rate(trajectories, contacts),
-        "spl": spl(trajectories, shortest),
-        "mean_time_to_traverse": mean_time_to_traverse(trajectories),
-        "traverse_rate": traverse_rate(trajectories, shortest),
-        **_common_metrics(trajectories, contacts),
-    }
+    """Computes the metrics of episodes with one goal each, by name: see :class:`Drives`."""
+    drives = Drives(trajectories, contacts, shortest)
+    return {name: metric.of(drives) for name, metric in (_ONE_GOAL | _BOTH).items()}
 
 
 def endless_metrics(trajectories: Sequence[Trajectory], contacts: Sequence[Tensor]) -> dict[str, Estimate]:
-    """Computes the metrics of endless episodes, by name, with the contact flags of :func:`find_body_contacts`."""
-    seconds, goals = [t.seconds for t in trajectories], [t.goal.sum().item() for t in trajectories]
-    return {
-        "goals_per_episode": ratio(goals),
-        "seconds_per_goal": ratio(seconds, goals),
-        "episode_seconds": ratio(seconds),
-        "ended_early": ending_share(trajectories, *EARLY_ENDINGS),
-        **_common_metrics(trajectories, contacts),
-    }
-
-
-def _common_metrics(trajectories: Sequence[Trajectory], touched: Sequence[Tensor]) -> dict[str, Estimate]:
-    contacts = [count_runs(flags) for flags in touched]
-    goals = [t.goal.sum().item() for t in trajectories]
-    slow = [(t.speed < STANDSTILL).sum().item() for t in trajectories]
-    return {
-        "velocity_over_rough_terrain": velocity_over_rough_terrain(trajectories),
-        "collisions": ratio([count_runs(t.collision) for t in trajectories]),
-        "body_contacts": ratio(contacts),
-        "body_contact_share": proportion(sum(count > 0 for count in contacts), len(contacts)),
-        # Circling is a common failure of policies for this task. Good policies have about 0.45 turns per goal.
-        "turns_per_goal": ratio([t.turns for t in trajectories], goals),
-        "standstill": ratio(slow, [len(t) for t in trajectories]),
-        # Steady heading control has about one per second. A controller that oscillates has up to 20 at 20 Hz.
-        "command_reversals": ratio([t.reversals for t in trajectories], [t.seconds for t in trajectories]),
-        "jerk": jerk(trajectories),
-        **{
-            f"ending_{kind.replace(' ', '_')}": ending_share(trajectories, kind)
-            for kind in (TIME_LIMIT, *EARLY_ENDINGS)
-        },
-    }
+    """Computes the metrics of endless episodes, by name: see :class:`Drives`."""
+    drives = Drives(trajectories, contacts)
+    return {name: metric.of(drives) for name, metric in (_ENDLESS | _BOTH).items()}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from operator import methodcaller
 from typing import Any, TypeAlias
 
 from rover_rl.algos.evaluation.cores import over_cores
@@ -22,10 +23,8 @@ from rover_rl.sims.worlds import World
 EPISODES_PER_PART = 32
 """Number of episodes that one process evaluates at a time. It does not depend on the number of cores, so that the
 results of randomized environments do not, either."""
-BATCHED_PER_PART = 128
-"""The same for several worlds in Warp, which steps many rovers almost as fast as few."""
-SMALL = 16
-"""Number of episodes below which starting processes takes longer than the evaluation."""
+BATCHED_PER_PART = 128  # the same for several worlds in Warp, which steps many rovers almost as fast as few
+SMALL = 16  # number of episodes below which starting processes takes longer than the evaluation
 ROWS = 8
 """Number of rovers of an evaluation with one goal per episode in one world. With more rovers, more of them wait for the
 last one. In several worlds, each episode of a part has a rover, as rovers stay in their worlds."""
@@ -33,13 +32,7 @@ last one. In several worlds, each episode of a part has a rover, as rovers stay 
 
 @dataclass(frozen=True)
 class GoalRequest:
-    """Request for an evaluation with one goal per episode.
-
-    Attributes:
-        policy: policy to evaluate; ``None`` acts at random.
-        episodes: episodes to drive.
-        options: further arguments of :func:`~rover_rl.algos.evaluation.evaluate.evaluate`, except for ``rows``.
-    """
+    """Request for an evaluation with one goal per episode, with further arguments of ``evaluate``."""
 
     policy: Policy | None
     episodes: EpisodeSet
@@ -52,14 +45,11 @@ class GoalRequest:
 
     def parts(self) -> list[GoalRequest]:
         """Divides the episodes."""
-        size, firsts = self._part_size, range(0, self.count, self._part_size)
-        return [replace(self, episodes=self.episodes.part(first, first + size).with_used_worlds()) for first in firsts]
-
-    @property
-    def _part_size(self) -> int:
         env = self.options.get("env")
         batched = self.episodes.several_worlds and env is not None and env.backend == "warp"
-        return BATCHED_PER_PART if batched else EPISODES_PER_PART
+        size = BATCHED_PER_PART if batched else EPISODES_PER_PART
+        parts = (self.episodes.part(first, first + size) for first in range(0, self.count, size))
+        return [replace(self, episodes=part.with_used_worlds()) for part in parts]
 
     def run(self) -> Evaluation:
         """Evaluates the policy in this process. The result has no episodes: :meth:`merge` adds them."""
@@ -73,17 +63,7 @@ class GoalRequest:
 
 @dataclass(frozen=True)
 class EndlessRequest:
-    """Request for an evaluation in endless mode.
-
-    Attributes:
-        policy: policy to evaluate; ``None`` acts at random.
-        world: world to drive in.
-        options: further arguments of :func:`~rover_rl.algos.evaluation.evaluate.evaluate_endless`, except for ``rows``,
-            ``seed`` and ``offset``.
-        rows: number of episodes.
-        seed: seed of the episodes.
-        offset: index of the first episode.
-    """
+    """Request for an evaluation in endless mode, with further arguments of ``evaluate_endless``."""
 
     policy: Policy | None
     world: str | World
@@ -105,9 +85,8 @@ class EndlessRequest:
 
     def run(self) -> EndlessEvaluation:
         """Evaluates the policy in this process."""
-        return evaluate_endless(
-            self.policy, self.world, rows=self.rows, seed=self.seed, offset=self.offset, **self.options
-        )
+        episodes: dict[str, Any] = {"rows": self.rows, "seed": self.seed, "offset": self.offset}
+        return evaluate_endless(self.policy, self.world, **episodes, **self.options)
 
     def merge(self, parts: Sequence[Any]) -> EndlessEvaluation:
         """Joins the results of :meth:`parts`."""
@@ -126,17 +105,11 @@ def evaluate_all(requests: Sequence[Request], workers: int | None = None) -> lis
     """
     if workers is not None:
         check_at_least(1, MAX_COUNT, workers=workers)
-    if sum(request.count for request in requests) < SMALL or any(_on_gpu(request.options) for request in requests):
+    envs = [request.options.get("env") for request in requests]
+    on_gpu = any(env is not None and env.device not in (None, "cpu") for env in envs)
+    if sum(request.count for request in requests) < SMALL or on_gpu:
         workers = 1
     parts = [request.parts() for request in requests]
-    results = iter(over_cores(_run, [part for several in parts for part in several], "evaluating", workers))
+    flat = [part for several in parts for part in several]
+    results = iter(over_cores(methodcaller("run"), flat, "evaluating", workers))
     return [request.merge([next(results) for _ in several]) for request, several in zip(requests, parts, strict=True)]
-
-
-def _run(request: Request) -> Evaluation | EndlessEvaluation:
-    return request.run()
-
-
-def _on_gpu(options: dict[str, Any]) -> bool:
-    env = options.get("env")
-    return env is not None and env.device not in (None, "cpu")

@@ -44,10 +44,8 @@ def style_axes(ax: Axes) -> None:
     ax.set_axisbelow(True)
 
 
-_MAX_COLUMNS = 3
-"""Largest number of panels in a row."""
-_STRIDE = 4
-"""Number of steps per segment of a path. Its color shows the mean speed over them."""
+_MAX_COLUMNS = 3  # largest number of panels in a row
+_STRIDE = 4  # Number of steps per segment of a path. Its color shows the mean speed over them.
 _SPEED = ScalarMappable(Normalize(0, 1), ListedColormap(colormaps["plasma_r"](np.linspace(0.12, 1, 256))))
 """Colors of speeds in m/s, bright for low speeds. The brightest yellow is left out, since it is hard to see on pale
 ground."""
@@ -57,12 +55,7 @@ def draw_paths(evaluations: Sequence[Evaluation], path: Path, max_episodes: int 
     """Draws the driven paths of policies from above, colored by speed, with one panel per policy.
 
     Of episodes in several worlds, the six worlds with the lowest success rates are drawn, with a panel per policy and
-    world.
-
-    Args:
-        evaluations: evaluations of policies on the same episodes.
-        path: path of the figure; its suffix selects the format.
-        max_episodes: largest number of episodes to draw in a panel; the first ones are drawn.
+    world. The suffix of ``path`` selects the format. A panel has the first ``max_episodes`` at most.
     """
     episodes = evaluations[0].episodes
     if episodes.several_worlds:
@@ -179,7 +172,6 @@ def draw_reward_components(rollout: TensorDictBase, path: Path, *, dt: float = C
     Args:
         rollout: rollout of one rover, ``[T]`` or ``[1, T]``, as returned by ``make_env(...).rollout(T)``; it may
             contain several episodes.
-        path: path of the figure; its suffix selects the format.
         dt: duration of a step, s.
 
     Raises:

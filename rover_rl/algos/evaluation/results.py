@@ -21,13 +21,13 @@ from rover_rl.algos.evaluation.metrics import (
     find_body_contacts,
     goal_metrics,
 )
+from rover_rl.algos.evaluation.tables import finite_row
 from rover_rl.envs.config import EnvConfig, plain_env
 from rover_rl.sims.backends import name_of
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import World
 
-WORST = 6
-"""Number of worlds with the lowest success rates that are named and drawn."""
+WORST = 6  # number of worlds with the lowest success rates that are named and drawn
 
 
 class _Results:
@@ -64,13 +64,7 @@ class _Results:
 class Evaluation(_Results):
     """Results of a policy on episodes with one goal each.
 
-    Attributes:
-        name: name of the policy.
-        episodes: starts and goals of the episodes.
-        action_repeat: number of steps that each action was held for.
-        seconds: time limit of an episode, s.
-        trajectories: trajectory of each episode.
-        env: settings of the environment.
+    ``seconds`` is the time limit of an episode, s. Each action was held for ``action_repeat`` steps.
     """
 
     name: str
@@ -88,7 +82,7 @@ class Evaluation(_Results):
     @property
     def steps(self) -> Tensor:
         """Number of steps of each episode, int64 ``[count]``."""
-        return torch.tensor([len(trajectory) for trajectory in self.trajectories])
+        return torch.tensor([*map(len, self.trajectories)])
 
     @property
     def paths(self) -> list[Tensor]:
@@ -207,16 +201,7 @@ class Evaluation(_Results):
 class EndlessEvaluation(_Results):
     """Results of a policy in endless mode, in which each reached goal is followed by a new one, as in the original.
 
-    Attributes:
-        name: name of the policy.
-        world_name: name of the world, as the user gave it.
-        world: world of the episodes.
-        seed: seed of the first episode.
-        action_repeat: number of steps that each action was held for.
-        jam: whether a long collision ended an episode.
-        length: number of steps after which an episode ended.
-        trajectories: trajectory of each episode.
-        env: settings of the environment.
+    ``length`` is the number of steps after which an episode ended, and ``jam`` whether a long collision ended one.
     """
 
     name: str
@@ -267,10 +252,7 @@ class EndlessEvaluation(_Results):
 
 
 def worst_worlds(evaluations: Sequence[Evaluation], count: int = WORST) -> list[int]:
-    """Returns the indices of the worlds with the lowest mean success rates, the lowest first.
-
-    Among worlds with equal success rates, those with more contacts and longer times come first.
-    """
+    """Returns the indices of the worlds with the lowest mean success, then with most contacts, then slowest."""
 
     def merit(index: int) -> tuple[float, float, float]:
         results = [evaluation.by_world[index] for evaluation in evaluations]
@@ -309,11 +291,8 @@ def plain_env_or_none(env: EnvConfig) -> dict[str, Any] | None:
 
 
 def plain_estimates(estimates: Mapping[str, Estimate]) -> dict[str, dict[str, float | None]]:
-    """Returns estimates as plain data. JSON knows neither nan nor infinity: they are ``None``."""
-    return {
-        key: {end: number if math.isfinite(number) else None for end, number in vars(estimate).items()}
-        for key, estimate in estimates.items()
-    }
+    """Returns estimates as plain data, with ``None`` for nan and infinity."""
+    return {key: finite_row(vars(estimate)) for key, estimate in estimates.items()}
 
 
 def _end(trajectory: Trajectory, touched: Tensor) -> dict[str, Any]:

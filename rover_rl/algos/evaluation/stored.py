@@ -15,22 +15,15 @@ from rover_rl.algos.evaluation.parallel import EPISODES_PER_PART
 from rover_rl.envs.config import EnvConfig, Randomization, env_from_plain
 from rover_rl.sims.worlds.pool import WorldPool
 
-FILE = "evaluation.json"
-"""Name of the file in the folder of a run."""
+FILE = "evaluation.json"  # name of the file in the folder of a run
 
 
 @dataclass(frozen=True)
 class StoredEvaluation:
     """An evaluation with one goal per episode, as ``evaluation.json`` holds it.
 
-    Attributes:
-        policy: name of the policy.
-        episodes: starts and goals.
-        action_repeat: number of steps that each action was held for.
-        seconds: time limit of an episode, s.
-        env: environment that the policy drove in.
-        endings: how each episode ended.
-        durations: duration of each episode, s.
+    ``seconds`` is the time limit of an episode, s, and ``durations`` are those of the episodes, s. Each action was held
+    for ``action_repeat`` steps.
     """
 
     policy: str
@@ -49,10 +42,8 @@ class StoredEvaluation:
     def to_drive(self, episode: int) -> EpisodeSet:
         """Returns the episodes to drive for the same drive as in the evaluation: the episode alone if possible.
 
-        The random numbers of a randomized environment depend on the episodes that were driven with it.
-
-        Raises:
-            ValueError: if there is no such episode.
+        The random numbers of a randomized environment depend on the episodes that were driven with it. Raises
+        ``ValueError`` if there is no such episode.
         """
         if not 0 <= episode < len(self.episodes):
             raise ValueError(f"episode must be between 0 and {len(self.episodes) - 1}, got {episode}")
@@ -62,11 +53,9 @@ class StoredEvaluation:
 
 
 def read_evaluation(path: Path, policy: str, world: str | None = None, backend: str | None = None) -> StoredEvaluation:
-    """Reads the first evaluation of a policy from a file.
+    """Reads the first evaluation of a policy from a file, or from ``evaluation.json`` in a folder.
 
     Args:
-        path: file, or folder with ``evaluation.json``.
-        policy: name of the policy in the file.
         world: name of the world, or range of worlds; ``None``: any.
         backend: name of the simulator; ``None``: any.
 
@@ -90,10 +79,9 @@ def read_evaluation(path: Path, policy: str, world: str | None = None, backend: 
 
 
 def _stored(entry: Mapping[str, Any]) -> StoredEvaluation:
-    rows = entry["episodes"]
+    rows, pool = entry["episodes"], WorldPool(entry["world"])
     start, goal, shortest = (torch.tensor([row[key] for row in rows]) for key in ("start", "goal", "shortest"))
     worlds = torch.tensor([row.get("world", 0) for row in rows])
-    pool = WorldPool(entry["world"])
     env = EnvConfig(backend=entry["backend"]) if entry["env"] is None else env_from_plain(entry["env"], FILE)
     return StoredEvaluation(
         entry["policy"],

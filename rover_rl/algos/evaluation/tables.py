@@ -19,14 +19,10 @@ from rich.text import Text
 from rover_rl.algos.evaluation.metrics import Estimate
 from rover_rl.files import written_whole
 
-NAME_WIDTH = 30
-"""Width up to which names of policies stay in one line if there is room, characters."""
-LEAST_NAME_WIDTH = 12
-"""Width of the names in a narrow terminal, characters."""
-_HEADING_WIDTH = 16
-"""Largest width of a heading, characters."""
-_UNLIMITED = 100_000
-"""Width of a terminal in which everything fits, characters."""
+NAME_WIDTH = 30  # width up to which names of policies stay in one line if there is room, characters
+LEAST_NAME_WIDTH = 12  # width of the names in a narrow terminal, characters
+_HEADING_WIDTH = 16  # largest width of a heading, characters
+_UNLIMITED = 100_000  # width of a terminal in which everything fits, characters
 
 
 @dataclass(frozen=True)
@@ -43,15 +39,16 @@ def print_tables(
 ) -> None:
     """Prints a title, and tables that together have all columns, none of them wider than the console.
 
-    Names that are too long continue in the next line, after a separator such as ``-``. Headings of several words have a
-    line for each. Nothing else is broken or cut.
+    Long names continue in the next line, after a separator such as ``-``. Nothing else is broken or cut.
     """
     console.print(Text(title, "bold"))
+    longest = max(len(heading), *(len(line) for name in names for line in name.splitlines()))
     rest = [*columns]
     while True:
-        count = max(1, next((n for n in range(len(rest), 0, -1) if _fits(names, rest[:n], console)), 0))
-        width = max(_name_width(names, rest[:count], console), LEAST_NAME_WIDTH)
-        console.print(_table(names, rest[:count], width, heading))
+        rooms = {count: _room(len(names), rest[:count], console) for count in range(len(rest), 0, -1)}
+        count = next((count for count, room in rooms.items() if room >= min(longest, LEAST_NAME_WIDTH)), 1)
+        width = min(longest, NAME_WIDTH, rooms.get(count, NAME_WIDTH))
+        console.print(_table(names, rest[:count], max(width, LEAST_NAME_WIDTH), heading))
         rest = rest[count:]
         if not rest:
             return
@@ -86,17 +83,24 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         writer.writerows(rows)
 
 
-def _fits(names: Sequence[str], columns: Sequence[Column], console: Console) -> bool:
-    longest = max(len(line) for name in names for line in name.splitlines())
-    return _name_width(names, columns, console) >= min(longest, LEAST_NAME_WIDTH)
+def estimate_row(estimates: Mapping[str, Estimate]) -> dict[str, float]:
+    """Returns three columns for each estimate: its value and the ends of its interval."""
+    columns: dict[str, float] = {}
+    for key, estimate in estimates.items():
+        columns |= {key: estimate.value, f"{key}_low": estimate.low, f"{key}_high": estimate.high}
+    return columns
 
 
-def _name_width(names: Sequence[str], columns: Sequence[Column], console: Console) -> int:
-    """Returns the width that the columns leave for the names, at most what the names need."""
-    longest = max(len(line) for name in names for line in name.splitlines())
-    without = _table([""] * len(names), columns, 0, "policy")
-    needed = console.measure(without, options=console.options.update(width=_UNLIMITED)).maximum - len("policy")
-    return min(max(longest, len("policy")), NAME_WIDTH, console.width - needed)
+def finite_row(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns a row with ``None`` in place of nan and infinity, which JSON does not know."""
+    return {key: None if isinstance(n, float) and not math.isfinite(n) else n for key, n in row.items()}
+
+
+def _room(rows: int, columns: Sequence[Column], console: Console) -> int:
+    """Returns the width that columns leave for the names."""
+    without = _table([""] * rows, columns, 0, "policy")
+    needed = console.measure(without, options=console.options.update(width=_UNLIMITED)).maximum
+    return console.width - needed + len("policy")
 
 
 def _table(names: Sequence[str], columns: Sequence[Column], name_width: int, heading: str) -> Table:

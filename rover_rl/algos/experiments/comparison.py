@@ -19,33 +19,23 @@ import numpy as np
 from rich.console import Console
 
 from rover_rl.algos.evaluation.metrics import Estimate
-from rover_rl.algos.evaluation.tables import Column, cell, print_tables, write_rows
+from rover_rl.algos.evaluation.tables import Column, cell, estimate_row, finite_row, print_tables, write_rows
 from rover_rl.algos.experiments.curves import COMPARED, draw_learning_curve
 from rover_rl.algos.experiments.runs import Against, Experiment, Run, evaluated_success, group
 from rover_rl.algos.experiments.statistics import interquartile_mean, probability_of_improvement
 from rover_rl.files import write_json
 
-IN_TRAINING = "last twelfth of training"
-"""What success rates are of if the runs have no evaluation in common."""
-ALL_WORLDS = "all worlds"
-"""Heading of the results over several worlds."""
-_FEW = 5
-"""Number of runs below which intervals are far too narrow."""
+IN_TRAINING = "last twelfth of training"  # what success rates are of if the runs have no evaluation in common
+ALL_WORLDS = "all worlds"  # heading of the results over several worlds
+_FEW = 5  # number of runs below which intervals are far too narrow
 
 
 @dataclass(frozen=True)
 class Row:
-    """Result of the experiments with the same settings in one world or in several.
+    """Result of the experiments with the same settings in one world or in all of them (:data:`ALL_WORLDS`).
 
-    Attributes:
-        name: name of the experiment.
-        settings: algorithm, and the settings in which experiments differ.
-        world: name of the world, or :data:`ALL_WORLDS`.
-        scores: success rates of the runs in each world, ``[runs]`` each.
-        success: their interquartile mean.
-        steps: median number of steps to the level; infinity if half of the runs do not reach it.
-        minutes: median minutes to the level.
-        reached: number of runs that reach the level.
+    ``scores`` are the success rates of the runs in each world, ``[runs]`` each, and ``success`` is their interquartile
+    mean. ``steps`` and ``minutes`` are medians to the level, infinity if half of the runs do not reach it.
     """
 
     name: str
@@ -75,15 +65,10 @@ class Pair:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of experiments.
+    """Comparison of experiments: results in each world, then in all of them.
 
-    Attributes:
-        runs: all runs.
-        scored_by: what the success rates are of: an evaluation, or the last twelfth of training.
-        level: success rate of ``steps`` and ``minutes``.
-        scores: success rate of each run, by its folder.
-        rows: results of the experiments in each world, then in all of them.
-        pairs: probabilities of improvement.
+    ``scored_by`` says what the success rates are of: an evaluation, or the last twelfth of training. ``scores`` are
+    those of the runs by their folders, and ``level`` is the success rate of ``steps`` and ``minutes`` in the rows.
     """
 
     runs: list[Run]
@@ -98,11 +83,7 @@ def compare(folders: Sequence[Path], level: float = 0.9) -> Comparison:
     """Compares runs, which are grouped by their settings without the seed.
 
     The success rates are those of an evaluation if all runs have one in common, on the same episodes, else those of
-    the last twelfth of training.
-
-    Args:
-        folders: folders of the runs.
-        level: success rate in training for the steps and the minutes that a run takes to it.
+    the last twelfth of training. ``level`` is the success rate in training that a run takes some steps and minutes to.
 
     Raises:
         FileNotFoundError: if a folder holds no run.
@@ -119,8 +100,7 @@ def compare(folders: Sequence[Path], level: float = 0.9) -> Comparison:
     for experiment in group(runs):
         by_world.setdefault(experiment.world, []).append(experiment)
     tables = [(world, [[one] for one in experiments]) for world, experiments in by_world.items()]
-    everywhere = _everywhere(by_world)
-    if everywhere and len(by_world) > 1:
+    if len(by_world) > 1 and (everywhere := _everywhere(by_world)):
         tables.append((ALL_WORLDS, everywhere))
     rows, pairs = [], []
     for world, experiments in tables:
@@ -161,39 +141,30 @@ def _row(world: str, strata: Sequence[Experiment], scores: dict[Path, float], le
 
 def print_comparison(comparison: Comparison, console: Console | None = None) -> None:
     """Prints a table of the experiments in each world, and how probable it is that one is better than another."""
-    console = console or Console()
+    console, level = console or Console(), f"{comparison.level:.0%}"
     for world in dict.fromkeys(row.world for row in comparison.rows):
-        _print_table(world, comparison, console)
+        rows = [row for row in comparison.rows if row.world == world]
+        columns = [
+            Column("runs", "", [str(row.runs) for row in rows]),
+            Column("success", "%", [cell(row.success, "%") for row in rows]),
+            Column(f"reach {level}", "", [str(row.reached) for row in rows]),
+            Column(f"steps to {level}", "", [_or_none(float(f"{row.steps:.2g}"), ",.0f") for row in rows]),
+            Column(f"minutes to {level}", "", [_or_none(row.minutes, ".1f") for row in rows]),
+        ]
+        names = [row.name if row.settings == row.name else f"{row.name}\n{row.settings}" for row in rows]
+        print_tables(f"{world}: {comparison.scored_by}", names, columns, console, heading="experiment")
         for pair in (pair for pair in comparison.pairs if pair.world == world):
-            low, high = (f"{100 * end:.0f}" for end in (pair.probability.low, pair.probability.high))
-            ends = "" if math.isnan(pair.probability.low) else f" [{low}–{high}]"
-            probability = f"{100 * pair.probability.value:.0f} %{ends}"
-            console.print(
-                f"Probability that a run of {pair.better} is better than one of {pair.other}: {probability}",
-                highlight=False,
-                markup=False,
-            )
+            low, high = pair.probability.low, pair.probability.high
+            ends = "" if math.isnan(low) else f" [{100 * low:.0f}–{100 * high:.0f}]"
+            better = f"Probability that a run of {pair.better} is better than one of {pair.other}"
+            console.print(f"{better}: {100 * pair.probability.value:.0f} %{ends}", highlight=False, markup=False)
     notes = [
         "success: interquartile mean of the runs; below it and in brackets: 95 % bootstrap interval over runs",
-        f"to {comparison.level:.0%}: median of the runs, in training",
+        f"to {level}: median of the runs, in training",
     ]
     if any(row.runs < _FEW for row in comparison.rows):
         notes.append(f"with fewer than {_FEW} runs, intervals are too narrow")
     console.print("; ".join(notes) + ".", style="dim", highlight=False)
-
-
-def _print_table(world: str, comparison: Comparison, console: Console) -> None:
-    rows = [row for row in comparison.rows if row.world == world]
-    level = f"{comparison.level:.0%}"
-    columns = [
-        Column("runs", "", [str(row.runs) for row in rows]),
-        Column("success", "%", [cell(row.success, "%") for row in rows]),
-        Column(f"reach {level}", "", [str(row.reached) for row in rows]),
-        Column(f"steps to {level}", "", [_or_none(float(f"{row.steps:.2g}"), ",.0f") for row in rows]),
-        Column(f"minutes to {level}", "", [_or_none(row.minutes, ".1f") for row in rows]),
-    ]
-    names = [row.name if row.settings == row.name else f"{row.name}\n{row.settings}" for row in rows]
-    print_tables(f"{world}: {comparison.scored_by}", names, columns, console, heading="experiment")
 
 
 def _or_none(value: float, form: str) -> str:
@@ -209,44 +180,37 @@ def write_comparison(comparison: Comparison, folder: Path) -> None:
             "experiment": row.name,
             "settings": row.settings,
             "runs": row.runs,
-            **_fields("success", row.success),
+            **estimate_row({"success": row.success}),
             "reached": row.reached,
-            "steps": _number(row.steps),
-            "minutes": _number(row.minutes),
+            "steps": row.steps,
+            "minutes": row.minutes,
         }
         for row in comparison.rows
     ]
-    write_rows(folder / "comparison.csv", experiments)
+    pairs = [
+        {"world": pair.world, "better": pair.better, "other": pair.other}
+        | estimate_row({"probability": pair.probability})
+        for pair in comparison.pairs
+    ]
     runs = [
         {
             "run": str(run.folder),
             "experiment": experiment.name,
             "world": experiment.world,
             "seed": run.config.seed,
-            "success": _number(comparison.scores[run.folder]),
-            "final_training_success": _number(run.final_success),
+            "success": comparison.scores[run.folder],
+            "final_training_success": run.final_success,
             "steps": int(run.end("steps")),
             "minutes": run.end("minutes"),
-            "steps_to_level": _number(run.first_at(comparison.level, "steps")),
-            "minutes_to_level": _number(run.first_at(comparison.level, "minutes")),
+            "steps_to_level": run.first_at(comparison.level, "steps"),
+            "minutes_to_level": run.first_at(comparison.level, "minutes"),
         }
         for experiment in group(comparison.runs)
         for run in experiment.runs
     ]
-    write_rows(folder / "runs.csv", runs)
-    pairs = [
-        {"world": pair.world, "better": pair.better, "other": pair.other, **_fields("probability", pair.probability)}
-        for pair in comparison.pairs
-    ]
+    tables: dict[str, Any] = {"experiments": experiments, "pairs": pairs, "runs": runs}
+    finite = {name: [finite_row(row) for row in rows] for name, rows in tables.items()}
+    write_rows(folder / "comparison.csv", finite["experiments"])
+    write_rows(folder / "runs.csv", finite["runs"])
     found = {"success_of": comparison.scored_by, "level": comparison.level}
-    write_json(folder / "comparison.json", {**found, "experiments": experiments, "pairs": pairs, "runs": runs})
-
-
-def _fields(name: str, estimate: Estimate) -> dict[str, Any]:
-    ends = {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}
-    return {key: _number(value) for key, value in ends.items()}
-
-
-def _number(value: float) -> float | None:
-    """A number for JSON, which knows neither nan nor infinity."""
-    return value if math.isfinite(value) else None
+    write_json(folder / "comparison.json", {**found, **finite})

@@ -22,22 +22,17 @@ from rover_rl.algos.experiments.runs import WINDOW, Against, Experiment, Measure
 from rover_rl.algos.experiments.statistics import interval
 from rover_rl.files import written_whole
 
-Panels: TypeAlias = Sequence[tuple[Measure, Against]]
-"""What each column of panels shows, and against what."""
-OF_A_RUN: Panels = (("success", "steps"), ("goals", "steps"))
-"""Panels of a single run."""
+Panels: TypeAlias = Sequence[tuple[Measure, Against]]  # what each column of panels shows, and against what
+OF_A_RUN: Panels = (("success", "steps"), ("goals", "steps"))  # panels of a single run
 COMPARED: Panels = (("success", "steps"), ("success", "minutes"))
 """Panels of a comparison: what was learned from the same data, and in the same time."""
 
 _AXES = {"steps": "environment steps of all rovers", "minutes": "training time (min)"}
-_POINTS = 240
-"""Number of points of a curve."""
-_NARROW = 1 / 100
-"""Width of the averaging window of the faint line, as a fraction of the run."""
+_POINTS = 240  # number of points of a curve
+_NARROW = 1 / 100  # width of the averaging window of the faint line, as a fraction of the run
 _PALETTES = {"ppo": (BLUE, GREEN, SKY, PURPLE, ORANGE, RED), "sac": (RED, ORANGE, PURPLE, SKY, GREEN, BLUE)}
 """Colors of each algorithm's curves, one for each of its settings in turn."""
-_LINES = ("-", "--", ":", "-.")
-"""Styles of the lines, one for each turn through the colors."""
+_LINES = ("-", "--", ":", "-.")  # styles of the lines, one for each turn through the colors
 
 
 def draw_learning_curve(
@@ -51,7 +46,6 @@ def draw_learning_curve(
 
     Args:
         runs: folders of the runs, each with ``config.yaml`` and ``progress.csv``.
-        path: path of the figure; its suffix selects the format.
         baseline: evaluation of a policy whose values are drawn as dashed lines in the panels of its world.
         panels: what each column of panels shows.
 
@@ -144,10 +138,8 @@ def _draw_baseline(ax: Axes, measure: Measure, baseline: Evaluation) -> None:
     ax.axhline(level, clip_on=False, zorder=3, **_BASELINE)
 
 
-_LABEL = 96
-"""Largest number of characters in a line of the legend."""
-_LONG_LABEL = 48
-"""Largest number of characters of a label in a legend with two columns."""
+_LABEL = 96  # largest number of characters in a line of the legend
+_LONG_LABEL = 48  # largest number of characters of a label in a legend with two columns
 
 
 def _legend(curves: Sequence[_Curve], baseline: Evaluation | None) -> list[Line2D | Patch]:

@@ -26,22 +26,13 @@ Measure: TypeAlias = Literal["success", "goals"]
 """Measure of a training run: success rate (attempts to reach a goal), or goals per 2,000 steps."""
 PROGRESS = "progress.csv"
 EVALUATION = "evaluation.json"
-WINDOW = 1 / 12
-"""Width of the averaging window of a curve, as a fraction of the run."""
-_POINTS = 480
-"""Number of points at which a curve is searched for a level."""
+WINDOW = 1 / 12  # width of the averaging window of a curve, as a fraction of the run
+_POINTS = 480  # number of points at which a curve is searched for a level
 
 
 @dataclass(frozen=True)
 class Run:
-    """Record of a training run.
-
-    Attributes:
-        folder: folder of the run.
-        config: settings of the run.
-        x: steps and minutes after each row of the table, ``[rows]`` each, by name.
-        measures: numerators and denominators of each measure in each row, ``[rows]`` each, by name.
-    """
+    """Record of a training run: numerators and denominators of each measure in each row of its table, ``[rows]``."""
 
     folder: Path
     config: TrainingConfig
@@ -67,11 +58,7 @@ class Run:
         return float(self.x[against][-1])
 
     def curve(self, measure: Measure, against: Against, at: np.ndarray, width: float) -> np.ndarray:
-        """Averages a measure over windows of ``width`` around ``at [points]``.
-
-        Each point is a ratio of sums, so that it does not depend on the number of rows. Windows are cut at both ends
-        of the run. The result is nan where the denominator is 0.
-        """
+        """Ratio of sums of a measure over windows of ``width`` around ``at [points]``; nan where nothing is counted."""
         edges = np.concatenate(([0.0], self.x[against]))
 
         def window_sums(values: np.ndarray) -> np.ndarray:
@@ -98,13 +85,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Runs that differ in their seed at most.
-
-    Attributes:
-        title: algorithm, world, and the settings in which it differs from other experiments of both.
-        world: name of the world, or of several.
-        runs: runs of the experiment.
-    """
+    """Runs that differ in their seed at most. The title has the settings in which others differ."""
 
     title: str
     world: str
@@ -139,11 +120,8 @@ def group(runs: Sequence[Run]) -> list[Experiment]:
 def find_runs(words: Sequence[str]) -> list[Path]:
     """Returns the folders of the runs that words name.
 
-    Args:
-        words: folders of runs, folders that hold runs, or ``runs/NAME`` for ``runs/NAME-seed0`` and so on.
-
-    Raises:
-        FileNotFoundError: if a word names no run.
+    A word is the folder of a run, a folder that holds runs, or ``runs/NAME`` for ``runs/NAME-seed0`` and so on. Raises
+    ``FileNotFoundError`` if it names no run.
     """
     found: dict[Path, None] = {}
     for word in words:
@@ -164,24 +142,18 @@ def _natural(path: Path) -> list[Any]:
 def evaluated_success(runs: Sequence[Run]) -> tuple[str, dict[Path, float]] | None:
     """Success rates of the runs' policies in the same evaluation, by folder, and what it was.
 
-    Evaluations are read from ``evaluation.json`` in the folders of all runs, because ``rover-rl evaluate`` writes those
-    of several policies into the first one's. Those that are older than the run's checkpoint do not count.
+    ``rover-rl evaluate`` writes several policies' results into the first one's folder. Older ones than a checkpoint do
+    not count.
     """
     rates: dict[str, dict[Path, float]] = {}
-    for file in (run.folder / EVALUATION for run in runs):
-        if not file.is_file():
-            continue
+    checkpoints = {run.folder: run.folder / CHECKPOINT for run in runs if (run.folder / CHECKPOINT).is_file()}
+    for file in (run.folder / EVALUATION for run in runs if (run.folder / EVALUATION).is_file()):
         written = file.stat().st_mtime
         for result in json.loads(file.read_text()):
             if result.get("mode") != "one goal":
                 continue
             title = "{count} episodes in {world}, {time_limit:g} s, {backend}".format(**result)
-            for run in runs:
-                checkpoint = run.folder / CHECKPOINT
-                if (
-                    result["policy"] == run.folder.name
-                    and checkpoint.is_file()
-                    and checkpoint.stat().st_mtime <= written
-                ):
-                    rates.setdefault(title, {})[run.folder] = result["metrics"]["success_rate"]["value"]
+            for folder, checkpoint in checkpoints.items():
+                if result["policy"] == folder.name and checkpoint.stat().st_mtime <= written:
+                    rates.setdefault(title, {})[folder] = result["metrics"]["success_rate"]["value"]
     return next(((title, found) for title, found in rates.items() if len(found) == len(runs)), None)

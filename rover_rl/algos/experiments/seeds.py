@@ -14,12 +14,8 @@ def seed_runs(config: TrainingConfig, seeds: Sequence[int]) -> list[tuple[Traini
     """Returns the settings of a run for each seed, and the folder of the run if it exists, to continue it.
 
     So an interrupted experiment goes on where it was when it is started again. A run that exists keeps its own settings
-    where these do not change what is learned, such as its backend.
-
-    Args:
-        config: settings of all runs. Their seed is replaced; their name is the first part of the folders' names, by
-            default that of a single run, such as ``ppo-moon``.
-        seeds: seeds of the runs.
+    where these do not change what is learned, such as its backend. The name in ``config``, by default that of a single
+    run, such as ``ppo-moon``, is the first part of the folders' names.
 
     Raises:
         ValueError: for no or repeated seeds, or a setting out of range.

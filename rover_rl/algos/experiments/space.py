@@ -13,6 +13,9 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import reduce
+from itertools import chain
+from operator import getitem
 from typing import Any, TypeAlias
 
 import yaml
@@ -20,10 +23,8 @@ import yaml
 from rover_rl.algos.config import TrainingConfig
 from rover_rl.algos.config_files import config_from, plain
 
-FORM = "NAME=LOW..HIGH or NAME=A,B,C"
-"""Form of a word."""
-_LOG_SPAN = 10.0
-"""Ratio of the ends of a range from which values are drawn log-uniformly."""
+FORM = "NAME=LOW..HIGH or NAME=A,B,C"  # form of a word
+_LOG_SPAN = 10.0  # ratio of the ends of a range from which values are drawn log-uniformly
 _FIXED = ("algo", "seed", "name", "runs", "logger", "snapshots", "checkpoint_minutes")
 """Settings that a sweep does not vary."""
 
@@ -47,10 +48,15 @@ class Interval:
         return int(drawn) if self.whole else min(max(float(f"{drawn:.3g}"), self.low), self.high)
 
     def __str__(self) -> str:
-        kind = ", ".join(
-            filter(None, ("whole numbers" if self.whole else "", "log-uniform" if self.log else "uniform"))
-        )
-        return f"{self.name}: from {self.low:g} to {self.high:g}, {kind}"
+        kind = "log-uniform" if self.log else "uniform"
+        return f"{self.name}: from {self.low:g} to {self.high:g}, {'whole numbers, ' * self.whole}{kind}"
+
+    def distribution(self) -> Any:
+        """Returns Optuna's distribution of what is drawn."""
+        from optuna.distributions import FloatDistribution, IntDistribution
+
+        kind: Any = IntDistribution if self.whole else FloatDistribution
+        return kind(self.low, self.high, log=self.log)
 
 
 @dataclass(frozen=True)
@@ -67,6 +73,12 @@ class Choice:
     def __str__(self) -> str:
         return f"{self.name}: {' or '.join(self.values)}"
 
+    def distribution(self) -> Any:
+        """Returns Optuna's distribution of the texts."""
+        from optuna.distributions import CategoricalDistribution
+
+        return CategoricalDistribution([*self.values])
+
 
 Setting: TypeAlias = "Interval | Choice"
 
@@ -74,10 +86,8 @@ Setting: TypeAlias = "Interval | Choice"
 def read_space(words: Sequence[str], config: TrainingConfig) -> list[Setting]:
     """Reads the settings to vary, and checks the ends of intervals and all choices, each by itself.
 
-    Args:
-        words: ``NAME=LOW..HIGH`` for an interval, or ``NAME=A,B,C`` for a choice. Names are those of the sections of
-            ``config.yaml``; settings within others have dots, as in ``lidar.points``.
-        config: settings that do not vary.
+    A word is ``NAME=LOW..HIGH`` for an interval, or ``NAME=A,B,C`` for a choice. Names are those of the sections of
+    ``config.yaml``; settings within others have dots, as in ``lidar.points``.
 
     Raises:
         ValueError: for an unknown setting, a value of the wrong type or out of range, or another form.
@@ -113,7 +123,7 @@ def _read(word: str, config: TrainingConfig) -> Setting:
     numbers = all(isinstance(end, int | float) and not isinstance(end, bool) for end in (low, high))
     if not (numbers and low < high):
         raise ValueError(f"the ends of {word!r} must be numbers, the smaller one first")
-    current = _get(plain(config), places[name])
+    current = reduce(getitem, places[name], plain(config))
     if isinstance(current, bool | str | list | dict):
         raise ValueError(f"{name} is no number: vary it as {name}=A,B,C")
     integer = isinstance(low, int) and isinstance(high, int)
@@ -127,7 +137,7 @@ def with_varied(config: TrainingConfig, values: Mapping[str, Any]) -> TrainingCo
     data, places = plain(config), _places(config)
     for name, value in values.items():
         *parts, last = places[name]
-        _get(data, parts)[last] = value
+        reduce(getitem, parts, data)[last] = value
     return config_from(data, "--vary")
 
 
@@ -144,23 +154,14 @@ def _value(text: str) -> Any:
         raise ValueError(f"--vary takes {FORM}, got the value {text!r}") from error
 
 
-def _get(data: Any, path: Sequence[str]) -> Any:
-    for key in path:
-        data = data[key]
-    return data
-
-
 def _places(config: TrainingConfig) -> dict[str, tuple[str, ...]]:
     """Keys of each setting in the plain data, by its name."""
-    places: dict[str, tuple[str, ...]] = {}
-
-    def add(data: Mapping[str, Any], name: str, path: tuple[str, ...]) -> None:
-        for key, value in data.items():
-            places[name + key] = (*path, key)
-            if isinstance(value, dict):
-                add(value, f"{name}{key}.", (*path, key))
-
-    for part, settings in plain(config).items():
-        if isinstance(settings, dict):
-            add(settings, "", (part,))
+    found = _paths(plain(config))
+    places = {".".join(path[1:]): path for path in found if len(path) > 1}
     return {name: path for name, path in places.items() if name not in _FIXED}
+
+
+def _paths(data: Any, path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    """Returns the keys that lead to everything in nested dictionaries."""
+    below = [_paths(value, (*path, key)) for key, value in data.items()] if isinstance(data, dict) else []
+    return [path, *chain.from_iterable(below)]

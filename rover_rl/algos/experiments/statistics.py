@@ -15,21 +15,16 @@ from scipy.stats import trim_mean
 
 from rover_rl.algos.evaluation.metrics import Estimate
 
-RESAMPLES = 2000
-"""Number of bootstrap resamples."""
-_ENDS = (0.025, 0.975)
-"""Quantiles of the ends of an interval."""
-_CUT = 0.25
-"""Share of the values that is left out at each end."""
+RESAMPLES = 2000  # number of bootstrap resamples
+_ENDS = (0.025, 0.975)  # quantiles of the ends of an interval
+_CUT = 0.25  # share of the values that is left out at each end
 
 
 def interquartile_mean(strata: Sequence[np.ndarray]) -> Estimate:
     """Mean of the middle half of all values, with its 95 % interval.
 
-    Of fewer than four values it is the mean. With one value in each stratum there is no interval.
-
-    Args:
-        strata: values of the runs in each world, ``[runs]`` each.
+    Of fewer than four values it is the mean. With one value in each stratum there is no interval. ``strata`` are the
+    values of the runs in each world, ``[runs]`` each.
 
     Example:
         >>> round(interquartile_mean([np.array([0.1, 0.8, 0.9, 0.9])]).value, 3)
@@ -51,11 +46,8 @@ def interval(strata: Sequence[np.ndarray]) -> np.ndarray:
 def probability_of_improvement(ours: Sequence[np.ndarray], theirs: Sequence[np.ndarray]) -> Estimate:
     """Probability that a run of one experiment is better than one of another, with its 95 % interval.
 
-    Equal values count one half. Over several worlds, it is the mean of the probabilities in each.
-
-    Args:
-        ours: values of the runs in each world, ``[runs]`` each.
-        theirs: those of the other experiment, in the same worlds.
+    Equal values count one half. Over several worlds, it is the mean of the probabilities in each. The values are those
+    of the runs in each world, ``[runs]`` each.
 
     Example:
         >>> probability_of_improvement([np.array([0.9, 0.8])], [np.array([0.8, 0.7])]).value

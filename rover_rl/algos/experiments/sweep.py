@@ -16,6 +16,7 @@ from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from random import Random
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from matplotlib.figure import Figure
@@ -42,18 +43,14 @@ if TYPE_CHECKING:
     from optuna import Study
     from optuna.trial import FrozenTrial
 
-STUDY = "sweep.db"
-"""Name of the file with the trials: a SQLite database of Optuna."""
-EPISODES = 64
-"""Default number of episodes in which each trial is evaluated."""
+STUDY = "sweep.db"  # name of the file with the trials: a SQLite database of Optuna
+EPISODES = 64  # default number of episodes in which each trial is evaluated
 VALIDATION_SEED = 30_000
 """Seed of these episodes. They are neither those of training nor those that ``rover-rl evaluate`` drives."""
-VALIDATION_WORLDS = 16
-"""Number of worlds in which trials are evaluated after training in a range of worlds."""
+VALIDATION_WORLDS = 16  # number of worlds in which trials are evaluated after training in a range of worlds
 
 
-_COLUMNS = 4
-"""Largest number of panels in a row."""
+_COLUMNS = 4  # largest number of panels in a row
 
 
 class Sweep:
@@ -78,9 +75,7 @@ class Sweep:
         self, config: TrainingConfig, space: Sequence[Setting], folder: Path, episodes: int = EPISODES
     ) -> None:
         self.config, self.space, self.folder = config, list(space), folder
-        self._count = episodes
-        self._study = _open_study(folder)
-        self._distributions = {setting.name: _distribution(setting) for setting in space}
+        self._count, self._study = episodes, _open_study(folder)
         self._require_same()
 
     def _require_same(self) -> None:
@@ -115,14 +110,8 @@ class Sweep:
     def run(self, trials: int, say: Callable[[str], None]) -> bool:
         """Trains and evaluates until there are ``trials`` trials, those of earlier calls included.
 
-        A trial that diverges, or whose settings do not fit each other, counts as failed.
-
-        Args:
-            trials: number of trials.
-            say: function that reports what happens.
-
-        Returns:
-            Whether the sweep is complete; false after Ctrl-C.
+        A trial that diverges, or whose settings do not fit each other, counts as failed. ``say`` reports what happens.
+        Returns whether the sweep is complete; false after Ctrl-C.
         """
         episodes = validation_episodes(self.config, self._count)
         while (trial := self._next(trials)) is not None:
@@ -150,12 +139,12 @@ class Sweep:
 
     def _next(self, trials: int) -> FrozenTrial | None:
         """Returns the trial that was interrupted, else a new one; ``None`` if there is nothing left to try."""
+        from optuna.samplers import TPESampler
         from optuna.trial import TrialState
 
         known = self._study.get_trials()
-        for trial in known:
-            if trial.state == TrialState.RUNNING:
-                return trial
+        if interrupted := [trial for trial in known if trial.state == TrialState.RUNNING]:
+            return interrupted[0]
         if len(known) >= trials:
             return None
         if all(isinstance(setting, Choice) for setting in self.space):
@@ -167,8 +156,8 @@ class Sweep:
                 return None
             self._study.enqueue_trial(Random(self.config.seed + len(known)).choice(left))
         # A new sampler for each trial, so that the proposals do not depend on interruptions.
-        self._study.sampler = _sampler(self.config.seed + len(known))
-        number = self._study.ask(self._distributions).number
+        self._study.sampler = TPESampler(seed=self.config.seed + len(known))
+        number = self._study.ask({setting.name: setting.distribution() for setting in self.space}).number
         return self._study.get_trials()[number]
 
     def _tell(self, trial: FrozenTrial, value: float | None, attributes: dict[str, float] | None = None) -> None:
@@ -224,37 +213,18 @@ def _open_study(folder: Path) -> Study:
     return optuna.create_study(storage=storage, study_name=folder.name, direction="maximize", load_if_exists=True)
 
 
-def _distribution(setting: Setting) -> Any:
-    from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
-
-    if isinstance(setting, Interval):
-        kind: Any = IntDistribution if setting.whole else FloatDistribution
-        return kind(setting.low, setting.high, log=setting.log)
-    return CategoricalDistribution([*setting.values])
-
-
-def _sampler(seed: int) -> Any:
-    from optuna.samplers import TPESampler
-
-    return TPESampler(seed=seed)
-
-
 def print_trials(sweep: Sweep, console: Console | None = None) -> None:
     """Prints a table of the trials with a result, the best first."""
-    console = console or Console()
-    results = [trial.user_attrs for trial in sweep.finished]
-    settings = [sweep.settings(trial) for trial in sweep.finished]
-    success = [
-        Estimate(trial.value or 0.0, *(trial.user_attrs[end] for end in ("low", "high"))) for trial in sweep.finished
-    ]
-    seconds = [Estimate(result["seconds"], math.nan, math.nan) for result in results]
-    columns = [Column(one.name, "", [text_of(values[one.name]) for values in settings]) for one in sweep.space]
+    console, trials = console or Console(), sweep.finished
+    results = [(sweep.settings(trial), SimpleNamespace(**trial.user_attrs), trial.value or 0.0) for trial in trials]
+    success = [cell(Estimate(value, result.low, result.high), "%") for _, result, value in results]
+    columns = [Column(one.name, "", [text_of(values[one.name]) for values, *_ in results]) for one in sweep.space]
     columns += [
-        Column("success", "%", [cell(estimate, "%") for estimate in success]),
-        Column("time", "s", [cell(estimate, "s") for estimate in seconds]),
-        Column("training", "min", [f"{result['minutes']:.1f}" for result in results]),
+        Column("success", "%", success),
+        Column("time", "s", [cell(Estimate(one.seconds, math.nan, math.nan), "s") for _, one, _ in results]),
+        Column("training", "min", [f"{one.minutes:.1f}" for _, one, _ in results]),
     ]
-    names = [f"trial-{trial.number}" for trial in sweep.finished]
+    names = [f"trial-{trial.number}" for trial in trials]
     print_tables(str(sweep.folder), names, columns, console, heading="trial")
     console.print(
         "below a success: 95 % confidence interval, within which trials are not told apart; time: mean time to a goal.",
@@ -265,18 +235,11 @@ def print_trials(sweep: Sweep, console: Console | None = None) -> None:
 
 def write_trials(sweep: Sweep, path: Path) -> None:
     """Writes the trials with a result as CSV, the best first."""
-    write_rows(
-        path,
-        [
-            {
-                "trial": sweep.trial_folder(trial).name,
-                **sweep.settings(trial),
-                "success": trial.value,
-                **trial.user_attrs,
-            }
-            for trial in sweep.finished
-        ],
-    )
+    rows = []
+    for trial in sweep.finished:
+        settings = {"trial": sweep.trial_folder(trial).name, **sweep.settings(trial)}
+        rows.append(settings | {"success": trial.value, **trial.user_attrs})
+    write_rows(path, rows)
 
 
 def draw_trials(sweep: Sweep, path: Path) -> None:

@@ -28,11 +28,8 @@ _ACTIONS = 0  # stream of random draws for actions
 class RandomPolicy(TensorDictModuleBase):
     """Uniformly random actions that depend on seed, episode and step only.
 
-    An episode has the same actions regardless of the other rows in the batch. The policy reads ``("outcome", "steps")``
-    and, if present, ``episode`` (int64 ``[N, 1]``): the number of each row's episode, by default the index of the row.
-
-    Args:
-        seed: seed of the actions.
+    The policy reads ``("outcome", "steps")`` and, if present, ``episode`` (int64 ``[N, 1]``): the number of each row's
+    episode, by default the index of the row.
     """
 
     def __init__(self, seed: int = 0) -> None:
@@ -55,8 +52,7 @@ class RandomPolicy(TensorDictModuleBase):
 class ScriptedPolicy(TensorDictModule):
     """Drives towards the goal and around obstacles that the lidar detects: see :func:`steer`.
 
-    The policy reads ``lidar`` and ``target``. Its distances are tuned for ``rover_zero``; of the robot, it uses the
-    position of the lidar.
+    Its distances are tuned for ``rover_zero``; of the robot, it uses the position of the lidar and the drive.
     """
 
     def __init__(self, robot: str | Robot = "rover_zero") -> None:

@@ -22,13 +22,7 @@ _FORMAT = "rover_rl checkpoint, version 4"
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A trained policy.
-
-    Attributes:
-        config: settings that the policy was trained with.
-        steps: number of steps that the policy was trained for, all rovers together.
-        actor: weights of the policy, by name.
-    """
+    """A trained policy: its weights, its settings, and the number of steps of all rovers together in training."""
 
     config: TrainingConfig
     steps: int
@@ -40,7 +34,7 @@ class Checkpoint:
         return self.config.env
 
     def save(self, path: Path) -> None:
-        """Writes the checkpoint atomically. An existing file is replaced when the new one is complete."""
+        """Writes the checkpoint atomically."""
         with written_whole(path) as temporary:
             self.write(temporary)
 
@@ -75,13 +69,10 @@ class Checkpoint:
         return checkpoint
 
     def make_actor(self) -> ProbabilisticActor:
-        """Makes the policy, a TorchRL module.
+        """Makes the policy, a TorchRL module. Raises ``ValueError`` if the weights do not fit the settings.
 
         Its attributes say which environment it was ``made_for``, and the number of steps that each action was held for
         in training: ``trained_action_repeat``.
-
-        Raises:
-            ValueError: if the weights do not fit the settings.
         """
         network, actor = self.config.network, actor_of(self.config)
         try:

@@ -87,14 +87,9 @@ _ROWS_ACCELERATOR = 1024  # number of rows that are planned for at once on an ac
 class Trajectories(NamedTuple):
     """Sampled trajectories of each row: S of them with K poses, in the base frame of the rover as it is now.
 
-    Attributes:
-        speed: forward speed that each approaches, ``[N, S]``, m/s.
-        yaw_rate: yaw rate of the body that each approaches, ``[N, S]``, rad/s.
-        time: time of the poses, ``[K]``, s.
-        path: distance driven, negative backward, ``[N, S, K]``, m.
-        x: positions along x, ``[N, S, K]``, m.
-        y: positions along y, ``[N, S, K]``, m.
-        heading: headings, ``[N, S, K]``, rad.
+    ``speed`` and ``yaw_rate [N, S]`` (m/s, rad/s) are those that each approaches, ``time [K]`` (s) is that of the
+    poses, ``path [N, S, K]`` (m) the distance driven, negative backward, and the others are poses ``[N, S, K]`` (m,
+    rad).
     """
 
     speed: Tensor
@@ -109,15 +104,13 @@ class Trajectories(NamedTuple):
 class DynamicWindowPolicy(TensorDictModuleBase):
     """Dynamic-window planner (DWA): see :mod:`rover_rl.algos.policy.dwa`.
 
-    The policy reads ``lidar``, ``target`` and ``velocities``. Its constants are tuned for ``rover_zero``.
+    The policy reads ``lidar``, ``target`` and ``velocities``. Its constants are tuned for ``rover_zero``. Its attribute
+    ``made_for`` is the environment that it drives in, with ``robot`` and ``lidar``.
 
     Args:
         robot: name of a robot, or a robot, whose footprint, acceleration limits and lidar position are used.
         lidar: lidar that the policy reads: number of readings and beams, and range.
         yaw_gain: yaw rate of the body relative to that of the wheel odometry. 1 for wheels that do not slip.
-
-    Attributes:
-        made_for: environment that the policy drives in, with ``robot`` and ``lidar``.
 
     Raises:
         ValueError: for an unknown robot, or a ``yaw_gain`` that is not positive.

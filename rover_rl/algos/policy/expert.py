@@ -41,13 +41,8 @@ class PrivilegedExpert:
     """Expert that follows the shortest free path, which it computes from the map and the pose.
 
     A policy without the map and the pose can imitate it: see ``imitation`` in
-    :class:`~rover_rl.algos.config.PPOConfig`. Observations must contain ``pose``, ``imu``, ``target``, ``lidar``,
-    ``velocities`` and ``outcome``.
-
-    Args:
-        worlds: worlds, by index. Usually ``RoverEnv.pool``.
-        robot: robot for which the path must be wide enough.
-        device: device of the observations; ``None``: the CPU.
+    :class:`~rover_rl.algos.config.PPOConfig`. ``worlds`` are usually ``RoverEnv.pool``. Observations must contain
+    ``pose``, ``imu``, ``target``, ``lidar``, ``velocities`` and ``outcome``, and are on the ``device``.
     """
 
     def __init__(self, worlds: Worlds, robot: Robot, device: torch.device | str | None = None) -> None:
@@ -124,10 +119,7 @@ def _drive_on_slope(turn: Tensor, rate: Tensor, lidar: Tensor) -> Tensor:
 
 
 def _pass_through(turn: Tensor, sloped: Tensor) -> Tensor:
-    """Returns the actions ``[M, 2]`` of a rover in a narrow passage, too near to obstacles for a careful driver.
-
-    ``turn [M, 1]`` is the angle to the direction of the passage, rad.
-    """
+    """Returns the actions ``[M, 2]`` in a narrow passage whose direction is at the angle ``turn [M, 1]`` (rad)."""
     speed = CREEP * (1 - turn.abs() / ALIGNED).clamp(min=0)
     # Slower, it would stand still while it turns.
     speed = torch.where(sloped & (turn.abs() < SHARP), speed.clamp(min=SLOPE_SPEED), speed)

@@ -47,17 +47,8 @@ class GridPlanner(TensorDictModule):
     counts as free. See :class:`~rover_rl.envs.seen_map.seen_map.SeenMap`.
 
     The policy reads ``lidar``, ``imu`` and ``route``, which a :class:`~rover_rl.algos.policy.runner.PolicyRunner` adds.
-
-    Args:
-        robot: name of a robot, or a robot, for the footprint and the position of the lidar.
-
-    Attributes:
-        made_for: environment that the policy drives in, with ``robot``, one lidar reading for each beam, and episodes
-            that end when the body touches an obstacle.
-        trained_action_repeat: number of steps from one plan to the next.
-
-    Raises:
-        ValueError: for an unknown robot.
+    It plans every ``trained_action_repeat`` steps. ``made_for`` is the environment that it drives in, with ``robot``,
+    one lidar reading for each beam, and episodes that end when the body touches an obstacle.
     """
 
     trained_action_repeat = 4

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from rover_rl.algos.policy.runner import Policy
     from rover_rl.envs.config import RobotLike
 
-PRETRAINED = "pretrained:"
-"""Prefix of the names of pretrained policies."""
+PRETRAINED = "pretrained:"  # prefix of the names of pretrained policies
 BASELINES = {
     "scripted": "rover_rl.algos.policy.baselines:ScriptedPolicy",
     "dwa": "rover_rl.algos.policy.dwa:DynamicWindowPolicy",
@@ -31,15 +30,7 @@ BASELINES = {
 
 
 def make_baseline(name: str, robot: RobotLike | None = None) -> Policy:
-    """Creates a baseline policy.
-
-    Args:
-        name: name of the policy.
-        robot: name of a robot, or a robot; ``None``: the default robot.
-
-    Raises:
-        ValueError: if the name or the robot is unknown.
-    """
+    """Creates a baseline policy, for a robot or the default one. Raises ``ValueError`` for an unknown name."""
     if name not in BASELINES:
         raise ValueError(f"unknown baseline {name!r}{perhaps(name, BASELINES)}; use one of {[*BASELINES]}")
     module, _, attribute = BASELINES[name].partition(":")

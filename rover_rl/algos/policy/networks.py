@@ -42,11 +42,7 @@ def middle_and_half(spec: Bounded) -> tuple[Tensor, Tensor]:
 
 
 class BoundedTanhNormal(TanhNormal):
-    """Normal distribution that is squashed by tanh into bounds: parameters ``[..., n]``, bounds ``[n]``.
-
-    Equals TorchRL's ``TanhNormal``, to the last bit, without its checks of the bounds. They read three values from the
-    device for each distribution that is created, and the host would wait for a GPU each time.
-    """
+    """TorchRL's ``TanhNormal`` within bounds ``[n]``, without its checks of them, which would wait for a GPU."""
 
     def __init__(self, loc: Tensor, scale: Tensor, low: Tensor, high: Tensor) -> None:
         # Does what the constructor of TanhNormal does after its checks.
@@ -85,8 +81,7 @@ class EncodedNetwork(nn.Module):
 class PrivilegedEncoder(nn.Module):
     """Encodes the privileged observation as ``features`` numbers of about [-1, 1], for critics.
 
-    It leaves out the position and the heading, by which a critic would know one map by heart. They would also
-    contradict mirror images, which belong to another map.
+    Without position and heading, by which a critic would know one map by heart, and which mirror images contradict.
     """
 
     keys: tuple[NestedKey, ...] = tuple(("privileged", key) for key in FEATURES if key != "position")
@@ -126,15 +121,11 @@ class RoutePrior(_InBounds):
     """Mean of a squashed normal distribution at which the action is that of a driver who follows the route.
 
     A policy that adds to it begins as that driver, and learns what to do better (T. Silver, K. Allen, J. Tenenbaum, L.
-    Kaelbling, "Residual policy learning", 2018). The driver is :func:`~rover_rl.algos.policy.grid_planner.follow`.
-
-    Args:
-        robot: robot that drives.
-        action: bounds of the action.
+    Kaelbling, "Residual policy learning", 2018). The driver is :func:`~rover_rl.algos.policy.grid_planner.follow`,
+    within the bounds of the action.
     """
 
-    LARGEST = 0.95
-    """Largest part of the range of an action: an infinite mean would reach the bounds."""
+    LARGEST = 0.95  # largest part of the range of an action: an infinite mean would reach the bounds
     REACH = 1.0
     """Largest change of the mean by the policy, before squashing. A policy that may change more takes back what the
     driver does in rare places, such as backing out of a dead end, and gets stuck there."""
@@ -160,16 +151,9 @@ def actor_of(
 ) -> ProbabilisticActor:
     """Creates a policy with these settings: see :func:`make_actor`."""
     network, env = config.network, config.env
-    return make_actor(
-        encoder or encoder_of(config),
-        network.hidden,
-        env.action,
-        network.max_std,
-        device,
-        memory=network.memory,
-        memory_size=network.memory_size,
-        follower=None if network.prior == "none" else get_robot(env.robot),
-    )
+    follower = None if network.prior == "none" else get_robot(env.robot)
+    encoder, memory = encoder or encoder_of(config), (network.memory, network.memory_size)
+    return make_actor(encoder, network.hidden, env.action, network.max_std, device, *memory, follower)
 
 
 def make_actor(
@@ -202,8 +186,7 @@ def make_actor(
 
     Example:
         >>> env = RoverEnv(world_n="maze", num_envs=2, seed=0)
-        >>> actor = make_actor()
-        >>> actor(env.reset())["action"].shape
+        >>> make_actor()(env.reset())["action"].shape
         torch.Size([2, 2])
     """
     encoder, spec = encoder or ObservationEncoder(), action_spec(action, device)
@@ -226,26 +209,19 @@ def on_features(actor: ProbabilisticActor) -> ProbabilisticActor:
 
 
 def _actor(network: TensorDictModuleBase, spec: Bounded) -> ProbabilisticActor:
-    return ProbabilisticActor(
-        network,
-        in_keys=["loc", "scale"],
-        spec=spec,
-        distribution_class=BoundedTanhNormal,
-        distribution_kwargs={"low": spec.space.low, "high": spec.space.high},
-        return_log_prob=True,
-    )
+    bounds = {"low": spec.space.low, "high": spec.space.high}
+    distribution = {"distribution_class": BoundedTanhNormal, "distribution_kwargs": bounds}
+    return ProbabilisticActor(network, ["loc", "scale"], spec=spec, **distribution, return_log_prob=True)
 
 
 class NormalParameters(nn.Module):
-    """Splits its input into the mean and the standard deviation of a normal distribution.
+    """Splits its input into the mean and the standard deviation, ``MIN_STD`` to ``max_std``, of a normal distribution.
 
-    The standard deviation is between ``MIN_STD`` and ``max_std``. Without an upper bound it grows where the mean
-    matters little, such as in front of a wall, and the policy relies on random actions to escape: without exploration,
-    it gets stuck.
+    Without an upper bound it grows where the mean matters little, such as in front of a wall, and the policy relies on
+    random actions to escape: without exploration, it gets stuck.
     """
 
-    MIN_STD = 0.02
-    """Smallest standard deviation."""
+    MIN_STD = 0.02  # smallest standard deviation
 
     def __init__(self, max_std: float) -> None:
         super().__init__()
@@ -282,8 +258,7 @@ def make_action_critic(
 ) -> ValueOperator:
     """Creates an action-value function from ``features [..., n]`` and action to ``state_action_value [..., 1]``.
 
-    ``features`` is the number n of features of an :class:`~rover_rl.envs.encoding.ObservationEncoder`. For the other
-    arguments, see :func:`make_actor`.
+    ``features`` is the number n of an :class:`~rover_rl.envs.encoding.ObservationEncoder`. See :func:`make_actor`.
     """
     network = _ActionCritic(features, hidden, action_spec(action))
     return ValueOperator(network.to(device), in_keys=["features", "action"])
@@ -325,15 +300,13 @@ _MIRROR: dict[NestedKey, Callable[[Tensor], Tensor]] = {
     ("privileged", "local_map"): mirrored_map,
 }
 """Mirror images of what is no entry of a policy's observation. The mirror of the world is the x axis."""
-_SENSORS = policy_sensors(LidarConfig())
-"""Sensors of every rover."""
+_SENSORS = policy_sensors(LidarConfig())  # sensors of every rover
 
 
 def mirrored(transitions: TensorDictBase, rows: Tensor, sensors: Mapping[str, Sensor] | None = None) -> TensorDictBase:
     """Returns ``transitions [...]`` with the selected ``rows`` (bool ``[...]``) mirrored left to right.
 
-    The ``sensors`` of the observation, by default those of every rover, mirror their values. The state of a memory is
-    not mirrored: see :class:`~rover_rl.algos.train.ppo.MirrorMemory`.
+    The ``sensors`` of the observation mirror their values. See also :class:`~rover_rl.algos.train.ppo.MirrorMemory`.
     """
     mirrors = _MIRROR | {key: sensor.mirror for key, sensor in (sensors or _SENSORS).items()}
     image = transitions.copy()

@@ -34,8 +34,7 @@ MEMORY_KEYS: dict[str, tuple[str, ...]] = {
 def recurrent_network(embedding: TensorDictModule, units: int, head: nn.Module, kind: str, size: int) -> nn.Module:
     """Combines a module that writes ``embedding [..., units]``, a memory of ``size`` units and a head into one module.
 
-    The ``head`` maps embedding and memory, ``[..., units + size]``, to mean and standard deviation. It reads the
-    embedding, too, so that reactions to what the rover sees need not pass through the memory.
+    The head also reads the embedding: reactions to what the rover sees need not pass through the memory.
     """
     state = MEMORY_KEYS[kind]
     recurrent = {"gru": GRU, "lstm": LSTMModule}[kind](
@@ -90,10 +89,7 @@ class RecurrentStep(nn.Module):
         self.state_size = self._cell.hidden_size * (1 if self._is_gru else 2)
 
     def forward(self, state: Tensor, *observation: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns the mean of the action and the next state.
-
-        The state ``[N, state_size]`` is the hidden state, for an LSTM followed by the state of the cell.
-        """
+        """Returns the mean of the action and the next state ``[N, state_size]``; for an LSTM, hidden, then cell."""
         embedded = self._embedding(*observation)
         weights = self._cell.all_weights[0]
         if self._is_gru:
@@ -117,10 +113,7 @@ def memory_transforms(kind: str, size: int) -> list[Transform]:
 
 
 class MemoryPrimer(TensorDictPrimer):
-    """TorchRL's ``TensorDictPrimer``, with resets that do not ask which rows are reset: the host would wait for a GPU.
-
-    A reset of some rows returns zeros in all rows. The environment keeps the previous states of the others.
-    """
+    """TorchRL's ``TensorDictPrimer``, with resets of all rows: asking which ones would wait for a GPU."""
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         for key, spec in self.primers.items(True, True):

@@ -39,8 +39,8 @@ only with the rows that decide."""
 def default_action_repeat(policy: Policy | None, given: int | None = None) -> int:
     """Returns the number of steps that each action of a policy is held for: the ``given`` one, or the default.
 
-    The memory of a policy and its map change with each decision, so that it must decide as often as in training.
-    Policies without them decide at each step.
+    A policy with a memory or a map, which change with each decision, decides as often as in training, others at each
+    step.
     """
     if given is not None:
         return given
@@ -62,7 +62,6 @@ class PolicyRunner:
     it adds the bounds of the world.
 
     Args:
-        policy: policy to run.
         action_repeat: number of steps that each action is held for; ``None``: see :func:`default_action_repeat`.
         min_rows: smallest number of rows that the policy is called with. Copies of the last row fill them up. Matrix
             products of few rows round differently.
@@ -93,12 +92,10 @@ class PolicyRunner:
             self._is_init |= rows.to(self._is_init.device)
 
     def __call__(self, observation: TensorDictBase, due: Tensor | None = None) -> Tensor:
-        """Returns the action of each row, ``[N, 2]``.
+        """Returns the action of each row, ``[N, 2]``, for an observation ``[N]``, which is not changed.
 
-        Args:
-            observation: observation ``[N]``. It is not changed.
-            due: rows that decide, bool ``[N]``; ``None``: those whose last action has been held for ``action_repeat``
-                steps. Rows whose episode begins always decide.
+        ``due`` are the rows that decide, bool ``[N]``; ``None``: those whose last action has been held for
+        ``action_repeat`` steps. Rows whose episode begins always decide.
         """
         if self._action is None:
             return self._start(observation)

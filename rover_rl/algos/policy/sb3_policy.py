@@ -50,13 +50,8 @@ class SB3Policy:
     """Policy of PPO, A2C, SAC, TD3 or TQC from a file of Stable-Baselines3, without exploration.
 
     Observations are a dictionary, flattened by Gymnasium, or scaled (``scale_observations``). Statistics of
-    ``VecNormalize`` are not in the file: policies that were trained with it do not drive.
-
-    Args:
-        path: path of a file that ``model.save`` wrote.
-
-    Attributes:
-        made_for: environment that the policy was made for, as far as the file tells: lidar and bounds of the action.
+    ``VecNormalize`` are not in the file: policies that were trained with it do not drive. ``made_for`` has the lidar
+    and the bounds of the action.
 
     Raises:
         FileNotFoundError: if there is no such file.

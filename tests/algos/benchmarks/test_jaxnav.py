@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from pathlib import Path
@@ -13,12 +11,10 @@ import numpy as np
 import pytest
 import torch
 from matplotlib.image import imread
-from rich.console import Console
 
 from rover_rl.algos.benchmarks.jaxnav import JaxNav, read_jaxnav
 from rover_rl.algos.benchmarks.report import print_results
 from rover_rl.algos.benchmarks.suite import Course, Result, run_suite
-from rover_rl.algos.evaluation.metrics import Trajectory
 from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.algos.policy.baselines import ScriptedPolicy
 from rover_rl.cli import main
@@ -26,6 +22,7 @@ from rover_rl.envs import EnvConfig
 from rover_rl.sims.robots import get_robot
 from tests.algos.benchmarks.mini import levels, write_levels
 from tests.algos.drivers import standing
+from tests.algos.evaluation.drives import csv_rows, line, printed
 from tests.fork_server import fork_server
 
 WARP = EnvConfig(backend="warp")
@@ -74,23 +71,18 @@ def test_results_do_not_depend_on_the_number_of_processes(courses: list[Course])
 
 def result_of(suite: JaxNav, endings: list[str]) -> Result:
     """Result of straight runs over 1 m with the given endings."""
-    steps = 20
-    none, path = torch.zeros(steps, dtype=torch.bool), torch.zeros(steps + 1, 3)
-    path[:, 0] = torch.linspace(0, 1, steps + 1)
-    runs = [Trajectory(path, torch.zeros_like(path), none, none, ending) for ending in endings]
-    return Result(suite, Evaluation("mine", suite.episodes(get_robot("rover_zero")), 1, 50.0, runs))
+    episodes = suite.episodes(get_robot("rover_zero"))
+    return Result(suite, Evaluation("mine", episodes, 1, 50.0, [line(ending) for ending in endings]))
 
 
 def test_the_worst_levels_are_chosen_by_the_even_runs_and_scored_by_the_odd_ones(courses: list[Course]) -> None:
     # Level 1 fails in the even runs and succeeds in the odd ones; level 0 succeeds in half of each.
     endings = ["goal", "contact", "time limit", "goal", "contact", "goal", "contact", "goal"]
     suite = JaxNav(courses, runs=4)
-    metrics = result_of(suite, endings).metrics
-    assert metrics["worst_levels"].value == 1
-    assert metrics["success_rate"].value == 0.5
-    assert metrics["contact_rate"].value == pytest.approx(3 / 8)
-    assert metrics["time_limit_rate"].value == pytest.approx(1 / 8)
-    assert metrics["mean_time"].value == 1
+    values = {key: estimate.value for key, estimate in result_of(suite, endings).metrics.items()}
+    expected = {"worst_levels": 1, "success_rate": 1 / 2, "contact_rate": 3 / 8, "time_limit_rate": 1 / 8}
+    assert {key: values[key] for key in expected} == pytest.approx(expected)
+    assert values["mean_time"] == 1
     # Worse in the odd runs does not count for the choice.
     chosen = result_of(suite, ["goal", "goal", "contact", "goal", "goal", "contact", "goal", "contact"]).metrics
     assert chosen["worst_levels"].value == 1
@@ -106,9 +98,8 @@ def test_the_score_of_a_run_is_its_success_weighted_by_path_length(courses: list
 
 
 def test_the_table_says_what_differs(courses: list[Course]) -> None:
-    console = Console(file=io.StringIO(), width=120)
-    print_results([result_of(JaxNav(courses, 3, runs=1, goal_radius=0.5), ["goal", "contact"])], console)
-    text = console.file.getvalue()  # type: ignore[attr-defined]
+    results = [result_of(JaxNav(courses, 3, runs=1, goal_radius=0.5), ["goal", "contact"])]
+    text = printed(print_results, results, 120)
     for expected in (
         "JaxNav: 2 levels, one run each; goal within 0.5 m and 50 s, any contact fails",
         "50.0",
@@ -135,15 +126,8 @@ def test_the_command_writes_tables_and_the_worst_runs(capsys: pytest.CaptureFixt
     assert (results["benchmark"], results["worlds"], results["runs"]) == ("JaxNav", [0, 1], 2)
     assert [policy["policy"] for policy in results["policies"]] == ["scripted", "random"]
     assert all(set(policy["metrics"]) == {*JaxNav.columns} for policy in results["policies"])
-    with (tmp_path / "one" / "benchmark.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert [(row["policy"], row["world"], row["run"]) for row in rows[:5]] == [
-        ("scripted", "0", "0"),
-        ("scripted", "0", "1"),
-        ("scripted", "1", "0"),
-        ("scripted", "1", "1"),
-        ("random", "0", "0"),
-    ]
+    runs = [(row["policy"], row["world"], row["run"]) for row in csv_rows(tmp_path / "one" / "benchmark.csv")]
+    assert runs == [(policy, *run) for policy in ("scripted", "random") for run in ("00", "01", "10", "11")]
     assert imread(tmp_path / "one" / "worst-random.png").std() > 0.05
 
 

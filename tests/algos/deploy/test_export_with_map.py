@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -25,13 +24,10 @@ from rover_rl.cli import main
 from rover_rl.envs.seen_map.scans import UNSEEN
 from rover_rl.envs.seen_map.seen_map import BOUNDS
 from rover_rl.sims.robots import get_robot
+from tests.algos.deploy.onnx_files import needs_onnx, shapes
+from tests.algos.evaluation.drives import assert_alike
 
-pytestmark = [
-    pytest.mark.skipif(
-        any(find_spec(name) is None for name in ("onnxscript", "onnxruntime")), reason="needs rover_rl[onnx]"
-    ),
-    pytest.mark.slow,
-]
+pytestmark = [needs_onnx, pytest.mark.slow]
 MAP = 2 + 1 + 2 + 1 + 2 + 2 * 128 * 128
 """Entries of the state of a map: the middle of the window, whether the ground is rough, the place around which the
 rover is, its number of scans there, the first corner of its route, and the cells of the window and their heights."""
@@ -86,16 +82,10 @@ def assert_same(actions: Tensor, expected: Tensor) -> None:
 
 
 def test_the_file_reads_what_the_network_and_the_map_read(folder):
-    import onnxruntime
-
-    session = onnxruntime.InferenceSession(str(folder / "gru.onnx"))
-    inputs = {entry.name: entry.shape for entry in session.get_inputs()}
     state = [1, MAP + UNITS]
     sizes = {"lidar": [1, 32], "target": [1, 2], "pose": [1, 3], "imu": [1, 3], "bounds": [1, 4]}
-    assert inputs == {"state_in": state, **sizes}
-    assert {entry.name: entry.shape for entry in session.get_outputs()} == {"action": [1, 2], "state_out": state}
-    policy = OnnxPolicy(folder / "gru.onnx")
-    assert policy.in_keys == [*sizes, "memory", "is_init"]
+    assert shapes(folder / "gru.onnx") == ({"state_in": state, **sizes}, {"action": [1, 2], "state_out": state})
+    assert OnnxPolicy(folder / "gru.onnx").in_keys == [*sizes, "memory", "is_init"]
 
 
 def test_an_exported_policy_acts_as_the_original_over_an_episode(folder):
@@ -143,15 +133,12 @@ def test_the_state_holds_the_map_and_is_cleared_row_by_row(folder):
 def test_routes_stay_in_the_bounds(folder):
     policy, observation = OnnxPolicy(folder / "gru.onnx"), drive("gru")[0].exclude(BOUNDS)
     # The goal is outside.
-    narrow = observation.clone().set(
-        BOUNDS, observation["pose"][:, [0, 1, 0, 1]] + torch.tensor([-1.0, -1.0, 1.0, 1.0])
-    )
-    actor = routed_checkpoint("gru").make_actor()
-    without, within = (
-        torch.cat([actions_of(each, [seen]) for each in (policy, actor)]) for seen in (observation, narrow)
-    )
-    torch.testing.assert_close(without[0], without[1], atol=1e-4, rtol=0)
-    torch.testing.assert_close(within[0], within[1], atol=1e-4, rtol=0)
+    bounds = observation["pose"][:, [0, 1, 0, 1]] + torch.tensor([-1.0, -1.0, 1.0, 1.0])
+    both = (policy, routed_checkpoint("gru").make_actor())
+    seen = (observation, observation.clone().set(BOUNDS, bounds))
+    without, within = (torch.cat([actions_of(each, [one]) for each in both]) for one in seen)
+    for ours, theirs in (without, within):
+        torch.testing.assert_close(ours, theirs, atol=1e-4, rtol=0)
     assert (without[0] - within[0]).abs().max() > 1e-3
 
 
@@ -162,6 +149,5 @@ def test_it_drives_as_the_original_in_a_maze(folder):
     ours, theirs = (evaluate(policy, episodes, seconds=2.0, rows=2) for policy in policies)
     assert ours.action_repeat == theirs.action_repeat == 4
     assert ours.endings == theirs.endings
-    for one, other in zip(ours.trajectories, theirs.trajectories, strict=True):
-        torch.testing.assert_close(one.position, other.position, atol=1e-3, rtol=0)
-        assert (one.position[-1] - one.position[0]).norm() > 0.1
+    assert_alike(ours.trajectories, theirs.trajectories)
+    assert all((one.position[-1] - one.position[0]).norm() > 0.1 for one in ours.trajectories)

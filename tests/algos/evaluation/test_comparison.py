@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
-from rich.console import Console
 
-from rover_rl import World
 from rover_rl.algos.evaluation.episodes import draw_episodes
 from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate, evaluate_endless
 from rover_rl.algos.evaluation.report import LISTED, find_disagreements, print_table, write_evaluation
 from rover_rl.cli import main
 from rover_rl.envs import EnvConfig
-from rover_rl.sims.worlds import Terrain
 from tests.algos.drivers import straight
+from tests.algos.evaluation.drives import FIELD, csv_rows, printed
 from tests.algos.evaluation.slippery import Slippery
 
-FIELD = World("field", Terrain.flat((12.0, 12.0)))
 EPISODES = draw_episodes(FIELD, count=3, seed=1)
 SLIPPERY = "tests.algos.evaluation.slippery:Slippery"
 
@@ -41,10 +36,8 @@ def copied(evaluation: Evaluation, backend: str, missed: list[int]) -> Evaluatio
     return replace(evaluation, env=replace(evaluation.env, backend=backend), trajectories=trajectories)
 
 
-def printed(*evaluations: Evaluation, **options) -> str:
-    console = Console(file=io.StringIO(), width=160)
-    print_table(evaluations, console, **options)
-    return console.file.getvalue()
+def table(*evaluations: Evaluation, **options) -> str:
+    return printed(print_table, evaluations, **options)
 
 
 def test_results_name_their_backend(firm: Evaluation) -> None:
@@ -65,21 +58,15 @@ def test_disagreements_are_the_episodes_with_a_goal_in_some_backends_only(firm: 
 
 def test_only_the_same_policy_on_the_same_episodes_is_compared(firm: Evaluation) -> None:
     missed = copied(firm, "warp", [0, 1, 2])
-    assert "in one backend and not in another" in printed(firm, missed)
+    assert "in one backend and not in another" in table(firm, missed)
     moved = replace(EPISODES, start=EPISODES.start + 0.1)
-    others = (
-        replace(missed, name="another"),
-        replace(missed, seconds=30.0),
-        replace(missed, action_repeat=2),
-        replace(missed, episodes=moved),
-        copied(missed, "bullet", []),
-    )
-    for other in others:
-        assert "in one backend and not in another" not in printed(firm, other)
+    changes = ({"name": "another"}, {"seconds": 30.0}, {"action_repeat": 2}, {"episodes": moved})
+    for other in (*(replace(missed, **change) for change in changes), copied(missed, "bullet", [])):
+        assert "in one backend and not in another" not in table(firm, other)
 
 
 def test_the_table_has_a_row_for_each_backend(firm: Evaluation) -> None:
-    lines = printed(firm, copied(firm, "warp", [1])).splitlines()
+    lines = table(firm, copied(firm, "warp", [1])).splitlines()
     rows = [number for number, line in enumerate(lines) if line.startswith(" straight") and "field" not in line]
     assert [lines[row].split()[1] for row in rows[:2]] == ["100.0", "66.7"]
     assert [lines[row + 1].split()[0] for row in rows[:2]] == ["bullet", "warp"]
@@ -92,24 +79,24 @@ def test_the_table_has_a_row_for_each_backend(firm: Evaluation) -> None:
 def test_groups_of_policies_have_their_mean_in_each_backend(firm: Evaluation) -> None:
     missed = copied(firm, "warp", [0, 1, 2])
     several = [firm, missed, replace(firm, name="again"), replace(missed, name="again")]
-    lines = printed(*several, groups={"straight": "both", "again": "both"}).splitlines()
+    lines = table(*several, groups={"straight": "both", "again": "both"}).splitlines()
     rows = [number for number, line in enumerate(lines) if line.startswith(" both")]
     assert [lines[row].split()[1] for row in rows] == ["100.0", "0.0"]
     for row, backend in zip(rows, ("bullet", "warp"), strict=True):
         assert lines[row + 1].startswith(f" 2 policies, {backend}")
+    # Results of one policy in several modes are no group.
+    endless = evaluate_endless(straight, FIELD, name="straight", rows=1, steps=5)
+    assert "standard deviation" not in table(firm, endless, groups={"straight": "alone"})
 
 
-def test_no_evaluation_is_left_out_of_the_table(firm: Evaluation) -> None:
+def test_no_evaluation_is_left_out_and_agreement_is_stated(firm: Evaluation) -> None:
     again = replace(copied(firm, "bullet", [0, 1, 2]), action_repeat=2)
-    text = printed(firm, again, copied(firm, "warp", []))
+    text = table(firm, again, copied(firm, "warp", []))
     rows = [line for line in text.splitlines() if line.startswith(" straight")]
     assert [row.split()[1] for row in rows] == ["100.0", "0.0", "100.0"]
-
-
-def test_agreement_is_stated(firm: Evaluation) -> None:
-    assert "backends agree" in printed(firm, copied(firm, "warp", []))
+    assert "backends agree" in text
     for alone in ([firm], [firm, copied(firm, "bullet", [1])], [firm, replace(copied(firm, "warp", []), seconds=9.0)]):
-        assert "backends agree" not in printed(*alone)
+        assert "backends agree" not in table(*alone)
 
 
 def test_the_list_on_the_screen_is_short_and_that_in_the_files_complete(firm: Evaluation, tmp_path: Path) -> None:
@@ -117,18 +104,15 @@ def test_the_list_on_the_screen_is_short_and_that_in_the_files_complete(firm: Ev
     many = EPISODES.select([0] * count)
     reached = replace(firm, episodes=many, trajectories=firm.trajectories[:1] * count)
     missed = copied(reached, "warp", list(range(count)))
-    text = printed(reached, missed)
+    text = table(reached, missed)
     assert sum("time limit" in line for line in text.splitlines()) == LISTED + 1  # and the legend
     assert "3 more such episodes" in text
     write_evaluation(tmp_path / "evaluation.json", [reached, missed, replace(reached, name="alone")])
     written = json.loads((tmp_path / "evaluation.json").read_text())
     assert [len(entry.get("disagreements", [])) for entry in written] == [count, count, 0]
     assert "disagreements" not in written[2]
-    last = written[0]["disagreements"][-1]
-    assert last["episode"] == count - 1
-    assert last["endings"] == {"bullet": "goal", "warp": "time limit"}
-    with (tmp_path / "evaluation-summary.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    assert written[0]["disagreements"][-1]["endings"] == {"bullet": "goal", "warp": "time limit"}
+    rows = csv_rows(tmp_path / "evaluation-summary.csv")
     assert [row["backend"] for row in rows] == ["bullet", "warp", "bullet"]
     assert rows[1]["disagreements"].split() == [str(number) for number in range(count)]
 

@@ -21,9 +21,9 @@ from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.shortest_paths import shortest_paths
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, box, get_world
+from tests.algos.evaluation.drives import FIELD
 
 ROVER = get_robot("rover_zero")
-FIELD = World("field", Terrain.flat((12.0, 12.0)))
 WALL = World("wall", Terrain.flat((12.0, 12.0)), [box((0.0, 0.0, 0.5), (0.2, 6.0, 1.0))])
 
 
@@ -94,14 +94,14 @@ def test_written_episodes_are_exact(tmp_path, monkeypatch) -> None:
 
 
 def test_invalid_arguments_raise() -> None:
-    with pytest.raises(ValueError, match="count must be at least 1"):
-        draw_episodes(FIELD, 0)
-    with pytest.raises(ValueError, match="unknown world 'mars'"):
-        draw_episodes("mars")
-    with pytest.raises(ValueError, match="unknown robot 'tank'"):
-        draw_episodes(FIELD, robot="tank")
-    with pytest.raises(ValueError, match="hardly any shortest path of 50 m"):
-        draw_episodes(FIELD, 2, min_path=50)
+    for arguments, message in (
+        ({"count": 0}, "count must be at least 1"),
+        ({"world": "mars"}, "unknown world 'mars'"),
+        ({"robot": "tank"}, "unknown robot 'tank'"),
+        ({"count": 2, "min_path": 50}, "hardly any shortest path of 50 m"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            draw_episodes(**{"world": FIELD, **arguments})  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="no episodes are stored for world 'maze:7'"):
         stored_episodes("maze:7")
     with pytest.raises(ValueError, match="count must be between 1 and 256, got 257"):
@@ -144,15 +144,13 @@ def test_the_path_around_a_wall() -> None:
 
 
 def test_a_start_within_the_goal_disc_has_length_zero() -> None:
-    assert length(WALL, (-2.0, 0.0), (-1.6, 0.2)) == 0
-    assert length(WALL, (-0.2, 0.0), (-0.5, 0.0)) == 0
+    assert length(WALL, (-2.0, 0.0), (-1.6, 0.2)) == length(WALL, (-0.2, 0.0), (-0.5, 0.0)) == 0
 
 
 def test_an_unreachable_goal_has_infinite_length() -> None:
-    sides = [((x, 0.0, 0.5), (0.2, 3.2, 1.0)) for x in (-1.5, 1.5)] + [
-        ((0.0, y, 0.5), (3.2, 0.2, 1.0)) for y in (-1.5, 1.5)
-    ]
-    cell = World("cell", Terrain.flat((12.0, 12.0)), [box(*side) for side in sides])
+    sides = [box((x, 0.0, 0.5), (0.2, 3.2, 1.0)) for x in (-1.5, 1.5)]
+    sides += [box((0.0, y, 0.5), (3.2, 0.2, 1.0)) for y in (-1.5, 1.5)]
+    cell = World("cell", Terrain.flat((12.0, 12.0)), sides)
     assert length(cell, (4.0, 0.0), (0.0, 0.0)) == math.inf
 
 

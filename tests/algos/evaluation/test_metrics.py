@@ -23,9 +23,10 @@ from rover_rl.algos.evaluation.metrics import (
 )
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, box
+from tests.algos.evaluation.drives import FIELD, line
 
 ROVER = get_robot("rover_zero")
-FIELD = World("field", Terrain.flat((12.0, 12.0)))
+WALL = World("wall", Terrain.flat((12.0, 12.0)), [box((1.5, 0.0, 0.5), (1.0, 4.0, 1.0))])
 
 
 def drive(
@@ -40,25 +41,28 @@ def drive(
     dt: float = 0.05,
 ) -> Trajectory:
     """A straight drive of ``length`` m along x that turns by ``turn`` rad in total, with a constant ``tilt`` in rad."""
-    share = torch.linspace(0, 1, steps + 1)
-    zero = torch.zeros_like(share)
-    flags = torch.zeros(steps, dtype=torch.bool)
+    driven, share = line(ending, end=(length, 0.0), steps=steps), torch.linspace(0, 1, steps + 1)
+    yaw = torch.remainder(share * turn + math.pi, 2 * math.pi) - math.pi
     goals = int(ending == "goal") if goals is None else goals
-    return Trajectory(
-        position=torch.stack((share * length, zero, zero), -1),
-        angles=torch.stack((zero + tilt, zero, torch.remainder(share * turn + math.pi, 2 * math.pi) - math.pi), -1),
+    return replace(
+        driven,
+        angles=torch.stack((torch.full_like(share, tilt), torch.zeros_like(share), yaw), -1),
         collision=torch.tensor([c == "x" for c in collisions.ljust(steps)]),
-        goal=flags | (torch.arange(steps) >= steps - goals),
-        ending=ending,
+        goal=torch.arange(steps) >= steps - goals,
         dt=dt,
     )
 
 
-def at(x: float, y: float = 0.0, yaw: float = 0.0, z: float = 0.0, pitch: float = 0.0) -> Trajectory:
+def at(x: float, yaw: float = 0.0, z: float = 0.0, pitch: float = 0.0) -> Trajectory:
     """An episode of one step in which the rover stands still."""
-    position, angles = torch.tensor([[x, y, z]]).repeat(2, 1), torch.tensor([[0.0, pitch, yaw]]).repeat(2, 1)
-    nothing = torch.zeros(1, dtype=torch.bool)
-    return Trajectory(position, angles, nothing, nothing, "time limit")
+    position, angles = torch.tensor([[x, 0.0, z]]).repeat(2, 1), torch.tensor([[0.0, pitch, yaw]]).repeat(2, 1)
+    return replace(line("time limit", steps=1), position=position, angles=angles)
+
+
+def measured(*trajectories: Trajectory) -> dict[str, float]:
+    """Metrics of endless episodes in an empty world."""
+    found = metrics.endless_metrics(trajectories, find_body_contacts(trajectories, FIELD, ROVER))
+    return {key: estimate.value for key, estimate in found.items()}
 
 
 # --- intervals
@@ -94,14 +98,20 @@ def test_the_interval_of_a_mean_agrees_with_its_standard_error() -> None:
     assert (estimate.high - estimate.low) / 2 == pytest.approx(margin, rel=0.1)
 
 
-def test_an_undefined_value_is_nan() -> None:
-    for estimate in (proportion(0, 0), ratio([1.0, 2.0], [0, 0])):
-        assert all(math.isnan(number) for number in vars(estimate).values())
-
-
-def test_an_undefined_episode_makes_the_ratio_nan() -> None:
-    estimate = ratio([math.nan, 1.0, 2.0])
-    assert all(math.isnan(number) for number in vars(estimate).values())
+@pytest.mark.parametrize(
+    ("estimate", "value"),
+    [
+        (proportion(0, 0), math.nan),
+        (ratio([1.0, 2.0], [0, 0]), math.nan),
+        (ratio([math.nan, 1.0, 2.0]), math.nan),  # An undefined episode makes the ratio undefined.
+        (ratio([3.0]), 3.0),
+        (ratio([3.0, 0.0], [1, 0]), 3.0),
+    ],
+)
+def test_an_undefined_value_and_one_episode_have_no_interval(estimate: Estimate, value: float) -> None:
+    assert estimate.value == pytest.approx(value, nan_ok=True)
+    assert math.isnan(estimate.low)
+    assert math.isnan(estimate.high)
 
 
 def test_equal_episodes_have_an_interval_without_width() -> None:
@@ -114,18 +124,8 @@ def test_resamples_without_a_denominator_are_left_out() -> None:
         assert ratio([0.0, 0.0, 1.0, 2.0], [0, 0, 1, 1]) == Estimate(1.5, 1.0, 2.0)
 
 
-def test_one_episode_has_no_interval() -> None:
-    for estimate in (ratio([3.0]), ratio([3.0, 0.0], [1, 0])):
-        assert estimate.value == 3
-        assert math.isnan(estimate.low)
-        assert math.isnan(estimate.high)
-
-
 def test_an_interval_may_be_unbounded() -> None:
-    estimate = ratio([1.0] * 4, [1, 1, 0, 0])
-    assert estimate.value == 2
-    assert estimate.low == 1
-    assert estimate.high == math.inf
+    assert ratio([1.0] * 4, [1, 1, 0, 0]) == Estimate(2.0, 1.0, math.inf)
 
 
 # --- trajectories
@@ -138,11 +138,6 @@ def test_speed_and_duration_follow_from_the_step() -> None:
     torch.testing.assert_close(fast.speed, torch.full((40,), 2.5))
     assert metrics.mean_time_to_traverse([fast, fast]).value == pytest.approx(0.8)
     assert metrics.traverse_rate([fast, fast], torch.tensor([2.0, 2.0])).value == pytest.approx(2.5)
-
-
-def measured(*trajectories: Trajectory) -> dict[str, Estimate]:
-    """Metrics of endless episodes in an empty world."""
-    return metrics.endless_metrics(trajectories, find_body_contacts(trajectories, FIELD, ROVER))
 
 
 # --- one goal
@@ -180,7 +175,7 @@ def test_velocity_over_rough_terrain() -> None:
 
 def test_consecutive_collision_steps_are_one_collision() -> None:
     trajectories = [drive(collisions="xx  x"), drive(collisions=" xxx"), drive(), drive(collisions="x x x")]
-    assert measured(*trajectories)["collisions"].value == pytest.approx((2 + 1 + 0 + 3) / 4)
+    assert measured(*trajectories)["collisions"] == pytest.approx((2 + 1 + 0 + 3) / 4)
 
 
 @given(st.lists(st.booleans(), max_size=30))
@@ -191,23 +186,22 @@ def test_count_runs(flags: list[bool]) -> None:
 
 def test_turns_count_both_directions_and_wrap_at_pi() -> None:
     left, right = drive(turn=3 * math.pi), drive(turn=-2 * math.pi)
-    assert measured(left, right)["turns_per_goal"].value == pytest.approx((1.5 + 1) / 2, rel=1e-5)
+    assert measured(left, right)["turns_per_goal"] == pytest.approx((1.5 + 1) / 2, rel=1e-5)
     circling = drive(turn=8 * math.pi, ending="time limit")
-    assert measured(left, circling)["turns_per_goal"].value == pytest.approx(5.5, rel=1e-5)
-    assert math.isnan(measured(circling)["turns_per_goal"].value)
+    assert measured(left, circling)["turns_per_goal"] == pytest.approx(5.5, rel=1e-5)
+    assert math.isnan(measured(circling)["turns_per_goal"])
 
 
 def test_standstill_is_a_proportion_of_the_time() -> None:
-    assert measured(drive(2.0, 100), drive(0.01, 300, "stuck"))["standstill"].value == pytest.approx(0.75)
+    assert measured(drive(2.0, 100), drive(0.01, 300, "stuck"))["standstill"] == pytest.approx(0.75)
 
 
-def moving(speeds: list[float], dt: float = 0.05, yaw: float = 0.7) -> Trajectory:
-    """A drive along a line with the given speeds, m/s."""
-    along = torch.tensor([0.0, *speeds]).cumsum(0) * dt
-    direction = torch.tensor([math.cos(yaw), math.sin(yaw), 0.0])
-    flags = torch.zeros(len(speeds), dtype=torch.bool)
-    angles = torch.tensor([[0.0, 0.0, yaw]]).expand(len(along), 3)
-    return Trajectory(along[:, None] * direction, angles, flags, flags, "time limit", dt=dt)
+def moving(speeds: list[float]) -> Trajectory:
+    """A drive along a line with the given speeds, m/s, at a yaw of 0.7."""
+    along = torch.tensor([0.0, *speeds]).cumsum(0) * 0.05
+    angles = torch.tensor([[0.0, 0.0, 0.7]]).expand(len(along), 3)
+    position = along[:, None] * torch.tensor([math.cos(0.7), math.sin(0.7), 0.0])
+    return replace(line("time limit", steps=len(speeds)), position=position, angles=angles)
 
 
 def test_jerk_is_the_root_mean_square_of_the_second_difference_of_the_speed() -> None:
@@ -221,9 +215,7 @@ def test_jerk_is_the_root_mean_square_of_the_second_difference_of_the_speed() ->
     assert both.value == pytest.approx(expected / math.sqrt(2), rel=1e-3)
     assert both.low <= both.value <= both.high
 
-
-def test_a_reversal_at_the_same_pace_is_a_jerk() -> None:
-    # Second differences of -0.4 and 0.4 m/s.
+    # So is a reversal at the same pace. Second differences of -0.4 and 0.4 m/s.
     assert metrics.jerk([moving([0.2, 0.2, -0.2, -0.2])]).value == pytest.approx(0.4 / 0.05**2, rel=1e-3)
 
 
@@ -239,10 +231,10 @@ def test_too_short_an_episode_has_no_jerk(steps: int) -> None:
 def test_endless_metrics() -> None:
     long, early = drive(steps=2000, goals=20, ending="time limit"), drive(steps=400, goals=4, ending="jammed")
     found = measured(long, early)
-    assert found["goals_per_episode"].value == 12
-    assert found["seconds_per_goal"].value == pytest.approx(5)
-    assert found["episode_seconds"].value == pytest.approx(60)
-    assert found["ended_early"].value == 0.5
+    assert found["goals_per_episode"] == 12
+    assert found["seconds_per_goal"] == pytest.approx(5)
+    assert found["episode_seconds"] == pytest.approx(60)
+    assert found["ended_early"] == 0.5
 
 
 # --- contacts of the body
@@ -254,19 +246,16 @@ def test_endless_metrics() -> None:
     ids=["front", "rear", "right", "left", "corner"],
 )
 def test_a_contact_is_where_the_outline_meets_a_wall(yaw: float, reach: float) -> None:
-    wall = World("wall", Terrain.flat((12.0, 12.0)), [box((1.5, 0.0, 0.5), (1.0, 4.0, 1.0))])
     near, far = at(1 - reach - 0.005, yaw=yaw), at(1 - reach - 0.02, yaw=yaw)
-    assert find_body_contacts([near, far], wall, ROVER)[0].all()
-    assert not find_body_contacts([near, far], wall, ROVER)[1].any()
+    assert find_body_contacts([near, far], WALL, ROVER)[0].all()
+    assert not find_body_contacts([near, far], WALL, ROVER)[1].any()
 
 
 def test_only_obstacles_at_the_height_of_the_wheel_hubs_are_touched() -> None:
     def touched(bottom: float, top: float) -> bool:
         obstacle = box((0.0, 0.0, (bottom + top) / 2), (1.0, 1.0, top - bottom))
-        (contacts,) = find_body_contacts(
-            [at(0.6, z=2.0)], World("w", Terrain.flat((12.0, 12.0), 2.0), [obstacle]), ROVER
-        )
-        return bool(contacts.any())
+        world = World("w", Terrain.flat((12.0, 12.0), 2.0), [obstacle])
+        return bool(find_body_contacts([at(0.6, z=2.0)], world, ROVER)[0].any())
 
     assert touched(1.0, 3.0)
     assert not touched(2.5, 3.0)
@@ -280,26 +269,18 @@ def test_a_rover_with_a_forward_tilt_touches_lower_obstacles() -> None:
 
 
 def test_the_outline_is_that_of_the_robot(tmp_path: Path) -> None:
-    wall = World("wall", Terrain.flat((12.0, 12.0)), [box((1.5, 0.0, 0.5), (1.0, 4.0, 1.0))])
     urdf = tmp_path / "longer.urdf"
     urdf.write_text(ROVER.urdf.read_text().replace('"0.40 0.26 0.14"', '"0.74 0.26 0.14"'))
     longer = replace(ROVER, urdf=urdf, radius=0.5)
-    assert not find_body_contacts([at(0.7)], wall, ROVER)[0].any()
-    assert find_body_contacts([at(0.7)], wall, longer)[0].all()
-    trajectories = [at(0.7), at(0.7)]
-    for robot, share in ((ROVER, 0), (longer, 1)):
-        contacts = find_body_contacts(trajectories, wall, robot)
-        assert metrics.endless_metrics(trajectories, contacts)["body_contact_share"].value == share
+    assert not find_body_contacts([at(0.7)], WALL, ROVER)[0].any()
+    assert find_body_contacts([at(0.7)], WALL, longer)[0].all()
 
 
 def test_body_contacts_are_counted_per_run_and_per_episode() -> None:
-    wall = World("wall", Terrain.flat((12.0, 12.0)), [box((1.5, 0.0, 0.5), (1.0, 4.0, 1.0))])
     there_and_back = torch.cat([at(x).position for x in (0.0, 0.74, 0.0, 0.74, 0.0)])
-    zeros = torch.zeros(len(there_and_back), 3)
-    nothing = torch.zeros(len(there_and_back) - 1, dtype=torch.bool)
-    twice = Trajectory(there_and_back, zeros, nothing, nothing, "time limit")
+    twice = replace(line("time limit", steps=len(there_and_back) - 1), position=there_and_back)
     trajectories = [twice, at(0.0)]
-    contacts = find_body_contacts(trajectories, wall, ROVER)
+    contacts = find_body_contacts(trajectories, WALL, ROVER)
     found = metrics.goal_metrics(trajectories, torch.tensor([1.0, 1.0]), contacts)
     assert found["body_contacts"].value == 1
     assert found["body_contact_share"].value == 0.5

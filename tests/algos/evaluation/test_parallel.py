@@ -26,6 +26,7 @@ from rover_rl.algos.policy.checkpoint import Checkpoint
 from rover_rl.envs import EnvConfig
 from rover_rl.envs.config import LidarConfig, Randomization
 from rover_rl.sims.worlds import Terrain
+from tests.algos.evaluation.drives import assert_same
 from tests.fork_server import fork_server
 
 FIELD = World("field", Terrain.flat((6.0, 6.0)))
@@ -45,15 +46,12 @@ def policies(checkpoint: Checkpoint) -> dict[str, Policy | None]:
     return {"scripted": ScriptedPolicy(), "random": None, "network": checkpoint.make_actor()}
 
 
-def assert_same(ours: Evaluation | EndlessEvaluation, theirs: Evaluation | EndlessEvaluation) -> None:
+def assert_equal(ours: Evaluation | EndlessEvaluation, theirs: Evaluation | EndlessEvaluation) -> None:
     """The same to the last bit, except for the number of rovers that drive at once."""
     assert replace(ours.env, num_envs=1) == replace(theirs.env, num_envs=1)
     assert ours.to_json()["episodes"] == theirs.to_json()["episodes"]
     assert ours.name == theirs.name
-    for one, other in zip(ours.trajectories, theirs.trajectories, strict=True):
-        assert (one.ending, one.dt) == (other.ending, other.dt)
-        for key in ("position", "angles", "collision", "goal"):
-            assert torch.equal(getattr(one, key), getattr(other, key))
+    assert_same(ours.trajectories, theirs.trajectories)
 
 
 @pytest.mark.slow
@@ -71,7 +69,7 @@ def test_results_in_two_processes_are_those_of_one_evaluation_after_another(chec
         ]
     before = torch.random.get_rng_state()
     for ours, theirs in zip(evaluate_all(requests, workers=2), expected, strict=True):
-        assert_same(ours, theirs)
+        assert_equal(ours, theirs)
         assert len(ours.trajectories) in (40, 10)
     assert torch.equal(torch.random.get_rng_state(), before)
 
@@ -85,7 +83,7 @@ def test_results_in_a_randomized_environment_do_not_depend_on_the_number_of_proc
         requests.append(EndlessRequest(policy, WORLD, {"steps": STEPS, "env": env}, rows=10))
     one, two = (evaluate_all(requests, workers) for workers in (1, 2))
     for ours, theirs in zip(one, two, strict=True):
-        assert_same(ours, theirs)
+        assert_equal(ours, theirs)
     # Parts of an evaluation are randomized differently.
     (plain,) = evaluate_all([GoalRequest(ScriptedPolicy(), EPISODES, {"seconds": SECONDS})], 1)
     assert not torch.equal(one[0].trajectories[0].position, plain.trajectories[0].position)
@@ -140,37 +138,29 @@ def call(function: Any) -> Any:
     return function(None)
 
 
-def other_processes() -> set[Any]:
-    return set(multiprocessing.active_children())
+@pytest.mark.parametrize(
+    ("function", "error", "message"),
+    [
+        (failing, ZeroDivisionError, "^in the policy$"),
+        (killed, ChildProcessError, r"ended by signal 9 \(Killed\), perhaps because the memory"),
+        (crashed, ChildProcessError, "a worker process has ended with exit code 3$"),
+        (without_descriptors, OSError, "Too many"),
+    ],
+)
+def test_the_error_tells_what_happened_in_a_process_and_ends_the_others(
+    function: Any, error: type[Exception], message: str
+) -> None:
+    before = set(multiprocessing.active_children())
+    with pytest.raises(error, match=message):
+        over_cores(call, [endless, function], "working", workers=2)
+    for process in set(multiprocessing.active_children()) - before:
+        process.join(60)
+        assert process.exitcode is not None
 
 
-def test_an_error_in_a_process_is_raised_as_it_is_and_ends_the_others() -> None:
+def test_an_error_of_a_policy_is_raised_as_it_is() -> None:
     with pytest.raises(ZeroDivisionError, match="^in the policy$"):
         evaluate_all([GoalRequest(failing, EPISODES, {"seconds": 0.1})], workers=2)
-    before = other_processes()
-    with pytest.raises(ZeroDivisionError, match="^in the policy$"):
-        over_cores(call, [endless, failing], "working", workers=2)
-    for process in other_processes() - before:
-        process.join(60)
-        assert process.exitcode is not None
-
-
-def test_a_killed_process_is_reported_in_words_and_ends_the_others() -> None:
-    before = other_processes()
-    with pytest.raises(ChildProcessError, match=r"ended by signal 9 \(Killed\), perhaps because the memory"):
-        over_cores(call, [endless, killed], "working", workers=2)
-    for process in other_processes() - before:
-        process.join(60)
-        assert process.exitcode is not None
-
-
-@pytest.mark.parametrize(
-    ("function", "message"),
-    [(crashed, "a worker process has ended with exit code 3$"), (without_descriptors, "Too many")],
-)
-def test_the_message_names_the_true_cause(function: Any, message: str) -> None:
-    with pytest.raises(OSError, match=message):
-        over_cores(call, [endless, function], "working", workers=2)
 
 
 def tensors(world: World, count: int) -> list[Any]:

@@ -11,9 +11,10 @@ from tensordict import TensorDict
 from rover_rl import World
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import ENDINGS, Evaluation
-from rover_rl.algos.evaluation.metrics import TIME_LIMIT, Trajectory
+from rover_rl.algos.evaluation.metrics import TIME_LIMIT
 from rover_rl.algos.evaluation.plots import draw_paths, draw_reward_components
 from rover_rl.sims.worlds import Terrain, box
+from tests.algos.evaluation.drives import line
 
 FIELD = World("field", Terrain.flat((12.0, 12.0)), [box((2.0, 2.0, 0.5), (1.0, 1.0, 1.0))])
 
@@ -26,17 +27,11 @@ def texts(path: Path) -> str:
 
 def driven(name: str, endings: list[str], speed: float = 1.0) -> Evaluation:
     """An evaluation of parallel straight drives with the same speed (m/s)."""
-    count, steps = len(endings), 21
-    start = torch.tensor([[-4.0, 0.3 * row, 0.0] for row in range(count)])
-    ahead = torch.arange(steps + 1.0)[:, None] * torch.tensor((speed * 0.05, 0.0, 0.0))
-    none = torch.zeros(steps, dtype=torch.bool)
-    trajectories = [
-        Trajectory(pose * torch.tensor((1.0, 1.0, 0.0)) + ahead, torch.zeros(steps + 1, 3), none, none, ending)
-        for pose, ending in zip(start, endings, strict=True)
-    ]
-    goal = start[:, :2] + torch.tensor((1.5, 0.0))
-    episodes = EpisodeSet("field", FIELD, 0, start, goal, torch.ones(count))
-    return Evaluation(name, episodes, 1, 60.0, trajectories)
+    start = torch.tensor([[-4.0, 0.3 * row, 0.0] for row in range(len(endings))])
+    ends = [(-4.0 + 21 * 0.05 * speed, y) for y in start[:, 1].tolist()]
+    drives = [line(kind, (-4.0, end[1]), end, steps=21) for kind, end in zip(endings, ends, strict=True)]
+    episodes = EpisodeSet("field", FIELD, 0, start, start[:, :2] + torch.tensor((1.5, 0.0)), torch.ones(len(endings)))
+    return Evaluation(name, episodes, 1, 60.0, drives)
 
 
 def test_every_ending_has_a_marker(tmp_path: Path) -> None:
@@ -109,7 +104,7 @@ def test_a_rollout_of_one_rover_may_have_a_batch_dimension(tmp_path: Path) -> No
 
 
 def test_invalid_rollouts_raise(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="one rover"):
-        draw_reward_components(torch.stack([rollout(), rollout()]), tmp_path / "rewards.png")
-    with pytest.raises(ValueError, match="no reward components"):
-        draw_reward_components(rollout().exclude(("next", "reward_components")), tmp_path / "rewards.png")
+    two, without = torch.stack([rollout(), rollout()]), rollout().exclude(("next", "reward_components"))
+    for invalid, message in ((two, "one rover"), (without, "no reward components")):
+        with pytest.raises(ValueError, match=message):
+            draw_reward_components(invalid, tmp_path / "rewards.png")

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import pickle
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
 from matplotlib.image import imread
-from rich.console import Console
 
 from rover_rl import World
 from rover_rl.algos.evaluation.episodes import EpisodeSet, choose_episodes, draw_episodes
@@ -30,6 +26,7 @@ from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain, box, get_world
 from rover_rl.sims.worlds.pool import WorldPool
 from tests.algos.drivers import ahead
+from tests.algos.evaluation.drives import assert_same, csv_rows, line, printed
 from tests.fork_server import fork_server
 
 ROBOT = get_robot("rover_zero")
@@ -38,14 +35,6 @@ WALL = World("wall", Terrain.flat((9.0, 9.0)), [box((0.0, 0.0, 0.5), (0.4, 4.0, 
 CRATES = World("crates", Terrain.flat((9.0, 9.0)), [box((2.0, y, 0.5), (0.5, 0.5, 1.0)) for y in (-2.0, 0.0, 2.0)])
 POOL = WorldPool(FIELD, WALL, CRATES)
 EPISODES = draw_episodes(POOL, 3, seed=1)
-
-
-def assert_same(ours: Evaluation, theirs: Evaluation) -> None:
-    """The same trajectories to the last bit."""
-    assert ours.endings == theirs.endings
-    for one, other in zip(ours.trajectories, theirs.trajectories, strict=True):
-        for key in ("position", "angles", "collision", "goal"):
-            assert torch.equal(getattr(one, key), getattr(other, key))
 
 
 # --- episodes
@@ -99,17 +88,14 @@ def test_results_are_those_of_each_world_alone_for_any_number_of_rows(backend: s
     alone = [evaluate(policy, EPISODES.part(first, first + 3), seconds=0.4, env=env) for first in (0, 3, 6)]
     expected = [trajectory for part in alone for trajectory in part.trajectories]
     for rows in (2, 5):
-        together = evaluate(policy, EPISODES, seconds=0.4, env=env, rows=rows)
-        assert len(together.trajectories) == 9
-        for ours, theirs in zip(together.trajectories, expected, strict=True):
-            assert torch.equal(ours.position, theirs.position)
+        assert_same(evaluate(policy, EPISODES, seconds=0.4, env=env, rows=rows).trajectories, expected)
 
 
 def test_the_order_of_the_episodes_does_not_matter() -> None:
     order = [8, 0, 4, 1, 7, 3, 2, 6, 5]
     env = EnvConfig(backend="warp")
     mixed = evaluate(ahead, EPISODES.select(order), seconds=0.4, rows=4, env=env)
-    assert_same(mixed, evaluate(ahead, EPISODES, seconds=0.4, env=env).select(order))
+    assert_same(mixed.trajectories, evaluate(ahead, EPISODES, seconds=0.4, env=env).select(order).trajectories)
 
 
 def test_rovers_meet_the_obstacles_of_their_own_world() -> None:
@@ -127,13 +113,10 @@ def test_results_do_not_depend_on_the_number_of_processes() -> None:
     env = EnvConfig(backend="warp", randomization=Randomization.typical())
     worlds = WorldPool("maze:10000-10001", FIELD, WALL)
     episodes = draw_episodes(worlds, 9, seed=2, min_path=1.0)
-    options: dict[str, Any] = {"seconds": 0.5, "env": env}
-    requests = [GoalRequest(ScriptedPolicy(), episodes, options), GoalRequest(None, episodes, options)]
+    requests = [GoalRequest(policy, episodes, {"seconds": 0.5, "env": env}) for policy in (ScriptedPolicy(), None)]
     for ours, theirs in zip(evaluate_all(requests, 1), evaluate_all(requests, 2), strict=True):
-        assert isinstance(ours, Evaluation)
-        assert isinstance(theirs, Evaluation)
         assert len(ours.trajectories) == 36
-        assert_same(ours, theirs)
+        assert_same(ours.trajectories, theirs.trajectories)
         assert ours.to_json() == theirs.to_json()
 
 
@@ -142,10 +125,7 @@ def test_results_do_not_depend_on_the_number_of_processes() -> None:
 
 def drives(endings: list[str], x: float = -3.0) -> list[Trajectory]:
     """Straight drives of 1 m along y, at ``x``, with the given endings."""
-    steps = 20
-    path = torch.tensor([x, -0.5, 0.0]) + torch.linspace(0, 1, steps + 1)[:, None] * torch.tensor([0.0, 1.0, 0.0])
-    none = torch.zeros(steps, dtype=torch.bool)
-    return [Trajectory(path, torch.zeros(steps + 1, 3), none, none, ending) for ending in endings]
+    return [line(ending, (x, -0.5), (x, 0.5)) for ending in endings]
 
 
 def evaluation(name: str, endings: list[str], episodes: EpisodeSet = EPISODES) -> Evaluation:
@@ -180,10 +160,7 @@ def test_results_by_world() -> None:
 
 def test_ranges_have_a_table_each_and_the_worst_worlds_are_named() -> None:
     two = draw_episodes(WorldPool(WALL, CRATES, FIELD), 3, seed=1)
-    results = [evaluation("mine", ENDINGS), evaluation("mine", ["goal"] * 9, two)]
-    console = Console(file=io.StringIO(), width=200)
-    print_table(results, console)
-    text = console.file.getvalue()  # type: ignore[attr-defined]
+    text = printed(print_table, [evaluation("mine", ENDINGS), evaluation("mine", ["goal"] * 9, two)], width=200)
     for worlds in ("field, wall, crates", "wall, crates, field"):
         assert text.count(f"3 episodes in each of 3 worlds, {worlds}: one goal within 60 s") == 1
     assert "Lowest success rates of mine in field, wall, crates, bullet: field 33%, wall 67%\n" in text
@@ -196,8 +173,7 @@ def test_files_have_the_results_by_world(tmp_path: Path) -> None:
     (result,) = json.loads((tmp_path / "evaluation.json").read_text())
     assert [world["count"] for world in result["worlds"]] == [3, 3, 3]
     assert [episode["world"] for episode in result["episodes"]] == [0, 0, 0, 1, 1, 1, 2, 2, 2]
-    with (tmp_path / "evaluation-worlds.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(tmp_path / "evaluation-worlds.csv")
     assert [(row["world"], row["name"]) for row in rows] == [("0", "field"), ("1", "wall"), ("2", "crates")]
     assert float(rows[1]["success_rate"]) == pytest.approx(2 / 3)
     write_evaluation(tmp_path / "one.json", [evaluation("mine", ENDINGS[:3], EPISODES.first(3).with_used_worlds())])

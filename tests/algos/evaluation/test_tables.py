@@ -12,12 +12,13 @@ from rich.console import Console
 
 from rover_rl import World
 from rover_rl.algos.evaluation.episodes import EpisodeSet
-from rover_rl.algos.evaluation.metrics import EARLY_ENDINGS, METRICS, TIME_LIMIT, Trajectory
+from rover_rl.algos.evaluation.metrics import EARLY_ENDINGS, METRICS, TIME_LIMIT
 from rover_rl.algos.evaluation.report import check_columns, print_table
 from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.algos.evaluation.tables import folded
 from rover_rl.sims.worlds import Terrain
 from rover_rl.sims.worlds.pool import WorldPool
+from tests.algos.evaluation.drives import line
 
 FIELD = World("field", Terrain.flat((40.0, 40.0)))
 NAMES = ["anywhere", "gridplanner", "my-long-run-name-with-seed-12", "averylongnamewithoutanyseparatorinit", "a", "b"]
@@ -26,10 +27,8 @@ ENDINGS = ["goal", "goal", TIME_LIMIT, *EARLY_ENDINGS]
 
 def evaluation(name: str, endings: list[str]) -> Evaluation:
     """An evaluation with drives of 12 s straight ahead that end as given."""
-    count, steps = len(endings), 240
-    position = torch.linspace(0, 10.25, steps + 1)[:, None] * torch.tensor([1.0, 0.0, 0.0])
-    none = torch.zeros(steps, dtype=torch.bool)
-    drives = [Trajectory(position, torch.zeros(steps + 1, 3), none, none, ending, 12.0) for ending in endings]
+    count = len(endings)
+    drives = [line(ending, end=(10.25, 0.0), steps=240, reversals=12.0) for ending in endings]
     start, goal = torch.zeros(count, 3), torch.tensor([[10.0, 0.0]]).expand(count, 2)
     episodes = EpisodeSet("field", WorldPool(FIELD), 0, start, goal, torch.full((count,), 9.5))
     return Evaluation(name, episodes, 1, 60.0, drives)
@@ -69,6 +68,12 @@ def test_no_line_is_too_wide_and_no_name_or_number_is_cut(
     shown = "".join(line[1:31].split(" ")[0] for line in printed)
     assert "my-long-run-name-with-seed-12" in shown
     assert NAMES[3] in shown
+
+
+def test_no_heading_is_cut_beside_short_names() -> None:
+    drives = [evaluation("a", ENDINGS)]
+    for width in range(80, 130, 5):
+        assert "…" not in "".join(lines(drives, width, False, ["all"]))
 
 
 def test_the_legend_explains_what_is_shown_and_nothing_else(evaluations: list[Evaluation]) -> None:

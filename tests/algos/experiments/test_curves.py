@@ -8,13 +8,11 @@ import pytest
 import torch
 from matplotlib.image import imread
 
-from rover_rl import World
 from rover_rl.algos.config import training_config
 from rover_rl.algos.evaluation.episodes import EpisodeSet
 from rover_rl.algos.evaluation.evaluate import Evaluation
-from rover_rl.algos.evaluation.metrics import Trajectory
 from rover_rl.algos.experiments.curves import COMPARED, draw_learning_curve
-from rover_rl.sims.worlds import Terrain
+from tests.algos.evaluation.drives import FIELD, line
 from tests.algos.experiments.records import write_run
 
 
@@ -26,11 +24,8 @@ def texts(path: Path) -> str:
 
 def scripted() -> Evaluation:
     """An evaluation of one episode."""
-    world = World("field", Terrain.flat((12.0, 12.0)))
-    episodes = EpisodeSet("field", world, 0, torch.zeros(1, 3), torch.ones(1, 2), torch.ones(1))
-    none = torch.zeros(1, dtype=torch.bool)
-    driven = Trajectory(torch.zeros(2, 3), torch.zeros(2, 3), none, none, "goal")
-    return Evaluation("scripted", episodes, 1, 60.0, [driven])
+    episodes = EpisodeSet("field", FIELD, 0, torch.zeros(1, 3), torch.ones(1, 2), torch.ones(1))
+    return Evaluation("scripted", episodes, 1, 60.0, [line("goal")])
 
 
 def test_a_learning_curve_does_not_depend_on_the_number_of_rows(tmp_path: Path) -> None:
@@ -50,11 +45,10 @@ def test_runs_of_an_algorithm_in_a_world_are_one_curve(tmp_path: Path) -> None:
     ]
     draw_learning_curve([*runs[:4], runs[4]], tmp_path / "curve.svg", panels=COMPARED)
     text = texts(tmp_path / "curve.svg")
-    assert "<!-- PPO in maze: 2 runs of 83,968 steps in 2.0 min -->" in text
-    assert "<!-- PPO in moon: 2 runs of 83,968 steps in 2.0 min -->" in text
-    assert "<!-- sac-maze-0 (SAC in maze): 81,920 steps in 2.0 min -->" in text
-    assert text.count("<!-- training time (min) -->") == 2
-    assert text.count("<!-- lines: interquartile mean of the runs; areas: its 95 % interval -->") == 1
+    labels = {f"PPO in {world}: 2 runs of 83,968 steps in 2.0 min": 1 for world in ("maze", "moon")}
+    labels |= {"sac-maze-0 (SAC in maze): 81,920 steps in 2.0 min": 1, "training time (min)": 2}
+    labels |= {"lines: interquartile mean of the runs; areas: its 95 % interval": 1}
+    assert {label: text.count(f"<!-- {label} -->") for label in labels} == labels
 
 
 def test_a_baseline_is_drawn_in_its_world(tmp_path: Path) -> None:

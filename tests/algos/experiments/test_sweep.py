@@ -1,20 +1,21 @@
 from __future__ import annotations
 
-import io
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from rich.console import Console
 
 from rover_rl.algos.config import TrainingConfig, with_settings
 from rover_rl.algos.evaluation.episodes import draw_episodes
+from rover_rl.algos.evaluation.metrics import Estimate
 from rover_rl.algos.evaluation.parallel import GoalRequest
 from rover_rl.algos.experiments import sweep as sweeps
 from rover_rl.algos.experiments.space import read_space
 from rover_rl.algos.experiments.sweep import Sweep, draw_trials, print_trials, validation_episodes, write_trials
 from rover_rl.cli import main
+from tests.algos.evaluation.drives import printed
 from tests.algos.experiments.test_seeds import TINY
 from tests.algos.train.runs import PPO
 
@@ -37,24 +38,12 @@ class Fakes:
         if number == self.diverge_at:
             raise FloatingPointError("training diverged")
 
-        class Summary:
-            interrupted = number == self.interrupt_at
-            minutes = 0.5
-
-        return Summary()
+        return SimpleNamespace(interrupted=number == self.interrupt_at, minutes=0.5)
 
     def evaluate(self, *_: Any) -> Any:
-        from rover_rl.algos.evaluation.metrics import Estimate
-
         rate = self.trained[-1].algorithm.learning_rate * 100
-
-        class Result:
-            metrics = {  # noqa: RUF012
-                "success_rate": Estimate(rate, rate - 0.01, rate + 0.01),
-                "mean_time_to_traverse": Estimate(9.0, 8.0, 10.0),
-            }
-
-        return Result()
+        success, seconds = Estimate(rate, rate - 0.01, rate + 0.01), Estimate(9.0, 8.0, 10.0)
+        return SimpleNamespace(metrics={"success_rate": success, "mean_time_to_traverse": seconds})
 
 
 @pytest.fixture
@@ -122,9 +111,7 @@ def test_a_folder_holds_one_sweep(tmp_path: Path, fakes: Fakes) -> None:
 def test_trials_are_shown(tmp_path: Path, fakes: Fakes) -> None:
     sweep = begin(tmp_path / "sweep", [*VARY, "hidden=[8],[16,16]"])
     sweep.run(4, print)
-    console = Console(file=io.StringIO(), width=80)
-    print_trials(sweep, console)
-    text = console.file.getvalue()  # type: ignore[attr-defined]
+    text = printed(print_trials, sweep, 80)
     assert max(map(len, text.splitlines())) <= 80
     best = sweep.settings(sweep.finished[0])
     assert f"{best['learning_rate']:g}" in text

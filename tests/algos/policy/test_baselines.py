@@ -57,14 +57,11 @@ def test_random_actions_are_uniform_over_the_bounds() -> None:
 # --- scripted
 
 
-def test_it_drives_towards_a_goal_on_open_ground() -> None:
-    speed, heading = steer(CLEAR, target(5.0, 0.0))[0]
-    assert speed == pytest.approx(1.0)
-    assert heading == pytest.approx(0.0, abs=1e-6)
-    for degrees in (-150, -40, 25, 90):
-        speed, heading = steer(CLEAR, target(5.0, degrees))[0]
-        assert math.copysign(1, heading) == math.copysign(1, degrees)
-        assert speed < 1
+@pytest.mark.parametrize("degrees", [-150, -40, 0, 25, 90])
+def test_it_drives_towards_a_goal_on_open_ground(degrees: float) -> None:
+    speed, heading = steer(CLEAR, target(5.0, degrees))[0].tolist()
+    assert (speed, heading) == pytest.approx((1.0, 0.0)) if degrees == 0 else speed < 1
+    assert heading * degrees >= 0
 
 
 @pytest.mark.parametrize("degrees", [-20, 20])
@@ -75,14 +72,10 @@ def test_it_goes_around_a_wall_on_the_side_of_the_goal(degrees: float) -> None:
     assert speed < 0.5
 
 
-def test_it_backs_off_from_a_close_obstacle_unless_one_is_behind() -> None:
-    assert steer(wall_ahead(0.32), target(5.0, 0.0))[0, 0] < 0
+def test_it_backs_off_from_a_close_obstacle_unless_one_is_behind_and_drives_to_a_goal_before_a_wall() -> None:
     between = wall_ahead(0.32)
     between[:, 14:18] = 0.6
-    assert steer(between, target(5.0, 0.0))[0, 0] >= 0
-
-
-def test_it_drives_towards_a_goal_in_front_of_a_wall() -> None:
+    assert steer(wall_ahead(0.32), target(5.0, 0.0))[0, 0] < 0 <= steer(between, target(5.0, 0.0))[0, 0]
     speed, heading = steer(wall_ahead(1.2), target(0.9, 0.0))[0]
     assert speed > 0.3
     assert abs(heading) < 0.1

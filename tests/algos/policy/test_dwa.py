@@ -44,16 +44,13 @@ def wall(distance: float, degrees: float = 0.0) -> Tensor:
     return torch.where(angle.cos() > 0.05, distance / angle.cos().clamp(min=0.05), 12.0).clamp(max=12.0)[None]
 
 
-def test_it_drives_straight_to_a_goal_on_open_ground() -> None:
-    speed, heading = action(CLEAR)
-    assert speed == pytest.approx(1.0)
-    assert heading == pytest.approx(0.0, abs=1e-6)
-
-
-@pytest.mark.parametrize("degrees", [-150, -60, -20, 20, 60, 150])
-def test_it_turns_towards_the_goal(degrees: float) -> None:
-    heading = action(CLEAR, degrees=degrees)[1]
-    assert heading * degrees > 0
+@pytest.mark.parametrize("degrees", [-150, -60, -20, 0, 20, 60, 150])
+def test_it_drives_to_a_goal_on_open_ground(degrees: float) -> None:
+    speed, heading = action(CLEAR, degrees=degrees).tolist()
+    if degrees:
+        assert heading * degrees > 0
+    else:
+        assert (speed, heading) == pytest.approx((1.0, 0.0), abs=1e-6)
 
 
 def test_it_goes_around_a_wall_on_the_side_of_the_goal() -> None:
@@ -70,15 +67,11 @@ def test_it_keeps_its_speed_beside_a_wall_and_towards_a_goal_in_front_of_one() -
     assert abs(heading) < 0.2
 
 
-def test_it_backs_off_where_it_can_neither_drive_ahead_nor_turn() -> None:
+def test_between_walls_it_backs_off_or_turns_on_the_spot() -> None:
     # Walls ahead and on both sides, closer than the corners of the turning rover.
-    pocket = torch.minimum(wall(0.2), torch.minimum(wall(0.28, 90), wall(0.28, -90)))
+    pocket = torch.stack([wall(0.2), wall(0.28, 90), wall(0.28, -90)]).amin(0)
     assert action(pocket)[0] < 0
-
-
-def test_it_turns_on_the_spot_where_nothing_is_free_ahead_and_behind() -> None:
-    box = torch.stack([wall(distance, degrees) for distance, degrees in ((0.4, 0), (0.8, 180))]).amin(0)
-    box = torch.minimum(box, torch.minimum(wall(0.6, 90), wall(0.6, -90)))
+    box = torch.stack([wall(0.4), wall(0.8, 180), wall(0.6, 90), wall(0.6, -90)]).amin(0)
     speed, heading = action(box, degrees=120)
     assert speed == 0
     assert abs(heading) > 0.1
@@ -135,9 +128,7 @@ def test_it_takes_no_trajectory_that_hits_a_reading_if_one_is_free(
     motion = torch.tensor([[speed, yaw_rate]])
     points = policy.points(lidar)
     chosen = action(lidar, policy, degrees=degrees, velocities=(speed, yaw_rate))
-    assert chosen.isfinite().all()
-    assert chosen.abs()[0] <= 1
-    assert chosen.abs()[1] <= math.pi
+    assert (chosen.abs() <= torch.tensor([1.0, math.pi])).all()
     sampled = policy.trajectories(motion)
     pairs = torch.stack((sampled.speed, sampled.yaw_rate / (YAW_GAIN * HeadingGains.kp)), -1)[0]
     taken = (pairs - chosen).abs().amax(-1).argmin()
@@ -173,9 +164,7 @@ def test_readings_are_points_of_the_beams_that_gave_them() -> None:
 
 
 def test_results_stay_on_the_device_of_the_observation() -> None:
-    result = POLICY(observation(CLEAR).to("meta"))["action"]
-    assert result.device.type == "meta"
-    assert result.shape == (1, 2)
+    assert POLICY(observation(CLEAR).to("meta"))["action"].device.type == "meta"
 
 
 def test_robot_lidar_and_slip_are_settings() -> None:
@@ -194,9 +183,7 @@ def test_robot_lidar_and_slip_are_settings() -> None:
     assert torch.equal(action(wall(0.7), again), action(wall(0.7)))
 
 
-def test_unknown_robots_and_slip_out_of_range_are_refused() -> None:
-    with pytest.raises(ValueError, match="unknown robot 'tank'"):
-        DynamicWindowPolicy("tank")
+def test_slip_out_of_range_is_refused() -> None:
     for gain in (0.0, -1.0, math.inf, math.nan):
         with pytest.raises(ValueError, match="yaw_gain must be a positive number"):
             DynamicWindowPolicy(yaw_gain=gain)

@@ -22,25 +22,27 @@ POCKET = World(
 """Open to the left, closed to the right."""
 
 
-def rollout(start: list[float], goal: list[float], steps: int) -> tuple[Tensor, Tensor]:
-    """Remaining path length and goals reached after each step, of a rover that follows the expert."""
-    env = make_env(world_n=POCKET, num_envs=1, seed=0)
-    expert = PrivilegedExpert([POCKET], ROVER)
-    distance = PathDistances([POCKET], ROVER, caution=CAUTION)
-    td = env.reset(start=torch.tensor([start]), goal=torch.tensor([goal]))
-    left, reached = [], []
+def drive(world: World, steps: int, start: Tensor | None = None, goal: Tensor | None = None, **options):
+    """Yields the observation before each step of rovers that follow the expert, and which have reached their goals."""
+    env = make_env(world_n=world, seed=0, **options)
+    expert = PrivilegedExpert([world], ROVER)
+    places = {} if start is None else {"start": start, "goal": goal.expand(len(start), -1)}
+    td, reached = env.reset(**places), torch.zeros(options["num_envs"], 1, dtype=torch.bool)
     for _ in range(steps):
-        left.append(distance(torch.zeros(1, 1, dtype=torch.int64), td["pose"][:, :2], env.base_env.goal))
+        yield td, reached
         td = env.step(td.set("action", expert.action(td)))["next"]
-        reached.append(td["outcome", "goal_reached"])
-        if reached[-1].item():
+        reached = reached | td["outcome", "goal_reached"]
+        if reached.all():
             break
-    return torch.cat(left), torch.cat(reached)
+    yield td, reached
 
 
 def test_it_leads_out_of_a_pocket_that_the_goal_lies_behind() -> None:
-    left, reached = rollout([0.0, 0.3, 0.0], [3.5, 0.0], 400)
-    assert reached[-1]
+    distance, goal = PathDistances([POCKET], ROVER, caution=CAUTION), torch.tensor([[3.5, 0.0]])
+    driven = [*drive(POCKET, 400, torch.tensor([[0.0, 0.3, 0.0]]), goal, num_envs=1)]
+    row = torch.zeros(1, 1, dtype=torch.int64)
+    left = torch.cat([distance(row, td["pose"][:, :2], goal) for td, _ in driven[:-1]])
+    assert driven[-1][1].all()
     # Some 10 m, and some of them right beside a wall.
     assert 8 < left[0] < 15
     assert left[-1] < 1.5
@@ -62,15 +64,7 @@ def test_it_passes_a_gap_in_which_it_cannot_turn() -> None:
         spawn_range=((-3, -2), (-1, 1)),
         goal_range=((2, 3), (-1, 1)),
     )
-    env = make_env(world_n=gap, num_envs=4, seed=0, backend="warp", end_on_goal=True)
-    expert = PrivilegedExpert([gap], ROVER)
-    td = env.reset()
-    reached = torch.zeros(4, 1, dtype=torch.bool)
-    for _ in range(500):
-        td = env.step(td.set("action", expert.action(td)))["next"]
-        reached |= td["outcome", "goal_reached"]
-        if reached.all():
-            break
+    *_, (_, reached) = drive(gap, 500, num_envs=4, backend="warp", end_on_goal=True)
     assert reached.all()
 
 
@@ -78,16 +72,11 @@ def test_it_backs_down_a_slope() -> None:
     """While a rover turns around on a slope, it slides."""
     x = torch.arange(-6, 6.25, 0.25)
     slope = World("slope", Terrain((x * math.tan(math.radians(20))).expand(len(x), -1), 0.25))
-    env = make_env(world_n=slope, num_envs=4, seed=0, backend="warp", end_on_goal=True)
-    expert = PrivilegedExpert([slope], ROVER)
     uphill = torch.tensor([[0.0, side, 0.3 * side] for side in (-1, -0.5, 0.5, 1)])
-    td = env.reset(start=uphill, goal=torch.tensor([[-3.0, 0.0]]).expand(4, -1))
-    reached = torch.zeros(4, 1, dtype=torch.bool)
-    for _ in range(200):
+    options = {"num_envs": 4, "backend": "warp", "end_on_goal": True}
+    for td, reached in drive(slope, 200, uphill, torch.tensor([[-3.0, 0.0]]), **options):
         # A reset after the goal is another episode.
         assert (td["imu"][:, 2:][~reached].abs() < 1).all()
-        td = env.step(td.set("action", expert.action(td)))["next"]
-        reached |= td["outcome", "goal_reached"]
     assert reached.all()
 
 

@@ -36,12 +36,8 @@ def observations(*shape: int) -> TensorDict:
 
 def test_encoding_of_an_observation() -> None:
     encoder = ObservationEncoder(lidar_points=2)
-    features = encoder(
-        torch.tensor([[0.0, 12.0]]),
-        torch.tensor([[0.1, -0.2, 3.0]]),
-        torch.tensor([[5.0, math.pi / 2]]),
-        torch.tensor([[0.5, 1.5]]),
-    )
+    entries = ([0.0, 12.0], [0.1, -0.2, 3.0], [5.0, math.pi / 2], [0.5, 1.5])
+    features = encoder(*(torch.tensor([entry]) for entry in entries))
     lidar = [-1.0, math.log(13) / 1.3 - 1]
     expected = torch.tensor([[*lidar, 0.3, -0.6, 0.0, math.log(6) - 1, 1.0, 0.0, 0.5, 0.5, 0.5]])
     torch.testing.assert_close(features, expected, atol=1e-6, rtol=0)
@@ -50,13 +46,11 @@ def test_encoding_of_an_observation() -> None:
 
 def test_the_encoding_of_a_pose_distinguishes_positions_and_headings() -> None:
     encoder = ObservationEncoder(("imu", "pose"))
-    imu = torch.tensor([[0.0, 0.0, 0.0]]).expand(3, 3).clone()
-    pose = torch.tensor([[1.0, 2.0, 0.5], [1.0, 2.0, 0.5], [9.0, 2.0, 0.5]])
-    imu[1, 2] = 2.0
-    features = encoder(imu, pose)
+    imu = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0], [0.0, 0.0, 0.0]])
+    features = encoder(imu, torch.tensor([[1.0, 2.0, 0.5], [1.0, 2.0, 0.5], [9.0, 2.0, 0.5]]))
     assert features.shape == (3, encoder.features)
-    assert not torch.allclose(features[0], features[1], atol=0.1)
-    assert not torch.allclose(features[0], features[2], atol=0.1)
+    for other in (1, 2):
+        assert not torch.allclose(features[0], features[other], atol=0.1)
 
 
 @pytest.mark.parametrize("keys", [("target",), ("lidar", "target"), ("pose", "imu", "target", "lidar", "velocities")])
@@ -153,17 +147,9 @@ def test_pose_and_yaw_are_ignored_by_default() -> None:
 
 
 def test_the_mirror_image_swaps_left_and_right() -> None:
-    td = TensorDict(
-        {
-            "lidar": torch.tensor([[1.0, 2.0, 3.0]] * 2),
-            "imu": torch.tensor([[0.1, 0.2, 0.3]] * 2),
-            "target": torch.tensor([[5.0, 0.4]] * 2),
-            "velocities": torch.tensor([[0.5, 0.6]] * 2),
-            "action": torch.tensor([[0.7, 0.8]] * 2),
-            "next": {"target": torch.tensor([[4.0, -0.2]] * 2), "reward": torch.ones(2, 1)},
-        },
-        batch_size=[2],
-    )
+    now = {"lidar": [1.0, 2.0, 3.0], "imu": [0.1, 0.2, 0.3], "target": [5.0, 0.4], "velocities": [0.5, 0.6]}
+    td = TensorDict({key: torch.tensor([value] * 2) for key, value in {**now, "action": [0.7, 0.8]}.items()}, [2])
+    td["next"] = TensorDict({"target": torch.tensor([[4.0, -0.2]] * 2), "reward": torch.ones(2, 1)}, [2])
     image = mirrored(td, torch.tensor([True, False]))
     assert (image[1] == td[1]).all()
     assert image[0]["lidar"].tolist() == [3, 2, 1]
@@ -179,16 +165,15 @@ def test_the_mirror_image_agrees_with_the_simulation() -> None:
     """Two rovers with mirrored starts and actions have mirrored observations."""
     world = World("field", Terrain.flat((20, 20)), [box((3, 1, 0.5), (1, 1, 1)), box((3, -1, 0.5), (1, 1, 1))])
     env = RoverEnv(world_n=world, num_envs=2, seed=0)
-    td = env.reset(
-        start=torch.tensor([[0.0, 0.5, 0.3], [0.0, -0.5, -0.3]]), goal=torch.tensor([[4.0, 3.0], [4.0, -3.0]])
-    )
+    start, goal = torch.tensor([[0.0, 0.5, 0.3], [0.0, -0.5, -0.3]]), torch.tensor([[4.0, 3.0], [4.0, -3.0]])
+    td = env.reset(start=start, goal=goal)
     for _ in range(10):
         td["action"] = torch.tensor([[0.8, 0.5], [0.8, -0.5]])
         td = env.step_mdp(env.step(td))
     seen = td.select("lidar", "imu", "target", "velocities")
     image = mirrored(seen, torch.ones(2, dtype=torch.bool))
-    for key, tolerance in (("target", 0.02), ("velocities", 0.02), ("imu", 0.02)):
-        torch.testing.assert_close(image[0][key], seen[1][key], atol=tolerance, rtol=0)
+    for key in ("target", "velocities", "imu"):
+        torch.testing.assert_close(image[0][key], seen[1][key], atol=0.02, rtol=0)
     # Segments begin straight ahead, so that the mirror image of a segment differs from another segment by one beam.
     assert (image[0]["lidar"] - seen[1]["lidar"]).abs().median() < 0.05
 

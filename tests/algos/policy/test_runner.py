@@ -39,9 +39,7 @@ def test_actions_and_memory_are_held_between_decisions() -> None:
 def test_the_caller_may_say_which_rows_decide() -> None:
     runner, (seen, *_) = PolicyRunner(CountingPolicy()), observations(2)
     nobody, second = torch.tensor([False, False]), torch.tensor([False, True])
-    assert counts(runner, seen, due=nobody) == [0, 0]
-    assert counts(runner, seen, due=nobody) == [0, 0]
-    assert counts(runner, seen, due=second) == [0, 1]
+    assert [counts(runner, seen, due=due) for due in (nobody, nobody, second)] == [[0, 0], [0, 0], [0, 1]]
     runner.reset(torch.tensor([True, False]))
     assert counts(runner, seen, due=second) == [0, 2]
 
