@@ -83,7 +83,7 @@ class MotionFile:
         try:
             keys = [tuple(float(number) for number in key) for key in found["keys"]]
             # Of keyframes at the same time, the last one counts.
-            keys = [key for key, later in zip(keys, [*keys[1:], None], strict=True) if not later or later[0] != key[0]]
+            keys = [key for n, key in enumerate(keys) if n + 1 == len(keys) or keys[n + 1][0] != key[0]]
             period = float(found["period"])
             if math.isfinite(period) and period > keys[-1][0]:
                 # At rest until the path begins again.

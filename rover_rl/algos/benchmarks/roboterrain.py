@@ -40,8 +40,9 @@ GOAL_RADIUS = 0.3
 TOO_CLOSE = 0.5
 """Distance from a person below which the rover is at risk, m."""
 COLUMNS = {
-    "risk": (f"closer than {TOO_CLOSE:g} m, per goal", "s"),
-    "time": ("time per goal", "s"),
+    # Seconds with three digits.
+    "risk": (f"s closer than {TOO_CLOSE:g} m, per goal", ""),
+    "time": ("s per goal", ""),
     "goals": ("goals", ""),
     "contacts": ("contacts", ""),
     "goals_per_contact": ("goals per contact", ""),

@@ -40,6 +40,7 @@ from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.clearance import clearance_on_grid
 from rover_rl.sims.worlds.movers.shapes import KINDS
 from rover_rl.sims.worlds.slot_table import SlotTable
+from rover_rl.sims.worlds.world import Worlds
 
 REPLAN = 20  # number of steps from one plan to the next
 DECIDE = 2  # number of steps from one decision to the next
@@ -61,6 +62,14 @@ class _Memory(NamedTuple):
     goal: Tensor
     step: Tensor
     action: Tensor
+
+
+class _Place(NamedTuple):
+    """Where a policy drives. A tuple, so that the environment, a module, does not become a part of the policy."""
+
+    env: RoverEnv
+    paths: PathDistances
+    fixed: FixedDistances
 
 
 class ForesightPolicy(TensorDictModuleBase):
@@ -85,20 +94,20 @@ class ForesightPolicy(TensorDictModuleBase):
         self._robot, self._gain = get_robot(robot), yaw_gain
         self.made_for = EnvConfig(robot=robot)
         self.in_keys, self.out_keys = ["velocities", "outcome"], ["action"]
-        self._env: RoverEnv | None = None
+        self._place: _Place | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         # For another process, which has its own environment.
-        return {**self.__dict__, "_env": None, "_paths": None, "_fixed": None, "_memory": None}
+        return {**self.__dict__, "_place": None, "_memory": None}
 
     def enter(self, env: RoverEnv) -> None:
         """Prepares for the worlds, the movers and the robot of an environment."""
         from rover_rl.algos.policy.foresight_kernels import LAYERS, SIZE
 
         rows, device = env.num_envs, env.placement.bounds.device
-        self._env = env
-        self._paths = PathDistances(env.pool, self._robot, device, CAUTION)
-        self._fixed = FixedDistances(env, device)
+        self._place = _Place(
+            env, PathDistances(env.pool, self._robot, device, CAUTION), FixedDistances(env.pool, device)
+        )
         pair = torch.zeros(rows, 2, device=device)
         step = torch.full((rows,), -1, dtype=torch.int64, device=device)
         costs = torch.zeros(rows, int(LAYERS) + 1, int(SIZE) ** 2, device=device)
@@ -106,9 +115,9 @@ class ForesightPolicy(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Sets ``action [N, 2]``. Raises ``RuntimeError`` before :meth:`enter`."""
-        env = self._env
-        if env is None:
+        if self._place is None:
             raise RuntimeError("foresight knows no environment: drive it with PolicyRunner(policy, env=env)")
+        env = self._place.env
         # A runner adds copies of the last row to few rows.
         rows = tensordict[: env.num_envs]
         steps, goal, memory = rows["outcome", "steps"][:, 0], env.goal, self._memory
@@ -129,7 +138,8 @@ class ForesightPolicy(TensorDictModuleBase):
         chosen = rows.nonzero().squeeze(-1)
         if not len(chosen):
             return
-        env, memory = self._required_env, self._memory
+        place, memory = self._entered, self._memory
+        env = place.env
         size, cell = int(kernels.SIZE), float(kernels.CELL)
         origin = env.rover_state.position[:, :2] - size // 2 * cell
         memory = memory._replace(
@@ -140,9 +150,9 @@ class ForesightPolicy(TensorDictModuleBase):
         self._memory = memory
         grid = torch.arange(size, device=origin.device) * cell
         offsets = torch.stack((grid.repeat(size), grid.repeat_interleave(size)), -1)
-        fields = self._paths.fields(world[chosen], goal[chosen])
+        fields = place.paths.fields(world[chosen], goal[chosen])
         points = memory.origin[chosen, None] + offsets
-        length, is_free = self._paths.along(fields, points)
+        length, is_free = place.paths.along(fields, points)
         straight = (points - goal[chosen, None]).norm(dim=-1)
         length = torch.where(straight < NEAR, straight, length)
         speed = self._speed
@@ -150,7 +160,7 @@ class ForesightPolicy(TensorDictModuleBase):
         memory.costs[chosen, last] = torch.where(is_free, length / speed, straight / speed + NO_PATH)
         moving = moving_at(env.movers, [layer * float(kernels.LAYER_DT) for layer in range(last)])
         radius = INSIDE * env.task.success_distance
-        inputs = [_pairs(memory.origin), _pairs(memory.goal), radius, speed, self._fixed.struct(world), moving]
+        inputs = [_pairs(memory.origin), _pairs(memory.goal), radius, speed, place.fixed.struct(world), moving]
         for layer in reversed(range(last)):
             _launch(kernels.sweep, (len(chosen), size * size), [chosen, layer, *inputs, memory.costs], origin.device)
 
@@ -161,7 +171,8 @@ class ForesightPolicy(TensorDictModuleBase):
         chosen = rows.nonzero().squeeze(-1)
         if not len(chosen):
             return
-        env, memory = self._required_env, self._memory
+        place, memory = self._entered, self._memory
+        env = place.env
         rover, device = env.rover_state, memory.costs.device
         yaw = quaternion_to_euler(rover.orientation)[:, 2:]
         states = torch.cat((rover.position[:, :2], yaw, velocities[:, :1], velocities[:, 1:] * self._gain), -1)
@@ -170,7 +181,7 @@ class ForesightPolicy(TensorDictModuleBase):
         results = torch.zeros(len(states), speeds * turns, device=device)
         since = ((steps - memory.step) * env.control_dt).float()
         inputs = [chosen, since, states.contiguous(), _pairs(memory.origin), _pairs(memory.goal)]
-        inputs += [0.97 * env.task.success_distance, self._body(), self._fixed.struct(world)]
+        inputs += [0.97 * env.task.success_distance, self._body(), place.fixed.struct(world)]
         inputs += [moving_at(env.movers, instants), memory.costs, results]
         _launch(kernels.drive, (len(chosen), speeds * turns), inputs, device)
         best = results.argmin(-1)
@@ -182,13 +193,13 @@ class ForesightPolicy(TensorDictModuleBase):
         self._memory = memory._replace(action=torch.where(rows[:, None], action, memory.action))
 
     @property
-    def _required_env(self) -> RoverEnv:
-        assert self._env is not None
-        return self._env
+    def _entered(self) -> _Place:
+        assert self._place is not None
+        return self._place
 
     @property
     def _speed(self) -> float:
-        return min(self._robot.drive.max_speed, self._required_env.config.action.max_speed)
+        return min(self._robot.drive.max_speed, self._entered.env.config.action.max_speed)
 
     def _body(self) -> Any:
         """Returns what a drive depends on of the robot, as the kernels read it."""
@@ -208,12 +219,12 @@ class FixedDistances:
     """Distances to what does not move, in the worlds of an environment.
 
     Args:
-        env: environment.
+        worlds: worlds, by index.
         device: device of the distances.
     """
 
-    def __init__(self, env: RoverEnv, device: torch.device) -> None:
-        self._pool, self._slots = env.pool, dict[int, int]()
+    def __init__(self, worlds: Worlds, device: torch.device) -> None:
+        self._worlds, self._slots = worlds, dict[int, int]()
         self._clearance = SlotTable((), torch.float32, device)
         # x and y of the first point, spacing, and numbers of rows and columns.
         self._frames = SlotTable((), torch.float32, device)
@@ -226,7 +237,7 @@ class FixedDistances:
         for index in world.unique().tolist():
             if index not in self._slots:
                 slot = self._slots[index] = len(self._slots)
-                self._clearance[slot], self._frames[slot] = _clearance(self._pool[index])
+                self._clearance[slot], self._frames[slot] = _clearance(self._worlds[index])
         slots = torch.tensor([self._slots[index] for index in world.tolist()], device=world.device)
         fixed = Fixed()
         fixed.world, fixed.frame = wp.from_torch(slots), wp.from_torch(self._frames.values)
