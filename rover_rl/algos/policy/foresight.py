@@ -26,6 +26,7 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from rover_rl.algos.policy.dwa import EXCESS, MAX_YAW_RATE, YAW_GAIN
 from rover_rl.envs.config import EnvConfig, HeadingGains, RobotLike
@@ -39,7 +40,6 @@ from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.clearance import clearance_on_grid
 from rover_rl.sims.worlds.movers.shapes import KINDS
-from rover_rl.sims.worlds.slot_table import SlotTable
 from rover_rl.sims.worlds.world import Worlds
 
 REPLAN = 20  # number of steps from one plan to the next
@@ -224,24 +224,25 @@ class FixedDistances:
     """
 
     def __init__(self, worlds: Worlds, device: torch.device) -> None:
-        self._worlds, self._slots = worlds, dict[int, int]()
-        self._clearance = SlotTable((), torch.float32, device)
-        # x and y of the first point, spacing, and numbers of rows and columns.
-        self._frames = SlotTable((), torch.float32, device)
+        self._worlds, self._device, self._slots = worlds, device, dict[int, int]()
+        self._grids: list[tuple[Tensor, Tensor]] = []
 
     def struct(self, world: Tensor) -> Any:
         """Returns the distances around rows in worlds ``[N]``, as the kernels read them."""
         from rover_rl.algos.policy.foresight_kernels import Fixed
         from rover_rl.sims.native.warp import wp
 
-        for index in world.unique().tolist():
-            if index not in self._slots:
-                slot = self._slots[index] = len(self._slots)
-                self._clearance[slot], self._frames[slot] = _clearance(self._worlds[index])
+        if missing := [index for index in world.unique().tolist() if index not in self._slots]:
+            for index in missing:
+                self._slots[index] = len(self._grids)
+                self._grids.append(_clearance(self._worlds[index]))
+            clearance, frames = zip(*self._grids, strict=True)
+            self._clearance = pad_sequence(list(clearance), batch_first=True).to(self._device)
+            self._frames = torch.stack(frames).to(self._device)
         slots = torch.tensor([self._slots[index] for index in world.tolist()], device=world.device)
         fixed = Fixed()
-        fixed.world, fixed.frame = wp.from_torch(slots), wp.from_torch(self._frames.values)
-        fixed.clearance = wp.from_torch(self._clearance.values)
+        fixed.world, fixed.frame = wp.from_torch(slots), wp.from_torch(self._frames)
+        fixed.clearance = wp.from_torch(self._clearance)
         return fixed
 
 
