@@ -85,7 +85,7 @@ class DynaBarn(MovingSuite):
 
     def original(self) -> tuple[str, str, str]:
         """Returns the name of the original, its robot and its lidar."""
-        return self.name, "Jackal, chassis 0.42 x 0.31 m, 2 m/s", "720 beams in 270 degrees, up to 30 m"
+        return self.name, "Jackal, chassis 0.42 x 0.31 m, 2 m/s", "as in BARN"
 
     def differences(self, env: EnvConfig) -> list[str]:
         """Returns how runs in an environment differ from the original benchmark."""

@@ -120,11 +120,11 @@ class RoboTerrain:
         body, lidar = describe_robot(env)
         return [
             "RoboTerrain worlds in this simulator; goals and starts are drawn from their free ground.",
-            f"Robot: {body} (RoboTerrain: Leo Rover, 0.43 x 0.45 m).",
+            f"Robot: {body} (RoboTerrain: Leo Rover).",
             f"Lidar: {lidar} (RoboTerrain: lidar for Nav2, camera for learned policies).",
             f"Simulator: {env.backend}, 20 Hz, without noise.",
             f"Closer than {TOO_CLOSE:g} m: from the rover's center to the surface of a person.",
-            "Contact: with anything, as the simulator tells it. It does not end a run (RoboTerrain: neither).",
+            "Contact: with anything, as the simulator tells it. It does not end a run.",
         ]
 
 

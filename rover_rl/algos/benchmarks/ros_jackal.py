@@ -94,7 +94,7 @@ class RosJackal(MovingSuite):
 
     def original(self) -> tuple[str, str, str]:
         """Returns the name of the original, its robot and its lidar."""
-        return self.name, "Jackal, chassis 0.42 x 0.31 m, -1 to 2 m/s", "720 beams in 270 degrees, up to 5 m"
+        return self.name, "Jackal, chassis 0.42 x 0.31 m, -1 to 2 m/s", "720 beams, up to 5 m"
 
     def differences(self, env: EnvConfig) -> list[str]:
         """Returns how runs in an environment differ from the original benchmark."""
