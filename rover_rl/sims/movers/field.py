@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -180,6 +181,19 @@ class MoverField:
         self._walked = self._walked + _length(self.course.position - before)
         self._place(active)
 
+    def ahead(self, seconds: float) -> Courses:
+        """Returns where the movers will be after some time, as far as that is known.
+
+        Those whose motion depends on time alone will be where they are then. Of others, such as those that react or
+        move at random, the velocity is taken to stay the same.
+        """
+        later, course = copy(self), self.course
+        later.course = replace(course, position=course.position + seconds * course.velocity)
+        if self.parts is not None:
+            nobody = Others(course.position[:, :0], course.velocity[:, :0], self._rover_radius)
+            later._change("advance", torch.ones_like(self._steps, dtype=torch.bool), nobody, seconds)
+        return later.course
+
     def nearest(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the horizontal distance from points ``[N, 2]`` (m) to the nearest mover of each row, and its speed.
 
@@ -203,10 +217,15 @@ class MoverField:
         speed = _length(self.course.velocity).gather(1, parts.mover.gather(1, which))
         return least, speed
 
-    def _change(self, method: str, rows: Tensor, rovers: Others) -> None:
-        """Calls a method of every motion for its movers in ``rows``, and stores the courses."""
+    def _change(self, method: str, rows: Tensor, rovers: Others, ahead: float | None = None) -> None:
+        """Calls a method of every motion for its movers in ``rows``, and stores the courses.
+
+        With a time ``ahead`` (s), it calls only those motions that tell where a mover is then.
+        """
         before = after = self.course
         for number, motion in enumerate(self._tables.motions):
+            if ahead is not None and not motion.is_foreseen:
+                continue
             mine = (self._motion == number) & rows
             scene = Scene(
                 course=before,
@@ -214,7 +233,7 @@ class MoverField:
                 mine=mine,
                 present=self.present,
                 radius=self.radius,
-                time=self._steps.double() * self._dt,
+                time=self._steps.double() * self._dt + (ahead or 0.0),
                 dt=self._dt,
                 walls=self._walls,
                 bounds=self._corners[:, :4],

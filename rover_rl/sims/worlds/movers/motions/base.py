@@ -153,9 +153,12 @@ class Motion(ABC):
 
     Attributes:
         has_walls: whether the motion asks for ``scene.walls``.
+        is_foreseen: whether :meth:`advance` depends on ``scene.time`` and the start of the episode alone, so that it also
+            tells where a mover will be later.
     """
 
     has_walls: ClassVar[bool] = False
+    is_foreseen: ClassVar[bool] = False
 
     def tensors(self) -> dict[str, Tensor]:
         """Returns the settings of one mover: by default each field, which must be a number.
