@@ -153,8 +153,8 @@ class Motion(ABC):
 
     Attributes:
         has_walls: whether the motion asks for ``scene.walls``.
-        is_foreseen: whether :meth:`advance` depends on ``scene.time`` and the start of the episode alone, so that it also
-            tells where a mover will be later.
+        is_foreseen: whether :meth:`advance` depends on ``scene.time`` and the start of the episode alone, so that it
+            also tells where a mover will be later.
     """
 
     has_walls: ClassVar[bool] = False
