@@ -12,6 +12,7 @@ from __future__ import annotations
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.kernels.rays import (
     ROVER,
+    SKY,
     SUN_DIRECTION,
     SUN_RIGHT,
     SUN_SIZE,
@@ -22,6 +23,7 @@ from rover_rl.sims.rendering.kernels.rays import (
     Seen,
     look,
     meets_body,
+    meets_part,
     shade,
 )
 
@@ -113,6 +115,10 @@ def fill_pixels(
         smooth = smooth and are_alike(seen, across) and are_alike(right, below)
         if smooth and (seen.surface == ROVER + 2 or not meets_body(scene, placing, view.eye, ray)):
             seen = mixed(mixed(seen, right, right_share), mixed(below, across, right_share), down_share)
+            if placing.parts > 0 and seen.surface != SKY:
+                # Shadows of legs are thinner than the distance between samples.
+                if meets_part(placing, view.eye + ray / seen.nearness, SUN_DIRECTION):
+                    seen = look(scene, placing, view.eye, ray, SUN_DIRECTION, wp.length(view.right))
         else:
             seen = look(scene, placing, view.eye, ray, SUN_DIRECTION, wp.length(view.right))
     colors[row, column] = displayed(shade(scene, seen, view.eye, ray))
