@@ -12,6 +12,7 @@ from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds import World
 
 if TYPE_CHECKING:
+    from rover_rl.sims.movers.field import Parts
     from rover_rl.sims.rendering.renderer import Renderer
 
 
@@ -27,7 +28,14 @@ class RendererCache:
         self._renderers: dict[World, Renderer] = {}
 
     def render(
-        self, world: World, pose: Tensor, view: View, width: int, height: int, goal: Tensor | None = None
+        self,
+        world: World,
+        pose: Tensor,
+        view: View,
+        width: int,
+        height: int,
+        goal: Tensor | None = None,
+        movers: Parts | None = None,
     ) -> Tensor:
         """Renders a rover at a pose, with a post at its goal: uint8 ``[height, width, 3]``.
 
@@ -37,6 +45,7 @@ class RendererCache:
             view: ``"chase"`` (from behind) or ``"top"`` (from above).
             width, height: size of the image, pixels.
             goal: position of the goal, ``[2]``, m. ``None`` draws no goal.
+            movers: parts of the movers around the rover, one row. ``None`` draws none.
 
         Raises:
             ValueError: if the view is unknown, the size is out of range, or the URDF has a visual shape that cannot be
@@ -51,7 +60,7 @@ class RendererCache:
             self._renderers[world] = Renderer(world, self._robot)
         renderer, (position, turn) = self._renderers[world], pose.double().cpu().split((3, 4))
         camera = Camera.on(position, turn, renderer.sight, view)
-        return renderer.render_from(camera, position, turn, width, height, goal)
+        return renderer.render_from(camera, position, turn, width, height, goal, movers)
 
     def close(self) -> None:
         """Releases all renderers. Idempotent; rendering after this creates new ones."""

@@ -8,11 +8,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rover_rl.sims.movers.field import Parts
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.camera import Camera, Sight, focal_length
 from rover_rl.sims.rendering.kernels import light, pictures, rays
 from rover_rl.sims.rendering.kernels.pictures import STEP
 from rover_rl.sims.rendering.launches import DEVICE, array, launch
+from rover_rl.sims.rendering.mover_surfaces import MoverSurfaces
 from rover_rl.sims.rendering.robot_surface import robot_surface
 from rover_rl.sims.rendering.surfaces import Surface, ground_surface, obstacles_surface, post_surface
 from rover_rl.sims.robots import Robot
@@ -65,22 +67,33 @@ class Renderer:
         side = rays.NOISE_CELLS * rays.NOISE_SAMPLES
         arrays.noise = wp.empty((side, side), dtype=float, device=DEVICE)
         launch(light.find_noise, (side, side), [arrays.noise])
+        self._movers = MoverSurfaces(world)
         self.sight = Sight(world)
 
     def render_from(
-        self, camera: Camera, position: Tensor, orientation: Tensor, width: int, height: int, goal: Tensor | None = None
+        self,
+        camera: Camera,
+        position: Tensor,
+        orientation: Tensor,
+        width: int,
+        height: int,
+        goal: Tensor | None = None,
+        movers: Parts | None = None,
     ) -> Tensor:
         """Renders what a camera sees: see ``RendererCache.render``. Several threads may call it."""
         pinhole = _pinhole(camera, height)
         rover = (*position.tolist(), *orientation.tolist())
         post = _FAR_BELOW if goal is None else (*goal.tolist(), self._world.height_at(goal.double().cpu()).item())
         poses = np.array((_AT_ORIGIN, rover, (*post, *_AT_ORIGIN[3:])), dtype=np.float32)
+        placing = rays.Placing()
+        placing.poses = wp.array(poses, dtype=wp.transform, device=DEVICE)
+        _tree = self._movers.place(placing, movers, camera.eye.numpy())
         colors = wp.empty((height, width), dtype=wp.vec3, device=DEVICE)
         # Samples surround all pixels.
         rows, columns = ((side - 1) // STEP + 2 for side in (height, width))
         samples = wp.empty((rows, columns), dtype=rays.Seen, device=DEVICE)
         picture = torch.empty((height, width, 3), dtype=torch.uint8)
-        scene = [self._arrays, wp.array(poses, dtype=wp.transform, device=DEVICE), pinhole]
+        scene = [self._arrays, placing, pinhole]
         launch(pictures.trace_samples, (rows, columns), [*scene, height, width, samples])
         launch(pictures.fill_pixels, (height, width), [*scene, samples, colors])
         launch(pictures.smooth_edges, (height, width), [*scene, colors, wp.from_torch(picture)])

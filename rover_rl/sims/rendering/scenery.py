@@ -8,6 +8,14 @@ OBSTACLE = (0.50, 0.57, 0.65)
 """Color of obstacles. Each is a little darker or brighter."""
 GOAL = (0.10, 0.75, 0.25)
 """Color of the post of the goal."""
+CLOTHES = (0.47, 0.30, 0.66)
+"""Color of the trunks of people."""
+LEGS = (0.20, 0.18, 0.27)
+"""Color of their legs."""
+SKIN = (0.76, 0.58, 0.46)
+"""Color of their heads."""
+MOVER = (0.80, 0.24, 0.22)
+"""Color of other movers."""
 UNPAINTED = (0.70, 0.70, 0.72)
 """Color of the rover's visual shapes for which neither the URDF nor the mesh file states one."""
 HORIZON = (0.87, 0.88, 0.88)

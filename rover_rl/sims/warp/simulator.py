@@ -15,6 +15,7 @@ from rover_rl.sims.base import Capability, Dynamics, RoverState, View, beam_angl
 from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.movers.field import MoverField, Parts
+from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.robots import Robot
@@ -210,7 +211,8 @@ class WarpSimulator:
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders an image: see :meth:`Simulator.render`."""
-        return self._renderers.render(self._worlds[row], self._buffers.base_state[row, :7], view, width, height, goal)
+        pose, movers = self._buffers.base_state[row, :7], parts_of(self._movers, row)
+        return self._renderers.render(self._worlds[row], pose, view, width, height, goal, movers)
 
     @property
     def robot_connected(self) -> bool:

@@ -12,15 +12,18 @@ from __future__ import annotations
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.kernels.rays import (
     ROVER,
+    SKY,
     SUN_DIRECTION,
     SUN_RIGHT,
     SUN_SIZE,
     SUN_UP,
     Pinhole,
+    Placing,
     Scene,
     Seen,
     look,
     meets_body,
+    meets_part,
     shade,
 )
 
@@ -63,19 +66,13 @@ def contrast(colors: wp.array2d[wp.vec3], color: wp.vec3, row: int, column: int)
 
 @wp.kernel
 def trace_samples(
-    first: int,
-    scene: Scene,
-    poses: wp.array[wp.transform],
-    view: Pinhole,
-    height: int,
-    width: int,
-    samples: wp.array2d[Seen],
+    first: int, scene: Scene, placing: Placing, view: Pinhole, height: int, width: int, samples: wp.array2d[Seen]
 ):
     """Writes what is seen at the center of one pixel in nine."""
     row, column = wp.tid()
     row += first
     ray = ray_to(view, from_center(STEP * column, width), from_center(STEP * row, height))
-    samples[row, column] = look(scene, poses, view.eye, ray, SUN_DIRECTION, wp.length(view.right))
+    samples[row, column] = look(scene, placing, view.eye, ray, SUN_DIRECTION, wp.length(view.right))
 
 
 @wp.func
@@ -99,12 +96,7 @@ def mixed(a: Seen, b: Seen, share: float) -> Seen:
 
 @wp.kernel
 def fill_pixels(
-    first: int,
-    scene: Scene,
-    poses: wp.array[wp.transform],
-    view: Pinhole,
-    samples: wp.array2d[Seen],
-    colors: wp.array2d[wp.vec3],
+    first: int, scene: Scene, placing: Placing, view: Pinhole, samples: wp.array2d[Seen], colors: wp.array2d[wp.vec3]
 ):
     """Writes the displayed color of the center of each pixel."""
     row, column = wp.tid()
@@ -121,10 +113,14 @@ def fill_pixels(
         across = samples[up + 1, left + 1]
         smooth = are_alike(seen, right) and are_alike(seen, below)
         smooth = smooth and are_alike(seen, across) and are_alike(right, below)
-        if smooth and (seen.surface == ROVER + 2 or not meets_body(scene, poses, view.eye, ray)):
+        if smooth and (seen.surface == ROVER + 2 or not meets_body(scene, placing, view.eye, ray)):
             seen = mixed(mixed(seen, right, right_share), mixed(below, across, right_share), down_share)
+            if placing.parts > 0 and seen.surface != SKY:
+                # Shadows of legs are thinner than the distance between samples.
+                if meets_part(placing, view.eye + ray / seen.nearness, SUN_DIRECTION):
+                    seen = look(scene, placing, view.eye, ray, SUN_DIRECTION, wp.length(view.right))
         else:
-            seen = look(scene, poses, view.eye, ray, SUN_DIRECTION, wp.length(view.right))
+            seen = look(scene, placing, view.eye, ray, SUN_DIRECTION, wp.length(view.right))
     colors[row, column] = displayed(shade(scene, seen, view.eye, ray))
 
 
@@ -132,7 +128,7 @@ def fill_pixels(
 def smooth_edges(
     first: int,
     scene: Scene,
-    poses: wp.array[wp.transform],
+    placing: Placing,
     view: Pinhole,
     colors: wp.array2d[wp.vec3],
     picture: wp.array3d[wp.uint8],
@@ -153,7 +149,7 @@ def smooth_edges(
         for _point in range(4):
             sun = SUN_DIRECTION + SUN_SIZE * (u * SUN_RIGHT + v * SUN_UP)
             ray = ray_to(view, right + u, down + v)
-            seen = look(scene, poses, view.eye, ray, sun, wp.length(view.right))
+            seen = look(scene, placing, view.eye, ray, sun, wp.length(view.right))
             total += shade(scene, seen, view.eye, ray)
             turned = -v
             v = u

@@ -2,7 +2,8 @@
 
 The scene consists of bodies, each a triangle mesh with a pose: body 0 is the scenery, whose pose is the world frame,
 body 1 the rover, in its base frame, body 2 the post of the goal. To intersect a ray with a body, the kernels transform
-the ray to the frame of the body. Vertices and triangles of all bodies are numbered consecutively.
+the ray to the frame of the body. Vertices and triangles of all bodies are numbered consecutively. The parts of movers
+are the bodies from 3 on, each an instance of one of the meshes of :class:`Forms`.
 
 Lengths in m. Colors are intensities, proportional to light; :func:`~rover_rl.sims.rendering.kernels.pictures.displayed`
 converts them.
@@ -17,6 +18,8 @@ SCENERY = 0
 """Body of the ground and the obstacles."""
 ROVER = 1
 """Body of the rover."""
+MOVERS = 3
+"""Body of the first part of a mover."""
 FAR = 1.0e4
 """Length of rays, m."""
 OFFSET = 1.0e-3
@@ -82,6 +85,31 @@ class Scene:
 
 
 @wp.struct
+class Forms:
+    """Meshes of the parts of movers, with the fields of :class:`Scene`. Movers light nothing and shade no vertex."""
+
+    meshes: wp.array[wp.uint64]
+    first_triangles: wp.array[int]
+    triangles: wp.array2d[int]
+    colors: wp.array[wp.vec3]
+    normals: wp.array[wp.vec3]
+
+
+@wp.struct
+class Placing:
+    """Where things are in a picture."""
+
+    # Poses of the first three bodies.
+    poses: wp.array[wp.transform]
+    # Number of parts of movers, tree of boxes around them, and the pose and form of each.
+    parts: int
+    tree: wp.uint64
+    part_poses: wp.array[wp.transform]
+    part_forms: wp.array[int]
+    forms: Forms
+
+
+@wp.struct
 class Pinhole:
     """Pinhole camera: position and direction, and the vectors from one pixel to the next at distance 1."""
 
@@ -130,7 +158,44 @@ def may_hit(pose: wp.transform, radius: float, start: wp.vec3, direction: wp.vec
 
 
 @wp.func
-def closest_hit(scene: Scene, poses: wp.array[wp.transform], start: wp.vec3, direction: wp.vec3) -> Hit:
+def closest_part(placing: Placing, start: wp.vec3, direction: wp.vec3, farthest: float) -> Hit:
+    """First intersection of a ray with a part of a mover; ``body`` is -1 if there is none."""
+    hit = Hit()
+    hit.distance = farthest
+    hit.body = -1
+    query = wp.bvh_query_ray(placing.tree, start, direction)
+    part = int(0)
+    while wp.bvh_query_next(query, part, hit.distance):
+        pose = placing.part_poses[part]
+        mesh = placing.forms.meshes[placing.part_forms[part]]
+        local_direction = wp.quat_rotate_inv(wp.transform_get_rotation(pose), direction)
+        found = wp.mesh_query_ray(mesh, to_body(pose, start), local_direction, hit.distance)
+        if found.result:
+            hit.distance = found.t
+            hit.body = MOVERS + part
+            hit.triangle = placing.forms.first_triangles[placing.part_forms[part]] + found.face
+            hit.u = found.u
+            hit.v = found.v
+            hit.normal = wp.transform_vector(pose, found.normal)
+    return hit
+
+
+@wp.func
+def meets_part(placing: Placing, start: wp.vec3, direction: wp.vec3) -> bool:
+    """Whether a ray meets a part of a mover."""
+    query = wp.bvh_query_ray(placing.tree, start, direction)
+    part = int(0)
+    while wp.bvh_query_next(query, part, FAR):
+        pose = placing.part_poses[part]
+        mesh = placing.forms.meshes[placing.part_forms[part]]
+        local_direction = wp.quat_rotate_inv(wp.transform_get_rotation(pose), direction)
+        if wp.mesh_query_ray_anyhit(mesh, to_body(pose, start), local_direction, FAR):
+            return True
+    return False
+
+
+@wp.func
+def closest_hit(scene: Scene, placing: Placing, start: wp.vec3, direction: wp.vec3) -> Hit:
     """First intersection of a ray with the scene; ``body`` is -1 if there is none."""
     hit = Hit()
     hit.distance = FAR
@@ -144,7 +209,7 @@ def closest_hit(scene: Scene, poses: wp.array[wp.transform], start: wp.vec3, dir
         hit.v = scenery.v
         hit.normal = scenery.normal
     for body in range(ROVER, scene.meshes.shape[0]):
-        pose = poses[body]
+        pose = placing.poses[body]
         if may_hit(pose, scene.radii[body], start, direction):
             local_start = to_body(pose, start)
             local_direction = wp.quat_rotate_inv(wp.transform_get_rotation(pose), direction)
@@ -157,31 +222,37 @@ def closest_hit(scene: Scene, poses: wp.array[wp.transform], start: wp.vec3, dir
                 hit.v = query.v
                 hit.normal = wp.transform_vector(pose, query.normal)
     hit.triangle += scene.first_triangles[wp.max(hit.body, 0)]
+    if placing.parts > 0:
+        nearer = closest_part(placing, start, direction, hit.distance)
+        if nearer.body >= 0:
+            return nearer
     return hit
 
 
 @wp.func
-def meets_body(scene: Scene, poses: wp.array[wp.transform], start: wp.vec3, direction: wp.vec3) -> bool:
-    """Whether a ray meets the rover or the post, which may be thinner than the distance between samples."""
+def meets_body(scene: Scene, placing: Placing, start: wp.vec3, direction: wp.vec3) -> bool:
+    """Whether a ray meets the rover, the post or a mover, which may be thinner than the distance between samples."""
     for body in range(ROVER, scene.meshes.shape[0]):
-        pose = poses[body]
+        pose = placing.poses[body]
         if may_hit(pose, scene.radii[body], start, direction):
             local_start = to_body(pose, start)
             local_direction = wp.quat_rotate_inv(wp.transform_get_rotation(pose), direction)
             if wp.mesh_query_ray_anyhit(scene.meshes[body], local_start, local_direction, FAR):
                 return True
+    if placing.parts > 0:
+        return meets_part(placing, start, direction)
     return False
 
 
 @wp.func
-def is_lit(scene: Scene, poses: wp.array[wp.transform], start: wp.vec3, sun: wp.vec3, sunshine: float) -> bool:
+def is_lit(scene: Scene, placing: Placing, start: wp.vec3, sun: wp.vec3, sunshine: float) -> bool:
     """Whether nothing lies between a point and the sun. Where ``sunshine`` is neither 0 nor 1, a ray must tell."""
     if sunshine == 0.0:
         return False
     if sunshine < 1.0:
         if wp.mesh_query_ray_anyhit(scene.meshes[SCENERY], start, sun, FAR):
             return False
-    return not meets_body(scene, poses, start, sun)
+    return not meets_body(scene, placing, start, sun)
 
 
 @wp.func
@@ -244,9 +315,18 @@ def rover_openness(scene: Scene, pose: wp.transform, point: wp.vec3) -> float:
 
 
 @wp.func
-def look(
-    scene: Scene, poses: wp.array[wp.transform], start: wp.vec3, direction: wp.vec3, sun: wp.vec3, spread: float
-) -> Seen:
+def normal_on_part(placing: Placing, hit: Hit) -> wp.vec3:
+    """Smooth normal where a ray meets a part of a mover, in the world frame."""
+    forms = placing.forms
+    a = forms.triangles[hit.triangle, 0]
+    b = forms.triangles[hit.triangle, 1]
+    c = forms.triangles[hit.triangle, 2]
+    normal = hit.u * forms.normals[a] + hit.v * forms.normals[b] + (1.0 - hit.u - hit.v) * forms.normals[c]
+    return wp.normalize(wp.transform_vector(placing.part_poses[hit.body - MOVERS], normal))
+
+
+@wp.func
+def look(scene: Scene, placing: Placing, start: wp.vec3, direction: wp.vec3, sun: wp.vec3, spread: float) -> Seen:
     """What a ray from the camera sees.
 
     The light on a surface of normal n is ``max(n . s, 0) sunlight + openness ambient(n)`` with the direction s to the
@@ -254,7 +334,7 @@ def look(
     distance 1.
     """
     seen = Seen()
-    hit = closest_hit(scene, poses, start, direction)
+    hit = closest_hit(scene, placing, start, direction)
     # Around the terrain, the ground is a plane.
     normal = wp.vec3(0.0, 0.0, 1.0)
     flat = normal
@@ -267,16 +347,23 @@ def look(
         if hit.distance <= 0.0 or direction[2] == 0.0:
             seen.surface = SKY
             return seen
+    elif hit.body >= MOVERS:
+        # Triangles are seen from both sides.
+        side = -wp.sign(wp.dot(hit.normal, direction))
+        flat = side * hit.normal
+        normal = side * normal_on_part(placing, hit)
+        color = placing.forms.colors[hit.triangle]
+        sunshine = 0.5
+        seen.surface = hit.body + 2
     else:
         a = scene.triangles[hit.triangle, 0]
         b = scene.triangles[hit.triangle, 1]
         c = scene.triangles[hit.triangle, 2]
         w = 1.0 - hit.u - hit.v
-        # Triangles are seen from both sides.
         side = -wp.sign(wp.dot(hit.normal, direction))
         flat = side * hit.normal
         normal = hit.u * scene.normals[a] + hit.v * scene.normals[b] + w * scene.normals[c]
-        normal = side * wp.normalize(wp.transform_vector(poses[hit.body], normal))
+        normal = side * wp.normalize(wp.transform_vector(placing.poses[hit.body], normal))
         openness = hit.u * scene.openness[a] + hit.v * scene.openness[b] + w * scene.openness[c]
         sunshine = (scene.sunshine[a] + scene.sunshine[b] + scene.sunshine[c]) / 3.0
         paint = scene.colors[hit.triangle]
@@ -285,11 +372,11 @@ def look(
             seen.surface = hit.body + 2
     point = start + hit.distance * direction + OFFSET * flat
     if hit.body != ROVER:
-        openness *= rover_openness(scene, poses[ROVER], point)
+        openness *= rover_openness(scene, placing.poses[ROVER], point)
     light = openness * wp.lerp(GROUNDLIGHT, SKYLIGHT, 0.5 + 0.5 * normal[2])
     facing = wp.dot(normal, SUN_DIRECTION)
     if facing > 0.0 and wp.dot(flat, SUN_DIRECTION) > 0.0:
-        if is_lit(scene, poses, point, sun, sunshine):
+        if is_lit(scene, placing, point, sun, sunshine):
             light += facing * SUNLIGHT
     seen.nearness = 1.0 / hit.distance
     # A pixel is longer on ground that is seen at a flat angle.

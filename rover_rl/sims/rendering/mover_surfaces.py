@@ -1,0 +1,135 @@
+"""Surfaces of the parts of movers, and where they are in a picture."""
+
+from __future__ import annotations
+
+from threading import Lock
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+
+from rover_rl.sims.movers.field import Parts
+from rover_rl.sims.native.warp import wp
+from rover_rl.sims.rendering.kernels import rays
+from rover_rl.sims.rendering.launches import DEVICE, array
+from rover_rl.sims.rendering.scenery import CLOTHES, LEGS, MOVER, SKIN
+from rover_rl.sims.rendering.surfaces import SEGMENTS, Surface
+from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds.movers.shapes import KINDS, Kind, Person
+
+Color = tuple[float, float, float]
+CLOSE = 0.6
+"""Distance from the camera up to which a mover would fill the picture, and is left out, m."""
+SHOULDERS, HEAD = 0.32, 0.11
+"""Height of the shoulders below the top of a person of 1.75 m, and radius of the head, m."""
+
+
+class Look(NamedTuple):
+    """How a part is drawn: in a color, as the trunk and the head of a person or as it is."""
+
+    color: Color
+    is_figure: bool = False
+
+
+class Form(NamedTuple):
+    """Kind, length, width and height (m), and look of parts that share a mesh."""
+
+    kind: Kind
+    size: Color
+    look: Look
+
+
+class MoverSurfaces:
+    """Meshes of the parts of a world's movers, each of a kind and size once. Several threads may call it."""
+
+    def __init__(self, world: World) -> None:
+        self._looks = [look for mover in world.movers for look in _looks(mover.shape)]
+        self._numbers: dict[Form, int] = {}
+        self._surfaces: list[Surface] = []
+        self._meshes: list[wp.Mesh] = []
+        self._forms = rays.Forms()
+        self._lock = Lock()
+
+    def place(self, placing: rays.Placing, parts: Parts | None, eye: np.ndarray) -> object:
+        """Sets where parts are, for a camera at ``eye [3]`` (m). Returns what must live as long as ``placing``."""
+        shown = _far_parts(parts, eye) if parts is not None else ()
+        placing.parts = len(shown)
+        if parts is None or not len(shown):
+            return None
+        position, orientation = parts.position[0].numpy()[shown], parts.orientation[0].numpy()[shown]
+        with self._lock:
+            numbers = [self._number(parts, part) for part in shown]
+            placing.forms = self._forms
+            reach = np.array([np.linalg.norm(self._surfaces[number].vertices, axis=1).max() for number in numbers])
+            boxes = [array(position + sign * reach[:, None], wp.vec3) for sign in (-1, 1)]
+            tree = wp.Bvh(*boxes)
+        placing.tree = tree.id
+        placing.part_poses = wp.array(np.hstack((position, orientation)), dtype=wp.transform, device=DEVICE)
+        placing.part_forms = array(numbers, int)
+        return tree
+
+    def _number(self, parts: Parts, part: int) -> int:
+        """Returns the number of the mesh of a part, and makes it where it is new."""
+        # Parts that are not those of the world's movers come after these: those of the other rovers of a group.
+        look = self._looks[part] if part < len(self._looks) else Look(MOVER)
+        length, width, height = (2 * parts.half[0, part]).tolist()
+        form = Form(KINDS[parts.kind[0, part]], (length, width, height), look)
+        if form not in self._numbers:
+            self._numbers[form] = len(self._numbers)
+            self._add(part_surface(form))
+        return self._numbers[form]
+
+    def _add(self, surface: Surface) -> None:
+        """Adds a mesh. Pictures that other threads are drawing keep the meshes that they have."""
+        self._surfaces = [*self._surfaces, surface]
+        mesh = wp.Mesh(array(surface.vertices, wp.vec3), array(surface.faces.flatten(), int))
+        self._meshes.append(mesh)
+        joined, forms = Surface.join(self._surfaces), rays.Forms()
+        forms.meshes = array([mesh.id for mesh in self._meshes], wp.uint64)
+        forms.first_triangles = array(np.cumsum([0, *(len(one.faces) for one in self._surfaces[:-1])]), int)
+        forms.triangles, forms.normals = array(joined.faces, int), array(joined.normals, wp.vec3)
+        # Squares turn displayed colors into intensities.
+        forms.colors = array(joined.colors**2, wp.vec3)
+        self._forms = forms
+
+
+def _far_parts(parts: Parts, eye: np.ndarray) -> np.ndarray:
+    """Returns the numbers of the parts of movers that are not close to the camera."""
+    position, half, mover = parts.position[0].numpy(), parts.half[0].numpy(), parts.mover[0].numpy()
+    gap = np.maximum(np.linalg.norm(position - eye, axis=1) - np.linalg.norm(half, axis=1), 0)
+    return np.flatnonzero(~np.isin(mover, mover[gap < CLOSE]))
+
+
+def _looks(shape: object) -> list[Look]:
+    """Returns how the parts of a shape are drawn: a person's are two legs and the trunk."""
+    if isinstance(shape, Person):
+        return [Look(LEGS), Look(LEGS), Look(CLOTHES, True)]
+    return [Look(MOVER) for _ in shape.parts()]  # type: ignore[attr-defined]
+
+
+def part_surface(form: Form) -> Surface:
+    """Creates the surface of a part in its own frame."""
+    length, width, height = form.size
+    if form.look.is_figure:
+        return _figure(length / 2, height, form.look.color)
+    if form.kind == "box":
+        solid = trimesh.creation.box((length, width, height))
+    elif form.kind == "cylinder":
+        solid = trimesh.creation.cylinder(length / 2, height, sections=SEGMENTS)
+    else:
+        solid = trimesh.creation.capsule(height - length, length / 2, (SEGMENTS, SEGMENTS // 2))
+    return Surface.of_solid(solid, form.look.color)
+
+
+def _figure(radius: float, height: float, color: Color) -> Surface:
+    """Creates the trunk and the head of a person, within the cylinder that the trunk is for lidar and physics."""
+    scale = radius / 0.22
+    shoulders, head = height / 2 - SHOULDERS * scale, HEAD * scale
+    bend = np.linspace(0, np.pi / 2, 9)
+    # A trunk with round edges, and a ball above it.
+    hem = np.column_stack((0.8 * radius + 0.2 * radius * np.sin(bend), -height / 2 + 0.1 * (1 - np.cos(bend)) * scale))
+    neck = np.column_stack((radius * np.cos(bend), shoulders + 0.09 * scale * np.sin(bend)))
+    trunk = trimesh.creation.revolve([(0, -height / 2), *hem, *neck[:-1], (0, neck[-1, 1])], sections=SEGMENTS)
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=head)
+    ball.apply_translation((0, 0, height / 2 - head))
+    return Surface.join([Surface.of_solid(trunk, color), Surface.of_solid(ball, SKIN)])
