@@ -73,7 +73,7 @@ class _Place(NamedTuple):
 
 
 class ForesightPolicy(TensorDictModuleBase):
-    """Planner that knows the world and where all movers will be: see :mod:`rover_rl.algos.policy.foresight`.
+    """Planner that knows the world and where all movers will be: see the module ``foresight``.
 
     Movers that react, or move at random, are taken to keep their velocity. A
     :class:`~rover_rl.algos.policy.runner.PolicyRunner` with an environment tells it the worlds and the movers.

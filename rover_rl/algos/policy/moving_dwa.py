@@ -23,7 +23,7 @@ _FAR = 1e3  # coordinate of what does not move, m
 
 
 class MovingDynamicWindowPolicy(DynamicWindowPolicy):
-    """Dynamic-window planner that tracks what moves: see :mod:`rover_rl.algos.policy.moving_dwa`.
+    """Dynamic-window planner that tracks what moves: see the module ``moving_dwa``.
 
     The policy reads ``lidar``, ``target``, ``velocities``, ``pose`` and ``imu``, and remembers tracks.
 

@@ -69,7 +69,7 @@ class MovingMap(SeenMap):
 
 
 class MovingGridPlanner(GridPlanner):
-    """The :class:`~rover_rl.algos.policy.grid_planner.GridPlanner` on a :class:`MovingMap`.
+    """The :class:`~rover_rl.algos.policy.grid_planner.GridPlanner` on a map of what stands and what moves.
 
     Attributes:
         map_class: map that a :class:`~rover_rl.algos.policy.runner.PolicyRunner` keeps for it.

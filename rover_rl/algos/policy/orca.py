@@ -37,7 +37,7 @@ _FAR = 1e3
 
 
 class OrcaPolicy(TensorDictModuleBase):
-    """Optimal reciprocal collision avoidance among tracked obstacles: see :mod:`rover_rl.algos.policy.orca`.
+    """Optimal reciprocal collision avoidance among tracked obstacles: see the module ``orca``.
 
     The policy reads ``lidar``, ``pose``, ``imu``, ``target`` and ``velocities``, and remembers tracks.
 
