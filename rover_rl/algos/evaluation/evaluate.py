@@ -79,6 +79,10 @@ def evaluate(
 
     Each rover stays in a world, so that episodes may be in several worlds in any simulator.
 
+    With ``env.agents``, the rovers of that many consecutive episodes drive at once in the same world; draw such
+    episodes with ``draw_episodes(..., agents=...)``. A rover whose episode has ended stays where it is until those of
+    the others have. All episodes are driven at once then, whatever ``rows`` is.
+
     Args:
         policy: module that maps observations to actions, used without exploration; ``None`` acts at random. It is
             called with at least 32 rows; copies of the last row fill them up.
@@ -95,12 +99,17 @@ def evaluate(
             index of each rover's episode, int64 ``[N]``, and the rovers that it concerns, bool ``[N]``.
 
     Raises:
-        ValueError: for a number out of range, or a policy that was made for another environment.
+        ValueError: for a number out of range, a policy that was made for another environment, or episodes that are not
+            in groups of ``env.agents`` in the same world.
     """
     action_repeat = default_action_repeat(policy, action_repeat)
     check_options(rows=rows, seconds=seconds, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
-    env_config = replace(environment_for(policy, env), num_envs=min(rows, len(episodes)), end_on_goal=True)
+    env_config = environment_for(policy, env)
+    if env_config.agents > 1:
+        _check_groups(episodes, env_config.agents)
+        rows = len(episodes)
+    env_config = replace(env_config, num_envs=min(rows, len(episodes)), end_on_goal=True)
     policy = policy or RandomPolicy(episodes.seed)
 
     def drive(part: EpisodeSet) -> list[Trajectory]:
@@ -109,6 +118,16 @@ def evaluate(
     driven = over_cores(drive, _with_few_worlds(episodes, rows), name, workers=1)
     env_config = replace(env_config, world=episodes.name, seed=episodes.seed)
     return Evaluation(name, episodes, action_repeat, seconds, [t for part in driven for t in part], env_config)
+
+
+def _check_groups(episodes: EpisodeSet, agents: int) -> None:
+    """Raises an error unless each ``agents`` consecutive episodes are in the same world."""
+    worlds = episodes.world_index
+    if len(worlds) % agents or (worlds.reshape(-1, agents) != worlds[::agents, None]).any():
+        raise ValueError(
+            f"agents={agents} consecutive episodes must be in the same world; draw them with draw_episodes(..., "
+            f"agents={agents})"
+        )
 
 
 def _with_few_worlds(episodes: EpisodeSet, rows: int) -> list[EpisodeSet]:
@@ -132,12 +151,12 @@ def _drive_episodes(
     watch: Watcher | None,
 ) -> list[Trajectory]:
     """Drives episodes with as many rovers as ``env`` has. Their number is at least that of the worlds."""
-    schedule = _Schedule(episodes.world_index.tolist(), min(env.num_envs or 1, len(episodes)))
-    worlds = [episodes.pool[index] for index in schedule.worlds]
+    schedule = _Schedule(episodes.world_index.tolist(), min(env.num_envs or 1, len(episodes)), env.agents > 1)
+    worlds = [episodes.pool[index] for index in schedule.worlds[:: env.agents]]
     env = replace(
         env,
         world=tuple(worlds) if len(set(worlds)) > 1 else worlds[0],
-        num_envs=len(worlds),
+        num_envs=len(schedule.first),
         seed=episodes.seed + episodes.offset,
     )
     rovers = RoverEnv(env)
@@ -265,17 +284,17 @@ class _Schedule:
     """Distribution of episodes over rovers, each of which stays in one world.
 
     The first episodes of the worlds are assigned to rovers first, then the second ones, and so on. A rover that has
-    ended an episode takes the next one in its world.
+    ended an episode takes the next one in its world. With ``in_order``, all episodes have a rover, in their order.
     """
 
-    def __init__(self, worlds: Sequence[int], rows: int) -> None:
+    def __init__(self, worlds: Sequence[int], rows: int, in_order: bool = False) -> None:
         self.count = len(worlds)
         taken: Counter[int] = Counter()
         turns = []
         for episode, world in enumerate(worlds):
             turns.append((taken[world], episode))
             taken[world] += 1
-        order = [episode for _, episode in sorted(turns)]
+        order = [episode for _, episode in (turns if in_order else sorted(turns))]
         self.first = order[:rows]
         self.worlds = [worlds[episode] for episode in self.first]
         self._waiting: dict[int, deque[int]] = {world: deque() for world in self.worlds}

@@ -17,6 +17,7 @@ from rover_rl.algos.evaluation.evaluate import (
     evaluate_endless,
 )
 from rover_rl.checks import MAX_COUNT, check_at_least
+from rover_rl.envs import EnvConfig
 from rover_rl.sims.worlds import World
 
 EPISODES_PER_PART = 32
@@ -59,7 +60,7 @@ class GoalRequest:
     def _part_size(self) -> int:
         env = self.options.get("env")
         batched = self.episodes.several_worlds and env is not None and env.backend == "warp"
-        return BATCHED_PER_PART if batched else EPISODES_PER_PART
+        return _whole_groups(BATCHED_PER_PART if batched else EPISODES_PER_PART, env)
 
     def run(self) -> Evaluation:
         """Evaluates the policy in this process. The result has no episodes: :meth:`merge` adds them."""
@@ -100,8 +101,9 @@ class EndlessRequest:
     def parts(self) -> list[EndlessRequest]:
         """Divides the episodes."""
         check_options(rows=self.rows)
-        firsts = range(0, self.rows, ROWS)
-        return [replace(self, rows=min(ROWS, self.rows - first), offset=self.offset + first) for first in firsts]
+        size = _whole_groups(ROWS, self.options.get("env"))
+        firsts = range(0, self.rows, size)
+        return [replace(self, rows=min(size, self.rows - first), offset=self.offset + first) for first in firsts]
 
     def run(self) -> EndlessEvaluation:
         """Evaluates the policy in this process."""
@@ -135,6 +137,12 @@ def evaluate_all(requests: Sequence[Request], workers: int | None = None) -> lis
 
 def _run(request: Request) -> Evaluation | EndlessEvaluation:
     return request.run()
+
+
+def _whole_groups(rows: int, env: EnvConfig | None) -> int:
+    """Returns a number of rows of whole groups: at most ``rows``, but at least one group."""
+    agents = 1 if env is None else env.agents
+    return max(agents, rows - rows % agents)
 
 
 def _on_gpu(options: dict[str, Any]) -> bool:
