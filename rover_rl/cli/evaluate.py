@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -139,8 +140,8 @@ class Evaluate:
             get_world(WorldPool(world).source(0))
         trained = next((policy.module for policy in policies if policy.config), None)
         env = self._env(trained, next(iter(self.backend), None))
-        options = {"robot": env.robot, "workers": self.workers, "agents": env.agents}
-        return {world: choose_episodes(world, self.count, self.seed, **options) for world in worlds}
+        choose = partial(choose_episodes, robot=env.robot, workers=self.workers, agents=env.agents)
+        return {world: choose(world, self.count, self.seed) for world in worlds}
 
     def _evaluate(
         self, policies: list[ResolvedPolicy], sets: dict[str, EpisodeSet], backends: list[str | None]

@@ -119,7 +119,7 @@ class GroupedRovers(EnvBase):
 
     def _pack(self, rows: TensorDictBase) -> TensorDictBase:
         """Returns the entries of all rows under ``"rovers"``, and the ends of the groups' episodes."""
-        keys = {*self.env.observation_spec.keys(), *self.env.reward_keys, *ENDS} & {*rows.keys()}
+        keys = {*self.env.observation_spec.keys(), *self.env.full_reward_spec.keys(), *ENDS} & {*rows.keys()}
         rovers = rows.select(*keys).unflatten(0, (*self.batch_size, self.agents))
         rovers.set("mask", ~self._ended)
         if self._done_on_any:

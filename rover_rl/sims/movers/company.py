@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -33,8 +33,10 @@ class Solids(NamedTuple):
 class Company:
     """The other rovers of each row's group, as solids that move.
 
-    Groups are ``agents`` consecutive rows. In a step, each rover moves on for the others at the velocity of its last
-    step. After the step, it is where it really is.
+    Groups are ``agents`` consecutive rows. In a step, each rover is for another one a part of a body that moves on at
+    the mean of their velocities in the last step, so that they share their momentum as equal masses do that meet and
+    stay together. (If each moved on at its own velocity, they would bounce off as elastic balls do.) After the step,
+    each is where it really is.
 
     Args:
         robot: robot of all rows.
@@ -61,9 +63,9 @@ class Company:
         self._flat = torch.from_numpy(flat).float().to(device)
         points = torch.zeros(rows, 3, device=device)
         self._position, self._velocity, self._yaw = points, points, torch.zeros(rows, 1, device=device)
-        # Where the solids of each rover are, and where they will be after the step.
+        # Where the solids of each rover are.
         solids = torch.zeros(rows, len(self.parts), 3, device=device)
-        self._now = self._next = Solids(solids, pad(solids, (0, 1)), solids, solids[..., 0])
+        self._now = Solids(solids, pad(solids, (0, 1)), solids, solids[..., 0])
 
     def follow(self, rover: RoverState, moved: Tensor | None, begins: Tensor) -> None:
         """Puts the rovers where they are.
@@ -89,28 +91,39 @@ class Company:
         turn = (wrap_angle(yaw - self._yaw) / self._dt).expand_as(last.turn)
         self._velocity = changed(velocity, self._velocity)
         self._position, self._yaw = position, yaw
-        self._now = self._next = Solids(
+        self._now = Solids(
             centers,
             quaternion_product(solid, self._turns.expand_as(solid)),
             changed((centers - last.position) / self._dt, last.velocity),
             changed(turn, last.turn),
         )
 
-    def advance(self, active: Tensor | None) -> None:
-        """Moves the rovers of ``active`` (bool ``[N, 1]``; ``None``: all) on by one step, and stops the others."""
-        now = self._now
-        velocity, turn = now.velocity, now.turn
+    def advance(self, active: Tensor | None) -> Solids:
+        """Returns the solids of the others of each row after a step in which rovers move on, ``[N, count]``.
+
+        Rovers do not move if ``active`` (bool ``[N, 1]``; ``None``: all) is false. The velocity of another rover is the
+        mean of its own and that of the row's rover, as if both were one body: when two equal masses meet and stay
+        together, each has this velocity.
+        """
+        position, orientation, velocity, turn = self._of_others_solids(self._now)
+        offset = position - self._position[:, None]
+        spin = self._now.turn[:, :1]
+        across = torch.stack((-offset[..., 1], offset[..., 0], torch.zeros_like(offset[..., 0])), -1)
+        velocity = (velocity + self._velocity[:, None] + spin[..., None] * across) / 2
+        turn = (turn + spin) / 2
         if active is not None:
-            velocity, turn = velocity.masked_fill(~active[..., None], 0.0), turn.masked_fill(~active, 0.0)
+            drives = self._of_others(active).repeat_interleave(len(self.parts), 1).squeeze(-1)
+            velocity, turn = velocity.masked_fill(~drives[..., None], 0.0), turn.masked_fill(~drives, 0.0)
         half = turn * (self._dt / 2)
         turned = pad(torch.stack((half.sin(), half.cos()), -1), (2, 0))
-        self._next = Solids(
-            now.position + velocity * self._dt, quaternion_product(turned, now.orientation), velocity, turn
-        )
+        return Solids(position + velocity * self._dt, quaternion_product(turned, orientation), velocity, turn)
 
     def seen(self) -> Solids:
-        """Returns the solids of the others of each row, after :meth:`follow` or :meth:`advance`, ``[N, count]``."""
-        return Solids(*(self._of_others(values).flatten(1, 2) for values in self._next))
+        """Returns the solids of the others of each row where they are, ``[N, count]``."""
+        return self._of_others_solids(self._now)
+
+    def _of_others_solids(self, solids: Solids) -> Solids:
+        return Solids(*(self._of_others(values).flatten(1, 2) for values in solids))
 
     def nearest(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the horizontal distance from points ``[N, 2]`` (m) to the nearest other rover, and its speed."""
@@ -161,11 +174,12 @@ def _part(frame: Frame, shape: Shape) -> Part:
     """Returns a shape as a part."""
     x, y, z, w = matrix_to_quaternion(torch.from_numpy(frame.rotation)).tolist()
     a, b, c = frame.position.tolist()
-    radius = shape.sizes[0]
+    place: dict[str, Any] = {"center": (a, b, c), "orientation": (x, y, z, w)}
     if shape.kind == "box":
-        kind, size = "box", shape.sizes
-    else:
-        # A sphere is a capsule without a cylinder.
-        kind, height = ("cylinder", shape.sizes[1]) if shape.kind == "cylinder" else ("capsule", 2 * radius)
-        size = (2 * radius, 2 * radius, height)
-    return Part(kind, size, (a, b, c), (x, y, z, w))
+        length, width, height = shape.sizes
+        return Part("box", (length, width, height), **place)
+    sides = 2 * shape.sizes[0], 2 * shape.sizes[0]
+    if shape.kind == "cylinder":
+        return Part("cylinder", (*sides, shape.sizes[1]), **place)
+    # A sphere is a capsule without a cylinder.
+    return Part("capsule", (*sides, sides[0]), **place)

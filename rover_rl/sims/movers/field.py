@@ -12,7 +12,7 @@ from torch.nn.functional import pad
 
 from rover_rl.rng import random_bits
 from rover_rl.sims.base import RoverState
-from rover_rl.sims.movers.company import Company
+from rover_rl.sims.movers.company import Company, Solids
 from rover_rl.sims.movers.walls import WallTable
 from rover_rl.sims.rotations import quaternion_product, rotate, wrap_angle
 from rover_rl.sims.worlds.movers.motions.base import Course, Motion, Others, Scene
@@ -169,19 +169,18 @@ class MoverField:
         theirs.half.copy_(torch.tensor([part.size for part in solids] * rovers) / 2)
         numbers = torch.arange(rovers).repeat_interleave(len(solids))
         theirs.mover.copy_(numbers + self.radius.shape[1])
-        self._show_rovers()
+        self._show_rovers(company.seen())
         return self.parts.columns(0, own)
 
     def follow(self, rover: RoverState, moved: Tensor | None, begins: Tensor) -> None:
         """Puts the rovers of groups where they are, for the others of their groups: see :meth:`Company.follow`."""
         if self._company is not None:
             self._company.follow(rover, moved, begins)
-            self._show_rovers()
+            self._show_rovers(self._company.seen())
 
-    def _show_rovers(self) -> None:
+    def _show_rovers(self, solids: Solids) -> None:
         """Places the solids of the other rovers of each row."""
-        assert self._company is not None
-        for name, values in self._company.seen()._asdict().items():
+        for name, values in solids._asdict().items():
             getattr(self._theirs, name).copy_(values)
 
     def reset(self, mask: Tensor, keys: Tensor, rovers: Tensor) -> None:
@@ -212,8 +211,7 @@ class MoverField:
             driving: rovers of groups that drive, bool ``[N, 1]``; ``None``: all.
         """
         if self._company is not None:
-            self._company.advance(driving)
-            self._show_rovers()
+            self._show_rovers(self._company.advance(driving))
         if not self._tables.motions:
             return
         rovers = self._together(rovers)

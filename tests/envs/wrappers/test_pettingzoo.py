@@ -22,7 +22,7 @@ def make(num_envs: int = 3, agents: int = 3, options: dict | None = None, **sett
 
 
 @needs_pettingzoo
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error::UserWarning")
 def test_it_passes_the_test_of_pettingzoo() -> None:
     from pettingzoo.test import parallel_api_test
 
