@@ -20,6 +20,7 @@ from rover_rl.sims.worlds.movers.mover import Mover
 from rover_rl.sims.worlds.movers.shapes import KINDS, Part, radius_of
 from rover_rl.sims.worlds.slot_table import SlotTable, TerrainTable
 from rover_rl.sims.worlds.table import WorldTable
+from rover_rl.sims.worlds.world import World
 
 STRIDE = 1.3
 """Way in which a walking mover swings its legs once to and fro, m: two steps of 0.65 m."""
@@ -124,6 +125,11 @@ class MoverField:
         """Parts of different kinds or sizes that occur. The list grows."""
         return self._tables.forms
 
+    def parts_of(self, world: World) -> list[Part]:
+        """Returns what rows in a world meet, by its index in :attr:`parts`: other rovers, then movers of the world."""
+        rovers = [] if self._company is None else [*self._company.parts] * (self._company.agents - 1)
+        return rovers + [part for mover in world.movers for part in mover.shape.parts()]
+
     def enter_worlds(self) -> None:
         """Moves rows to their worlds in the table, after these have changed. The caller resets these rows next."""
         for slot, world in self._entered().items():
@@ -163,14 +169,15 @@ class MoverField:
             return self.parts
         self.parts = Parts.zeros((rows, own + company.count), device)
         solids, rovers = company.parts, company.agents - 1
-        self._theirs = theirs = self.parts.columns(own, own + company.count)
+        # First, so that parts of movers have the same indices in all worlds: see parts_of.
+        self._theirs = theirs = self.parts.columns(0, company.count)
         theirs.kind.copy_(torch.tensor([KINDS.index(part.kind) for part in solids] * rovers))
         theirs.form.copy_(torch.tensor([self._tables.form(part) for part in solids] * rovers))
         theirs.half.copy_(torch.tensor([part.size for part in solids] * rovers) / 2)
         numbers = torch.arange(rovers).repeat_interleave(len(solids))
         theirs.mover.copy_(numbers + self.radius.shape[1])
         self._show_rovers(company.seen())
-        return self.parts.columns(0, own)
+        return self.parts.columns(company.count, company.count + own)
 
     def follow(self, rover: RoverState, moved: Tensor | None, begins: Tensor) -> None:
         """Puts the rovers of groups where they are, for the others of their groups: see :meth:`Company.follow`."""
