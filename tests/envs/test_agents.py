@@ -156,7 +156,8 @@ def test_two_rovers_stop_each_other_and_feel_it(backend: str) -> None:
     # Their fronts are the wheels, 0.267 m ahead of their centers.
     assert gap[first] == pytest.approx(0.534, abs=0.12)
     assert not touched[:first].any()
-    assert gap[first:].min() > 0.45
+    # They may turn until they stand side by side: the rover is 0.45 m wide.
+    assert gap[first:].min() > 0.44
     assert gap[-40:].max() < 0.8
     assert touched[first:].float().mean(0).min() > 0.2
     assert places[-40:].abs().max() < 0.6
