@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import math
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,11 +14,13 @@ from torch import Tensor
 
 from rover_rl import EnvConfig, RoverEnv, Terrain, World, make_env
 from rover_rl.envs.placement import Placement
-from rover_rl.sims.robots import get_robot
+from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.warp.simulator import WarpSimulator
 from rover_rl.sims.worlds.movers import Mover, Waypoints
 from rover_rl.sims.worlds.pool import WorldPool
 from tests.extras import needs_mujoco
+from tests.sims.drives.vehicles import make_car, make_omni
 
 FLAT = World("flat", Terrain.flat((24.0, 24.0)))
 OBSERVED = ("lidar", "pose", "imu", "target", "velocities", "reward", "done", ("outcome", "mover_contact"))
@@ -162,6 +166,27 @@ def test_two_rovers_stop_each_other_and_feel_it(backend: str) -> None:
     assert touched[first:].float().mean(0).min() > 0.2
     assert places[-40:].abs().max() < 0.6
     assert env.rover_state.position[:, 2].abs().max() < 0.1
+
+
+@pytest.mark.parametrize("make_robot", [make_car, make_omni])
+def test_other_robots_see_and_stop_one_another(make_robot: Callable[[Path], Robot], tmp_path: Path) -> None:
+    robot = make_robot(tmp_path)
+    env = make(2, 2, robot=robot)
+    td = env.reset(start=torch.tensor([[-1.5, 0, 0], [1.5, 0, 0]]), goal=torch.tensor([[8.0, 0.0], [8.0, 2.0]]))
+    outline = footprint(robot)
+    assert td["outcome", "mover_distance"].flatten().tolist() == pytest.approx(
+        [3.0 + outline.back, 3.0 - outline.front], abs=0.02
+    )
+    # The lidars are above the bodies. A ray at their height meets the back of the other.
+    origins, ahead = env.rover_state.position[:, None] + torch.tensor([0.0, 0.0, 0.2]), torch.tensor([[[1.0, 0, 0]]])
+    assert env._surroundings.cast(origins, ahead.expand(2, 1, 3))[0].item() == pytest.approx(2.7, abs=0.01)
+    felt = False
+    still = torch.tensor([[1.0, 0.0], [0.0, 0.0]])
+    for _ in range(80):
+        td = env.step(td.set("action", still))["next"]
+        felt = felt or bool(td["outcome", "mover_contact"].any())
+        assert env.rover_state.position[1, 0] - env.rover_state.position[0, 0] > outline.front - outline.back - 0.12
+    assert felt
 
 
 def test_a_rover_is_pushed_out_of_the_way() -> None:
