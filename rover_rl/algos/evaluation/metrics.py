@@ -11,10 +11,11 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from inspect import signature
 from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -52,6 +53,40 @@ class Estimate:
     high: float
 
 
+class Encounters(NamedTuple):
+    """What happens between the rover and movers in an episode of T steps, at the start and after each step.
+
+    Attributes:
+        contact: whether the rover touched a mover in the step, bool ``[T + 1]``.
+        gap: horizontal distance from the disc of the robot's radius around the rover to the surface of the nearest
+            mover, 0 if they overlap, float32 ``[T + 1]``, m.
+        center_distance: horizontal distance from the origin of the rover to that of the nearest mover, float32
+            ``[T + 1]``, m.
+    """
+
+    contact: Tensor
+    gap: Tensor
+    center_distance: Tensor
+
+
+class MoverTrack(NamedTuple):
+    """Where the P solids of the movers are in an episode of T steps, at the start and after each step.
+
+    Attributes:
+        kind: index in :data:`~rover_rl.sims.worlds.movers.shapes.KINDS`, int32 ``[P]``.
+        half: half of the length, width and height, float32 ``[P, 3]``, m.
+        mover: index of the solid's mover in the world's ``movers``, int64 ``[P]``.
+        position: centers, float32 ``[T + 1, P, 3]``, m.
+        orientation: orientations, unit quaternions (x, y, z, w), float32 ``[T + 1, P, 4]``.
+    """
+
+    kind: Tensor
+    half: Tensor
+    mover: Tensor
+    position: Tensor
+    orientation: Tensor
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """Record of one episode of T steps.
@@ -64,6 +99,8 @@ class Trajectory:
         ending: ``"goal"``, :data:`TIME_LIMIT`, or one of :data:`EARLY_ENDINGS`.
         reversals: number of changes of the commanded turning direction; nan if commands are not recorded.
         dt: duration of a step, s.
+        encounters: what happens between the rover and movers; ``None`` if the world has none.
+        movers: where the movers are; ``None`` if the world has none, or if this was not asked for.
     """
 
     position: Tensor
@@ -73,9 +110,22 @@ class Trajectory:
     ending: str
     reversals: float = math.nan
     dt: float = CONTROL_DT
+    encounters: Encounters | None = None
+    movers: MoverTrack | None = None
 
     def __len__(self) -> int:
         return len(self.collision)
+
+    def until(self, steps: int, ending: str) -> Trajectory:
+        """Returns the first ``steps`` steps as an episode with the given ending."""
+        states: dict[str, Any] = {key: getattr(self, key)[: steps + 1] for key in ("position", "angles")}
+        events = {key: getattr(self, key)[:steps] for key in ("collision", "goal")}
+        if self.encounters is not None:
+            states["encounters"] = Encounters(*(values[: steps + 1] for values in self.encounters))
+        if self.movers is not None:
+            places = {key: getattr(self.movers, key)[: steps + 1] for key in ("position", "orientation")}
+            states["movers"] = self.movers._replace(**places)
+        return replace(self, **states, **events, ending=ending)
 
     @property
     def seconds(self) -> float:
