@@ -9,8 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_rl.sims.bullet.geometry import connect, friction_scales, load_world, set_contact
-from rover_rl.sims.bullet.rover import bounding_box, bullet_urdf, clear_contacts, load_rover, roller_joint
+from rover_rl.sims.bullet.movers import MoverBodies
+from rover_rl.sims.bullet.rover import bounding_box, bullet_urdf, clear_contacts, is_touching, load_rover, roller_joint
 from rover_rl.sims.bullet.settings import BulletSettings
+from rover_rl.sims.movers.near import NearParts
 from rover_rl.sims.native.bullet import pybullet
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import rotation_forms
@@ -29,8 +31,6 @@ STEERING_GAIN = 0.5
 MAX_SPEED = 2.0
 """Speed above which a point of a rover may reach an obstacle unnoticed within a control step, m/s."""
 
-_DISTANCE, _NORMAL_FORCE = 8, 9
-"""Indices of the distance (m, negative for a penetration) and the normal force (N) in a contact point of PyBullet."""
 _CONJUGATE = np.array((-1.0, -1.0, -1.0, 1.0))
 _ROTATION = rotation_forms().double().reshape(9, 16).numpy()
 
@@ -72,7 +72,11 @@ class RoverPhysics:
             with bullet_urdf(robot) as urdf:
                 self._rovers += [(client, load_rover(client, urdf, settings)) for _ in rovers]
         client, body = self._rovers[0]
-        self._near = NearObstacles(world.obstacles, *bounding_box(client, body), settings.control_dt)
+        corners = bounding_box(client, body)
+        self._near = NearObstacles(world.obstacles, *corners, settings.control_dt)
+        # Radius of a sphere around the base frame that contains the rover, m.
+        self.reach = float(np.linalg.norm(np.abs(corners).max(0)))
+        self._movers: MoverBodies | None = None
         self._find_joints(robot)
         self._torque = robot.drive.torque
         self._forces = [[self._torque] * len(self._wheels) for _ in range(count)]
@@ -98,12 +102,19 @@ class RoverPhysics:
                 mode = pybullet.VELOCITY_CONTROL
                 pybullet.setJointMotorControl2(body, joint, mode, force=0.0, physicsClientId=client)
 
+    def meet(self, world: World) -> None:
+        """Lets the movers of the world push the rovers."""
+        parts = [part for mover in world.movers for part in mover.shape.parts()]
+        self._movers = MoverBodies(self._rovers, parts, self._settings) if parts else None
+
     def place(self, rows: Sequence[int], positions: np.ndarray, orientations: np.ndarray) -> None:
         """Places base frames at positions ``[k, 3]`` and orientations (x, y, z, w) ``[k, 4]``, at rest."""
         inertial = _quaternion_products(orientations, self._inertial_orientation)
         centers = positions + (_rotation_matrices(orientations) * self._inertial_position).sum(-1)
         zeros, still = [0.0] * len(self._joints), [0.0] * len(self._wheels)
         ahead = [0.0] * len(self._steering)
+        if self._movers is not None:
+            self._movers.clear(rows)
         for row, center, orientation in zip(rows, centers.tolist(), inertial.tolist(), strict=True):
             self._restore(row, center, orientation, [0, 0, 0], [0, 0, 0], zeros, zeros)
             self._set_motors(row, still, ahead)
@@ -124,8 +135,13 @@ class RoverPhysics:
         self._forces[row] = [self._torque * motor_torque] * len(self._wheels)
 
     def step(
-        self, speeds: list[list[float]], angles: list[list[float]], poses: np.ndarray, held: Sequence[int] = ()
-    ) -> np.ndarray:
+        self,
+        speeds: list[list[float]],
+        angles: list[list[float]],
+        poses: np.ndarray,
+        held: Sequence[int] = (),
+        movers: NearParts | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Advances the world by one control step.
 
         Args:
@@ -133,28 +149,37 @@ class RoverPhysics:
             angles: angle of each steering joint (rad) of every rover.
             poses: positions (m) and orientations (x, y, z, w) of the base frames before the step, ``[count, 7]``.
             held: rows for which no time passes. Their states are restored after the step.
+            movers: parts of movers near the rovers.
 
         Returns:
-            Whether each rover touched an obstacle in any of the physics steps, bool ``[count]``.
+            Whether each rover touched an obstacle or a mover in any of the physics steps, and whether it touched a
+            mover, bool ``[count]`` each.
         """
         before = [self._snapshot(row) for row in held]
         for row, turning in enumerate(speeds):
             self._set_motors(row, [turning[motor] for motor in self._motors], angles[row])
         near = self._near.find(poses[:, :3].astype(float), _rotation_matrices(poses[:, 3:].astype(float)))
-        touched = np.zeros(len(speeds), dtype=bool)
+        touched, pushed = np.zeros((2, len(speeds)), dtype=bool)
+        bodies = None if movers is None else self._movers
+        if bodies is not None and movers is not None:
+            bodies.approach(movers)
         for number, client in enumerate(self.clients):
             pairs = [(row, obstacle) for row, obstacle in near if row // ROVERS_PER_CLIENT == number]
-            for scales in self._friction_scales:
+            for substep, scales in enumerate(self._friction_scales):
                 for ground in self._grounds[number]:
                     pybullet.changeDynamics(ground, -1, anisotropicFriction=scales, physicsClientId=client)
+                if bodies is not None:
+                    bodies.move(client, substep * self._settings.substep)
                 pybullet.stepSimulation(physicsClientId=client)
                 self._straighten_rollers(number)
                 for row, obstacle in pairs:
                     if not touched[row]:
                         touched[row] = is_touching(*self._rovers[row], self._obstacles[number][obstacle])
+                if bodies is not None:
+                    bodies.feel(client, pushed)
         for row, snapshot in zip(held, before, strict=True):
             self._restore(row, *snapshot)
-        return touched
+        return touched | pushed, pushed
 
     def read(self, rows: Sequence[int]) -> Reading:
         """Returns the poses and joints of the given rovers."""
@@ -252,16 +277,6 @@ class NearObstacles:
         half = (np.abs(rotation) * self._half).sum(-1) + self._margin
         apart = ((center - half)[:, None] > self._high) | ((center + half)[:, None] < self._low)
         return [(row, obstacle) for row, obstacle in np.argwhere(~apart.any(-1)).tolist()]
-
-
-def is_touching(client: int, rover: int, obstacle: int) -> bool:
-    """Returns whether the surfaces of a rover and an obstacle overlap, or a force acts between them.
-
-    Bullet also keeps contact points of surfaces up to 2 cm apart. With a ``contact_threshold`` above 0, a force may act
-    just before the surfaces meet.
-    """
-    points = pybullet.getContactPoints(rover, obstacle, physicsClientId=client)
-    return any(point[_DISTANCE] <= 0.0 or point[_NORMAL_FORCE] > 0.0 for point in points)
 
 
 def _quaternion_products(a: np.ndarray, b: np.ndarray) -> np.ndarray:

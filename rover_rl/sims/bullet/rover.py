@@ -33,6 +33,9 @@ from rover_rl.sims.robots.description import child
 _LINK_SHARE = 1e-3
 """Mass and inertia of the small link, relative to those of the wheel."""
 
+_DISTANCE, _NORMAL_FORCE = 8, 9
+"""Indices of the distance (m, negative for a penetration) and the normal force (N) in a contact point of PyBullet."""
+
 
 def load_rover(client: int, urdf: Path, settings: BulletSettings) -> int:
     """Loads a rover without damping and sleeping. Returns the id of its body.
@@ -73,6 +76,16 @@ def clear_contacts(client: int, body: int) -> None:
     for link in range(-1, pybullet.getNumJoints(body, physicsClientId=client)):
         # Setting the filter, even to its current value, makes Bullet recompute the link's overlapping pairs.
         pybullet.setCollisionFilterGroupMask(body, link, ROVERS, STATIC, physicsClientId=client)
+
+
+def is_touching(client: int, rover: int, obstacle: int) -> bool:
+    """Returns whether the surfaces of a rover and an obstacle overlap, or a force acts between them.
+
+    Bullet also keeps contact points of surfaces up to 2 cm apart. With a ``contact_threshold`` above 0, a force may act
+    just before the surfaces meet.
+    """
+    points = pybullet.getContactPoints(rover, obstacle, physicsClientId=client)
+    return any(point[_DISTANCE] <= 0.0 or point[_NORMAL_FORCE] > 0.0 for point in points)
 
 
 def roller_joint(wheel: str) -> str:

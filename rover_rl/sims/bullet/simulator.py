@@ -16,6 +16,8 @@ from rover_rl.sims.bullet.physics import RoverPhysics
 from rover_rl.sims.bullet.settings import BulletSettings
 from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
+from rover_rl.sims.movers.field import MoverField
+from rover_rl.sims.movers.near import NearParts, find_near
 from rover_rl.sims.native.bullet import disconnect
 from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.robots import Robot
@@ -54,7 +56,8 @@ class BulletSimulator:
         count = self.num_envs
         # Position (3), orientation (4) and joints in one array, which is copied at once.
         self._body = np.zeros((count, 7 + len(robot.drive.motors) + len(robot.drive.steering)), dtype=np.float32)
-        self._contact = np.zeros((count, 1), dtype=bool)
+        self._contact, self._mover_contact = np.zeros((2, count, 1), dtype=bool)
+        self._movers: MoverField | None = None
         self.reset(torch.ones(count, dtype=torch.bool), torch.zeros(count, 3))
 
     def reset(self, mask: Tensor, poses: Tensor) -> RoverState:
@@ -67,7 +70,7 @@ class BulletSimulator:
             position, rotation = rest_on_ground(group.world, self._robot, poses[torch.from_numpy(rows)])
             group.physics.place(local.tolist(), position.numpy(), matrix_to_quaternion(rotation).numpy())
             self._read(group, local)
-            self._contact[rows] = False
+            self._contact[rows] = self._mover_contact[rows] = False
         self._drive.reset(mask)
         return self.state()
 
@@ -78,6 +81,12 @@ class BulletSimulator:
             local = np.flatnonzero(mask.numpy()[group.rows])
             for row, scales in zip(local.tolist(), factors[torch.from_numpy(group.rows[local])].tolist(), strict=True):
                 group.physics.set_dynamics(row, *scales)
+
+    def meet(self, movers: MoverField) -> None:
+        """Lets movers push the rovers. See :meth:`MoverCarrier.meet`."""
+        self._movers = movers
+        for group in self._groups:
+            group.physics.meet(group.world)
 
     def scanner(self, beams: int) -> BulletScanner:
         """Creates a lidar. See :meth:`LidarCarrier.scanner`."""
@@ -90,15 +99,20 @@ class BulletSimulator:
         speeds, angles = (targets.tolist() for targets in self._drive.advance(commands, active))
         for group in self._groups:
             held = [] if active is None else np.flatnonzero(~active.numpy()[group.rows]).tolist()
-            touched = group.physics.step(speeds[group.block], angles[group.block], self._body[group.block, :7], held)
+            poses, near = self._body[group.block, :7], self._near(group)
+            touched, pushed = group.physics.step(speeds[group.block], angles[group.block], poses, held, near)
             local = group.local if not held else np.setdiff1d(group.local, held)
             self._read(group, local)
             self._contact[group.rows[local], 0] = touched[local]
+            self._mover_contact[group.rows[local], 0] = pushed[local]
         return self.state()
 
     def state(self) -> RoverState:
         """Returns the current state in new tensors."""
-        return self._drive.state(*(torch.from_numpy(a.copy()) for a in (self._body, self._contact)))
+        known = [self._body, self._contact]
+        if self._movers is not None and self._movers.parts is not None:
+            known.append(self._mover_contact)
+        return self._drive.state(*(torch.from_numpy(a.copy()) for a in known))
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders one rover. See :meth:`Simulator.render`."""
@@ -114,6 +128,12 @@ class BulletSimulator:
         """Disconnects all Bullet clients. Idempotent."""
         self._finalizer()
         self._renderers.close()
+
+    def _near(self, group: _WorldGroup) -> NearParts | None:
+        """Returns the parts of movers near the rovers of a group."""
+        if self._movers is None or self._movers.parts is None or not group.world.movers:
+            return None
+        return find_near(self._movers.parts, group.block, group.position, group.physics.reach, self.control_dt)
 
     def _read(self, group: _WorldGroup, local: np.ndarray) -> None:
         """Reads the poses and joints of the rovers with indices ``local`` within their group."""

@@ -76,13 +76,8 @@ def sphere(origin: wp.vec3, direction: wp.vec3, radius: float) -> float:
 
 
 @wp.func
-def meet_part(parts: PartArrays, row: int, part: int, start: wp.vec3, ray: wp.vec3) -> float:
-    """Distance along a ray (m), a unit vector in the world frame, to a part; ``MISS`` if it does not meet it."""
-    turn = parts.orientation[row, part]
-    origin = wp.quat_rotate_inv(turn, start - parts.position[row, part])
-    direction = wp.quat_rotate_inv(turn, ray)
-    half = parts.half[row, part]
-    kind = parts.kind[row, part]
+def meet_solid(kind: int, half: wp.vec3, origin: wp.vec3, direction: wp.vec3) -> float:
+    """Distance along a ray (m), a unit vector, to a part, both in its frame; ``MISS`` if it does not meet it."""
     if kind == CYLINDER:
         return upright_cylinder(origin, direction, half[0], half[2])
     if kind == BOX:
@@ -95,6 +90,14 @@ def meet_part(parts: PartArrays, row: int, part: int, start: wp.vec3, ray: wp.ve
     offset = wp.vec3(0.0, 0.0, middle)
     balls = wp.min(sphere(origin - offset, direction, half[0]), sphere(origin + offset, direction, half[0]))
     return wp.min(upright_cylinder(origin, direction, half[0], middle), balls)
+
+
+@wp.func
+def meet_part(parts: PartArrays, row: int, part: int, start: wp.vec3, ray: wp.vec3) -> float:
+    """Distance along a ray (m), a unit vector in the world frame, to a part; ``MISS`` if it does not meet it."""
+    turn = parts.orientation[row, part]
+    origin = wp.quat_rotate_inv(turn, start - parts.position[row, part])
+    return meet_solid(parts.kind[row, part], parts.half[row, part], origin, wp.quat_rotate_inv(turn, ray))
 
 
 @wp.kernel
@@ -156,9 +159,18 @@ def scan_parts(
             width = wp.asin(radius / distance)
             first = int(wp.floor((bearing - width) / TWO_PI * float(count)))
             last = int(wp.ceil((bearing + width) / TWO_PI * float(count)))
+        # In the frame of the part, beams are combinations of two directions.
+        to_part = wp.quat_inverse(parts.orientation[row, part])
+        origin = wp.quat_rotate(to_part, start - parts.position[row, part])
+        ahead = wp.quat_rotate(to_part, wp.quat_rotate(turn, wp.vec3(1.0, 0.0, 0.0)))
+        left = wp.quat_rotate(to_part, wp.quat_rotate(turn, wp.vec3(0.0, 1.0, 0.0)))
+        kind = parts.kind[row, part]
+        half = parts.half[row, part]
         for k in range(first, last + 1):
             beam = (k + count) % count
-            ray = wp.quat_rotate(turn, wp.vec3(beams[beam][0], beams[beam][1], 0.0))
-            found = meet_part(parts, row, part, start, ray)
-            if found < max_range:
-                ranges[row, beam] = wp.min(ranges[row, beam], found)
+            # What is nearer hides the part.
+            nearest = ranges[row, beam]
+            if nearest > distance - radius:
+                found = meet_solid(kind, half, origin, beams[beam][0] * ahead + beams[beam][1] * left)
+                if found < wp.min(nearest, max_range):
+                    ranges[row, beam] = found

@@ -7,16 +7,19 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from rover_rl.sims.mujoco.geometry import add_ground, add_obstacles
+from rover_rl.sims.mujoco.parts import add_parts
 from rover_rl.sims.mujoco.settings import MujocoSettings
 from rover_rl.sims.native.mujoco import mujoco
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.robots.inertial_model import InertialModel
 from rover_rl.sims.worlds import World
+from rover_rl.sims.worlds.movers import Part
 
 IMPEDANCE = 0.1
 """Constraint impedance of contacts: the share of the violation that a hard constraint would remove.
@@ -45,8 +48,10 @@ LINK_SHARE = 1e-3
 """Mass and inertia of the link between a wheel and its steering or roller joint, relative to those of the wheel."""
 
 
-def make_model(world: World, robot: Robot, inertial_model: InertialModel, settings: MujocoSettings) -> mujoco.MjModel:
-    """Creates the model of one rover in a world.
+def make_model(
+    world: World, robot: Robot, inertial_model: InertialModel, settings: MujocoSettings, parts: Sequence[Part] = ()
+) -> mujoco.MjModel:
+    """Creates the model of one rover in a world, with ``parts`` of movers.
 
     The generalized coordinates are the pose of the base frame, the angles of the wheels, each after that of its
     steering or roller joint, and the angle of a shaft for each motor. The joints are ``"wheel 0"``, ``"roller 0"`` and
@@ -63,7 +68,9 @@ def make_model(world: World, robot: Robot, inertial_model: InertialModel, settin
     add_ground(spec, world, contype=_GROUND, friction=(settings.ground_friction, 0, 0), **static)
     add_obstacles(spec, world, contype=_OBSTACLES, friction=(settings.obstacle_friction, 0, 0), **static)
     _add_rover(spec, robot, inertial_model, settings)
-    _add_contact_sensors(spec)
+    _add_contact_sensors(spec, with_movers=bool(parts))
+    if parts:
+        add_parts(spec, parts, contype=_OBSTACLES, friction=(settings.obstacle_friction, 0, 0), **static)
     model = spec.compile()
     _scale_to_mass(model, settings)
     return model
@@ -181,8 +188,8 @@ def _add_motor(spec: mujoco.MjSpec, wheel: int, motor: int, torque: float) -> No
     clutch.solimp_friction = _impedance(MOTOR_IMPEDANCE)
 
 
-def _add_contact_sensors(spec: mujoco.MjSpec) -> None:
-    """Adds two sensors: the number of contacts of the rover, and the number of those with the ground.
+def _add_contact_sensors(spec: mujoco.MjSpec, with_movers: bool) -> None:
+    """Adds sensors: the number of contacts of the rover, the number of those with the ground, and of those with movers.
 
     They do not act on the rover. With sensors, the states of a rollout come with the contacts of every physics step.
     """
@@ -190,7 +197,10 @@ def _add_contact_sensors(spec: mujoco.MjSpec) -> None:
     ground = {"reftype": mujoco.mjtObj.mjOBJ_GEOM, "refname": "ground"}
     # Data, a bit field; no reduction; number of contacts with data, which does not limit the number found.
     parameters = (1 << mujoco.mjtConDataField.mjCONDATA_FOUND.value, 0, 1)
-    for name, with_what in (("contacts", {}), ("ground contacts", ground)):
+    sensors = [("contacts", {}), ("ground contacts", ground)]
+    if with_movers:
+        sensors.append(("mover contacts", {"reftype": mujoco.mjtObj.mjOBJ_XBODY, "refname": "movers"}))
+    for name, with_what in sensors:
         spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT, intprm=parameters, **base, **with_what)
 
 

@@ -44,7 +44,7 @@ class RoverPhysics:
         self._rollout = Rollout(nthread=0)
         self._states = np.zeros((count, 1 + model.nq + model.nv))
         self._trajectories = np.empty((count, settings.substeps, self._states.shape[1]))
-        # The number of all contacts and of those with the ground, in each physics step.
+        # The number of all contacts, of those with the ground and of those with movers, in each physics step.
         self._contacts = np.empty((count, settings.substeps, model.nsensordata))
         self._states[:, _ORIENTATION.start] = 1.0
         drive, motors = robot.drive, range(len(robot.drive.motors))
@@ -63,6 +63,14 @@ class RoverPhysics:
         """Returns the places of the speeds of joints in a state."""
         return [1 + self._model.nq + self._model.joint(name).dofadr[0] for name in joints]
 
+    def states(self, rows: np.ndarray) -> np.ndarray:
+        """Returns the states of the given rovers."""
+        return self._states[rows]
+
+    def set_states(self, rows: np.ndarray, states: np.ndarray) -> None:
+        """Sets the states of the given rovers."""
+        self._states[rows] = states
+
     def place(self, rows: np.ndarray, positions: np.ndarray, orientations: np.ndarray) -> None:
         """Places base frames at positions ``[k, 3]`` and orientations (x, y, z, w) ``[k, 4]``, at rest."""
         self._states[rows] = 0.0
@@ -79,13 +87,14 @@ class RoverPhysics:
         """Advances the rovers ``rows [k]`` by one control step.
 
         ``speeds`` of their motors are ``[k, M]``, rad/s, ``angles`` of their steering joints ``[k, S]``, rad. Returns
-        which of them touched an obstacle in any of the physics steps, bool ``[k]``.
+        which of them touched an obstacle in any of the physics steps, bool ``[k, 1]``; in a model with movers, which
+        touched an obstacle or a mover, and which a mover, ``[k, 2]``.
         """
         self._states[rows[:, None], self._shafts] = speeds
         substeps = self._settings.substeps
         if not self._rollers:
             return self._roll(rows, angles, substeps)
-        touched = np.zeros(len(rows), dtype=bool)
+        touched = np.zeros((len(rows), self._contacts.shape[-1] - 1), dtype=bool)
         for _ in range(substeps):
             touched |= self._roll(rows, angles, 1)
             # A roller on the ground keeps its direction, in the mean of a step: only its speed counts.
@@ -94,7 +103,7 @@ class RoverPhysics:
         return touched
 
     def _roll(self, rows: np.ndarray, angles: np.ndarray, steps: int) -> np.ndarray:
-        """Advances rovers by some physics steps. Returns which of them touched an obstacle, bool ``[k]``."""
+        """Advances rovers by some physics steps. Returns what they touched: see :meth:`step`."""
         trajectories, contacts = self._trajectories[: len(rows), :steps], self._contacts[: len(rows), :steps]
         if steps < self._settings.substeps:
             trajectories, contacts = np.ascontiguousarray(trajectories), np.ascontiguousarray(contacts)
@@ -111,8 +120,9 @@ class RoverPhysics:
             skip_checks=True,
         )
         self._states[rows] = trajectories[:, -1]
-        all_contacts, with_ground = contacts[..., 0], contacts[..., 1]
-        return np.any(all_contacts > with_ground, axis=1)
+        all_contacts, with_ground, with_movers = contacts[..., :1], contacts[..., 1:2], contacts[..., 2:]
+        touching: np.ndarray = np.concatenate((all_contacts > with_ground, with_movers > 0), -1)
+        return np.any(touching, axis=1)
 
     def read(self, rows: np.ndarray) -> Reading:
         """Returns the poses and joints of the given rovers."""

@@ -13,8 +13,12 @@ from torch import Tensor
 from rover_rl.sims.base import Capability, Dynamics, RoverState, View, beam_angles
 from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
+from rover_rl.sims.movers.field import MoverField
+from rover_rl.sims.movers.near import NearParts, find_near
 from rover_rl.sims.mujoco.lidar import Lidar, Scene
 from rover_rl.sims.mujoco.model import make_model
+from rover_rl.sims.mujoco.movers import RoversAmongMovers, reach_of
+from rover_rl.sims.mujoco.parts import slots_of
 from rover_rl.sims.mujoco.physics import RoverPhysics
 from rover_rl.sims.mujoco.settings import MujocoSettings
 from rover_rl.sims.rendering.cache import RendererCache
@@ -58,22 +62,36 @@ class MujocoSimulator:
         self._pool = ThreadPoolExecutor(len(self._threads) - 1) if len(self._threads) > 1 else None
         # Position (3), orientation (4) and joints in one array, which is copied at once.
         self._body = np.zeros((count, 7 + len(robot.drive.motors) + len(robot.drive.steering)), dtype=np.float32)
-        self._contact = np.zeros((count, 1), dtype=bool)
+        self._contact, self._mover_contact = np.zeros((2, count, 1), dtype=bool)
+        self._movers: MoverField | None = None
         self.reset(torch.ones(count, dtype=torch.bool), torch.zeros(count, 3))
 
     def _divide(self, threads: int) -> list[list[_Share]]:
         """Returns the shares of each thread: a share of the rovers of every world."""
-        inertial_model = read_inertial_model(self._robot)
+        self._inertial_model = read_inertial_model(self._robot)
         shares: list[list[_Share]] = [[] for _ in range(threads)]
         for world, block in groupby(range(self.num_envs), key=self._worlds.__getitem__):
             rows = list(block)
-            model = make_model(world, self._robot, inertial_model, self.settings)
+            model = make_model(world, self._robot, self._inertial_model, self.settings)
             ends = np.linspace(rows[0], rows[-1] + 1, threads + 1).astype(int).tolist()
             for own, first, last in zip(shares, ends[:-1], ends[1:], strict=True):
                 if last > first:
                     physics = RoverPhysics(model, self._robot, last - first, self.settings)
                     own.append(_Share(world, slice(first, last), physics))
         return shares
+
+    def meet(self, movers: MoverField) -> None:
+        """Lets movers push the rovers. See :meth:`MoverCarrier.meet`."""
+        self._movers = movers
+        shares = [share for shares in self._threads for share in shares if share.world.movers]
+        for world in dict.fromkeys(share.world for share in shares):
+            parts = [part for mover in world.movers for part in mover.shape.parts()]
+            slots = slots_of(parts)
+            model = make_model(world, self._robot, self._inertial_model, self.settings, slots)
+            reach = reach_of(model)
+            for share in (share for share in shares if share.world is world):
+                share.reach = reach
+                share.pushed = RoversAmongMovers(model, self._robot, len(share.all), self.settings, slots, parts)
 
     def scanner(self, beams: int) -> MujocoScanner:
         """Creates a lidar. See :meth:`LidarCarrier.scanner`."""
@@ -90,7 +108,7 @@ class MujocoSimulator:
             rows = torch.from_numpy(share.rows.start + local)
             position, rotation = rest_on_ground(share.world, self._robot, poses[rows])
             share.physics.place(local, position.numpy(), matrix_to_quaternion(rotation).numpy())
-            self._contact[rows.numpy()] = False
+            self._contact[rows.numpy()] = self._mover_contact[rows.numpy()] = False
 
         self._update(place, mask.numpy())
         self._drive.reset(mask)
@@ -101,7 +119,9 @@ class MujocoSimulator:
         factors = torch.stack((dynamics.friction, dynamics.chassis_mass, dynamics.motor_torque), -1).double()
         for share in (share for shares in self._threads for share in shares):
             for row in np.flatnonzero(mask.numpy()[share.rows]).tolist():
-                share.physics.set_dynamics(row, factors[share.rows.start + row].tolist())
+                for physics in (share.physics, share.pushed):
+                    if physics is not None:
+                        physics.set_dynamics(row, factors[share.rows.start + row].tolist())
 
     def step(self, commands: Tensor, active: Tensor | None = None) -> RoverState:
         """Advances the rovers by one control step of ``substeps`` physics steps. See :meth:`Simulator.step`."""
@@ -109,14 +129,22 @@ class MujocoSimulator:
 
         def advance(share: _Share, local: np.ndarray) -> None:
             rows = share.rows.start + local
-            self._contact[rows, 0] = share.physics.step(local, speeds[rows], angles[rows])
+            if self._movers is None or self._movers.parts is None or share.pushed is None:
+                self._contact[rows] = share.physics.step(local, speeds[rows], angles[rows])
+                return
+            near = find_near(self._movers.parts, share.rows, share.position, share.reach, self.control_dt)
+            touched = share.step_among(near, local, speeds[rows], angles[rows])
+            self._contact[rows], self._mover_contact[rows] = touched[:, :1], touched[:, 1:]
 
         self._update(advance, None if active is None else active.numpy())
         return self.state()
 
     def state(self) -> RoverState:
         """Returns the current state in new tensors."""
-        return self._drive.state(*(torch.from_numpy(a.copy()) for a in (self._body, self._contact)))
+        known = [self._body, self._contact]
+        if self._movers is not None and self._movers.parts is not None:
+            known.append(self._mover_contact)
+        return self._drive.state(*(torch.from_numpy(a.copy()) for a in known))
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders one rover. See :meth:`Simulator.render`."""
@@ -196,3 +224,23 @@ class _Share:
         self.position = np.zeros((count, 3))
         # Quaternions (w, x, y, z), as MuJoCo has them.
         self.orientation = np.zeros((count, 4))
+        # Physics of the rovers near movers, and radius of a sphere around the base frame that contains a rover, m.
+        self.pushed: RoversAmongMovers | None = None
+        self.reach = 0.0
+
+    def step_among(self, near: NearParts, local: np.ndarray, speeds: np.ndarray, angles: np.ndarray) -> np.ndarray:
+        """Advances the rovers ``local [k]``, those near movers among these.
+
+        Returns which of them touched an obstacle or a mover, and which a mover, bool ``[k, 2]``.
+        """
+        assert self.pushed is not None
+        touched = np.zeros((len(local), 2), dtype=bool)
+        beside = np.isin(local, near.row)
+        if not beside.all():
+            touched[~beside, :1] = self.physics.step(local[~beside], speeds[~beside], angles[~beside])
+        if beside.any():
+            rows, near = local[beside], near.chosen(np.flatnonzero(np.isin(near.row, local)))
+            states = self.physics.states(rows)
+            states, touched[beside] = self.pushed.step_from(states, near, rows, speeds[beside], angles[beside])
+            self.physics.set_states(rows, states)
+        return touched

@@ -62,10 +62,16 @@ class Waypoints(Motion):
         return None if self.random_start else self.keys[0][1:3]
 
     def tensors(self) -> dict[str, Tensor]:
-        """Returns the keyframes ``[K, 4]``, and what else the position depends on."""
+        """Returns the legs that begin at the keyframes ``[K, 8]``, and what else the position depends on.
+
+        A leg has the time, x, y and yaw of its keyframe, its duration, and the rates of x, y and yaw.
+        """
         keys = torch.tensor(self.keys, dtype=torch.float64)
+        change = torch.cat((keys[1:] - keys[:-1], torch.zeros(1, 4, dtype=torch.float64)))
+        change[:, 3] = wrap_angle(change[:, 3])
+        span = change[:, :1]
         return {
-            "keys": keys,
+            "keys": torch.cat((keys, span, change[:, 1:] / span.clamp(min=1e-9)), 1),
             "count": torch.tensor(len(keys)),
             "period": keys[-1, 0].clone(),
             "repeat": torch.tensor(float(get_args(Repeat).index(self.repeat)), dtype=torch.float64),
@@ -101,23 +107,20 @@ class Waypoints(Motion):
                 settings["repeat"] == 1, torch.remainder(time, whole), torch.minimum(folded, 2 * whole - folded)
             ),
         )
-        # The last keyframe that is not later, and the one after it.
+        # The leg of the last keyframe that is not later.
         numbers = torch.arange(keys.shape[-2], device=keys.device)
         passed = (keys[..., 0] <= time[..., None]) & (numbers < settings["count"][..., None])
         last = (passed.sum(-1) - 1).clamp(min=0)
-        following = torch.minimum(last + 1, (settings["count"] - 1).clamp(min=0))
-        here, there = (
-            keys.gather(-2, index[..., None, None].expand(*index.shape, 1, 4)).squeeze(-2)
-            for index in (last, following)
-        )
-        span = (there[..., 0] - here[..., 0]).clamp(min=1e-9)
-        share = ((time - here[..., 0]) / span).clamp(0, 1)[..., None]
-        way = (there[..., 1:3] - here[..., 1:3]) / span[..., None]
-        position = here[..., 1:3] + (share * span[..., None]) * way
+        # Rows of a matrix are selected much faster than gathered.
+        first = torch.arange(last.numel(), device=keys.device).reshape(last.shape) * keys.shape[-2]
+        leg = keys.flatten(0, -2)[first + last]
+        begin, span, way = leg[..., 0], leg[..., 4], leg[..., 5:7]
+        passed_time = torch.minimum((time - begin).clamp(min=0), span)
+        position = leg[..., 1:3] + passed_time[..., None] * way
         # Backward on the way back, and at rest at the ends.
         returns = (settings["repeat"] == 2) & (folded > whole)
-        heading = torch.where(returns, -1.0, 1.0)[..., None] * ((share > 0) & (share < 1))
-        yaw = here[..., 3] + share[..., 0] * wrap_angle(there[..., 3] - here[..., 3])
+        heading = torch.where(returns, -1.0, 1.0)[..., None] * ((passed_time > 0) & (passed_time < span))[..., None]
+        yaw = leg[..., 3] + passed_time * leg[..., 7]
         position = position.to(course.position.dtype)
         return Course(
             position=position,

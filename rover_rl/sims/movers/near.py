@@ -1,0 +1,66 @@
+"""Broad phase: the parts of movers that rovers may touch in a control step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from rover_rl.sims.movers.field import Parts
+
+MAX_ROVER_SPEED = 2.0
+"""Speed above which a point of a rover may reach a part unnoticed within a control step, m/s."""
+
+
+@dataclass(frozen=True)
+class NearParts:
+    """Parts of movers near the rovers of consecutive rows, by row and nearest first. Float64.
+
+    Attributes:
+        row: index of the row within these rows, int ``[K]``.
+        part: index of the part within its row, int ``[K]``.
+        start: center at the start of the control step, ``[K, 3]``, m.
+        orientation: orientation then, unit quaternion (x, y, z, w), ``[K, 4]``.
+        velocity: velocity in the step, ``[K, 3]``, m/s.
+        turn: yaw rate in the step, ``[K]``, rad/s.
+    """
+
+    row: np.ndarray
+    part: np.ndarray
+    start: np.ndarray
+    orientation: np.ndarray
+    velocity: np.ndarray
+    turn: np.ndarray
+
+    def chosen(self, index: np.ndarray) -> NearParts:
+        """Returns the parts at indices ``[k]``."""
+        return NearParts(*(getattr(self, item.name)[index] for item in fields(self)))
+
+
+def find_near(parts: Parts, rows: slice, position: np.ndarray, reach: float, dt: float) -> NearParts:
+    """Returns the parts of movers near rovers.
+
+    Args:
+        parts: parts of the movers of all rows, at the end of the control step.
+        rows: consecutive rows.
+        position: positions of their rovers at the start of the step, ``[n, 3]``, m.
+        reach: radius of a sphere around the position of a rover that contains it, m.
+        dt: duration of the step, s.
+    """
+    end, velocity, half = (getattr(parts, name)[rows].double().numpy() for name in ("position", "velocity", "half"))
+    start = end - velocity * dt
+    gap = np.sqrt(((start - position[:, None]) ** 2).sum(-1)) - np.sqrt((half**2).sum(-1))
+    limit = reach + (np.sqrt((velocity**2).sum(-1)) + MAX_ROVER_SPEED) * dt
+    row, part = np.nonzero((parts.kind[rows].numpy() >= 0) & (gap < limit))
+    order = np.lexsort((part, gap[row, part], row))
+    row, part = row[order], part[order]
+    turn = parts.turn[rows].double().numpy()[row, part]
+    orientation = parts.orientation[rows].double().numpy()[row, part]
+    return NearParts(row, part, start[row, part], turned(orientation, -turn * dt), velocity[row, part], turn)
+
+
+def turned(orientation: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Turns orientations (x, y, z, w) ``[K, 4]`` by angles about the vertical ``[K]``, rad."""
+    sin, cos = np.sin(angle / 2), np.cos(angle / 2)
+    x, y, z, w = orientation.T
+    return np.stack((cos * x - sin * y, cos * y + sin * x, cos * z + sin * w, cos * w - sin * z), -1)
