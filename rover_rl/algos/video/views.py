@@ -25,6 +25,7 @@ from rover_rl.sims.base import RoverState
 from rover_rl.sims.movers.field import Parts
 from rover_rl.sims.movers.outlines import outlines
 from rover_rl.sims.movers.rays import cast_at_movers
+from rover_rl.sims.movers.shown import chosen, in_view
 from rover_rl.sims.rendering.camera import FREE_FRACTION, Camera
 from rover_rl.sims.rendering.looks import looks_of
 from rover_rl.sims.rendering.renderer import Renderer
@@ -185,7 +186,8 @@ def hides(movers: Parts, eye: Tensor, points: Tensor) -> Tensor:
     """Returns whether a mover lies between ``eye [3]`` and ``points [..., 3]`` (m): bool ``[...]``."""
     sight = (points - eye).reshape(1, -1, 3)
     far = torch.full(sight.shape[:2], math.inf)
-    ranges = cast_at_movers(movers, eye.expand_as(sight), sight, far)
+    shown = chosen(movers, 0, torch.from_numpy(in_view(movers, eye.numpy())))
+    ranges = cast_at_movers(shown, eye.expand_as(sight), sight, far)
     return (ranges < FREE_FRACTION * sight.norm(dim=-1)).reshape(points.shape[:-1])
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 
 from rover_rl.sims.movers.field import Parts
+from rover_rl.sims.movers.shown import in_view
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.kernels import rays
 from rover_rl.sims.rendering.launches import DEVICE, array
@@ -19,8 +20,6 @@ from rover_rl.sims.rendering.surfaces import SEGMENTS, Surface
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.movers.shapes import KINDS, Kind
 
-CLOSE = 0.6
-"""Distance from the camera up to which a mover would fill the picture, and is left out, m."""
 SHOULDERS, HEAD = 0.32, 0.11
 """Height of the shoulders below the top of a person of 1.75 m, and radius of the head, m."""
 
@@ -46,7 +45,7 @@ class MoverSurfaces:
 
     def place(self, placing: rays.Placing, parts: Parts | None, eye: np.ndarray) -> object:
         """Sets where parts are, for a camera at ``eye [3]`` (m). Returns what must live as long as ``placing``."""
-        shown = _far_parts(parts, eye) if parts is not None else ()
+        shown = in_view(parts, eye) if parts is not None else ()
         placing.parts = len(shown)
         if parts is None or not len(shown):
             return None
@@ -84,13 +83,6 @@ class MoverSurfaces:
         # Squares turn displayed colors into intensities.
         forms.colors = array(joined.colors**2, wp.vec3)
         self._forms = forms
-
-
-def _far_parts(parts: Parts, eye: np.ndarray) -> np.ndarray:
-    """Returns the numbers of the parts of movers that are not close to the camera."""
-    position, half, mover = parts.position[0].numpy(), parts.half[0].numpy(), parts.mover[0].numpy()
-    gap = np.maximum(np.linalg.norm(position - eye, axis=1) - np.linalg.norm(half, axis=1), 0)
-    return np.flatnonzero(~np.isin(mover, mover[gap < CLOSE]))
 
 
 def part_surface(form: Form) -> Surface:
