@@ -22,12 +22,11 @@ from torch import Tensor
 from rover_rl.algos.evaluation.plots import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, draw_pale_map
 from rover_rl.algos.video.recording import Moment, Recording
 from rover_rl.sims.base import RoverState
+from rover_rl.sims.movers.draw import seen_from_above
 from rover_rl.sims.movers.field import Parts
-from rover_rl.sims.movers.outlines import outlines
 from rover_rl.sims.movers.rays import cast_at_movers
 from rover_rl.sims.movers.shown import chosen, in_view
 from rover_rl.sims.rendering.camera import FREE_FRACTION, Camera
-from rover_rl.sims.rendering.looks import looks_of
 from rover_rl.sims.rendering.renderer import Renderer
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import quaternion_to_euler, rotate
@@ -150,18 +149,6 @@ class ChaseView:
 
 _ARROWS = "↑↖←↙↓↘→↗"
 """Arrows for directions relative to the rover, counterclockwise from straight ahead."""
-
-
-def seen_from_above(movers: Parts, world: World) -> dict[str, Any]:
-    """Returns the outlines and the colors of the parts of movers, the lowest first."""
-    position = movers.position[0]
-    order = position[:, 2].argsort()
-    shapes = (movers.kind[0], movers.half[0], position, movers.orientation[0])
-    looks = looks_of(world, len(position))
-    return {
-        "verts": outlines(*(values[order] for values in shapes)),
-        "facecolors": [looks[part].color for part in order.tolist()],
-    }
 
 
 def lidar_hits(rover: RoverState, ranges: Tensor, robot: Robot, angles: Tensor) -> tuple[Tensor, Tensor]:
