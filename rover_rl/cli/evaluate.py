@@ -137,6 +137,7 @@ class Evaluate:
         self, policies: list[ResolvedPolicy], sets: dict[str, EpisodeSet], backends: list[str | None]
     ) -> list[Evaluation | EndlessEvaluation]:
         """Evaluates the policies in each world and backend."""
+        from rover_rl.algos.evaluation.mover_traces import TRACE
         from rover_rl.algos.evaluation.parallel import EndlessRequest, GoalRequest, evaluate_all
 
         requests: list[GoalRequest | EndlessRequest] = []
@@ -146,7 +147,8 @@ class Evaluate:
                 if world in (policy.worlds or sets):
                     env = self.environment.description(policy.module, backend)
                     runs.append((policy, {"name": policy.name, "action_repeat": self.action_repeat, "env": env}))
-            requests += [GoalRequest(policy.module, episodes, {**s, "seconds": self.seconds}) for policy, s in runs]
+            limits = {"seconds": self.seconds, "track_movers": TRACE}
+            requests += [GoalRequest(policy.module, episodes, {**s, **limits}) for policy, s in runs]
             if self.endless:
                 requests += [EndlessRequest(policy.module, world, {**s, "jam": self.jam}) for policy, s in runs]
         return evaluate_all(requests, self.workers)

@@ -61,7 +61,7 @@ def evaluate(
     rows: int = 32,
     env: EnvConfig | None = None,
     watch: Watcher | None = None,
-    track_movers: bool = False,
+    track_movers: bool | float = False,
 ) -> Evaluation:
     """Evaluates a policy on episodes with one goal each and a time limit.
 
@@ -80,7 +80,8 @@ def evaluate(
             the defaults.
         watch: function that is called at the start and after each step of the episodes, with the environment, the
             index of each rover's episode, int64 ``[N]``, and the rovers that it concerns, bool ``[N]``.
-        track_movers: whether the trajectories keep where the movers are. A mover takes 28 bytes per step and solid.
+        track_movers: whether the trajectories keep where the movers are, or for how long before the end of an episode,
+            s. A mover takes 28 bytes per step and solid.
 
     Raises:
         ValueError: for a number out of range, or a policy that was made for another environment.
@@ -187,7 +188,7 @@ def _drive(
     places: Mapping[str, Tensor] | None = None,
     offset: int = 0,
     watch: Watcher | None = None,
-    track_movers: bool = False,
+    track_movers: bool | float = False,
 ) -> list[Trajectory]:
     """Drives episodes and closes the environment. A rover takes the next episode when its own has ended."""
     places = places or {}
@@ -244,7 +245,9 @@ class _Schedule:
 class _Recorder:
     """Records episodes step by step, in one tensor for all of them."""
 
-    def __init__(self, count: int, env: RoverEnv, watch: Watcher | None = None, track_movers: bool = False) -> None:
+    def __init__(
+        self, count: int, env: RoverEnv, watch: Watcher | None = None, track_movers: bool | float = False
+    ) -> None:
         self._dt, self._watch = env.control_dt, watch
         self._has_movers = "mover_contact" in env.observation_spec["outcome"]
         # Position (3), angles (3), collision, goal; with movers also contact, gap, distance of centers.
@@ -253,7 +256,8 @@ class _Recorder:
         self._endings = [""] * count
         self._tracks: list[_Tracker] | None = None
         if track_movers and self._has_movers:
-            self._tracks = [_Tracker() for _ in range(count)]
+            steps = None if track_movers is True else 1 + round(track_movers / self._dt)
+            self._tracks = [_Tracker(steps) for _ in range(count)]
 
     def add(self, env: RoverEnv, tensordict: TensorDictBase, episode: Tensor, rows: Tensor) -> None:
         """Records a step of the ``rows`` (bool ``[N]``), each of which drives an ``episode`` (int64 ``[N]``)."""
@@ -303,10 +307,10 @@ class _Recorder:
 
 
 class _Tracker:
-    """Records where the movers are in an episode."""
+    """Records where the movers are in an episode, in the last ``steps`` of it, or in all."""
 
-    def __init__(self) -> None:
-        self._places: list[Tensor] = []
+    def __init__(self, steps: int | None) -> None:
+        self._places = deque[Tensor](maxlen=steps)
 
     def add(self, parts: Parts, row: int) -> None:
         """Records the solids of a row, in which the movers stay the same."""
@@ -319,5 +323,5 @@ class _Tracker:
     def track(self) -> MoverTrack:
         """Where the movers were."""
         kind, half, mover = self._kept
-        position, orientation = torch.stack(self._places).split((3, 4), -1)
+        position, orientation = torch.stack([*self._places]).split((3, 4), -1)
         return MoverTrack(kind, half, mover, position, orientation)

@@ -75,6 +75,8 @@ class Encounters(NamedTuple):
 class MoverTrack(NamedTuple):
     """Where the P solids of the movers are in an episode of T steps, at the start and after each step.
 
+    A track of the last seconds of an episode begins later.
+
     Attributes:
         kind: index in :data:`~rover_rl.sims.worlds.movers.shapes.KINDS`, int32 ``[P]``.
         half: half of the length, width and height, float32 ``[P, 3]``, m.
@@ -130,7 +132,8 @@ class Trajectory:
         if self.encounters is not None:
             states["encounters"] = Encounters(*(values[: steps + 1] for values in self.encounters))
         if self.movers is not None:
-            places = {key: getattr(self.movers, key)[: steps + 1] for key in ("position", "orientation")}
+            kept = max(0, len(self.movers.position) - (len(self) - steps))
+            places = {key: getattr(self.movers, key)[:kept] for key in ("position", "orientation")}
             states["movers"] = self.movers._replace(**places)
         return replace(self, **states, **events, ending=ending)
 

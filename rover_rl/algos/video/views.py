@@ -22,7 +22,7 @@ from torch import Tensor
 from rover_rl.algos.evaluation.plots import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, draw_pale_map
 from rover_rl.algos.video.recording import Moment, Recording
 from rover_rl.sims.base import RoverState
-from rover_rl.sims.movers.draw import seen_from_above
+from rover_rl.sims.movers.draw import parts_from_above
 from rover_rl.sims.movers.field import Parts
 from rover_rl.sims.movers.rays import cast_at_movers
 from rover_rl.sims.movers.shown import chosen, in_view
@@ -216,7 +216,7 @@ class TopView:
         self._hits.set_offsets(hits[:, :2].numpy())
         self._goals.set_offsets(moment.goal.numpy())
         if moment.movers is not None:
-            self._movers.set(**seen_from_above(moment.movers, recording.world))
+            self._movers.set(**parts_from_above(moment.movers, recording.world))
         yaw = quaternion_to_euler(rover.orientation)[:, 2]
         turn = torch.stack((yaw.cos(), yaw.sin(), -yaw.sin(), yaw.cos()), -1).unflatten(-1, (2, 2))
         self._rovers.set_verts((rover.position[:, None, :2] + torch.tensor(_ARROWHEAD) @ turn).tolist())

@@ -11,12 +11,13 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.patches import Rectangle
+from torch import Tensor
 
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims.movers.field import MoverField, Parts
 from rover_rl.sims.movers.outlines import outlines
 from rover_rl.sims.movers.shown import parts_of
-from rover_rl.sims.rendering.looks import looks_of
+from rover_rl.sims.rendering.looks import Look, looks_of
 from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World
 from rover_rl.sims.worlds.movers import Door, Motion, Slider, Waypoints
@@ -57,19 +58,25 @@ def draw_movers(ax: Axes, world: World, seed: int = 0) -> None:
     ax.add_collection(LineCollection(list(ways), colors=WAY, linewidths=1.1, zorder=4.4))
     ax.add_collection(PolyCollection(_heads(ways), facecolors=WAY, linewidths=0, zorder=4.4))
     if start is not None:
-        ax.add_collection(PolyCollection(**seen_from_above(start, world), **EDGES, zorder=4.6))
+        ax.add_collection(PolyCollection(**parts_from_above(start, world), **EDGES, zorder=4.6))
 
 
-def seen_from_above(movers: Parts, world: World) -> dict[str, Any]:
-    """Returns the outlines and the colors of the parts of movers of one row, the lowest first."""
-    position = movers.position[0]
-    order = position[:, 2].argsort()
-    shapes = (movers.kind[0], movers.half[0], position, movers.orientation[0])
-    looks = looks_of(world, len(position))
-    return {
-        "verts": outlines(*(values[order] for values in shapes)),
-        "facecolors": [looks[part].color for part in order.tolist()],
-    }
+def seen_from_above(
+    kind: Tensor, half: Tensor, position: Tensor, orientation: Tensor, looks: Sequence[Look]
+) -> dict[str, Any]:
+    """Returns the outlines and the colors of parts as arguments of a ``PolyCollection``, the lowest first.
+
+    Shapes are those of :func:`~rover_rl.sims.movers.outlines.outlines`, with a look for each part.
+    """
+    order = position[:, 2].argsort(stable=True)
+    shapes = (values[order] for values in (kind, half, position, orientation))
+    return {"verts": outlines(*shapes), "facecolors": [looks[part].color for part in order.tolist()]}
+
+
+def parts_from_above(movers: Parts, world: World) -> dict[str, Any]:
+    """Returns the outlines and the colors of the parts of one row: see :func:`seen_from_above`."""
+    shapes = (movers.kind[0], movers.half[0], movers.position[0], movers.orientation[0])
+    return seen_from_above(*shapes, looks_of(world, len(movers.kind[0])))
 
 
 def _drive(world: World, seed: int) -> tuple[Parts | None, np.ndarray]:
