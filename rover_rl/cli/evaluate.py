@@ -52,7 +52,8 @@ class Evaluate:
     """In endless mode, end an episode after a long collision, as in the contract. The original never does."""
     columns: tuple[str, ...] = ()
     """Columns of the table: all, or names of metrics such as spl jerk (docs/evaluation.md).
-    Default: success, clean, SPL, time, touched, and the endings that occur."""
+    Default: success, clean, SPL, time, touched, where something moves also contacts with it and the least distance to
+    it, and the endings that occur."""
     workers: int | None = None
     """Number of processes. The results do not depend on it. Default: the number of CPU cores."""
     out: Path | None = None

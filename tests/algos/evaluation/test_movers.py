@@ -31,6 +31,7 @@ from tests.algos.drivers import standing
 from tests.algos.evaluation.drives import FIELD, csv_rows, line, printed
 
 ROVER = get_robot("rover_zero")
+FRONT = 0.2635  # from the rover's origin to its front, m
 # A cylinder comes along the x axis from 3 m away at 1 m/s and stops behind the origin; a box stands far away.
 CYLINDER = Mover(
     Waypoints([(0.0, 3.0, 0.0, math.pi), (5.0, -2.0, 0.0, math.pi)], repeat="once"), Cylinder(radius=0.3, height=1.0)
@@ -62,9 +63,8 @@ def test_encounters_are_those_with_the_nearest_mover(run_into: Evaluation) -> No
     assert met is not None
     assert [len(values) for values in met] == [57] * 3
     assert not met.contact[0]
-    # The front of the rover is 0.2635 m from its origin.
     first = int(met.contact.to(torch.uint8).argmax())
-    assert first * 0.05 == pytest.approx(3.0 - 0.3 - 0.2635, abs=0.1)
+    assert first * 0.05 == pytest.approx(3.0 - 0.3 - FRONT, abs=0.1)
     seconds = torch.arange(first) * 0.05
     torch.testing.assert_close(met.center_distance[:first], 3.0 - seconds, atol=0.02, rtol=0)
     gap = (3.0 - seconds - 0.3 - ROVER.radius).clamp(min=0)
@@ -217,9 +217,9 @@ def test_results_of_a_drive(run_into: Evaluation) -> None:
     assert found["run_into"] == found["mover_contact_share"] == 1
     assert found["body_contact_share"] == 0.5
     assert found["least_mover_distance"] == 0
-    # From 2 m on, for the rest of the 2.8 s.
-    since = 3.0 - 0.3 - ROVER.radius - 2.0
-    assert found["frozen"] == pytest.approx(1 - since / 2.8, abs=0.05)
+    # From a distance of 2 m on, until the cylinder pushes it.
+    since, until = 3.0 - 0.3 - ROVER.radius - 2.0, 3.0 - 0.3 - FRONT
+    assert found["frozen"] == pytest.approx((until - since) / 2.8, abs=0.05)
     moving, alone = run_into.by_world
     assert moving["mover_contact_share"] == 1
     assert "mover_contact_share" not in alone
