@@ -9,8 +9,8 @@ from torch import Tensor
 
 from rover_rl.sims.movers.field import MoverField, Parts
 
-CLOSE = 0.6
-"""Distance from a camera up to which a mover would fill the picture, and is left out, m."""
+CLOSE = 1.0
+"""Distance from a camera up to which a mover is left out, m: it would hide the rover, 2.55 m away, and all else."""
 
 
 def parts_of(movers: MoverField | None, row: int) -> Parts | None:
