@@ -13,6 +13,8 @@ from rover_rl.cli.policies import BACKEND, SEVERAL_POLICIES, EnvOptions, resolve
 
 if TYPE_CHECKING:
     from rover_rl.algos.benchmarks.suite import Suite
+    from rover_rl.algos.evaluation.evaluate import Policy
+    from rover_rl.envs import EnvConfig
 
 
 @dataclass(frozen=True)
@@ -53,17 +55,7 @@ class BarnBenchmark(_Benchmark):
         from rover_rl.algos.benchmarks.barn import TEST_WORLDS, WORLDS
 
         sets = {"test": [*TEST_WORLDS], "train": [n for n in range(WORLDS) if n not in TEST_WORLDS], "all": None}
-        if self.worlds in sets:
-            return sets[self.worlds]
-        numbers: list[int] = []
-        for part in self.worlds.split(","):
-            ends = re.fullmatch(r"([0-9]{1,3})(?:-([0-9]{1,3}))?", part, re.ASCII)
-            first, last = (int(ends[1]), int(ends[2] or ends[1])) if ends else (1, 0)
-            if not first <= last < WORLDS:
-                allowed = f"test, train, all, or numbers below {WORLDS}, such as 1,7,20-29"
-                raise ValueError(f"--worlds takes {allowed}, got {part!r}")
-            numbers += range(first, last + 1)
-        return [*dict.fromkeys(numbers)]
+        return sets[self.worlds] if self.worlds in sets else _parsed(self.worlds, WORLDS, "test, train, all")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,15 +84,90 @@ class JaxNavBenchmark(_Benchmark):
         return _run(JaxNav(courses, unsolvable, runs=self.runs, seed=self.seed, **limits), self)
 
 
+@dataclass(frozen=True, kw_only=True)
+class _MovingBenchmark(_Benchmark):
+    data: Path
+    """JSON file of worlds and motions."""
+    worlds: str = "all"
+    """Worlds: all that the file has, or numbers such as 1,7,20-29."""
+    runs: int = 1
+    """Number of runs in each world. All but the first start a few centimeters away from the benchmark's start."""
+
+    def _numbers(self) -> list[int] | None:
+        return None if self.worlds == "all" else _parsed(self.worlds, 1000, "all")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DynaBarnBenchmark(_MovingBenchmark):
+    """Run policies in the yards of DynaBARN: up to 24 cylinders of up to 2 m/s, 20 m to the goal, any contact fails."""
+
+    out: Path = Path("runs/benchmark-dynabarn")
+    """Folder to write to."""
+
+    def __call__(self) -> int:
+        """Runs the command."""
+        from rover_rl.algos.benchmarks.dynabarn import DynaBarn, read_dynabarn
+
+        return _run(DynaBarn(read_dynabarn(self.data, self._numbers()), runs=self.runs, seed=self.seed), self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RosJackalBenchmark(_MovingBenchmark):
+    """Run policies in the worlds of ros_jackal: moving boxes or sliding walls, 10 m to the goal, any contact fails."""
+
+    out: Path = Path("runs/benchmark-ros-jackal")
+    """Folder to write to."""
+
+    def __call__(self) -> int:
+        """Runs the command."""
+        from rover_rl.algos.benchmarks.ros_jackal import RosJackal, read_ros_jackal
+
+        return _run(RosJackal(read_ros_jackal(self.data, self._numbers()), runs=self.runs, seed=self.seed), self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoboTerrainBenchmark(_Benchmark):
+    """Run policies among RoboTerrain's walkers: seconds close to people and seconds, per goal."""
+
+    data: Path
+    """Folder with SDF files of worlds with actors."""
+    rovers: int = 16
+    """Number of rovers in each world."""
+    seconds: float = 300.0
+    """Time that each drives, s."""
+    out: Path = Path("runs/benchmark-roboterrain")
+    """Folder to write to."""
+
+    def __call__(self) -> int:
+        """Runs the command."""
+        from rover_rl.algos.benchmarks import roboterrain as benchmark
+
+        worlds = benchmark.read_roboterrain(self.data)
+        suite = benchmark.RoboTerrain(worlds, self.rovers, self.seconds, self.seed)
+        policies = _policies(suite.name, self)
+        self.out.mkdir(parents=True, exist_ok=True)
+        runs = benchmark.run_roboterrain(suite, policies, self.workers)
+        try:
+            benchmark.write_roboterrain(self.out / "benchmark.json", suite, runs)
+        finally:
+            # Prints the results even if a file could not be written.
+            benchmark.print_roboterrain(suite, runs)
+        print(f"Results: {self.out / 'benchmark.json'}, benchmark.csv")
+        return 0
+
+
 @dataclass(frozen=True)
 class Benchmark:
-    """Run policies in the worlds of others, as their benchmarks do: BARN and JaxNav."""
+    """Run policies in the worlds of others, as their benchmarks do."""
 
     benchmark: tyro.conf.OmitArgPrefixes[
         Annotated[
             Union[  # noqa: UP007
                 Annotated[BarnBenchmark, tyro.conf.subcommand("barn", prefix_name=False)],
                 Annotated[JaxNavBenchmark, tyro.conf.subcommand("jaxnav", prefix_name=False)],
+                Annotated[DynaBarnBenchmark, tyro.conf.subcommand("dynabarn", prefix_name=False)],
+                Annotated[RosJackalBenchmark, tyro.conf.subcommand("ros-jackal", prefix_name=False)],
+                Annotated[RoboTerrainBenchmark, tyro.conf.subcommand("roboterrain", prefix_name=False)],
             ],
             tyro.conf.arg(name=""),
         ]
@@ -112,14 +179,24 @@ class Benchmark:
         return self.benchmark()
 
 
-def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark) -> int:
+def _parsed(worlds: str, count: int, names: str) -> list[int]:
+    """Returns the numbers of worlds below ``count`` that text such as 1,7,20-29 names, each once."""
+    numbers: list[int] = []
+    for part in worlds.split(","):
+        ends = re.fullmatch(r"([0-9]{1,3})(?:-([0-9]{1,3}))?", part, re.ASCII)
+        first, last = (int(ends[1]), int(ends[2] or ends[1])) if ends else (1, 0)
+        if not first <= last < count:
+            raise ValueError(f"--worlds takes {names}, or numbers below {count}, such as 1,7,20-29, got {part!r}")
+        numbers += range(first, last + 1)
+    return [*dict.fromkeys(numbers)]
+
+
+def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark | DynaBarnBenchmark | RosJackalBenchmark) -> int:
     """Runs the policies in a suite, writes the results, and prints a table."""
     from rover_rl.algos.benchmarks.report import draw_worst_runs, print_results, write_results
     from rover_rl.algos.benchmarks.suite import run_suite
 
-    environment, out = options.environment, options.out
-    resolved = resolve_policies(options.policies, (suite.name,), environment.robot)
-    policies = {each.name: (each.module, environment.description(each.module, options.backend)) for each in resolved}
+    out, policies = options.out, _policies(suite.name, options)
     # Fails before the runs, which can take minutes.
     out.mkdir(parents=True, exist_ok=True)
     results = run_suite(suite, policies, options.workers)
@@ -134,3 +211,10 @@ def _run(suite: Suite, options: BarnBenchmark | JaxNavBenchmark) -> int:
     print(f"Results: {out / 'benchmark.json'}, benchmark.csv")
     print("Worst runs: " + ", ".join(map(str, pictures)))
     return 0
+
+
+def _policies(suite: str, options: _Benchmark) -> dict[str, tuple[Policy | None, EnvConfig]]:
+    """Returns the policies that a command names, and their environments."""
+    environment = options.environment
+    resolved = resolve_policies(options.policies, (suite,), environment.robot)
+    return {each.name: (each.module, environment.description(each.module, options.backend)) for each in resolved}

@@ -21,11 +21,12 @@ def print_results(results: Sequence[Result], console: Console | None = None) -> 
     """Prints a table of policies in the same suite, and what differs from the original benchmark."""
     console = console or Console()
     suite = results[0].suite
+    shown = [part for result in results for part in (result, *result.groups().values())]
     columns = [
-        Column(heading, unit, [cell(result.metrics[key], unit, digits=3) for result in results])
+        Column(heading, unit, [cell(result.metrics[key], unit, digits=3) for result in shown])
         for key, (heading, unit) in suite.columns.items()
     ]
-    print_tables(suite.title, [result.name for result in results], columns, console)
+    print_tables(suite.title, [result.name for result in shown], columns, console)
     told = dict.fromkeys(line for result in results for line in suite.differences(result.evaluation.env))
     console.print("What differs from the original benchmark:")
     for line in told:
@@ -42,7 +43,9 @@ def write_results(path: Path, results: Sequence[Result]) -> None:
         rows += [head | row for row in result.rows()]
         env = result.evaluation.env
         differs = {"differences": suite.differences(env), "env": plain_env_or_none(env)}
-        policies.append({**head, **differs, "metrics": plain_estimates(result.metrics), "runs": result.rows()})
+        groups = {name: plain_estimates(part.metrics) for name, part in result.groups().items()}
+        metrics = {"metrics": plain_estimates(result.metrics), **({"groups": groups} if groups else {})}
+        policies.append({**head, **differs, **metrics, "runs": result.rows()})
     worlds = [course.number for course in suite.courses]
     described = {"benchmark": suite.name, "worlds": worlds, "runs": suite.runs, "seed": suite.seed, "jitter": JITTER}
     limits = {"goal_radius": suite.goal_radius, "seconds": suite.seconds}

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -29,6 +30,7 @@ from rover_rl.envs import EnvConfig
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.worlds import Obstacle, Terrain, World
+from rover_rl.sims.worlds.movers import Mover
 from rover_rl.sims.worlds.pool import WorldPool
 
 RATES = {"success_rate": ("success", "%"), "contact_rate": ("contacts", "%"), "time_limit_rate": ("time-outs", "%")}
@@ -53,9 +55,10 @@ class Course:
     start: tuple[float, float, float]
     goal: tuple[float, float]
     length: float
+    group: str = ""  # name of a group of courses that are also reported apart
 
 
-def open_world(name: str, obstacles: Sequence[Obstacle], points: np.ndarray) -> World:
+def open_world(name: str, obstacles: Sequence[Obstacle], points: np.ndarray, movers: Sequence[Mover] = ()) -> World:
     """Creates a world on flat, open ground, whose bounds no run reaches.
 
     The environment needs areas for starts and goals: these are free ground left of the course, where no run is.
@@ -66,7 +69,7 @@ def open_world(name: str, obstacles: Sequence[Obstacle], points: np.ndarray) -> 
     (left, _), across = terrain.extent
     beside = (left, left + _MARGIN - 1.0), across
     bounds = (-_BOUND, _BOUND), (-_BOUND, _BOUND)
-    return World(name, terrain, obstacles, spawn_range=beside, goal_range=beside, bounds=bounds)
+    return World(name, terrain, obstacles, spawn_range=beside, goal_range=beside, bounds=bounds, movers=movers)
 
 
 class Suite(ABC):
@@ -147,6 +150,10 @@ class Suite(ABC):
         never = {"collision_window": MAX_COUNT, "stuck_threshold": 0.0, "flip_threshold": 2 * math.pi}
         return replace(env, task=replace(env.task, success_distance=self.goal_radius, **never))  # type: ignore[arg-type]
 
+    def ended(self, evaluation: Evaluation) -> Evaluation:
+        """Ends each run at its first contact, which is computed from the poses."""
+        return _until_contact(evaluation)
+
     def common_differences(self, env: EnvConfig) -> list[str]:
         """Returns the differences that all suites share."""
         told = [
@@ -205,6 +212,16 @@ class Result:
             "time_limit_rate": mean_rate(self._ended(TIME_LIMIT)),
             "mean_time": ratio((succeeded * seconds).sum(1).tolist(), succeeded.sum(1).tolist()),
         }
+
+    def groups(self) -> dict[str, Result]:
+        """Returns the results in each group of courses by its name, in the order of the courses."""
+        found = {}
+        for name in dict.fromkeys(course.group for course in self.suite.courses if course.group):
+            suite = copy(self.suite)
+            suite.courses = tuple(course for course in self.suite.courses if course.group == name)
+            runs = [number for number, course in enumerate(self._course_of_run) if course.group == name]
+            found[name] = Result(suite, replace(self.evaluation.select(runs), name=f"{self.name}, {name}"))
+        return found
 
     def rows(self) -> list[dict[str, Any]]:
         """Returns each run as plain data."""
@@ -266,7 +283,7 @@ def run_suite(
     for name, (policy, env) in policies.items():
         options = {"name": name, "seconds": suite.seconds, "env": suite.environment(env)}
         requests.append(GoalRequest(policy, suite.episodes(get_robot(env.robot)), options))
-    return [Result(suite, _until_contact(driven)) for driven in evaluate_all(requests, workers)]  # type: ignore[arg-type]
+    return [Result(suite, suite.ended(driven)) for driven in evaluate_all(requests, workers)]  # type: ignore[arg-type]
 
 
 def _until_contact(evaluation: Evaluation) -> Evaluation:

@@ -128,15 +128,20 @@ class DynamicWindowPolicy(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Sets ``action [N, 2]``: forward speed (m/s) and heading offset (rad)."""
-        inputs = [tensordict[key] for key in self.in_keys]
+        return tensordict.set("action", self._act([tensordict[key] for key in self.in_keys]))
+
+    def _act(self, inputs: list[Tensor]) -> Tensor:
+        """Returns the actions of all rows: see :meth:`_plan` for the inputs."""
         rows = _ROWS if inputs[0].device.type == "cpu" else _ROWS_ACCELERATOR
         parts = zip(*(value.split(rows) for value in inputs), strict=True)
-        return tensordict.set("action", torch.cat([self._plan(*part) for part in parts]))
+        return torch.cat([self._plan(*part) for part in parts])
 
-    def _plan(self, lidar: Tensor, target: Tensor, velocities: Tensor) -> Tensor:
-        """Returns the actions of some rows."""
+    def _plan(self, lidar: Tensor, target: Tensor, velocities: Tensor, *moving: Tensor) -> Tensor:
+        """Returns the actions of some rows. For ``moving``, see :meth:`_moving_clearance`."""
         points, sampled = self.points(lidar), self.trajectories(velocities)
         clearance, readings, now = self._clearances(points, sampled)
+        if moving:
+            clearance = torch.minimum(clearance, self._moving_clearance(sampled, *moving))
         goal = target[:, :1] * torch.cat((target[:, 1:].cos(), target[:, 1:].sin()), -1)
         to_goal = torch.hypot(goal[:, :1, None] - sampled.x, goal[:, 1:, None] - sampled.y)
         arrived = to_goal.cummin(-1).values < ARRIVAL
@@ -209,6 +214,19 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         now = distance[:, : len(self._discs)]
         along = distance[:, len(offsets) :].unflatten(-1, (*sampled.x.shape[1:], -1))
         return along[..., :-1].amin(-1) - self._radius, along[..., -1], now.amin(-1) - self._radius
+
+    def _moving_clearance(self, sampled: Trajectories, position: Tensor, velocity: Tensor, radius: Tensor) -> Tensor:
+        """Returns the distance of the body in each pose from what moves, where that will be then, ``[N, S, K]``, m.
+
+        What moves has positions ``[N, O, 2]`` (m) in the base frame, velocities (m/s) and radii ``[N, O]`` (m).
+        """
+        later = position[:, :, None] + sampled.time[:, None] * velocity[:, :, None]
+        nearest = torch.full_like(sampled.x, math.inf)
+        for offset in self._discs:
+            x, y = sampled.x + offset * sampled.heading.cos(), sampled.y + offset * sampled.heading.sin()
+            away = torch.hypot(x[:, None] - later[:, :, None, :, 0], y[:, None] - later[:, :, None, :, 1])
+            nearest = torch.minimum(nearest, (away - radius[:, :, None, None]).amin(1))
+        return nearest - self._radius
 
 
 def _ramp(start: Tensor, end: Tensor, rate: float, time: Tensor) -> Tensor:

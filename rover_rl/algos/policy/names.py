@@ -20,7 +20,11 @@ BASELINES = {
     "scripted": "rover_rl.algos.policy.baselines:ScriptedPolicy",
     "dwa": "rover_rl.algos.policy.dwa:DynamicWindowPolicy",
     "gridplanner": "rover_rl.algos.policy.grid_planner:GridPlanner",
+    "dwa-moving": "rover_rl.algos.policy.moving_dwa:MovingDynamicWindowPolicy",
+    "gridplanner-moving": "rover_rl.algos.policy.moving_grid_planner:MovingGridPlanner",
+    "orca": "rover_rl.algos.policy.orca:OrcaPolicy",
     "expert": "rover_rl.algos.policy.expert:MapExpert",
+    "foresight": "rover_rl.algos.policy.foresight:ForesightPolicy",
 }
 """Classes of the baseline policies, ``module:class``, by name. The first argument of each is the robot."""
 

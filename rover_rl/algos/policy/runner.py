@@ -125,7 +125,8 @@ class PolicyRunner:
         config = self._env.config if self._env is not None else getattr(self.policy, "made_for", None)
         config = config or EnvConfig(lidar=LidarConfig(points=points))
         interval = self.action_repeat * (CONTROL_DT if self._env is None else self._env.control_dt)
-        return SeenMap(rows, config.lidar, config.robot, observation["lidar"].device, interval=interval)
+        map_class = getattr(self.policy, "map_class", SeenMap)
+        return map_class(rows, config.lidar, config.robot, observation["lidar"].device, interval=interval)
 
     def _decide(self, observation: TensorDictBase, due: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         """Calls the policy and returns the actions and the next state of all rows. Rows that are ``due`` matter."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -141,6 +142,7 @@ class SeenMap:
         if lidar.shape[-1] != self._points:
             raise ValueError(f"the map is made for {self._points} lidar readings, got {lidar.shape[-1]}")
         scan, state = self._reader(self._state, lidar, pose, imu)
+        scan = self._noted(scan, lidar, pose, imu, renewed)
         bounds = self._unbounded if bounds is None else bounds.contiguous()
         self._launch(scan, goal_positions(pose, imu, target), bounds, rows)
         self._state = torch.where(rows[:, None], torch.cat((state, self._corners[:, 0]), -1), self._state)
@@ -161,6 +163,17 @@ class SeenMap:
         address = rows[:, :, None] * SIZE + columns[:, None]
         return levels.gather(1, address.flatten(1).long()).reshape(address.shape), lowest * CELL
 
+    def _noted(self, scan: Scan, lidar: Tensor, pose: Tensor, imu: Tensor, renewed: Tensor | None) -> Scan:
+        """Returns what the map takes from a scan."""
+        return scan
+
+    def _closing(self, rows: Tensor, center: Tensor) -> tuple[Any, list[Any]] | None:
+        """Returns a kernel, which closes cells for one plan only, and its inputs.
+
+        The last one is the levels with them, ``[N, SIZE * SIZE]``; after it comes the first row.
+        """
+        return None
+
     def _launch(self, scan: Scan, goals: Tensor, bounds: Tensor, rows: Tensor) -> None:
         """Launches the kernels."""
         from rover_rl.envs.seen_map.route_kernels import plan_routes
@@ -172,11 +185,14 @@ class SeenMap:
         before, center = self._state[:, :2].int(), scan.center.int()
         scans = [rows, before, center, *scan[1:], wp.vec4i(*self._limits), self._limits.reach]
         scans += [self._evidence, self._boxes, self._heights, self._levels, self._doubts]
-        plans = [goals, bounds, rows, center, self._levels, self._doubts]
+        closing = self._closing(rows, center)
+        plans = [goals, bounds, rows, center, self._levels if closing is None else closing[1][-1], self._doubts]
 
         def launch(share: tuple[int, int], memory: list[Tensor]) -> None:
             first, last = share
             wp.launch(add_scans, last - first, [*scans, first], **options)
+            if closing is not None:
+                wp.launch(closing[0], last - first, [*closing[1], first], **options)
             inputs = [*plans, *memory, self._corners, self._lengths, first, last]
             wp.launch(plan_routes, len(memory[0]), inputs, **options)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -13,7 +14,7 @@ from torch.nn.functional import pad
 from rover_rl.rng import random_bits
 from rover_rl.sims.movers.walls import WallTable
 from rover_rl.sims.rotations import wrap_angle
-from rover_rl.sims.worlds.movers.motions.base import Course, Motion, Others, Scene
+from rover_rl.sims.worlds.movers.motions.base import Courses, Motion, Others, Scene
 from rover_rl.sims.worlds.movers.mover import Mover
 from rover_rl.sims.worlds.movers.shapes import KINDS, Part, radius_of
 from rover_rl.sims.worlds.region import union
@@ -34,7 +35,7 @@ class Parts:
     """Convex solids of the movers of each row, for sensors and physics. Rows with fewer than ``P`` are filled up.
 
     Attributes:
-        kind: index in :data:`~rover_rl.sims.worlds.movers.shapes.KINDS`, -1 for none, int32 ``[N, P]``.
+        kind: 0 for a cylinder, 1 for a box, 2 for a capsule, -1 for none, int32 ``[N, P]``.
         form: index in :attr:`MoverField.forms`, -1 for none, int32 ``[N, P]``.
         half: half of the length, width and height, ``[N, P, 3]``, m.
         mover: index of the part's mover, int64 ``[N, P]``.
@@ -98,7 +99,7 @@ class MoverField:
         self._slots: Tensor | None = None
         self._steps = torch.zeros(count, 1, dtype=torch.int64, device=device)
         self._keys = torch.zeros_like(self._steps)
-        self.course = Course.at_rest(count, 0, device)
+        self.course = Courses.at_rest(count, 0, device)
         # Way that each mover has gone, from which its legs swing, [N, M], m.
         self._walked = torch.zeros(count, 0, device=device)
         self.present = torch.zeros(count, 0, dtype=torch.bool, device=device)
@@ -157,7 +158,7 @@ class MoverField:
             return
         count, movers = self.radius.shape
         self._mover_keys = random_bits(self._keys, _MOVERS, 0, movers)
-        blank = Course.at_rest(count, movers, mask.device)
+        blank = Courses.at_rest(count, movers, mask.device)
         self.course = blank.where(mask.expand_as(self.present), self.course)
         still = Others(rovers[:, None], torch.zeros_like(rovers)[:, None], self._rover_radius)
         self._change("begin", mask, still)
@@ -179,6 +180,19 @@ class MoverField:
         self._change("advance", rows, rovers)
         self._walked = self._walked + _length(self.course.position - before)
         self._place(active)
+
+    def ahead(self, seconds: float) -> Courses:
+        """Returns where the movers will be after some time, as far as that is known.
+
+        Those whose motion depends on time alone will be where they are then. Of others, such as those that react or
+        move at random, the velocity is taken to stay the same.
+        """
+        later, course = copy(self), self.course
+        later.course = replace(course, position=course.position + seconds * course.velocity)
+        if self.parts is not None:
+            nobody = Others(course.position[:, :0], course.velocity[:, :0], self._rover_radius)
+            later._change("advance", torch.ones_like(self._steps, dtype=torch.bool), nobody, seconds)
+        return later.course
 
     def nearest(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the horizontal distance from points ``[N, 2]`` (m) to the nearest mover of each row, and its speed.
@@ -210,10 +224,15 @@ class MoverField:
         distance = (points[:, None] - self.course.position).norm(dim=-1)
         return distance.masked_fill(~self.present, math.inf).amin(-1, keepdim=True)
 
-    def _change(self, method: str, rows: Tensor, rovers: Others) -> None:
-        """Calls a method of every motion for its movers in ``rows``, and stores the courses."""
+    def _change(self, method: str, rows: Tensor, rovers: Others, ahead: float | None = None) -> None:
+        """Calls a method of every motion for its movers in ``rows``, and stores the courses.
+
+        With a time ``ahead`` (s), it calls only those motions that tell where a mover is then.
+        """
         before = after = self.course
         for number, motion in enumerate(self._tables.motions):
+            if ahead is not None and not motion.is_foreseen:
+                continue
             mine = (self._motion == number) & rows
             scene = Scene(
                 course=before,
@@ -221,7 +240,7 @@ class MoverField:
                 mine=mine,
                 present=self.present,
                 radius=self.radius,
-                time=self._steps.double() * self._dt,
+                time=self._steps.double() * self._dt + (ahead or 0.0),
                 dt=self._dt,
                 walls=self._walls,
                 bounds=self._corners[:, :4],

@@ -90,14 +90,16 @@ def get_world(world: str | World) -> World:
     """
     if isinstance(world, World):
         return world
+    if WITH_WALKERS in str(world) and WorldRange.parse(str(world)) is None:
+        name = WorldName.parse(str(world))
+        if name.part.endswith(WITH_WALKERS):
+            return _make_with_walkers(replace(name, part=name.part.removesuffix(WITH_WALKERS)))
     if is_world_file(str(world)):
         return _read_file(Path(world).resolve())
     seeds = WorldRange.parse(str(world))
     if seeds is not None:
         raise ValueError(f"{world!r} names {len(seeds)} worlds; name one of them, such as {seeds.name(0)!r}")
     name = WorldName.parse(str(world))
-    if name.part.endswith(WITH_WALKERS):
-        return _make_with_walkers(replace(name, part=name.part.removesuffix(WITH_WALKERS)))
     if name.seed is None and name.part in WORLDS:
         name = replace(name, seed=0)
     return _make_world(name)

@@ -32,6 +32,7 @@ def test_a_tenth_of_the_obstacles_of_a_field_rests_and_the_others_are_as_fast_as
     assert len(get_world("field@1").obstacles) == 4 + 2
 
 
+@pytest.mark.usefixtures("own_registries")
 def test_walkers_are_added_to_any_world(tmp_path):
     still = World("yard", Terrain.flat((10, 10)), [box((2, 0, 0.5), (1, 1, 1))])
     register_world("yard-for-walkers", still)

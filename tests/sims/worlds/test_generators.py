@@ -36,6 +36,7 @@ def digest(world) -> str:
     digest = hashlib.sha256()
     for numbers in (world.terrain.heights.double(), *(obstacle.vertices for obstacle in world.obstacles)):
         digest.update(np.rint(numbers.numpy() * 1e4).astype("<i8").tobytes())
+    digest.update(repr(world.movers).encode() if world.movers else b"")
     return digest.hexdigest()[:16]
 
 

@@ -48,7 +48,7 @@ def assert_equal(one: World, other: World) -> None:
     assert len(groups_of(one.obstacles)) == len(groups_of(other.obstacles))
 
 
-@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize("name", [name for name in WORLDS if not get_world(name).movers])
 def test_a_stored_world_equals_the_generated_one(name: str) -> None:
     key = WorldName(name, 3, 1.0)
     world = stored_layout(key, lambda: WORLDS[name](3, difficulty=1.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rover_rl.sims.worlds.movers.motions import (
-    Course,
+    Courses,
     Cross,
     Door,
     Motion,
@@ -20,7 +20,7 @@ from rover_rl.sims.worlds.movers.shapes import Box, Capsule, Cylinder, Part, Per
 __all__ = [
     "Box",
     "Capsule",
-    "Course",
+    "Courses",
     "Cross",
     "Cylinder",
     "Door",

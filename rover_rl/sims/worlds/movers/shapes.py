@@ -29,7 +29,7 @@ class Part:
         center: center in the frame of the mover, whose origin is on the ground and whose x axis points ahead, m.
         orientation: orientation in this frame, unit quaternion (x, y, z, w).
         swing: amplitude with which the part swings along x while the mover walks, m. A negative one is half a cycle
-            apart. See :data:`~rover_rl.sims.movers.field.STRIDE`.
+            apart.
     """
 
     kind: Kind

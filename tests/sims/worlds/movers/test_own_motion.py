@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.rng import to_unit
-from rover_rl.sims.worlds.movers import Course, Cylinder, Motion, Mover, Scene, SocialForce
+from rover_rl.sims.worlds.movers import Courses, Cylinder, Motion, Mover, Scene, SocialForce
 from tests.sims.worlds.movers.crowds import DT, begun, walk, yard
 
 
@@ -24,16 +24,16 @@ class Circle(Motion):
     speed: float = 1.0
 
     @classmethod
-    def begin(cls, scene: Scene) -> Course:
+    def begin(cls, scene: Scene) -> Courses:
         # The clock keeps the angle at which the episode begins.
         return cls.at(scene, 2 * math.pi * to_unit(scene.bits(1)[..., 0]))
 
     @classmethod
-    def advance(cls, scene: Scene) -> Course:
+    def advance(cls, scene: Scene) -> Courses:
         return cls.at(scene, scene.course.clock)
 
     @classmethod
-    def at(cls, scene: Scene, first: Tensor) -> Course:
+    def at(cls, scene: Scene, first: Tensor) -> Courses:
         x, y, radius, speed = (scene.settings[name] for name in ("x", "y", "radius", "speed"))
         angle = first + scene.time * speed / radius
         out = torch.stack((angle.cos(), angle.sin()), -1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rover_rl.sims.worlds.movers.motions.base import Course, Motion, Scene
+from rover_rl.sims.worlds.movers.motions.base import Courses, Motion, Scene
 from rover_rl.sims.worlds.movers.motions.cross import Cross
 from rover_rl.sims.worlds.movers.motions.door import Door
 from rover_rl.sims.worlds.movers.motions.orca import Orca
@@ -12,4 +12,16 @@ from rover_rl.sims.worlds.movers.motions.walks import Walk
 from rover_rl.sims.worlds.movers.motions.wander import Wander
 from rover_rl.sims.worlds.movers.motions.waypoints import Waypoints
 
-__all__ = ["Course", "Cross", "Door", "Motion", "Orca", "Scene", "Slider", "SocialForce", "Walk", "Wander", "Waypoints"]
+__all__ = [
+    "Courses",
+    "Cross",
+    "Door",
+    "Motion",
+    "Orca",
+    "Scene",
+    "Slider",
+    "SocialForce",
+    "Walk",
+    "Wander",
+    "Waypoints",
+]

@@ -13,7 +13,7 @@ from torch.nn.functional import pad
 
 
 @dataclass(frozen=True)
-class Course:
+class Courses:
     """Where movers are and where they go, ``[N, M]`` of each.
 
     Attributes:
@@ -33,20 +33,20 @@ class Course:
     draws: Tensor
 
     @classmethod
-    def at_rest(cls, rows: int, movers: int, device: torch.device) -> Course:
+    def at_rest(cls, rows: int, movers: int, device: torch.device) -> Courses:
         """Creates courses of movers at rest at the origin."""
         zeros = torch.zeros(rows, movers, device=device)
         pairs = torch.zeros(rows, movers, 2, device=device)
         return cls(position=pairs, yaw=zeros, velocity=pairs, goal=pairs, clock=zeros, draws=zeros.long())
 
-    def padded(self, movers: int) -> Course:
+    def padded(self, movers: int) -> Courses:
         """Returns courses of more movers, which rest at the origin."""
         values = ((item.name, getattr(self, item.name)) for item in fields(self))
-        return Course(
+        return Courses(
             **{name: pad(value, (0, 0, 0, movers) if value.ndim == 3 else (0, movers)) for name, value in values}
         )
 
-    def where(self, mask: Tensor, other: Course) -> Course:
+    def where(self, mask: Tensor, other: Courses) -> Courses:
         """Returns this course for the movers of ``mask`` (bool ``[N, M]``), and ``other`` for the others.
 
         Numbers are of the types of ``other``.
@@ -127,7 +127,7 @@ class Scene:
         bits: function from a number of hashes to random bits of each mover and draw, int64 ``[N, M, count]``.
     """
 
-    course: Course
+    course: Courses
     settings: dict[str, Tensor]
     mine: Tensor
     present: Tensor
@@ -148,14 +148,17 @@ class Motion(ABC):
 
     A subclass is a frozen dataclass, whose fields are the settings of one mover. Movers of all rows that have motions
     of the same class are moved at once, without a loop: :meth:`begin` and :meth:`advance` get the settings of all of
-    them as tensors. Random numbers must come from :attr:`Scene.bits`, so that a mover depends on the seed of its row
+    them as tensors. Random numbers must come from ``scene.bits``, so that a mover depends on the seed of its row
     and the number of the episode alone.
 
     Attributes:
-        has_walls: whether the motion asks for :attr:`Scene.walls`.
+        has_walls: whether the motion asks for ``scene.walls``.
+        is_foreseen: whether :meth:`advance` depends on ``scene.time`` and the start of the episode alone, so that it
+            also tells where a mover will be later.
     """
 
     has_walls: ClassVar[bool] = False
+    is_foreseen: ClassVar[bool] = False
 
     def tensors(self) -> dict[str, Tensor]:
         """Returns the settings of one mover: by default each field, which must be a number.
@@ -166,12 +169,12 @@ class Motion(ABC):
 
     @classmethod
     @abstractmethod
-    def begin(cls, scene: Scene) -> Course:
+    def begin(cls, scene: Scene) -> Courses:
         """Returns the course of the movers at the start of an episode, when ``scene.time`` is 0."""
 
     @classmethod
     @abstractmethod
-    def advance(cls, scene: Scene) -> Course:
+    def advance(cls, scene: Scene) -> Courses:
         """Returns the course of the movers after a step."""
 
     def first_point(self) -> tuple[float, float] | None:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.checks import check_at_least, check_positive
-from rover_rl.sims.worlds.movers.motions.base import Course, Motion, Scene
+from rover_rl.sims.worlds.movers.motions.base import Courses, Motion, Scene
 from rover_rl.sims.worlds.movers.motions.cycles import (
     check_phase,
     checked_point,
@@ -84,17 +84,17 @@ class Door(Motion):
         }
 
     @classmethod
-    def begin(cls, scene: Scene) -> Course:
+    def begin(cls, scene: Scene) -> Courses:
         """Starts at the phase, which the clock keeps."""
         return cls._at(scene, drawn_phase(scene))
 
     @classmethod
-    def advance(cls, scene: Scene) -> Course:
+    def advance(cls, scene: Scene) -> Courses:
         """Swings on."""
         return cls._at(scene, scene.course.clock)
 
     @classmethod
-    def _at(cls, scene: Scene, phase: Tensor) -> Course:
+    def _at(cls, scene: Scene, phase: Tensor) -> Courses:
         """Returns the course at the time of the scene."""
         settings, course = scene.settings, scene.course
         share, rate = share_of_way(settings, scene.time, phase)

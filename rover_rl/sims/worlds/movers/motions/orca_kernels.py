@@ -12,7 +12,7 @@ from rover_rl.sims.worlds.movers.motions.walking_kernels import (
     OWN,
     SPEED,
     STEPS,
-    Courses,
+    CourseArrays,
     Crowd,
     Walls,
     finish_step,
@@ -199,7 +199,7 @@ def wall_line(walls: Walls, row: int, start: wp.vec2, probe: wp.vec2, kept: floa
 
 
 @wp.func
-def nearest_movers(crowd: Crowd, before: Courses, row: int, mover: int) -> Indices:
+def nearest_movers(crowd: Crowd, before: CourseArrays, row: int, mover: int) -> Indices:
     """Indices of the nearest movers that it could meet within the horizon, -1 for none, by ascending distance."""
     indices = Indices()
     squares = Distances()
@@ -225,7 +225,7 @@ def nearest_movers(crowd: Crowd, before: Courses, row: int, mover: int) -> Indic
 
 
 @wp.kernel
-def avoid(crowd: Crowd, walls: Walls, before: Courses, after: Courses):
+def avoid(crowd: Crowd, walls: Walls, before: CourseArrays, after: CourseArrays):
     """Moves movers by one step of reciprocal collision avoidance; thread ``(row, mover)``."""
     row, mover = wp.tid()
     if not crowd.mine[row, mover]:

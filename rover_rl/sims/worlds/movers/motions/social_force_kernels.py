@@ -7,7 +7,7 @@ from rover_rl.sims.worlds.movers.motions.walking_kernels import (
     OWN,
     SPEED,
     STEPS,
-    Courses,
+    CourseArrays,
     Crowd,
     Walls,
     finish_step,
@@ -84,7 +84,7 @@ def push_apart(offset: wp.vec2, least: float, share: float) -> wp.vec2:
 
 
 @wp.func
-def acceleration(crowd: Crowd, walls: Walls, before: Courses, row: int, mover: int, way: wp.vec2) -> wp.vec2:
+def acceleration(crowd: Crowd, walls: Walls, before: CourseArrays, row: int, mover: int, way: wp.vec2) -> wp.vec2:
     """Sum of the forces on a mover whose desired direction is ``way``, m/s^2."""
     point = before.position[row, mover]
     radius = crowd.radius[row, mover]
@@ -116,7 +116,7 @@ def acceleration(crowd: Crowd, walls: Walls, before: Courses, row: int, mover: i
 
 
 @wp.kernel
-def follow_forces(crowd: Crowd, walls: Walls, before: Courses, after: Courses):
+def follow_forces(crowd: Crowd, walls: Walls, before: CourseArrays, after: CourseArrays):
     """Moves movers by one step of the social force model; thread ``(row, mover)``."""
     row, mover = wp.tid()
     if not crowd.mine[row, mover]:

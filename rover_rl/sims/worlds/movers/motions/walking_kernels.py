@@ -70,8 +70,8 @@ class Crowd:
 
 
 @wp.struct
-class Courses:
-    """Courses of all movers: see :class:`~rover_rl.sims.worlds.movers.motions.base.Course`."""
+class CourseArrays:
+    """CourseArrays of all movers: see :class:`~rover_rl.sims.worlds.movers.motions.base.CourseArrays`."""
 
     position: wp.array2d[wp.vec2]
     yaw: wp.array2d[float]
@@ -235,7 +235,7 @@ def is_point(crowd: Crowd, row: int, mover: int, area: int) -> bool:
 
 
 @wp.func
-def draw_start(crowd: Crowd, walls: Walls, placed: Courses, row: int, mover: int) -> wp.vec2:
+def draw_start(crowd: Crowd, walls: Walls, placed: CourseArrays, row: int, mover: int) -> wp.vec2:
     """Point at which an episode begins, free of walls, rovers and the movers that were placed before.
 
     Of points that are not, the one that lacks the least.
@@ -324,7 +324,14 @@ def way_to(crowd: Crowd, walls: Walls, row: int, mover: int, point: wp.vec2, goa
 
 @wp.func
 def finish_step(
-    crowd: Crowd, walls: Walls, before: Courses, after: Courses, row: int, mover: int, point: wp.vec2, clock: float
+    crowd: Crowd,
+    walls: Walls,
+    before: CourseArrays,
+    after: CourseArrays,
+    row: int,
+    mover: int,
+    point: wp.vec2,
+    clock: float,
 ):
     """Stores where a mover is after a step, and draws another goal if it is there or makes no way.
 
@@ -364,7 +371,7 @@ def finish_step(
 
 
 @wp.kernel
-def begin_walks(crowd: Crowd, walls: Walls, after: Courses):
+def begin_walks(crowd: Crowd, walls: Walls, after: CourseArrays):
     """Begins the episodes of movers with goals, in ascending order; thread ``row``."""
     row = wp.tid()
     for mover in range(crowd.mine.shape[1]):
@@ -380,7 +387,7 @@ def begin_walks(crowd: Crowd, walls: Walls, after: Courses):
 
 
 @wp.kernel
-def begin_wanders(crowd: Crowd, walls: Walls, after: Courses):
+def begin_wanders(crowd: Crowd, walls: Walls, after: CourseArrays):
     """Begins the episodes of wanderers, in ascending order; thread ``row``."""
     row = wp.tid()
     for mover in range(crowd.mine.shape[1]):
@@ -418,7 +425,7 @@ def edge_at(crowd: Crowd, row: int, mover: int, point: wp.vec2) -> wp.vec3:
 
 
 @wp.kernel
-def wander(crowd: Crowd, walls: Walls, before: Courses, after: Courses):
+def wander(crowd: Crowd, walls: Walls, before: CourseArrays, after: CourseArrays):
     """Moves wanderers by one step; thread ``(row, mover)``."""
     row, mover = wp.tid()
     if not crowd.mine[row, mover]:
@@ -461,7 +468,7 @@ def wander(crowd: Crowd, walls: Walls, before: Courses, after: Courses):
 
 
 @wp.kernel
-def cross(crowd: Crowd, walls: Walls, before: Courses, after: Courses):
+def cross(crowd: Crowd, walls: Walls, before: CourseArrays, after: CourseArrays):
     """Moves movers that cross by one step; thread ``(row, mover)``."""
     row, mover = wp.tid()
     if not crowd.mine[row, mover]:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from rover_rl.checks import check_at_least, check_positive
-from rover_rl.sims.worlds.movers.motions.base import Course, Motion, Scene
+from rover_rl.sims.worlds.movers.motions.base import Courses, Motion, Scene
 from rover_rl.sims.worlds.region import Area
 
 Point: TypeAlias = tuple[float, float]
@@ -116,17 +116,17 @@ class Walk(Motion):
         return settings_of(self.speed, self.start, self.goal, self.pause, self.patience, own)
 
     @classmethod
-    def begin(cls, scene: Scene) -> Course:
+    def begin(cls, scene: Scene) -> Courses:
         """Draws where the movers start and where they go."""
         return launch("begin_walks", scene)
 
     @classmethod
-    def advance(cls, scene: Scene) -> Course:
+    def advance(cls, scene: Scene) -> Courses:
         """Walks on, to the next goal if one is reached."""
         return launch(cls.kernel, scene, cls.module)
 
 
-def launch(kernel: str, scene: Scene, module: str = "walking_kernels") -> Course:
+def launch(kernel: str, scene: Scene, module: str = "walking_kernels") -> Courses:
     """Runs a kernel of this folder, with a thread for each row if it begins episodes, else for each mover.
 
     Args:
@@ -139,7 +139,7 @@ def launch(kernel: str, scene: Scene, module: str = "walking_kernels") -> Course
 
     begins = kernel.startswith("begin")
     device = scene.course.position.device
-    after = Course(**{item.name: getattr(scene.course, item.name).clone() for item in fields(Course)})
+    after = Courses(**{item.name: getattr(scene.course, item.name).clone() for item in fields(Courses)})
     function = getattr(import_module(f"{__package__}.{module}"), kernel)
     with wp.ScopedStream(wp.stream_from_torch(device) if device.type == "cuda" else None):
         inputs = [_crowd(scene), _walls(scene)]
@@ -179,13 +179,13 @@ def _walls(scene: Scene) -> Any:
     return walls
 
 
-def _courses(course: Course) -> Any:
+def _courses(course: Courses) -> Any:
     """Returns courses as a kernel reads and writes them, in the same memory."""
     from rover_rl.sims.native.warp import wp
-    from rover_rl.sims.worlds.movers.motions.walking_kernels import Courses
+    from rover_rl.sims.worlds.movers.motions.walking_kernels import CourseArrays
 
-    courses = Courses()
-    for item in fields(Course):
+    courses = CourseArrays()
+    for item in fields(Courses):
         value = getattr(course, item.name)
         setattr(courses, item.name, wp.from_torch(value, dtype=wp.vec2) if value.ndim == 3 else wp.from_torch(value))
     return courses

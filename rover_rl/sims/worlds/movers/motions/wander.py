@@ -8,7 +8,7 @@ from typing import ClassVar
 from torch import Tensor
 
 from rover_rl.checks import check_positive
-from rover_rl.sims.worlds.movers.motions.base import Course, Motion, Scene
+from rover_rl.sims.worlds.movers.motions.base import Courses, Motion, Scene
 from rover_rl.sims.worlds.movers.motions.walks import MAX_TIME, check_walk, checked_place, launch, point_of, settings_of
 from rover_rl.sims.worlds.region import Area
 
@@ -50,11 +50,11 @@ class Wander(Motion):
         return settings_of(self.speed, self.area, own=(self.turn_time,))
 
     @classmethod
-    def begin(cls, scene: Scene) -> Course:
+    def begin(cls, scene: Scene) -> Courses:
         """Starts at a random free point, in a random direction."""
         return launch("begin_wanders", scene)
 
     @classmethod
-    def advance(cls, scene: Scene) -> Course:
+    def advance(cls, scene: Scene) -> Courses:
         """Walks on."""
         return launch("wander", scene)

@@ -6,14 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal, TypeAlias, get_args
+from typing import ClassVar, Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor
 
 from rover_rl.rng import to_unit
 from rover_rl.sims.rotations import wrap_angle
-from rover_rl.sims.worlds.movers.motions.base import Course, Motion, Scene
+from rover_rl.sims.worlds.movers.motions.base import Courses, Motion, Scene
 
 Keyframe: TypeAlias = tuple[float, float, float, float]
 Repeat: TypeAlias = Literal["once", "loop", "back_and_forth"]
@@ -36,6 +36,8 @@ class Waypoints(Motion):
     Raises:
         ValueError: if there is no keyframe, a number is not finite, or the times are not in order.
     """
+
+    is_foreseen: ClassVar[bool] = True
 
     keys: Sequence[Keyframe]
     repeat: Repeat = "loop"
@@ -80,7 +82,7 @@ class Waypoints(Motion):
         }
 
     @classmethod
-    def begin(cls, scene: Scene) -> Course:
+    def begin(cls, scene: Scene) -> Courses:
         """Starts at time 0, or at a random time, which the clock keeps."""
         settings = scene.settings
         cycle = torch.where(settings["repeat"] == 2, 2 * settings["period"], settings["period"])
@@ -88,12 +90,12 @@ class Waypoints(Motion):
         return cls._at(scene, offset.to(scene.course.clock.dtype), scene.course)
 
     @classmethod
-    def advance(cls, scene: Scene) -> Course:
+    def advance(cls, scene: Scene) -> Courses:
         """Moves along the path."""
         return cls._at(scene, scene.course.clock, scene.course)
 
     @classmethod
-    def _at(cls, scene: Scene, offset: Tensor, course: Course) -> Course:
+    def _at(cls, scene: Scene, offset: Tensor, course: Courses) -> Courses:
         """Returns the course at the time of the scene plus an offset ``[N, M]``."""
         settings = scene.settings
         keys, period = settings["keys"], settings["period"]
@@ -122,7 +124,7 @@ class Waypoints(Motion):
         heading = torch.where(returns, -1.0, 1.0)[..., None] * ((passed_time > 0) & (passed_time < span))[..., None]
         yaw = leg[..., 3] + passed_time * leg[..., 7]
         position = position.to(course.position.dtype)
-        return Course(
+        return Courses(
             position=position,
             yaw=yaw.to(course.yaw.dtype),
             velocity=(way * heading).to(course.velocity.dtype),

@@ -1,0 +1,297 @@
+"""Warp kernels of :mod:`rover_rl.algos.policy.foresight`: costs to go in space and time, and drives."""
+
+from __future__ import annotations
+
+from rover_rl.sims.native.warp import wp
+
+SIZE = wp.constant(96)
+"""Number of cells along a side of the window around a rover."""
+CELL = wp.constant(0.2)
+"""Side length of a cell, m."""
+LAYERS = wp.constant(40)
+"""Number of instants of a plan, besides that of its beginning."""
+LAYER_DT = wp.constant(0.25)
+"""Time from one instant to the next, s."""
+HEADINGS = wp.constant(16)
+"""Number of directions in which a point moves in a plan."""
+BLOCKED = wp.constant(0.26)
+"""Distance of the center from an obstacle below which a cell is blocked, m."""
+EASY = wp.constant(0.6)
+"""Distance from which on an obstacle costs nothing, m."""
+UNEASE = wp.constant(1.5)
+"""Extra cost of a second right beside an obstacle, s."""
+COLLISION = wp.constant(20.0)
+"""Cost of a blocked cell, s."""
+
+DRIVE_DT = wp.constant(0.1)
+"""Time step of a drive, s."""
+FIRST, SECOND = wp.constant(7), wp.constant(15)
+"""Number of steps of the two parts of a drive."""
+SPEEDS = wp.constant(5)
+"""Number of forward speeds, from full speed backward to full speed ahead."""
+TURNS, SECOND_TURNS = wp.constant(11), wp.constant(7)
+"""Number of yaw rates in the first and in the second part."""
+CLOSE = wp.constant(0.12)
+"""Clearance of the body below which a drive costs more, m."""
+CLOSE_COST = wp.constant(4.0)
+"""Extra cost of a second in contact, s."""
+BACKWARD_COST = wp.constant(0.1)
+"""Extra cost of a second backward, s."""
+CRASH = wp.constant(1000.0)
+"""Cost of a drive that collides at once, s. Later is better."""
+
+
+State = wp.types.vector(6, float)
+"""x, y, heading, speed, yaw rate, and cost so far."""
+
+
+@wp.struct
+class Fixed:
+    """Distances to what does not move, on a grid for each world.
+
+    Attributes:
+        world: index of the grid of each row.
+        frame: x and y of the first point, spacing, and numbers of rows and columns.
+        clearance: distances, row by row, m.
+    """
+
+    world: wp.array[wp.int64]
+    frame: wp.array2d[float]
+    clearance: wp.array2d[float]
+
+
+@wp.struct
+class Moving:
+    """Movers at several instants: boxes, whose sides are moved outward by a radius.
+
+    Attributes:
+        pose: x, y (m), and cosine and sine of the yaw, of each row, instant and mover.
+        form: half the length and width, and the radius, m.
+    """
+
+    pose: wp.array3d[wp.vec4]
+    form: wp.array2d[wp.vec3]
+
+
+@wp.struct
+class Body:
+    """What a drive depends on of the robot.
+
+    Attributes:
+        front: distance of the two discs that cover the robot from its center, m.
+        radius: their radius, m.
+        acceleration: largest acceleration, m/s^2.
+        speed: largest speed, m/s.
+        yaw_acceleration: largest yaw acceleration of the body, rad/s^2.
+        yaw_rate: largest yaw rate of the body, rad/s.
+        turning: least radius of a turn, m.
+    """
+
+    front: float
+    radius: float
+    acceleration: float
+    speed: float
+    yaw_acceleration: float
+    yaw_rate: float
+    turning: float
+
+
+@wp.func
+def fixed_distance(fixed: Fixed, row: int, x: float, y: float):
+    """Distance of a point to what does not move, m."""
+    slot = int(fixed.world[row])
+    cell = fixed.frame[slot, 2]
+    rows = int(fixed.frame[slot, 3])
+    columns = int(fixed.frame[slot, 4])
+    u = wp.clamp((x - fixed.frame[slot, 0]) / cell, 0.0, float(columns - 1) - 0.001)
+    v = wp.clamp((y - fixed.frame[slot, 1]) / cell, 0.0, float(rows - 1) - 0.001)
+    i = int(u)
+    j = int(v)
+    s = u - float(i)
+    t = v - float(j)
+    k = j * columns + i
+    low = (1.0 - s) * fixed.clearance[slot, k] + s * fixed.clearance[slot, k + 1]
+    high = (1.0 - s) * fixed.clearance[slot, k + columns] + s * fixed.clearance[slot, k + columns + 1]
+    return (1.0 - t) * low + t * high
+
+
+@wp.func
+def moving_distance(moving: Moving, row: int, instant: int, x: float, y: float, limit: float):
+    """Distance of a point to the nearest mover, at most ``limit``, m."""
+    nearest = limit
+    for m in range(moving.form.shape[1]):
+        pose = moving.pose[row, instant, m]
+        form = moving.form[row, m]
+        dx = x - pose[0]
+        dy = y - pose[1]
+        reach = nearest + form[0] + form[1] + form[2]
+        if wp.abs(dx) < reach and wp.abs(dy) < reach:
+            beside = wp.vec2(
+                wp.max(wp.abs(pose[2] * dx + pose[3] * dy) - form[0], 0.0),
+                wp.max(wp.abs(pose[2] * dy - pose[3] * dx) - form[1], 0.0),
+            )
+            nearest = wp.min(nearest, wp.length(beside) - form[2])
+    return nearest
+
+
+@wp.func
+def cost_at(costs: wp.array3d[float], row: int, layer: int, origin: wp.vec2, x: float, y: float):
+    """Cost to go at a point, between the cells, s."""
+    u = wp.clamp((x - origin[0]) / CELL, 0.0, float(SIZE - 1) - 0.001)
+    v = wp.clamp((y - origin[1]) / CELL, 0.0, float(SIZE - 1) - 0.001)
+    i = int(u)
+    j = int(v)
+    s = u - float(i)
+    t = v - float(j)
+    k = j * SIZE + i
+    low = (1.0 - s) * costs[row, layer, k] + s * costs[row, layer, k + 1]
+    high = (1.0 - s) * costs[row, layer, k + SIZE] + s * costs[row, layer, k + SIZE + 1]
+    return (1.0 - t) * low + t * high
+
+
+@wp.kernel
+def sweep(
+    rows: wp.array[wp.int64],
+    layer: int,
+    origins: wp.array[wp.vec2],
+    goals: wp.array[wp.vec2],
+    goal_radius: float,
+    speed: float,
+    fixed: Fixed,
+    moving: Moving,
+    costs: wp.array3d[float],
+):
+    """Costs to go at an instant, from those at the next one; a thread does a cell of a row.
+
+    Args:
+        rows: rows that plan.
+        layer: number of the instant.
+        origins: x and y of cell 0 of each row's window, m.
+        goals: goals, m.
+        goal_radius: distance from the goal at which it is reached, m.
+        speed: largest speed, m/s.
+        fixed: what does not move.
+        moving: movers at the instants of the plan.
+        costs: costs to go, s, ``[N, LAYERS + 1, SIZE * SIZE]``.
+    """
+    n, k = wp.tid()
+    row = int(rows[n])
+    origin = origins[row]
+    x = origin[0] + CELL * float(k % SIZE)
+    y = origin[1] + CELL * float(k / SIZE)
+    if wp.length(goals[row] - wp.vec2(x, y)) < goal_radius:
+        costs[row, layer, k] = 0.0
+        return
+    clearance = moving_distance(moving, row, layer, x, y, EASY)
+    clearance = wp.min(clearance, fixed_distance(fixed, row, x, y))
+    if clearance < BLOCKED:
+        costs[row, layer, k] = COLLISION + cost_at(costs, row, layer + 1, origin, x, y) * 0.5
+        return
+    best = cost_at(costs, row, layer + 1, origin, x, y)
+    step = speed * LAYER_DT
+    for h in range(HEADINGS):
+        angle = 2.0 * wp.pi * float(h) / float(HEADINGS)
+        cost = cost_at(costs, row, layer + 1, origin, x + step * wp.cos(angle), y + step * wp.sin(angle))
+        best = wp.min(best, cost)
+    unease = UNEASE * (EASY - clearance) / (EASY - BLOCKED)
+    costs[row, layer, k] = best + LAYER_DT * (1.0 + wp.max(unease, 0.0))
+
+
+@wp.func
+def approach(value: float, target: float, most: float):
+    """A value that changes towards a target by a limited amount."""
+    return value + wp.clamp(target - value, -most, most)
+
+
+@wp.func
+def drive_step(
+    row: int, number: int, before: State, speed: float, yaw_rate: float, body: Body, fixed: Fixed, moving: Moving
+):
+    """State after a step of a drive towards a speed and a yaw rate. After a collision, the cost is near ``CRASH``."""
+    v = approach(before[3], speed, body.acceleration * DRIVE_DT)
+    w = approach(before[4], yaw_rate, body.yaw_acceleration * DRIVE_DT)
+    middle = before[2] + 0.5 * w * DRIVE_DT
+    x = before[0] + v * DRIVE_DT * wp.cos(middle)
+    y = before[1] + v * DRIVE_DT * wp.sin(middle)
+    heading = before[2] + w * DRIVE_DT
+    dx = body.front * wp.cos(heading)
+    dy = body.front * wp.sin(heading)
+    limit = body.radius + CLOSE
+    near = wp.min(fixed_distance(fixed, row, x + dx, y + dy), limit)
+    near = wp.min(near, fixed_distance(fixed, row, x - dx, y - dy))
+    near = moving_distance(moving, row, number, x + dx, y + dy, near)
+    near = moving_distance(moving, row, number, x - dx, y - dy, near)
+    cost = before[5] + DRIVE_DT * (1.0 + CLOSE_COST * (limit - near) / CLOSE)
+    if speed < 0.0:
+        cost += BACKWARD_COST * DRIVE_DT
+    if near < body.radius:
+        cost = before[5] + CRASH - 100.0 * DRIVE_DT * float(number)
+    return State(x, y, heading, v, w, cost)
+
+
+@wp.kernel
+def drive(
+    rows: wp.array[wp.int64],
+    since: wp.array[float],
+    states: wp.array2d[float],
+    origins: wp.array[wp.vec2],
+    goals: wp.array[wp.vec2],
+    goal_radius: float,
+    body: Body,
+    fixed: Fixed,
+    moving: Moving,
+    costs: wp.array3d[float],
+    results: wp.array2d[float],
+):
+    """Least cost of the drives that begin with a speed and a yaw rate; a thread does one pair of a row.
+
+    Args:
+        rows: rows that decide.
+        since: time since the beginning of each row's plan, s.
+        states: x, y, heading, speed and yaw rate of each row.
+        origins: x and y of cell 0 of each row's window, m.
+        goals: goals, m.
+        goal_radius: distance from the goal at which it is reached, m.
+        body: the robot.
+        fixed: what does not move.
+        moving: movers at the steps of a drive.
+        costs: costs to go of the plan, s.
+        results: least costs, s, ``[N, SPEEDS * TURNS]``.
+    """
+    n, pair = wp.tid()
+    row = int(rows[n])
+    half = float((SPEEDS - 1) / 2)
+    speed = body.speed * (float(pair / TURNS) / half - 1.0)
+    yaw_rate = body.yaw_rate * (2.0 * float(pair % TURNS) / float(TURNS - 1) - 1.0)
+    state = State(states[row, 0], states[row, 1], states[row, 2], states[row, 3], states[row, 4], 0.0)
+    if wp.abs(yaw_rate) * body.turning > wp.abs(speed) + 1.0e-6:
+        results[row, pair] = 2.0 * CRASH
+        return
+    number = int(0)
+    while number < FIRST:
+        number += 1
+        state = drive_step(row, number, state, speed, yaw_rate, body, fixed, moving)
+        if state[5] > 500.0 or wp.length(goals[row] - wp.vec2(state[0], state[1])) < goal_radius:
+            results[row, pair] = state[5]
+            return
+    best = float(3.0 * CRASH)
+    for second in range(SPEEDS * SECOND_TURNS):
+        speed2 = body.speed * (float(second / SECOND_TURNS) / half - 1.0)
+        yaw_rate2 = body.yaw_rate * (2.0 * float(second % SECOND_TURNS) / float(SECOND_TURNS - 1) - 1.0)
+        if wp.abs(yaw_rate2) * body.turning <= wp.abs(speed2) + 1.0e-6:
+            next = state
+            number = int(FIRST)
+            ended = int(0)
+            while number < FIRST + SECOND and ended == 0:
+                number += 1
+                next = drive_step(row, number, next, speed2, yaw_rate2, body, fixed, moving)
+                if next[5] > best:
+                    ended = 1
+                if wp.length(goals[row] - wp.vec2(next[0], next[1])) < goal_radius:
+                    ended = 1
+            if ended == 0:
+                time = (since[row] + DRIVE_DT * float(number)) / LAYER_DT
+                layer = wp.min(int(time + 0.5), LAYERS)
+                next[5] = next[5] + cost_at(costs, row, layer, origins[row], next[0], next[1])
+            best = wp.min(best, next[5])
+    results[row, pair] = best

@@ -1,0 +1,66 @@
+"""Warp kernel that closes the ways of what moves on maps of seen obstacles."""
+
+from __future__ import annotations
+
+from rover_rl.envs.seen_map.scan_kernels import HALF, SIZE, address
+from rover_rl.sims.native.warp import wp
+
+STEPS = wp.constant(16)
+"""Number of instants at which what moves is looked at."""
+STEP_DT = wp.constant(0.25)
+"""Time from one to the next, s."""
+EARLY = wp.constant(0.75)
+"""Time before and after the rover could be in a cell, in which the cell is closed, s."""
+TIGHT = wp.constant(1)
+"""Level of closed cells: the rover does not fit there, but gets out if it is there."""
+
+
+@wp.kernel
+def close_ways(
+    planned: wp.array[wp.bool],
+    centers: wp.array[wp.vec2i],
+    places: wp.array2d[float],
+    ways: wp.array3d[float],
+    speed: float,
+    levels: wp.array2d[wp.uint8],
+    closed: wp.array2d[wp.uint8],
+    first: int,
+):
+    """Copies levels and closes the cells where the rover would meet what moves; thread ``t`` does row ``first + t``.
+
+    Args:
+        planned: rows to plan for.
+        centers: cells in the middle of the windows.
+        places: x and y of the rovers, ``[N, 2]``, in cells of the world, as all lengths here.
+        ways: x, y, velocity along x and y (1/s), and radius of what moves, ``[N, K, 5]``. A negative one counts for
+            nothing.
+        speed: speed of the rover, 1/s.
+        levels: level of each cell.
+        closed: results.
+        first: first row.
+    """
+    i = wp.tid() + first
+    if not planned[i]:
+        return
+    for k in range(SIZE * SIZE):
+        closed[i, k] = levels[i, k]
+    center = centers[i]
+    for m in range(ways.shape[1]):
+        radius = ways[i, m, 4]
+        if radius > 0.0:
+            for n in range(STEPS):
+                time = STEP_DT * float(n)
+                x = ways[i, m, 0] + time * ways[i, m, 2]
+                y = ways[i, m, 1] + time * ways[i, m, 3]
+                reach = int(wp.ceil(radius))
+                for row in range(int(wp.floor(y)) - reach, int(wp.floor(y)) + reach + 1):
+                    for column in range(int(wp.floor(x)) - reach, int(wp.floor(x)) + reach + 1):
+                        u = float(column) + 0.5
+                        v = float(row) + 0.5
+                        from_way = wp.length(wp.vec2(u - x, v - y))
+                        arrival = wp.length(wp.vec2(u - places[i, 0], v - places[i, 1])) / speed
+                        inside = wp.max(wp.abs(column - center[0]), wp.abs(row - center[1])) < HALF
+                        if inside and from_way < radius and wp.abs(arrival - time) < EARLY:
+                            cell = address(column, row)
+                            if int(closed[i, cell]) > TIGHT:
+                                closed[i, cell] = wp.uint8(TIGHT)

@@ -1,0 +1,185 @@
+"""Baselines that know of motion: what the tracker sees, foresight, ORCA, and the planners among what moves."""
+
+from __future__ import annotations
+
+import math
+import pickle
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from rover_rl import RoverEnv
+from rover_rl.algos.policy.dwa import LIDAR, DynamicWindowPolicy
+from rover_rl.algos.policy.foresight import ForesightPolicy
+from rover_rl.algos.policy.grid_planner import GridPlanner
+from rover_rl.algos.policy.moving_dwa import MovingDynamicWindowPolicy
+from rover_rl.algos.policy.moving_grid_planner import MovingGridPlanner, MovingMap
+from rover_rl.algos.policy.orca import OrcaPolicy, half_planes
+from rover_rl.algos.policy.runner import PolicyRunner
+from rover_rl.algos.policy.tracker import STATE, TRACKS, MoverTracker
+from rover_rl.envs import EnvConfig
+from rover_rl.envs.seen_map.seen_map import SeenMap
+from rover_rl.sims.robots.rover_zero import ROVER_ZERO
+from rover_rl.sims.worlds import Terrain, World, box
+from rover_rl.sims.worlds.movers import Cylinder, Mover, Waypoints
+from tests.algos.policy.crossings import crossing, drive
+
+SPEEDS = (0.6, 1.0, 1.4)
+
+
+def watched(world: World, steps: int, action: tuple[float, float], rows: int = 1) -> tuple[RoverEnv, list]:
+    """Drives with a constant action, tracks at 10 Hz, and returns the environment and all tracks."""
+    env = RoverEnv(EnvConfig(world=world, num_envs=rows, backend="warp", lidar=LIDAR, seed=3))
+    tracker, state, seen = MoverTracker(ROVER_ZERO, LIDAR, 0.1), torch.zeros(rows, TRACKS * STATE), []
+    tensordict = env.reset(start=torch.zeros(rows, 3), goal=torch.full((rows, 2), 6.0))
+    for step in range(steps):
+        if step % 2 == 0:
+            state, tracks = tracker(state, tensordict["lidar"], tensordict["pose"], tensordict["imu"])
+            seen.append(tracks)
+        tensordict = env.step(tensordict.set("action", torch.tensor([action]).repeat(rows, 1)))["next"]
+    return env, seen
+
+
+@pytest.mark.parametrize("action", [(0.0, 0.0), (0.5, 0.3)])
+def test_the_tracker_finds_what_moves_and_how(action: tuple[float, float]) -> None:
+    passing = Mover(Waypoints([(0.0, 3.0, -3.0, 1.57), (6.0, 3.0, 3.0, 1.57)]), Cylinder(0.5, 1.0))
+    fixed = [box((-3.0, 1.0, 0.5), (0.6, 0.6, 1.0)), box((0.0, -6.0, 0.5), (8.0, 0.4, 1.0))]
+    env, seen = watched(World("passing", Terrain.flat((20.0, 20.0)), fixed, movers=[passing]), 41, action)
+    tracks = seen[-1]
+    assert tracks.moves.sum() == 1
+    position, velocity = (value[tracks.moves][0] for value in (tracks.position, tracks.velocity))
+    # Two seconds at 1 m/s; the scan is two steps old.
+    assert position.tolist() == pytest.approx([3.0, -1.0], abs=0.25)
+    assert velocity.tolist() == pytest.approx([0.0, 1.0], abs=0.25)
+    assert 0.3 < tracks.radius[tracks.moves].item() < 0.7
+    assert tracks.readings.sum() >= 3
+    env.close()
+
+
+def test_hardly_anything_moves_around_a_rover_among_obstacles_at_rest() -> None:
+    fixed = [box((x, y, 0.5), (0.5, 0.5, 1.0)) for x, y in ((2.0, 1.5), (3.0, -1.5), (-2.0, 2.0), (5.0, 0.5))]
+    env, seen = watched(World("still", Terrain.flat((20.0, 20.0)), fixed), 60, (0.6, 0.2))
+    # Of 4 obstacles in 30 scans.
+    assert sum(int(tracks.moves.sum()) for tracks in seen) <= 4
+    env.close()
+
+
+def test_tracks_do_not_depend_on_other_rows() -> None:
+    passing = Mover(Waypoints([(0.0, 3.0, -3.0, 1.57), (6.0, 3.0, 3.0, 1.57)]), Cylinder(0.5, 1.0))
+    world = World("passing", Terrain.flat((20.0, 20.0)), movers=[passing])
+    (one_env, one), (two_env, two) = (watched(world, 20, (0.4, 0.1), rows) for rows in (1, 3))
+    for a, b in zip(one, two, strict=True):
+        assert torch.equal(a.moves[0], b.moves[0])
+        assert torch.equal(a.position[0], b.position[0])
+    one_env.close(), two_env.close()
+
+
+def test_foresight_passes_where_a_planner_without_it_is_hit() -> None:
+    worlds = [crossing(speed, phase) for speed in SPEEDS for phase in (0.0, 1.5)]
+    foresight = ForesightPolicy()
+    assert drive(foresight, worlds) == ["goal_reached"] * len(worlds)
+    # It forgets the environment on its way to another process.
+    assert drive(pickle.loads(pickle.dumps(foresight)), worlds[:1]) == ["goal_reached"]
+    assert drive(GridPlanner(), worlds).count("goal_reached") < len(worlds)
+
+
+def test_foresight_keeps_out_of_the_way_of_what_comes_at_its_goal() -> None:
+    # It arrives where the rover stands, and again and again.
+    coming = Mover(Waypoints([(0.0, 6.0, 0.0, 3.14), (8.0, -6.0, 0.0, 3.14)]), Cylinder(0.5, 1.0))
+    world = World("coming", Terrain.flat((16.0, 16.0)), movers=[coming])
+    assert drive(ForesightPolicy(), [world, crossing(1.0, gate=False)]) == ["goal_reached"] * 2
+
+
+def test_foresight_needs_an_environment() -> None:
+    observation = TensorDict({"velocities": torch.zeros(1, 2), "outcome": {"steps": torch.zeros(1, 1)}}, [1])
+    with pytest.raises(RuntimeError, match="foresight knows no environment"):
+        ForesightPolicy()(observation)
+
+
+def test_movers_ahead_are_where_they_will_be() -> None:
+    env = RoverEnv(EnvConfig(world=crossing(1.0, 0.7), num_envs=2, backend="warp", seed=1))
+    tensordict = env.reset()
+    foreseen = env.movers.ahead(0.5)
+    for _ in range(10):
+        tensordict = env.step(tensordict.set("action", torch.zeros(2, 2)))["next"]
+    assert torch.allclose(env.movers.course.position, foreseen.position, atol=1e-5)
+    assert torch.allclose(env.movers.course.yaw, foreseen.yaw, atol=1e-5)
+    env.close()
+
+
+@pytest.mark.parametrize("policy", [OrcaPolicy(), MovingDynamicWindowPolicy()], ids=["orca", "dwa-moving"])
+def test_who_tracks_what_moves_reaches_the_goal_more_often(policy: torch.nn.Module) -> None:
+    worlds = [crossing(speed, phase, gate=False) for speed in SPEEDS for phase in (0.0, 0.7, 1.5)]
+    reached = drive(policy, worlds).count("goal_reached")  # type: ignore[arg-type]
+    assert reached > drive(DynamicWindowPolicy(), worlds).count("goal_reached")
+
+
+def test_the_planner_closes_the_way_of_what_moves() -> None:
+    crossing_ahead = Mover(Waypoints([(0.0, 3.0, -3.0, 1.57), (6.0, 3.0, 3.0, 1.57)]), Cylinder(0.5, 1.0))
+    worlds = [World("ahead", Terrain.flat((20.0, 20.0)), movers=[crossing_ahead])]
+    routes = []
+    for policy in (GridPlanner(), MovingGridPlanner()):
+        env = RoverEnv(EnvConfig(world=worlds[0], num_envs=1, backend="warp", lidar=policy.made_for.lidar, seed=3))
+        runner = PolicyRunner(policy, env=env)
+        tensordict = env.reset(start=torch.zeros(1, 3), goal=torch.tensor([[8.0, 0.0]]))
+        for _ in range(20):
+            runner(tensordict)
+            tensordict = env.step(tensordict.set("action", torch.zeros(1, 2)))["next"]
+        assert runner._seen is not None
+        routes.append(runner._seen(tensordict))
+        env.close()
+    # Straight ahead, or around the place where it will be when the rover is there.
+    assert routes[0][0, 1].abs() < 0.05
+    assert routes[1][0, 1].abs() > 0.05
+
+
+def test_routes_are_the_same_where_nothing_moves() -> None:
+    env = RoverEnv(EnvConfig(world="maze:3", num_envs=4, backend="warp", lidar=GridPlanner().made_for.lidar, seed=3))
+    maps = [kind(4, env.config.lidar) for kind in (SeenMap, MovingMap)]
+    tensordict = env.reset()
+    renewed = torch.ones(4, dtype=torch.bool)
+    for _ in range(3):
+        one, two = (seen(tensordict, renewed=renewed) for seen in maps)
+        assert torch.equal(one, two)
+        renewed = torch.zeros_like(renewed)
+        tensordict = env.step(tensordict.set("action", torch.zeros(4, 2)))["next"]
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity", "own", "expected"),
+    [
+        # Nothing comes near: the own velocity is allowed.
+        ((3.0, 0.0), (0.0, 0.0), (-1.0, 0.0), 0.0),
+        ((3.0, 3.0), (1.0, 1.0), (0.0, 0.0), 0.0),
+        # Straight at an obstacle with a radius of 1 m that is reached within the time: the cone's leg is 30 degrees
+        # aside, whose distance is sin(30 degrees).
+        ((2.0, 0.0), (0.0, 0.0), (1.0, 0.0), 0.5),
+        # It comes as fast towards the rover.
+        ((2.0, 0.0), (-1.0, 0.0), (0.0, 0.0), 0.5),
+    ],
+)
+def test_half_planes_of_orca(
+    position: tuple[float, float], velocity: tuple[float, float], own: tuple[float, float], expected: float
+) -> None:
+    point, normal = half_planes(
+        torch.tensor([[position]]),
+        torch.tensor([[velocity]]),
+        torch.tensor([[1.0]]),
+        torch.tensor([[4.0]]),
+        torch.tensor([own]),
+    )
+    assert normal.norm().item() == pytest.approx(1.0)
+    violation = ((point[0, 0] - torch.tensor(own)) * normal[0, 0]).sum().item()
+    assert max(violation, 0.0) == pytest.approx(expected, abs=1e-5)
+
+
+def test_orca_ends_a_contact_soon() -> None:
+    point, normal = half_planes(
+        torch.tensor([[(0.8, 0.0)]]), torch.zeros(1, 1, 2), torch.ones(1, 1), torch.ones(1, 1), torch.zeros(1, 2)
+    )
+    # Away from the obstacle, by 0.2 m in 0.2 s.
+    assert normal[0, 0].tolist() == pytest.approx([-1.0, 0.0])
+    assert (point[0, 0] * normal[0, 0]).sum().item() == pytest.approx(1.0)
+    assert math.isfinite(point.sum().item())
