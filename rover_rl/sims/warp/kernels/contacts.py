@@ -440,6 +440,63 @@ def collide_peaks_with_chassis(
 
 
 @wp.func
+def collide_with_solid(
+    contacts: wp.array[Contact],
+    count: int,
+    scene: Scene,
+    solid: int,
+    position: wp.vec3,
+    rotation: wp.mat33,
+    velocity: wp.vec3,
+    turn: wp.vec3,
+    body: Body,
+    model: RobotModel,
+    solver: Solver,
+    axles: wp.array[wp.vec3],
+    friction: float,
+    key: int,
+    touched: wp.array[wp.bool],
+    rover: int,
+) -> int:
+    """Adds a contact for each part (box or wheel) of the rover that overlaps with a solid; returns the contact count.
+
+    Sets ``touched[rover]`` if there is one, also if the array of contacts is full. Bounding spheres and face planes
+    reject most parts; the rest is :func:`rover_rl.sims.warp.kernels.convex.find_overlap`.
+
+    ``position`` (m) is the rover's center of mass in the frame of the scene, and ``rotation`` that from the body to
+    this frame. The solid turns at ``turn`` (rad/s) and would move at ``velocity`` (m/s) at the center of mass, both in
+    the body frame. ``key`` is the least key of the contacts, which identify solid and part from step to step.
+    """
+    boxes = model.box_centers.shape[0]
+    for part in range(boxes + model.wheels):
+        middle = position + rotation * (part_center(model, part) - body.center)
+        if is_near(scene, solid, middle, part_radius(model, part)):
+            axle = LEFT
+            if part >= boxes:
+                axle = axles[part - boxes]
+            hit = find_overlap(scene, model, body.center, position, rotation, part, axle, solid)
+            if hit.depth > 0.0:
+                touched[rover] = True
+                wheel = wp.where(part < boxes, NO_WHEEL, part - boxes)
+                count = add_contact(
+                    contacts,
+                    count,
+                    body,
+                    model,
+                    solver,
+                    key + part,
+                    wheel,
+                    axle,
+                    hit.arm,
+                    hit.normal,
+                    -hit.depth,
+                    friction,
+                    velocity + wp.cross(turn, hit.arm),
+                )
+    return count
+
+
+@wp.func
 def collide_with_obstacles(
     contacts: wp.array[Contact],
     count: int,
@@ -454,47 +511,36 @@ def collide_with_obstacles(
 ) -> int:
     """Adds a contact for each overlapping pair of a part (box or wheel) and an obstacle; returns the contact count.
 
-    Sets ``touched[rover]`` if there is such a pair, also if the array of contacts is full.
-
-    Broad phase: a uniform grid over (x, y) lists the obstacles near the rover; bounding spheres and face planes reject
-    most pairs. Narrow phase: :func:`rover_rl.sims.warp.kernels.convex.find_overlap`.
+    Broad phase: a uniform grid over (x, y) lists the obstacles near the rover. See :func:`collide_with_solid`.
     """
     if scene.grid_columns == 0:
         return count
     column = wp.clamp(int((body.position[0] - scene.grid_origin[0]) / scene.grid_cell), 0, scene.grid_columns - 1)
     row = wp.clamp(int((body.position[1] - scene.grid_origin[1]) / scene.grid_cell), 0, scene.grid_rows - 1)
     cell = row * scene.grid_columns + column
-    boxes = model.box_centers.shape[0]
+    parts = model.box_centers.shape[0] + model.wheels
     for n in range(scene.grid_starts[cell], scene.grid_starts[cell + 1]):
         obstacle = scene.grid_obstacles[n]
         if is_near(scene, obstacle, body.position, model.bounding_radius):
-            for part in range(boxes + model.wheels):
-                middle = body.position + body.rotation * (part_center(model, part) - body.center)
-                if is_near(scene, obstacle, middle, part_radius(model, part)):
-                    axle = LEFT
-                    if part >= boxes:
-                        axle = axles[part - boxes]
-                    hit = find_overlap(scene, model, body.center, body.position, body.rotation, part, axle, obstacle)
-                    if hit.depth > 0.0:
-                        touched[rover] = True
-                        # Keys: from 1024, above those of the chassis points.
-                        key = 1024 + obstacle * (boxes + model.wheels) + part
-                        wheel = wp.where(part < boxes, NO_WHEEL, part - boxes)
-                        count = add_contact(
-                            contacts,
-                            count,
-                            body,
-                            model,
-                            solver,
-                            key,
-                            wheel,
-                            axle,
-                            hit.arm,
-                            hit.normal,
-                            -hit.depth,
-                            friction,
-                            AT_REST,
-                        )
+            # Keys: from 1024, above those of the chassis points.
+            count = collide_with_solid(
+                contacts,
+                count,
+                scene,
+                obstacle,
+                body.position,
+                body.rotation,
+                AT_REST,
+                AT_REST,
+                body,
+                model,
+                solver,
+                axles,
+                friction,
+                1024 + obstacle * parts,
+                touched,
+                rover,
+            )
     return count
 
 
@@ -515,25 +561,14 @@ def collide_with_movers(
 ) -> int:
     """Adds a contact for each overlapping pair of a part of the rover and one of a mover; returns the contact count.
 
-    Sets ``touched[rover]`` if there is such a pair. A part of a mover is an obstacle in a frame that moves: with its
-    position x and orientation q at this time, the pose of the rover in it is ``q^-1 (p - x)``, ``q^-1 R``. Its surface
-    moves at ``v + w z x (c - x)`` at a point c.
+    A part of a mover is a solid in a frame that moves: with its position x and orientation q at this time, the pose of
+    the rover in it is ``q^-1 (p - x)``, ``q^-1 R``. Its surface moves at ``v + w z x (c - x)`` at a point c. See
+    :func:`collide_with_solid`.
 
-    Args:
-        contacts: contacts of the thread.
-        count: number of contacts.
-        forms: solids of the parts, each in its own frame.
-        movers: parts of the movers.
-        body: pose, velocity and inertia of the rover.
-        model: model of the robot.
-        solver: solver parameters.
-        axles: directions of the axles.
-        friction: friction coefficient.
-        rest: time from the start of this substep to the end of the control step, s.
-        touched: whether each rover touched a mover.
-        rover: index of the rover.
+    ``forms`` has the solids, each in its own frame. ``rest`` is the time from the start of this substep to the end of
+    the control step, s.
     """
-    boxes = model.box_centers.shape[0]
+    parts = model.box_centers.shape[0] + model.wheels
     for n in range(movers.form.shape[1]):
         form = movers.form[rover, n]
         if form < 0:
@@ -547,35 +582,27 @@ def collide_with_movers(
         frame = wp.quat_from_axis_angle(UP, -rest * turn) * movers.orientation[rover, n]
         position = wp.quat_rotate_inv(frame, body.position - place)
         rotation = wp.transpose(wp.quat_to_matrix(frame)) * body.rotation
-        for part in range(boxes + model.wheels):
-            middle = position + rotation * (part_center(model, part) - body.center)
-            if is_near(forms, form, middle, part_radius(model, part)):
-                axle = LEFT
-                if part >= boxes:
-                    axle = axles[part - boxes]
-                hit = find_overlap(forms, model, body.center, position, rotation, part, axle, form)
-                if hit.depth > 0.0:
-                    touched[rover] = True
-                    point = body.position + body.rotation * hit.arm - place
-                    surface = velocity + turn * wp.vec3(-point[1], point[0], 0.0)
-                    # Keys: from 2^24, above those of the obstacles.
-                    key = MOVER_KEYS + n * (boxes + model.wheels) + part
-                    wheel = wp.where(part < boxes, NO_WHEEL, part - boxes)
-                    count = add_contact(
-                        contacts,
-                        count,
-                        body,
-                        model,
-                        solver,
-                        key,
-                        wheel,
-                        axle,
-                        hit.arm,
-                        hit.normal,
-                        -hit.depth,
-                        friction,
-                        wp.transpose(body.rotation) * surface,
-                    )
+        to_body = wp.transpose(body.rotation)
+        turning = turn * (to_body * UP)
+        # Keys: from 2^24, above those of the obstacles.
+        count = collide_with_solid(
+            contacts,
+            count,
+            forms,
+            form,
+            position,
+            rotation,
+            to_body * velocity + wp.cross(turning, to_body * (body.position - place)),
+            turning,
+            body,
+            model,
+            solver,
+            axles,
+            friction,
+            MOVER_KEYS + n * parts,
+            touched,
+            rover,
+        )
     return count
 
 
