@@ -22,7 +22,7 @@ from rover_rl.envs import EnvConfig
 from rover_rl.envs.seen_map.seen_map import SeenMap
 from rover_rl.sims.robots.rover_zero import ROVER_ZERO
 from rover_rl.sims.worlds import Terrain, World, box
-from rover_rl.sims.worlds.movers import Cylinder, Mover, Waypoints
+from rover_rl.sims.worlds.movers import Box, Cylinder, Door, Mover, Slider, Waypoints
 from tests.algos.policy.crossings import crossing, drive
 
 SPEEDS = (0.6, 1.0, 1.4)
@@ -97,8 +97,16 @@ def test_foresight_needs_an_environment() -> None:
         ForesightPolicy()(observation)
 
 
-def test_movers_ahead_are_where_they_will_be() -> None:
-    env = RoverEnv(EnvConfig(world=crossing(1.0, 0.7), num_envs=2, backend="warp", seed=1))
+CYCLES = World(
+    "cycles",
+    Terrain.flat((20.0, 20.0)),
+    movers=[Mover(Slider((6.0, 3.0), (2.0, 3.0), phase=None)), Mover(Door((-4.0, 0.0)), Box(0.9, 0.05, 2.0))],
+)
+
+
+@pytest.mark.parametrize("world", [crossing(1.0, 0.7), CYCLES], ids=["waypoints", "cycles"])
+def test_movers_ahead_are_where_they_will_be(world: World) -> None:
+    env = RoverEnv(EnvConfig(world=world, num_envs=2, backend="warp", seed=1))
     tensordict = env.reset()
     foreseen = env.movers.ahead(0.5)
     for _ in range(10):

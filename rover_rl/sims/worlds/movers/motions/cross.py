@@ -12,9 +12,9 @@ from rover_rl.sims.worlds.movers.motions.walks import Walk
 class Cross(Walk):
     """Walks straight to a random goal, along walls that are in its way, and then to the next goal.
 
-    With a place to start and a place to go, it walks to and fro between them. A place is a point, or an area in which
-    free points are drawn uniformly. It draws another goal, too, if it makes no way. It takes no notice of rovers and of
-    other movers.
+    With a place to start and a place to go, it walks back and forth between them. A place is a point, or an area in
+    which free points are drawn uniformly. It draws another goal, too, if it makes no way. It takes no notice of rovers
+    and of other movers.
 
     Args:
         speed: speed, m/s.

@@ -1,15 +1,52 @@
-"""What motions to and fro have in common."""
+"""``Cycle``: the base of motions that go there and back, again and again."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
+from rover_rl.checks import check_at_least, check_positive
 from rover_rl.rng import to_unit
-from rover_rl.sims.worlds.movers.motions.base import Scene
+from rover_rl.sims.worlds.movers.motions.base import Courses, Motion, Scene
+from rover_rl.sims.worlds.movers.motions.walks import MAX_TIME
+
+
+@dataclass(frozen=True)
+class Cycle(Motion):
+    """A motion that goes a way, pauses, goes back and pauses, for the whole episode. The clock keeps its phase."""
+
+    is_foreseen: ClassVar[bool] = True
+
+    @classmethod
+    def begin(cls, scene: Scene) -> Courses:
+        """Starts at the phase."""
+        return cls.at_phase(scene, drawn_phase(scene))
+
+    @classmethod
+    def advance(cls, scene: Scene) -> Courses:
+        """Moves on."""
+        return cls.at_phase(scene, scene.course.clock)
+
+    @classmethod
+    @abstractmethod
+    def at_phase(cls, scene: Scene, phase: Tensor) -> Courses:
+        """Returns the courses at the time of the scene, of movers that began at a phase ``[N, M]`` of their cycle."""
+
+
+def check_cycle(phase: float | None, pause: float, period: float | None) -> None:
+    """Raises ``ValueError`` if the phase is not in [0, 1), a time is out of range, or pauses take the whole period."""
+    check_at_least(0.0, MAX_TIME, pause=pause)
+    if phase is not None and not 0 <= phase < 1:
+        raise ValueError(f"phase must be at least 0 and less than 1, or None for a random one, got {phase}")
+    if period is not None:
+        check_positive(MAX_TIME, period=period)
+        if period <= 2 * pause:
+            raise ValueError(f"period must be longer than two pauses of {pause:g} s, got {period}")
 
 
 def checked_point(name: str, point: Any) -> tuple[float, float]:
@@ -25,12 +62,6 @@ def checked_point(name: str, point: Any) -> tuple[float, float]:
     if not (math.isfinite(x) and math.isfinite(y)):
         raise ValueError(f"{name} must be a point (x, y) of finite numbers, got {point}")
     return x, y
-
-
-def check_phase(phase: float | None) -> None:
-    """Raises ``ValueError`` if a phase is not in [0, 1)."""
-    if phase is not None and not 0 <= phase < 1:
-        raise ValueError(f"phase must be at least 0 and less than 1, or None for a random one, got {phase}")
 
 
 def cycle_tensors(way_time: float, pause: float, smooth: bool, phase: float | None) -> dict[str, Tensor]:

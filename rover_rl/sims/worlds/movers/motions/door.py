@@ -9,22 +9,15 @@ import torch
 from torch import Tensor
 
 from rover_rl.checks import check_at_least, check_positive
-from rover_rl.sims.worlds.movers.motions.base import Courses, Motion, Scene
-from rover_rl.sims.worlds.movers.motions.cycles import (
-    check_phase,
-    checked_point,
-    cycle_tensors,
-    drawn_phase,
-    share_of_way,
-)
-from rover_rl.sims.worlds.movers.motions.walks import MAX_TIME
+from rover_rl.sims.worlds.movers.motions.base import Courses, Scene
+from rover_rl.sims.worlds.movers.motions.cycles import Cycle, check_cycle, checked_point, cycle_tensors, share_of_way
 
 MAX_WIDTH = 100.0
 """Widest door, m."""
 
 
 @dataclass(frozen=True)
-class Door(Motion):
+class Door(Cycle):
     """Swings open about a hinge and shut again, gently.
 
     The mover is the leaf: its center goes around the hinge at half the width, and its heading points from the hinge to
@@ -59,13 +52,9 @@ class Door(Motion):
         object.__setattr__(self, "hinge", checked_point("hinge", self.hinge))
         check_positive(MAX_WIDTH, width=self.width)
         check_at_least(-2 * math.pi, 2 * math.pi, closed=self.closed, opening=self.opening)
-        check_positive(MAX_TIME, period=self.period)
-        check_at_least(0.0, MAX_TIME, pause=self.pause)
-        check_phase(self.phase)
+        check_cycle(self.phase, self.pause, self.period)
         if self.opening == 0:
             raise ValueError("opening must not be 0")
-        if self.period <= 2 * self.pause:
-            raise ValueError(f"period must be longer than two pauses of {self.pause:g} s, got {self.period}")
 
     def first_point(self) -> tuple[float, float] | None:
         """Returns the center of the shut leaf, unless the phase is random or another one."""
@@ -84,18 +73,8 @@ class Door(Motion):
         }
 
     @classmethod
-    def begin(cls, scene: Scene) -> Courses:
-        """Starts at the phase, which the clock keeps."""
-        return cls._at(scene, drawn_phase(scene))
-
-    @classmethod
-    def advance(cls, scene: Scene) -> Courses:
-        """Swings on."""
-        return cls._at(scene, scene.course.clock)
-
-    @classmethod
-    def _at(cls, scene: Scene, phase: Tensor) -> Courses:
-        """Returns the course at the time of the scene."""
+    def at_phase(cls, scene: Scene, phase: Tensor) -> Courses:
+        """Returns the courses: see :meth:`Cycle.at_phase`."""
         settings, course = scene.settings, scene.course
         share, rate = share_of_way(settings, scene.time, phase)
         yaw, turn = settings["closed"] + share * settings["opening"], rate * settings["opening"]

@@ -11,14 +11,13 @@ from rover_rl.sims.worlds.movers.motions.walking_kernels import (
     FAR,
     OWN,
     SPEED,
-    STEPS,
     CourseArrays,
     Crowd,
     Walls,
     finish_step,
     kept_distance,
     left_of,
-    uniform,
+    step_noise,
     walked,
     wall_at,
     way_to,
@@ -240,9 +239,7 @@ def avoid(crowd: Crowd, walls: Walls, before: CourseArrays, after: CourseArrays)
     speed = crowd.settings[row, mover, SPEED]
     velocity = before.velocity[row, mover]
     way = way_to(crowd, walls, row, mover, start, goal, before.draws[row, mover])
-    step = wp.uint64(wp.int64(crowd.time[row, 0] / wp.float64(dt) + wp.float64(0.5)))
-    key = crowd.keys[row, mover]
-    noise = wp.vec2(uniform(key, STEPS, step, 0) - 0.5, uniform(key, STEPS, step, 1) - 0.5)
+    noise = step_noise(crowd, row, mover)
     wanted = wp.min(speed, wp.length(goal - start) / dt) * way + NOISE * speed * noise
 
     radius = crowd.radius[row, mover]

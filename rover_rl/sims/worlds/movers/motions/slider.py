@@ -1,4 +1,4 @@
-"""``Slider``: slides to and fro between two points."""
+"""``Slider``: slides back and forth between two points."""
 
 from __future__ import annotations
 
@@ -8,21 +8,15 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from rover_rl.checks import check_at_least, check_positive
-from rover_rl.sims.worlds.movers.motions.base import Courses, Motion, Scene
-from rover_rl.sims.worlds.movers.motions.cycles import (
-    check_phase,
-    checked_point,
-    cycle_tensors,
-    drawn_phase,
-    share_of_way,
-)
-from rover_rl.sims.worlds.movers.motions.walks import MAX_SPEED, MAX_TIME
+from rover_rl.checks import check_positive
+from rover_rl.sims.worlds.movers.motions.base import Courses, Scene
+from rover_rl.sims.worlds.movers.motions.cycles import Cycle, check_cycle, checked_point, cycle_tensors, share_of_way
+from rover_rl.sims.worlds.movers.motions.walks import MAX_SPEED
 
 
 @dataclass(frozen=True)
-class Slider(Motion):
-    """Slides to and fro between two points, as a gate or a cart does, and never turns.
+class Slider(Cycle):
+    """Slides back and forth between two points, as a gate or a cart does, and never turns.
 
     Args:
         to: point at the other end, m.
@@ -52,16 +46,11 @@ class Slider(Motion):
         for name in ("to", "start"):
             object.__setattr__(self, name, checked_point(name, getattr(self, name)))
         check_positive(MAX_SPEED, speed=self.speed)
-        check_at_least(0.0, MAX_TIME, pause=self.pause)
-        check_phase(self.phase)
+        check_cycle(self.phase, self.pause, self.period)
         if self.to == self.start:
             raise ValueError(f"to and start must be different points, got {self.to} twice")
         if self.yaw is not None and not math.isfinite(self.yaw):
             raise ValueError(f"yaw must be finite, got {self.yaw}")
-        if self.period is not None:
-            check_positive(MAX_TIME, period=self.period)
-            if self.period <= 2 * self.pause:
-                raise ValueError(f"period must be longer than two pauses of {self.pause:g} s, got {self.period}")
 
     @property
     def way_time(self) -> float:
@@ -84,18 +73,8 @@ class Slider(Motion):
         }
 
     @classmethod
-    def begin(cls, scene: Scene) -> Courses:
-        """Starts at the phase, which the clock keeps."""
-        return cls._at(scene, drawn_phase(scene))
-
-    @classmethod
-    def advance(cls, scene: Scene) -> Courses:
-        """Slides on."""
-        return cls._at(scene, scene.course.clock)
-
-    @classmethod
-    def _at(cls, scene: Scene, phase: Tensor) -> Courses:
-        """Returns the course at the time of the scene."""
+    def at_phase(cls, scene: Scene, phase: Tensor) -> Courses:
+        """Returns the courses: see :meth:`Cycle.at_phase`."""
         settings, course = scene.settings, scene.course
         share, rate = share_of_way(settings, scene.time, phase)
         position = settings["start"] + share[..., None] * settings["way"]

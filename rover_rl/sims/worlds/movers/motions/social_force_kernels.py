@@ -6,13 +6,12 @@ from rover_rl.sims.native.warp import wp
 from rover_rl.sims.worlds.movers.motions.walking_kernels import (
     OWN,
     SPEED,
-    STEPS,
     CourseArrays,
     Crowd,
     Walls,
     finish_step,
     kept_distance,
-    uniform,
+    step_noise,
     walked,
     wall_at,
     way_to,
@@ -129,9 +128,7 @@ def follow_forces(crowd: Crowd, walls: Walls, before: CourseArrays, after: Cours
         return
     way = way_to(crowd, walls, row, mover, start, before.goal[row, mover], before.draws[row, mover])
     # Uniform numbers of the standard deviation that is set.
-    step = wp.uint64(wp.int64(crowd.time[row, 0] / wp.float64(dt) + wp.float64(0.5)))
-    key = crowd.keys[row, mover]
-    noise = wp.vec2(uniform(key, STEPS, step, 0) - 0.5, uniform(key, STEPS, step, 1) - 0.5)
+    noise = step_noise(crowd, row, mover)
     sum = acceleration(crowd, walls, before, row, mover, way)
     sum += crowd.settings[row, mover, FLUCTUATION] * 2.0 * ROOT_3 * noise
     velocity = before.velocity[row, mover] + dt * sum

@@ -323,6 +323,14 @@ def way_to(crowd: Crowd, walls: Walls, row: int, mover: int, point: wp.vec2, goa
 
 
 @wp.func
+def step_noise(crowd: Crowd, row: int, mover: int) -> wp.vec2:
+    """Two uniform numbers in [-0.5, 0.5) of a mover in this step."""
+    step = wp.uint64(wp.int64(crowd.time[row, 0] / wp.float64(crowd.dt) + wp.float64(0.5)))
+    key = crowd.keys[row, mover]
+    return wp.vec2(uniform(key, STEPS, step, 0) - 0.5, uniform(key, STEPS, step, 1) - 0.5)
+
+
+@wp.func
 def finish_step(
     crowd: Crowd,
     walls: Walls,
