@@ -78,10 +78,7 @@ class DynaBarn(MovingSuite):
         seed: seed of these starts.
     """
 
-    name = "DynaBARN"
-
-    def __init__(self, courses: Sequence[Course], *, runs: int = 1, seed: int = 0) -> None:
-        super().__init__(courses, runs=runs, seed=seed, goal_radius=GOAL_RADIUS, seconds=SECONDS)
+    name, radius, limit = "DynaBARN", GOAL_RADIUS, SECONDS
 
     def original(self) -> tuple[str, str, str]:
         """Returns the name of the original, its robot and its lidar."""

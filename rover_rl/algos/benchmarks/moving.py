@@ -116,10 +116,14 @@ class MovingSuite(Suite):
         courses: courses.
         runs: number of runs of each course. All but the first start near the given start.
         seed: seed of these starts, and of movers that move at random.
-        goal_radius: distance from the goal at which it is reached, m.
-        seconds: time limit of a run, s.
+
+    Attributes:
+        radius: distance from the goal at which it is reached, m.
+        limit: time limit of a run, s.
     """
 
+    radius: ClassVar[float]
+    limit: ClassVar[float]
     score_name = "success"
     places = "worlds"
     columns: ClassVar = {
@@ -129,6 +133,9 @@ class MovingSuite(Suite):
         "time_limit_rate": ("time-outs", "%"),
         "mean_time": ("mean time", "s"),
     }
+
+    def __init__(self, courses: Sequence[Course], *, runs: int = 1, seed: int = 0) -> None:
+        super().__init__(courses, runs=runs, seed=seed, goal_radius=self.radius, seconds=self.limit)
 
     def score(self, course: Course, run: Trajectory) -> float:
         """Returns 1 for a run that reached its goal, else 0."""

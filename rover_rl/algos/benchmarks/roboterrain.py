@@ -1,4 +1,4 @@
-"""RoboTerrain: goals one after the other among people who walk to and fro.
+"""RoboTerrain: goals one after the other among people who walk back and forth.
 
 Worlds with walkers are SDF files of https://github.com/jackvice/RoboTerrain (Apache-2.0). The rover drives for some
 minutes, and contacts do not end a run. What counts is how long it is closer than 0.5 m to a person, and how long it

@@ -87,10 +87,7 @@ class RosJackal(MovingSuite):
         seed: seed of these starts.
     """
 
-    name = "ros_jackal"
-
-    def __init__(self, courses: Sequence[Course], *, runs: int = 1, seed: int = 0) -> None:
-        super().__init__(courses, runs=runs, seed=seed, goal_radius=GOAL_RADIUS, seconds=SECONDS)
+    name, radius, limit = "ros_jackal", GOAL_RADIUS, SECONDS
 
     def original(self) -> tuple[str, str, str]:
         """Returns the name of the original, its robot and its lidar."""
