@@ -2,7 +2,7 @@
 
     python -m benchmarks.movers
 
-Cylinders with a radius of 0.3 m walk to and fro through a square yard of 20 x 20 m, and rovers drive at random among
+Cylinders with a radius of 0.3 m move back and forth through a yard of 20 x 20 m, and rovers drive at random among
 them. All environments of a simulator are measured alternately, in processor time, so that other load affects them
 alike. The table shows the median of the ratios to the environment without movers.
 """

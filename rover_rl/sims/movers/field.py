@@ -21,7 +21,7 @@ from rover_rl.sims.worlds.region import union
 from rover_rl.sims.worlds.table import SlotTable, TerrainTable, WorldTable
 
 STRIDE = 1.3
-"""Way in which a walking mover swings its legs once to and fro, m: two steps of 0.65 m."""
+"""Length of a stride of a walking mover, in which each leg swings forward and back, m: two steps of 0.65 m."""
 FULL_SWING = 1.2
 """Speed from which on legs swing with their whole amplitude, m/s."""
 MAX_SPEED = 20.0

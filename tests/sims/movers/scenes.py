@@ -31,7 +31,7 @@ def going(shape: Shape, start: tuple[float, float], end: tuple[float, float], se
 
 
 def crowd(count: int, random_start: bool) -> World:
-    """Movers of all shapes that cross the middle of the world, to and fro."""
+    """Movers of all shapes that move back and forth across the middle of the world."""
     generator = np.random.default_rng(0)
     movers = []
     for index in range(count):

@@ -137,7 +137,7 @@ def corridor(seed: int = 0, difficulty: float = DEFAULT) -> World:
 
 
 def crossing(seed: int = 0, difficulty: float = DEFAULT) -> World:
-    """Creates two ways that cross. The rover goes along one, and people walk along the other, to and fro.
+    """Creates two ways that cross. The rover goes along one, and people walk back and forth along the other.
 
     Args:
         seed: seed of the people.
