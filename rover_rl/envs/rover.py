@@ -107,7 +107,7 @@ class RoverEnv(EnvBase):
         sensors: sensors that it reads, by name.
         simulator: simulator. A reset after ``close()`` replaces it.
         movers: movers of each row, where they are and where they go.
-        scanner: its lidar, which makes the raw scans.
+        scanner: its lidar, which scans what does not move.
 
     Raises:
         ValueError: if the world, backend or robot is unknown, the device is not available, there are fewer beams than
@@ -316,7 +316,7 @@ class RoverEnv(EnvBase):
         self.movers = MoverField(self._row_worlds.table, self.control_dt, self.robot.radius, is_live)
         self._surroundings = Surroundings(self._row_worlds.table, self.movers)
         self._surroundings.is_live = is_live
-        self.scanner = MoverScanner(self.scanner, self.movers, self.simulator, self.robot)
+        self._lidar = MoverScanner(self.scanner, self.movers, self.simulator, self.robot)
         if "movers" in self.simulator.capabilities:
             cast(MoverCarrier, self.simulator).meet(self.movers)
 
@@ -431,7 +431,7 @@ class RoverEnv(EnvBase):
         ``rows`` have moved, bool ``[N]`` on the simulator's device; ``None``: all.
         """
         state, config = self._state, self.config
-        ranges = self.scanner.scan(self._scanning(rows, steps))
+        ranges = self._lidar.scan(self._scanning(rows, steps))
         if self.simulator.device != self._tensor_device:
             rover, ranges = rover.to(self._tensor_device), ranges.to(self._tensor_device)
         state.truth = Perception(rover, ranges, self.lidar)

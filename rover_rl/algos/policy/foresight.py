@@ -9,7 +9,8 @@ robot's limits of acceleration, and the discs that cover it among the movers. Th
 that takes least time, including that of the plan from its end.
 
 Example:
-    >>> env = RoverEnv(world_n=world_with_movers, num_envs=2, backend="warp")
+    >>> from rover_rl.algos.policy.runner import PolicyRunner
+    >>> env = RoverEnv(world_n="plaza", num_envs=2, backend="warp", seed=0)
     >>> runner = PolicyRunner(ForesightPolicy(), env=env)
     >>> runner(env.reset()).shape
     torch.Size([2, 2])
