@@ -20,15 +20,18 @@ from PIL import Image
 
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.free_space.draw import FREE, GOAL
+from rover_rl.sims.movers.draw import draw_movers
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import WORLDS, World, get_world
 from rover_rl.sims.worlds.draw import draw_map
-from rover_rl.sims.worlds.region import Area, expanded, overlap
+from rover_rl.sims.worlds.region import Area, expanded, overlap, union
 
 FOLDER = Path(__file__).parent / "images"
 SEEDS, DIFFICULTIES = (1, 2), (0, 0.5, 1)
 MARGIN, AROUND = 0.5, 6.0
 """Width of the margin around the floor, and of the ground shown around the task area, m."""
+LEAST_HEIGHT = 3.0
+"""Height of a picture from which on its titles have room, inches."""
 COLORS = 160
 """Number of colors of a picture, which keeps its file small."""
 
@@ -36,21 +39,23 @@ COLORS = 160
 def draw(name: str) -> Path:
     """Draws six layouts of a generator: a row for each seed, a column for each difficulty."""
     width, height = (high - low for low, high in _view(get_world(name)))
-    figure = Figure(figsize=(10.2, 0.6 + 6.5 * height / width), layout="constrained")
+    figure = Figure(figsize=(10.2, max(LEAST_HEIGHT, 0.6 + 6.5 * height / width)), layout="constrained")
     axes = figure.subplots(len(SEEDS), len(DIFFICULTIES))
     for ax, (seed, difficulty) in zip(axes.flat, product(SEEDS, DIFFICULTIES), strict=True):
-        _draw_layout(ax, f"{name}:{seed}@{difficulty:g}")
+        _draw_layout(ax, f"{name}:{seed}@{difficulty:g}", seed)
     return _save(figure, FOLDER / f"generator_{name}.png")
 
 
 def _view(world: World) -> Area:
     """Returns the area to show: the floor around the task area, and a margin."""
-    shown = overlap(expanded(world.spawn_range, AROUND), overlap(world.bounds, world.terrain.extent))
+    shown = overlap(
+        expanded(union(world.spawn_range, world.goal_range), AROUND), overlap(world.bounds, world.terrain.extent)
+    )
     return expanded(shown, MARGIN)
 
 
-def _draw_layout(ax: Axes, name: str) -> None:
-    """Draws the map of a world, the ground that the rover may enter, and the task area."""
+def _draw_layout(ax: Axes, name: str, seed: int) -> None:
+    """Draws the map of a world, the ground that the rover may enter, the task area, and movers as in a row's seed."""
     world = get_world(name)
     view = _view(world)
     draw_map(ax, world, view)
@@ -61,8 +66,9 @@ def _draw_layout(ax: Axes, name: str) -> None:
     passable = np.ma.masked_equal(free.passable.numpy(), False)
     ax.imshow(passable, ListedColormap([FREE]), alpha=0.16, origin="lower", extent=extent, zorder=1)
     ax.contour(free.passable.numpy(), levels=[0.5], colors=FREE, linewidths=0.7, origin="lower", extent=extent)
-    (x, right), (y, top) = world.spawn_range
-    ax.add_patch(Rectangle((x, y), right - x, top - y, fill=False, edgecolor=GOAL, linestyle="--", zorder=4))
+    for (x, right), (y, top) in {world.spawn_range, world.goal_range}:
+        ax.add_patch(Rectangle((x, y), right - x, top - y, fill=False, edgecolor=GOAL, linestyle="--", zorder=4))
+    draw_movers(ax, world, seed)
     ax.set_title(name, family="monospace", fontsize=10)
     ax.set(xlim=view[0], ylim=view[1], xlabel="", ylabel="")
     ax.tick_params(labelsize=7, length=2)

@@ -52,7 +52,8 @@ class Evaluate:
     """In endless mode, end an episode after a long collision, as in the contract. The original never does."""
     columns: tuple[str, ...] = ()
     """Columns of the table: all, or names of metrics such as spl jerk (docs/evaluation.md).
-    Default: success, clean, SPL, time, touched, and the endings that occur."""
+    Default: success, clean, SPL, time, touched, where something moves also contacts with it and the least distance to
+    it, and the endings that occur."""
     workers: int | None = None
     """Number of processes. The results do not depend on it. Default: the number of CPU cores."""
     out: Path | None = None
@@ -137,6 +138,7 @@ class Evaluate:
         self, policies: list[ResolvedPolicy], sets: dict[str, EpisodeSet], backends: list[str | None]
     ) -> list[Evaluation | EndlessEvaluation]:
         """Evaluates the policies in each world and backend."""
+        from rover_rl.algos.evaluation.mover_traces import TRACE
         from rover_rl.algos.evaluation.parallel import EndlessRequest, GoalRequest, evaluate_all
 
         requests: list[GoalRequest | EndlessRequest] = []
@@ -146,7 +148,8 @@ class Evaluate:
                 if world in (policy.worlds or sets):
                     env = self.environment.description(policy.module, backend)
                     runs.append((policy, {"name": policy.name, "action_repeat": self.action_repeat, "env": env}))
-            requests += [GoalRequest(policy.module, episodes, {**s, "seconds": self.seconds}) for policy, s in runs]
+            limits = {"seconds": self.seconds, "track_movers": TRACE}
+            requests += [GoalRequest(policy.module, episodes, {**s, **limits}) for policy, s in runs]
             if self.endless:
                 requests += [EndlessRequest(policy.module, world, {**s, "jam": self.jam}) for policy, s in runs]
         return evaluate_all(requests, self.workers)

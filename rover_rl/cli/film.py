@@ -59,7 +59,7 @@ class Film:
     seed: int | None = None
     """Seed of starts and goals. Default: 0; with --episode the stored starts and goals."""
     rovers: int | None = None
-    """Number of rovers. Default: 1 for chase, 16 for top."""
+    """Number of rovers. Default: 1 for chase and in worlds with movers, 16 for top."""
     width: int = 480
     """Width of the video, pixels."""
     height: int = 360
@@ -169,16 +169,20 @@ class Film:
         """Films rovers that drive from goal to goal."""
         from rover_rl.algos.evaluation.plots import draw_reward_components
         from rover_rl.algos.video.film import film
+        from rover_rl.sims.worlds.pool import WorldPool
 
         policy = self._resolve()
+        world = policy.worlds[0] if policy.worlds else "maze"
+        # Each rover meets movers of its own, of which a film shows those of the first one.
+        alone = self.view == "chase" or bool(WorldPool(world)[0].movers)
         rollout = film(
             policy.module,
             self.out,
-            world=policy.worlds[0] if policy.worlds else "maze",
+            world=world,
             view=self.view,
             seconds=FILMED if self.seconds is None else self.seconds,
             seed=self.seed or 0,
-            rows={"chase": 1, "top": 16}[self.view] if self.rovers is None else self.rovers,
+            rows=self.rovers or (1 if alone else 16),
             width=self.width,
             height=self.height,
             fps=self.fps,

@@ -291,9 +291,6 @@ def _until_contact(evaluation: Evaluation) -> Evaluation:
     runs = []
     for run, touched in zip(evaluation.trajectories, evaluation.contacts, strict=True):
         if touched.any():
-            end = int(touched.to(torch.uint8).argmax())
-            parts = {key: getattr(run, key)[:end] for key in ("collision", "goal")}
-            parts |= {key: getattr(run, key)[: end + 1] for key in ("position", "angles")}
-            run = replace(run, **parts, ending=CONTACT)
+            run = run.until(int(touched.to(torch.uint8).argmax()), CONTACT)
         runs.append(run)
     return replace(evaluation, trajectories=runs)

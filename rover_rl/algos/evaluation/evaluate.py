@@ -23,7 +23,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from rover_rl.algos.evaluation.cores import over_cores
 from rover_rl.algos.evaluation.episodes import DEFAULT_SEED, EpisodeSet
 from rover_rl.algos.evaluation.episodes import draw_episodes as draw_episodes
-from rover_rl.algos.evaluation.metrics import TIME_LIMIT, Trajectory
+from rover_rl.algos.evaluation.metrics import TIME_LIMIT, Encounters, MoverTrack, Trajectory
 from rover_rl.algos.evaluation.results import EndlessEvaluation, Evaluation
 from rover_rl.algos.policy.baselines import RandomPolicy
 from rover_rl.algos.policy.networks import single_threaded
@@ -32,6 +32,7 @@ from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least
 from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
 from rover_rl.envs.config import require_match
 from rover_rl.progress import ProgressDisplay
+from rover_rl.sims.movers.field import Parts
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World, get_world
@@ -60,6 +61,7 @@ def evaluate(
     rows: int = 32,
     env: EnvConfig | None = None,
     watch: Watcher | None = None,
+    track_movers: bool | float = False,
 ) -> Evaluation:
     """Evaluates a policy on episodes with one goal each and a time limit.
 
@@ -78,6 +80,8 @@ def evaluate(
             the defaults.
         watch: function that is called at the start and after each step of the episodes, with the environment, the
             index of each rover's episode, int64 ``[N]``, and the rovers that it concerns, bool ``[N]``.
+        track_movers: whether the trajectories keep where the movers are, or for how long before the end of an episode,
+            s. A mover takes 28 bytes per step and solid.
 
     Raises:
         ValueError: for a number out of range, or a policy that was made for another environment.
@@ -95,7 +99,8 @@ def evaluate(
         rovers = RoverEnv(replace(env_config, world=place, num_envs=len(worlds), seed=seed))
         rovers.length = max(1, round(seconds / rovers.control_dt))
         places = {"start": part.start, "goal": part.goal}
-        return _drive(rovers, policy, action_repeat, name, schedule, places, part.offset, watch)
+        options = (places, part.offset, watch, track_movers)
+        return _drive(rovers, policy, action_repeat, name, schedule, *options)
 
     driven = over_cores(drive, _with_few_worlds(episodes, rows), name, workers=1)
     env_config = replace(env_config, world=episodes.name, seed=episodes.seed)
@@ -183,11 +188,12 @@ def _drive(
     places: Mapping[str, Tensor] | None = None,
     offset: int = 0,
     watch: Watcher | None = None,
+    track_movers: bool | float = False,
 ) -> list[Trajectory]:
     """Drives episodes and closes the environment. A rover takes the next episode when its own has ended."""
     places = places or {}
     runner = PolicyRunner(policy, action_repeat, _MIN_ROWS, env)
-    recorder = _Recorder(schedule.count, env.length, env.control_dt, watch)
+    recorder = _Recorder(schedule.count, env, watch, track_movers)
     episode = torch.tensor(schedule.first)
     driving = torch.ones(env.num_envs, dtype=torch.bool)
 
@@ -239,21 +245,34 @@ class _Schedule:
 class _Recorder:
     """Records episodes step by step, in one tensor for all of them."""
 
-    def __init__(self, count: int, length: int, dt: float, watch: Watcher | None = None) -> None:
-        self._dt, self._watch = dt, watch
-        # Position (3), angles (3), collision, goal.
-        self._records = torch.zeros(count, length + 1, 8)
+    def __init__(
+        self, count: int, env: RoverEnv, watch: Watcher | None = None, track_movers: bool | float = False
+    ) -> None:
+        self._dt, self._watch = env.control_dt, watch
+        self._has_movers = "mover_contact" in env.observation_spec["outcome"]
+        # Position (3), angles (3), collision, goal; with movers also contact, gap, distance of centers.
+        self._records = torch.zeros(count, env.length + 1, 11 if self._has_movers else 8)
         self._steps = torch.zeros(count, dtype=torch.int64)
         self._endings = [""] * count
+        self._tracks: list[_Tracker] | None = None
+        if track_movers and self._has_movers:
+            steps = None if track_movers is True else 1 + round(track_movers / self._dt)
+            self._tracks = [_Tracker(steps) for _ in range(count)]
 
     def add(self, env: RoverEnv, tensordict: TensorDictBase, episode: Tensor, rows: Tensor) -> None:
         """Records a step of the ``rows`` (bool ``[N]``), each of which drives an ``episode`` (int64 ``[N]``)."""
         outcome, rover = tensordict["outcome"], env.rover_state
-        events = (outcome["collision"], outcome["goal_reached"])
-        record = torch.cat((rover.position, quaternion_to_euler(rover.orientation), *events), -1)
+        values = [rover.position, quaternion_to_euler(rover.orientation), outcome["collision"], outcome["goal_reached"]]
+        if self._has_movers:
+            gap = (outcome["mover_distance"] - env.robot.radius).clamp(min=0)
+            values += [outcome["mover_contact"], gap, env.movers.nearest_center(rover.position[:, :2])]
+        record = torch.cat(values, -1)
         steps = outcome["steps"].squeeze(-1)
         self._records[episode[rows], steps[rows]] = record[rows]
         self._steps[episode[rows]] = steps[rows]
+        if self._tracks is not None and env.movers.parts is not None:
+            for row in rows.nonzero().squeeze(-1).tolist():
+                self._tracks[int(episode[row])].add(env.movers.parts, row)
         if self._watch is not None:
             self._watch(env, episode, rows)
 
@@ -271,9 +290,38 @@ class _Recorder:
     @property
     def trajectories(self) -> list[Trajectory]:
         """Trajectories of the episodes, in order."""
-        ended = zip(self._records, self._steps.tolist(), self._endings, strict=True)
-        parts = [(record[: steps + 1].split((3, 3, 1, 1), -1), ending) for record, steps, ending in ended]
-        return [
-            Trajectory(position, angles, collision[1:, 0].bool(), goal[1:, 0].bool(), ending, dt=self._dt)
-            for (position, angles, collision, goal), ending in parts
-        ]
+        return [self._trajectory(episode) for episode in range(len(self._endings))]
+
+    def _trajectory(self, episode: int) -> Trajectory:
+        record = self._records[episode, : self._steps[episode] + 1]
+        position, angles, events, met = record.tensor_split((3, 6, 8), -1)
+        collision, goal = events[1:].bool().unbind(-1)
+        encounters, track = None, None
+        # In a world without movers, the nearest one is infinitely far away.
+        if self._has_movers and met[0, 1].isfinite():
+            contact, gap, center_distance = met.unbind(-1)
+            encounters = Encounters(contact.bool(), gap, center_distance)
+            track = None if self._tracks is None else self._tracks[episode].track
+        ending = self._endings[episode]
+        return Trajectory(position, angles, collision, goal, ending, dt=self._dt, encounters=encounters, movers=track)
+
+
+class _Tracker:
+    """Records where the movers are in an episode, in the last ``steps`` of it, or in all."""
+
+    def __init__(self, steps: int | None) -> None:
+        self._places = deque[Tensor](maxlen=steps)
+
+    def add(self, parts: Parts, row: int) -> None:
+        """Records the solids of a row, in which the movers stay the same."""
+        present = parts.kind[row] >= 0
+        if not self._places:
+            self._kept = [values[row][present].cpu() for values in (parts.kind, parts.half, parts.mover)]
+        self._places.append(torch.cat((parts.position[row], parts.orientation[row]), -1)[present].cpu())
+
+    @property
+    def track(self) -> MoverTrack:
+        """Where the movers were."""
+        kind, half, mover = self._kept
+        position, orientation = torch.stack([*self._places]).split((3, 4), -1)
+        return MoverTrack(kind, half, mover, position, orientation)

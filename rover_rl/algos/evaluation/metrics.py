@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from inspect import signature
 from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -32,6 +33,9 @@ moon, and nothing of maze. The original environment defines rough ground by an a
 wheeled rover does not reach at 1 m/s: the maximum in the 20 Hz positions of 192 episodes in the three worlds is
 10 m/s^2."""
 STANDSTILL = 0.05  #: Speed below which the rover stands still, m/s.
+RISK = 0.5  #: Distance from the rover's origin to that of a mover below which the rover is at risk, m.
+PERSONAL = 1.2  #: Distance between rover and mover below which the rover intrudes on the mover's space, m.
+FREEZING = 2.0  #: Distance between rover and mover within which a rover that stands still counts as frozen, m.
 RESAMPLES = 2000  #: Number of bootstrap resamples.
 
 TIME_LIMIT = "time limit"  #: Ending of an episode at its time limit.
@@ -52,6 +56,42 @@ class Estimate:
     high: float
 
 
+class Encounters(NamedTuple):
+    """What happens between the rover and movers in an episode of T steps, at the start and after each step.
+
+    Attributes:
+        contact: whether the rover touched a mover in the step, bool ``[T + 1]``.
+        gap: horizontal distance from the disc of the robot's radius around the rover to the surface of the nearest
+            mover, 0 if they overlap, float32 ``[T + 1]``, m.
+        center_distance: horizontal distance from the origin of the rover to that of the nearest mover, float32
+            ``[T + 1]``, m.
+    """
+
+    contact: Tensor
+    gap: Tensor
+    center_distance: Tensor
+
+
+class MoverTrack(NamedTuple):
+    """Where the P solids of the movers are in an episode of T steps, at the start and after each step.
+
+    A track of the last seconds of an episode begins later.
+
+    Attributes:
+        kind: index in :data:`~rover_rl.sims.worlds.movers.shapes.KINDS`, int32 ``[P]``.
+        half: half of the length, width and height, float32 ``[P, 3]``, m.
+        mover: index of the solid's mover in the world's ``movers``, int64 ``[P]``.
+        position: centers, float32 ``[T + 1, P, 3]``, m.
+        orientation: orientations, unit quaternions (x, y, z, w), float32 ``[T + 1, P, 4]``.
+    """
+
+    kind: Tensor
+    half: Tensor
+    mover: Tensor
+    position: Tensor
+    orientation: Tensor
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """Record of one episode of T steps.
@@ -64,6 +104,8 @@ class Trajectory:
         ending: ``"goal"``, :data:`TIME_LIMIT`, or one of :data:`EARLY_ENDINGS`.
         reversals: number of changes of the commanded turning direction; nan if commands are not recorded.
         dt: duration of a step, s.
+        encounters: what happens between the rover and movers; ``None`` if the world has none.
+        movers: where the movers are; ``None`` if the world has none, or if this was not asked for.
     """
 
     position: Tensor
@@ -73,9 +115,27 @@ class Trajectory:
     ending: str
     reversals: float = math.nan
     dt: float = CONTROL_DT
+    encounters: Encounters | None = None
+    movers: MoverTrack | None = None
 
     def __len__(self) -> int:
         return len(self.collision)
+
+    def touching(self, walls: Tensor) -> Tensor:
+        """Returns contacts with anything, bool ``[T + 1]``: those of :func:`find_body_contacts`, and with movers."""
+        return walls if self.encounters is None else walls | self.encounters.contact
+
+    def until(self, steps: int, ending: str) -> Trajectory:
+        """Returns the first ``steps`` steps as an episode with the given ending."""
+        states: dict[str, Any] = {key: getattr(self, key)[: steps + 1] for key in ("position", "angles")}
+        events = {key: getattr(self, key)[:steps] for key in ("collision", "goal")}
+        if self.encounters is not None:
+            states["encounters"] = Encounters(*(values[: steps + 1] for values in self.encounters))
+        if self.movers is not None:
+            kept = max(0, len(self.movers.position) - (len(self) - steps))
+            places = {key: getattr(self.movers, key)[:kept] for key in ("position", "orientation")}
+            states["movers"] = self.movers._replace(**places)
+        return replace(self, **states, **events, ending=ending)
 
     @property
     def seconds(self) -> float:
@@ -174,9 +234,12 @@ def ratio(numerators: Sequence[float], denominators: Sequence[float] | None = No
 
 
 def contact_free_success_rate(trajectories: Sequence[Trajectory], contacts: Sequence[Tensor]) -> Estimate:
-    """Proportion of episodes that reach their goal without a contact: see :func:`find_body_contacts`."""
+    """Proportion of episodes that reach their goal without a contact: see :func:`find_body_contacts`.
+
+    Contacts with movers, which the trajectories have, count too.
+    """
     pairs = zip(trajectories, contacts, strict=True)
-    clean = sum(t.ending == "goal" and not touched.any() for t, touched in pairs)
+    clean = sum(t.ending == "goal" and not t.touching(touched).any() for t, touched in pairs)
     return proportion(clean, len(trajectories))
 
 
@@ -254,7 +317,7 @@ def count_runs(flags: Tensor) -> int:
 def find_body_contacts(
     trajectories: Sequence[Trajectory], world: World | Sequence[World], robot: Robot
 ) -> list[Tensor]:
-    """Finds the poses of each episode at which the rover's body touches an obstacle, bool ``[T + 1]`` each.
+    """Finds the poses of each episode at which the rover's body touches an obstacle at rest, bool ``[T + 1]`` each.
 
     See :func:`~rover_rl.algos.evaluation.body_contacts.is_touching`. A contact need not be a lidar collision: at the
     sides and at the rear, the outline may be farther from the lidar. ``world`` is that of all episodes, or of each.
@@ -272,6 +335,55 @@ def find_body_contacts(
     return [contacts[episode] for episode in range(len(trajectories))]
 
 
+class EncounterFigures(NamedTuple):
+    """Figures of one episode in a world with movers: see :func:`encounter_figures`."""
+
+    mover_contacts: int
+    run_into: int
+    least_mover_distance: float
+    risk_seconds: float
+    intrusion_seconds: float
+    frozen_seconds: float
+
+
+def encounter_figures(trajectory: Trajectory) -> EncounterFigures:
+    """Computes the figures of one episode in a world with movers.
+
+    - ``mover_contacts``: number of contacts with movers. Consecutive steps in contact are one.
+    - ``run_into``: number of contacts that begin while the rover stands still: its speed in the step before the
+      contact is below 0.05 m/s. The step of the contact itself does not tell, as the mover pushes the rover.
+    - ``least_mover_distance``: least distance between the disc of the robot's radius and a mover, m.
+    - ``risk_seconds``: time with the origins of rover and mover within 0.5 m, s. RoboTerrain's definition
+      (https://github.com/jackvice/RoboTerrain).
+    - ``intrusion_seconds``: time with a mover within 1.2 m of the disc, s. People keep others out of this personal
+      space (Hall, "The Hidden Dimension", 1966).
+    - ``frozen_seconds``: time for which the rover is slower than 0.05 m/s with a mover within 2 m of the disc, s
+      (Trautman and Krause, "Unfreezing the robot", IROS 2010).
+
+    Raises:
+        ValueError: if the trajectory has no encounters.
+    """
+    if trajectory.encounters is None:
+        raise ValueError("the trajectory has no encounters with movers")
+    contact, gap, center_distance = trajectory.encounters
+    standing = trajectory.speed < STANDSTILL
+    # Rovers start at rest.
+    stood = torch.cat((standing.new_ones(1), standing[:-1]))
+    begins = contact[1:] & ~contact[:-1]
+
+    def seconds(flags: Tensor) -> float:
+        return int(flags.sum()) * trajectory.dt
+
+    return EncounterFigures(
+        mover_contacts=count_runs(contact),
+        run_into=int((begins & stood).sum()) + int(contact[0]),
+        least_mover_distance=gap.min().item(),
+        risk_seconds=seconds(center_distance[1:] < RISK),
+        intrusion_seconds=seconds(gap[1:] < PERSONAL),
+        frozen_seconds=seconds(standing & (gap[1:] < FREEZING)),
+    )
+
+
 class Drives(list[Trajectory]):
     """Recorded episodes, with the flags of :func:`find_body_contacts` and the shortest lengths of :func:`spl`."""
 
@@ -279,10 +391,23 @@ class Drives(list[Trajectory]):
         self, trajectories: Sequence[Trajectory], contacts: Sequence[Tensor], shortest: Tensor | None = None
     ) -> None:
         super().__init__(trajectories)
-        self.contacts, self.shortest = contacts, torch.zeros(0) if shortest is None else shortest
-        self.touches = [count_runs(touched) for touched in contacts]
+        self.shortest = torch.zeros(0) if shortest is None else shortest
+        self.walls = contacts
+        self.contacts = [t.touching(walls) for t, walls in zip(self, contacts, strict=True)]
+        self.touches = [count_runs(touched) for touched in self.contacts]
         self.goals = [t.goal.sum().item() for t in self]
         self.seconds = [t.seconds for t in self]
+
+    @cached_property
+    def meeting(self) -> Drives:
+        """Episodes in worlds with movers."""
+        met = [number for number, t in enumerate(self) if t.encounters is not None]
+        return Drives([self[number] for number in met], [self.walls[number] for number in met])
+
+    @cached_property
+    def figures(self) -> list[EncounterFigures]:
+        """Figures of each episode, if all are in worlds with movers."""
+        return [encounter_figures(t) for t in self]
 
 
 @dataclass(frozen=True)
@@ -314,6 +439,19 @@ def _standstill(d: Drives) -> Estimate:
 
 def _body_contact_share(d: Drives) -> Estimate:
     return proportion(sum(count > 0 for count in d.touches), len(d))
+
+
+def _wall_contact_share(d: Drives) -> Estimate:
+    return proportion(sum(bool(touched.any()) for touched in d.walls), len(d))
+
+
+def _mover_contact_share(d: Drives) -> Estimate:
+    return proportion(sum(each.mover_contacts > 0 for each in d.figures), len(d))
+
+
+def _figure(name: str, per: Callable[[Drives], Sequence[float]] | None = None) -> Callable[[Drives], Estimate]:
+    """Returns a metric: the mean of a figure over episodes, or its sum divided by that of what ``per`` returns."""
+    return lambda d: ratio([getattr(each, name) for each in d.figures], None if per is None else per(d))
 
 
 ENDING = "ending_"  #: First part of the names of metrics that are shares of endings.
@@ -362,8 +500,48 @@ _BOTH = {
         for kind in (TIME_LIMIT, *EARLY_ENDINGS)
     },
 }
+_WITH_MOVERS = {
+    "mover_contact_share": Metric(
+        "mover touched", "%", "episodes in which the body touches a mover", _mover_contact_share, True
+    ),
+    "run_into": Metric(
+        "run into",
+        "%",
+        "contacts with movers that begin while the rover stands still",
+        _figure("run_into", lambda d: [each.mover_contacts for each in d.figures]),
+        True,
+    ),
+    "least_mover_distance": Metric(
+        "least distance", "m", "mean of the least distance to a mover", _figure("least_mover_distance"), True
+    ),
+    "wall_contact_share": Metric(
+        "wall touched", "%", "episodes in which the body touches an obstacle at rest", _wall_contact_share
+    ),
+    "mover_contacts": Metric(
+        "mover touches", "", "contacts of the body with movers per episode", _figure("mover_contacts")
+    ),
+    "risk_per_goal": Metric(
+        "risk",
+        "s/goal",
+        "time with the centers of rover and mover within 0.5 m, per goal reached",
+        _figure("risk_seconds", lambda d: d.goals),
+    ),
+    "intrusion": Metric(
+        "intrusion", "%", "time within 1.2 m of a mover", _figure("intrusion_seconds", lambda d: d.seconds)
+    ),
+    "frozen": Metric(
+        "frozen",
+        "%",
+        "time spent slower than 0.05 m/s within 2 m of a mover",
+        _figure("frozen_seconds", lambda d: d.seconds),
+    ),
+}
+"""Metrics of episodes in worlds with movers."""
 METRICS = dict(
-    sorted((_ONE_GOAL | _ENDLESS | _BOTH).items(), key=lambda item: (not item[1].default, item[0].startswith(ENDING)))
+    sorted(
+        (_ONE_GOAL | _ENDLESS | _BOTH | _WITH_MOVERS).items(),
+        key=lambda item: (not item[1].default, item[0].startswith(ENDING)),
+    )
 )
 """All metrics by name, in the order in which tables show them. A new one is an entry in one of the tables above.
 
@@ -375,11 +553,17 @@ def goal_metrics(
     trajectories: Sequence[Trajectory], shortest: Tensor, contacts: Sequence[Tensor]
 ) -> dict[str, Estimate]:
     """Computes the metrics of episodes with one goal each, by name: see :class:`Drives`."""
-    drives = Drives(trajectories, contacts, shortest)
-    return {name: metric.of(drives) for name, metric in (_ONE_GOAL | _BOTH).items()}
+    return _computed(_ONE_GOAL, Drives(trajectories, contacts, shortest))
 
 
 def endless_metrics(trajectories: Sequence[Trajectory], contacts: Sequence[Tensor]) -> dict[str, Estimate]:
     """Computes the metrics of endless episodes, by name: see :class:`Drives`."""
-    drives = Drives(trajectories, contacts)
-    return {name: metric.of(drives) for name, metric in (_ENDLESS | _BOTH).items()}
+    return _computed(_ENDLESS, Drives(trajectories, contacts))
+
+
+def _computed(table: Mapping[str, Metric], drives: Drives) -> dict[str, Estimate]:
+    """Computes the metrics of a table and those of all episodes, with movers also those of encounters."""
+    found = {name: metric.of(drives) for name, metric in {**table, **_BOTH}.items()}
+    if drives.meeting:
+        found |= {name: metric.of(drives.meeting) for name, metric in _WITH_MOVERS.items()}
+    return found

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 from matplotlib import colormaps
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
@@ -25,6 +26,7 @@ from torch import Tensor
 
 from rover_rl.algos.evaluation.evaluate import ENDINGS, Evaluation
 from rover_rl.algos.evaluation.metrics import CONTACT, TIME_LIMIT, Trajectory
+from rover_rl.algos.evaluation.mover_traces import draw_mover_traces, mover_handle
 from rover_rl.algos.evaluation.results import worst_worlds
 from rover_rl.envs import StepEvent
 from rover_rl.files import written_whole
@@ -98,7 +100,9 @@ def draw_panels(panels: Sequence[tuple[str, Evaluation]], path: Path, title: str
     figure.colorbar(_SPEED, ax=axes, label="speed over ground (m/s)", shrink=0.7, pad=0.01, extend="max")
     endings = {ending for _, evaluation in panels for ending in evaluation.endings}
     marks = {"start": _START, "goal": _GOAL, **{f"end: {kind}": _ENDS[kind] for kind in _ENDS if kind in endings}}
-    handles = [axes[0].scatter([], [], label=label, **style) for label, style in marks.items()]
+    handles: list[Artist] = [axes[0].scatter([], [], label=label, **style) for label, style in marks.items()]
+    if any(trajectory.movers is not None for _, evaluation in panels for trajectory in evaluation.trajectories):
+        handles.append(mover_handle())
     figure.legend(handles=handles, loc="outside lower center", ncols=3 * columns, frameon=False)
     with written_whole(path) as temporary:
         figure.savefig(temporary, dpi=150)
@@ -116,6 +120,8 @@ def _draw_evaluation(ax: Axes, evaluation: Evaluation, area: Area) -> None:
     """Draws the episodes of an evaluation in one world."""
     episodes, driven = evaluation.episodes, evaluation.trajectories
     draw_pale_map(ax, episodes.world, area)
+    for trajectory in driven:
+        draw_mover_traces(ax, episodes.world, trajectory, alone=len(driven) == 1)
     segments, speeds = zip(*(_segments(trajectory) for trajectory in driven), strict=True)
     colors = _SPEED.to_rgba(np.concatenate(speeds))
     ax.add_collection(

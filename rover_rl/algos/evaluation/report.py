@@ -48,10 +48,12 @@ def print_table(
     chosen, shown, grouped = check_columns(columns), dict[str, None](), False
     for title in dict.fromkeys(evaluation.title for evaluation in evaluations):
         together = [evaluation for evaluation in evaluations if evaluation.title == title]
-        keys = [key for key in chosen if key in together[0].metrics and _is_shown(key, together)]
+        keys = [key for key in chosen if _is_shown(key, together)]
         means = _group_rows(together, groups or {})
         rows = [*_rows(together), *means]
-        cells = [Column(METRICS[key].heading, METRICS[key].unit, [row[key] for _, row in rows]) for key in keys]
+        cells = [
+            Column(METRICS[key].heading, METRICS[key].unit, [row.get(key, "-") for _, row in rows]) for key in keys
+        ]
         print_tables(title, [name for name, _ in rows], cells, console)
         shown |= dict.fromkeys(keys)
         grouped |= bool(means)
@@ -80,7 +82,7 @@ def check_columns(names: Sequence[str]) -> list[str]:
 
 def _is_shown(key: str, evaluations: Sequence[Evaluation | EndlessEvaluation]) -> bool:
     """Whether a metric has a column: false for undefined metrics and for endings that do not occur."""
-    values = [evaluation.metrics[key].value for evaluation in evaluations]
+    values = [evaluation.metrics[key].value for evaluation in evaluations if key in evaluation.metrics]
     return any(value > 0 for value in values) or not (key.startswith(ENDING) or all(map(math.isnan, values)))
 
 

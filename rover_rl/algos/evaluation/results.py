@@ -17,6 +17,7 @@ from rover_rl.algos.evaluation.metrics import (
     Estimate,
     Trajectory,
     count_runs,
+    encounter_figures,
     endless_metrics,
     find_body_contacts,
     goal_metrics,
@@ -43,8 +44,25 @@ class _Results:
         """Name of the backend; ``"module:class"`` of a custom one that is given as an object."""
         return self.env.backend if isinstance(self.env.backend, str) else name_of(self.env.backend)
 
-    def _contacts(self, world: World | list[World]) -> list[Tensor]:
-        return find_body_contacts(self.trajectories, world, get_robot(self.env.robot))
+    @property
+    def _places(self) -> World | list[World]:
+        """World of all episodes, or of each."""
+        raise NotImplementedError
+
+    @cached_property
+    def wall_contacts(self) -> list[Tensor]:
+        """Whether the body touches an obstacle at rest at the start and after each step: bool ``[T + 1]`` each."""
+        return find_body_contacts(self.trajectories, self._places, get_robot(self.env.robot))
+
+    @cached_property
+    def contacts(self) -> list[Tensor]:
+        """Whether the body touches an obstacle or a mover at the start and after each step: bool ``[T + 1]`` each."""
+        return [t.touching(walls) for t, walls in zip(self.trajectories, self.wall_contacts, strict=True)]
+
+    @property
+    def _ends(self) -> list[dict[str, Any]]:
+        """Ending, duration and events of each episode as plain data."""
+        return [_end(t, walls) for t, walls in zip(self.trajectories, self.wall_contacts, strict=True)]
 
     def _summary(self, mode: str, world: str, seed: int) -> dict[str, Any]:
         return {
@@ -94,15 +112,14 @@ class Evaluation(_Results):
         """Whether each episode reached its goal, bool ``[count]``."""
         return torch.tensor([ending == "goal" for ending in self.endings])
 
-    @cached_property
-    def contacts(self) -> list[Tensor]:
-        """Whether the body touches an obstacle at the start and after each step: bool ``[T + 1]`` each."""
-        return self._contacts(self.episodes.worlds)
+    @property
+    def _places(self) -> list[World]:
+        return self.episodes.worlds
 
     @cached_property
     def metrics(self) -> dict[str, Estimate]:
         """Metrics, by name: see :mod:`rover_rl.algos.evaluation.metrics`."""
-        return goal_metrics(self.trajectories, self.episodes.shortest, self.contacts)
+        return goal_metrics(self.trajectories, self.episodes.shortest, self.wall_contacts)
 
     @property
     def world_name(self) -> str:
@@ -114,7 +131,8 @@ class Evaluation(_Results):
         """Results in each world, in the order of the pool.
 
         The keys are ``world`` (index in the pool), ``name``, ``count``, ``success_rate``, ``contact_free_success_rate``
-        and ``mean_time_to_traverse`` (s, ``None`` if no goal was reached).
+        and ``mean_time_to_traverse`` (s, ``None`` if no goal was reached). A world with movers also has
+        ``mover_contact_share``.
         """
         members: dict[int, list[int]] = {}
         for episode, index in enumerate(self.episodes.world_index.tolist()):
@@ -125,6 +143,8 @@ class Evaluation(_Results):
         reached = [episode for episode in episodes if self.trajectories[episode].ending == "goal"]
         clean = [episode for episode in reached if not self.contacts[episode].any()]
         seconds = [self.trajectories[episode].seconds for episode in reached]
+        met = [one for episode in episodes if (one := self.trajectories[episode].encounters) is not None]
+        touched = {"mover_contact_share": sum(bool(one.contact.any()) for one in met) / len(met)} if met else {}
         return {
             "world": index,
             "name": self.episodes.world_name(episodes[0]),
@@ -132,6 +152,7 @@ class Evaluation(_Results):
             "success_rate": len(reached) / len(episodes),
             "contact_free_success_rate": len(clean) / len(episodes),
             "mean_time_to_traverse": round(sum(seconds) / len(seconds), 3) if seconds else None,
+            **touched,
         }
 
     def select(self, indices: Sequence[int]) -> Evaluation:
@@ -174,8 +195,8 @@ class Evaluation(_Results):
         """Returns each episode as plain data."""
         columns = (getattr(self.episodes, key).tolist() for key in ("start", "goal", "shortest"))
         return [
-            {"start": start, "goal": goal, "shortest": shortest, "length": t.length, **_end(t, touched)}
-            for start, goal, shortest, t, touched in zip(*columns, self.trajectories, self.contacts, strict=True)
+            {"start": start, "goal": goal, "shortest": shortest, "length": t.length, **end}
+            for start, goal, shortest, t, end in zip(*columns, self.trajectories, self._ends, strict=True)
         ]
 
     def episode_rows(self) -> list[dict[str, Any]]:
@@ -214,15 +235,14 @@ class EndlessEvaluation(_Results):
     trajectories: list[Trajectory]
     env: EnvConfig = field(default_factory=EnvConfig)
 
-    @cached_property
-    def contacts(self) -> list[Tensor]:
-        """Whether the body touches an obstacle at the start and after each step: bool ``[T + 1]`` each."""
-        return self._contacts(self.world)
+    @property
+    def _places(self) -> World:
+        return self.world
 
     @cached_property
     def metrics(self) -> dict[str, Estimate]:
         """Metrics, by name: see :mod:`rover_rl.algos.evaluation.metrics`."""
-        return endless_metrics(self.trajectories, self.contacts)
+        return endless_metrics(self.trajectories, self.wall_contacts)
 
     @property
     def title(self) -> str:
@@ -239,8 +259,7 @@ class EndlessEvaluation(_Results):
     @property
     def _episodes(self) -> list[dict[str, Any]]:
         """Returns each episode as plain data."""
-        both = zip(self.trajectories, self.contacts, strict=True)
-        return [{"goals": int(t.goal.sum()), **_end(t, touched)} for t, touched in both]
+        return [{"goals": int(t.goal.sum()), **end} for t, end in zip(self.trajectories, self._ends, strict=True)]
 
     def episode_rows(self) -> list[dict[str, Any]]:
         """Returns a row of plain values for each episode, as in ``evaluation.csv``."""
@@ -295,14 +314,18 @@ def plain_estimates(estimates: Mapping[str, Estimate]) -> dict[str, dict[str, fl
     return {key: finite_row(vars(estimate)) for key, estimate in estimates.items()}
 
 
-def _end(trajectory: Trajectory, touched: Tensor) -> dict[str, Any]:
-    """Returns ending, duration and events of an episode as plain data."""
-    return {
+def _end(trajectory: Trajectory, walls: Tensor) -> dict[str, Any]:
+    """Returns ending, duration and events of an episode as plain data. ``walls`` are contacts with obstacles."""
+    end = {
         "ending": trajectory.ending,
         "seconds": round(trajectory.seconds, 3),
-        "contacts": count_runs(touched),
+        "contacts": count_runs(trajectory.touching(walls)),
         "collisions": count_runs(trajectory.collision),
     }
+    if trajectory.encounters is None:
+        return end
+    figures = encounter_figures(trajectory)._asdict()
+    return {**end, "wall_contacts": count_runs(walls), **{key: round(value, 3) for key, value in figures.items()}}
 
 
 def _count(episodes: int) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import torch
 from tensordict import TensorDict
@@ -26,6 +26,8 @@ from rover_rl.envs.make import add_reward
 from rover_rl.envs.rewards import reward_components
 from rover_rl.progress import ProgressDisplay
 from rover_rl.sims.base import RoverState
+from rover_rl.sims.movers.field import Parts
+from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.rotations import euler_to_matrix, matrix_to_quaternion
 from rover_rl.sims.worlds import Terrain, World, get_world
@@ -34,6 +36,8 @@ NO_WORLD = "none"
 """Name that stands for flat ground without obstacles, on which the lidar readings show what was there."""
 _MARGIN = 12.0
 """Size of that ground around the drive, m."""
+State: TypeAlias = tuple[RoverState, Tensor, Parts | None]
+"""State and scan of a rover, and the movers around it."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,8 @@ class Moment:
     """State of ``N`` rovers at a time (s) of a video: scans ``[N, beams]`` and current goals ``[N, 2]``, m.
 
     ``goals`` and ``episodes`` count those that each has reached and started. ``endings`` are those of all episodes so
-    far, ``event`` is the last one of the first rover, and its time (s).
+    far, ``event`` is the last one of the first rover, and its time (s). ``movers`` are the parts of those around the
+    first rover; the others meet movers of their own.
     """
 
     seconds: float
@@ -52,6 +57,7 @@ class Moment:
     episodes: Tensor
     endings: Sequence[str] = ()
     event: tuple[str, float] = ("", 0.0)
+    movers: Parts | None = None
 
 
 @dataclass(frozen=True)
@@ -108,7 +114,8 @@ def record_endless(
     event = "", 0.0
     with closing(rewarded), set_exploration_type(ExplorationType.DETERMINISTIC), ProgressDisplay("driving") as display:
         tensordict = rewarded.reset()
-        moments = [Moment(0.0, rovers.rover_state, rovers.scan, rovers.goal, goals, episodes)]
+        movers = parts_of(rovers.movers, 0)
+        moments = [Moment(0.0, rovers.rover_state, rovers.scan, rovers.goal, goals, episodes, movers=movers)]
         for _ in display.track(range(steps), steps):
             step, tensordict = rewarded.step_and_maybe_reset(tensordict.set("action", runner(tensordict)))
             driven.append(step[0])
@@ -121,8 +128,8 @@ def record_endless(
             seconds = len(driven) * rovers.control_dt
             if done[0] or reached[0]:
                 event = f"{ended[0]}: new start" if done[0] else "goal reached", seconds
-            seen = rovers.rover_state, rovers.scan
-            moments.append(Moment(seconds, *seen, rovers.goal, goals, episodes, endings, event))
+            seen, movers = (rovers.rover_state, rovers.scan), parts_of(rovers.movers, 0)
+            moments.append(Moment(seconds, *seen, rovers.goal, goals, episodes, endings, event, movers))
         angles = rovers.scanner.angles.cpu()
         return Recording(moments, rovers.worlds[0], rovers.robot, angles, rovers.control_dt, steps=driven)
 
@@ -132,7 +139,7 @@ def record_episodes(
 ) -> list[Recording]:
     """Evaluates a policy with options of ``evaluate``, and records its drives of the ``wanted`` episodes, or all."""
     wanted = range(len(episodes)) if wanted is None else wanted
-    states: dict[int, list[tuple[RoverState, Tensor]]] = {index: [] for index in wanted}
+    states: dict[int, list[State]] = {index: [] for index in wanted}
     angles, dt = torch.zeros(0), 0.0
 
     def watch(rovers: RoverEnv, episode: Tensor, rows: Tensor) -> None:
@@ -140,7 +147,8 @@ def record_episodes(
         angles, dt = rovers.scanner.angles.cpu(), rovers.control_dt
         for row in rows.nonzero().squeeze(-1).tolist():
             if (index := int(episode[row])) in states:
-                states[index].append((rovers.rover_state[row : row + 1].cpu(), rovers.scan[row : row + 1].cpu()))
+                seen = rovers.rover_state[row : row + 1].cpu(), rovers.scan[row : row + 1].cpu()
+                states[index].append((*seen, parts_of(rovers.movers, row)))
 
     # As in an evaluation: a randomized drive depends on its row.
     rows = len(episodes) if episodes.several_worlds else ROWS
@@ -154,10 +162,13 @@ def record_episodes(
     return drives
 
 
-def moments_of(states: Sequence[tuple[RoverState, Tensor]], goal: Tensor, dt: float, ending: str) -> list[Moment]:
-    """Returns the moments of an episode of one rover, from its states and scans."""
+def moments_of(states: Sequence[State], goal: Tensor, dt: float, ending: str) -> list[Moment]:
+    """Returns the moments of an episode of one rover, from its states and scans, and the movers around it."""
     none, one = torch.zeros(1, dtype=torch.int64), torch.ones(1, dtype=torch.int64)
-    moments = [Moment(step * dt, *state, goal, none, none) for step, state in enumerate(states)]
+    moments = [
+        Moment(step * dt, rover, scan, goal, none, none, movers=movers)
+        for step, (rover, scan, movers) in enumerate(states)
+    ]
     reached, end = ending == "goal", moments[-1].seconds
     event = "goal reached" if reached else ending, end
     endings = () if reached else (ending,)
@@ -181,7 +192,7 @@ def recording_of_log(path: Path, number: int | None = None, world: str | None = 
     # The log holds no wheel odometry.
     speeds = torch.cat((torch.zeros(1), driven.signed_speed))
     parts = zip(position, orientation, speeds, scans, strict=True)
-    states = [(_state(at, turn, speed, driven.dt), scan[None]) for at, turn, speed, scan in parts]
+    states = [(_state(at, turn, speed, driven.dt), scan[None], None) for at, turn, speed, scan in parts]
     angles = torch.arange(scans.shape[1]) * (2 * math.pi / max(1, scans.shape[1]))
     moments = moments_of(states, goal, driven.dt, drive.ending)
     return Recording(moments, place, get_robot(drive.robot), angles, driven.dt, drive.ending, number)

@@ -22,7 +22,11 @@ from torch import Tensor
 from rover_rl.algos.evaluation.plots import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, draw_pale_map
 from rover_rl.algos.video.recording import Moment, Recording
 from rover_rl.sims.base import RoverState
-from rover_rl.sims.rendering.camera import Camera
+from rover_rl.sims.movers.draw import parts_from_above
+from rover_rl.sims.movers.field import Parts
+from rover_rl.sims.movers.rays import cast_at_movers
+from rover_rl.sims.movers.shown import chosen, in_view
+from rover_rl.sims.rendering.camera import FREE_FRACTION, Camera
 from rover_rl.sims.rendering.renderer import Renderer
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import quaternion_to_euler, rotate
@@ -99,15 +103,22 @@ class ChaseView:
         )
         self._hits = ax.scatter([], [], s=5, color=_BEAM, edgecolor="black", linewidth=0.3)
         self._figure.artists += [self._hidden_beams, self._beams, self._hits]
+        if recording.moments[0].movers is not None:
+            # Here, as it must not happen in two threads at a time.
+            hides(recording.moments[0].movers, torch.zeros(3), torch.ones(1, 3))
 
     def render(self, moment: Moment) -> Rendered:
         """Renders the rover in its world. Several threads may call it."""
         rover, renderer = moment.rover[0], self._renderer
         pose = rover.position.double(), rover.orientation.double()
         camera = Camera.on(*pose, renderer.sight, "chase")
-        image = renderer.render_from(camera, *pose, *self._size, moment.goal[0]).numpy()
+        image = renderer.render_from(camera, *pose, *self._size, moment.goal[0], moment.movers).numpy()
         start, hits = lidar_hits(rover, moment.scan[0], self._recording.robot, self._recording.ray_angles)
-        return Rendered(image, *camera.see(_points(start, hits), *self._size))
+        points = _points(start, hits)
+        pixels, seen = camera.see(points, *self._size)
+        if moment.movers is not None:
+            seen &= ~hides(moment.movers, camera.eye, points)
+        return Rendered(image, pixels, seen)
 
     def picture(self, moment: Moment, rendered: Rendered) -> np.ndarray:
         """Draws a frame over what :meth:`render` returned, uint8 ``[height, width, 3]``."""
@@ -158,8 +169,20 @@ def _points(start: Tensor, hits: Tensor, count: int = 13) -> Tensor:
     return start + shares[..., None] * beams[:, None]
 
 
+def hides(movers: Parts, eye: Tensor, points: Tensor) -> Tensor:
+    """Returns whether a mover lies between ``eye [3]`` and ``points [..., 3]`` (m): bool ``[...]``."""
+    sight = (points - eye).reshape(1, -1, 3)
+    far = torch.full(sight.shape[:2], math.inf)
+    shown = chosen(movers, 0, torch.from_numpy(in_view(movers, eye.numpy())))
+    ranges = cast_at_movers(shown, eye.expand_as(sight), sight, far)
+    return (ranges < FREE_FRACTION * sight.norm(dim=-1)).reshape(points.shape[:-1])
+
+
 class TopView:
-    """View of all rovers from above with their trails and goals, and the lidar beams of the first rover."""
+    """View of all rovers from above with their trails and goals, and the lidar beams of the first rover.
+
+    Movers are those that the first rover meets.
+    """
 
     def __init__(self, recording: Recording, width: int, height: int) -> None:
         self._recording = recording
@@ -174,9 +197,10 @@ class TopView:
         places = np.zeros(count)
         self._goals = ax.scatter(places, places, s=70, marker="*", color=self._colors, edgecolor="black", linewidth=0.6)
         self._rovers = PolyCollection([], facecolors=self._colors, edgecolors="black", linewidths=0.8)
-        for collection in (self._beams, self._trails, self._rovers):
+        self._movers = PolyCollection([], edgecolors="black", linewidths=0.6)
+        for collection in (self._beams, self._trails, self._movers, self._rovers):
             ax.add_collection(collection)
-        self._figure.artists += [self._beams, self._hits, self._trails, self._goals, self._rovers]
+        self._figure.artists += [self._beams, self._hits, self._trails, self._goals, self._movers, self._rovers]
         self._past: list[Moment] = []
 
     def render(self, moment: Moment) -> None:
@@ -191,6 +215,8 @@ class TopView:
         self._beams.set_segments(torch.stack((start.expand_as(hits), hits), 1)[..., :2].tolist())
         self._hits.set_offsets(hits[:, :2].numpy())
         self._goals.set_offsets(moment.goal.numpy())
+        if moment.movers is not None:
+            self._movers.set(**parts_from_above(moment.movers, recording.world))
         yaw = quaternion_to_euler(rover.orientation)[:, 2]
         turn = torch.stack((yaw.cos(), yaw.sin(), -yaw.sin(), yaw.cos()), -1).unflatten(-1, (2, 2))
         self._rovers.set_verts((rover.position[:, None, :2] + torch.tensor(_ARROWHEAD) @ turn).tolist())

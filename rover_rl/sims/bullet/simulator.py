@@ -18,6 +18,7 @@ from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.movers.field import MoverField
 from rover_rl.sims.movers.near import NearParts, find_near
+from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.native.bullet import disconnect
 from rover_rl.sims.rendering.cache import RendererCache
 from rover_rl.sims.robots import Robot
@@ -117,7 +118,8 @@ class BulletSimulator:
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders one rover. See :meth:`Simulator.render`."""
         world = next(group.world for group in self._groups if row in group.rows)
-        return self._renderers.render(world, torch.from_numpy(self._body[row, :7]), view, width, height, goal)
+        pose, movers = torch.from_numpy(self._body[row, :7]), parts_of(self._movers, row)
+        return self._renderers.render(world, pose, view, width, height, goal, movers)
 
     @property
     def robot_connected(self) -> bool:

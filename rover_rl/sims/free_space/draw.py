@@ -17,6 +17,7 @@ from scipy.ndimage import label
 from rover_rl.sims.free_space.cell_grid import cells_of
 from rover_rl.sims.free_space.shortest_paths import shortest_paths
 from rover_rl.sims.free_space.space import FreeSpace, free_space
+from rover_rl.sims.movers.draw import SECONDS, WAY, draw_movers
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.worlds.draw import OBSTACLE, OBSTACLE_EDGE, draw_map
 from rover_rl.sims.worlds.region import Area, Region, expanded, overlap
@@ -35,6 +36,8 @@ CANDIDATES = 16
 """Number of goals, of which :func:`draw_task` draws the farthest from the start."""
 CAUTION = 1.0
 """Relative extra cost of the drawn path at obstacles: it keeps away from them where there is room."""
+MOVER_LABEL = f"mover, and {SECONDS:g} s of its way"
+"""What the legend says on movers."""
 STEP = 3
 """Longest step of the drawn path, in cells."""
 
@@ -63,6 +66,7 @@ def draw_world(world: World, robot: Robot, path: str | Path | None = None, ax: A
     _outline(ax, world.bounds, edgecolor=BOUNDS, linestyle=(0, (6, 4)), linewidth=1.4)
     _draw_area(ax, world.spawn_range, world.spawn_region, SPAWN, "solid")
     _draw_area(ax, world.goal_range, world.goal_region, GOAL, DASHES)
+    draw_movers(ax, world)
     ax.set_title(f"{world.name}: where {robot.name} can drive")
     _add_legend(ax, world)
     if path is not None:
@@ -127,6 +131,7 @@ def _add_legend(ax: Axes, world: World, *more: Line2D) -> None:
         Line2D([], [], color=SPAWN, linewidth=2.2, label="start area"),
         Line2D([], [], color=GOAL, linewidth=2.2, linestyle=(0, (2, 1)), label="goal area"),
         Line2D([], [], color=BOUNDS, linestyle="--", label="bounds" if visible else "bounds (beyond the map)"),
+        *([Line2D([], [], color=WAY, marker="o", markersize=7, label=MOVER_LABEL)] if world.movers else []),
         *more,
     ]
     style: dict[str, Any] = {"ncols": 3, "frameon": False, "handlelength": 1.8, "columnspacing": 1.4}

@@ -217,6 +217,13 @@ class MoverField:
         speed = _length(self.course.velocity).gather(1, parts.mover.gather(1, which))
         return least, speed
 
+    def nearest_center(self, points: Tensor) -> Tensor:
+        """Returns the horizontal distance from points ``[N, 2]`` to the origin of the nearest mover, ``[N, 1]``, m."""
+        if not self.present.shape[1]:
+            return torch.full_like(points[:, :1], math.inf)
+        distance = (points[:, None] - self.course.position).norm(dim=-1)
+        return distance.masked_fill(~self.present, math.inf).amin(-1, keepdim=True)
+
     def _change(self, method: str, rows: Tensor, rovers: Others, ahead: float | None = None) -> None:
         """Calls a method of every motion for its movers in ``rows``, and stores the courses.
 

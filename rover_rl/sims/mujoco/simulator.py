@@ -15,6 +15,7 @@ from rover_rl.sims.drives.simulated import SimulatedDrives
 from rover_rl.sims.free_space import rest_on_ground
 from rover_rl.sims.movers.field import MoverField
 from rover_rl.sims.movers.near import NearParts, find_near
+from rover_rl.sims.movers.shown import parts_of
 from rover_rl.sims.mujoco.lidar import Lidar, Scene
 from rover_rl.sims.mujoco.model import make_model
 from rover_rl.sims.mujoco.movers import RoversAmongMovers, reach_of
@@ -148,8 +149,8 @@ class MujocoSimulator:
 
     def render(self, row: int, view: View, width: int, height: int, goal: Tensor | None = None) -> Tensor:
         """Renders one rover. See :meth:`Simulator.render`."""
-        pose = torch.from_numpy(self._body[row, :7])
-        return self._renderers.render(self._worlds[row], pose, view, width, height, goal)
+        pose, movers = torch.from_numpy(self._body[row, :7]), parts_of(self._movers, row)
+        return self._renderers.render(self._worlds[row], pose, view, width, height, goal, movers)
 
     @property
     def robot_connected(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from threading import Lock
 from typing import NamedTuple
 
@@ -9,33 +10,25 @@ import numpy as np
 import trimesh
 
 from rover_rl.sims.movers.field import Parts
+from rover_rl.sims.movers.shown import in_view
 from rover_rl.sims.native.warp import wp
 from rover_rl.sims.rendering.kernels import rays
 from rover_rl.sims.rendering.launches import DEVICE, array
-from rover_rl.sims.rendering.scenery import CLOTHES, LEGS, MOVER, SKIN
+from rover_rl.sims.rendering.looks import Look, looks_of
+from rover_rl.sims.rendering.scenery import SKIN
 from rover_rl.sims.rendering.surfaces import SEGMENTS, Surface
 from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.movers.shapes import KINDS, Kind, Person
+from rover_rl.sims.worlds.movers.shapes import KINDS, Kind
 
-Color = tuple[float, float, float]
-CLOSE = 0.6
-"""Distance from the camera up to which a mover would fill the picture, and is left out, m."""
 SHOULDERS, HEAD = 0.32, 0.11
 """Height of the shoulders below the top of a person of 1.75 m, and radius of the head, m."""
-
-
-class Look(NamedTuple):
-    """How a part is drawn: in a color, as the trunk and the head of a person or as it is."""
-
-    color: Color
-    is_figure: bool = False
 
 
 class Form(NamedTuple):
     """Kind, length, width and height (m), and look of parts that share a mesh."""
 
     kind: Kind
-    size: Color
+    size: tuple[float, float, float]
     look: Look
 
 
@@ -43,7 +36,7 @@ class MoverSurfaces:
     """Meshes of the parts of a world's movers, each of a kind and size once. Several threads may call it."""
 
     def __init__(self, world: World) -> None:
-        self._looks = [look for mover in world.movers for look in _looks(mover.shape)]
+        self._world = world
         self._numbers: dict[Form, int] = {}
         self._surfaces: list[Surface] = []
         self._meshes: list[wp.Mesh] = []
@@ -52,13 +45,14 @@ class MoverSurfaces:
 
     def place(self, placing: rays.Placing, parts: Parts | None, eye: np.ndarray) -> object:
         """Sets where parts are, for a camera at ``eye [3]`` (m). Returns what must live as long as ``placing``."""
-        shown = _far_parts(parts, eye) if parts is not None else ()
+        shown = in_view(parts, eye) if parts is not None else ()
         placing.parts = len(shown)
         if parts is None or not len(shown):
             return None
         position, orientation = parts.position[0].numpy()[shown], parts.orientation[0].numpy()[shown]
         with self._lock:
-            numbers = [self._number(parts, part) for part in shown]
+            looks = looks_of(self._world, len(parts.mover[0]))
+            numbers = [self._number(parts, part, looks[part]) for part in shown]
             placing.forms = self._forms
             reach = np.array([np.linalg.norm(self._surfaces[number].vertices, axis=1).max() for number in numbers])
             boxes = [array(position + sign * reach[:, None], wp.vec3) for sign in (-1, 1)]
@@ -68,10 +62,8 @@ class MoverSurfaces:
         placing.part_forms = array(numbers, int)
         return tree
 
-    def _number(self, parts: Parts, part: int) -> int:
+    def _number(self, parts: Parts, part: int, look: Look) -> int:
         """Returns the number of the mesh of a part, and makes it where it is new."""
-        # Parts that are not those of the world's movers come after these: those of the other rovers of a group.
-        look = self._looks[part] if part < len(self._looks) else Look(MOVER)
         length, width, height = (2 * parts.half[0, part]).tolist()
         form = Form(KINDS[parts.kind[0, part]], (length, width, height), look)
         if form not in self._numbers:
@@ -93,20 +85,6 @@ class MoverSurfaces:
         self._forms = forms
 
 
-def _far_parts(parts: Parts, eye: np.ndarray) -> np.ndarray:
-    """Returns the numbers of the parts of movers that are not close to the camera."""
-    position, half, mover = parts.position[0].numpy(), parts.half[0].numpy(), parts.mover[0].numpy()
-    gap = np.maximum(np.linalg.norm(position - eye, axis=1) - np.linalg.norm(half, axis=1), 0)
-    return np.flatnonzero(~np.isin(mover, mover[gap < CLOSE]))
-
-
-def _looks(shape: object) -> list[Look]:
-    """Returns how the parts of a shape are drawn: a person's are two legs and the trunk."""
-    if isinstance(shape, Person):
-        return [Look(LEGS), Look(LEGS), Look(CLOTHES, True)]
-    return [Look(MOVER) for _ in shape.parts()]  # type: ignore[attr-defined]
-
-
 def part_surface(form: Form) -> Surface:
     """Creates the surface of a part in its own frame."""
     length, width, height = form.size
@@ -121,7 +99,7 @@ def part_surface(form: Form) -> Surface:
     return Surface.of_solid(solid, form.look.color)
 
 
-def _figure(radius: float, height: float, color: Color) -> Surface:
+def _figure(radius: float, height: float, color: Sequence[float]) -> Surface:
     """Creates the trunk and the head of a person, within the cylinder that the trunk is for lidar and physics."""
     scale = radius / 0.22
     shoulders, head = height / 2 - SHOULDERS * scale, HEAD * scale

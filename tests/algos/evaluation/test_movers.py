@@ -1,0 +1,262 @@
+"""Evaluations in worlds in which something moves."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from rover_rl import World
+from rover_rl.algos.evaluation.episodes import EpisodeSet
+from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate
+from rover_rl.algos.evaluation.metrics import (
+    Encounters,
+    Trajectory,
+    contact_free_success_rate,
+    encounter_figures,
+    endless_metrics,
+    goal_metrics,
+)
+from rover_rl.algos.evaluation.report import print_table, write_evaluation
+from rover_rl.envs import EnvConfig
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.worlds import Terrain
+from rover_rl.sims.worlds.movers import Box, Cylinder, Mover, Waypoints
+from rover_rl.sims.worlds.pool import WorldPool
+from tests.algos.drivers import standing
+from tests.algos.evaluation.drives import FIELD, csv_rows, line, printed
+
+ROVER = get_robot("rover_zero")
+FRONT = 0.2635  # from the rover's origin to its front, m
+# A cylinder comes along the x axis from 3 m away at 1 m/s and stops behind the origin; a box stands far away.
+CYLINDER = Mover(
+    Waypoints([(0.0, 3.0, 0.0, math.pi), (5.0, -2.0, 0.0, math.pi)], repeat="once"), Cylinder(radius=0.3, height=1.0)
+)
+BOX = Mover(Waypoints([(0.0, 4.0, 4.0, math.pi / 2)]), Box(length=2.0, width=1.0, height=0.8))
+STREET = World("street", Terrain.flat((12.0, 12.0)), movers=[CYLINDER, BOX])
+
+
+def episodes(*worlds: World, y: float = 0.0) -> EpisodeSet:
+    """An episode in each world, from the origin or beside it, facing the cylinder."""
+    count = len(worlds)
+    start, goal = torch.tensor([[0.0, y, 0.0]]), torch.tensor([[-5.0, -5.0]])
+    places = (start.repeat(count, 1), goal.repeat(count, 1), torch.full((count,), 7.0))
+    return EpisodeSet("street", WorldPool(*worlds), 0, *places, world_index=torch.arange(count))
+
+
+@pytest.fixture(scope="module")
+def run_into() -> Evaluation:
+    """A rover that stands still is run into in the street, and by nobody in the field."""
+    options = {"env": EnvConfig(backend="warp"), "seconds": 2.8, "track_movers": True}
+    return evaluate(standing, episodes(STREET, FIELD), **options)
+
+
+# --- what is recorded
+
+
+def test_encounters_are_those_with_the_nearest_mover(run_into: Evaluation) -> None:
+    met = run_into.trajectories[0].encounters
+    assert met is not None
+    assert [len(values) for values in met] == [57] * 3
+    assert not met.contact[0]
+    first = int(met.contact.to(torch.uint8).argmax())
+    assert first * 0.05 == pytest.approx(3.0 - 0.3 - FRONT, abs=0.1)
+    seconds = torch.arange(first) * 0.05
+    torch.testing.assert_close(met.center_distance[:first], 3.0 - seconds, atol=0.02, rtol=0)
+    gap = (3.0 - seconds - 0.3 - ROVER.radius).clamp(min=0)
+    torch.testing.assert_close(met.gap[:first], gap, atol=0.02, rtol=0)
+
+
+def test_an_episode_without_movers_has_no_encounters(run_into: Evaluation) -> None:
+    assert run_into.trajectories[1].encounters is None
+    assert run_into.trajectories[1].movers is None
+
+
+def test_a_trajectory_keeps_where_movers_are_if_asked_for(run_into: Evaluation) -> None:
+    track = run_into.trajectories[0].movers
+    assert track is not None
+    assert track.mover.tolist() == [0, 1]
+    assert track.kind.tolist() == [0, 1]
+    torch.testing.assert_close(track.half, torch.tensor([[0.3, 0.3, 0.5], [1.0, 0.5, 0.4]]))
+    x = 3.0 - torch.arange(57) * 0.05
+    torch.testing.assert_close(track.position[:, 0], torch.stack((x, x * 0, x * 0 + 0.5), -1), atol=1e-3, rtol=0)
+    torch.testing.assert_close(track.position[:, 1], torch.tensor([[4.0, 4.0, 0.4]]).expand(57, 3))
+    upright = torch.tensor([[0.0, 0.0, 0.5**0.5, 0.5**0.5]]).expand(57, 4)
+    torch.testing.assert_close(track.orientation[:, 1], upright)
+    without = evaluate(standing, episodes(STREET), env=EnvConfig(backend="warp"), seconds=0.1)
+    assert without.trajectories[0].movers is None
+
+
+def test_a_trajectory_until_a_step(run_into: Evaluation) -> None:
+    whole = run_into.trajectories[0]
+    part = whole.until(30, "contact")
+    assert (len(part), part.ending) == (30, "contact")
+    assert torch.equal(part.position, whole.position[:31])
+    assert [len(values) for values in part.encounters or ()] == [31] * 3
+    assert part.movers is not None
+    assert len(part.movers.position) == len(part.movers.orientation) == 31
+    assert len(part.movers.kind) == 2
+
+
+# --- metrics
+
+
+def met(
+    speeds: list[float], *, contact: str = "", gap: float | list[float] = 9.0, center: float = 9.0, ending: str = "goal"
+) -> Trajectory:
+    """A drive along x with the given speed in each step, and with what happens at the start and after each step."""
+    steps = len(speeds)
+    x = torch.tensor([0.0, *speeds]).cumsum(0) * 0.05
+    gaps = torch.tensor(gap) if isinstance(gap, list) else torch.full((steps + 1,), gap)
+    flags = torch.tensor([character == "x" for character in contact.ljust(steps + 1)])
+    encounters = Encounters(flags, gaps, torch.full((steps + 1,), center))
+    goal = torch.arange(steps) == (steps - 1 if ending == "goal" else steps)
+    position = torch.stack((x, x * 0, x * 0), -1)
+    return replace(line(ending, steps=steps), position=position, goal=goal, encounters=encounters)
+
+
+def untouched(*trajectories: Trajectory) -> list[torch.Tensor]:
+    """Flags of contacts with obstacles at rest: none."""
+    return [torch.zeros(len(t) + 1, dtype=torch.bool) for t in trajectories]
+
+
+def values(*trajectories: Trajectory) -> dict[str, float]:
+    found = goal_metrics(trajectories, torch.ones(len(trajectories)), untouched(*trajectories))
+    return {name: estimate.value for name, estimate in found.items()}
+
+
+@pytest.mark.parametrize(
+    ("speeds", "contact", "contacts", "run_into"),
+    [
+        ([1.0, 1.0, 1.0, 1.0], "  xx ", 1, 0),
+        # The mover pushes the rover in the step of the contact.
+        ([0.0, 0.04, 0.9, 0.9], "   xx", 1, 1),
+        # The rover drives against a mover that stops it at once.
+        ([1.0, 1.0, 0.0, 0.0], "   xx", 1, 0),
+        # Contacts from the start and in the first step: rovers start at rest.
+        ([1.0, 1.0, 1.0, 1.0], "xx  x", 2, 1),
+        ([1.0, 1.0, 1.0, 1.0], " x   ", 1, 1),
+        ([0.0, 0.0, 0.0, 1.0, 1.0], " x x x", 3, 2),
+        ([1.0], "", 0, 0),
+    ],
+)
+def test_a_rover_that_stands_still_is_run_into(speeds: list[float], contact: str, contacts: int, run_into: int) -> None:
+    figures = encounter_figures(met(speeds, contact=contact))
+    assert (figures.mover_contacts, figures.run_into) == (contacts, run_into)
+
+
+def test_run_into_is_a_share_of_the_contacts() -> None:
+    standing_still, driving = met([0.0] * 3, contact=" x x"), met([1.0] * 3, contact="   x")
+    assert values(standing_still, driving, met([1.0]))["run_into"] == pytest.approx(2 / 3)
+    assert math.isnan(values(met([1.0]))["run_into"])
+
+
+def test_contacts_with_movers_count_as_contacts() -> None:
+    touched, free, late = met([1.0] * 3, contact=" x x"), met([1.0] * 3), met([1.0] * 3, contact="xx  ", ending="stuck")
+    found = values(touched, free, late)
+    assert found["contact_free_success_rate"] == pytest.approx(1 / 3)
+    assert found["body_contact_share"] == found["mover_contact_share"] == pytest.approx(2 / 3)
+    assert found["body_contacts"] == found["mover_contacts"] == pytest.approx(1)
+    assert found["wall_contact_share"] == 0
+    assert contact_free_success_rate([touched], untouched(touched)).value == 0
+
+
+def test_contacts_with_walls_and_with_movers_are_told_apart() -> None:
+    drives = [met([1.0] * 4, contact=" xx  "), met([1.0] * 4)]
+    walls = [torch.tensor([character == "x" for character in text]) for text in ("  xx ", "x    ")]
+    found = goal_metrics(drives, torch.ones(2), walls)
+    assert found["wall_contact_share"].value == 1
+    assert found["mover_contact_share"].value == 0.5
+    # A contact with a wall that follows one with a mover at once is part of it.
+    assert found["body_contacts"].value == 1
+
+
+def test_distances_and_times_near_movers() -> None:
+    near = met([1.0, 0.0, 0.0, 1.0], gap=[0.3, 1.1, 1.3, 2.1, 0.4], center=0.45)
+    figures = encounter_figures(near)
+    assert figures.least_mover_distance == pytest.approx(0.3)
+    # Times are those of steps: what is near at their ends. The rover stands still at 1.3 and 2.1 m.
+    assert figures.risk_seconds == pytest.approx(4 * 0.05)
+    assert figures.intrusion_seconds == pytest.approx(2 * 0.05)
+    assert figures.frozen_seconds == pytest.approx(0.05)
+
+    found = values(near, met([1.0] * 4, gap=0.7, ending="stuck"))
+    assert found["least_mover_distance"] == pytest.approx(0.5)
+    assert found["risk_per_goal"] == pytest.approx(0.2)
+    assert found["intrusion"] == pytest.approx(6 / 8)
+    assert found["frozen"] == pytest.approx(1 / 8)
+    assert math.isnan(values(met([1.0], ending="stuck"))["risk_per_goal"])
+
+
+def test_only_episodes_with_movers_count_for_metrics_of_movers() -> None:
+    alone = line("goal")
+    static = values(alone)
+    assert not {"mover_contact_share", "run_into", "wall_contact_share", "frozen"} & set(static)
+    mixed = values(alone, met([1.0], contact=" x", gap=0.0))
+    assert mixed["mover_contact_share"] == 1
+    assert mixed["least_mover_distance"] == 0
+    assert mixed["success_rate"] == 1
+    assert mixed["body_contact_share"] == 0.5
+    endless = endless_metrics([met([1.0], contact=" x")], untouched(met([1.0])))
+    assert endless["mover_contacts"].value == 1
+    with pytest.raises(ValueError, match="no encounters"):
+        encounter_figures(alone)
+
+
+# --- results, tables and files
+
+
+def test_results_of_a_drive(run_into: Evaluation) -> None:
+    assert [bool(touched.any()) for touched in run_into.contacts] == [True, False]
+    assert not any(touched.any() for touched in run_into.wall_contacts)
+    found = {name: estimate.value for name, estimate in run_into.metrics.items()}
+    assert found["run_into"] == found["mover_contact_share"] == 1
+    assert found["body_contact_share"] == 0.5
+    assert found["least_mover_distance"] == 0
+    # From a distance of 2 m on, until the cylinder pushes it.
+    since, until = 3.0 - 0.3 - ROVER.radius - 2.0, 3.0 - 0.3 - FRONT
+    assert found["frozen"] == pytest.approx((until - since) / 2.8, abs=0.05)
+    moving, alone = run_into.by_world
+    assert moving["mover_contact_share"] == 1
+    assert "mover_contact_share" not in alone
+
+
+def test_tables_have_columns_of_movers_only_where_something_moves(run_into: Evaluation) -> None:
+    default = printed(print_table, [run_into])
+    for word in ("mover", "into", "least"):
+        assert word in default.split("Lowest")[0]
+    assert "mover touched: episodes in which the body touches a mover" in " ".join(default.split())
+    some = printed(print_table, [run_into], columns=["frozen", "intrusion"])
+    assert {"frozen", "intrusion"} <= set(some.split())
+    assert "touched" not in some
+    static = run_into.select([1])
+    text = printed(print_table, [static], columns=["all"])
+    assert not {"mover", "risk", "frozen", "intrusion"} & set(text.split())
+    for width in (80, 120):
+        lines = printed(print_table, [run_into, static], width=width, columns=["all"]).splitlines()
+        assert max(map(len, [text for text in lines if not text.startswith("Lowest")])) <= width
+
+
+def test_files_have_rows_and_columns_of_movers(run_into: Evaluation, tmp_path: Path) -> None:
+    write_evaluation(tmp_path / "evaluation.json", [run_into])
+    moving, alone = csv_rows(tmp_path / "evaluation.csv")
+    assert (moving["contacts"], moving["wall_contacts"], moving["mover_contacts"]) == ("1", "0", "1")
+    assert (moving["run_into"], moving["least_mover_distance"]) == ("1", "0.0")
+    assert float(moving["frozen_seconds"]) > 2
+    assert (alone["contacts"], alone["mover_contacts"], alone["frozen_seconds"]) == ("0", "", "")
+    (summary,) = csv_rows(tmp_path / "evaluation-summary.csv")
+    assert float(summary["mover_contact_share"]) == 1
+    worlds = csv_rows(tmp_path / "evaluation-worlds.csv")
+    assert [row["mover_contact_share"] for row in worlds] == ["1.0", ""]
+    episodes = json.loads((tmp_path / "evaluation.json").read_text())[0]["episodes"]
+    assert [row.get("run_into") for row in episodes] == [1, None]
+
+    static = run_into.select([1])
+    write_evaluation(tmp_path / "static.json", [static])
+    for file in ("static.csv", "static-summary.csv", "static.json"):
+        text = (tmp_path / file).read_text()
+        assert not any(word in text for word in ("mover_", "run_into", "wall_contact", "risk", "intrusion", "frozen"))
