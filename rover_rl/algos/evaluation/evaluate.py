@@ -32,6 +32,7 @@ from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least
 from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
 from rover_rl.envs.config import require_match
 from rover_rl.progress import ProgressDisplay
+from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims.movers.field import Parts
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.timing import CONTROL_DT
@@ -99,7 +100,8 @@ def evaluate(
         rovers = RoverEnv(replace(env_config, world=place, num_envs=len(worlds), seed=seed))
         rovers.length = max(1, round(seconds / rovers.control_dt))
         places = {"start": part.start, "goal": part.goal}
-        options = (places, part.offset, watch, track_movers)
+        keys = episode_keys(row_keys(seed, len(part), rovers.goal.device), 1)
+        options = (places, part.offset, watch, track_movers, keys)
         return _drive(rovers, policy, action_repeat, name, schedule, *options)
 
     driven = over_cores(drive, _with_few_worlds(episodes, rows), name, workers=1)
@@ -189,8 +191,12 @@ def _drive(
     offset: int = 0,
     watch: Watcher | None = None,
     track_movers: bool | float = False,
+    keys: Tensor | None = None,
 ) -> list[Trajectory]:
-    """Drives episodes and closes the environment. A rover takes the next episode when its own has ended."""
+    """Drives episodes and closes the environment. A rover takes the next episode when its own has ended.
+
+    Movers depend on the ``keys`` of the episodes, int64 ``[count, 1]``, and not on the rover that drives an episode.
+    """
     places = places or {}
     runner = PolicyRunner(policy, action_repeat, _MIN_ROWS, env)
     recorder = _Recorder(schedule.count, env, watch, track_movers)
@@ -198,6 +204,8 @@ def _drive(
     driving = torch.ones(env.num_envs, dtype=torch.bool)
 
     def placed() -> dict[str, Tensor]:
+        if keys is not None:
+            env.movers.keys = keys[episode]
         return {key: values[episode] for key, values in places.items()}
 
     with closing(env), ProgressDisplay(name) as display, set_exploration_type(ExplorationType.DETERMINISTIC):

@@ -88,6 +88,8 @@ class MoverField:
         course: courses of the movers, ``[N, M]``.
         radius: radius of each mover, ``[N, M]``, m.
         present: which movers exist, bool ``[N, M]``.
+        keys: random keys of the next episodes in place of those of the environment, int64 ``[N, 1]``. ``None``: those
+            of the environment.
     """
 
     def __init__(self, worlds: WorldTable, dt: float, rover_radius: float, is_live: bool = False) -> None:
@@ -105,6 +107,7 @@ class MoverField:
         self.present = torch.zeros(count, 0, dtype=torch.bool, device=device)
         self.radius = torch.zeros(count, 0, device=device)
         self.parts: Parts | None = None
+        self.keys: Tensor | None = None
         # Heading of each part's mover after the last step, [N, P], rad.
         self._yaw = torch.zeros(count, 0, device=device)
         self.enter_worlds()
@@ -153,6 +156,7 @@ class MoverField:
             keys: random keys of the episodes, int64 ``[N, 1]``.
             rovers: where the rovers start, ``[N, 2]``, m.
         """
+        keys = keys if self.keys is None else self.keys
         self._keys, self._steps = torch.where(mask, keys, self._keys), self._steps.masked_fill(mask, 0)
         if self.parts is None:
             return

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from rover_rl import World
-from rover_rl.algos.evaluation.episodes import EpisodeSet
+from rover_rl.algos.evaluation.episodes import EpisodeSet, draw_episodes
 from rover_rl.algos.evaluation.evaluate import Evaluation, evaluate
 from rover_rl.algos.evaluation.metrics import (
     Encounters,
@@ -25,10 +25,10 @@ from rover_rl.algos.evaluation.report import print_table, write_evaluation
 from rover_rl.envs import EnvConfig
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.worlds import Terrain
-from rover_rl.sims.worlds.movers import Box, Cylinder, Mover, Waypoints
+from rover_rl.sims.worlds.movers import Box, Cylinder, Mover, Wander, Waypoints
 from rover_rl.sims.worlds.pool import WorldPool
 from tests.algos.drivers import standing
-from tests.algos.evaluation.drives import FIELD, csv_rows, line, printed
+from tests.algos.evaluation.drives import FIELD, assert_same, csv_rows, line, printed
 
 ROVER = get_robot("rover_zero")
 FRONT = 0.2635  # from the rover's origin to its front, m
@@ -89,6 +89,22 @@ def test_a_trajectory_keeps_where_movers_are_if_asked_for(run_into: Evaluation) 
     torch.testing.assert_close(track.orientation[:, 1], upright)
     without = evaluate(standing, episodes(STREET), env=EnvConfig(backend="warp"), seconds=0.1)
     assert without.trajectories[0].movers is None
+
+
+def test_movers_are_those_of_the_episode_whatever_rover_drives_it() -> None:
+    wanderers = World("crowd", Terrain.flat((12.0, 12.0)), movers=[Mover(Wander(), Cylinder())] * 4)
+    crowd = draw_episodes(WorldPool(wanderers, STREET), 4, seed=1)
+    options = {"env": EnvConfig(backend="warp"), "seconds": 1.5, "track_movers": True}
+    together = evaluate(standing, crowd, rows=8, **options).trajectories
+    in_turn = evaluate(standing, crowd, rows=3, **options).trajectories
+    alone = [evaluate(standing, crowd.part(n, n + 1), **options).trajectories[0] for n in range(3)]
+    assert_same(in_turn, together)
+    assert_same(alone, together[:3])
+    for one, other in ((one, other) for same in (in_turn, alone) for one, other in zip(same, together, strict=False)):
+        assert one.movers is not None
+        assert other.movers is not None
+        assert torch.equal(one.movers.position, other.movers.position)
+    assert not torch.equal(together[0].movers.position[0], together[1].movers.position[0])  # type: ignore[union-attr]
 
 
 def test_a_trajectory_until_a_step(run_into: Evaluation) -> None:
