@@ -487,9 +487,9 @@ def _pairs(made_for: EnvConfig, env: EnvConfig) -> Iterator[tuple[str, Any, Any]
     yield "a lidar range of (m)", made_for.lidar.max_range, env.lidar.max_range
     yield "the robot", *_robots(made_for.robot, env.robot)
     yield "the sensors", made_for.sensors, tuple(each for each in made_for.sensors if each in env.sensors)
-    actions = (_values(config.bounded_action) for config in (made_for, env))
+    actions = _values(made_for.bounded_action), _values(env.bounded_action)
     yield "actions of (min_speed, max_speed, max_turn, max_sideways)", *actions
-    gains = (_values(config.heading_gains) for config in (made_for, env))
+    gains = _values(made_for.heading_gains), _values(env.heading_gains)
     yield "heading gains of (kp, ki, kd, max_output)", *gains
 
 
