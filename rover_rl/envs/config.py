@@ -355,7 +355,7 @@ class EnvConfig:
     "maze:7@0.8" a hard one. Several worlds get equal shares of the rovers. "maze:0-99" draws one of 100 mazes for each
     episode."""
     robot: RobotLike = "rover_zero"
-    """Robot: rover_zero, a URDF file, or module:attribute."""
+    """Robot: a name (rover-rl robots lists them), a URDF file, or module:attribute."""
     robot_options: Annotated[RobotOptions, tyro.conf.arg(name="robot")] = field(default_factory=RobotOptions)
     """What a URDF does not tell of the robot. They become part of its name: "scout.urdf,max_speed=1.5"."""
     lidar: LidarConfig = field(default_factory=LidarConfig)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rover_rl.registry import Registry
-from rover_rl.sims.robots.options import RobotOptions, is_robot_file, split_options
+from rover_rl.sims.robots.options import LIDAR_OPTIONS, RobotOptions, is_robot_file, split_options
 
 if TYPE_CHECKING:
     from rover_rl.sims.robots.robot import Robot
@@ -90,16 +90,14 @@ def _with_limits(robot: Robot, options: RobotOptions) -> Robot:
     drive: dict[str, Any] = {}
     for option in options.given:
         field = _FIELDS.get(option, option)
-        if option in ("lidar", "lidar_range"):
+        if option in LIDAR_OPTIONS:
             continue
         if not hasattr(robot.drive, field) or option in ("drive", "missing"):
             raise ValueError(
                 f"option {option} does not fit robot {robot.name!r}, whose drive is a {type(robot.drive).__name__}"
             )
         drive[field] = getattr(options, option)
-    changes: dict[str, Any] = {"drive": replace(robot.drive, **drive)}
-    if options.lidar_range is not None:
-        changes["lidar_range"] = options.lidar_range
+    changes: dict[str, Any] = {"drive": replace(robot.drive, **drive), **options.lidar_settings}
     if options.lidar is not None:
         place = options.lidar.split()
         changes["lidar"] = tuple(map(float, place)) if len(place) == 3 else options.lidar

@@ -13,8 +13,20 @@ DriveKind = Literal["skid_steer", "differential", "ackermann", "mecanum"]
 SUFFIXES = (".urdf", ".xacro", ".sdf", ".xml")
 """Endings of the files that are taken for a robot. Only a URDF can be read; the others are refused with advice."""
 
+LIDAR_OPTIONS = ("lidar", "lidar_range", "lidar_view")
+"""Options on the lidar. The others, but for ``missing``, are on the drive."""
+
 _OPTION = re.compile(r",(\w+)=([^,]*)")
-_NUMBERS = ("lidar_range", "max_speed", "max_yaw_rate", "max_acceleration", "max_steering", "torque", "separation")
+_NUMBERS = (
+    "lidar_range",
+    "lidar_view",
+    "max_speed",
+    "max_yaw_rate",
+    "max_acceleration",
+    "max_steering",
+    "torque",
+    "separation",
+)
 
 
 @dataclass(frozen=True)
@@ -32,6 +44,8 @@ class RobotOptions:
     laser or scan, or the middle of the top."""
     lidar_range: float | None = None
     """Range of the lidar, m. Default: 12."""
+    lidar_view: float | None = None
+    """Angle that the lidar sees, centered on straight ahead, rad. Default: a full turn."""
     max_speed: float | None = None
     """Largest speed, m/s. Default: 1."""
     max_yaw_rate: float | None = None
@@ -65,6 +79,11 @@ class RobotOptions:
         values = {item.name: getattr(self, item.name) for item in fields(self)}
         changed = {name: value for name, value in values.items() if value != getattr(_UNSET, name)}
         return {n: f"{v!r}" if isinstance(v, float) else ":".join(str(v).split()) for n, v in changed.items()}
+
+    @property
+    def lidar_settings(self) -> dict[str, float]:
+        """Range and view of the lidar, if they are set: arguments of ``Robot``."""
+        return {name: getattr(self, name) for name in ("lidar_range", "lidar_view") if getattr(self, name) is not None}
 
 
 _UNSET = RobotOptions()

@@ -154,10 +154,8 @@ class Robot:
         from rover_rl.sims.robots.urdf import read_urdf
 
         read = read_urdf(path, options, name)
-        if options.lidar_range is not None:
-            settings.setdefault("lidar_range", options.lidar_range)
         warnings.warn(f"robot {read.name!r} is read as {read.summary}: {'; '.join(read.notes)}", stacklevel=3)
-        return cls(read.name, read.urdf, read.drive, **settings)
+        return cls(read.name, read.urdf, read.drive, **{**options.lidar_settings, **settings})
 
 
 def _position(description: Description, sensor: str, mount: Mount) -> tuple[float, float, float]:
