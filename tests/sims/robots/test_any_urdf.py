@@ -267,7 +267,7 @@ TRICYCLE = Machine().body().wheels((-0.2,)).knuckle("front", 0.2, 0.0)
 REFUSED = [
     (lambda: Machine().body(), "it has no wheels: none of its joints turns without end, they are fixed"),
     (lambda: Machine().body().wheels((0.0,)), "it has two wheels and nothing else touches the ground"),
-    (lambda: THREE, r"3 wheels, 1 on the left, 1 on the right and \['third'\] between them"),
+    (lambda: THREE, r"3 wheels on the ground, 1 on the left, 1 on the right and \['third'\] between them"),
     (lambda: TRICYCLE, "it has three wheels, of which 'front_wheel' steers"),
     (lambda: Machine(wheel_mass=0.0).body().wheels((0.2, -0.2)), "wheel link 'left_0_link' must have a positive mass"),
     (lambda: Machine().body(0.0).wheels((0.2, -0.2)), "all links besides the wheels must have a positive mass"),
