@@ -542,10 +542,13 @@ def plain_env(config: EnvConfig) -> dict[str, Any]:
         parts = value if isinstance(value, tuple) else (value,)
         if not all(isinstance(part, str) for part in parts):
             raise ValueError(f"{kind} cannot be written to a file, and {name} is one; {advice}")
-    if isinstance(config.backend, str):
-        return to_plain(config)
-    settings = {name_of(config.backend): to_plain(config.backend) if is_dataclass(config.backend) else {}}
-    return to_plain(replace(config, backend="bullet")) | {"backend": settings}
+    own = not isinstance(config.backend, str)
+    data = to_plain(replace(config, backend="bullet") if own else config)
+    # They are part of the robot's name.
+    del data["robot_options"]
+    if own:
+        data["backend"] = {name_of(config.backend): to_plain(config.backend) if is_dataclass(config.backend) else {}}
+    return data
 
 
 def env_from_plain(data: Any, source: str) -> EnvConfig:
