@@ -114,7 +114,8 @@ def test_a_robot_with_two_wheels_stands_on_its_casters(tmp_path):
     drive = robot.drive
     assert isinstance(drive, SkidSteer)
     assert (drive.left, drive.right) == (("left_0",), ("right_0",))
-    assert drive.separation == pytest.approx(0.4)
+    # Wheels of a width turn about their outer parts.
+    assert drive.separation == pytest.approx(0.4 + 0.05 / math.sqrt(3), abs=1e-3)
     places = dict(zip(drive.wheels, robot.wheels.hubs, strict=True))
     casters = sorted(places[name] for name in drive.casters)
     np.testing.assert_allclose(casters, [(-0.2, 0, 0.1), (0.2, 0, 0.1)], atol=1e-6)

@@ -14,6 +14,8 @@ ALIKE = 0.05
 """Largest difference of the radii of wheels that are taken for alike, by their mean."""
 TOUCHING = 0.25
 """Largest distance of a caster's lowest point from the ground, by the radius of the driven wheels."""
+LEVEL = 1e-3
+"""Height above the lowest point of a caster up to which points of it are on the ground, m."""
 CASTER_SIZE = 0.5
 """Largest size of a shape that is taken for a caster, by the distance of the left and right wheels."""
 
@@ -141,5 +143,5 @@ def _touching(pair: tuple[RoundLink, RoundLink], body: list[Piece]) -> list[Piec
 def _lowest(piece: Piece) -> np.ndarray:
     """Returns x and y of the middle of the lowest points of a shape, ``[2]``."""
     points = piece.points
-    lowest = points[points[:, 2] <= points[:, 2].min() + 1e-6]
+    lowest = points[points[:, 2] <= points[:, 2].min() + LEVEL]
     return (lowest[:, :2].min(0) + lowest[:, :2].max(0)) / 2
