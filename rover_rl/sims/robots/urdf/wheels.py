@@ -118,16 +118,22 @@ def _no_wheels(placed: Placed, rolling: list[Joint]) -> str:
     if not free:
         kinds = sorted({joint.kind for joint in joints})
         return f"it has no wheels: none of its joints turns without end, they are {', '.join(kinds) or 'none'}"
-    if rolling and not any(abs(placed.axis(joint)[1]) >= ALONG for joint in rolling):
-        angles = [round(math.degrees(math.atan2(*placed.axis(joint)[1::-1])) % 180) for joint in rolling]
+    if len({round(each) for each in _angles(placed, rolling)}) >= 3:
+        angles = ", ".join(f"{round(each)}" for each in _angles(placed, rolling))
         return (
-            f"its {len(rolling)} wheels have axles at {', '.join(map(str, angles))} degrees to the direction of "
-            "travel, and no drive of this package has such wheels"
+            f"its {len(rolling)} wheels have axles at {angles} degrees to its direction ahead; no drive of this "
+            "package has such wheels"
         )
     stated = Placed(placed.path)
     turning = [(joint.name, stated.axis(joint)) for joint in joints if joint.name in free[:3]]
     named = ", ".join(f"{name} (about {_direction(axis)})" for name, axis in turning) + (", ..." if free[3:] else "")
     return f"it has no wheels: nothing that turns on {named} is round about a level axle"
+
+
+def _angles(placed: Placed, rolling: list[Joint]) -> list[float]:
+    """Returns the directions of axles, from 0 to 180 degrees from +x."""
+    axes = (placed.axis(joint) for joint in rolling)
+    return [math.degrees(math.atan2(axis[1], axis[0])) % 180 for axis in axes]
 
 
 def _direction(axis: np.ndarray) -> str:
@@ -176,7 +182,11 @@ def _wheel_size(pieces: list[Piece], hub: np.ndarray, axis: np.ndarray) -> tuple
 
 
 def _is_swivel(placed: Placed, joint: Joint) -> bool:
-    return joint.kind in ("continuous", "revolute") and abs(placed.axis(joint)[2]) >= ALONG
+    """Returns whether a joint turns what it carries about z. One that turns it about the axle is told by its name."""
+    if joint.kind not in ("continuous", "revolute"):
+        return False
+    axis = np.abs(placed.axis(joint))
+    return bool(axis[2] >= ALONG or (axis[1] >= ALONG and "steer" in joint.name.lower()))
 
 
 def _sorted_wheels(wheels: list[RoundLink]) -> FoundWheels:
@@ -211,17 +221,17 @@ def _is_caster(wheel: RoundLink) -> bool:
 
 
 def _check_sides(left: list[RoundLink], right: list[RoundLink], between: list[RoundLink]) -> None:
-    count = len(left) + len(right) + len(between)
     if len(left) == len(right) and left and not between:
         return
     names = [wheel.joint.name for wheel in between]
     if between and len(left) == len(right) == 1 and between[0].swivel is not None:
         raise ValueError(f"it has three wheels, of which {names[0]!r} steers; no drive of this package has such wheels")
     if between:
+        count = len(left) + len(right) + len(between)
         raise ValueError(
-            f"it has {count} wheels on the ground, {len(left)} on the left, {len(right)} on the right and {names} "
-            "between them; no drive of this package has such wheels, unless that is a caster: a swivel, a ball, or a "
-            "joint so named"
+            f"it has {count} wheel{'s' if count > 1 else ''} on the ground, {len(left)} on the left, {len(right)} on "
+            f"the right and {names} between them; no drive of this package has such wheels, unless that is a caster: a "
+            "swivel, a ball, or a joint so named"
         )
     raise ValueError(
         f"it has {len(left)} wheels on the left and {len(right)} on the right; drives of this package have "
