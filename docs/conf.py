@@ -81,7 +81,19 @@ nitpick_ignore_regex = [
 nitpick_ignore = [
     ("py:class", name)
     for name in (
-        *("Area", "AutoresetMode", "EnvBase", "Missing", "Path", "Reward", "TimeLimit", "Transform", "Unknown", "Up"),
+        *(
+            "Area",
+            "AutoresetMode",
+            "EnvBase",
+            "Missing",
+            "Path",
+            "Reward",
+            "RobotSettings",
+            "TimeLimit",
+            "Transform",
+            "Unknown",
+            "Up",
+        ),
         *(
             "Bounded",
             "CurriculumKind",

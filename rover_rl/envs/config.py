@@ -36,10 +36,13 @@ if TYPE_CHECKING:
     RewardLike: TypeAlias = "str | RewardConfig | Sequence[str | Transform]"
     BackendLike: TypeAlias = AnyBackend
     SensorLike: TypeAlias = str | Sensor
+    RobotSettings: TypeAlias = RobotOptions
 else:
     # Types that the command line and YAML files support.
     WorldLike = RewardLike = str | tuple[str, ...]
     RobotLike = BackendLike = SensorLike = str
+    # The options --robot.drive and so on, beside --robot.
+    RobotSettings = Annotated[RobotOptions, tyro.conf.arg(name="robot")]
 
 OutcomeSource: TypeAlias = Literal["truth", "sensors"]
 """State that events, rewards and metrics are computed from."""
@@ -356,7 +359,7 @@ class EnvConfig:
     episode."""
     robot: RobotLike = "rover_zero"
     """Robot: a name (rover-rl robots lists them), a URDF file, or module:attribute."""
-    robot_options: Annotated[RobotOptions, tyro.conf.arg(name="robot")] = field(default_factory=RobotOptions)
+    robot_options: RobotSettings = field(default_factory=RobotOptions)
     """What a URDF does not tell of the robot. They become part of its name: "scout.urdf,max_speed=1.5"."""
     lidar: LidarConfig = field(default_factory=LidarConfig)
     """Lidar and its readings."""
