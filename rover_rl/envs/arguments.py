@@ -45,6 +45,7 @@ class EnvSettings(TypedDict, total=False):
     lidar_points: int
     max_lidar_range: float
     num_envs: int | None
+    agents: int
     backend: BackendLike
     physics: str | None
     robot: RobotLike

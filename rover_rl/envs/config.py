@@ -369,6 +369,8 @@ class EnvConfig:
     """Size of the camera buffer, pixels. Reserved for vision, as in the original environment."""
     num_envs: int | None = 1
     """Number of rovers in the batch."""
+    agents: int = 1
+    """Number of consecutive rovers of the batch that share a world, in which they see and push one another."""
     seed: int | None = None
     """Seed of the first rover. Rover i has this seed plus i. Without a seed, a random one is used."""
     device: str | None = None

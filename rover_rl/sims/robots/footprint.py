@@ -64,7 +64,7 @@ def footprint(robot: Robot) -> Footprint:
     for name, frame in description.fixed.items():
         for shape in description.links[name].shapes:
             placed = frame @ shape.frame
-            half = _half_sizes(placed, shape)
+            half = half_sizes(placed, shape)
             if half is not None:
                 low.append((placed.position - half)[:2])
                 high.append((placed.position + half)[:2])
@@ -72,8 +72,11 @@ def footprint(robot: Robot) -> Footprint:
     return Footprint(back, front, right, left)
 
 
-def _half_sizes(frame: Frame, shape: Shape) -> np.ndarray | None:
-    """Returns half the side lengths of the box around a shape whose pose is ``frame``: ``[3]``, m."""
+def half_sizes(frame: Frame, shape: Shape) -> np.ndarray | None:
+    """Returns half the side lengths of the box around a shape whose pose is ``frame``: ``[3]``, m.
+
+    ``None`` for a shape without known sizes.
+    """
     if shape.kind == "box":
         return np.abs(frame.rotation) @ np.array(shape.sizes) / 2
     if shape.kind == "sphere":
