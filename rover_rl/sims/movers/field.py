@@ -15,7 +15,6 @@ from rover_rl.rng import random_bits
 from rover_rl.sims.base import RoverState
 from rover_rl.sims.movers.company import Company, Solids
 from rover_rl.sims.movers.walls import WallTable
-from rover_rl.sims.rotations import wrap_angle
 from rover_rl.sims.worlds.movers.motions.base import Courses, Motion, Others, Scene
 from rover_rl.sims.worlds.movers.mover import Mover
 from rover_rl.sims.worlds.movers.shapes import KINDS, Part, radius_of
@@ -122,6 +121,7 @@ class MoverField:
         self._own: Parts | None = None
         # Heading of each part's mover after the last step, [N, P], rad.
         self._yaw = torch.zeros(count, 0, device=device)
+        self._every = torch.ones_like(self._steps, dtype=torch.bool)
         self.enter_worlds()
 
     @property
@@ -159,8 +159,15 @@ class MoverField:
         self.course, self._walked = self.course.padded(added), pad(self._walked, (0, added))
         self._local = {name: table.values[slots] for name, table in tables.parts.items()}
         shape = self._local["kind"].shape
-        if self._own is None or self._own.kind.shape != shape:
+        last = self._own
+        if last is None or last.kind.shape != shape:
             self._own = self._reserve(*shape)
+            self._yaw = pad(self._yaw, (0, shape[1] - self._yaw.shape[1]))
+        if last is not None and last is not self._own:
+            # Rows that go on in their worlds have their parts where they were.
+            for name in ("position", "orientation", "velocity", "turn"):
+                values = getattr(last, name)
+                getattr(self._own, name)[:, : values.shape[1]] = values
         # In place: simulators keep the tensors.
         for name in ("kind", "form", "half", "mover"):
             getattr(self._own, name).copy_(self._local[name])
@@ -332,41 +339,14 @@ class MoverField:
 
     def _place(self, rows: Tensor | None, begins: bool = False) -> None:
         """Places parts on the ground, of the movers in ``rows`` (``None``: all). Those of other rows do not move."""
+        # Importing NVIDIA Warp takes half a second.
+        from rover_rl.sims.movers.placing import place
+
         assert self._own is not None
-        parts, local, course = self._own, self._local, self.course
-        ground = self._terrains.of(self._worlds.slots).height_at(course.position.double()).float()
         phase = self._walked * (2 * math.pi / STRIDE)
-        swing = (_length(course.velocity) / FULL_SWING).clamp(max=1) * torch.sin(phase)
-        # The same for each part.
-        mover = local["mover"]
-        yaw, swing, ground = (values.gather(1, mover) for values in (course.yaw, swing, ground))
-        x, y = (values.gather(1, mover) for values in course.position.unbind(-1))
-        sin, cos = torch.sin(yaw / 2), torch.cos(yaw / 2)
-        forward, left, up = local["center"].unbind(-1)
-        forward = forward + local["swing"] * swing
-        ahead, across = cos * cos - sin * sin, 2 * sin * cos
-        position = torch.stack(
-            (x + (ahead * forward - across * left), y + (across * forward + ahead * left), ground + up), -1
-        )
-        # A rotation about the vertical, after that of the part.
-        i, j, k, w = local["orientation"].unbind(-1)
-        orientation = torch.stack((cos * i - sin * j, cos * j + sin * i, cos * k + sin * w, cos * w - sin * k), -1)
-        if begins:
-            velocity, turn = torch.zeros_like(parts.velocity), torch.zeros_like(parts.turn)
-        else:
-            velocity = (position - parts.position) / self._dt
-            turn = wrap_angle(yaw - self._yaw) / self._dt
-            stays = (_length(velocity) <= MAX_SPEED).float()
-            velocity, turn = velocity * stays[..., None], turn * stays
-        self._yaw = yaw
-        if rows is not None:
-            position = torch.where(rows[..., None], position, parts.position)
-            orientation = torch.where(rows[..., None], orientation, parts.orientation)
-            velocity, turn = velocity * rows[..., None], turn * rows
-        parts.position.copy_(position)
-        parts.orientation.copy_(orientation)
-        parts.velocity.copy_(velocity)
-        parts.turn.copy_(turn)
+        swing = (_length(self.course.velocity) / FULL_SWING).clamp(max=1) * torch.sin(phase)
+        terrains, moving = self._terrains.of(self._worlds.slots), self._every if rows is None else rows
+        place(self._own, self._yaw, self._local, self.course, swing, terrains, moving, begins, self._dt)
 
 
 def _length(vectors: Tensor) -> Tensor:
