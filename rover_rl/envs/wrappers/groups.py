@@ -33,7 +33,7 @@ class GroupedRovers(EnvBase):
         done_on_any: whether a group is done once one of its rovers is.
 
     Attributes:
-        env, base_env: the environment, and the ``RoverEnv`` under its transforms.
+        base_env: the ``RoverEnv`` under the transforms.
         agents: number of rovers of a group.
         group_map: names of the agents of each of TorchRL's groups: ``{"rovers": ["rover_0", ...]}``.
 

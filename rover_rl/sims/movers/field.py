@@ -191,7 +191,7 @@ class MoverField:
         return self.parts.columns(company.count, company.count + own)
 
     def follow(self, rover: RoverState, moved: Tensor | None, begins: Tensor) -> None:
-        """Puts the rovers of groups where they are, for the others of their groups: see :meth:`Company.follow`."""
+        """Puts the rovers of groups where they are, for the others of their groups."""
         if self._company is not None:
             self._company.follow(rover, moved, begins)
             self._show_rovers(self._company.seen())
