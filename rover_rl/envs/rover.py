@@ -62,7 +62,8 @@ class RoverEnv(EnvBase):
     Row ``i`` of a batch with seed ``s`` is bit-identical to a single environment with seed ``s + i``.
 
     With ``agents``, the rovers of each ``agents`` consecutive rows share a world, see one another and push one another:
-    see ``rover_rl.envs.groups.Groups``. Row ``i`` is bit-identical then in all batches with its whole group.
+    see :class:`~rover_rl.envs.wrappers.groups.GroupedRovers`. Row ``i`` is then bit-identical in all batches with its
+    whole group.
 
     ``num_envs=None`` creates one rover without a batch dimension (batch size ``[]``): ``lidar [lidar_points]``,
     ``action [2]``, ``reward [1]``, ``start [3]``. Its values equal those of a batch of one.
