@@ -40,6 +40,8 @@ class Robot:
         lidar: place of the lidar: a link of the URDF, or a position.
         imu: place of the IMU.
         lidar_range: maximum range of the lidar, m.
+        lidar_view: angle that the lidar sees, centered on straight ahead; a full turn at most. Beams outside of it
+            have no return. A map of what has been seen does not take them for free.
         sensors: sensors besides the lidar, IMU, wheel odometry and pose that every rover has: each a
             :class:`~rover_rl.envs.sensors.base.Sensor`, a registered name or ``"module:attribute"``. They add entries
             to the observation.
@@ -47,6 +49,7 @@ class Robot:
             that of the disc around its wheels and body, rounded up to a centimeter.
 
     Attributes:
+        mass: mass of all links, kg.
         wheels: geometry of the wheels.
         lidar_position: position of the lidar, m.
         imu_position: position of the IMU, m.
@@ -68,8 +71,10 @@ class Robot:
     lidar: Mount = "lidar_link"
     imu: Mount = "imu_link"
     lidar_range: float = 12.0
+    lidar_view: float = 2 * math.pi
     radius: float = None  # type: ignore[assignment]  # Set from the outline below.
     sensors: tuple[Any, ...] = ()
+    mass: float = field(init=False, repr=False)
     wheels: Wheels = field(init=False, repr=False)
     lidar_position: tuple[float, float, float] = field(init=False, repr=False)
     imu_position: tuple[float, float, float] = field(init=False, repr=False)
@@ -78,6 +83,10 @@ class Robot:
         for name, value in (("lidar_range", self.lidar_range), ("radius", self.radius)):
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{name} of robot {self.name!r} must be a positive number, got {value}")
+        if not 0 < self.lidar_view <= 2 * math.pi:
+            raise ValueError(
+                f"lidar_view of robot {self.name!r} must be positive and at most 2 pi rad, got {self.lidar_view}"
+            )
         object.__setattr__(self, "urdf", Path(self.urdf))
         object.__setattr__(self, "sensors", tuple(self.sensors))
         if not self.urdf.is_file():
@@ -89,6 +98,8 @@ class Robot:
             object.__setattr__(self, "imu_position", _position(description, "imu", self.imu))
         except ValueError as error:
             raise ValueError(f"robot {self.name!r} cannot be driven with its URDF {self.urdf}: {error}") from error
+        masses = (link.inertial.mass for link in description.links.values() if link.inertial is not None)
+        object.__setattr__(self, "mass", math.fsum(masses))
         if self.radius is None:
             object.__setattr__(self, "radius", math.ceil(100 * footprint(self).corner - 1e-9) / 100)
         check_plausibility(self)
@@ -174,16 +185,14 @@ def _check_lidar(robot: Robot) -> None:
 
 
 def _check_motors(robot: Robot) -> None:
-    links = Description(robot.urdf).links.values()
-    mass = sum(link.inertial.mass for link in links if link.inertial is not None)
     driven = sum(map(len, robot.drive.motors))
     force = driven * robot.drive.torque / robot.wheels.radius
-    slope = math.degrees(math.asin(min(1.0, force / (mass * _GRAVITY))))
+    slope = math.degrees(math.asin(min(1.0, force / (robot.mass * _GRAVITY))))
     if slope >= WEAK:
         return
     problem = (
         f"the motors of robot {robot.name!r} push with {force:.3g} N ({driven} x "
-        f"{robot.drive.torque:g} N m on a radius of {robot.wheels.radius:g} m), and it has {mass:.3g} kg"
+        f"{robot.drive.torque:g} N m on a radius of {robot.wheels.radius:g} m), and it has {robot.mass:.3g} kg"
     )
     if slope < WEAKEST:
         raise ValueError(f"{problem}: it cannot climb a slope of {WEAKEST:g} degrees; raise the torque of its drive")
