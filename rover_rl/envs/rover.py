@@ -142,7 +142,7 @@ class RoverEnv(EnvBase):
         self._row_shape = torch.Size([num_envs])
         self._every = torch.ones(num_envs, dtype=torch.bool, device=self._tensor_device)
         self.robot = get_robot(config.robot)
-        self.config = config = _with_threshold(config, self.robot)
+        self.config = config = _with_threshold(config.fitted(), self.robot)
         first_keys = episode_keys(row_keys(seed, num_envs, self._tensor_device), 1)
         self._row_worlds = RowWorlds(config.world, first_keys)
         self._has_movers = self._row_worlds.have_movers
