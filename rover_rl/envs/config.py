@@ -169,7 +169,9 @@ class TaskConfig:
     Args:
         success_distance: Distance below which a goal is reached, m.
         min_goal_distance: Minimum distance from the rover to a new goal, m.
-        collision_threshold: Lidar reading below which the rover is in collision, m.
+        collision_threshold: Lidar reading below which the rover is in collision, m. ``None`` is the robot's: 0.3 m for
+            Rover Zero, as in the contract, and for a robot that states none, in each direction, what its outline takes
+            and 5 cm.
         collision_window: Number of consecutive steps in collision above which the rover is jammed, which ends the
             episode. 0 ends it at the first.
         flip_threshold: Absolute roll or pitch above which the rover is flipped, rad.
@@ -184,7 +186,7 @@ class TaskConfig:
 
     success_distance: float = 0.5
     min_goal_distance: float = 1.0
-    collision_threshold: float = 0.3
+    collision_threshold: float | None = None
     collision_window: int = 15
     flip_threshold: float = 1.48
     stuck_window: int = 600
@@ -198,8 +200,8 @@ class TaskConfig:
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
         for name in ("collision_threshold", "collision_window", "flip_threshold", "stuck_threshold"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+            if (value := getattr(self, name)) is not None and not value >= 0:
+                raise ValueError(f"{name} must not be negative, got {value}")
 
 
 @dataclass(frozen=True)
@@ -430,6 +432,21 @@ class EnvConfig:
     def world_names(self) -> tuple[str, ...]:
         """Names of :attr:`worlds`."""
         return tuple(world if isinstance(world, str) else world.name for world in self.worlds)
+
+    def fitted(self) -> EnvConfig:
+        """Returns the description with worlds that are wide enough for the robot, where their names leave that open.
+
+        ``"maze:5"`` becomes ``"maze:5*1.8"`` for a robot that needs passages 1.8 times as wide as Rover Zero does:
+        see :func:`~rover_rl.sims.free_space.fitting.fitting_worlds`. A live rover is in the world that is named.
+        """
+        backend = self.backend if isinstance(self.backend, str) else name_of(self.backend)
+        if self.robot == EnvConfig.robot or backend == "ros2":
+            return self
+        from rover_rl.sims.free_space.fitting import fitting_worlds
+        from rover_rl.sims.robots import get_robot
+
+        world = fitting_worlds(self.world, get_robot(self.robot))
+        return self if world is self.world else replace(self, world=world)
 
     @property
     def own_sensors(self) -> tuple[SensorLike, ...]:
