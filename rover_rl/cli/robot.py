@@ -44,8 +44,8 @@ class RobotCommand:
     """Preset of Bullet's physics: default, accurate or fast (docs/physics.md)."""
     lidar_beams: int = 640
     """Number of lidar beams in a full turn; the original environment has 640."""
-    lidar_view: float = 360.0
-    """Field of view of the lidar, centered straight ahead, degrees."""
+    lidar_view: float | None = None
+    """Field of view of the lidar, centered straight ahead, degrees. Default: that of the robot."""
     scan_topic: str | None = None
     """Topic that the sensor_msgs/LaserScan is published to. Default: /scan."""
     imu_topic: str | None = None
@@ -63,7 +63,8 @@ class RobotCommand:
         """Runs the robot until it is interrupted."""
         check_positive(MAX_RATE, rate=self.rate)
         check_at_least(1, MAX_BEAMS, lidar_beams=self.lidar_beams)
-        check_positive(360, lidar_view=self.lidar_view)
+        if self.lidar_view is not None:
+            check_positive(360, lidar_view=self.lidar_view)
         check_seed(self.seed)
         described = self._environment().fitted()
         from rover_rl.algos.evaluation.episodes import draw_episodes
@@ -84,7 +85,7 @@ class RobotCommand:
         settings = Ros2Settings(
             odometry_topic=self.odometry_topic, pose_topic=self.pose_topic, reset_topic=self.reset_topic
         )
-        view = math.radians(self.lidar_view)
+        view = robot.lidar_view if self.lidar_view is None else math.radians(self.lidar_view)
         try:
             node = RobotNode(
                 simulator, scanner, transport, world, robot.lidar_range, settings, connection, tuple(start), view

@@ -32,6 +32,7 @@ from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims import Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.backends import make_scanner
 from rover_rl.sims.base import Capability, DynamicsChanger, MoverCarrier, Scanner, View, WorldChanger
+from rover_rl.sims.field_of_view import in_view
 from rover_rl.sims.free_space import free_space
 from rover_rl.sims.movers import MoverField
 from rover_rl.sims.movers.company import Company
@@ -116,7 +117,7 @@ class RoverEnv(EnvBase):
         sensors: sensors that it reads, by name.
         simulator: simulator. A reset after ``close()`` replaces it.
         movers: movers of each row, where they are and where they go.
-        scanner: its lidar, which scans what does not move.
+        scanner: its lidar, which scans what does not move, in a full turn.
 
     Raises:
         ValueError: if the world, backend or robot is unknown, the device is not available, there are fewer beams than
@@ -335,7 +336,8 @@ class RoverEnv(EnvBase):
         self.movers = MoverField(self._row_worlds.table, self.control_dt, self.robot.radius, is_live, company)
         self._surroundings = Surroundings(self._row_worlds.table, self.movers)
         self._surroundings.is_live = is_live
-        self._lidar = MoverScanner(self.scanner, self.movers, self.simulator, self.robot)
+        lidar = MoverScanner(self.scanner, self.movers, self.simulator, self.robot)
+        self._lidar = in_view(lidar, self.robot.lidar_view)
         if "movers" in self.simulator.capabilities:
             cast(MoverCarrier, self.simulator).meet(self.movers)
 

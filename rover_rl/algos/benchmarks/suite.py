@@ -174,7 +174,9 @@ def describe_robot(env: EnvConfig) -> tuple[str, str]:
     back, front, right, left = footprint(robot)
     speed = action_bounds(env.action, robot).high[0]
     body = f"{robot.name}, {front - back:.2f} x {left - right:.2f} m, up to {speed:g} m/s"
-    return body, f"{lidar.beams} beams in 360 degrees, up to {lidar.max_range:g} m, as {lidar.points} readings"
+    view = math.degrees(robot.lidar_view)
+    seen = "" if robot.lidar_view == 2 * math.pi else f", of which {view:.0f} are seen"
+    return body, f"{lidar.beams} beams in 360 degrees{seen}, up to {lidar.max_range:g} m, as {lidar.points} readings"
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,6 @@ from rover_rl.sims.timing import CONTROL_DT
 
 _log = logging.getLogger(__name__)
 
-TRAINED_VIEW = 2 * math.pi  # field of view of the lidar in training, rad
 VIEW_TOLERANCE = math.radians(10)  # largest difference of two fields of view that count as the same, rad
 CLOCK_TOLERANCE = 0.5  # largest backward jump of a robot's clock that does not count as a restart, s
 POSE_TOLERANCE = 1.0
@@ -105,10 +104,11 @@ def drive_to(
     if made_for := getattr(runner.policy, "made_for", None):
         require_match(made_for, env.config)
     rover.require_robot()
-    if not allow_unseen and rover.field_of_view < TRAINED_VIEW - VIEW_TOLERANCE:
+    trained_view = env.robot.lidar_view
+    if not allow_unseen and rover.field_of_view < trained_view - VIEW_TOLERANCE:
         raise ValueError(
             f"the scan covers {math.degrees(rover.field_of_view):.0f} degrees, and the policy was trained with "
-            f"{math.degrees(TRAINED_VIEW):.0f}; --allow-unseen accepts it, but the rover does not drive in uncovered "
+            f"{math.degrees(trained_view):.0f}; --allow-unseen accepts it, but the rover does not drive in uncovered "
             "directions"
         )
     ending, elapsed, held = "", 0.0, math.inf

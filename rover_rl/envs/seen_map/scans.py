@@ -14,6 +14,8 @@ import torch
 from torch import Tensor, nn
 
 from rover_rl.envs.config import LidarConfig
+from rover_rl.sims.base import beam_angles
+from rover_rl.sims.field_of_view import seen
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.rotations import euler_to_matrix, wrap_angle
@@ -115,6 +117,7 @@ class ScanReader(nn.Module):
 
     _directions: Tensor
     _mount: Tensor
+    _seen: Tensor | None
 
     def __init__(self, lidar: LidarConfig, robot: str | Robot, interval: float) -> None:
         super().__init__()
@@ -124,7 +127,11 @@ class ScanReader(nn.Module):
         # A reading is the minimum over several beams: the angle is that of their center.
         share = lidar.beams / lidar.points
         angles = (torch.arange(lidar.points) * share + (share - 1) / 2) * (2 * math.pi / lidar.beams)
-        self.register_buffer("_directions", torch.stack((angles.cos(), angles.sin()), -1))
+        directions = torch.stack((angles.cos(), angles.sin()), -1)
+        is_seen = _seen_readings(lidar, get_robot(robot).lidar_view)
+        # A reading outside of the view is a beam without length, which clears no cell.
+        self.register_buffer("_directions", directions * is_seen[:, None])
+        self.register_buffer("_seen", None if is_seen.all() else is_seen)
         self.register_buffer("_mount", torch.tensor(lidar_mount(robot)))
 
     def forward(self, state: Tensor, lidar: Tensor, pose: Tensor, imu: Tensor) -> tuple[Scan, Tensor]:
@@ -139,6 +146,8 @@ class ScanReader(nn.Module):
         origin, beams = self._beams(lidar, xy, imu[:, 2:], axes)
         size = beams[..., :2].abs().amax(-1)
         returned = lidar < self._no_return
+        if self._seen is not None:
+            returned = returned & self._seen
         ends = returned & (size < REACH)
         hits = ends & (beams[..., 2] > LOWEST) & (self._is_steep(beams, up) | ~rough)
         shown = torch.cat((rough, rough & returned & (size < FARTHEST_HEIGHT)), -1)
@@ -175,6 +184,12 @@ class ScanReader(nn.Module):
         """
         rise = beams + (self._mount[2] / CELL * up)[:, None]
         return rise[..., 2] > math.tan(MAX_TILT) * rise[..., :2].norm(dim=-1)
+
+
+def _seen_readings(lidar: LidarConfig, view: float) -> Tensor:
+    """Returns which readings are of beams in the view of a lidar alone, bool ``[P]``."""
+    beams = seen(beam_angles(lidar.beams), view)
+    return torch.stack([part.all() for part in beams.tensor_split(lidar.points)])
 
 
 class Limits(NamedTuple):
