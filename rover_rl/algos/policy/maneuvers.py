@@ -34,6 +34,7 @@ SWITCH = 0.4  # cost of a change between forward and backward, m
 MOVING = 0.08  # speed above which a robot drives in a direction, m/s
 BRAKING = 0.45  # time before the end of an arc in which the robot begins to slow down, s
 SLOWEST, FASTEST_BACK = 0.2, 0.6  # lowest speed, and highest speed backward, m/s
+PACE = 4.0  # speed that clearance beside the body permits beyond the lowest one, 1/s
 _BLOCKED = 1e6  # cost of a pose that is not free, m
 _FAR = 1e3  # coordinate of readings that hit nothing, m
 
@@ -44,6 +45,7 @@ class Poses(NamedTuple):
     Attributes:
         x, y, heading: pose of the base frame, ``[M]``, m and rad.
         x_pivot, y_pivot: place of the pivot, ``[M]``, m.
+        gear: direction in which the robot gets there, ``[M]``: 1 forward, -1 backward.
     """
 
     x: Tensor
@@ -51,6 +53,7 @@ class Poses(NamedTuple):
     heading: Tensor
     x_pivot: Tensor
     y_pivot: Tensor
+    gear: Tensor
 
 
 class Maneuvers:
@@ -74,7 +77,7 @@ class Maneuvers:
         x, y, heading = pivot.unbind(-1)
         # The pivot starts at x = pivot in the base frame.
         base_x, base_y = x + self._pivot * (1 - heading.cos()), y - self._pivot * heading.sin()
-        self.poses = Poses(base_x, base_y, heading, x + self._pivot, y)
+        self.poses = Poses(base_x, base_y, heading, x + self._pivot, y, self._tensors["end_gear"])
         centers, size = covering_discs(robot, EXCESS)
         offsets = torch.from_numpy(centers).float().to(device)
         disc_x = base_x[:, None] + offsets * heading.cos()[:, None]
@@ -96,7 +99,7 @@ class Maneuvers:
 
     def free(self, clearances: Tensor) -> Tensor:
         """Returns which poses are free, bool ``[N, M]``: all on the way are, or none is closer than the robot is now."""
-        least = clearances[:, :1].clamp(max=SAFETY + 0.005) - 0.005
+        least = (clearances[:, :1] - 0.001).clamp(max=SAFETY)
         return self._along(clearances[:, 1:] >= least)
 
     def choose(self, cost: Tensor, free: Tensor, clearances: Tensor | None, speed: Tensor) -> Tensor:
@@ -121,6 +124,9 @@ class Maneuvers:
         drive = self._robot.drive
         fastest = torch.where(gear > 0, drive.max_speed, min(FASTEST_BACK, drive.max_speed))
         pace = torch.minimum((length / BRAKING).clamp(min=SLOWEST), fastest)
+        if clearances is not None:
+            beside = torch.minimum(clearances[:, :1], clearances[:, 1:].gather(-1, best))
+            pace = torch.minimum(pace, (SLOWEST + PACE * (beside - SAFETY)).clamp(min=SLOWEST))
         blocked = total.gather(-1, best) >= _BLOCKED
         forward = gear * torch.where(blocked, SLOWEST, pace)
         offset = (forward * curvature / HeadingGains.kp).clamp(-math.pi, math.pi)
@@ -149,7 +155,7 @@ def _grow(radius: float, longest: float) -> dict[str, np.ndarray]:
     turned = 0.05 * np.abs(curvature) * radius
     cost = effort[:, None] * steps + turned[:, None]
     of_first = (np.repeat(value, PIECES) for value in (gear, curvature))
-    rows = {"gear": [next(of_first)], "curvature": [next(of_first)], "length": [np.tile(steps, len(gear))]}
+    rows = {"end_gear": [np.repeat(gear, PIECES)], "gear": [next(of_first)], "curvature": [next(of_first)], "length": [np.tile(steps, len(gear))]}
     poses, costs = [first.reshape(-1, 3)], [cost.ravel()]
     sharp = np.flatnonzero(np.isin(np.arange(len(gear)) % CURVATURES, (0, CURVATURES // 2, CURVATURES - 1)))
     begins = [(arc, at) for arc in sharp for at in BRANCHES]
@@ -162,6 +168,7 @@ def _grow(radius: float, longest: float) -> dict[str, np.ndarray]:
         size = len(again) * PIECES
         # A robot that goes on in its direction does not slow down where the arcs meet.
         through = np.where(again[:, :1] == gear[arc], steps, 0.0).ravel()
+        rows["end_gear"].append(np.repeat(again[:, 0], PIECES))
         rows["gear"].append(np.full(size, gear[arc]))
         rows["curvature"].append(np.full(size, curvature[arc]))
         rows["length"].append(steps[at] + through)
@@ -194,8 +201,8 @@ def cost_to_place(poses: Poses, radius: float, place: Tensor, length: Tensor) ->
     dx, dy = place[:, :1] - poses.x_pivot, place[:, 1:] - poses.y_pivot
     cos, sin = poses.heading.cos(), poses.heading.sin()
     ahead, aside = dx * cos + dy * sin, (dy * cos - dx * sin).abs()
-    forward = _arc_and_tangent(ahead, aside, radius)
-    backward = REVERSE * _arc_and_tangent(-ahead, aside, radius) + SWITCH
+    forward = _arc_and_tangent(ahead, aside, radius) + SWITCH * (poses.gear < 0)
+    backward = REVERSE * _arc_and_tangent(-ahead, aside, radius) + SWITCH * (poses.gear > 0)
     return torch.minimum(forward, backward + (REVERSE - 1) * length.clamp(0, 6))
 
 
