@@ -80,7 +80,10 @@ class RobotCommand:
         world, robot, connection = get_world(described.worlds[0]), get_robot(described.robot), described.connection
         start = draw_episodes(world, 1, self.seed, robot=robot).start[0].tolist()
         transport = make_transport("dds", robot.name)
-        simulator = make_simulator(described.backend, worlds=[world], robot=robot, physics=described.preset)
+        rate = described.control_rate
+        simulator = make_simulator(
+            described.backend, worlds=[world], robot=robot, physics=described.preset, control_rate=rate
+        )
         scanner = make_scanner(simulator, [world], robot, self.lidar_beams)
         settings = Ros2Settings(
             odometry_topic=self.odometry_topic, pose_topic=self.pose_topic, reset_topic=self.reset_topic

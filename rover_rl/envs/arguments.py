@@ -65,6 +65,7 @@ class EnvSettings(TypedDict, total=False):
     pose: PoseConfig | None
     connection: Connection | None
     sensors: Sequence[SensorLike]
+    control_rate: float | None
 
 
 PLACES = {

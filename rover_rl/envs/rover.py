@@ -169,6 +169,7 @@ class RoverEnv(EnvBase):
             config.backend,
             robot=self.robot,
             physics=config.preset,
+            control_rate=config.control_rate,
             connection=config.connection,
             device=self._tensor_device,
         )

@@ -30,7 +30,6 @@ from rover_rl.envs import RoverEnv, StepEvent
 from rover_rl.envs.config import require_match
 from rover_rl.sims import RoverState
 from rover_rl.sims.ros2.simulator import Ros2Simulator
-from rover_rl.sims.timing import CONTROL_DT
 
 _log = logging.getLogger(__name__)
 
@@ -120,7 +119,7 @@ def drive_to(
                 log.begin(env.rover_state, env.scan, goal)
             while not ending:
                 before = env.rover_state
-                due = runner.action_repeat == 1 or held > (runner.action_repeat - 0.5) * CONTROL_DT
+                due = runner.action_repeat == 1 or held > (runner.action_repeat - 0.5) * env.control_dt
                 action = runner(tensordict, due=torch.tensor([due]))
                 tensordict = env.step(tensordict.set("action", action))["next"]
                 dt = env.rover_state.dt.item()
