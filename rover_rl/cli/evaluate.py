@@ -78,7 +78,7 @@ class Evaluate:
         if not self.policies:
             raise ValueError(NO_POLICY)
         words = [word for word in self.policies if not word.endswith(LOG)]
-        policies = resolve_policies(words, self.world, self.environment.robot) if words else []
+        policies = resolve_policies(words, self.world, self.environment.given_robot) if words else []
         backends = self._backends(policies)
         sets = self._episode_sets(policies)
         out = self.out or next((policy.folder for policy in policies if policy.folder), Path("runs/evaluation"))

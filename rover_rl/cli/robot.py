@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import signal
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from rover_rl.checks import check_at_least, check_positive, check_seed
-from rover_rl.cli.policies import read_env
+from rover_rl.cli.policies import ROBOT_OPTIONS, read_env
 from rover_rl.envs.config import EnvConfig
+from rover_rl.sims.robots.options import RobotOptions
 from rover_rl.sims.ros2.settings import Ros2Settings
 
 MAX_RATE = 1000.0
@@ -37,7 +38,9 @@ class RobotCommand:
     seed: int = 0
     """Seed of the start pose."""
     robot: str | None = None
-    """Robot: rover_zero, or module:attribute. Default: rover_zero."""
+    """Robot: a name, a URDF file, or module:attribute. Default: rover_zero."""
+    robot_options: Annotated[RobotOptions, ROBOT_OPTIONS] = field(default_factory=RobotOptions)
+    """What a URDF does not tell of the robot."""
     backend: str | None = None
     """Simulator: bullet, warp, mujoco (an extra), or module:attribute. Default: bullet."""
     physics: str | None = None
@@ -111,4 +114,5 @@ class RobotCommand:
         given: dict[str, Any] = {name: topic for name, topic in topics.items() if topic}
         parts = {"world": self.world, "robot": self.robot, "backend": self.backend, "physics": self.physics}
         changes: dict[str, Any] = {name: part for name, part in parts.items() if part}
-        return replace(config, connection=replace(config.connection, **given), **changes)
+        connection = replace(config.connection, **given)
+        return replace(config, connection=connection, robot_options=self.robot_options, **changes)

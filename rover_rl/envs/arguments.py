@@ -29,6 +29,7 @@ if TYPE_CHECKING:
         WorldLike,
     )
     from rover_rl.sims.connection import Connection
+    from rover_rl.sims.robots.options import RobotOptions
 
 
 class EnvSettings(TypedDict, total=False):
@@ -49,6 +50,7 @@ class EnvSettings(TypedDict, total=False):
     backend: BackendLike
     physics: str | None
     robot: RobotLike
+    robot_options: RobotOptions | None
     lidar_beams: int
     lidar_period: int
     seed: int | None

@@ -13,13 +13,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args
+
+import tyro
 
 from rover_rl.checks import MAX_COUNT, MAX_NUMBER, check_at_least, check_positive
 from rover_rl.plain import from_plain, to_plain
 from rover_rl.sims.backends import BackendLike as AnyBackend
 from rover_rl.sims.backends import find_settings, name_of
 from rover_rl.sims.connection import Connection
+from rover_rl.sims.robots.options import RobotOptions, with_options
 from rover_rl.sims.timing import CONTROL_DT
 
 if TYPE_CHECKING:
@@ -358,7 +361,9 @@ class EnvConfig:
     "maze:7@0.8" a hard one. Several worlds get equal shares of the rovers. "maze:0-99" draws one of 100 mazes for each
     episode."""
     robot: RobotLike = "rover_zero"
-    """Robot: rover_zero, or module:attribute."""
+    """Robot: a name (rover-rl robots lists them), a URDF file, or module:attribute."""
+    robot_options: Annotated[RobotOptions, tyro.conf.arg(name="robot")] = field(default_factory=RobotOptions)
+    """What a URDF does not tell of the robot. They become part of its name: "scout.urdf,max_speed=1.5"."""
     lidar: LidarConfig = field(default_factory=LidarConfig)
     """Lidar and its readings."""
     pose: PoseConfig = field(default_factory=PoseConfig)
@@ -411,6 +416,11 @@ class EnvConfig:
         for name, kind in _PARTS.items():
             if not isinstance(value := getattr(self, name), kind):
                 raise ValueError(f"{name} must be a {kind.__name__}, got {type(value).__name__} {value!r}"[:200])
+        if self.robot_options != RobotOptions():
+            if not isinstance(self.robot, str):
+                raise ValueError("robot_options are for robots by name and URDF files, and robot is a Robot")
+            object.__setattr__(self, "robot", with_options(self.robot, self.robot_options))
+            object.__setattr__(self, "robot_options", RobotOptions())
         # A World and a WorldPool, which are not imported here, as they import PyTorch, have one of these.
         if not (isinstance(self.world, Sequence) or hasattr(self.world, "terrain") or hasattr(self.world, "entries")):
             raise ValueError(f"world must be a name, a World, or a list of them, got {self.world!r}")
@@ -484,6 +494,7 @@ class EnvConfig:
 
 
 _PARTS: dict[str, type] = {
+    "robot_options": RobotOptions,
     "lidar": LidarConfig,
     "pose": PoseConfig,
     "action": ActionConfig,

@@ -94,7 +94,8 @@ class RoverPhysics:
         self._motors = [motor for motor in drive.motor_of_wheel if motor >= 0]
         self._motor_wheels = [slice(*ends) for ends in pairwise(np.cumsum([0, *map(len, drive.motors)]).tolist())]
         self._steering = [index[name] for name in drive.steering]
-        self._rollers = [index[roller_joint(name)] for name in drive.wheels] if drive.rollers else []
+        rolling = [name for name, angle in zip(drive.wheels, drive.rollers, strict=False) if angle is not None]
+        self._rollers = [index[roller_joint(name)] for name in rolling]
         passive = [index[name] for name in drive.passive]
         self._joints = [*self._wheels, *passive, *self._steering, *self._rollers]
         for client, body in self._rovers:

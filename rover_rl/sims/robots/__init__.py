@@ -6,9 +6,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rover_rl.registry import Registry
+from rover_rl.sims.robots.options import LIDAR_OPTIONS, RobotOptions, is_robot_file, split_options
 
 if TYPE_CHECKING:
     from rover_rl.sims.robots.robot import Robot
@@ -24,7 +28,7 @@ ROBOTS = {
 """Built-in robots, by name."""
 
 
-_REGISTRY = Registry("robot", ROBOTS, also=", a Robot, or 'module:attribute' of your own")
+_REGISTRY = Registry("robot", ROBOTS, also=", a URDF file, a Robot, or 'module:attribute' of your own")
 
 
 def register_robot(name: str, robot: Robot | Callable[[], Robot] | str) -> None:
@@ -49,11 +53,14 @@ def get_robot(robot: str | Robot) -> Robot:
     """Returns a robot by name. Returns a :class:`Robot` unchanged.
 
     Args:
-        robot: name in :func:`robot_names`, ``"module:attribute"`` of a robot or of a function that returns one, or a
-            robot.
+        robot: name in :func:`robot_names`, path of a URDF (``"scout.urdf"``), ``"module:attribute"`` of a robot or of a
+            function that returns one, or a robot. A name may have options, as in
+            ``"scout.urdf,drive=skid_steer,max_speed=1.5"``: the fields of :class:`RobotOptions`.
 
     Raises:
-        ValueError: if the name is unknown, or refers to something else than a robot.
+        ValueError: if the name is unknown, or refers to something else than a robot; if a URDF holds no robot that can
+            be driven, or an option does not fit the robot.
+        FileNotFoundError: if there is no such file.
     """
     from rover_rl.sims.robots.robot import Robot
 
@@ -61,6 +68,50 @@ def get_robot(robot: str | Robot) -> Robot:
         return robot
     if not isinstance(robot, str):
         raise ValueError(f"robot must be a name or a Robot, got {type(robot).__name__} {robot!r}"[:200])
+    own, options = split_options(robot)
+    if is_robot_file(own):
+        path = Path(own)
+        return _read(path, options, path.stat().st_mtime_ns if path.is_file() else 0)
+    return _with_limits(_named(own), options)
+
+
+@lru_cache(maxsize=16)
+def _read(path: Path, options: RobotOptions, modified: int) -> Robot:
+    """Returns the robot in a URDF. ``modified`` is the time of the last change of the file."""
+    from rover_rl.sims.robots.robot import Robot
+
+    return Robot.from_urdf(path, options=options)
+
+
+def _with_limits(robot: Robot, options: RobotOptions) -> Robot:
+    """Returns a robot of another name than a file with options, of which it takes those on its drive and lidar."""
+    if options == RobotOptions():
+        return robot
+    drive: dict[str, Any] = {}
+    for option in options.given:
+        field = _FIELDS.get(option, option)
+        if option in LIDAR_OPTIONS:
+            continue
+        if not hasattr(robot.drive, field) or option in ("drive", "missing"):
+            raise ValueError(
+                f"option {option} does not fit robot {robot.name!r}, whose drive is a {type(robot.drive).__name__}"
+            )
+        drive[field] = getattr(options, option)
+    changes: dict[str, Any] = {"drive": replace(robot.drive, **drive), **options.lidar_settings}
+    if options.lidar is not None:
+        place = options.lidar.split()
+        changes["lidar"] = tuple(map(float, place)) if len(place) == 3 else options.lidar
+    return replace(robot, **changes)
+
+
+_FIELDS = {"max_acceleration": "max_linear_acceleration"}
+"""Fields of a drive that options set, where the names differ."""
+
+
+def _named(robot: str) -> Robot:
+    """Returns a robot by its name, without options."""
+    from rover_rl.sims.robots.robot import Robot
+
     part = _REGISTRY.find(robot)
     part = _REGISTRY.call(robot, part) if callable(part) else part
     if not isinstance(part, Robot):
@@ -76,4 +127,4 @@ def __getattr__(name: str) -> Any:
     return Robot
 
 
-__all__ = ["ROBOTS", "Robot", "get_robot", "register_robot", "robot_names"]
+__all__ = ["ROBOTS", "Robot", "RobotOptions", "get_robot", "register_robot", "robot_names"]
