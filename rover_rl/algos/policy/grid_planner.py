@@ -18,7 +18,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from rover_rl.algos.policy.baselines import hit_points
-from rover_rl.algos.policy.maneuvers import OBSTRUCTED, Maneuvers, cost_to_place, way_point
+from rover_rl.algos.policy.maneuvers import Maneuvers, way_point
 from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike, TaskConfig
 from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.sims.robots import Robot, get_robot
@@ -98,11 +98,7 @@ def maneuver(
         Action ``[N, 2]``: forward speed (m/s) and heading offset (rad).
     """
     place = way_point(route, AHEAD * maneuvers.radius)
-    hits = maneuvers.hits(lidar, max_range)
-    clearances = maneuvers.clearances(hits)
-    cost = cost_to_place(maneuvers.poses, maneuvers.radius, place, route[:, 4:])
-    cost = cost + OBSTRUCTED * maneuvers.radius * maneuvers.blocked(hits, place)
-    action = maneuvers.choose(cost, maneuvers.free(clearances), clearances, velocities[:, :1])
+    action = maneuvers.towards(place, route[:, 4:], lidar, max_range, velocities[:, :1])
     steep = imu[:, :1] < -STEEP
     return torch.where(steep, torch.tensor((BACK_DOWN, 0.0), device=action.device), action)
 

@@ -35,6 +35,9 @@ MOVING = 0.08  # speed above which a robot drives in a direction, m/s
 BRAKING = 0.45  # time before the end of an arc in which the robot begins to slow down, s
 SLOWEST, FASTEST_BACK = 0.2, 0.6  # lowest speed, and highest speed backward, m/s
 PACE = 4.0  # speed that clearance beside the body permits beyond the lowest one, 1/s
+ARC = 1.6  # cost of a meter of an arc that is yet to be driven in the way to a place, where obstacles may stop it
+OBSTRUCTED = 2.0  # cost of a way to a place on which something is in the straight line, in smallest radii
+INSIDE = 1.5  # cost of a place within the smallest turning circle, relative to half of that circle
 _BLOCKED = 1e6  # cost of a pose that is not free, m
 _FAR = 1e3  # coordinate of readings that hit nothing, m
 
@@ -118,7 +121,7 @@ class Maneuvers:
         A body that is too close already may move as long as it does not get closer.
         """
         least = (clearances[:, :1] - 0.001).clamp(max=SAFETY)
-        return self._along(clearances[:, 1:] >= least)
+        return self.on_the_way(clearances[:, 1:] >= least)
 
     def choose(self, cost: Tensor, free: Tensor, clearances: Tensor | None, speed: Tensor) -> Tensor:
         """Returns the actions that begin the best maneuvers, ``[N, 2]``: speed (m/s) and heading offset (rad).
@@ -150,8 +153,24 @@ class Maneuvers:
         offset = (forward * curvature / HeadingGains.kp).clamp(-math.pi, math.pi)
         return torch.cat((forward, offset), -1)
 
-    def _along(self, free: Tensor) -> Tensor:
-        """Returns which poses are free with all poses on the way to them."""
+    def towards(self, place: Tensor, length: Tensor, lidar: Tensor, max_range: float, speed: Tensor) -> Tensor:
+        """Returns the actions of robots that drive to places among what their lidars see, ``[N, 2]``.
+
+        Args:
+            place: places in the base frame, ``[N, 2]``, m.
+            length: lengths of the whole routes, ``[N, 1]``, m: a long one is better driven forward.
+            lidar: lidar readings, ``[N, points]``, m.
+            max_range: reading from which on nothing is there, m.
+            speed: forward speed of the robot, ``[N, 1]``, m/s.
+        """
+        hits = self.hits(lidar, max_range)
+        clearances = self.clearances(hits)
+        cost = cost_to_place(self.poses, self.radius, place, length)
+        cost = cost + OBSTRUCTED * self.radius * self.blocked(hits, place)
+        return self.choose(cost, self.free(clearances), clearances, speed)
+
+    def on_the_way(self, free: Tensor) -> Tensor:
+        """Returns which poses are free with all poses on the way to them, of which poses are, bool ``[N, M]``."""
         first, rest = free[:, : self._first], free[:, self._first :]
         first = first.unflatten(-1, (-1, PIECES)).cummin(-1).values.flatten(1)
         before = first[:, self._tensors["begin"]][..., None]
@@ -211,11 +230,6 @@ def _arc(start: np.ndarray, gear: np.ndarray, curvature: np.ndarray, steps: np.n
     return np.stack(np.broadcast_arrays(x + chord * np.cos(middle), y + chord * np.sin(middle), heading + turn), -1)
 
 
-ARC = 1.6  # cost of a meter of an arc that is yet to be driven in the way to a place, where obstacles may stop it
-OBSTRUCTED = 2.0  # cost of a way to a place on which something is in the straight line, in smallest radii
-INSIDE = 1.5  # cost of a place within the smallest turning circle, relative to half of that circle
-
-
 def cost_to_place(poses: Poses, radius: float, place: Tensor, length: Tensor) -> Tensor:
     """Returns the cost of the way from poses to places in the base frame ``[N, 2]`` (m): ``[N, M]``, m.
 
@@ -227,6 +241,20 @@ def cost_to_place(poses: Poses, radius: float, place: Tensor, length: Tensor) ->
     ahead, aside = dx * cos + dy * sin, (dy * cos - dx * sin).abs()
     forward = _arc_and_tangent(ahead, aside, radius) + SWITCH * (poses.gear < 0)
     backward = REVERSE * _arc_and_tangent(-ahead, aside, radius) + SWITCH * (poses.gear > 0)
+    return torch.minimum(forward, backward + (REVERSE - 1) * length.clamp(0, 6))
+
+
+def cost_of_turn(angle: Tensor, gear: Tensor, radius: float, length: Tensor) -> Tensor:
+    """Returns the cost of turning into the direction of a way, forward or backward: ``[N, M]``, m.
+
+    Args:
+        angle: angle between the heading of a pose and the way, without sign, ``[N, M]``, rad.
+        gear: direction in which the robot gets to the pose, ``[M]``.
+        radius: smallest radius, m.
+        length: length of the way, ``[N, M]``, m.
+    """
+    forward = ARC * radius * angle + SWITCH * (gear < 0)
+    backward = REVERSE * ARC * radius * (math.pi - angle) + SWITCH * (gear > 0)
     return torch.minimum(forward, backward + (REVERSE - 1) * length.clamp(0, 6))
 
 

@@ -65,17 +65,18 @@ class SkidSteer(Drive):
         They are those of the mean twist, so that the distance driven matches the limited acceleration.
         """
         twist = (before + after) * 0.5
-        inverse_radius, left_right, _, _ = _factors(self._separation(wheels), wheels.radius, twist.device)
+        inverse_radius, left_right, _, _ = _factors(self.separation_of(wheels), wheels.radius, twist.device)
         speeds = torch.addcmul(twist[:, :1] * inverse_radius, twist[:, 1:], left_right)
         return Joints(speeds, speeds[:, :0])
 
     def odometry(self, joints: Joints, wheels: Wheels) -> Tensor:
         """Returns ``v = r (wR + wL) / 2`` (m/s) and ``w = r (wR - wL) / separation`` (rad/s), ``[N, 2]``."""
         speeds = joints.speeds
-        _, _, from_left, from_right = _factors(self._separation(wheels), wheels.radius, speeds.device)
+        _, _, from_left, from_right = _factors(self.separation_of(wheels), wheels.radius, speeds.device)
         return torch.addcmul(speeds[:, :1] * from_left, speeds[:, 1:], from_right)
 
-    def _separation(self, wheels: Wheels) -> float:
+    def separation_of(self, wheels: Wheels) -> float:
+        """Returns the effective distance between the left and right wheels, m."""
         if self.separation is not None:
             return self.separation
         sides = [hub[1] for hub in wheels.hubs]

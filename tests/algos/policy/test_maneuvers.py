@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from rover_rl.algos.policy.maneuvers import Maneuvers, cost_to_place, way_point
+from rover_rl.algos.policy.maneuvers import Maneuvers, way_point
 from rover_rl.envs.config import HeadingGains
 from rover_rl.sims.robots.footprint import footprint
 from tests.fleet import hunter, racer
@@ -27,11 +27,8 @@ def readings(robot, points):
 
 def choose(robot, place, lidar, speed=0.0, length=2.0):
     maneuvers = Maneuvers(robot)
-    hits, place = maneuvers.hits(lidar, RANGE), torch.tensor([place])
-    clearances = maneuvers.clearances(hits)
-    cost = cost_to_place(maneuvers.poses, maneuvers.radius, place, torch.tensor([[length]]))
-    cost = cost + 2 * maneuvers.radius * maneuvers.blocked(hits, place)
-    action = maneuvers.choose(cost, maneuvers.free(clearances), clearances, torch.tensor([[speed]]))
+    place, length, speed = torch.tensor([place]), torch.tensor([[length]]), torch.tensor([[speed]])
+    action = maneuvers.towards(place, length, lidar, RANGE, speed)
     return action[0].tolist()
 
 
