@@ -64,7 +64,15 @@ class MovingMap(SeenMap):
         moving = self._moving
         radius = torch.where(moving.moves, moving.radius + self._side, -1.0)[..., None]
         ways = torch.cat((moving.position, moving.velocity, radius), -1) / (CELL * self._unit)
-        inputs = [rows, center, self._place, ways.contiguous(), self._speed / (CELL * self._unit), self._levels, self._open]
+        inputs = [
+            rows,
+            center,
+            self._place,
+            ways.contiguous(),
+            self._speed / (CELL * self._unit),
+            self._levels,
+            self._open,
+        ]
         return close_ways, inputs
 
 
