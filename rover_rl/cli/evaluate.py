@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from rover_rl.algos.evaluation.episodes import EpisodeSet
     from rover_rl.algos.evaluation.parallel import EndlessRequest, GoalRequest
     from rover_rl.algos.evaluation.results import EndlessEvaluation, Evaluation
+    from rover_rl.algos.policy.runner import Policy
+    from rover_rl.envs.config import EnvConfig
 
 
 @dataclass(frozen=True)
@@ -38,14 +41,18 @@ class Evaluate:
     Default: 256 in one world, 4 in each world of a range."""
     seed: int | None = None
     """Seed of newly drawn starts and goals. Default: use the stored ones."""
-    seconds: float = 60.0
-    """Time limit of each episode, s."""
+    seconds: float | None = None
+    """Time limit of each episode, s. Default: 60, and longer for a robot that is slower than 1 m/s or needs wider
+    worlds."""
     action_repeat: int | None = None
     """Number of steps (50 ms) that each action is held for. Default: 1, for policies with memory that of training."""
     environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
     backend: tuple[str, ...] = ()
     """Simulators: bullet, warp, mujoco (an extra), or module:attribute. Several are compared on the same episodes.
     Default: that of --env, else bullet."""
+    agents: int | None = None
+    """Number of rovers that drive at once in the same world, in which they see and push one another.
+    Default: that of --env, else 1."""
     endless: bool = False
     """Also evaluate in endless mode: 32 episodes of 2,000 steps, as in the original environment."""
     jam: bool = True
@@ -67,7 +74,8 @@ class Evaluate:
         from rover_rl.algos.evaluation.report import check_columns, print_table, write_evaluation
 
         check_columns(self.columns)
-        check_options(seconds=self.seconds, action_repeat=1 if self.action_repeat is None else self.action_repeat)
+        given = {"seconds": self.seconds, "action_repeat": self.action_repeat}
+        check_options(**{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
         logs = {Path(word): read_drives(Path(word)) for word in self.policies if word.endswith(LOG)}
         if not self.policies:
             raise ValueError(NO_POLICY)
@@ -117,6 +125,11 @@ class Evaluate:
                     self.environment.description(policy.module, name)
         return [*names] or [None]
 
+    def _env(self, policy: Policy | None, backend: str | None) -> EnvConfig:
+        """Returns the environment for a policy, in a backend."""
+        env = self.environment.description(policy, backend)
+        return env if self.agents is None else replace(env, agents=self.agents)
+
     def _episode_sets(self, policies: list[ResolvedPolicy]) -> dict[str, EpisodeSet]:
         """Returns the episodes of each world: the stored ones if possible, else newly drawn ones."""
         from rover_rl.algos.evaluation.episodes import choose_episodes
@@ -129,15 +142,15 @@ class Evaluate:
         for world in worlds:
             get_world(WorldPool(world).source(0))
         trained = next((policy.module for policy in policies if policy.config), None)
-        robot = self.environment.description(trained, next(iter(self.backend), None)).robot
-        return {
-            world: choose_episodes(world, self.count, self.seed, robot=robot, workers=self.workers) for world in worlds
-        }
+        env = self._env(trained, next(iter(self.backend), None))
+        choose = partial(choose_episodes, robot=env.robot, workers=self.workers, agents=env.agents)
+        return {world: choose(world, self.count, self.seed) for world in worlds}
 
     def _evaluate(
         self, policies: list[ResolvedPolicy], sets: dict[str, EpisodeSet], backends: list[str | None]
     ) -> list[Evaluation | EndlessEvaluation]:
         """Evaluates the policies in each world and backend."""
+        from rover_rl.algos.evaluation.evaluate import usual_seconds
         from rover_rl.algos.evaluation.mover_traces import TRACE
         from rover_rl.algos.evaluation.parallel import EndlessRequest, GoalRequest, evaluate_all
 
@@ -146,10 +159,12 @@ class Evaluate:
             runs: list[tuple[ResolvedPolicy, dict[str, Any]]] = []
             for policy, backend in product(policies, backends):
                 if world in (policy.worlds or sets):
-                    env = self.environment.description(policy.module, backend)
+                    env = self._env(policy.module, backend)
                     runs.append((policy, {"name": policy.name, "action_repeat": self.action_repeat, "env": env}))
-            limits = {"seconds": self.seconds, "track_movers": TRACE}
-            requests += [GoalRequest(policy.module, episodes, {**s, **limits}) for policy, s in runs]
+            for policy, settings in runs:
+                seconds = usual_seconds(settings["env"]) if self.seconds is None else self.seconds
+                options = {**settings, "seconds": seconds, "track_movers": TRACE}
+                requests.append(GoalRequest(policy.module, episodes, options))
             if self.endless:
                 requests += [EndlessRequest(policy.module, world, {**s, "jam": self.jam}) for policy, s in runs]
         return evaluate_all(requests, self.workers)
@@ -166,6 +181,6 @@ def _pictures(
     pictures: dict[Path, list[Evaluation]] = {}
     for evaluation in driven:
         world, backend = several_worlds and evaluation.episodes.name, several_backends and evaluation.backend
-        name = "-".join(part for part in ("paths", world, backend) if part).replace(":", "-")
+        name = "-".join(part for part in ("paths", world, backend) if part).replace(":", "-").replace("*", "x")
         pictures.setdefault(out / f"{name}.png", []).append(evaluation)
     return pictures

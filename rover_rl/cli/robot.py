@@ -47,8 +47,8 @@ class RobotCommand:
     """Preset of Bullet's physics: default, accurate or fast (docs/physics.md)."""
     lidar_beams: int = 640
     """Number of lidar beams in a full turn; the original environment has 640."""
-    lidar_view: float = 360.0
-    """Field of view of the lidar, centered straight ahead, degrees."""
+    lidar_view: float | None = None
+    """Field of view of the lidar, centered straight ahead, degrees. Default: that of the robot."""
     scan_topic: str | None = None
     """Topic that the sensor_msgs/LaserScan is published to. Default: /scan."""
     imu_topic: str | None = None
@@ -66,9 +66,10 @@ class RobotCommand:
         """Runs the robot until it is interrupted."""
         check_positive(MAX_RATE, rate=self.rate)
         check_at_least(1, MAX_BEAMS, lidar_beams=self.lidar_beams)
-        check_positive(360, lidar_view=self.lidar_view)
+        if self.lidar_view is not None:
+            check_positive(360, lidar_view=self.lidar_view)
         check_seed(self.seed)
-        described = self._environment()
+        described = self._environment().fitted()
         from rover_rl.algos.evaluation.episodes import draw_episodes
         from rover_rl.sims import make_scanner, make_simulator
         from rover_rl.sims.robots import get_robot
@@ -82,12 +83,15 @@ class RobotCommand:
         world, robot, connection = get_world(described.worlds[0]), get_robot(described.robot), described.connection
         start = draw_episodes(world, 1, self.seed, robot=robot).start[0].tolist()
         transport = make_transport("dds", robot.name)
-        simulator = make_simulator(described.backend, worlds=[world], robot=robot, physics=described.preset)
+        rate = described.control_rate
+        simulator = make_simulator(
+            described.backend, worlds=[world], robot=robot, physics=described.preset, control_rate=rate
+        )
         scanner = make_scanner(simulator, [world], robot, self.lidar_beams)
         settings = Ros2Settings(
             odometry_topic=self.odometry_topic, pose_topic=self.pose_topic, reset_topic=self.reset_topic
         )
-        view = math.radians(self.lidar_view)
+        view = robot.lidar_view if self.lidar_view is None else math.radians(self.lidar_view)
         try:
             node = RobotNode(
                 simulator, scanner, transport, world, robot.lidar_range, settings, connection, tuple(start), view

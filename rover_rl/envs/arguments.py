@@ -46,6 +46,7 @@ class EnvSettings(TypedDict, total=False):
     lidar_points: int
     max_lidar_range: float
     num_envs: int | None
+    agents: int
     backend: BackendLike
     physics: str | None
     robot: RobotLike
@@ -66,6 +67,7 @@ class EnvSettings(TypedDict, total=False):
     pose: PoseConfig | None
     connection: Connection | None
     sensors: Sequence[SensorLike]
+    control_rate: float | None
 
 
 PLACES = {

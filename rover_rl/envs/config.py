@@ -23,6 +23,7 @@ from rover_rl.sims.backends import BackendLike as AnyBackend
 from rover_rl.sims.backends import find_settings, name_of
 from rover_rl.sims.connection import Connection
 from rover_rl.sims.robots.options import RobotOptions, with_options
+from rover_rl.sims.timing import CONTROL_DT
 
 if TYPE_CHECKING:
     from torchrl.envs import Transform
@@ -52,6 +53,9 @@ CollisionSource: TypeAlias = Literal["lidar", "contact"]
 """What counts as a collision: a lidar reading below a threshold, or contact of the rover's body with an obstacle."""
 DEFAULT_PHYSICS = "default"
 """Name of the physics preset that every backend has."""
+
+MAX_RATE = 1000.0
+"""Highest control rate, Hz."""
 
 _UNCHANGED = (1.0, 1.0)
 
@@ -175,7 +179,9 @@ class TaskConfig:
     Args:
         success_distance: Distance below which a goal is reached, m.
         min_goal_distance: Minimum distance from the rover to a new goal, m.
-        collision_threshold: Lidar reading below which the rover is in collision, m.
+        collision_threshold: Lidar reading below which the rover is in collision, m. ``None`` is the robot's: 0.3 m for
+            Rover Zero, as in the contract, and for a robot that states none, in each direction, what its outline takes
+            and 5 cm.
         collision_window: Number of consecutive steps in collision above which the rover is jammed, which ends the
             episode. 0 ends it at the first.
         flip_threshold: Absolute roll or pitch above which the rover is flipped, rad.
@@ -190,7 +196,7 @@ class TaskConfig:
 
     success_distance: float = 0.5
     min_goal_distance: float = 1.0
-    collision_threshold: float = 0.3
+    collision_threshold: float | None = None
     collision_window: int = 15
     flip_threshold: float = 1.48
     stuck_window: int = 600
@@ -204,8 +210,8 @@ class TaskConfig:
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
         for name in ("collision_threshold", "collision_window", "flip_threshold", "stuck_threshold"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+            if (value := getattr(self, name)) is not None and not value >= 0:
+                raise ValueError(f"{name} must not be negative, got {value}")
 
 
 @dataclass(frozen=True)
@@ -389,6 +395,9 @@ class EnvConfig:
     """Simulator: bullet, warp (fast), mujoco (an extra), ros2 (one live rover), or module:attribute."""
     physics: str = DEFAULT_PHYSICS
     """Physics preset of the backend. Bullet has default, accurate and fast, see docs/physics.md."""
+    control_rate: float | None = None
+    """Control steps per second. Default: those of the backend's settings, 20. A fast robot needs more: at 5 m/s and 20
+    Hz, it drives 0.25 m in a step. Numbers of steps, as the length of an episode, stay as they are."""
     connection: Connection = field(default_factory=Connection)
     """ROS 2 topics of a live rover, and connection timeout."""
     length: int = 2000
@@ -399,6 +408,8 @@ class EnvConfig:
     """Size of the camera buffer, pixels. Reserved for vision, as in the original environment."""
     num_envs: int | None = 1
     """Number of rovers in the batch."""
+    agents: int = 1
+    """Number of consecutive rovers of the batch that share a world, in which they see and push one another."""
     seed: int | None = None
     """Seed of the first rover. Rover i has this seed plus i. Without a seed, a random one is used."""
     device: str | None = None
@@ -423,6 +434,8 @@ class EnvConfig:
         if isinstance(self.reward, RewardConfig):
             object.__setattr__(self, "contract_reward", self.reward)
             object.__setattr__(self, "reward", "contract")
+        if self.control_rate is not None:
+            check_positive(MAX_RATE, control_rate=self.control_rate)
         if isinstance(self.sensors, str) or not isinstance(self.sensors, Sequence):
             raise ValueError(f"sensors must be a list of names or Sensors, got {self.sensors!r}")
         for name in ("world", "reward", "sensors"):
@@ -442,6 +455,21 @@ class EnvConfig:
         """Names of :attr:`worlds`."""
         return tuple(world if isinstance(world, str) else world.name for world in self.worlds)
 
+    def fitted(self) -> EnvConfig:
+        """Returns the description with worlds that are wide enough for the robot, where their names leave that open.
+
+        ``"maze:5"`` becomes ``"maze:5*1.8"`` for a robot that needs passages 1.8 times as wide as Rover Zero does:
+        see :func:`~rover_rl.sims.free_space.fitting.fitting_worlds`. A live rover is in the world that is named.
+        """
+        backend = self.backend if isinstance(self.backend, str) else name_of(self.backend)
+        if self.robot == EnvConfig.robot or backend == "ros2":
+            return self
+        from rover_rl.sims.free_space.fitting import fitting_worlds
+        from rover_rl.sims.robots import get_robot
+
+        world = fitting_worlds(self.world, get_robot(self.robot))
+        return self if world is self.world else replace(self, world=world)
+
     @property
     def own_sensors(self) -> tuple[SensorLike, ...]:
         """Sensors besides those that every rover has: those of the robot, then :attr:`sensors`."""
@@ -456,6 +484,11 @@ class EnvConfig:
     def bounded_action(self) -> ActionConfig:
         """Bounds of the action for :attr:`robot`: see :meth:`ActionConfig.for_robot`."""
         return self.action.for_robot(self.robot)
+
+    @property
+    def control_dt(self) -> float:
+        """Duration of a step, s."""
+        return 1 / self.control_rate if self.control_rate else getattr(self.backend, "control_dt", CONTROL_DT)
 
     @property
     def preset(self) -> str | None:
@@ -501,6 +534,8 @@ def _pairs(made_for: EnvConfig, env: EnvConfig) -> Iterator[tuple[str, Any, Any]
     yield "a lidar range of (m)", made_for.lidar.max_range, env.lidar.max_range
     yield "the robot", *_robots(made_for.robot, env.robot)
     yield "the sensors", made_for.sensors, tuple(each for each in made_for.sensors if each in env.sensors)
+    rates = made_for.control_rate or 1 / CONTROL_DT, env.control_rate or 1 / CONTROL_DT
+    yield "a control rate of (Hz)", *rates
     actions = _values(made_for.bounded_action), _values(env.bounded_action)
     yield "actions of (min_speed, max_speed, max_turn, max_sideways)", *actions
     gains = _values(made_for.heading_gains), _values(env.heading_gains)

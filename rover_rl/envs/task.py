@@ -25,6 +25,8 @@ from torch import Tensor
 from rover_rl.envs.config import EnvConfig, TaskConfig
 from rover_rl.envs.perception import Perception, SensedPose
 from rover_rl.envs.placement import Placement
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.footprint import collision_ranges
 from rover_rl.sims.rotations import angle_of, wrap_angle
 from rover_rl.tensordicts import unchecked_tensordict
 
@@ -205,6 +207,8 @@ class StepState:
         task: goals, targets and counters.
         world: index of each row's world in the pool, int64 ``[N, 1]``. ``None`` if there is only one.
         movers: entries of ``outcome`` on movers. Empty if no world has any.
+        world_steps: number of steps since the worlds of groups changed, at which episodes are truncated, int64
+            ``[N, 1]``. ``None`` if groups do not change worlds.
         outcome: events and measurements of the last step.
         terminated, truncated: whether the last step ended the episode, bool ``[N, 1]``.
     """
@@ -216,13 +220,14 @@ class StepState:
     task: TaskState
     world: Tensor | None
     movers: dict[str, Tensor]
+    world_steps: Tensor | None
     outcome: TensorDict
     terminated: Tensor
     truncated: Tensor
 
     def __init__(self, task: TaskState, world: Tensor | None) -> None:
         self.task = task
-        self.world, self.movers = world, {}
+        self.world, self.movers, self.world_steps = world, {}, None
 
 
 class Navigation:
@@ -231,6 +236,7 @@ class Navigation:
     Args:
         config: description of the environment.
         placement: source of goals and of the bounds of each row's world.
+        robot: robot, whose outline tells collisions if the task states no threshold.
         num_envs: number of rows.
         device: device of the rows.
 
@@ -238,9 +244,15 @@ class Navigation:
         length: number of steps after which an episode is truncated.
     """
 
-    def __init__(self, config: EnvConfig, placement: Placement, num_envs: int, device: torch.device) -> None:
+    def __init__(
+        self, config: EnvConfig, placement: Placement, robot: Robot, num_envs: int, device: torch.device
+    ) -> None:
         self._task, self.length, self._end_on_goal = config.task, config.length, config.end_on_goal
         self._placement = placement
+        # Reading below which the rover is in collision, of all beams or of each. Of all, pooled readings do.
+        self._threshold, self._ranges = config.task.collision_threshold, torch.empty(0)
+        if self._threshold is None:
+            self._ranges = torch.tensor(collision_ranges(robot, config.lidar.beams), dtype=torch.float32, device=device)
         self._history = PositionHistory(num_envs, config.task.stuck_window, device)
 
     def begin(self, state: StepState, mask: Tensor, goal: Tensor | None, keys: Tensor, first: bool) -> None:
@@ -256,7 +268,7 @@ class Navigation:
         zeros = torch.zeros_like(keys)
         reference = state.reference
         if goal is None:
-            goal = self._placement.draw_goal(keys, zeros, reference.position, mask)
+            goal = self._placement.draw_goal(keys, zeros, reference.position, mask, state.task.goal)
         initial = TaskState(
             goal=goal,
             target=target_info(reference.position, reference.yaw, goal),
@@ -333,14 +345,17 @@ class Navigation:
             # RoverEnv refuses simulators without contacts for this task.
             assert reference.rover.contact is not None
             return reference.rover.contact
-        return reference.readings.amin(-1, keepdim=True) < self._task.collision_threshold
+        if self._threshold is None:
+            return (reference.ranges < self._ranges).any(-1, keepdim=True)
+        return reference.readings.amin(-1, keepdim=True) < self._threshold
 
     def _end(self, state: StepState, active: Tensor | None) -> None:
         """Sets ``terminated`` and ``truncated`` from the outcome and the number of steps."""
         terminated = state.outcome.get("phase") < StepEvent.GOAL
         if self._end_on_goal:
             terminated = terminated | state.outcome.get("goal_reached")
-        truncated = (state.task.steps >= self.length) & ~terminated
+        steps = state.task.steps if state.world_steps is None else state.world_steps
+        truncated = (steps >= self.length) & ~terminated
         if active is not None:
             terminated = torch.where(active, terminated, state.terminated)
             truncated = torch.where(active, truncated, state.truncated)
@@ -352,7 +367,7 @@ class Navigation:
         if reached.device.type == "cpu" and not reached.any():
             return task
         reference = state.reference
-        drawn = self._placement.draw_goal(keys, task.goals, reference.position, reached)
+        drawn = self._placement.draw_goal(keys, task.goals, reference.position, reached, task.goal)
         goal = torch.where(reached, drawn, task.goal)
         target = target_info(reference.position, reference.yaw, goal)
         return replace(task, goal=goal, target=target, goals=task.goals + reached)

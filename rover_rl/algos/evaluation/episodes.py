@@ -27,10 +27,12 @@ from rover_rl.algos.evaluation.cores import over_cores
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.checks import MAX_COUNT, check_at_least, check_seed
 from rover_rl.envs import EnvConfig, TaskConfig
+from rover_rl.envs.group_placement import GroupPlacement
 from rover_rl.envs.placement import Placement
 from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay
 from rover_rl.rng import episode_keys, row_keys
+from rover_rl.sims.free_space.fitting import fitting_worlds
 from rover_rl.sims.free_space.shortest_paths import shortest_paths
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.worlds import WORLDS, World, WorldName, get_world
@@ -134,6 +136,7 @@ def draw_episodes(
     episodes: int | None = None,
     robot: str | Robot = "rover_zero",
     workers: int | None = 1,
+    agents: int = 1,
 ) -> EpisodeSet:
     """Draws starts and goals as the environment does, and keeps those whose shortest path is long enough.
 
@@ -142,22 +145,29 @@ def draw_episodes(
     several worlds are in the order of the worlds.
 
     Args:
-        world: world, range of worlds such as ``"maze:10000-10063"``, list of both, or pool.
+        world: world, range of worlds such as ``"maze:10000-10063"``, list of both, or pool. Names without a scale get
+            that of the robot, such as ``"maze:10000-10063*1.8"``.
         count: number of episodes in each world.
         seed: seed of the first draw.
         min_path: smallest length of the shortest path, m; draws with a shorter one are skipped.
         episodes: another name for ``count``, as on the command line.
         robot: robot, or its name, for which the starts, goals and paths must be free.
         workers: largest number of processes; ``None``: the number of cores. The episodes do not depend on it.
+        agents: number of consecutive episodes that are driven at once, by rovers that share a world. Their starts are
+            apart, and so are their goals. ``count`` must be a multiple.
 
     Raises:
         ValueError: for an unknown world or robot, a count or seed out of range, or a world in which hardly any path
             is long enough.
     """
     count = count if episodes is None else episodes
-    check_at_least(1, MAX_COUNT, count=count)
+    check_at_least(1, MAX_COUNT, count=count, agents=agents)
+    if count % agents:
+        raise ValueError(f"count must be a multiple of agents={agents}, got {count}")
+    robot = get_robot(robot)
+    world = fitting_worlds(world, robot)
     seed, pool = check_seed(seed, count), WorldPool.of(world)
-    draw = partial(_draw_in, robot=get_robot(robot), count=count, seed=seed, min_path=min_path)
+    draw = partial(_draw_in, robot=robot, count=count, seed=seed, min_path=min_path, agents=agents)
     if len(pool) == 1:
         drawn = [draw(pool[0])]
     else:
@@ -178,15 +188,15 @@ def portable(world: str | World) -> str | World:
 
 @single_threaded()
 def _draw_in(
-    world: str | World, *, robot: Robot, count: int, seed: int, min_path: float
+    world: str | World, *, robot: Robot, count: int, seed: int, min_path: float, agents: int
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Draws the starts, goals and shortest paths of ``count`` episodes in a world: see :func:`draw_episodes`."""
     place, goal_radius = get_world(world), TaskConfig().success_distance
     found: list[tuple[Tensor, Tensor, Tensor]] = []
     for first in range(seed, seed + _MAX_DRAWS * count, count):
-        start, goal = _draw(place, robot, count, first)
+        start, goal = _draw(place, robot, count, first, agents)
         shortest = shortest_paths(place, robot, start, goal, goal_radius)
-        long_enough = shortest >= min_path
+        long_enough = (shortest >= min_path).reshape(-1, agents).all(1).repeat_interleave(agents)
         found.append((start[long_enough], goal[long_enough], shortest[long_enough]))
         start, goal, shortest = (torch.cat(part)[:count] for part in zip(*found, strict=True))
         if len(shortest) == count:
@@ -194,10 +204,11 @@ def _draw_in(
     raise ValueError(f"world {place.name!r} has hardly any shortest path of {min_path:g} m or more")
 
 
-def _draw(world: World, robot: Robot, count: int, seed: int) -> tuple[Tensor, Tensor]:
+def _draw(world: World, robot: Robot, count: int, seed: int, agents: int) -> tuple[Tensor, Tensor]:
     """Starts ``[count, 3]`` and goals ``[count, 2]`` of the first episodes of environments seeded ``seed`` and up."""
     device = torch.device("cpu")
-    placement = Placement(WorldTable([world] * count), robot, TaskConfig().min_goal_distance)
+    placing = (WorldTable([world] * count), robot, TaskConfig().min_goal_distance)
+    placement = Placement(*placing) if agents == 1 else GroupPlacement(*placing, agents)
     keys = episode_keys(row_keys(seed, count, device), torch.ones(count, 1, dtype=torch.int64))
     start = placement.draw_start(keys)
     return start, placement.draw_goal(keys, torch.zeros_like(keys), start[:, :2])
@@ -220,21 +231,23 @@ def choose_episodes(
     *,
     robot: str | Robot = "rover_zero",
     workers: int | None = 1,
+    agents: int = 1,
 ) -> EpisodeSet:
     """Returns the first stored episodes of a world, or draws episodes if there are not enough stored ones.
 
-    ``count`` is the number in each world, by default 256 in one world and 4 in each of a range. With a ``seed``, or for
-    another robot than ``rover_zero``, all episodes are drawn: see :func:`draw_episodes`.
+    ``count`` is the number in each world, by default 256 in one world and 4 in each of a range. With a ``seed``, for
+    several ``agents`` or for another robot than ``rover_zero``, all episodes are drawn: see :func:`draw_episodes`.
     """
     several = len(WorldPool(world)) > 1
     if count is None:
         count = PER_WORLD if several else STORED
-    if world in STORED_WORLDS and seed is None and count <= STORED and robot == "rover_zero":
+        count = max(agents, count - count % agents)
+    if world in STORED_WORLDS and seed is None and count <= STORED and robot == "rover_zero" and agents == 1:
         return stored_episodes(world).first(count)
     seed = DEFAULT_SEED if seed is None else seed
     # Several worlds have a display of their own.
     with nullcontext() if several else ProgressDisplay("drawing starts and goals"):
-        return draw_episodes(world, count, seed, robot=robot, workers=workers)
+        return draw_episodes(world, count, seed, robot=robot, workers=workers, agents=agents)
 
 
 def write_episodes(episodes: EpisodeSet, path: Path) -> None:

@@ -12,7 +12,7 @@ import threading
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -305,7 +305,8 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
     """
     config.check()
     check_trackers(config.run.logger)
-    env = config.env
+    env = config.env.fitted()
+    config = replace(config, env=env)
     for world in env.worlds:
         check_world(world)
     if config.collection.curriculum != "none" and not draws_worlds(env.world):
@@ -328,7 +329,7 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
         cores, given = connect(), config.collection.workers
         if (given or 1) > cores:
             raise ValueError(f"workers={given} need a processor each, and the Ray cluster has {cores}")
-        workers = given or default_workers(config.num_envs, cores)
+        workers = given or default_workers(config.groups, cores)
     torch.manual_seed(config.seed)
     return with_settings(config, workers=workers)
 

@@ -3,6 +3,9 @@
 A map is a window of ``SIZE x SIZE`` cells around the rover, which moves with it cell by cell. Cell (X, Y) of the world
 covers ``CELL * [X, X + 1)`` by ``CELL * [Y, Y + 1)``, m. Cells are as wide as a gap's tolerance. Occupied ones
 therefore also hold the box in which the obstacle has been seen.
+
+For a robot that needs wider worlds than Rover Zero, all lengths are that much larger: the map has the unit
+:func:`map_unit` in place of the meter.
 """
 
 from __future__ import annotations
@@ -14,6 +17,9 @@ import torch
 from torch import Tensor, nn
 
 from rover_rl.envs.config import LidarConfig
+from rover_rl.sims.base import beam_angles
+from rover_rl.sims.field_of_view import seen
+from rover_rl.sims.free_space.fitting import passage_scale
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.rotations import euler_to_matrix, wrap_angle
@@ -70,8 +76,9 @@ AHEAD = 3.0
 """Distance from the rover at which a cell is closed, in cells: 0.45 m."""
 WAY = 0.5
 """Distance up to which a rover is still around a place, m."""
-PATIENCE = 8.0
-"""Time in which a rover makes half a meter of way, if it can get on, s. Turning around takes 3 s."""
+PATIENCE, MANEUVERS = 8.0, 20.0
+"""Time in which a rover makes half a meter of way, if it can get on, s: one that turns in place, which takes 3 s for a
+half turn, and one that turns around by driving back and forth."""
 
 STATE = (2, 1, 2, 1, 2)
 """Sizes of the parts of a rover's state: the cell in the middle of the window, whether the ground is rough, the place
@@ -115,22 +122,28 @@ class ScanReader(nn.Module):
 
     _directions: Tensor
     _mount: Tensor
+    _seen: Tensor | None
 
     def __init__(self, lidar: LidarConfig, robot: str | Robot, interval: float) -> None:
         super().__init__()
         # From this reading on, a beam has hit nothing.
-        self._no_return = lidar.max_range - 1e-3
-        self._patience = math.ceil(PATIENCE / interval)
+        self._no_return = (lidar.max_range - 1e-3) / map_unit(robot)
+        patience = PATIENCE if get_robot(robot).drive.turns_in_place else MANEUVERS
+        self._patience = math.ceil(patience / interval)
         # A reading is the minimum over several beams: the angle is that of their center.
         share = lidar.beams / lidar.points
         angles = (torch.arange(lidar.points) * share + (share - 1) / 2) * (2 * math.pi / lidar.beams)
-        self.register_buffer("_directions", torch.stack((angles.cos(), angles.sin()), -1))
+        directions = torch.stack((angles.cos(), angles.sin()), -1)
+        is_seen = _seen_readings(lidar, get_robot(robot).lidar_view)
+        # A reading outside of the view is a beam without length, which clears no cell.
+        self.register_buffer("_directions", directions * is_seen[:, None])
+        self.register_buffer("_seen", None if is_seen.all() else is_seen)
         self.register_buffer("_mount", torch.tensor(lidar_mount(robot)))
 
     def forward(self, state: Tensor, lidar: Tensor, pose: Tensor, imu: Tensor) -> tuple[Scan, Tensor]:
         """Returns what scans tell, and the next ``STATE`` up to the corner of the route, which is not known yet.
 
-        The arguments are the state before, ``[N, 8]``, and entries of the observation, ``[N, n]``.
+        The arguments are the state before, ``[N, 8]``, and entries of the observation in units of the map, ``[N, n]``.
         """
         _, was_rough, place, waits, corner = state.split(STATE, -1)
         axes, xy = euler_to_matrix(imu[:, [1, 0, 2]]), pose[:, :2]
@@ -139,6 +152,8 @@ class ScanReader(nn.Module):
         origin, beams = self._beams(lidar, xy, imu[:, 2:], axes)
         size = beams[..., :2].abs().amax(-1)
         returned = lidar < self._no_return
+        if self._seen is not None:
+            returned = returned & self._seen
         ends = returned & (size < REACH)
         hits = ends & (beams[..., 2] > LOWEST) & (self._is_steep(beams, up) | ~rough)
         shown = torch.cat((rough, rough & returned & (size < FARTHEST_HEIGHT)), -1)
@@ -177,6 +192,12 @@ class ScanReader(nn.Module):
         return rise[..., 2] > math.tan(MAX_TILT) * rise[..., :2].norm(dim=-1)
 
 
+def _seen_readings(lidar: LidarConfig, view: float) -> Tensor:
+    """Returns which readings are of beams in the view of a lidar alone, bool ``[P]``."""
+    beams = seen(beam_angles(lidar.beams), view)
+    return torch.stack([part.all() for part in beams.tensor_split(lidar.points)])
+
+
 class Limits(NamedTuple):
     """Squares of the distances from obstacles, in parts of a cell, below which the middles of cells have levels 1 to 3.
 
@@ -197,20 +218,45 @@ class Limits(NamedTuple):
 
 def limits_of(robot: str | Robot) -> Limits:
     """Returns the distances from obstacles at which the levels of cells begin."""
-    half_width = footprint(get_robot(robot)).half_width
+    half_width = footprint(get_robot(robot)).half_width / map_unit(robot)
     tight, near, wide = (math.ceil((half_width + margin) / CELL * PARTS) for margin in MARGINS)
     # A suspected obstacle may be anywhere in its cell.
     return Limits(tight**2, near**2, wide**2, (wide + PARTS // 2) ** 2)
 
 
+def map_unit(robot: str | Robot) -> float:
+    """Returns the unit of lengths of a robot's map, m: 1 for Rover Zero."""
+    return passage_scale(get_robot(robot))
+
+
 def lidar_mount(robot: str | Robot) -> tuple[float, float, float]:
-    """Returns the position of the lidar in the robot's frame, m. Raises ``ValueError`` if it is too far off center."""
-    x, y, z = get_robot(robot).lidar_position
-    if max(abs(x), abs(y)) > FARTHEST_MOUNT:
+    """Returns the position of the lidar in the robot's frame, in units of the map.
+
+    Raises:
+        ValueError: if it is too far off center.
+    """
+    (x, y, z), unit = get_robot(robot).lidar_position, map_unit(robot)
+    if max(abs(x), abs(y)) > FARTHEST_MOUNT * unit:
         raise ValueError(
-            f"the lidar must be at most {FARTHEST_MOUNT} m from the robot's center along x and y, got {(x, y)}"
+            f"the lidar must be at most {FARTHEST_MOUNT * unit:g} m from the robot's center along x and y, got {(x, y)}"
         )
-    return x, y, z
+    return x / unit, y / unit, z / unit
+
+
+def in_units(unit: float, lidar: Tensor, pose: Tensor, target: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Returns entries of the observation, in meters, in units of the map."""
+    if unit == 1:
+        return lidar, pose, target
+    distance, angle = target.split(1, -1)
+    return lidar / unit, pose / unit, torch.cat((distance / unit, angle), -1)
+
+
+def route_in_meters(unit: float, route: Tensor) -> Tensor:
+    """Returns routes ``[N, 5]``, whose lengths are in units of the map, in meters. A length of -1 stays."""
+    if unit == 1:
+        return route
+    scaled = route * route.new_tensor((unit, 1.0, unit, 1.0, unit))
+    return torch.cat((scaled[:, :4], torch.where(route[:, 4:] < 0, route[:, 4:], scaled[:, 4:])), -1)
 
 
 def goal_positions(pose: Tensor, imu: Tensor, target: Tensor) -> Tensor:

@@ -30,8 +30,11 @@ from rover_rl.envs.seen_map.scans import (
     Scan,
     ScanReader,
     goal_positions,
+    in_units,
     limits_of,
+    map_unit,
     relative_route,
+    route_in_meters,
 )
 from rover_rl.sims.robots import Robot
 
@@ -62,6 +65,9 @@ class SeenMap:
     ends of beams up to 3 m away also tell how high the ground is. Where two heights differ by more than a slope of 24
     degrees allows, the place between them counts as occupied for the rest of the episode.
 
+    These lengths are for Rover Zero. For a robot that needs generated worlds with wider passages, all but the 24 and 3
+    degrees grow by their scale: see :func:`~rover_rl.sims.free_space.fitting.passage_scale`.
+
     The map needs a pose that does not jump, such as that of odometry.
 
     Args:
@@ -89,7 +95,7 @@ class SeenMap:
         from rover_rl.envs.seen_map.route_kernels import BUCKETS
 
         lidar, device, cells = lidar or LidarConfig(), torch.device(device or "cpu"), SIZE * SIZE
-        self._points = lidar.points
+        self._points, self._unit = lidar.points, map_unit(robot)
         self._reader, self._limits = ScanReader(lidar, robot, interval).to(device), limits_of(robot)
         self._every = torch.ones(rows, dtype=torch.bool, device=device)
         self._unbounded = torch.tensor(NO_BOUNDS, device=device).repeat(rows, 1)
@@ -141,12 +147,13 @@ class SeenMap:
         lidar, pose, imu, target = (observation[key] for key in ROUTE_KEYS)
         if lidar.shape[-1] != self._points:
             raise ValueError(f"the map is made for {self._points} lidar readings, got {lidar.shape[-1]}")
-        scan, state = self._reader(self._state, lidar, pose, imu)
+        ranges, place, goal = in_units(self._unit, lidar, pose, target)
+        scan, state = self._reader(self._state, ranges, place, imu)
         scan = self._noted(scan, lidar, pose, imu, renewed)
-        bounds = self._unbounded if bounds is None else bounds.contiguous()
-        self._launch(scan, goal_positions(pose, imu, target), bounds, rows)
+        bounds = self._unbounded if bounds is None else bounds.contiguous() / self._unit
+        self._launch(scan, goal_positions(place, imu, goal), bounds, rows)
         self._state = torch.where(rows[:, None], torch.cat((state, self._corners[:, 0]), -1), self._state)
-        return relative_route(self._corners, self._lengths, pose, imu)
+        return route_in_meters(self._unit, relative_route(self._corners, self._lengths, place, imu))
 
     def levels(self) -> tuple[Tensor, Tensor]:
         """Returns how far the cells are from obstacles.
@@ -161,7 +168,7 @@ class SeenMap:
         # A cell is stored at its number modulo the size.
         columns, rows = ((lowest[:, axis, None] + torch.arange(SIZE, device=lowest.device)) % SIZE for axis in range(2))
         address = rows[:, :, None] * SIZE + columns[:, None]
-        return levels.gather(1, address.flatten(1).long()).reshape(address.shape), lowest * CELL
+        return levels.gather(1, address.flatten(1).long()).reshape(address.shape), lowest * (CELL * self._unit)
 
     def _noted(self, scan: Scan, lidar: Tensor, pose: Tensor, imu: Tensor, renewed: Tensor | None) -> Scan:
         """Returns what the map takes from a scan."""

@@ -17,6 +17,7 @@ from rover_rl.sims.native.bullet import pybullet
 from rover_rl.sims.robots import Robot
 from rover_rl.sims.rotations import rotation_forms
 from rover_rl.sims.worlds import Obstacle, World
+from rover_rl.sims.worlds.movers import Part
 
 ROVERS_PER_CLIENT = 64
 """Maximum number of rovers in a Bullet client.
@@ -103,9 +104,8 @@ class RoverPhysics:
                 mode = pybullet.VELOCITY_CONTROL
                 pybullet.setJointMotorControl2(body, joint, mode, force=0.0, physicsClientId=client)
 
-    def meet(self, world: World) -> None:
-        """Lets the movers of the world push the rovers."""
-        parts = [part for mover in world.movers for part in mover.shape.parts()]
+    def meet(self, parts: Sequence[Part]) -> None:
+        """Lets parts of movers push the rovers."""
         self._movers = MoverBodies(self._rovers, parts, self._settings) if parts else None
 
     def place(self, rows: Sequence[int], positions: np.ndarray, orientations: np.ndarray) -> None:
