@@ -37,10 +37,13 @@ if TYPE_CHECKING:
     RewardLike: TypeAlias = "str | RewardConfig | Sequence[str | Transform]"
     BackendLike: TypeAlias = AnyBackend
     SensorLike: TypeAlias = str | Sensor
+    RobotSettings: TypeAlias = RobotOptions
 else:
     # Types that the command line and YAML files support.
     WorldLike = RewardLike = str | tuple[str, ...]
     RobotLike = BackendLike = SensorLike = str
+    # The options --robot.drive and so on, beside --robot.
+    RobotSettings = Annotated[RobotOptions, tyro.conf.arg(name="robot")]
 
 OutcomeSource: TypeAlias = Literal["truth", "sensors"]
 """State that events, rewards and metrics are computed from."""
@@ -362,7 +365,7 @@ class EnvConfig:
     episode."""
     robot: RobotLike = "rover_zero"
     """Robot: a name (rover-rl robots lists them), a URDF file, or module:attribute."""
-    robot_options: Annotated[RobotOptions, tyro.conf.arg(name="robot")] = field(default_factory=RobotOptions)
+    robot_options: RobotSettings = field(default_factory=RobotOptions)
     """What a URDF does not tell of the robot. They become part of its name: "scout.urdf,max_speed=1.5"."""
     lidar: LidarConfig = field(default_factory=LidarConfig)
     """Lidar and its readings."""
@@ -577,10 +580,13 @@ def plain_env(config: EnvConfig) -> dict[str, Any]:
         parts = value if isinstance(value, tuple) else (value,)
         if not all(isinstance(part, str) for part in parts):
             raise ValueError(f"{kind} cannot be written to a file, and {name} is one; {advice}")
-    if isinstance(config.backend, str):
-        return to_plain(config)
-    settings = {name_of(config.backend): to_plain(config.backend) if is_dataclass(config.backend) else {}}
-    return to_plain(replace(config, backend="bullet")) | {"backend": settings}
+    own = not isinstance(config.backend, str)
+    data = to_plain(replace(config, backend="bullet") if own else config)
+    # They are part of the robot's name.
+    del data["robot_options"]
+    if own:
+        data["backend"] = {name_of(config.backend): to_plain(config.backend) if is_dataclass(config.backend) else {}}
+    return data
 
 
 def env_from_plain(data: Any, source: str) -> EnvConfig:
