@@ -225,8 +225,9 @@ def limits_of(robot: str | Robot) -> Limits:
 
 
 def map_unit(robot: str | Robot) -> float:
-    """Returns the unit of lengths of a robot's map, m: 1 for Rover Zero."""
-    return passage_scale(get_robot(robot))
+    """Returns the unit of lengths of a map, m: the scale of the worlds that the body of the robot needs."""
+    robot = get_robot(robot)
+    return passage_scale(robot, footprint(robot).corner)
 
 
 def lidar_mount(robot: str | Robot) -> tuple[float, float, float]:
