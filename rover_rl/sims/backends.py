@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from rover_rl.sims.base import LidarCarrier, Scanner, Simulator
     from rover_rl.sims.robots import Robot
+    from rover_rl.sims.robots.fleet import Fleet
     from rover_rl.sims.worlds import World
 
 
@@ -75,7 +76,7 @@ class Backend(Protocol):
         self,
         *,
         worlds: Sequence[World],
-        robot: Robot,
+        robot: Robot | Fleet,
         connection: Connection | None = None,
         device: torch.device | None = None,
     ) -> Simulator:
@@ -120,7 +121,7 @@ def make_simulator(
     backend: BackendLike,
     *,
     worlds: Sequence[World],
-    robot: Robot,
+    robot: Robot | Fleet,
     physics: str | None = None,
     connection: Connection | None = None,
     device: torch.device | None = None,
@@ -131,15 +132,19 @@ def make_simulator(
         backend: name in :func:`backend_names`, for a backend with its default settings; settings of a backend, for
             example ``BulletSettings(substeps=20)``; or a :class:`Backend`.
         worlds: world of each rover, N entries. Consecutive rovers in the same world share a simulation.
-        robot: robot model.
+        robot: robot model, or a fleet with the robot of each rover, which backends with the capability ``"robots"``
+            simulate.
         physics: name of a physics preset of a backend that is given by name. ``None`` uses the default settings.
         connection: topics of a real rover. ``None`` uses those of the contract.
         device: device of the task's tensors, on which the backend runs if it can. ``None`` is the CPU.
 
     Raises:
-        ValueError: if the backend or the preset is unknown, or the ``make`` of a :class:`Backend` does not take these
-            arguments or returns something else than a simulator.
+        ValueError: if the backend or the preset is unknown, it cannot simulate several robots, or the ``make`` of a
+            :class:`Backend` does not take these arguments or returns something else than a simulator.
     """
+    robots = getattr(robot, "robots", (robot,))
+    if len(robots) == 1:
+        (robot,) = robots
     settings = resolve_backend(backend, physics)
     options: dict[str, Any] = {"connection": connection, "device": device}
     if isinstance(settings, Backend):
@@ -147,7 +152,13 @@ def make_simulator(
     built_in = _BUILT_IN[name_of(settings)]
     module, _, simulator = built_in.simulator.partition(":")
     taken = {option: options[option] for option in built_in.options}
-    return getattr(import_module(module), simulator)(worlds, robot, settings, **taken)
+    made = getattr(import_module(module), simulator)
+    if len(robots) > 1 and "robots" not in made.capabilities:
+        raise ValueError(
+            f"several robots in one batch need a backend that simulates them: {simulator} does not state the "
+            "capability 'robots'"
+        )
+    return made(worlds, robot, settings, **taken)
 
 
 def make_scanner(simulator: Simulator, worlds: Sequence[World], robot: Robot, beams: int) -> Scanner:
