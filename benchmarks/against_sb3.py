@@ -280,7 +280,7 @@ class WallClock(BaseCallback):
         marks = int(share * self._config.run.snapshots)
         if marks > self._marks:
             self._marks = marks
-            policy = policy_of_sb3(deepcopy(self.model.policy), self._config.env.action)
+            policy = policy_of_sb3(deepcopy(self.model.policy), self._config.env.bounded_action)
             self.snapshots.append(Snapshot(self.minutes, steps, policy))
             self._bar.console.print(f"{share:4.0%} of training: {steps:,} steps", highlight=False)
         self._bar.update(self._task, completed=share, status=f"{steps:,} steps")

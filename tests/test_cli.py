@@ -116,7 +116,7 @@ def test_a_wrong_command_line_is_refused_in_one_line(
         ("drive x --goal 1", ("--goal", "FLOAT FLOAT")),
         ("film", ("POLICY", "Folder of a run, checkpoint")),
         ("train --task.stuck-window 0", ("task", "stuck_window must be positive, got 0")),
-        ("train --action.min-speed 2", ("action", "min_speed must be less than max_speed")),
+        ("train --action.min-speed 2 --action.max-speed 1", ("action", "min_speed must be less than max_speed")),
     ],
 )
 def test_options_that_a_command_does_not_take_are_refused_with_what_it_takes(

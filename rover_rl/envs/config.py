@@ -11,7 +11,7 @@ Example:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
@@ -115,8 +115,8 @@ class ActionConfig:
     """Bounds of the action. Actions outside of them are clipped.
 
     Args:
-        min_speed: Minimum forward speed, m/s. 0 prevents driving backward.
-        max_speed: Maximum forward speed, m/s.
+        min_speed: Minimum forward speed, m/s. 0 prevents driving backward. Default: that of the robot's drive.
+        max_speed: Maximum forward speed, m/s. Default: that of the robot's drive.
         max_turn: Maximum absolute heading offset, rad.
         max_sideways: Maximum absolute speed to the left, m/s, for a drive that moves sideways. With 0, the action has
             no such component.
@@ -125,19 +125,41 @@ class ActionConfig:
         ValueError: if ``min_speed`` is not less than ``max_speed``, or a bound is out of range.
     """
 
-    min_speed: float = -1.0
-    max_speed: float = 1.0
+    min_speed: float | None = None
+    max_speed: float | None = None
     max_turn: float = math.pi
     max_sideways: float = 0.0
 
     def __post_init__(self) -> None:
-        if not -math.inf < self.min_speed < self.max_speed < math.inf:
+        speeds = [speed for speed in (self.min_speed, self.max_speed) if speed is not None]
+        if not all(map(math.isfinite, speeds)) or (len(speeds) == 2 and not speeds[0] < speeds[1]):
             raise ValueError(
                 f"min_speed must be less than max_speed, both finite, got {self.min_speed} and {self.max_speed}"
             )
         if not 0 < self.max_turn <= math.pi:
             raise ValueError(f"max_turn must be positive and at most pi, got {self.max_turn}")
         check_at_least(0, MAX_NUMBER, max_sideways=self.max_sideways)
+
+    def for_robot(self, robot: RobotLike) -> ActionConfig:
+        """Returns the bounds for a robot: where no speed is stated, that of its drive, in both directions.
+
+        Raises:
+            ValueError: if the robot is unknown, or the stated speed leaves no range with that of the drive.
+
+        Example:
+            >>> ActionConfig(min_speed=0.0).for_robot("rover_zero").max_speed
+            1.0
+        """
+        if self.min_speed is not None and self.max_speed is not None:
+            return self
+        from rover_rl.sims.robots import get_robot
+
+        most = get_robot(robot).drive.max_speed
+        return replace(
+            self,
+            min_speed=-most if self.min_speed is None else self.min_speed,
+            max_speed=most if self.max_speed is None else self.max_speed,
+        )
 
 
 @dataclass(frozen=True)
@@ -238,7 +260,7 @@ class HeadingGains:
         kp: Proportional gain, 1/s.
         ki: Integral gain, 1/s^2.
         kd: Derivative gain, dimensionless.
-        max_output: Maximum absolute yaw rate, rad/s.
+        max_output: Maximum absolute yaw rate, rad/s. A robot whose drive is slower turns at most at its own.
     """
 
     kp: float = 2.0
@@ -383,6 +405,8 @@ class EnvConfig:
             raise ValueError(f"world must be a name, a World, or a list of them, got {self.world!r}")
         if self.outcome_from not in get_args(OutcomeSource):
             raise ValueError(f"outcome_from must be one of {get_args(OutcomeSource)}, got {self.outcome_from!r}")
+        if (self.action.min_speed is None) != (self.action.max_speed is None):
+            self.action.for_robot(self.robot)  # Raises an error if they leave no range.
         if isinstance(self.reward, RewardConfig):
             object.__setattr__(self, "contract_reward", self.reward)
             object.__setattr__(self, "reward", "contract")
@@ -416,6 +440,11 @@ class EnvConfig:
         return (*get_robot(self.robot).sensors, *self.sensors)
 
     @property
+    def bounded_action(self) -> ActionConfig:
+        """Bounds of the action for :attr:`robot`: see :meth:`ActionConfig.for_robot`."""
+        return self.action.for_robot(self.robot)
+
+    @property
     def preset(self) -> str | None:
         """Name of the physics preset, as :func:`~rover_rl.sims.make_simulator` takes it."""
         return None if self.physics == DEFAULT_PHYSICS else self.physics
@@ -447,17 +476,21 @@ def require_match(made_for: EnvConfig, env: EnvConfig) -> None:
     Raises:
         ValueError: if they do not match. The message names the first difference.
     """
-    pairs = {
-        "lidar points": (made_for.lidar.points, env.lidar.points),
-        "a lidar range of (m)": (made_for.lidar.max_range, env.lidar.max_range),
-        "the robot": _robots(made_for.robot, env.robot),
-        "the sensors": (made_for.sensors, tuple(each for each in made_for.sensors if each in env.sensors)),
-        "actions of (min_speed, max_speed, max_turn, max_sideways)": (_values(made_for.action), _values(env.action)),
-        "heading gains of (kp, ki, kd, max_output)": (_values(made_for.heading_gains), _values(env.heading_gains)),
-    }
-    for what, (expected, actual) in pairs.items():
+    for what, expected, actual in _pairs(made_for, env):
         if expected != actual:
             raise ValueError(f"the policy was made for {what} {expected}, and the environment has {actual}")
+
+
+def _pairs(made_for: EnvConfig, env: EnvConfig) -> Iterator[tuple[str, Any, Any]]:
+    """Yields what must be equal in two environments. The bounds of the action come after the robot they depend on."""
+    yield "lidar points", made_for.lidar.points, env.lidar.points
+    yield "a lidar range of (m)", made_for.lidar.max_range, env.lidar.max_range
+    yield "the robot", *_robots(made_for.robot, env.robot)
+    yield "the sensors", made_for.sensors, tuple(each for each in made_for.sensors if each in env.sensors)
+    actions = (_values(config.bounded_action) for config in (made_for, env))
+    yield "actions of (min_speed, max_speed, max_turn, max_sideways)", *actions
+    gains = (_values(config.heading_gains) for config in (made_for, env))
+    yield "heading gains of (kp, ki, kd, max_output)", *gains
 
 
 def name_of_part(part: Any) -> str:

@@ -49,9 +49,10 @@ class RoverEnv(EnvBase):
 
     Observation (float32, clipped to the contract's bounds): ``lidar [N, lidar_points]`` (m), ``pose [N, 3]`` (m),
     ``imu [N, 3]`` (pitch, roll, yaw; rad), ``target [N, 2]`` (distance in m, relative angle in rad) and
-    ``velocities [N, 2]`` (wheel odometry; m/s, rad/s). Action: ``action [N, 2]``, forward speed in [-1, 1] m/s and
-    heading offset in [-pi, pi] rad; with ``max_sideways``, ``[N, 3]`` with the speed to the left in m/s. Finite actions
-    are clipped to these bounds. ``outcome`` contains the events of the step, see :mod:`rover_rl.envs.task`.
+    ``velocities [N, 2]`` (wheel odometry; m/s, rad/s). Action: ``action [N, 2]``, forward speed in m/s, for Rover Zero
+    in [-1, 1], and heading offset in [-pi, pi] rad; with ``max_sideways``, ``[N, 3]`` with the speed to the left in
+    m/s. Finite actions are clipped to these bounds. ``outcome`` contains the events of the step, see
+    :mod:`rover_rl.envs.task`.
 
     ``reset(start=..., goal=...)`` sets start poses ``[N, 3]`` (x, y in m, yaw in rad) and goals ``[N, 2]`` (m). Without
     transforms, they can also be entries of the reset tensordict; transforms drop these entries.
@@ -92,7 +93,7 @@ class RoverEnv(EnvBase):
         task: thresholds of the task. ``None`` uses the contract's.
         heading_gains: gains of the heading PID. ``None`` uses the contract's.
         randomization: domain randomization. ``None`` disables it.
-        action: bounds of the action. ``None`` uses the contract's.
+        action: bounds of the action. ``None`` uses the robot's; those of Rover Zero are the contract's.
         outcome_from: state that events, rewards and metrics are computed from: the simulator's ``"truth"`` or the
             ``"sensors"``. They differ if ``randomization`` adds sensor noise.
         privileged: whether to add the nested observation ``privileged``, see :mod:`rover_rl.envs.privileged`.
@@ -167,9 +168,11 @@ class RoverEnv(EnvBase):
         config, device = self.config, self._tensor_device
         self.placement = Placement(self._row_worlds.table, self.robot, config.task.min_goal_distance)
         self._navigation = Navigation(config, self.placement, self.num_envs, device)
-        self.controller = HeadingController(self.num_envs, config.heading_gains, device)
+        gains = config.heading_gains
+        gains = replace(gains, max_output=min(gains.max_output, self.robot.drive.max_yaw_rate))
+        self.controller = HeadingController(self.num_envs, gains, device)
         self._localization = Localization(config.pose)
-        size = len(specs.action_bounds(config.action).low)
+        size = len(specs.action_bounds(config.action, self.robot).low)
         self._delay = CommandDelay(config.randomization.latency, self.num_envs, size, device)
         self._privileged = PrivilegedObservation(self.pool, self.robot, device) if config.privileged else None
         self._state = StepState(task=TaskState.zeros(self.num_envs, device), world=self._row_worlds.index_if_several)
@@ -322,7 +325,7 @@ class RoverEnv(EnvBase):
 
     def _make_specs(self) -> None:
         batch_size, device, privileged = self.batch_size, self.device, self.config.privileged
-        action = specs.action_bounds(self.config.action)
+        action = specs.action_bounds(self.config.action, self.robot)
         bounds = {key: sensor.bounds for key, sensor in self.sensors.items()}
         several, moving = len(self.pool) > 1, self._has_movers
         self.observation_spec = specs.observation_spec(bounds, batch_size, device, privileged, several, moving)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 
-from rover_rl.envs.config import ActionConfig
+from rover_rl.envs.config import ActionConfig, EnvConfig, RobotLike
 from rover_rl.envs.privileged import FEATURES as PRIVILEGED
 from rover_rl.envs.task import EVENTS, StepEvent
 
@@ -31,8 +31,14 @@ class Bounds:
         return torch.tensor(self.low, device=device), torch.tensor(self.high, device=device)
 
 
-def action_bounds(action: ActionConfig) -> Bounds:
-    """Returns the bounds of forward speed (m/s), heading offset (rad) and, if there is one, speed to the left (m/s)."""
+def action_bounds(action: ActionConfig, robot: RobotLike = EnvConfig.robot) -> Bounds:
+    """Returns the bounds of forward speed (m/s), heading offset (rad) and, if there is one, speed to the left (m/s).
+
+    ``robot`` is that whose drive bounds the speed where ``action`` does not.
+    """
+    action = action.for_robot(robot)
+    assert action.min_speed is not None
+    assert action.max_speed is not None
     sideways = (action.max_sideways,) if action.max_sideways else ()
     return Bounds(
         low=(action.min_speed, -action.max_turn, *(-side for side in sideways)),

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import pickle
 import subprocess
 import sys
@@ -29,7 +30,9 @@ configs = st.builds(
     EnvConfig,
     world=st.sampled_from(["maze", "moon:7", ("maze", "inspect")]),
     lidar=st.builds(LidarConfig, st.integers(1, 64), st.integers(64, 640), st.floats(0.1, 100.0)),
-    action=st.builds(ActionConfig, st.floats(-3.0, 0.0), st.floats(0.1, 3.0), st.floats(0.1, 3.0)),
+    action=st.builds(
+        ActionConfig, st.none() | st.floats(-3.0, 0.0), st.none() | st.floats(0.1, 3.0), st.floats(0.1, 3.0)
+    ),
     task=st.builds(
         TaskConfig,
         success_distance=st.floats(0.1, 2.0),
@@ -161,6 +164,31 @@ def test_the_actions_bounds_are_those_of_the_description() -> None:
     for _ in range(40):
         td = env.step(td.set("action", torch.tensor([[2.0, 0.0]])))["next"]
     assert td["velocities"][0, 0].item() == pytest.approx(0.5, abs=0.02)
+
+
+def test_speeds_that_are_not_stated_are_those_of_the_robots_drive() -> None:
+    rover = get_robot("rover_zero")
+    slow = replace(rover, name="slow", drive=replace(rover.drive, max_speed=0.4, max_yaw_rate=0.8))
+    env = RoverEnv(world_n="maze", robot=slow, seed=0)
+    assert [bound[0, 0].item() for bound in (env.action_spec.space.low, env.action_spec.space.high)] == [
+        pytest.approx(-0.4),
+        pytest.approx(0.4),
+    ]
+    td = env.reset()
+    for _ in range(20):
+        td = env.step(td.set("action", torch.tensor([[0.0, math.pi / 2]])))["next"]
+    assert td["velocities"][0, 1].item() == pytest.approx(0.8, abs=0.02)
+    stated = ActionConfig(min_speed=-1.0, max_speed=1.0)
+    assert ActionConfig().for_robot("rover_zero") == stated == stated.for_robot(slow)
+    assert EnvConfig(robot=slow, action=ActionConfig(min_speed=0.0)).bounded_action.max_speed == 0.4
+    with pytest.raises(ValueError, match="min_speed must be less than max_speed, both finite, got 0.5 and 0.4"):
+        EnvConfig(robot=slow, action=ActionConfig(min_speed=0.5))
+
+
+def test_a_policy_matches_an_environment_that_states_the_speeds_of_its_robot() -> None:
+    made_for = EnvConfig(action=ActionConfig(min_speed=-1.0, max_speed=1.0))
+    require_match(made_for, EnvConfig())
+    require_match(EnvConfig(), made_for)
 
 
 @pytest.mark.parametrize(

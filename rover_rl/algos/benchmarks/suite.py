@@ -27,6 +27,7 @@ from rover_rl.algos.evaluation.parallel import GoalRequest, evaluate_all
 from rover_rl.algos.evaluation.results import Evaluation
 from rover_rl.checks import MAX_COUNT, MAX_SECONDS, check_at_least, check_seed
 from rover_rl.envs import EnvConfig
+from rover_rl.envs.specs import action_bounds
 from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.worlds import Obstacle, Terrain, World
@@ -170,7 +171,8 @@ def describe_robot(env: EnvConfig) -> tuple[str, str]:
     """Returns what a robot is, and what its lidar is."""
     robot, lidar = get_robot(env.robot), env.lidar
     back, front, right, left = footprint(robot)
-    body = f"{robot.name}, {front - back:.2f} x {left - right:.2f} m, up to {env.action.max_speed:g} m/s"
+    speed = action_bounds(env.action, robot).high[0]
+    body = f"{robot.name}, {front - back:.2f} x {left - right:.2f} m, up to {speed:g} m/s"
     return body, f"{lidar.beams} beams in 360 degrees, up to {lidar.max_range:g} m, as {lidar.points} readings"
 
 

@@ -60,7 +60,7 @@ class PlainPolicy(nn.Module):
         self.state_size = self._map_size + self._memory_size
         self.inputs = input_names(settings)
         self.outputs = ["action", *([STATE_OUT] if self.state_size else [])]
-        middle, half = middle_and_half(action_spec(checkpoint.env.action))
+        middle, half = middle_and_half(action_spec(checkpoint.env.bounded_action))
         self.register_buffer("_middle", middle)
         self.register_buffer("_half", half)
 

@@ -26,7 +26,7 @@ _ACTIONS = 0  # stream of random draws for actions
 
 
 class RandomPolicy(TensorDictModuleBase):
-    """Uniformly random actions that depend on seed, episode and step only.
+    """Uniformly random actions within the contract's bounds, which depend on seed, episode and step only.
 
     The policy reads ``("outcome", "steps")`` and, if present, ``episode`` (int64 ``[N, 1]``): the number of each row's
     episode, by default the index of the row.

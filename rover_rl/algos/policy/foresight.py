@@ -32,6 +32,7 @@ from torch.nn.utils.rnn import pad_sequence
 from rover_rl.algos.policy.dwa import EXCESS, MAX_YAW_RATE, YAW_GAIN
 from rover_rl.envs.config import EnvConfig, HeadingGains, RobotLike
 from rover_rl.envs.rover import RoverEnv
+from rover_rl.envs.specs import action_bounds
 from rover_rl.envs.transforms.path_reward import CAUTION, world_of
 from rover_rl.sims.free_space.path_distance import PathDistances
 from rover_rl.sims.movers import MoverField
@@ -200,7 +201,8 @@ class ForesightPolicy(TensorDictModuleBase):
 
     @property
     def _speed(self) -> float:
-        return min(self._robot.drive.max_speed, self._entered.env.config.action.max_speed)
+        env = self._entered.env.config
+        return min(self._robot.drive.max_speed, action_bounds(env.action, env.robot).high[0])
 
     def _body(self) -> Any:
         """Returns what a drive depends on of the robot, as the kernels read it."""

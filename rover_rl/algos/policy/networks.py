@@ -153,7 +153,7 @@ def actor_of(
     network, env = config.network, config.env
     follower = None if network.prior == "none" else get_robot(env.robot)
     encoder, memory = encoder or encoder_of(config), (network.memory, network.memory_size)
-    return make_actor(encoder, network.hidden, env.action, network.max_std, device, *memory, follower)
+    return make_actor(encoder, network.hidden, env.bounded_action, network.max_std, device, *memory, follower)
 
 
 def make_actor(

@@ -126,7 +126,7 @@ class PPOLearner(Learner):
 
     def _inside_bounds(self, action: Tensor) -> Tensor:
         """Clips actions and scales them to 95 % of their range: a squashed normal does not reach its bounds."""
-        middle, half = middle_and_half(action_spec(self.config.env.action, self.config.device))
+        middle, half = middle_and_half(action_spec(self.config.env.bounded_action, self.config.device))
         return middle + 0.95 * torch.minimum(torch.maximum(action - middle, -half), half)
 
 

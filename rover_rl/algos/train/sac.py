@@ -46,11 +46,11 @@ class SACLearner(Learner):
         self.config, self._settings = config, config.algorithm
         settings, network, device = config.algorithm, config.network, config.device
         self._encoder = encoder_of(config)
-        spec = action_spec(config.env.action, device)
+        spec = action_spec(config.env.bounded_action, device)
         self.actor = actor_of(config, self._encoder, device)
         self._loss = SACLoss(
             on_features(self.actor),
-            make_action_critic(self._encoder.features, network.hidden, config.env.action, device),
+            make_action_critic(self._encoder.features, network.hidden, config.env.bounded_action, device),
             num_qvalue_nets=2,
             loss_function="l2",
             action_spec=spec,

@@ -85,8 +85,9 @@ class Drive(ABC):
         torque: maximum torque of a motor on each of its wheels, N m.
         max_linear_acceleration: maximum acceleration of the commanded speed, m/s^2.
         max_angular_acceleration: maximum acceleration of the commanded yaw rate, rad/s^2.
-        max_speed: maximum absolute speed commanded to a real robot, m/s. Does not limit simulated robots.
-        max_yaw_rate: maximum absolute yaw rate commanded to a real robot, rad/s. Does not limit simulated robots.
+        max_speed: maximum absolute speed, m/s: that of an action unless its configuration states another one, and of
+            the commands to a real robot.
+        max_yaw_rate: maximum absolute yaw rate that is commanded, rad/s.
 
     Attributes:
         sideways: whether commands and odometry have a third component, the speed to the left.

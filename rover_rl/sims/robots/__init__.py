@@ -13,7 +13,14 @@ from rover_rl.registry import Registry
 if TYPE_CHECKING:
     from rover_rl.sims.robots.robot import Robot
 
-ROBOTS = {"rover_zero": "rover_rl.sims.robots.rover_zero:ROVER_ZERO"}
+ROBOTS = {
+    "rover_zero": "rover_rl.sims.robots.rover_zero:ROVER_ZERO",
+    "leo": "rover_rl.sims.robots.leo:LEO",
+    "jackal": "rover_rl.sims.robots.jackal:JACKAL",
+    "husky": "rover_rl.sims.robots.husky:HUSKY",
+    "racer": "rover_rl.sims.robots.racer:RACER",
+    "hunter": "rover_rl.sims.robots.hunter:HUNTER",
+}
 """Built-in robots, by name."""
 
 

@@ -40,6 +40,8 @@ class Robot:
         lidar: place of the lidar: a link of the URDF, or a position.
         imu: place of the IMU.
         lidar_range: maximum range of the lidar, m.
+        lidar_view: angle that the lidar sees, centered on straight ahead; a full turn at most. Beams outside of it
+            have no return. A map of what has been seen does not take them for free.
         sensors: sensors besides the lidar, IMU, wheel odometry and pose that every rover has: each a
             :class:`~rover_rl.envs.sensors.base.Sensor`, a registered name or ``"module:attribute"``. They add entries
             to the observation.
@@ -68,6 +70,7 @@ class Robot:
     lidar: Mount = "lidar_link"
     imu: Mount = "imu_link"
     lidar_range: float = 12.0
+    lidar_view: float = 2 * math.pi
     radius: float = None  # type: ignore[assignment]  # Set from the outline below.
     sensors: tuple[Any, ...] = ()
     wheels: Wheels = field(init=False, repr=False)
@@ -78,6 +81,10 @@ class Robot:
         for name, value in (("lidar_range", self.lidar_range), ("radius", self.radius)):
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{name} of robot {self.name!r} must be a positive number, got {value}")
+        if not 0 < self.lidar_view <= 2 * math.pi:
+            raise ValueError(
+                f"lidar_view of robot {self.name!r} must be positive and at most 2 pi rad, got {self.lidar_view}"
+            )
         object.__setattr__(self, "urdf", Path(self.urdf))
         object.__setattr__(self, "sensors", tuple(self.sensors))
         if not self.urdf.is_file():

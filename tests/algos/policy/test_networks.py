@@ -70,7 +70,7 @@ def test_actions_cover_their_bounds(action: ActionConfig) -> None:
     torch.manual_seed(0)
     with set_exploration_type(ExplorationType.RANDOM):
         actions = make_actor(action=action, max_std=2.0)(observations(4000))["action"]
-    low = torch.tensor([action.min_speed, LOW[1]])
+    low = torch.tensor([action.for_robot("rover_zero").min_speed, LOW[1]])
     assert ((actions >= low) & (actions <= HIGH)).all()
     assert (actions.amin(0) < low + 0.1).all()
     assert (actions.amax(0) > 0.9 * HIGH).all()
