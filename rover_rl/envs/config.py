@@ -169,7 +169,9 @@ class TaskConfig:
     Args:
         success_distance: Distance below which a goal is reached, m.
         min_goal_distance: Minimum distance from the rover to a new goal, m.
-        collision_threshold: Lidar reading below which the rover is in collision, m.
+        collision_threshold: Lidar reading below which the rover is in collision, m. ``None`` is the robot's: 0.3 m for
+            Rover Zero, as in the contract, and for a robot that states none, in each direction, what its outline takes
+            and 5 cm.
         collision_window: Number of consecutive steps in collision above which the rover is jammed, which ends the
             episode. 0 ends it at the first.
         flip_threshold: Absolute roll or pitch above which the rover is flipped, rad.
@@ -184,7 +186,7 @@ class TaskConfig:
 
     success_distance: float = 0.5
     min_goal_distance: float = 1.0
-    collision_threshold: float = 0.3
+    collision_threshold: float | None = None
     collision_window: int = 15
     flip_threshold: float = 1.48
     stuck_window: int = 600
@@ -198,8 +200,8 @@ class TaskConfig:
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
         for name in ("collision_threshold", "collision_window", "flip_threshold", "stuck_threshold"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+            if (value := getattr(self, name)) is not None and not value >= 0:
+                raise ValueError(f"{name} must not be negative, got {value}")
 
 
 @dataclass(frozen=True)

@@ -143,6 +143,7 @@ class RoverEnv(EnvBase):
         self._row_shape = torch.Size([num_envs])
         self._every = torch.ones(num_envs, dtype=torch.bool, device=self._tensor_device)
         self.robot = get_robot(config.robot)
+        self.config = config = _with_threshold(config, self.robot)
         first_keys = episode_keys(row_keys(seed, num_envs, self._tensor_device), 1)
         self._row_worlds = RowWorlds(config.world, first_keys)
         self._has_movers = self._row_worlds.have_movers
@@ -167,7 +168,7 @@ class RoverEnv(EnvBase):
     def _init_task(self) -> None:
         config, device = self.config, self._tensor_device
         self.placement = Placement(self._row_worlds.table, self.robot, config.task.min_goal_distance)
-        self._navigation = Navigation(config, self.placement, self.num_envs, device)
+        self._navigation = Navigation(config, self.placement, self.robot, self.num_envs, device)
         gains = config.heading_gains
         gains = replace(gains, max_output=min(gains.max_output, self.robot.drive.max_yaw_rate))
         self.controller = HeadingController(self.num_envs, gains, device)
@@ -510,6 +511,13 @@ def _prepare(robot: Robot, simulator: WorldChanger, world: World) -> None:
     """Prepares a world for episodes in it."""
     free_space(world, robot)
     simulator.prepare_world(world)
+
+
+def _with_threshold(config: EnvConfig, robot: Robot) -> EnvConfig:
+    """Returns a description with the threshold of the robot, if it has one, in place of none."""
+    if config.task.collision_threshold is not None or robot.collision_range is None:
+        return config
+    return replace(config, task=replace(config.task, collision_threshold=robot.collision_range))
 
 
 def _require_count(name: str, value: int, most: int) -> None:

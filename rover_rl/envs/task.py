@@ -25,6 +25,8 @@ from torch import Tensor
 from rover_rl.envs.config import EnvConfig, TaskConfig
 from rover_rl.envs.perception import Perception, SensedPose
 from rover_rl.envs.placement import Placement
+from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots.footprint import collision_ranges
 from rover_rl.sims.rotations import angle_of, wrap_angle
 from rover_rl.tensordicts import unchecked_tensordict
 
@@ -231,6 +233,7 @@ class Navigation:
     Args:
         config: description of the environment.
         placement: source of goals and of the bounds of each row's world.
+        robot: robot, whose outline tells collisions if the task states no threshold.
         num_envs: number of rows.
         device: device of the rows.
 
@@ -238,9 +241,15 @@ class Navigation:
         length: number of steps after which an episode is truncated.
     """
 
-    def __init__(self, config: EnvConfig, placement: Placement, num_envs: int, device: torch.device) -> None:
+    def __init__(
+        self, config: EnvConfig, placement: Placement, robot: Robot, num_envs: int, device: torch.device
+    ) -> None:
         self._task, self.length, self._end_on_goal = config.task, config.length, config.end_on_goal
         self._placement = placement
+        # Reading below which the rover is in collision, of all beams or of each. Of all, pooled readings do.
+        self._threshold, self._ranges = config.task.collision_threshold, torch.empty(0)
+        if self._threshold is None:
+            self._ranges = torch.tensor(collision_ranges(robot, config.lidar.beams), dtype=torch.float32, device=device)
         self._history = PositionHistory(num_envs, config.task.stuck_window, device)
 
     def begin(self, state: StepState, mask: Tensor, goal: Tensor | None, keys: Tensor, first: bool) -> None:
@@ -333,7 +342,9 @@ class Navigation:
             # RoverEnv refuses simulators without contacts for this task.
             assert reference.rover.contact is not None
             return reference.rover.contact
-        return reference.readings.amin(-1, keepdim=True) < self._task.collision_threshold
+        if self._threshold is None:
+            return (reference.ranges < self._ranges).any(-1, keepdim=True)
+        return reference.readings.amin(-1, keepdim=True) < self._threshold
 
     def _end(self, state: StepState, active: Tensor | None) -> None:
         """Sets ``terminated`` and ``truncated`` from the outcome and the number of steps."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from typing import NamedTuple
 
 import torch
 from tensordict import TensorDictBase
@@ -19,6 +20,7 @@ from rover_rl.envs.specs import ACTION
 from rover_rl.rng import episode_keys, random_bits, row_keys, to_unit
 from rover_rl.sims.drives import Drive
 from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.robots.rover_zero import ROVER_ZERO
 from rover_rl.sims.rotations import wrap_angle
 
@@ -52,27 +54,53 @@ class RandomPolicy(TensorDictModuleBase):
 class ScriptedPolicy(TensorDictModule):
     """Drives towards the goal and around obstacles that the lidar detects: see :func:`steer`.
 
-    Its distances are tuned for ``rover_zero``; of the robot, it uses the position of the lidar and the drive.
+    Its distances are tuned for ``rover_zero`` and follow the outline of other robots: see :func:`lane_of`.
     """
 
     def __init__(self, robot: str | Robot = "rover_zero") -> None:
         robot = get_robot(robot)
-        policy = partial(steer, lidar_offset=robot.lidar_position[0], slowest=slowest_turn(robot.drive))
+        lane, slowest = lane_of(robot), slowest_turn(robot.drive)
+        policy = partial(steer, lidar_offset=robot.lidar_position[0], slowest=slowest, lane=lane)
         super().__init__(policy, in_keys=["lidar", "target"], out_keys=["action"])
 
 
 LIDAR_OFFSET = ROVER_ZERO.lidar_position[0]  # default distance of the lidar in front of the rover's center, m
 HEADINGS = 64  # number of candidate directions, besides the direction of the goal
 LOOK_AHEAD = 1.6  # distance up to which a direction is examined, m. On slopes, the lidar sees the ground beyond it.
-HALF_WIDTH = 0.36  # half the width of the lane that must be free, m. Half the width of the rover is 0.225 m.
-STOP = 0.45  # free distance from the rover's center at which the rover stops, m
-BACK_OFF = 0.36  # lidar reading in front below which the rover backs off, m. A reading below 0.3 m is a collision.
 CRAWL = 0.25  # speed of a robot that turns only while it drives, where it would turn in place otherwise, m/s
-# Lidar reading behind that is required for backing off, m. The rear end of the rover is 0.44 m from the lidar.
-BEHIND = 0.75
 # Weight of driving straight ahead relative to driving towards the goal. With a small weight, the rover alternates
 # between two ways around an obstacle. In the maze, 94 % of episodes succeed within 30 s with 0.9, and 85 % with 1.3.
 PERSISTENCE = 0.9
+
+
+class Lane(NamedTuple):
+    """Distances of a careful driver, m. The defaults are those of Rover Zero.
+
+    Attributes:
+        half_width: half the width of the lane that must be free. Half the width of Rover Zero is 0.225 m.
+        stop: free distance from the robot's center at which it stops.
+        back_off: lidar reading in front below which it backs off. A reading below 0.3 m is a collision of Rover Zero.
+        behind: lidar reading behind that is required for backing off. The rear end of Rover Zero is 0.44 m from it.
+    """
+
+    half_width: float = 0.36
+    stop: float = 0.45
+    back_off: float = 0.36
+    behind: float = 0.75
+
+
+def lane_of(robot: Robot) -> Lane:
+    """Returns the distances of a robot: those of Rover Zero, by as much larger as the robot's outline is."""
+    side, front, ahead, behind = (round(a - b, 3) for a, b in zip(_reach(robot), _reach(ROVER_ZERO), strict=True))
+    lane = Lane()
+    back_off = lane.back_off + max(side, ahead)
+    return Lane(lane.half_width + side, lane.stop + front, back_off, lane.behind + behind)
+
+
+def _reach(robot: Robot) -> tuple[float, float, float, float]:
+    """Returns how far a robot reaches to the side and ahead of its center, and ahead and behind of its lidar, m."""
+    outline, lidar = footprint(robot), robot.lidar_position[0]
+    return outline.half_width, outline.front, outline.front - lidar, lidar - outline.back
 
 
 def slowest_turn(drive: Drive) -> float:
@@ -80,7 +108,12 @@ def slowest_turn(drive: Drive) -> float:
     return 0.0 if drive.turns_in_place else CRAWL
 
 
-def steer(lidar: Tensor, target: Tensor, lidar_offset: float = LIDAR_OFFSET, slowest: float = 0.0) -> Tensor:
+_ROVER_ZERO = Lane()
+
+
+def steer(
+    lidar: Tensor, target: Tensor, lidar_offset: float = LIDAR_OFFSET, slowest: float = 0.0, lane: Lane = _ROVER_ZERO
+) -> Tensor:
     """Computes the action of a careful driver without a map and without memory: see :func:`drive_towards`.
 
     The rover drives towards the goal if the lane to the goal, or its first 1.6 m, is free. Otherwise it takes the best
@@ -90,14 +123,16 @@ def steer(lidar: Tensor, target: Tensor, lidar_offset: float = LIDAR_OFFSET, slo
     distance, bearing = target.split(1, -1)
     candidates = torch.arange(HEADINGS, dtype=lidar.dtype, device=lidar.device) * (2 * math.pi / HEADINGS)
     directions = torch.cat((candidates.expand(len(lidar), -1), bearing), -1)
-    free = _free_lane(lidar, directions, lidar_offset)
+    free = _free_lane(lidar, directions, lidar_offset, lane.half_width)
     blocked = (1 - free / distance.clamp(0.1, LOOK_AHEAD)).clamp(min=0)
     merit = (directions - bearing).cos() + PERSISTENCE * directions.cos() - 4 * blocked
     best = directions.gather(-1, merit.argmax(-1, keepdim=True))
-    return drive_towards(torch.where(blocked[:, -1:] > 0, best, bearing), lidar, lidar_offset, slowest)
+    return drive_towards(torch.where(blocked[:, -1:] > 0, best, bearing), lidar, lidar_offset, slowest, lane)
 
 
-def drive_towards(direction: Tensor, lidar: Tensor, lidar_offset: float = LIDAR_OFFSET, slowest: float = 0.0) -> Tensor:
+def drive_towards(
+    direction: Tensor, lidar: Tensor, lidar_offset: float = LIDAR_OFFSET, slowest: float = 0.0, lane: Lane = _ROVER_ZERO
+) -> Tensor:
     """Computes the action of a careful driver that follows a direction.
 
     The heading offset is twice the angle to the direction. The speed decreases as the angle grows, and as
@@ -108,19 +143,20 @@ def drive_towards(direction: Tensor, lidar: Tensor, lidar_offset: float = LIDAR_
         lidar: lidar readings, ``[N, points]``, m.
         lidar_offset: distance of the lidar in front of the rover's center, m.
         slowest: lowest speed in a free lane, m/s.
+        lane: distances of the robot.
 
     Returns:
         Action ``[N, 2]``: forward speed (m/s) and heading offset (rad).
     """
     angle = wrap_angle(direction)
-    free = _free_lane(lidar, torch.zeros_like(angle), lidar_offset)
-    speed = angle.cos().clamp(min=0) * ((free - STOP) / (LOOK_AHEAD / 2)).clamp(0, 1)
+    free = _free_lane(lidar, torch.zeros_like(angle), lidar_offset, lane.half_width)
+    speed = angle.cos().clamp(min=0) * ((free - lane.stop) / (LOOK_AHEAD / 2)).clamp(0, 1)
     if slowest:
-        speed = torch.where(free > STOP, speed.clamp(min=slowest), speed)
+        speed = torch.where(free > lane.stop, speed.clamp(min=slowest), speed)
     quarter = lidar.shape[-1] // 4
     front = torch.cat((lidar[:, :quarter], lidar[:, -quarter:]), -1).amin(-1, keepdim=True)
     behind = lidar[:, quarter + quarter // 2 : -quarter - quarter // 2].amin(-1, keepdim=True)
-    speed = torch.where((front < BACK_OFF) & (behind > BEHIND), -0.4, speed)
+    speed = torch.where((front < lane.back_off) & (behind > lane.behind), -0.4, speed)
     return torch.cat((speed, (2 * angle).clamp(-math.pi, math.pi)), -1)
 
 
@@ -134,9 +170,9 @@ def hit_points(lidar: Tensor, lidar_offset: float, middle: float = 0.5) -> tuple
     return lidar * angles.cos() + lidar_offset, lidar * angles.sin()
 
 
-def _free_lane(lidar: Tensor, directions: Tensor, lidar_offset: float) -> Tensor:
+def _free_lane(lidar: Tensor, directions: Tensor, lidar_offset: float, half_width: float) -> Tensor:
     """Free length of the lane from the rover's center in each of ``directions [N, H]``: ``[N, H]``, m."""
     x, y = (value[..., None] for value in hit_points(lidar, lidar_offset))
     cos, sin = directions.cos()[:, None], directions.sin()[:, None]
     ahead, aside = x * cos + y * sin, y * cos - x * sin
-    return ahead.masked_fill((ahead < 0) | (aside.abs() > HALF_WIDTH), math.inf).amin(1)
+    return ahead.masked_fill((ahead < 0) | (aside.abs() > half_width), math.inf).amin(1)

@@ -14,7 +14,7 @@ course     alignment of the end of the trajectory with the current heading. It k
 free       free distance along the trajectory and straight on from its end, as a share of the look-ahead distance
 speed      forward speed
 clearance  distance of the body from the nearest reading, if it is less than a margin
-lidar      expected lidar readings that are about to count as a collision of the task
+lidar      expected lidar readings that are about to count as a collision, for a robot with a collision range
 reverse    cost of driving backward
 standstill cost of neither driving nor turning
 ========== =============================================================================================
@@ -45,9 +45,9 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from rover_rl.algos.policy.baselines import hit_points
-from rover_rl.envs.config import EnvConfig, HeadingGains, LidarConfig, RobotLike, TaskConfig
+from rover_rl.envs.config import EnvConfig, HeadingGains, LidarConfig, RobotLike
 from rover_rl.sims.robots import get_robot
-from rover_rl.sims.robots.footprint import covering_discs
+from rover_rl.sims.robots.footprint import covering_discs, footprint
 
 LIDAR = LidarConfig(points=128)  # lidar of the planner by default: every beam of the scan
 # Yaw rate of the body relative to that of the wheel odometry: Rover Zero turns at 0.40 to 0.43 of the commanded rate
@@ -65,7 +65,7 @@ YAW_RATES = 15  # number of yaw rates in the window, besides the one closest to 
 EXCESS = 0.04
 SAFETY = 0.008  # distance of the discs below which a trajectory is rejected, m
 LOOK_AHEAD = 1.6  # free distance beyond which more is no better, m. On slopes, the lidar sees the ground beyond it.
-HALF_LANE = 0.3  # half the width of the lane beyond the end of a trajectory, m
+LANE_MARGIN = 0.075  # width of the lane beyond the end of a trajectory on each side of the footprint, m
 ARRIVAL = 0.25  # distance from the goal at which a trajectory ends there, m
 
 HEADING_WEIGHT = 0.75
@@ -75,7 +75,7 @@ SPEED_WEIGHT = 0.9
 CLEARANCE_WEIGHT = 1.0
 CLEARANCE_MARGIN = 0.2  # clearance without a cost, m
 LIDAR_WEIGHT = 2.0
-LIDAR_MARGIN = 0.06  # margin above the collision threshold of the task in which expected readings cost, m
+LIDAR_MARGIN = 0.06  # margin above the collision range of the robot in which expected readings cost, m
 REVERSE_COST = 0.5
 STANDSTILL_COST = 2.0
 STANDSTILL = 0.2  # yaw rate below which a rover without speed stands still, rad/s
@@ -125,6 +125,8 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         self._robot, self._gain = get_robot(robot), yaw_gain
         centers, radius = covering_discs(self._robot, EXCESS)
         self._discs, self._radius = tuple(centers.tolist()), radius + SAFETY
+        # In micrometers, so that sums do not round differently.
+        self._half_lane = round(footprint(self._robot).half_width + LANE_MARGIN, 6)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Sets ``action [N, 2]``: forward speed (m/s) and heading offset (rad)."""
@@ -151,7 +153,7 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         if radius:
             # A turn that the drive cannot take. The wheel odometry of such a drive does not slip.
             hit = hit | (sampled.yaw_rate.abs() * radius > sampled.speed.abs() + 1e-6)[..., None]
-        score = _score(sampled, points, goal, arrived, clearance, readings)
+        score = self._score(sampled, points, goal, arrived, clearance, readings)
         free_time = torch.where(hit, sampled.time, math.inf).amin(-1)
         # All scores of rejected trajectories are below those of the others.
         escape = free_time.clamp(max=HORIZON) + clearance[..., -1].clamp(max=1) - 100
@@ -215,6 +217,31 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         along = distance[:, len(offsets) :].unflatten(-1, (*sampled.x.shape[1:], -1))
         return along[..., :-1].amin(-1) - self._radius, along[..., -1], now.amin(-1) - self._radius
 
+    def _score(
+        self, sampled: Trajectories, points: Tensor, goal: Tensor, arrived: Tensor, clearance: Tensor, readings: Tensor
+    ) -> Tensor:
+        """Returns the weighted sum of the critics for each trajectory, ``[N, S]``.
+
+        What is beyond the pose in which a trajectory has ``arrived [N, S, K]`` at the goal does not count.
+        """
+        x, y, heading, arrives = sampled.x[..., -1], sampled.y[..., -1], sampled.heading[..., -1], arrived[..., -1]
+        look_ahead = goal.norm(dim=-1, keepdim=True).clamp(0.1, LOOK_AHEAD)
+        free = ((sampled.path[..., -1] + _free_lane(x, y, heading, points, self._half_lane)) / look_ahead).clamp(0, 1)
+        alignment = (torch.atan2(goal[:, 1:] - y, goal[:, :1] - x) - heading).cos()
+        near = 1 - clearance.masked_fill(arrived, math.inf).amin(-1) / CLEARANCE_MARGIN
+        colliding = ((self._robot.collision_range or 0.0) + LIDAR_MARGIN - readings) / LIDAR_MARGIN
+        stands = (sampled.speed == 0) & (sampled.yaw_rate.abs() < STANDSTILL)
+        return (
+            HEADING_WEIGHT * alignment.masked_fill(arrives, 1.0)
+            + COURSE_WEIGHT * heading.cos()
+            + FREE_WEIGHT * free.masked_fill(arrives, 1.0)
+            + SPEED_WEIGHT * sampled.speed.clamp(min=0)
+            - CLEARANCE_WEIGHT * near.clamp(0, 1)
+            - LIDAR_WEIGHT * colliding.clamp(0, 2).mean(-1)
+            - REVERSE_COST * (sampled.speed < 0)
+            - STANDSTILL_COST * stands
+        )
+
     def _moving_clearance(self, sampled: Trajectories, position: Tensor, velocity: Tensor, radius: Tensor) -> Tensor:
         """Returns the distance of the body in each pose from what moves, where that will be then, ``[N, S, K]``, m.
 
@@ -236,39 +263,13 @@ def _ramp(start: Tensor, end: Tensor, rate: float, time: Tensor) -> Tensor:
     return start * time + change.sign() * rate * ramping * (time - ramping / 2)
 
 
-def _score(
-    sampled: Trajectories, points: Tensor, goal: Tensor, arrived: Tensor, clearance: Tensor, readings: Tensor
-) -> Tensor:
-    """Returns the weighted sum of the critics for each trajectory, ``[N, S]``.
-
-    What is beyond the pose in which a trajectory has ``arrived [N, S, K]`` at the goal does not count.
-    """
-    x, y, heading, arrives = sampled.x[..., -1], sampled.y[..., -1], sampled.heading[..., -1], arrived[..., -1]
-    look_ahead = goal.norm(dim=-1, keepdim=True).clamp(0.1, LOOK_AHEAD)
-    free = ((sampled.path[..., -1] + _free_lane(x, y, heading, points)) / look_ahead).clamp(0, 1)
-    alignment = (torch.atan2(goal[:, 1:] - y, goal[:, :1] - x) - heading).cos()
-    near = 1 - clearance.masked_fill(arrived, math.inf).amin(-1) / CLEARANCE_MARGIN
-    colliding = (TaskConfig.collision_threshold + LIDAR_MARGIN - readings) / LIDAR_MARGIN
-    stands = (sampled.speed == 0) & (sampled.yaw_rate.abs() < STANDSTILL)
-    return (
-        HEADING_WEIGHT * alignment.masked_fill(arrives, 1.0)
-        + COURSE_WEIGHT * heading.cos()
-        + FREE_WEIGHT * free.masked_fill(arrives, 1.0)
-        + SPEED_WEIGHT * sampled.speed.clamp(min=0)
-        - CLEARANCE_WEIGHT * near.clamp(0, 1)
-        - LIDAR_WEIGHT * colliding.clamp(0, 2).mean(-1)
-        - REVERSE_COST * (sampled.speed < 0)
-        - STANDSTILL_COST * stands
-    )
-
-
-def _free_lane(x: Tensor, y: Tensor, heading: Tensor, points: Tensor) -> Tensor:
+def _free_lane(x: Tensor, y: Tensor, heading: Tensor, points: Tensor, half_width: float) -> Tensor:
     """Returns the free length of the lanes straight ahead from poses ``[N, S]``, ``[N, S]``, m."""
     cos, sin = heading.cos()[:, None], heading.sin()[:, None]
     px, py = points.split(1, -1)
     ahead = px * cos + py * sin - (cos * x[:, None] + sin * y[:, None])
     aside = py * cos - px * sin + (sin * x[:, None] - cos * y[:, None])
-    return ahead.masked_fill((ahead < 0) | (aside.abs() > HALF_LANE), _FAR).amin(1)
+    return ahead.masked_fill((ahead < 0) | (aside.abs() > half_width), _FAR).amin(1)
 
 
 def _lowest_product(left: Tensor, right: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from rover_rl.algos.policy.baselines import drive_towards, slowest_turn
+from rover_rl.algos.policy.baselines import Lane, drive_towards, lane_of, slowest_turn
 from rover_rl.algos.policy.grid_planner import SHARP, SLOPE, SLOPE_SPEED
 from rover_rl.envs.config import EnvConfig, RobotLike
 from rover_rl.envs.rover import RoverEnv
@@ -48,7 +48,7 @@ class PrivilegedExpert:
     def __init__(self, worlds: Worlds, robot: Robot, device: torch.device | str | None = None) -> None:
         self._distances = PathDistances(worlds, robot, device, CAUTION)
         angles = torch.arange(DIRECTIONS, device=device) * (2 * math.pi / DIRECTIONS)
-        self._slowest = slowest_turn(robot.drive)
+        self._slowest, self._lane, self._lidar = slowest_turn(robot.drive), lane_of(robot), robot.lidar_position[0]
         self._angles, self._directions = angles, torch.stack((angles.cos(), angles.sin()), -1)
 
     def action(self, observation: TensorDictBase) -> Tensor:
@@ -63,9 +63,9 @@ class PrivilegedExpert:
         narrow = self._distances.narrow(fields, points).any(-1, keepdim=True)
         tilt, yaw = rows["imu"].split((2, 1), -1)
         turn = torch.where(distance < NEAR, bearing, wrap_angle(direction - yaw))
-        careful = drive_towards(turn, rows["lidar"], slowest=self._slowest)
+        careful = drive_towards(turn, rows["lidar"], self._lidar, self._slowest, self._lane)
         sloped = tilt.norm(dim=-1, keepdim=True) > SLOPE
-        on_slope = _drive_on_slope(turn, rows["velocities"][:, 1:], rows["lidar"])
+        on_slope = _drive_on_slope(turn, rows["velocities"][:, 1:], rows["lidar"], self._lidar, self._lane)
         careful = torch.where(sloped, on_slope, careful)
         through = _pass_through(wrap_angle(self._best_heading(fields, position, LOOK_AHEAD_NARROW) - yaw), sloped)
         return torch.where(narrow, through, careful).reshape(*shape, 2)
@@ -104,13 +104,13 @@ class MapExpert(TensorDictModuleBase):
         return tensordict.set("action", self._expert.action(tensordict))
 
 
-def _drive_on_slope(turn: Tensor, rate: Tensor, lidar: Tensor) -> Tensor:
+def _drive_on_slope(turn: Tensor, rate: Tensor, lidar: Tensor, lidar_offset: float, lane: Lane) -> Tensor:
     """Returns the actions ``[M, 2]`` of a rover on a slope, where it slides while it turns on the spot.
 
     ``turn [M, 1]`` is the angle to the direction of the path, rad, and ``rate [M, 1]`` the wheels' yaw rate, rad/s.
     """
     overshoot = OVERSHOOT * rate * rate.abs()
-    speed, offset = drive_towards(turn - overshoot, lidar).split(1, -1)
+    speed, offset = drive_towards(turn - overshoot, lidar, lidar_offset, lane=lane).split(1, -1)
     tail = wrap_angle(turn + math.pi)
     speed = torch.where(turn.abs() > SHARP, speed.clamp(max=SLOPE_SPEED), speed.clamp(min=SLOPE_SPEED))
     speed = torch.where(turn.abs() > BACKWARD, -BACKWARD_SPEED * tail.cos(), speed)

@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from rover_rl.sims.robots.robot import Robot
 
 
+COLLISION_MARGIN = 0.05
+"""Distance from the outline up to which a reading is a collision of a robot that states no collision range, m."""
+
+
 class Footprint(NamedTuple):
     """Rectangle around the wheels and the body of a robot, seen from above, in the base frame.
 
@@ -70,6 +74,30 @@ def footprint(robot: Robot) -> Footprint:
                 high.append((placed.position + half)[:2])
     (back, right), (front, left) = np.min(low, 0).tolist(), np.max(high, 0).tolist()
     return Footprint(back, front, right, left)
+
+
+def collision_ranges(robot: Robot, beams: int, margin: float = COLLISION_MARGIN) -> np.ndarray:
+    """Returns the lidar reading of each beam below which a robot is in collision: ``[beams]``, m.
+
+    It is :attr:`~rover_rl.sims.robots.Robot.collision_range` for all beams, if the robot states one. Otherwise, it is
+    the distance along the beam from the lidar to where it leaves the footprint, and the ``margin``.
+
+    Args:
+        robot: robot with the lidar.
+        beams: number of beams, counter-clockwise from straight ahead.
+        margin: distance from the outline that still is a collision, m.
+    """
+    if robot.collision_range is not None:
+        return np.full(beams, robot.collision_range)
+    outline = footprint(robot)
+    low, high = np.array((outline.back, outline.right)), np.array((outline.front, outline.left))
+    angles = 2 * np.pi / beams * np.arange(beams)
+    directions = np.stack((np.cos(angles), np.sin(angles)), -1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = (np.stack((low, high)) - robot.lidar_position[:2])[:, None] / directions
+    first, last = ends.min(0).max(-1), ends.max(0).min(-1)
+    # A lidar beside the footprint has beams that miss it.
+    return np.where((last >= first) & (last > 0), last, 0.0) + margin
 
 
 def _half_sizes(frame: Frame, shape: Shape) -> np.ndarray | None:

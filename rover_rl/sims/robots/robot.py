@@ -47,6 +47,9 @@ class Robot:
             to the observation.
         radius: radius of the disc around the origin that must be free of obstacles where the rover stands. ``None``:
             that of the disc around its wheels and body, rounded up to a centimeter.
+        collision_range: lidar reading below which the robot is in collision, m. ``None``: in each direction, the
+            distance of its outline from the lidar and a margin: see
+            :func:`~rover_rl.sims.robots.footprint.collision_ranges`.
 
     Attributes:
         wheels: geometry of the wheels.
@@ -73,12 +76,14 @@ class Robot:
     lidar_view: float = 2 * math.pi
     radius: float = None  # type: ignore[assignment]  # Set from the outline below.
     sensors: tuple[Any, ...] = ()
+    collision_range: float | None = None
     wheels: Wheels = field(init=False, repr=False)
     lidar_position: tuple[float, float, float] = field(init=False, repr=False)
     imu_position: tuple[float, float, float] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name, value in (("lidar_range", self.lidar_range), ("radius", self.radius)):
+        for name in ("lidar_range", "radius", "collision_range"):
+            value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{name} of robot {self.name!r} must be a positive number, got {value}")
         if not 0 < self.lidar_view <= 2 * math.pi:

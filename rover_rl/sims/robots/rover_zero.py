@@ -18,6 +18,8 @@ ROVER_ZERO = Robot.from_urdf(
         max_linear_acceleration=5.0,
         max_angular_acceleration=4.0,
     ),
+    # The contract's.
+    collision_range=0.3,
 )
 """Rover Zero: its masses, wheels and mounts are in ``rover_zero.urdf``, and the limits of its drive are those of the
 original's differential-drive plugin."""
