@@ -32,7 +32,8 @@ from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims.free_space.shortest_paths import shortest_paths
-from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.sims.robots import Robot, get_robots
+from rover_rl.sims.robots.fleet import largest_of
 from rover_rl.sims.worlds import WORLDS, World, WorldName, get_world
 from rover_rl.sims.worlds.pool import WorldPool, WorldSource
 from rover_rl.sims.worlds.table import WorldTable
@@ -132,7 +133,7 @@ def draw_episodes(
     min_path: float = MIN_PATH,
     *,
     episodes: int | None = None,
-    robot: str | Robot = "rover_zero",
+    robot: RobotLike = "rover_zero",
     workers: int | None = 1,
 ) -> EpisodeSet:
     """Draws starts and goals as the environment does, and keeps those whose shortest path is long enough.
@@ -147,7 +148,8 @@ def draw_episodes(
         seed: seed of the first draw.
         min_path: smallest length of the shortest path, m; draws with a shorter one are skipped.
         episodes: another name for ``count``, as on the command line.
-        robot: robot, or its name, for which the starts, goals and paths must be free.
+        robot: robot, or its name, for which the starts, goals and paths must be free. Of several, it is the one that
+            needs the most space.
         workers: largest number of processes; ``None``: the number of cores. The episodes do not depend on it.
 
     Raises:
@@ -157,7 +159,7 @@ def draw_episodes(
     count = count if episodes is None else episodes
     check_at_least(1, MAX_COUNT, count=count)
     seed, pool = check_seed(seed, count), WorldPool.of(world)
-    draw = partial(_draw_in, robot=get_robot(robot), count=count, seed=seed, min_path=min_path)
+    draw = partial(_draw_in, robot=largest_of(get_robots(robot)), count=count, seed=seed, min_path=min_path)
     if len(pool) == 1:
         drawn = [draw(pool[0])]
     else:
@@ -218,7 +220,7 @@ def choose_episodes(
     count: int | None = None,
     seed: int | None = None,
     *,
-    robot: str | Robot = "rover_zero",
+    robot: RobotLike = "rover_zero",
     workers: int | None = 1,
 ) -> EpisodeSet:
     """Returns the first stored episodes of a world, or draws episodes if there are not enough stored ones.

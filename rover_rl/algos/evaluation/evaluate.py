@@ -195,7 +195,8 @@ def _drive(
 ) -> list[Trajectory]:
     """Drives episodes and closes the environment. A rover takes the next episode when its own has ended.
 
-    Movers depend on the ``keys`` of the episodes, int64 ``[count, 1]``, and not on the rover that drives an episode.
+    Movers and robots depend on the ``keys`` of the episodes, int64 ``[count, 1]``, and not on the rover that drives an
+    episode.
     """
     places = places or {}
     runner = PolicyRunner(policy, action_repeat, _MIN_ROWS, env)
@@ -205,7 +206,7 @@ def _drive(
 
     def placed() -> dict[str, Tensor]:
         if keys is not None:
-            env.movers.keys = keys[episode]
+            env.movers.keys = env.robots.keys = keys[episode]
         return {key: values[episode] for key, values in places.items()}
 
     with closing(env), ProgressDisplay(name) as display, set_exploration_type(ExplorationType.DETERMINISTIC):

@@ -153,12 +153,12 @@ def record_episodes(
     # As in an evaluation: a randomized drive depends on its row.
     rows = len(episodes) if episodes.several_worlds else ROWS
     evaluation = evaluate(policy, episodes, rows=rows, watch=watch, **options)
-    robot, drives = get_robot(evaluation.env.robot), []
+    drives = []
     for index in wanted:
         ending = evaluation.endings[index]
         moments = moments_of(states[index], episodes.goal[index : index + 1], dt, ending)
         where = episodes.offset + index
-        drives.append(Recording(moments, episodes.worlds[index], robot, angles, dt, ending, where))
+        drives.append(Recording(moments, episodes.worlds[index], evaluation.robots[index], angles, dt, ending, where))
     return drives
 
 

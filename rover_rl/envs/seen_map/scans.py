@@ -127,22 +127,26 @@ class ScanReader(nn.Module):
         self.register_buffer("_directions", torch.stack((angles.cos(), angles.sin()), -1))
         self.register_buffer("_mount", torch.tensor(lidar_mount(robot)))
 
-    def forward(self, state: Tensor, lidar: Tensor, pose: Tensor, imu: Tensor) -> tuple[Scan, Tensor]:
+    def forward(
+        self, state: Tensor, lidar: Tensor, pose: Tensor, imu: Tensor, mount: Tensor | None = None
+    ) -> tuple[Scan, Tensor]:
         """Returns what scans tell, and the next ``STATE`` up to the corner of the route, which is not known yet.
 
-        The arguments are the state before, ``[N, 8]``, and entries of the observation, ``[N, n]``.
+        The arguments are the state before, ``[N, 8]``, entries of the observation, ``[N, n]``, and the positions of the
+        lidar on different robots, ``[N, 3]``, m.
         """
+        mount = self._mount if mount is None else mount
         _, was_rough, place, waits, corner = state.split(STATE, -1)
         axes, xy = euler_to_matrix(imu[:, [1, 0, 2]]), pose[:, :2]
         up = axes[..., 2]
         rough = (was_rough > 0) | (up[:, 2:] < math.cos(ROUGH_TILT))
-        origin, beams = self._beams(lidar, xy, imu[:, 2:], axes)
+        origin, beams = self._beams(lidar, xy, imu[:, 2:], axes, mount)
         size = beams[..., :2].abs().amax(-1)
         returned = lidar < self._no_return
         ends = returned & (size < REACH)
-        hits = ends & (beams[..., 2] > LOWEST) & (self._is_steep(beams, up) | ~rough)
+        hits = ends & (beams[..., 2] > LOWEST) & (self._is_steep(beams, up, mount) | ~rough)
         shown = torch.cat((rough, rough & returned & (size < FARTHEST_HEIGHT)), -1)
-        height = pose[:, 2:] + (axes[:, 2] * self._mount).sum(-1, keepdim=True)
+        height = pose[:, 2:] + (axes[:, 2] * mount).sum(-1, keepdim=True)
         z = torch.cat((pose[:, 2:], height + CELL * beams[..., 2]), -1)
         points = torch.cat((xy[:, None] / CELL, origin[:, None] + beams[..., :2]), 1)
         ground = torch.cat((points, torch.where(shown, z, UNSEEN)[..., None]), -1)
@@ -158,22 +162,22 @@ class ScanReader(nn.Module):
         scan = Scan(center, cleared, rough[:, 0], origin, beams, hits, ends & rough & ~hits, ground, closed, closes)
         return scan, torch.cat((center, rough.to(xy.dtype), place, torch.where(halts, 1.0, scans)), -1)
 
-    def _beams(self, lidar: Tensor, xy: Tensor, yaw: Tensor, axes: Tensor) -> tuple[Tensor, Tensor]:
+    def _beams(self, lidar: Tensor, xy: Tensor, yaw: Tensor, axes: Tensor, mount: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the position of the lidar, and the vectors from there to the ends of the beams."""
         cos, sin = yaw.cos(), yaw.sin()
-        offset = self._mount[0] * torch.cat((cos, sin), -1) + self._mount[1] * torch.cat((-sin, cos), -1)
+        offset = mount[..., :1] * torch.cat((cos, sin), -1) + mount[..., 1:2] * torch.cat((-sin, cos), -1)
         ahead, left = axes[:, None, :, 0], axes[:, None, :, 1]
         beams = self._directions[:, :1] * ahead + self._directions[:, 1:] * left
         return (xy + offset) / CELL, (lidar / CELL)[..., None] * beams
 
-    def _is_steep(self, beams: Tensor, up: Tensor) -> Tensor:
+    def _is_steep(self, beams: Tensor, up: Tensor, mount: Tensor) -> Tensor:
         """Returns whether beams end at an obstacle on rough ground, too, and not at a slope that the rover can climb.
 
         Some of the ground from below the lidar to the end of the beam is at least as steep as the straight line between
         them. So the end is an obstacle if that line is too steep: on a level rover with the lidar at 0.32 m, within
         0.72 m. Farther ends are suspected ones.
         """
-        rise = beams + (self._mount[2] / CELL * up)[:, None]
+        rise = beams + (mount[..., 2:] / CELL * up)[:, None]
         return rise[..., 2] > math.tan(MAX_TILT) * rise[..., :2].norm(dim=-1)
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDictBase
@@ -30,10 +30,15 @@ from rover_rl.envs.seen_map.scans import (
     Scan,
     ScanReader,
     goal_positions,
+    lidar_mount,
     limits_of,
     relative_route,
 )
-from rover_rl.sims.robots import Robot
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.robots.fleet import Fleet
+
+if TYPE_CHECKING:
+    from rover_rl.sims.robots import RobotSource
 
 ROUTE_KEYS = ("lidar", "pose", "imu", "target")
 """Entries of an observation that the map and the route are computed from."""
@@ -67,7 +72,7 @@ class SeenMap:
     Args:
         rows: number N of rovers.
         lidar: settings of the lidar; ``None``: the defaults.
-        robot: robot, or its name, for the position of the lidar.
+        robot: robot, or its name, for its width and the position of its lidar; or the robots of the rows.
         device: device of the observations; ``None``: the CPU.
         threads: number of CPU threads. Results do not depend on it.
         interval: time from one scan that is added to the next, s.
@@ -80,7 +85,7 @@ class SeenMap:
         self,
         rows: int,
         lidar: LidarConfig | None = None,
-        robot: str | Robot = "rover_zero",
+        robot: RobotSource | Fleet = "rover_zero",
         device: torch.device | str | None = None,
         threads: int = 1,
         interval: float = 0.2,
@@ -90,7 +95,10 @@ class SeenMap:
 
         lidar, device, cells = lidar or LidarConfig(), torch.device(device or "cpu"), SIZE * SIZE
         self._points = lidar.points
-        self._reader, self._limits = ScanReader(lidar, robot, interval).to(device), limits_of(robot)
+        self._fleet = robot if isinstance(robot, Fleet) else Fleet.of(get_robot(robot), rows, device)
+        self._reader = ScanReader(lidar, self._fleet.robots[0], interval).to(device)
+        self._mounts = self._fleet.table(lidar_mount)
+        self._limits = self._fleet.table(lambda robot: [*limits_of(robot), limits_of(robot).reach], torch.int32)
         self._every = torch.ones(rows, dtype=torch.bool, device=device)
         self._unbounded = torch.tensor(NO_BOUNDS, device=device).repeat(rows, 1)
         self._state = torch.zeros(rows, sum(STATE), device=device)
@@ -141,7 +149,9 @@ class SeenMap:
         lidar, pose, imu, target = (observation[key] for key in ROUTE_KEYS)
         if lidar.shape[-1] != self._points:
             raise ValueError(f"the map is made for {self._points} lidar readings, got {lidar.shape[-1]}")
-        scan, state = self._reader(self._state, lidar, pose, imu)
+        several = len(self._fleet.robots) > 1
+        mount = self._mounts[self._fleet.index] if several else None
+        scan, state = self._reader(self._state, lidar, pose, imu, mount)
         scan = self._noted(scan, lidar, pose, imu, renewed)
         bounds = self._unbounded if bounds is None else bounds.contiguous()
         self._launch(scan, goal_positions(pose, imu, target), bounds, rows)
@@ -183,7 +193,9 @@ class SeenMap:
         device = wp.device_from_torch(rows.device)
         options = {"device": device, "stream": wp.stream_from_torch(rows.device) if device.is_cuda else None}
         before, center = self._state[:, :2].int(), scan.center.int()
-        scans = [rows, before, center, *scan[1:], wp.vec4i(*self._limits), self._limits.reach]
+        limits = self._limits[self._fleet.index]
+        limits, reaches = limits[:, :4].contiguous(), limits[:, 4].contiguous()
+        scans = [rows, before, center, *scan[1:], wp.from_torch(limits, dtype=wp.vec4i), reaches]
         scans += [self._evidence, self._boxes, self._heights, self._levels, self._doubts]
         closing = self._closing(rows, center)
         plans = [goals, bounds, rows, center, self._levels if closing is None else closing[1][-1], self._doubts]

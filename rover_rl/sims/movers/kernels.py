@@ -124,15 +124,15 @@ def cast_at_parts(
 def scan_parts(
     parts: PartArrays,
     poses: wp.array2d[float],
-    mount: wp.vec3,
+    mounts: wp.array[wp.vec4],
     beams: wp.array[wp.vec2],
     rows: wp.array[wp.bool],
-    max_range: float,
     ranges: wp.array2d[float],
 ):
     """Shortens the beams of a planar lidar that meet a part; thread ``row`` of those in ``rows``.
 
-    ``poses`` are those of the rovers, position (m) and quaternion, and ``beams`` the directions (ahead, left), equally
+    ``poses`` are those of the rovers, position (m) and quaternion, ``mounts`` the position of the lidar on each one and
+    its range (m), and ``beams`` the directions (ahead, left), equally
     spaced counter-clockwise from straight ahead. Tests the beams in the angle that the bounding sphere of a part fills:
     in the scan plane, this is a circle of radius ``sqrt(R^2 - z^2)`` at the distance z of its center from the plane.
     """
@@ -140,6 +140,8 @@ def scan_parts(
     if not rows[row]:
         return
     turn = wp.quat(poses[row, 3], poses[row, 4], poses[row, 5], poses[row, 6])
+    mount = wp.vec3(mounts[row][0], mounts[row][1], mounts[row][2])
+    max_range = mounts[row][3]
     start = wp.vec3(poses[row, 0], poses[row, 1], poses[row, 2]) + wp.quat_rotate(turn, mount)
     count = beams.shape[0]
     for part in range(parts.kind.shape[1]):

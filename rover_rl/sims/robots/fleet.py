@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import torch
@@ -12,6 +12,11 @@ from rover_rl.sims.robots.robot import Robot
 
 MAX_ROBOTS = 1024
 """Maximum number of robots in a fleet. All of them are in memory."""
+
+
+def largest_of(robots: Iterable[Robot]) -> Robot:
+    """Returns the robot with the largest radius, whose free space is that of all, and of these the widest turn."""
+    return max(robots, key=lambda robot: (robot.radius, robot.drive.min_radius(robot.wheels)))
 
 
 class Fleet:
@@ -56,8 +61,8 @@ class Fleet:
 
     @property
     def largest(self) -> Robot:
-        """The robot that needs the most space: where it fits, all others do."""
-        return max(self.robots, key=lambda robot: (robot.radius, robot.drive.min_radius(robot.wheels)))
+        """The robot that needs the most space: see :func:`largest_of`."""
+        return largest_of(self.robots)
 
     def __len__(self) -> int:
         """Number of rows."""
