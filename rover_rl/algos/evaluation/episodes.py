@@ -27,6 +27,7 @@ from rover_rl.algos.evaluation.cores import over_cores
 from rover_rl.algos.policy.networks import single_threaded
 from rover_rl.checks import MAX_COUNT, check_at_least, check_seed
 from rover_rl.envs import EnvConfig, TaskConfig
+from rover_rl.envs.config import RobotLike
 from rover_rl.envs.placement import Placement
 from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay

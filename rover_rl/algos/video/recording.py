@@ -131,7 +131,7 @@ def record_endless(
             seen, movers = (rovers.rover_state, rovers.scan), parts_of(rovers.movers, 0)
             moments.append(Moment(seconds, *seen, rovers.goal, goals, episodes, endings, event, movers))
         angles = rovers.scanner.angles.cpu()
-        return Recording(moments, rovers.worlds[0], rovers.robot, angles, rovers.control_dt, steps=driven)
+        return Recording(moments, rovers.worlds[0], rovers.fleet[0], angles, rovers.control_dt, steps=driven)
 
 
 def record_episodes(

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from rover_rl.envs.config import LidarConfig
-from rover_rl.sims.robots import Robot, get_robot
+from rover_rl.envs.config import LidarConfig, RobotLike
+from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.rotations import euler_to_matrix, wrap_angle
 
@@ -116,7 +116,7 @@ class ScanReader(nn.Module):
     _directions: Tensor
     _mount: Tensor
 
-    def __init__(self, lidar: LidarConfig, robot: str | Robot, interval: float) -> None:
+    def __init__(self, lidar: LidarConfig, robot: RobotLike, interval: float) -> None:
         super().__init__()
         # From this reading on, a beam has hit nothing.
         self._no_return = lidar.max_range - 1e-3
@@ -199,7 +199,7 @@ class Limits(NamedTuple):
         return math.ceil(math.sqrt(self.wide) / PARTS)
 
 
-def limits_of(robot: str | Robot) -> Limits:
+def limits_of(robot: RobotLike) -> Limits:
     """Returns the distances from obstacles at which the levels of cells begin."""
     half_width = footprint(get_robot(robot)).half_width
     tight, near, wide = (math.ceil((half_width + margin) / CELL * PARTS) for margin in MARGINS)
@@ -207,7 +207,7 @@ def limits_of(robot: str | Robot) -> Limits:
     return Limits(tight**2, near**2, wide**2, (wide + PARTS // 2) ** 2)
 
 
-def lidar_mount(robot: str | Robot) -> tuple[float, float, float]:
+def lidar_mount(robot: RobotLike) -> tuple[float, float, float]:
     """Returns the position of the lidar in the robot's frame, m. Raises ``ValueError`` if it is too far off center."""
     x, y, z = get_robot(robot).lidar_position
     if max(abs(x), abs(y)) > FARTHEST_MOUNT:

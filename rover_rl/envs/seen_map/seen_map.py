@@ -12,13 +12,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from rover_rl.envs.config import LidarConfig
+from rover_rl.envs.config import LidarConfig, RobotLike
 from rover_rl.envs.seen_map.scans import (
     CELL,
     DOUBTFUL,
@@ -36,9 +36,6 @@ from rover_rl.envs.seen_map.scans import (
 )
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.fleet import Fleet
-
-if TYPE_CHECKING:
-    from rover_rl.sims.robots import RobotSource
 
 ROUTE_KEYS = ("lidar", "pose", "imu", "target")
 """Entries of an observation that the map and the route are computed from."""
@@ -85,7 +82,7 @@ class SeenMap:
         self,
         rows: int,
         lidar: LidarConfig | None = None,
-        robot: RobotSource | Fleet = "rover_zero",
+        robot: RobotLike | Fleet = "rover_zero",
         device: torch.device | str | None = None,
         threads: int = 1,
         interval: float = 0.2,
