@@ -169,6 +169,6 @@ def _pictures(
     pictures: dict[Path, list[Evaluation]] = {}
     for evaluation in driven:
         world, backend = several_worlds and evaluation.episodes.name, several_backends and evaluation.backend
-        name = "-".join(part for part in ("paths", world, backend) if part).replace(":", "-")
+        name = "-".join(part for part in ("paths", world, backend) if part).replace(":", "-").replace("*", "x")
         pictures.setdefault(out / f"{name}.png", []).append(evaluation)
     return pictures

@@ -259,7 +259,9 @@ class Play:
 
         policy = resolve_policy(self.policy, () if self.world is None else (self.world,))
         world = policy.worlds[0] if policy.worlds else "moon"
-        path = (policy.folder or PLAY_FOLDER) / f"{policy.name}-{Path(world).name}.gif".replace(":", "-")
+        path = (policy.folder or PLAY_FOLDER) / f"{policy.name}-{Path(world).name}.gif".replace(":", "-").replace(
+            "*", "x"
+        )
         size: dict[str, Any] = {"width": PLAY_WIDTH, "height": PLAY_HEIGHT}
         drive = film_to_goal(policy.module, path, world=world, seconds=self.seconds, seed=self.seed, **size)
         if drive.ending != "goal":

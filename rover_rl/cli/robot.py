@@ -65,7 +65,7 @@ class RobotCommand:
         check_at_least(1, MAX_BEAMS, lidar_beams=self.lidar_beams)
         check_positive(360, lidar_view=self.lidar_view)
         check_seed(self.seed)
-        described = self._environment()
+        described = self._environment().fitted()
         from rover_rl.algos.evaluation.episodes import draw_episodes
         from rover_rl.sims import make_scanner, make_simulator
         from rover_rl.sims.robots import get_robot

@@ -140,12 +140,15 @@ class Worlds:
         if self.action is not None:
             return self.action()
         from rover_rl.sims.free_space.draw import draw_world
+        from rover_rl.sims.free_space.fitting import fitting_worlds
         from rover_rl.sims.robots import get_robot
         from rover_rl.sims.worlds import get_world, world_names
 
         robot = get_robot(self.robot)
         for name in self.world or world_names():
-            world, path = get_world(name), self.out / f"{Path(name).name.removesuffix('.npz').replace(':', '-')}.png"
+            name = fitting_worlds(name, robot)
+            file = Path(name).name.removesuffix(".npz").replace(":", "-").replace("*", "x")
+            world, path = get_world(name), self.out / f"{file}.png"
             with written_whole(path) as temporary:
                 draw_world(world, robot, temporary)
             width, depth = (f"{high - low:.0f}" for low, high in world.spawn_range)

@@ -435,6 +435,21 @@ class EnvConfig:
         """Names of :attr:`worlds`."""
         return tuple(world if isinstance(world, str) else world.name for world in self.worlds)
 
+    def fitted(self) -> EnvConfig:
+        """Returns the description with worlds that are wide enough for the robot, where their names leave that open.
+
+        ``"maze:5"`` becomes ``"maze:5*1.8"`` for a robot that needs passages 1.8 times as wide as Rover Zero does:
+        see :func:`~rover_rl.sims.free_space.fitting.fitting_worlds`. A live rover is in the world that is named.
+        """
+        backend = self.backend if isinstance(self.backend, str) else name_of(self.backend)
+        if self.robot == EnvConfig.robot or backend == "ros2":
+            return self
+        from rover_rl.sims.free_space.fitting import fitting_worlds
+        from rover_rl.sims.robots import get_robot
+
+        world = fitting_worlds(self.world, get_robot(self.robot))
+        return self if world is self.world else replace(self, world=world)
+
     @property
     def own_sensors(self) -> tuple[SensorLike, ...]:
         """Sensors besides those that every rover has: those of the robot, then :attr:`sensors`."""

@@ -152,7 +152,7 @@ class RoverEnv(EnvBase):
         self.robots = RowRobots(get_robots(config.robot), first_keys)
         self.fleet = self.robots.fleet
         self.robot = self.fleet.largest
-        self.config = config = _with_threshold(config, self.fleet)
+        self.config = config = _with_threshold(config.fitted(), self.fleet)
         self._row_worlds = RowWorlds(config.world, first_keys)
         self._has_movers = self._row_worlds.have_movers
         for world in dict.fromkeys(self._row_worlds.table):

@@ -32,6 +32,7 @@ from rover_rl.envs.placement import Placement
 from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay
 from rover_rl.rng import episode_keys, row_keys
+from rover_rl.sims.free_space.fitting import fitting_worlds, passage_scale
 from rover_rl.sims.free_space.shortest_paths import shortest_paths
 from rover_rl.sims.robots import Robot, get_robots
 from rover_rl.sims.robots.fleet import largest_of
@@ -144,7 +145,8 @@ def draw_episodes(
     several worlds are in the order of the worlds.
 
     Args:
-        world: world, range of worlds such as ``"maze:10000-10063"``, list of both, or pool.
+        world: world, range of worlds such as ``"maze:10000-10063"``, list of both, or pool. Names without a scale get
+            that of the robot, such as ``"maze:10000-10063*1.8"``.
         count: number of episodes in each world.
         seed: seed of the first draw.
         min_path: smallest length of the shortest path, m; draws with a shorter one are skipped.
@@ -159,8 +161,10 @@ def draw_episodes(
     """
     count = count if episodes is None else episodes
     check_at_least(1, MAX_COUNT, count=count)
+    robots = get_robots(robot)
+    world = fitting_worlds(world, max(robots, key=passage_scale))
     seed, pool = check_seed(seed, count), WorldPool.of(world)
-    draw = partial(_draw_in, robot=largest_of(get_robots(robot)), count=count, seed=seed, min_path=min_path)
+    draw = partial(_draw_in, robot=largest_of(robots), count=count, seed=seed, min_path=min_path)
     if len(pool) == 1:
         drawn = [draw(pool[0])]
     else:

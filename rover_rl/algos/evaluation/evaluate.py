@@ -33,7 +33,9 @@ from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
 from rover_rl.envs.config import require_match
 from rover_rl.progress import ProgressDisplay
 from rover_rl.rng import episode_keys, row_keys
+from rover_rl.sims.free_space.fitting import fitting_worlds
 from rover_rl.sims.movers.field import Parts
+from rover_rl.sims.robots import get_robot
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World, get_world
@@ -151,7 +153,9 @@ def evaluate_endless(
     action_repeat = default_action_repeat(policy, action_repeat)
     check_options(rows=rows, steps=steps, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
-    env_config, place = environment_for(policy, env), get_world(world)
+    env_config = environment_for(policy, env)
+    world = fitting_worlds(world, get_robot(env_config.robot))
+    place = get_world(world)
     task = env_config.task if jam else replace(env_config.task, collision_window=steps)
     world_name = world if isinstance(world, str) else place.name
     limits: dict[str, Any] = {"num_envs": rows, "length": steps, "end_on_goal": False, "task": task}

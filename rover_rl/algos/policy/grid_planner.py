@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import partial
 
 import torch
-from tensordict.nn import TensorDictModule
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from rover_rl.algos.policy.baselines import hit_points, slowest_turn
+from rover_rl.algos.policy.baselines import hit_points
+from rover_rl.algos.policy.maneuvers import Maneuvers, cost_to_place, way_point
 from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike, TaskConfig
 from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.sims.robots import Robot, get_robot
@@ -38,27 +39,68 @@ SLOPE = math.radians(5)
 # the others turn the rover as fast as they can, and it would stand still, as measured on slopes of 20 degrees.
 SHARP = math.radians(45)
 SLOPE_SPEED = 0.2  # speed in sharp turns on a slope, m/s
+AHEAD = 1.5  # distance along the route to which maneuvers lead, in smallest radii
 
 
-class GridPlanner(TensorDictModule):
+class GridPlanner(TensorDictModuleBase):
     """Follows the shortest route on a map of what the lidar has seen in the episode: see :func:`follow`.
+
+    A robot that does not turn in place follows it in arcs, forward and backward: see :func:`maneuver`.
 
     It is the stack of costmap, planner and path follower of mobile robots, such as that of Nav2. What has not been seen
     counts as free. See :class:`~rover_rl.envs.seen_map.seen_map.SeenMap`.
 
-    The policy reads ``lidar``, ``imu`` and ``route``, which a :class:`~rover_rl.algos.policy.runner.PolicyRunner` adds.
-    It plans every ``trained_action_repeat`` steps. ``made_for`` is the environment that it drives in, with ``robot``,
+    The policy reads ``lidar``, ``imu`` and ``route``, and for such a robot ``velocities``. ``route`` is what a :class:`~rover_rl.algos.policy.runner.PolicyRunner`
+    adds. It plans every ``trained_action_repeat`` steps. ``made_for`` is the environment that it drives in, with ``robot``,
     one lidar reading for each beam, and episodes that end when the body touches an obstacle.
     """
 
     trained_action_repeat = 4
 
     def __init__(self, robot: RobotLike = "rover_zero") -> None:
-        super().__init__(partial(follow, robot=get_robot(robot)), in_keys=["lidar", "imu", ROUTE], out_keys=["action"])
+        super().__init__()
+        self._robot = get_robot(robot)
+        self._maneuvers = None if self._robot.drive.turns_in_place else Maneuvers(self._robot)
+        self.in_keys = ["lidar", "imu", ROUTE] + ([] if self._maneuvers is None else ["velocities"])
+        self.out_keys = ["action"]
         lidar = LidarConfig()
         # In narrow gaps, readings are below the contract's threshold.
         task = TaskConfig(collision_from="contact", collision_window=0)
         self.made_for = EnvConfig(robot=robot, lidar=replace(lidar, points=lidar.beams), task=task)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Sets ``action [N, 2]``: forward speed (m/s) and heading offset (rad)."""
+        inputs = [tensordict[key] for key in self.in_keys]
+        if self._maneuvers is None:
+            return tensordict.set("action", follow(*inputs, robot=self._robot))
+        return tensordict.set("action", maneuver(*inputs, self._maneuvers, self.made_for.lidar.max_range))
+
+
+def maneuver(
+    lidar: Tensor, imu: Tensor, route: Tensor, velocities: Tensor, maneuvers: Maneuvers, max_range: float
+) -> Tensor:
+    """Computes the action of a robot that cannot turn in place, which follows its route in arcs.
+
+    It begins the arc, or pair of arcs, from which the way to a place on its route ahead is the shortest. From a slope
+    that is too steep, it backs down straight.
+
+    Args:
+        lidar: lidar readings, ``[N, points]``, m.
+        imu: pitch, roll and yaw, ``[N, 3]``, rad.
+        route: route, ``[N, 5]``.
+        velocities: forward speed (m/s) and yaw rate of the wheels, ``[N, 2]``.
+        maneuvers: arcs of the robot.
+        max_range: reading from which on nothing is there, m.
+
+    Returns:
+        Action ``[N, 2]``: forward speed (m/s) and heading offset (rad).
+    """
+    place = way_point(route, AHEAD * maneuvers.radius)
+    clearances = maneuvers.clearances(lidar, max_range)
+    cost = cost_to_place(maneuvers.poses, maneuvers.radius, place, route[:, 4:])
+    action = maneuvers.choose(cost, maneuvers.free(clearances), clearances, velocities[:, :1])
+    steep = imu[:, :1] < -STEEP
+    return torch.where(steep, torch.tensor((BACK_DOWN, 0.0), device=action.device), action)
 
 
 def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
@@ -66,14 +108,13 @@ def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
 
     The heading offset is twice the angle to the first corner of the route. The speed decreases as the angle grows and
     as obstacles in the lane ahead get closer. In front of an obstacle, the rover backs off while it turns. On a slope,
-    and with a drive that cannot, it does not turn on the spot, but in a slow curve. From a slope that is too steep, it
-    backs down straight.
+    it does not turn on the spot, but in a slow curve. From a slope that is too steep, it backs down straight.
 
     Args:
         lidar: lidar readings, ``[..., points]``, m.
         imu: pitch, roll and yaw, ``[..., 3]``, rad.
         route: route, ``[..., 5]``.
-        robot: robot whose footprint must stay free.
+        robot: robot whose footprint must stay free, and which turns in place.
 
     Returns:
         Action ``[..., 2]``: forward speed (m/s) and heading offset (rad).
@@ -87,10 +128,8 @@ def follow(lidar: Tensor, imu: Tensor, route: Tensor, robot: Robot) -> Tensor:
     speed = angle.cos().clamp(min=0).square() * allowed
     sloped = imu[..., :2].norm(dim=-1, keepdim=True) > SLOPE
     speed = torch.where(sloped & (angle.abs() > SHARP), SLOPE_SPEED * allowed, speed)
-    speed = speed.clamp(min=slowest_turn(robot.drive))
     speed = torch.where(ahead < STOP, torch.where(behind > BEHIND, BACK_OFF, 0.0), speed)
-    if robot.drive.turns_in_place:
-        speed = torch.where(~sloped & (angle.abs() > TURN), speed.clamp(max=0), speed)
+    speed = torch.where(~sloped & (angle.abs() > TURN), speed.clamp(max=0), speed)
     # A positive pitch is nose down.
     steep = imu[..., :1] < -STEEP
     speed = torch.where(steep, BACK_DOWN, speed)

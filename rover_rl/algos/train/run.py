@@ -12,7 +12,7 @@ import threading
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -305,7 +305,8 @@ def prepare(config: TrainingConfig) -> TrainingConfig:
     """
     config.check()
     check_trackers(config.run.logger)
-    env = config.env
+    env = config.env.fitted()
+    config = replace(config, env=env)
     for world in env.worlds:
         check_world(world)
     if config.collection.curriculum != "none" and not draws_worlds(env.world):

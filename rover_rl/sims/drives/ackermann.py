@@ -73,6 +73,11 @@ class Ackermann(Drive):
         """Returns the radius of the sharpest turn of the middle of the rear axle, m."""
         return self.wheelbase(wheels) / math.tan(self.max_steering)
 
+    def pivot(self, wheels: Wheels) -> float:
+        """Returns x of the rear axle, m."""
+        rear = wheels.hubs[:2]
+        return (rear[0][0] + rear[1][0]) / 2
+
     def check(self, wheels: Wheels) -> None:
         """Checks that the front wheels are ahead of the rear wheels, and left ones to the left."""
         if not self.wheelbase(wheels) > 0:

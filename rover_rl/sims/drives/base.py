@@ -162,6 +162,10 @@ class Drive(ABC):
         """Returns the smallest radius of a turn, m."""
         return 0.0
 
+    def pivot(self, wheels: Wheels) -> float:
+        """Returns x of the line across the robot on which the centers of its turns lie, m."""
+        return 0.0
+
     def check(self, wheels: Wheels) -> None:  # noqa: B027 - a drive without conditions has nothing to check
         """Checks that the drive can move these wheels.
 

@@ -211,7 +211,10 @@ def _compute(world: World, robot: Robot) -> FreeSpace:
 def _check_any(world: World, robot: Robot, kind: str, cells: Tensor) -> None:
     if len(cells) == 0:
         area = getattr(world, f"{kind}_range")
-        raise ValueError(f"world {world.name!r} has no free {kind} cell for {robot.name!r} in {kind}_range {area}")
+        raise ValueError(
+            f"world {world.name!r} has no free {kind} cell for {robot.name!r}, which needs a free disc of "
+            f"{robot.radius:g} m, in {kind}_range {area}"
+        )
 
 
 def _extremes(world: World, goal_cells: Tensor, spawn_cells: Tensor, cell: float) -> Tensor:

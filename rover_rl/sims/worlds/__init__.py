@@ -30,6 +30,7 @@ from rover_rl.sims.worlds.names import WorldName, WorldRange, is_world_file
 from rover_rl.sims.worlds.obstacles import Obstacle, boulder, box, boxes, cylinder, cylinders
 from rover_rl.sims.worlds.region import Region
 from rover_rl.sims.worlds.terrain import Terrain
+from rover_rl.sims.worlds.widened import widened
 from rover_rl.sims.worlds.world import World
 
 WORLDS: dict[str, Callable[..., World]] = {
@@ -53,8 +54,8 @@ def register_world(name: str, world: World | Callable[..., World] | str) -> None
 
     Args:
         name: new name of letters, digits, ``_``, ``-`` and ``.``.
-        world: world, function that returns a world and takes a seed (int), optionally also ``difficulty``, or no
-            argument, or ``"module:attribute"`` of either.
+        world: world, function that returns a world and takes a seed (int), optionally also ``difficulty`` and
+            ``scale``, or no argument, or ``"module:attribute"`` of either.
 
     Raises:
         ValueError: if the name is taken or has other characters.
@@ -80,13 +81,14 @@ def get_world(world: str | World) -> World:
             world. A suffix ``:seed`` selects another layout, for example ``"maze:7"`` or ``"my_package:canyon:7"``, and
             a suffix ``@difficulty``, from 0 to 1, an easier or harder one, for example ``"maze@0.2"``, ``"maze:7@1"``.
             The path of a world file also is a name: see :meth:`World.from_file`. A suffix ``+walkers`` adds people who
-            walk: ``"maze+walkers:7@0.3"``, ``"yard.yaml+walkers"``. The same name returns the same object (the last 256
+            walk: ``"maze+walkers:7@0.3"``, ``"yard.yaml+walkers"``. A last suffix ``*scale`` widens passages, as in
+            ``"maze:7*1.6"``: the same layout for larger robots. The same name returns the same object (the last 256
             names are cached).
 
     Raises:
         FileNotFoundError: if the name is a path, and there is no such file.
         ValueError: if the name is unknown, that of a range, or that of something else than a world; if it has a seed or
-            a difficulty that the world does not take, or a difficulty that is not a number from 0 to 1.
+            a difficulty or a scale that the world does not take, or one that is out of range.
     """
     if isinstance(world, World):
         return world
@@ -102,7 +104,9 @@ def get_world(world: str | World) -> World:
     name = WorldName.parse(str(world))
     if name.seed is None and name.part in WORLDS:
         name = replace(name, seed=0)
-    return _make_world(name)
+    if name.scale == 1:
+        name = replace(name, scale=None)
+    return _make_world(name) if name.scale is None else _make_scaled(name)
 
 
 @lru_cache(maxsize=256)
@@ -112,9 +116,37 @@ def _make_with_walkers(name: WorldName) -> World:
         world = _read_file(Path(name.part).resolve())
     else:
         takes = _taken_by(_REGISTRY.find(name.part))
-        seed = name.seed if takes - {"difficulty"} else None
+        seed = name.seed if takes - {"difficulty", "scale"} else None
         world = get_world(str(replace(name, seed=seed, difficulty=name.difficulty if "difficulty" in takes else None)))
     return with_walkers(world, name.seed or 0, DEFAULT if name.difficulty is None else name.difficulty)
+
+
+def takes_scale(world: str) -> bool:
+    """Returns whether a name is that of a world, or of a range, that can have a scale, and states none.
+
+    Raises:
+        ValueError: if it is no name of a world.
+    """
+    if is_world_file(world):
+        return False
+    name = WorldRange.parse(world) or WorldName.parse(world)
+    part = name.part.removesuffix(WITH_WALKERS)
+    if name.scale is not None or is_world_file(part):
+        return False
+    return part in WORLDS or "scale" in _taken_by(_REGISTRY.find(part))
+
+
+@lru_cache(maxsize=256)
+def _make_scaled(name: WorldName) -> World:
+    """Returns a world with a scale: by its function, or for a built-in one without movers, a larger copy."""
+    assert name.scale is not None
+    if is_world_file(name.part):
+        raise ValueError(f"{name.part!r} is a file, whose world has no scale, got {name.scale:g}")
+    if "scale" in _taken_by(_REGISTRY.find(name.part)):
+        return _make_world(name)
+    if name.part in WORLDS:
+        return widened(_make_world(replace(name, scale=None)), name.scale)
+    raise ValueError(f"world {name.part!r} takes no scale, got {name.scale:g}")
 
 
 def _taken_by(part: Any) -> set[str]:
@@ -137,13 +169,14 @@ def _read_version(path: Path, version: tuple[int, int] | None) -> World:
 def _make_world(name: WorldName) -> World:
     part = _REGISTRY.find(name.part)
     takes = _taken_by(part)
-    takes_seed, takes_difficulty = bool(takes - {"difficulty"}), "difficulty" in takes
+    takes_seed, takes_difficulty = bool(takes - {"difficulty", "scale"}), "difficulty" in takes
     if name.seed is not None and not takes_seed:
         raise ValueError(f"world {name.part!r} takes no seed, got {name.seed}")
     if name.difficulty is not None and not takes_difficulty:
         raise ValueError(f"world {name.part!r} takes no difficulty, got {name.difficulty:g}")
     if callable(part):
-        make = part if name.difficulty is None else partial(part, difficulty=name.difficulty)
+        given = {"difficulty": name.difficulty, "scale": name.scale}
+        make = partial(part, **{key: value for key, value in given.items() if value is not None})
         call = partial(_REGISTRY.call, name.part, make, *([name.seed or 0] if takes_seed else []))
         part = stored_layout(name, call) if name.part in WORLDS else call()
     if not isinstance(part, World):

@@ -1,9 +1,9 @@
-"""Names of worlds, ``NAME[:SEED][@DIFFICULTY]``, of ranges of them, for example ``maze:*``, and of world files."""
+"""Names of worlds, ``NAME[:SEED][@DIFFICULTY][*SCALE]``, of ranges, for example ``maze:*``, and of world files."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 TRAINING_SEEDS = 10_000
 """Number of seeds for training, from 0. By convention, seeds from 10,000 up are for evaluation."""
@@ -17,7 +17,11 @@ ARCHIVE_SUFFIX = ".world.npz"
 SUFFIXES = (*SDF_SUFFIXES, *MESH_SUFFIXES, *ELEVATION_SUFFIXES, *MAP_SUFFIXES, ARCHIVE_SUFFIX)
 """Suffixes of the files that worlds are read from."""
 
+SCALES = (0.5, 10)
+"""Smallest and largest scale of a world."""
+
 _RANGE = re.compile(r"(.+):(?:\*|([0-9]+)-([0-9]+))(?:@(.*))?", re.ASCII)
+_SCALE = re.compile(r"(.*[^:])\*([^*:@]*)", re.ASCII)
 _LEVELS = re.compile(r"([0-9.]+)-([0-9.]+)", re.ASCII)
 _GOLDEN_RATIO = (5**0.5 - 1) / 2
 
@@ -30,34 +34,38 @@ class WorldName:
         part: registered name, or ``module:attribute``.
         seed: seed after the colon; ``None`` without one.
         difficulty: difficulty in [0, 1] after the ``@``; ``None`` without one.
+        scale: factor of the width of passages after the ``*``; ``None`` without one.
 
     Example:
-        >>> WorldName.parse("my_package:canyon:7@0.3")
-        WorldName(part='my_package:canyon', seed=7, difficulty=0.3)
+        >>> WorldName.parse("my_package:canyon:7@0.3*1.6")
+        WorldName(part='my_package:canyon', seed=7, difficulty=0.3, scale=1.6)
     """
 
     part: str
     seed: int | None = None
     difficulty: float | None = None
+    scale: float | None = None
 
     def __str__(self) -> str:
         """Returns the name."""
         seed = "" if self.seed is None else f":{self.seed}"
-        return f"{self.part}{seed}" + ("" if self.difficulty is None else f"@{self.difficulty:f}")
+        level = "" if self.difficulty is None else f"@{self.difficulty:f}"
+        return f"{self.part}{seed}{level}" + _ending(self.scale)
 
     @classmethod
     def parse(cls, text: str) -> WorldName:
         """Splits a name into its parts. A text after the last colon that is no seed belongs to ``part``.
 
         Raises:
-            ValueError: if the text after ``@`` is not a number from 0 to 1.
+            ValueError: if the text after ``@`` is not a number from 0 to 1, or that after ``*`` none from 0.5 to 10.
         """
-        name, at, level = text.partition("@")
+        name, scale = _split_scale(text)
+        name, at, level = name.partition("@")
         difficulty = _difficulty(text, level) if at else None
         part, _, seed = name.rpartition(":")
         if part and seed.isascii() and seed.isdigit():
-            return cls(part, int(seed), difficulty)
-        return cls(name, None, difficulty)
+            return cls(part, int(seed), difficulty, scale)
+        return cls(name, None, difficulty, scale)
 
 
 def _difficulty(text: str, level: str) -> float:
@@ -66,18 +74,37 @@ def _difficulty(text: str, level: str) -> float:
     return float(level)
 
 
+def _split_scale(text: str) -> tuple[str, float | None]:
+    """Splits the scale from a name."""
+    match = _SCALE.fullmatch(text)
+    if match is None:
+        if re.fullmatch(r".+:\*[0-9.]+", text):
+            raise ValueError(f"{text!r} lacks a '*': that of all seeds, and that of the scale, as in 'maze:**1.6'")
+        return text, None
+    name, scale = match.groups()
+    if not re.fullmatch(r"[0-9]*\.?[0-9]+", scale, re.ASCII) or not SCALES[0] <= float(scale) <= SCALES[1]:
+        raise ValueError(f"the scale of world {text!r} must be a number from {SCALES[0]} to {SCALES[1]}, got {scale!r}")
+    return name, float(scale)
+
+
+def _ending(scale: float | None) -> str:
+    """Returns the end of the name of a world with a scale."""
+    return "" if scale is None else f"*{scale:g}"
+
+
 @dataclass(frozen=True)
 class WorldRange:
     """Seeds of a world, named as ``NAME:FIRST-LAST``, or ``NAME:*`` for the seeds from 0 to 9999.
 
     A difficulty after ``@`` is a number or a range. In a range, each seed has its own difficulty, and those of
-    consecutive seeds are spread evenly over it.
+    consecutive seeds are spread evenly over it. A scale after ``*`` is that of all of them.
 
     Attributes:
         part: registered name, or ``module:attribute``.
         first: first seed.
         last: last seed.
         difficulty: lowest and highest difficulty; ``None`` without one.
+        scale: factor of the width of passages; ``None`` without one.
 
     Example:
         >>> WorldRange.parse("maze:0-99@0.2-0.8").name(7)
@@ -88,15 +115,18 @@ class WorldRange:
     first: int
     last: int
     difficulty: tuple[float, float] | None = None
+    scale: float | None = None
 
     @classmethod
     def parse(cls, text: str) -> WorldRange | None:
         """Splits the name of a range into its parts. Returns ``None`` for other names.
 
         Raises:
-            ValueError: if the seeds or difficulties are not in order, or a difficulty is not a number from 0 to 1.
+            ValueError: if the seeds or difficulties are not in order, a difficulty is not a number from 0 to 1, or a
+                scale none from 0.5 to 10.
         """
-        match = _RANGE.fullmatch(text)
+        name, scale = _split_scale(text)
+        match = _RANGE.fullmatch(name)
         if match is None:
             return None
         part, first, last, level = match.groups()
@@ -108,7 +138,7 @@ class WorldRange:
             levels = (_difficulty(text, low), _difficulty(text, high))
         if seeds[1] < seeds[0] or (levels and levels[1] < levels[0]):
             raise ValueError(f"the ends of {text!r} must be in order, as in '{part}:0-99@0.2-0.8'")
-        return cls(part, *seeds, levels)
+        return cls(part, *seeds, levels, scale)
 
     def __len__(self) -> int:
         """Number of worlds."""
@@ -118,10 +148,10 @@ class WorldRange:
         """Returns the name of a world of the range, counted from 0."""
         seed = self.first + number
         if self.difficulty is None:
-            return f"{self.part}:{seed}"
+            return f"{self.part}:{seed}{_ending(self.scale)}"
         low, high = self.difficulty
         # Multiples of the golden ratio, modulo 1, are spread evenly for any number of consecutive seeds.
-        return f"{self.part}:{seed}@{low + seed * _GOLDEN_RATIO % 1 * (high - low):.3g}"
+        return f"{self.part}:{seed}@{low + seed * _GOLDEN_RATIO % 1 * (high - low):.3g}{_ending(self.scale)}"
 
 
 def is_world_file(name: str) -> bool:
@@ -138,7 +168,7 @@ def unseen(name: str) -> str:
     if seeds is None:
         return name
     first = max(TRAINING_SEEDS, seeds.last + 1)
-    return WorldRange(seeds.part, first, first, seeds.difficulty).name(0)
+    return replace(seeds, first=first, last=first).name(0)
 
 
 def check_training_seed(name: str) -> None:

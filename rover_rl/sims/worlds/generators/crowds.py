@@ -67,23 +67,25 @@ def with_walkers(world: World, seed: int = 0, difficulty: float = DEFAULT) -> Wo
     return replace(world, name=f"{world.name}+walkers", movers=(*world.movers, *people))
 
 
-def plaza(seed: int = 0, difficulty: float = DEFAULT) -> World:
+def plaza(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> World:
     """Creates a plaza with some columns and planters, which people cross from edge to edge.
 
     Args:
         seed: seed of the layout and the people.
         difficulty: difficulty in [0, 1]: 6, 12 (at 0.5) or 24 people, who walk at 0.6 to 1.34 m/s on average.
+        scale: factor of the lengths, for larger robots. People stay as large as they are.
 
     Raises:
         ValueError: if the difficulty is not in [0, 1].
     """
     rng = np.random.default_rng(seed)
-    half, edge = PLAZA / 2, 1.5
+    side, rim, edge = round(PLAZA * scale, 1), 0.5 * scale, 1.5 * scale
+    half = side / 2
     edges: list[Area] = [
-        ((-half + 0.5, -half + edge), (-half + 0.5, half - 0.5)),
-        ((half - edge, half - 0.5), (-half + 0.5, half - 0.5)),
-        ((-half + 0.5, half - 0.5), (-half + 0.5, -half + edge)),
-        ((-half + 0.5, half - 0.5), (half - edge, half - 0.5)),
+        ((-half + rim, -half + edge), (-half + rim, half - rim)),
+        ((half - edge, half - rim), (-half + rim, half - rim)),
+        ((-half + rim, half - rim), (-half + rim, -half + edge)),
+        ((-half + rim, half - rim), (half - edge, half - rim)),
     ]
     movers = []
     for number, (speed, person) in enumerate(_people(rng, difficulty, round(scaled(difficulty, *PLAZA_PEOPLE)))):
@@ -91,21 +93,22 @@ def plaza(seed: int = 0, difficulty: float = DEFAULT) -> World:
         movers.append(Mover(SocialForce(speed, edges[start], edges[goal]), person, f"person {number}"))
     # Columns and planters on a jittered grid, so that wide ways lead between them.
     spots = np.array([(x, y) for x in (-4.0, 0.0, 4.0) for y in (-4.0, 0.0, 4.0)]) + rng.uniform(-0.8, 0.8, (9, 2))
-    spots = spots[rng.permutation(9)[:5]]
+    spots = scale * spots[rng.permutation(9)[:5]]
     columns = cylinders(_raised(spots[:3], 1.0), rng.uniform(0.15, 0.3, 3), 2.0, 16)
     planters = boxes(_raised(spots[3:], 0.3), np.column_stack((rng.uniform(0.6, 1.6, (2, 2)), (0.6, 0.6))))
-    task = ((-half + 2, half - 2), (-half + 2, half - 2))
+    inner = half - 2 * scale
+    task = ((-inner, inner), (-inner, inner))
     return World(
         name="plaza",
-        terrain=Terrain.flat((PLAZA, PLAZA)),
-        obstacles=(*enclosing_walls(PLAZA), *columns, *planters),
+        terrain=Terrain.flat((side, side)),
+        obstacles=(*enclosing_walls(side), *columns, *planters),
         spawn_range=task,
         goal_range=task,
         movers=movers,
     )
 
 
-def corridor(seed: int = 0, difficulty: float = DEFAULT) -> World:
+def corridor(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> World:
     """Creates a corridor along x in which people come towards the rover, and some walk its way.
 
     Episodes start at the western end, and goals are at the eastern one.
@@ -113,88 +116,95 @@ def corridor(seed: int = 0, difficulty: float = DEFAULT) -> World:
     Args:
         seed: seed of the people.
         difficulty: difficulty in [0, 1]: 3, 6 (at 0.5) or 10 people, who walk at 0.6 to 1.34 m/s on average.
+        scale: factor of the lengths, for larger robots. People stay as large as they are.
 
     Raises:
         ValueError: if the difficulty is not in [0, 1].
     """
     rng = np.random.default_rng(seed)
-    half, side = LENGTH / 2, WIDTH / 2 - 0.4
-    west, east = ((-half + 0.5, -half + 3), (-side, side)), ((half - 3, half - 0.5), (-side, side))
-    middle: Area = ((-half + 6, half - 0.5), (-side, side))
+    length, width = round(LENGTH * scale, 1), round(WIDTH * scale, 1)
+    half, side, rim, end = length / 2, width / 2 - 0.4 * scale, 0.5 * scale, 3 * scale
+    west, east = ((-half + rim, -half + end), (-side, side)), ((half - end, half - rim), (-side, side))
+    middle: Area = ((-half + 2 * end, half - rim), (-side, side))
     movers = []
     for number, (speed, person) in enumerate(_people(rng, difficulty, round(scaled(difficulty, *CORRIDOR_PEOPLE)))):
         goal = east if number % 4 == 3 else west
         movers.append(Mover(SocialForce(speed, middle, goal), person, f"person {number}"))
-    walls = boxes([(0, y, HEIGHT / 2) for y in (-(WIDTH + WALL) / 2, (WIDTH + WALL) / 2)], (LENGTH, WALL, HEIGHT))
+    walls = boxes([(0, y, HEIGHT / 2) for y in (-(width + WALL) / 2, (width + WALL) / 2)], (length, WALL, HEIGHT))
     return World(
         name="corridor",
-        terrain=Terrain.flat((LENGTH, WIDTH)),
+        terrain=Terrain.flat((length, width)),
         obstacles=walls,
-        spawn_range=((-half + 1, -half + 3), (-side, side)),
-        goal_range=((half - 3, half - 1), (-side, side)),
+        spawn_range=((-half + scale, -half + end), (-side, side)),
+        goal_range=((half - end, half - scale), (-side, side)),
         movers=movers,
     )
 
 
-def crossing(seed: int = 0, difficulty: float = DEFAULT) -> World:
+def crossing(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> World:
     """Creates two ways that cross. The rover goes along one, and people walk back and forth along the other.
 
     Args:
         seed: seed of the people.
         difficulty: difficulty in [0, 1]: 4, 8 (at 0.5) or 16 people, who walk at 0.6 to 1.34 m/s on average.
+        scale: factor of the lengths, for larger robots. People stay as large as they are.
 
     Raises:
         ValueError: if the difficulty is not in [0, 1].
     """
     rng = np.random.default_rng(seed)
-    half, arm = PLAZA / 2, ARM / 2
-    north: Area = ((-arm + 0.4, arm - 0.4), (half - 3, half - 0.5))
-    south: Area = ((-arm + 0.4, arm - 0.4), (-half + 0.5, -half + 3))
+    length, rim, end = round(PLAZA * scale, 1), 0.5 * scale, 3 * scale
+    half, arm = length / 2, ARM * scale / 2
+    side = arm - 0.4 * scale
+    north: Area = ((-side, side), (half - end, half - rim))
+    south: Area = ((-side, side), (-half + rim, -half + end))
     movers = []
     for number, (speed, person) in enumerate(_people(rng, difficulty, round(scaled(difficulty, *CROSSING_PEOPLE)))):
         start, goal = (north, south) if number % 2 else (south, north)
         movers.append(Mover(Cross(speed, start, goal), person, f"person {number}"))
     block, middle = half - arm, (half + arm) / 2
     corners = [(x, y, HEIGHT / 2) for x in (-middle, middle) for y in (-middle, middle)]
-    side = arm - 0.4
     return World(
         name="crossing",
-        terrain=Terrain.flat((PLAZA, PLAZA)),
-        obstacles=(*enclosing_walls(PLAZA), *boxes(corners, (block, block, HEIGHT))),
-        spawn_range=((-half + 1, -half + 3), (-side, side)),
-        goal_range=((half - 3, half - 1), (-side, side)),
+        terrain=Terrain.flat((length, length)),
+        obstacles=(*enclosing_walls(length), *boxes(corners, (block, block, HEIGHT))),
+        spawn_range=((-half + scale, -half + end), (-side, side)),
+        goal_range=((half - end, half - scale), (-side, side)),
         movers=movers,
     )
 
 
-def field(seed: int = 0, difficulty: float = DEFAULT) -> World:
+def field(seed: int = 0, difficulty: float = DEFAULT, scale: float = 1.0) -> World:
     """Creates an open field within walls, in which cylinders and boxes move fast, and a tenth of them rests.
 
     Args:
         seed: seed of the obstacles.
         difficulty: difficulty in [0, 1]: 5, 14 (at 0.5) or 24 obstacles of 0.4 to 1.95 m/s.
+        scale: factor of the lengths, for larger robots. Obstacles stay as large as they are.
 
     Raises:
         ValueError: if the difficulty is not in [0, 1].
     """
     rng = np.random.default_rng(seed)
     low, high = (scaled(difficulty, *ends) for ends in zip(*FIELD_SPEEDS, strict=True))
-    half = FIELD / 2
-    inner: Area = ((-half + 0.7, half - 0.7),) * 2
+    side = round(FIELD * scale, 1)
+    half = side / 2
+    reach, free = half - 2 * scale, half - scale
+    inner: Area = ((-half + 0.7 * scale, half - 0.7 * scale),) * 2
     movers, rest = [], list[Obstacle]()
     for number in range(round(scaled(difficulty, *FIELD_MOVERS))):
         length, width = rng.uniform(0.3, 1.0, 2).round(2).tolist()
         shape = Cylinder(length / 2, 1.0) if rng.random() < 0.7 else Box(length, width, 1.0)
         speed, turn_time = round(rng.uniform(low, high), 3), round(rng.uniform(2.0, 8.0), 1)
         if number % 10 == 9:
-            rest += cylinders(_raised(rng.uniform(-half + 2, half - 2, (1, 2)), 0.5), length / 2, 1.0, 16)
+            rest += cylinders(_raised(rng.uniform(-reach, reach, (1, 2)), 0.5), length / 2, 1.0, 16)
         else:
             movers.append(Mover(Wander(speed, turn_time, inner), shape, f"obstacle {number}"))
-    task: Area = ((-half + 1, half - 1),) * 2
+    task: Area = ((-free, free),) * 2
     return World(
         name="field",
-        terrain=Terrain.flat((FIELD, FIELD)),
-        obstacles=(*enclosing_walls(FIELD), *rest),
+        terrain=Terrain.flat((side, side)),
+        obstacles=(*enclosing_walls(side), *rest),
         spawn_range=task,
         goal_range=task,
         movers=movers,

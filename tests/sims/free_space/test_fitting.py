@@ -1,0 +1,94 @@
+"""Generated worlds are as wide as a robot needs them, and say so in their names."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rover_rl import EnvConfig, RoverEnv, World
+from rover_rl.algos.evaluation.episodes import draw_episodes
+from rover_rl.sims.free_space import free_space
+from rover_rl.sims.free_space.fitting import fitting_worlds, passage_scale
+from rover_rl.sims.robots import get_robot
+from rover_rl.sims.worlds import Terrain, box, get_world
+from rover_rl.sims.worlds.pool import WorldPool
+from tests.fleet import hunter, husky, racer
+
+ZERO = get_robot("rover_zero")
+
+
+def wide(seed: int, scale: float = 1.0) -> World:
+    return World(f"wide-{seed}", Terrain.flat((10 * scale, 10 * scale)))
+
+
+def fixed(seed: int) -> World:
+    return World(f"fixed-{seed}", Terrain.flat((10, 10)))
+
+
+def test_a_robot_that_fits_rover_zeros_disc_needs_no_wider_world_and_others_as_much_as_they_need():
+    assert passage_scale(ZERO) == 1
+    assert [passage_scale(robot) for robot in (husky(), racer(), hunter())] == [1.8, 1.3, 2.7]
+    with pytest.raises(ValueError, match="is too large for generated worlds"):
+        passage_scale(replace(husky(), radius=4.0))
+
+
+def test_names_get_the_scale_that_a_robot_needs_unless_they_state_one_or_have_none():
+    given = ["maze", "maze:5", "maze:*", "rooms:0-9@0.2-0.8", "maze+walkers:3", f"{__name__}:wide:1"]
+    assert fitting_worlds(given, husky()) == [f"{name}*1.8" for name in given]
+    assert fitting_worlds(given, ZERO) is given
+    stated = ("maze:5*1", "maze:**2", "yard.yaml", "worlds/yard.sdf", f"{__name__}:fixed:3", wide(0))
+    assert fitting_worlds(stated, husky()) is stated
+    pool = fitting_worlds(WorldPool("maze:0-9", wide(0)), husky())
+    assert (pool.name(3), len(pool)) == ("maze:3*1.8", 11)
+    with pytest.raises(ValueError, match="unknown world 'mazes'"):
+        fitting_worlds("mazes", husky())
+
+
+def test_environments_and_episodes_show_the_scale_and_starts_fit():
+    env = RoverEnv(world_n="maze:10000", robot=husky(), backend="warp", num_envs=8, seed=0)
+    assert (env.config.world, env.pool.name(0)) == ("maze:10000*1.8", "maze:10000*1.8")
+    env.reset()
+    assert not env.rover_state.contact.any()
+    assert RoverEnv(world_n="maze:10000", backend="warp").config.world == "maze:10000"
+    assert RoverEnv(EnvConfig(world="maze:1*1", robot=racer(), backend="warp")).config.world == "maze:1*1"
+    episodes = draw_episodes("maze:10000-10001", 2, robot=racer())
+    assert (episodes.name, episodes.world_name(2)) == ("maze:10000-10001*1.3", "maze:10001*1.3")
+
+
+def test_a_live_robot_is_in_the_world_that_is_named():
+    assert EnvConfig(world="maze:5", robot=husky(), backend="ros2").fitted().world == "maze:5"
+
+
+@pytest.mark.parametrize("world", ["maze", "rooms", "forest", "moon", "hills", "ramps", "inspect", "crossing"])
+def test_a_large_robot_has_as_much_room_in_a_world_that_fits_as_rover_zero_has(world):
+    def share(name, robot):
+        place = get_world(name)
+        (left, right), (low, high) = place.spawn_range
+        return len(free_space(place, robot).spawn_cells) * 0.01 / ((right - left) * (high - low))
+
+    name = fitting_worlds(f"{world}:10000", husky())
+    assert share(name, husky()) > 0.8 * share(f"{world}:10000", ZERO)
+
+
+def test_a_robot_too_wide_for_a_world_is_told_in_a_sentence():
+    walls = [box((0, y, 0.5), (10, 0.2, 1)) for y in (-0.6, 0.6)]
+    world = World("alley", Terrain.flat((10, 10)), walls, spawn_range=((-4, 4), (-0.5, 0.5)))
+    RoverEnv(world_n=world, backend="warp")
+    message = "world 'alley' has no free goal cell for 'husky', which needs a free disc of 0.6 m, in goal_range"
+    with pytest.raises(ValueError, match=message):
+        RoverEnv(world_n=world, robot=husky(), backend="warp")
+
+
+def test_lidar_and_contacts_meet_the_scaled_obstacles():
+    env = RoverEnv(world_n="maze:3*2", backend="warp", lidar_points=128, num_envs=1, seed=0)
+    at_half = RoverEnv(world_n="maze:3", backend="warp", lidar_points=128, num_envs=1, seed=0)
+    start = at_half.reset()["pose"].clone()
+    x = ZERO.lidar_position[0]
+    pose = torch.tensor([[start[0, 0], start[0, 1], 0.0]])
+    near = at_half.reset(start=pose - torch.tensor([[x, 0.0, 0.0]]))["lidar"]
+    far = env.reset(start=2 * pose - torch.tensor([[x, 0.0, 0.0]]))["lidar"]
+    seen = (far < 11.9) & (near < 11.9)
+    assert seen.sum() > 60
+    assert torch.allclose(far[seen], 2 * near[seen], rtol=1e-4, atol=1e-3)
