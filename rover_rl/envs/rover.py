@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
@@ -32,12 +33,13 @@ from rover_rl.sims import Connection, RoverState, Simulator, make_simulator
 from rover_rl.sims.backends import make_scanner
 from rover_rl.sims.base import Capability, DynamicsChanger, MoverCarrier, RobotChanger, Scanner, View, WorldChanger
 from rover_rl.sims.free_space import free_space
+from rover_rl.sims.free_space.robot_groups import RobotGroups
 from rover_rl.sims.movers import MoverField
 from rover_rl.sims.movers.rays import MoverScanner
 from rover_rl.sims.robots import Robot, get_robots
 from rover_rl.sims.robots.fleet import Fleet
 from rover_rl.sims.worlds import World
-from rover_rl.sims.worlds.pool import WorldPool
+from rover_rl.sims.worlds.pool import WorldPool, draws_worlds
 from rover_rl.tensordicts import unchecked_tensordict
 
 if TYPE_CHECKING:
@@ -110,7 +112,7 @@ class RoverEnv(EnvBase):
         num_envs: number of rovers, and of rows of :attr:`goal`, :attr:`rover_state` and ``worlds``. 1 if unbatched.
         robots: robots of the rows, and how episodes draw them.
         fleet: robot of each row, ``env.fleet[row]``.
-        robot: the robot, or of several the one that needs the most space, for which starts and goals are free.
+        robot: the robot, or of several the one that needs the most space.
         sensors: sensors that it reads, by name.
         simulator: simulator. A reset after ``close()`` replaces it.
         movers: movers of each row, where they are and where they go.
@@ -149,11 +151,16 @@ class RoverEnv(EnvBase):
         self._row_shape = torch.Size([num_envs])
         self._every = torch.ones(num_envs, dtype=torch.bool, device=self._tensor_device)
         first_keys = episode_keys(row_keys(seed, num_envs, self._tensor_device), 1)
-        self.robots = RowRobots(get_robots(config.robot), first_keys)
+        self._groups = RobotGroups(get_robots(config.robot))
+        config = config.fitted()
+        worlds, choices = self._groups.spread(config.world)
+        is_drawn = draws_worlds(config.world) or len(choices) > len(config.worlds)
+        self._row_worlds = RowWorlds(worlds, first_keys, is_drawn)
+        self._choices = torch.tensor(choices, device=self._tensor_device)
+        self.robots = RowRobots(self._groups.robots, first_keys, self._choices[self._row_worlds.entry])
         self.fleet = self.robots.fleet
         self.robot = self.fleet.largest
-        self.config = config = _with_threshold(config.fitted(), self.fleet)
-        self._row_worlds = RowWorlds(config.world, first_keys)
+        self.config = config = _with_threshold(config, self.fleet)
         self._has_movers = self._row_worlds.have_movers
         for world in dict.fromkeys(self._row_worlds.table):
             for sentence in clipped_pose(world):
@@ -175,7 +182,7 @@ class RoverEnv(EnvBase):
 
     def _init_task(self) -> None:
         config, device = self.config, self._tensor_device
-        self.placement = Placement(self._row_worlds.table, self.robot, config.task.min_goal_distance)
+        self.placement = Placement(self._row_worlds.table, self.robot_in, config.task.min_goal_distance)
         self._navigation = Navigation(config, self.placement, self.fleet)
         gains = config.heading_gains
         fastest = max(robot.drive.max_yaw_rate for robot in self.fleet.robots)
@@ -184,7 +191,7 @@ class RoverEnv(EnvBase):
         self._localization = Localization(config.pose)
         size = len(specs.action_bounds(config.action, config.robot).low)
         self._delay = CommandDelay(config.randomization.latency, self.num_envs, size, device)
-        self._privileged = PrivilegedObservation(self.pool, self.robot, device) if config.privileged else None
+        self._privileged = PrivilegedObservation(self.pool, self.robot_in, device) if config.privileged else None
         self._state = StepState(task=TaskState.zeros(self.num_envs, device), world=self._row_worlds.index_if_several)
 
     @property
@@ -196,6 +203,13 @@ class RoverEnv(EnvBase):
     def pool(self) -> WorldPool:
         """All worlds that rows can be in. ``outcome["world"]`` is the index of a row's world."""
         return self._row_worlds.pool
+
+    def robot_in(self, world: World) -> Robot:
+        """Returns the robot, or of several the one that needs the most space of those that drive in a world.
+
+        It determines the free space: where starts and goals are, and where paths lead.
+        """
+        return self._groups.largest_in(world)
 
     @property
     def length(self) -> int:
@@ -320,7 +334,7 @@ class RoverEnv(EnvBase):
         self._started = False
         self.is_closed = False
         if self._row_worlds.is_drawn and isinstance(self.simulator, WorldChanger):
-            self._row_worlds.open(partial(_prepare, self.robot, self.simulator))
+            self._row_worlds.open(partial(_prepare, self.robot_in, self.simulator))
             self.simulator.enter_worlds()
 
     def _meet_movers(self) -> None:
@@ -373,7 +387,7 @@ class RoverEnv(EnvBase):
         device = self.simulator.device
         rows = mask.squeeze(-1).to(device)
         if self.robots.are_several:
-            self.robots.draw(mask, self._keys)
+            self.robots.draw(mask, self._keys, self._choices[self._row_worlds.entry])
             cast(RobotChanger, self.simulator).enter_robots(rows)
         if self.randomization.varies_dynamics:
             cast(DynamicsChanger, self.simulator).set_dynamics(
@@ -519,9 +533,9 @@ class RoverEnv(EnvBase):
 RoverEnv.__signature__ = SIGNATURE
 
 
-def _prepare(robot: Robot, simulator: WorldChanger, world: World) -> None:
+def _prepare(robot_in: Callable[[World], Robot], simulator: WorldChanger, world: World) -> None:
     """Prepares a world for episodes in it."""
-    free_space(world, robot)
+    free_space(world, robot_in(world))
     simulator.prepare_world(world)
 
 

@@ -16,13 +16,14 @@ _ROBOT = 17
 
 
 class RowRobots:
-    """The robot of each row of a batch. Each episode draws one of them, all equally likely.
+    """The robot of each row of a batch. Each episode draws one of those that drive in its world, all equally likely.
 
-    The draw depends on the seed of the row and the number of the episode only.
+    The draw depends on the seed of the row, the number of the episode and its world only.
 
     Args:
         robots: robots that episodes draw from.
         keys: random keys of the first episodes, ``[N, 1]``.
+        choices: first robot and number of robots that each row chooses from, int64 ``[N, 2]``.
 
     Attributes:
         fleet: robot of each row, for those who hold data of robots.
@@ -31,9 +32,8 @@ class RowRobots:
         limits: largest speed, yaw rate and speed to the left of each robot, ``[K, 3]``, m/s and rad/s.
     """
 
-    def __init__(self, robots: Sequence[Robot], keys: Tensor) -> None:
-        self._count = torch.full_like(keys, len(robots))
-        self.fleet = Fleet(robots, self._drawn(keys))
+    def __init__(self, robots: Sequence[Robot], keys: Tensor, choices: Tensor) -> None:
+        self.fleet = Fleet(robots, _drawn(keys, choices))
         self.keys: Tensor | None = None
         self.limits = self.fleet.table(lambda robot: [getattr(robot.drive, name) for name in _LIMITS])
 
@@ -42,15 +42,16 @@ class RowRobots:
         """Whether there are different robots."""
         return len(self.fleet.robots) > 1
 
-    def draw(self, mask: Tensor, keys: Tensor) -> None:
+    def draw(self, mask: Tensor, keys: Tensor, choices: Tensor) -> None:
         """Draws the robots of new episodes.
 
         Args:
             mask: rows that begin an episode, bool ``[N, 1]``.
             keys: random keys of the episodes, ``[N, 1]``.
+            choices: first robot and number of robots that each row chooses from, int64 ``[N, 2]``.
         """
         keys = keys if self.keys is None else self.keys
-        self.fleet.index = torch.where(mask.squeeze(-1), self._drawn(keys), self.fleet.index)
+        self.fleet.index = torch.where(mask.squeeze(-1), _drawn(keys, choices), self.fleet.index)
 
     def limited(self, command: Tensor) -> Tensor:
         """Returns commands within the limits of the robots, ``[N, 2]`` or ``[N, 3]``. Those of one robot stay."""
@@ -59,9 +60,10 @@ class RowRobots:
         limits = self.limits[self.fleet.index, : command.shape[-1]]
         return torch.clamp(command, -limits, limits)
 
-    def _drawn(self, keys: Tensor) -> Tensor:
-        """Returns the index of the robot that each episode draws, int64 ``[N]``."""
-        return to_index(random_bits(keys, _ROBOT, 0, 1), self._count).squeeze(-1)
+
+def _drawn(keys: Tensor, choices: Tensor) -> Tensor:
+    """Returns the index of the robot that each episode draws, int64 ``[N]``."""
+    return choices[:, 0] + to_index(random_bits(keys, _ROBOT, 0, 1), choices[:, 1:]).squeeze(-1)
 
 
 _LIMITS = ("max_speed", "max_yaw_rate", "max_speed")

@@ -32,7 +32,7 @@ from rover_rl.envs.placement import Placement
 from rover_rl.files import written_whole
 from rover_rl.progress import ProgressDisplay
 from rover_rl.rng import episode_keys, row_keys
-from rover_rl.sims.free_space.fitting import fitting_worlds, passage_scale
+from rover_rl.sims.free_space.fitting import fitting_worlds
 from rover_rl.sims.free_space.shortest_paths import shortest_paths
 from rover_rl.sims.robots import Robot, get_robots
 from rover_rl.sims.robots.fleet import largest_of
@@ -162,7 +162,7 @@ def draw_episodes(
     count = count if episodes is None else episodes
     check_at_least(1, MAX_COUNT, count=count)
     robots = get_robots(robot)
-    world = fitting_worlds(world, max(robots, key=passage_scale))
+    world = fitting_worlds(world, *robots)
     seed, pool = check_seed(seed, count), WorldPool.of(world)
     draw = partial(_draw_in, robot=largest_of(robots), count=count, seed=seed, min_path=min_path)
     if len(pool) == 1:

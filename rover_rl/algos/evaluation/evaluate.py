@@ -35,7 +35,7 @@ from rover_rl.progress import ProgressDisplay
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims.free_space.fitting import fitting_worlds
 from rover_rl.sims.movers.field import Parts
-from rover_rl.sims.robots import get_robot
+from rover_rl.sims.robots import get_robots
 from rover_rl.sims.rotations import quaternion_to_euler
 from rover_rl.sims.timing import CONTROL_DT
 from rover_rl.sims.worlds import World, get_world
@@ -154,7 +154,7 @@ def evaluate_endless(
     check_options(rows=rows, steps=steps, action_repeat=action_repeat)
     name = name or ("random" if policy is None else "policy")
     env_config = environment_for(policy, env)
-    world = fitting_worlds(world, get_robot(env_config.robot))
+    world = fitting_worlds(world, *get_robots(env_config.robot))
     place = get_world(world)
     task = env_config.task if jam else replace(env_config.task, collision_window=steps)
     world_name = world if isinstance(world, str) else place.name

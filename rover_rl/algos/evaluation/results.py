@@ -27,6 +27,7 @@ from rover_rl.envs.config import EnvConfig, plain_env
 from rover_rl.envs.row_robots import RowRobots
 from rover_rl.rng import episode_keys, row_keys
 from rover_rl.sims.backends import name_of
+from rover_rl.sims.free_space.robot_groups import RobotGroups
 from rover_rl.sims.robots import Robot, get_robots
 from rover_rl.sims.worlds import World
 
@@ -60,7 +61,9 @@ class _Results:
     def robots(self) -> list[Robot]:
         """Robot of each episode."""
         keys = episode_keys(row_keys(self._first_seed, len(self.trajectories), torch.device("cpu")), 1)
-        return [*RowRobots(get_robots(self.env.robot), keys).fleet]
+        # All of them fit in the worlds of an evaluation.
+        robots = RobotGroups(get_robots(self.env.robot)).robots
+        return [*RowRobots(robots, keys, torch.tensor([[0, len(robots)]] * len(keys))).fleet]
 
     @cached_property
     def wall_contacts(self) -> list[Tensor]:

@@ -215,7 +215,10 @@ def _arc_and_tangent(ahead: Tensor, aside: Tensor, radius: float) -> Tensor:
 
 def way_point(route: Tensor, ahead: float) -> Tensor:
     """Returns the place on routes ``[N, 5]`` that is at most ``ahead`` (m) along them, in the base frame, ``[N, 2]``."""
-    first, second = (route[:, k : k + 1] * torch.cat((route[:, k + 1 : k + 2].cos(), route[:, k + 1 : k + 2].sin()), -1) for k in (0, 2))
+    first, second = (
+        route[:, k : k + 1] * torch.cat((route[:, k + 1 : k + 2].cos(), route[:, k + 1 : k + 2].sin()), -1)
+        for k in (0, 2)
+    )
     left = (ahead - route[:, :1]).clamp(min=0)
     leg = second - first
     share = (left / leg.norm(dim=-1, keepdim=True).clamp(min=1e-6)).clamp(max=1)
