@@ -26,9 +26,10 @@ class BulletSettings(PhysicsSettings):
             creeps by a millimeter in 30 seconds; with 1e-9, by a fifth of that.
         contact_threshold: gap above which the solver ignores a contact, m. Bullet's default is ``math.inf``.
         ground_friction: Coulomb friction coefficient between rover and ground.
-        ground_stiffness: stiffness of a contact with the ground, N/m. The load on four rigid wheels is indeterminate,
-            and the solver would put it on one diagonal: yaw rates would be up to 20 % off.
-        ground_damping: damping of a contact with the ground, N s/m.
+        ground_stiffness: stiffness of a contact with the ground for Rover Zero, N/m. That of other robots and their
+            damping are in proportion to their mass. The load on four rigid wheels is indeterminate, and the solver
+            would put it on one diagonal: yaw rates would be up to 20 % off.
+        ground_damping: damping of a contact with the ground for Rover Zero, N s/m.
         obstacle_friction: Coulomb friction coefficient between rover and obstacles. From 0.35 on, the wheels climb a
             wall that the rover pushes against, and the rover flips onto its back.
 
@@ -37,6 +38,7 @@ class BulletSettings(PhysicsSettings):
     """
 
     positive: ClassVar[tuple[str, ...]] = ("control_dt", "ground_stiffness")
+    by_mass: ClassVar[tuple[str, ...]] = ("ground_stiffness", "ground_damping")
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "default": {},
         "accurate": {"substeps": 26, "solver_iterations": 50},

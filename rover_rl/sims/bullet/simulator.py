@@ -40,7 +40,7 @@ class BulletSimulator:
     def __init__(self, worlds: Sequence[World], robot: Robot, settings: BulletSettings | None = None) -> None:
         self.num_envs = len(worlds)
         self.device = torch.device("cpu")
-        self.settings = settings or BulletSettings()
+        self.settings = (settings or BulletSettings()).for_mass(robot.mass)
         self.control_dt = self.settings.control_dt
         self._robot = robot
         self._drive = SimulatedDrives(robot.drive, robot.wheels, self.control_dt, self.num_envs)

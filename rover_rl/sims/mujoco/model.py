@@ -42,8 +42,11 @@ _GROUND, _OBSTACLES = 1, 2
 _AXLE = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 """Rotation that turns a cylinder's axis from z to y, quaternion (w, x, y, z)."""
 _HINGE = mujoco.mjtJoint.mjJNT_HINGE
-STEERING_STIFFNESS = 300.0
-"""Torque of a steering joint per angle of error, N m/rad: a wheel that stands turns to within a degree."""
+STEERING_RATE = 2.0
+"""Rate at which a steering joint turns to its target, per physics step: the fastest that is stable with a margin."""
+STEERING_INERTIA = 1.5e-4
+"""Least moment of inertia about a steering joint, kg m^2 per kg of the robot. With less, a joint at this rate would
+give way to the friction of its wheel. Gears of real joints have that much."""
 LINK_SHARE = 1e-3
 """Mass and inertia of the link between a wheel and its steering or roller joint, relative to those of the wheel."""
 
@@ -128,8 +131,10 @@ def _add_wheel(spec: mujoco.MjSpec, base: Any, index: int, robot: Robot, inertia
     turn, spin, mass = inertial_model.wheel_turn_inertia, inertial_model.wheel_spin_inertia, inertial_model.wheel_mass
     joint: dict[str, Any] = {}
     if robot.wheels.steering and robot.wheels.steering[index] >= 0:
+        least = STEERING_INERTIA * robot.mass
         joint = {"name": drive.steering[robot.wheels.steering[index]], "axis": (0, 0, 1)}
-        _add_servo(spec, joint["name"], turn)
+        joint["armature"] = max(0.0, least - turn)
+        _add_servo(spec, joint["name"], max(least, turn))
     elif drive.rollers:
         angle = drive.rollers[index]
         joint = {"name": f"roller {index}", "axis": (math.cos(angle), math.sin(angle), 0)}
@@ -148,8 +153,9 @@ def _add_servo(spec: mujoco.MjSpec, joint: str, inertia: float) -> None:
     """Adds the motor of a steering joint: a critically damped spring that pulls it to its target."""
     servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     servo.gaintype, servo.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
-    servo.gainprm[0] = STEERING_STIFFNESS
-    servo.biasprm[1:3] = -STEERING_STIFFNESS, -2 * math.sqrt(STEERING_STIFFNESS * inertia)
+    rate = STEERING_RATE / spec.option.timestep
+    servo.gainprm[0] = inertia * rate**2
+    servo.biasprm[1:3] = -inertia * rate**2, -2 * inertia * rate
 
 
 def _set_inertia(body: Any, mass: float, center: np.ndarray, inertia: np.ndarray) -> None:

@@ -37,9 +37,10 @@ class MujocoSettings(PhysicsSettings):
         solver_iterations: maximum number of iterations of Newton's method per substep. Most substeps take 1 to 3.
         solver_tolerance: improvement of an iteration below which the solver stops, relative to the mass of the rover.
             With MuJoCo's default, 1e-8, a standing rover vibrates and creeps.
-        stiffness: contact stiffness of a wheel, N/m. The load on four rigid wheels is indeterminate; compliant wheels
-            share it according to the shape of the ground. A wheel of Rover Zero sinks in by 0.5 mm.
-        damping: contact damping of a wheel, N s/m.
+        stiffness: contact stiffness of a wheel of Rover Zero, N/m, which sinks in by 0.5 mm. That of other robots and
+            their damping are in proportion to their mass. The load on four rigid wheels is indeterminate; compliant
+            wheels share it according to the shape of the ground.
+        damping: contact damping of a wheel of Rover Zero, N s/m.
         ground_friction: Coulomb coefficient between rover and ground, the same in every direction.
         obstacle_friction: Coulomb coefficient between rover and obstacles, the same in every direction.
         threads: number of CPU threads; ``None`` uses as many as torch. Results do not depend on it.

@@ -52,7 +52,7 @@ class MujocoSimulator:
     def __init__(self, worlds: Sequence[World], robot: Robot, settings: MujocoSettings | None = None) -> None:
         self.num_envs = count = len(worlds)
         self.device = torch.device("cpu")
-        self.settings = settings or MujocoSettings()
+        self.settings = (settings or MujocoSettings()).for_mass(robot.mass)
         self.control_dt = self.settings.control_dt
         self._robot = robot
         self._worlds = list(worlds)

@@ -18,10 +18,10 @@ HUNTER = Robot.from_urdf(
         max_steering_rate=0.69,
         torque=10.0,
         # The controller allows 2 m/s^2. On ground of friction 0.5, rear wheels slide from 1.9 m/s^2 on.
-        max_linear_acceleration=1.8,
+        max_linear_acceleration=1.5,
         max_speed=1.5,
         max_yaw_rate=3.0,
     ),
 )
-"""Hunter SE: steering limits and torque are those of its public URDF. The speed is ours: its controller allows 10 m/s, and what
-the robot drives is not public."""
+"""Hunter SE: steering limits and torque are those of its public URDF. The speed is ours: its controller allows 10 m/s,
+and what the robot drives is not public."""

@@ -24,5 +24,5 @@ HUSKY = Robot.from_urdf(
     lidar_range=20.0,
     lidar_view=math.radians(270),
 )
-"""Husky: yaw rate and accelerations are those of its public controller (``husky_control/config/control.yaml``), and so are
-track and factor of the track, 1.04 m together; friction of the tires as Coulomb has it gives the same."""
+"""Husky: yaw rate and accelerations are those of its public controller (``husky_control/config/control.yaml``), and so
+are track and factor of the track, 1.04 m together; friction of the tires as Coulomb has it gives the same."""

@@ -17,7 +17,7 @@ JACKAL = Robot.from_urdf(
         # Exceeds the torque that a wheel transfers to the ground (23 N x 0.098 m), so traction is the limit.
         torque=4.0,
         # Its controller allows 20 m/s^2 and 25 rad/s^2, more than its tires transfer (4.9 m/s^2).
-        max_linear_acceleration=4.0,
+        max_linear_acceleration=3.0,
         max_angular_acceleration=6.0,
         max_speed=2.0,
         max_yaw_rate=4.0,

@@ -52,6 +52,7 @@ class Robot:
             :func:`~rover_rl.sims.robots.footprint.collision_ranges`.
 
     Attributes:
+        mass: mass of all links, kg.
         wheels: geometry of the wheels.
         lidar_position: position of the lidar, m.
         imu_position: position of the IMU, m.
@@ -77,6 +78,7 @@ class Robot:
     radius: float = None  # type: ignore[assignment]  # Set from the outline below.
     sensors: tuple[Any, ...] = ()
     collision_range: float | None = None
+    mass: float = field(init=False, repr=False)
     wheels: Wheels = field(init=False, repr=False)
     lidar_position: tuple[float, float, float] = field(init=False, repr=False)
     imu_position: tuple[float, float, float] = field(init=False, repr=False)
@@ -101,6 +103,8 @@ class Robot:
             object.__setattr__(self, "imu_position", _position(description, "imu", self.imu))
         except ValueError as error:
             raise ValueError(f"robot {self.name!r} cannot be driven with its URDF {self.urdf}: {error}") from error
+        masses = (link.inertial.mass for link in description.links.values() if link.inertial is not None)
+        object.__setattr__(self, "mass", math.fsum(masses))
         if self.radius is None:
             object.__setattr__(self, "radius", math.ceil(100 * footprint(self).corner - 1e-9) / 100)
         check_plausibility(self)
@@ -186,16 +190,14 @@ def _check_lidar(robot: Robot) -> None:
 
 
 def _check_motors(robot: Robot) -> None:
-    links = Description(robot.urdf).links.values()
-    mass = sum(link.inertial.mass for link in links if link.inertial is not None)
     driven = sum(map(len, robot.drive.motors))
     force = driven * robot.drive.torque / robot.wheels.radius
-    slope = math.degrees(math.asin(min(1.0, force / (mass * _GRAVITY))))
+    slope = math.degrees(math.asin(min(1.0, force / (robot.mass * _GRAVITY))))
     if slope >= WEAK:
         return
     problem = (
         f"the motors of robot {robot.name!r} push with {force:.3g} N ({driven} x "
-        f"{robot.drive.torque:g} N m on a radius of {robot.wheels.radius:g} m), and it has {mass:.3g} kg"
+        f"{robot.drive.torque:g} N m on a radius of {robot.wheels.radius:g} m), and it has {robot.mass:.3g} kg"
     )
     if slope < WEAKEST:
         raise ValueError(f"{problem}: it cannot climb a slope of {WEAKEST:g} degrees; raise the torque of its drive")
