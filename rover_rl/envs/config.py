@@ -513,8 +513,8 @@ def _pairs(made_for: EnvConfig, env: EnvConfig) -> Iterator[tuple[str, Any, Any]
         yield "the robot", *_robots(made_for.robot, env.robot)
     yield "the sensors", made_for.sensors, tuple(each for each in made_for.sensors if each in env.sensors)
     # A robot whose limits are tighter bounds what the policy does.
-    actions = [_values(config.action if several else config.bounded_action) for config in (made_for, env)]
-    yield "actions of (min_speed, max_speed, max_turn, max_sideways)", *actions
+    expected, actual = (_values(config.action if several else config.bounded_action) for config in (made_for, env))
+    yield "actions of (min_speed, max_speed, max_turn, max_sideways)", expected, actual
     gains = _values(made_for.heading_gains), _values(env.heading_gains)
     yield "heading gains of (kp, ki, kd, max_output)", *gains
 

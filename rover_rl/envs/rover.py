@@ -156,8 +156,8 @@ class RoverEnv(EnvBase):
         worlds, choices = self._groups.spread(config.world)
         is_drawn = draws_worlds(config.world) or len(choices) > len(config.worlds)
         self._row_worlds = RowWorlds(worlds, first_keys, is_drawn)
-        self._choices = torch.tensor(choices, device=self._tensor_device)
-        self.robots = RowRobots(self._groups.robots, first_keys, self._choices[self._row_worlds.entry])
+        self._choices = torch.tensor(choices or [(0, 1)], device=self._tensor_device)
+        self.robots = RowRobots(self._groups.robots, first_keys, self._row_choices())
         self.fleet = self.robots.fleet
         self.robot = self.fleet.largest
         self.config = config = _with_threshold(config, self.fleet)
@@ -387,7 +387,7 @@ class RoverEnv(EnvBase):
         device = self.simulator.device
         rows = mask.squeeze(-1).to(device)
         if self.robots.are_several:
-            self.robots.draw(mask, self._keys, self._choices[self._row_worlds.entry])
+            self.robots.draw(mask, self._keys, self._row_choices())
             cast(RobotChanger, self.simulator).enter_robots(rows)
         if self.randomization.varies_dynamics:
             cast(DynamicsChanger, self.simulator).set_dynamics(
@@ -411,6 +411,11 @@ class RoverEnv(EnvBase):
             terminated=state.terminated,
             truncated=state.truncated,
         )
+
+    def _row_choices(self) -> Tensor:
+        """Returns the first of the robots that drive in each row's world, and their number, ``[N, 2]``."""
+        one = len(self._choices) == 1
+        return self._choices.expand(self.num_envs, 2) if one else self._choices[self._row_worlds.entry]
 
     def _change_worlds(self, mask: Tensor) -> None:
         """Draws the worlds of new episodes, in a simulator that can change the worlds of rows."""

@@ -44,7 +44,7 @@ class RobotGroups:
         self._worlds: WeakKeyDictionary[World, Robot] = WeakKeyDictionary()
 
     def spread(self, worlds: WorldSource) -> tuple[WorldSource, list[tuple[int, int]]]:
-        """Returns worlds for all groups, and for each entry the first of its robots and their number.
+        """Returns worlds for all groups, and for each entry the first of its robots and their number; none for one robot.
 
         Where the name of a generated world leaves the scale open, there is an entry for each group. Where it states
         one, the robots that fit drive there. All robots drive in other worlds, and where none fits.
@@ -53,7 +53,7 @@ class RobotGroups:
             worlds: world, name, list of both, or pool.
         """
         if len(self.robots) == 1:
-            return worlds, [(0, 1)] * len(WorldPool.of(worlds).entries)
+            return worlds, []
         entries: list[str | World] = []
         groups = []
         for entry in WorldPool.of(worlds).entries:

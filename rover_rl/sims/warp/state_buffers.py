@@ -76,6 +76,7 @@ class StateBuffers:
             "mover_contact": self.mover_contact.view(count),
         }
         self.rovers = self.struct()
+        self._nominal = self._parameters_of(torch.arange(len(models), device=device))
         self.enter_robots(torch.ones(count, dtype=torch.bool, device=device))
 
     def struct(self, **scan: Tensor) -> RoverArrays:
@@ -87,19 +88,25 @@ class StateBuffers:
 
     def enter_robots(self, mask: Tensor) -> None:
         """Gives the rovers of ``mask`` the robots of the fleet's index, with their own dynamics."""
-        self.robot.copy_(self._fleet.index)
-        ones = torch.ones_like(self._parameters["mass"])
-        self.set_dynamics(mask, Dynamics(ones, ones, ones))
+        index = self._fleet.index
+        self.robot.copy_(index)
+        self._change(mask, {name: values[index] for name, values in self._nominal.items()})
 
     def set_dynamics(self, mask: Tensor, dynamics: Dynamics) -> None:
         """Sets the dynamics of the rovers of ``mask``.
 
         A changed mass moves the center of mass: the stored positions are valid again after the next placement.
         """
-        index = self._fleet.index
+        self._change(mask, self._parameters_of(self._fleet.index, dynamics))
+
+    def _parameters_of(self, index: Tensor, dynamics: Dynamics | None = None) -> dict[str, Tensor]:
+        """Returns the parameters of robots, by their index (int64 ``[M]``), with factors of their dynamics."""
+        if dynamics is None:
+            ones = torch.ones(len(index), device=index.device)
+            dynamics = Dynamics(ones, ones, ones)
         chassis = self._masses.chassis_mass[index] * dynamics.chassis_mass.double()
         mass, center, inertia = self._masses.total(chassis, index)
-        changed = {
+        return {
             "mass": mass,
             "center": center,
             "inertia": inertia,
@@ -107,6 +114,8 @@ class StateBuffers:
             "friction_scale": dynamics.friction,
             "motor_torque": self._wheel_torque[index] * dynamics.motor_torque,
         }
+
+    def _change(self, mask: Tensor, changed: dict[str, Tensor]) -> None:
         for name, new in changed.items():
             values, rows = self._parameters[name], mask.reshape(-1, *[1] * (new.ndim - 1))
             values.copy_(torch.where(rows, new.to(values.dtype), values))
