@@ -38,8 +38,9 @@ class Evaluate:
     Default: 256 in one world, 4 in each world of a range."""
     seed: int | None = None
     """Seed of newly drawn starts and goals. Default: use the stored ones."""
-    seconds: float = 60.0
-    """Time limit of each episode, s."""
+    seconds: float | None = None
+    """Time limit of each episode, s. Default: 60, and longer for a robot that is slower than 1 m/s or needs wider
+    worlds."""
     action_repeat: int | None = None
     """Number of steps (50 ms) that each action is held for. Default: 1, for policies with memory that of training."""
     environment: Annotated[EnvOptions, tyro.conf.arg(name="")] = field(default_factory=EnvOptions)
@@ -67,7 +68,8 @@ class Evaluate:
         from rover_rl.algos.evaluation.report import check_columns, print_table, write_evaluation
 
         check_columns(self.columns)
-        check_options(seconds=self.seconds, action_repeat=1 if self.action_repeat is None else self.action_repeat)
+        given = {"seconds": self.seconds, "action_repeat": self.action_repeat}
+        check_options(**{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
         logs = {Path(word): read_drives(Path(word)) for word in self.policies if word.endswith(LOG)}
         if not self.policies:
             raise ValueError(NO_POLICY)
@@ -141,6 +143,7 @@ class Evaluate:
         self, policies: list[ResolvedPolicy], sets: dict[str, EpisodeSet], backends: list[str | None]
     ) -> list[Evaluation | EndlessEvaluation]:
         """Evaluates the policies in each world and backend."""
+        from rover_rl.algos.evaluation.evaluate import usual_seconds
         from rover_rl.algos.evaluation.mover_traces import TRACE
         from rover_rl.algos.evaluation.parallel import EndlessRequest, GoalRequest, evaluate_all
 
@@ -151,8 +154,10 @@ class Evaluate:
                 if world in (policy.worlds or sets):
                     env = self.environment.description(policy.module, backend)
                     runs.append((policy, {"name": policy.name, "action_repeat": self.action_repeat, "env": env}))
-            limits = {"seconds": self.seconds, "track_movers": TRACE}
-            requests += [GoalRequest(policy.module, episodes, {**s, **limits}) for policy, s in runs]
+            for policy, settings in runs:
+                seconds = usual_seconds(settings["env"]) if self.seconds is None else self.seconds
+                options = {**settings, "seconds": seconds, "track_movers": TRACE}
+                requests.append(GoalRequest(policy.module, episodes, options))
             if self.endless:
                 requests += [EndlessRequest(policy.module, world, {**s, "jam": self.jam}) for policy, s in runs]
         return evaluate_all(requests, self.workers)

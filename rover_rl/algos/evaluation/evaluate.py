@@ -33,7 +33,7 @@ from rover_rl.envs import EnvConfig, RoverEnv, StepEvent
 from rover_rl.envs.config import require_match
 from rover_rl.progress import ProgressDisplay
 from rover_rl.rng import episode_keys, row_keys
-from rover_rl.sims.free_space.fitting import fitting_worlds
+from rover_rl.sims.free_space.fitting import fitting_worlds, passage_scale
 from rover_rl.sims.movers.field import Parts
 from rover_rl.sims.robots import get_robots
 from rover_rl.sims.rotations import quaternion_to_euler
@@ -163,6 +163,15 @@ def evaluate_endless(
     rovers, schedule = RoverEnv(replace(env_config, world=place, seed=seed + offset)), _Schedule([0] * rows, rows)
     trajectories = _drive(rovers, policy or RandomPolicy(seed), action_repeat, name, schedule, offset=offset)
     return EndlessEvaluation(name, world_name, place, seed, action_repeat, jam, steps, trajectories, env_config)
+
+
+def usual_seconds(env: EnvConfig) -> float:
+    """Returns the time limit of an episode that the command line gives a robot, s.
+
+    It is 60 s, longer by the scale of the worlds that the robot needs, and by as much as it is slower than 1 m/s.
+    """
+    robots = get_robots(env.robot)
+    return round(60 * max(passage_scale(robot) / min(1.0, robot.drive.max_speed) for robot in robots))
 
 
 def check_options(*, seconds: float = 60.0, rows: int = 1, steps: int = 1, action_repeat: int = 1) -> None:

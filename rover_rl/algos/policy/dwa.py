@@ -37,6 +37,7 @@ Example:
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -46,18 +47,23 @@ from torch import Tensor
 
 from rover_rl.algos.policy.baselines import hit_points
 from rover_rl.envs.config import EnvConfig, HeadingGains, LidarConfig, RobotLike
-from rover_rl.sims.robots import get_robot
+from rover_rl.sims.drives import SkidSteer
+from rover_rl.sims.robots import Robot, get_robot
 from rover_rl.sims.robots.footprint import covering_discs, footprint
 
 LIDAR = LidarConfig(points=128)  # lidar of the planner by default: every beam of the scan
 # Yaw rate of the body relative to that of the wheel odometry: Rover Zero turns at 0.40 to 0.43 of the commanded rate
 # in Warp and at 0.39 to 0.47 in Bullet, up to 2 rad/s, as its wheels slip.
 YAW_GAIN = 0.41
+# Distance of the wheels in the kinematics of a skid-steer that turns as commanded, relative to that of its wheels: that
+# of Rover Zero with this gain, 0.24 m / 0.41 / 0.36 m.
+SLIP = 1.626
 
 HORIZON = 1.5  # duration of a trajectory, s
 # Number of poses of a trajectory that are examined. At 1 m/s they are 0.25 m apart, less than the body is long.
 POSES = 6
-SPEEDS = (-0.3, 0.0, 1 / 3, 2 / 3, 1.0)  # forward speeds, m/s. At 5 m/s^2, the rover reaches all of them within 0.26 s.
+# Forward speeds, in top speeds of the drive. At 5 m/s^2, Rover Zero reaches all of them, up to 1 m/s, within 0.26 s.
+SPEEDS = (-0.3, 0.0, 1 / 3, 2 / 3, 1.0)
 WINDOW = 0.8  # time in which a yaw rate must be reachable, s
 MAX_YAW_RATE = 1.6  # maximum absolute yaw rate of the body, rad/s
 YAW_RATES = 15  # number of yaw rates in the window, besides the one closest to 0
@@ -104,20 +110,26 @@ class Trajectories(NamedTuple):
 class DynamicWindowPolicy(TensorDictModuleBase):
     """Dynamic-window planner (DWA): see :mod:`rover_rl.algos.policy.dwa`.
 
+    For a robot that does not turn in place, it samples curvatures in the place of yaw rates.
+
     The policy reads ``lidar``, ``target`` and ``velocities``. Its constants are tuned for ``rover_zero``. Its attribute
     ``made_for`` is the environment that it drives in, with ``robot`` and ``lidar``.
 
     Args:
         robot: name of a robot, or a robot, whose footprint, acceleration limits and lidar position are used.
         lidar: lidar that the policy reads: number of readings and beams, and range.
-        yaw_gain: yaw rate of the body relative to that of the wheel odometry. 1 for wheels that do not slip.
+        yaw_gain: yaw rate of the body relative to that of the wheel odometry; 1 for wheels that do not slip. ``None``:
+            an estimate from the drive, 0.41 for Rover Zero, and 1 for drives that turn without slip.
 
     Raises:
         ValueError: for an unknown robot, or a ``yaw_gain`` that is not positive.
     """
 
-    def __init__(self, robot: RobotLike = "rover_zero", lidar: LidarConfig = LIDAR, yaw_gain: float = YAW_GAIN) -> None:
+    def __init__(
+        self, robot: RobotLike = "rover_zero", lidar: LidarConfig = LIDAR, yaw_gain: float | None = None
+    ) -> None:
         super().__init__()
+        yaw_gain = estimated_yaw_gain(get_robot(robot)) if yaw_gain is None else yaw_gain
         if not 0 < yaw_gain < math.inf:
             raise ValueError(f"yaw_gain must be a positive number, got {yaw_gain}")
         self.in_keys, self.out_keys = ["lidar", "target", "velocities"], ["action"]
@@ -149,10 +161,6 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         arrived = to_goal.cummin(-1).values < ARRIVAL
         # A body that is too close already may move as long as it does not get closer.
         hit = (clearance < (now - 0.002).clamp(max=0)[:, None, None]) & ~arrived
-        radius = self._robot.drive.min_radius(self._robot.wheels)
-        if radius:
-            # A turn that the drive cannot take. The wheel odometry of such a drive does not slip.
-            hit = hit | (sampled.yaw_rate.abs() * radius > sampled.speed.abs() + 1e-6)[..., None]
         score = self._score(sampled, points, goal, arrived, clearance, readings)
         free_time = torch.where(hit, sampled.time, math.inf).amin(-1)
         # All scores of rejected trajectories are below those of the others.
@@ -178,6 +186,8 @@ class DynamicWindowPolicy(TensorDictModuleBase):
 
         Speed and yaw rate change at the limits of the drive until they reach the sampled ones.
         """
+        if not self._robot.drive.turns_in_place:
+            return self._arcs(velocities)
         v0, w0 = velocities[:, :1], velocities[:, 1:] * self._gain
         drive = self._robot.drive
         yaw_acceleration = drive.max_angular_acceleration * self._gain
@@ -185,7 +195,7 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         reach = (-yaw_acceleration, yaw_acceleration)
         low, high = ((w0 + side * WINDOW).clamp(-MAX_YAW_RATE, MAX_YAW_RATE) for side in reach)
         w = torch.cat((low + (high - low) * share, torch.zeros_like(w0).clamp(low, high)), -1)
-        v = w0.new_tensor(SPEEDS).expand(len(w0), -1)
+        v = w0.new_tensor(SPEEDS).mul(drive.max_speed).expand(len(w0), -1)
         time = torch.arange(1, POSES + 1, dtype=w0.dtype, device=w0.device) * (HORIZON / POSES)
         path = _ramp(v0[..., None], v[..., None], drive.max_linear_acceleration, time)[:, :, None]
         heading = _ramp(w0[..., None], w[..., None], yaw_acceleration, time)[:, None]
@@ -196,6 +206,23 @@ class DynamicWindowPolicy(TensorDictModuleBase):
         pairs = [value.expand_as(x).flatten(1, 2) for value in (path, x, y, heading)]
         speed, yaw_rate = (value.flatten(1) for value in torch.broadcast_tensors(v[..., None], w[:, None]))
         return Trajectories(speed, yaw_rate, time, *pairs)
+
+    def _arcs(self, velocities: Tensor) -> Trajectories:
+        """Samples arcs of a robot that does not turn in place: of all curvatures that its drive takes."""
+        drive, wheels, v0 = self._robot.drive, self._robot.wheels, velocities[:, :1]
+        sharpest, pivot = 1 / drive.min_radius(wheels), drive.pivot(wheels)
+        curvature = torch.linspace(-sharpest, sharpest, YAW_RATES, dtype=v0.dtype, device=v0.device)[:, None]
+        v = v0.new_tensor(SPEEDS).mul(drive.max_speed).expand(len(v0), -1)
+        time = torch.arange(1, POSES + 1, dtype=v0.dtype, device=v0.device) * (HORIZON / POSES)
+        path = _ramp(v0[..., None], v[..., None], drive.max_linear_acceleration, time)[:, :, None]
+        heading = path * curvature
+        # The chord of an arc has the mean of its headings. The pivot is on the arc, and not the base frame.
+        chord = path * torch.sinc(heading / (2 * math.pi))
+        x = chord * (heading / 2).cos() + pivot * (1 - heading.cos())
+        y = chord * (heading / 2).sin() - pivot * heading.sin()
+        pairs = [value.expand_as(x).flatten(1, 2) for value in (path, x, y, heading)]
+        turns = v[..., None] * curvature[:, 0]
+        return Trajectories(v[..., None].expand_as(turns).flatten(1), turns.flatten(1), time, *pairs)
 
     def _clearances(self, points: Tensor, sampled: Trajectories) -> tuple[Tensor, Tensor, Tensor]:
         """Returns distances to the nearest of ``points [N, P, 2]``, m.
@@ -254,6 +281,19 @@ class DynamicWindowPolicy(TensorDictModuleBase):
             away = torch.hypot(x[:, None] - later[:, :, None, :, 0], y[:, None] - later[:, :, None, :, 1])
             nearest = torch.minimum(nearest, (away - radius[:, :, None, None]).amin(1))
         return nearest - self._radius
+
+
+def estimated_yaw_gain(robot: Robot) -> float:
+    """Returns the yaw rate of a robot's body relative to that of its wheel odometry, from the places of its wheels.
+
+    The wheels of a skid-steer with several a side slip sideways in turns, as those of Rover Zero do: the same share of
+    the distance between left and right wheels is taken to be lost.
+    """
+    drive = robot.drive
+    if not isinstance(drive, SkidSteer) or len(drive.left) + len(drive.right) == 2:
+        return 1.0
+    separation = drive.separation_of(robot.wheels)
+    return round(separation / (SLIP * replace(drive, separation=None).separation_of(robot.wheels)), 2)
 
 
 def _ramp(start: Tensor, end: Tensor, rate: float, time: Tensor) -> Tensor:

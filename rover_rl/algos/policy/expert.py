@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from rover_rl.algos.policy.baselines import Lane, drive_towards, lane_of, slowest_turn
+from rover_rl.algos.policy.baselines import Lane, drive_towards, lane_of
 from rover_rl.algos.policy.grid_planner import SHARP, SLOPE, SLOPE_SPEED
-from rover_rl.envs.config import EnvConfig, RobotLike
+from rover_rl.algos.policy.maneuvers import Maneuvers, cost_of_turn
+from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.transforms.path_reward import CAUTION, goal_of, world_of
 from rover_rl.sims.free_space.path_distance import PathDistances
@@ -34,11 +36,15 @@ OVERSHOOT = 0.05
 BACKWARD = math.radians(120)
 BACKWARD_SPEED = 0.5  # largest speed backward on a slope, m/s
 MAX_OFFSET = 3.0  # largest heading offset on a slope, rad. With pi, the sign of the heading error would be random.
+TIGHT = 0.5  # cost of a pose in which the body fits, and not in all headings, m
+AHEAD = 0.3  # distance ahead of a pose at which the alignment of its heading with the path is evaluated, m
 NEAR = 0.8  # distance to the goal below which the expert drives straight to it, m
 
 
 class PrivilegedExpert:
     """Expert that follows the shortest free path, which it computes from the map and the pose.
+
+    A robot that does not turn in place follows it in arcs, forward and backward.
 
     A policy without the map and the pose can imitate it: see ``imitation`` in
     :class:`~rover_rl.algos.config.PPOConfig`. ``worlds`` are usually ``RoverEnv.pool``. Observations must contain
@@ -48,7 +54,8 @@ class PrivilegedExpert:
     def __init__(self, worlds: Worlds, robot: Robot, device: torch.device | str | None = None) -> None:
         self._distances = PathDistances(worlds, robot, device, CAUTION)
         angles = torch.arange(DIRECTIONS, device=device) * (2 * math.pi / DIRECTIONS)
-        self._slowest, self._lane, self._lidar = slowest_turn(robot.drive), lane_of(robot), robot.lidar_position[0]
+        self._lane, self._lidar = lane_of(robot), robot.lidar_position[0]
+        self._maneuvers = None if robot.drive.turns_in_place else Maneuvers(robot, device)
         self._angles, self._directions = angles, torch.stack((angles.cos(), angles.sin()), -1)
 
     def action(self, observation: TensorDictBase) -> Tensor:
@@ -56,6 +63,8 @@ class PrivilegedExpert:
         shape = observation.batch_size
         rows = observation.select("pose", "imu", "target", "lidar", "velocities", "outcome").flatten()
         position, fields = rows["pose"][:, :2], self._distances.fields(world_of(rows)[:, 0], goal_of(rows))
+        if self._maneuvers is not None:
+            return self._maneuver(self._maneuvers, rows, position, fields).reshape(*shape, 2)
         direction = self._best_heading(fields, position, LOOK_AHEAD)
         distance, bearing = rows["target"].split(1, -1)
         ahead = torch.cat((direction.cos(), direction.sin()), -1)
@@ -63,12 +72,27 @@ class PrivilegedExpert:
         narrow = self._distances.narrow(fields, points).any(-1, keepdim=True)
         tilt, yaw = rows["imu"].split((2, 1), -1)
         turn = torch.where(distance < NEAR, bearing, wrap_angle(direction - yaw))
-        careful = drive_towards(turn, rows["lidar"], self._lidar, self._slowest, self._lane)
+        careful = drive_towards(turn, rows["lidar"], self._lidar, lane=self._lane)
         sloped = tilt.norm(dim=-1, keepdim=True) > SLOPE
         on_slope = _drive_on_slope(turn, rows["velocities"][:, 1:], rows["lidar"], self._lidar, self._lane)
         careful = torch.where(sloped, on_slope, careful)
         through = _pass_through(wrap_angle(self._best_heading(fields, position, LOOK_AHEAD_NARROW) - yaw), sloped)
         return torch.where(narrow, through, careful).reshape(*shape, 2)
+
+    def _maneuver(self, maneuvers: Maneuvers, rows: TensorDictBase, position: Tensor, fields: Tensor) -> Tensor:
+        """Returns the actions of robots that do not turn in place, ``[M, 2]``: to poses with short ways to the goal."""
+        poses, yaw = maneuvers.poses, rows["imu"][:, 2:]
+        cos, sin = yaw.cos(), yaw.sin()
+        at = position[:, None] + torch.stack((poses.x * cos - poses.y * sin, poses.x * sin + poses.y * cos), -1)
+        heading = yaw + poses.heading
+        ahead = at + AHEAD * torch.stack((heading.cos(), heading.sin()), -1)
+        path, is_free = self._distances.along(fields, at)
+        beyond, is_open = self._distances.along(fields, ahead)
+        # The way gets shorter by as much as the heading is along it.
+        along = torch.where(is_open, ((path - beyond) / AHEAD).clamp(-1, 1), -1.0)
+        cost = path + cost_of_turn(torch.acos(along), poses.gear, maneuvers.radius, path) + TIGHT * ~is_free
+        clearances = maneuvers.clearances(maneuvers.hits(rows["lidar"], math.inf))
+        return maneuvers.choose(cost, maneuvers.free(clearances), clearances, rows["velocities"][:, :1])
 
     def _best_heading(self, fields: Tensor, position: Tensor, look_ahead: tuple[float, ...]) -> Tensor:
         """Returns the heading with the shortest path to the goal of each row's field, in the world, ``[M, 1]``, rad."""
@@ -87,8 +111,11 @@ class MapExpert(TensorDictModuleBase):
 
     def __init__(self, robot: RobotLike = "rover_zero") -> None:
         super().__init__()
-        get_robot(robot)
-        self.made_for = EnvConfig(robot=robot)
+        lidar = LidarConfig()
+        if not get_robot(robot).drive.turns_in_place:
+            # Of its arcs, the expert drops those on which the body would touch what the lidar sees.
+            lidar = replace(lidar, points=lidar.beams)
+        self.made_for = EnvConfig(robot=robot, lidar=lidar)
         self.in_keys = ["pose", "imu", "target", "lidar", "velocities", "outcome"]
         self.out_keys = ["action"]
         self._expert: PrivilegedExpert | None = None

@@ -29,7 +29,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
-from rover_rl.algos.policy.dwa import EXCESS, MAX_YAW_RATE, YAW_GAIN
+from rover_rl.algos.policy.dwa import EXCESS, MAX_YAW_RATE, estimated_yaw_gain
 from rover_rl.envs.config import EnvConfig, HeadingGains, RobotLike
 from rover_rl.envs.rover import RoverEnv
 from rover_rl.envs.specs import action_bounds
@@ -82,7 +82,7 @@ class ForesightPolicy(TensorDictModuleBase):
 
     Args:
         robot: name of a robot, or a robot, whose footprint and limits are used.
-        yaw_gain: yaw rate of the body relative to that of the wheel odometry. 1 for wheels that do not slip.
+        yaw_gain: yaw rate of the body relative to that of the wheel odometry; ``None``: an estimate from the drive.
 
     Attributes:
         made_for: environment that the policy drives in, with ``robot``.
@@ -91,9 +91,10 @@ class ForesightPolicy(TensorDictModuleBase):
         ValueError: for an unknown robot.
     """
 
-    def __init__(self, robot: RobotLike = "rover_zero", yaw_gain: float = YAW_GAIN) -> None:
+    def __init__(self, robot: RobotLike = "rover_zero", yaw_gain: float | None = None) -> None:
         super().__init__()
-        self._robot, self._gain = get_robot(robot), yaw_gain
+        self._robot = get_robot(robot)
+        self._gain = estimated_yaw_gain(self._robot) if yaw_gain is None else yaw_gain
         self.made_for = EnvConfig(robot=robot)
         self.in_keys, self.out_keys = ["velocities", "outcome"], ["action"]
         self._place: _Place | None = None

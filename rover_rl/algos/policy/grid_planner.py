@@ -18,7 +18,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from rover_rl.algos.policy.baselines import hit_points
-from rover_rl.algos.policy.maneuvers import Maneuvers, cost_to_place, way_point
+from rover_rl.algos.policy.maneuvers import Maneuvers, way_point
 from rover_rl.envs.config import EnvConfig, LidarConfig, RobotLike, TaskConfig
 from rover_rl.envs.sensors.suite import ROUTE
 from rover_rl.sims.robots import Robot, get_robot
@@ -50,9 +50,10 @@ class GridPlanner(TensorDictModuleBase):
     It is the stack of costmap, planner and path follower of mobile robots, such as that of Nav2. What has not been seen
     counts as free. See :class:`~rover_rl.envs.seen_map.seen_map.SeenMap`.
 
-    The policy reads ``lidar``, ``imu`` and ``route``, and for such a robot ``velocities``. ``route`` is what a :class:`~rover_rl.algos.policy.runner.PolicyRunner`
-    adds. It plans every ``trained_action_repeat`` steps. ``made_for`` is the environment that it drives in, with ``robot``,
-    one lidar reading for each beam, and episodes that end when the body touches an obstacle.
+    The policy reads ``lidar``, ``imu`` and ``route``, which a :class:`~rover_rl.algos.policy.runner.PolicyRunner` adds,
+    and for a robot that does not turn in place ``velocities``. It plans every ``trained_action_repeat`` steps.
+    ``made_for`` is the environment that it drives in, with ``robot``, one lidar reading for each beam, and episodes
+    that end when the body touches an obstacle.
     """
 
     trained_action_repeat = 4
@@ -70,10 +71,11 @@ class GridPlanner(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Sets ``action [N, 2]``: forward speed (m/s) and heading offset (rad)."""
-        inputs = [tensordict[key] for key in self.in_keys]
+        lidar, imu, route = (tensordict[key] for key in self.in_keys[:3])
         if self._maneuvers is None:
-            return tensordict.set("action", follow(*inputs, robot=self._robot))
-        return tensordict.set("action", maneuver(*inputs, self._maneuvers, self.made_for.lidar.max_range))
+            return tensordict.set("action", follow(lidar, imu, route, self._robot))
+        velocities, max_range = tensordict["velocities"], self.made_for.lidar.max_range
+        return tensordict.set("action", maneuver(lidar, imu, route, velocities, self._maneuvers, max_range))
 
 
 def maneuver(
@@ -96,9 +98,7 @@ def maneuver(
         Action ``[N, 2]``: forward speed (m/s) and heading offset (rad).
     """
     place = way_point(route, AHEAD * maneuvers.radius)
-    clearances = maneuvers.clearances(lidar, max_range)
-    cost = cost_to_place(maneuvers.poses, maneuvers.radius, place, route[:, 4:])
-    action = maneuvers.choose(cost, maneuvers.free(clearances), clearances, velocities[:, :1])
+    action = maneuvers.towards(place, route[:, 4:], lidar, max_range, velocities[:, :1])
     steep = imu[:, :1] < -STEEP
     return torch.where(steep, torch.tensor((BACK_DOWN, 0.0), device=action.device), action)
 

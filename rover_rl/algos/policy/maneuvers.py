@@ -20,20 +20,24 @@ from torch import Tensor
 
 from rover_rl.envs.config import HeadingGains
 from rover_rl.sims.robots import Robot
-from rover_rl.sims.robots.footprint import covering_discs
+from rover_rl.sims.robots.footprint import covering_discs, footprint
 
 CURVATURES = 9  # number of curvatures of the first arc, evenly spaced
 RESERVE = 1.08  # smallest radius of an arc, relative to the robot's, for what steering lags behind
-PIECES, LONGEST = 10, 1.2  # number of poses of an arc, and its length, m; the radius, if that is longer
-BRANCHES = (2, 5, 9)  # poses of a first arc of extreme or no curvature at which a second one begins
+PIECES, LONGEST = 6, 1.2  # number of poses of an arc, and its length, m; the radius, if that is longer
+BRANCHES = (1, 3, 5)  # poses of a first arc of extreme or no curvature at which a second one begins
 EXCESS = 0.03  # largest distance by which the discs that cover the footprint exceed its sides, m
 SAFETY = 0.03  # distance of the discs below which a pose is not free, m
 MARGIN, MARGIN_COST = 0.15, 0.6  # clearance below which an arc costs more, m, and cost without any, m
-REVERSE = 1.4  # cost of driving backward, relative to forward
+FORWARD, REVERSE = 0.97, 1.4  # cost of a meter forward, which lets the longest of equal arcs win, and backward, m
 SWITCH = 0.4  # cost of a change between forward and backward, m
 MOVING = 0.08  # speed above which a robot drives in a direction, m/s
 BRAKING = 0.45  # time before the end of an arc in which the robot begins to slow down, s
 SLOWEST, FASTEST_BACK = 0.2, 0.6  # lowest speed, and highest speed backward, m/s
+PACE = 4.0  # speed that clearance beside the body permits beyond the lowest one, 1/s
+ARC = 1.6  # cost of a meter of an arc that is yet to be driven in the way to a place, where obstacles may stop it
+OBSTRUCTED = 2.0  # cost of a way to a place on which something is in the straight line, in smallest radii
+INSIDE = 1.5  # cost of a place within the smallest turning circle, relative to half of that circle
 _BLOCKED = 1e6  # cost of a pose that is not free, m
 _FAR = 1e3  # coordinate of readings that hit nothing, m
 
@@ -44,6 +48,7 @@ class Poses(NamedTuple):
     Attributes:
         x, y, heading: pose of the base frame, ``[M]``, m and rad.
         x_pivot, y_pivot: place of the pivot, ``[M]``, m.
+        gear: direction in which the robot gets there, ``[M]``: 1 forward, -1 backward.
     """
 
     x: Tensor
@@ -51,6 +56,7 @@ class Poses(NamedTuple):
     heading: Tensor
     x_pivot: Tensor
     y_pivot: Tensor
+    gear: Tensor
 
 
 class Maneuvers:
@@ -74,7 +80,7 @@ class Maneuvers:
         x, y, heading = pivot.unbind(-1)
         # The pivot starts at x = pivot in the base frame.
         base_x, base_y = x + self._pivot * (1 - heading.cos()), y - self._pivot * heading.sin()
-        self.poses = Poses(base_x, base_y, heading, x + self._pivot, y)
+        self.poses = Poses(base_x, base_y, heading, x + self._pivot, y, self._tensors["end_gear"])
         centers, size = covering_discs(robot, EXCESS)
         offsets = torch.from_numpy(centers).float().to(device)
         disc_x = base_x[:, None] + offsets * heading.cos()[:, None]
@@ -82,52 +88,87 @@ class Maneuvers:
         here = torch.stack((offsets, torch.zeros_like(offsets)), -1)
         self._discs = torch.cat((here, torch.stack((disc_x, disc_y), -1).flatten(0, 1)))
         self._count, self._size = len(offsets), size
-        self._lateral = robot.lidar_position[1]
+        self._half_lane = footprint(robot).half_width + SAFETY
 
-    def clearances(self, lidar: Tensor, max_range: float) -> Tensor:
-        """Returns the distance of the body from the nearest reading now and in each pose, ``[N, 1 + M]``, m."""
+    def hits(self, lidar: Tensor, max_range: float) -> Tensor:
+        """Returns the points that readings hit, in the base frame, ``[N, points, 2]``, m."""
         points = lidar.shape[-1]
         angles = (torch.arange(points, device=lidar.device) + 0.5) * (2 * math.pi / points)
         x = lidar * angles.cos() + self._robot.lidar_position[0]
-        y = lidar * angles.sin() + self._lateral
-        hits = torch.stack((x, y), -1).masked_fill((lidar >= max_range - 1e-3)[..., None], _FAR)
-        nearest = torch.cat([torch.cdist(self._discs, row[None]).amin(-1) for row in hits])
+        y = lidar * angles.sin() + self._robot.lidar_position[1]
+        return torch.stack((x, y), -1).masked_fill((lidar >= max_range - 1e-3)[..., None], _FAR)
+
+    def clearances(self, hits: Tensor) -> Tensor:
+        """Returns the distance of the body from the nearest of ``hits``, now and in each pose, ``[N, 1 + M]``, m."""
+        # Alone, a row has the same distances whatever the others are, and on a CPU they fit into its cache.
+        size = 1 if hits.device.type == "cpu" else 64
+        nearest = torch.cat([torch.cdist(self._discs, part).amin(-1) for part in hits.split(size)])
         return nearest.unflatten(-1, (-1, self._count)).amin(-1) - self._size
 
-    def free(self, clearances: Tensor) -> Tensor:
-        """Returns which poses are free, bool ``[N, M]``: all on the way are, or none is closer than the robot is now."""
-        least = clearances[:, :1].clamp(max=SAFETY + 0.005) - 0.005
-        return self._along(clearances[:, 1:] >= least)
+    def blocked(self, hits: Tensor, place: Tensor) -> Tensor:
+        """Returns whether hits are in the lane from each pose straight to a place ``[N, 2]`` (m): bool ``[N, M]``."""
+        way_x, way_y = place[:, :1] - self.poses.x, place[:, 1:] - self.poses.y
+        length = torch.hypot(way_x, way_y).clamp(min=1e-6)
+        way_x, way_y = way_x / length, way_y / length
+        past, beside = way_x * self.poses.x + way_y * self.poses.y, way_x * self.poses.y - way_y * self.poses.x
+        (x, y), (way_x, way_y) = hits[:, None].unbind(-1), (way_x[..., None], way_y[..., None])
+        ahead, aside = way_x * x + way_y * y - past[..., None], way_x * y - way_y * x - beside[..., None]
+        return ((ahead > 0) & (ahead < length[..., None]) & (aside.abs() < self._half_lane)).any(-1)
 
-    def choose(self, cost: Tensor, free: Tensor, clearances: Tensor | None, speed: Tensor) -> Tensor:
+    def free(self, clearances: Tensor) -> Tensor:
+        """Returns which poses are free, as all on the way to them are, bool ``[N, M]``.
+
+        A body that is too close already may move as long as it does not get closer.
+        """
+        least = (clearances[:, :1] - 0.001).clamp(max=SAFETY)
+        return self._on_the_way(clearances[:, 1:] >= least)
+
+    def choose(self, cost: Tensor, free: Tensor, clearances: Tensor, speed: Tensor) -> Tensor:
         """Returns the actions that begin the best maneuvers, ``[N, 2]``: speed (m/s) and heading offset (rad).
 
         Args:
             cost: cost of what remains from each pose, ``[N, M]``, m.
             free: poses that are free with all on the way, bool ``[N, M]``.
-            clearances: see :meth:`clearances`; ``None`` without any.
+            clearances: see :meth:`clearances`.
             speed: forward speed of the robot, ``[N, 1]``, m/s.
         """
         tree = self._tensors
         total = cost + tree["cost"]
         switches = (speed.abs() > MOVING) & (speed.sign() != tree["gear"])
         total = total + SWITCH * switches
-        if clearances is not None:
-            near = (1 - (clearances[:, 1:] - SAFETY) / MARGIN).clamp(0, 1)
-            total = total + MARGIN_COST * near
+        near = (1 - (clearances[:, 1:] - SAFETY) / MARGIN).clamp(0, 1)
+        total = total + MARGIN_COST * near
         total = torch.where(free, total, total + _BLOCKED)
         best = total.argmin(-1, keepdim=True)
         gear, curvature, length = (tree[name][best] for name in ("gear", "curvature", "length"))
         drive = self._robot.drive
         fastest = torch.where(gear > 0, drive.max_speed, min(FASTEST_BACK, drive.max_speed))
         pace = torch.minimum((length / BRAKING).clamp(min=SLOWEST), fastest)
+        beside = torch.minimum(clearances[:, :1], clearances[:, 1:].gather(-1, best))
+        pace = torch.minimum(pace, (SLOWEST + PACE * (beside - SAFETY)).clamp(min=SLOWEST))
         blocked = total.gather(-1, best) >= _BLOCKED
         forward = gear * torch.where(blocked, SLOWEST, pace)
         offset = (forward * curvature / HeadingGains.kp).clamp(-math.pi, math.pi)
         return torch.cat((forward, offset), -1)
 
-    def _along(self, free: Tensor) -> Tensor:
-        """Returns which poses are free with all poses on the way to them."""
+    def towards(self, place: Tensor, length: Tensor, lidar: Tensor, max_range: float, speed: Tensor) -> Tensor:
+        """Returns the actions of robots that drive to places among what their lidars see, ``[N, 2]``.
+
+        Args:
+            place: places in the base frame, ``[N, 2]``, m.
+            length: lengths of the whole routes, ``[N, 1]``, m: a long one is better driven forward.
+            lidar: lidar readings, ``[N, points]``, m.
+            max_range: reading from which on nothing is there, m.
+            speed: forward speed of the robot, ``[N, 1]``, m/s.
+        """
+        hits = self.hits(lidar, max_range)
+        clearances = self.clearances(hits)
+        cost = cost_to_place(self.poses, self.radius, place, length)
+        cost = cost + OBSTRUCTED * self.radius * self.blocked(hits, place)
+        return self.choose(cost, self.free(clearances), clearances, speed)
+
+    def _on_the_way(self, free: Tensor) -> Tensor:
+        """Returns which poses are free with all poses on the way to them, of which poses are, bool ``[N, M]``."""
         first, rest = free[:, : self._first], free[:, self._first :]
         first = first.unflatten(-1, (-1, PIECES)).cummin(-1).values.flatten(1)
         before = first[:, self._tensors["begin"]][..., None]
@@ -145,11 +186,16 @@ def _grow(radius: float, longest: float) -> dict[str, np.ndarray]:
     gears, curvatures = np.meshgrid((1.0, -1.0), np.linspace(-1, 1, CURVATURES) / radius, indexing="ij")
     gear, curvature = gears.ravel(), curvatures.ravel()
     first = _arc(np.zeros((len(gear), 1, 3)), gear[:, None], curvature[:, None], steps)
-    effort = np.where(gear > 0, 1.0, REVERSE)
+    effort = np.where(gear > 0, FORWARD, REVERSE)
     turned = 0.05 * np.abs(curvature) * radius
     cost = effort[:, None] * steps + turned[:, None]
     of_first = (np.repeat(value, PIECES) for value in (gear, curvature))
-    rows = {"gear": [next(of_first)], "curvature": [next(of_first)], "length": [np.tile(steps, len(gear))]}
+    rows = {
+        "end_gear": [np.repeat(gear, PIECES)],
+        "gear": [next(of_first)],
+        "curvature": [next(of_first)],
+        "length": [np.tile(steps, len(gear))],
+    }
     poses, costs = [first.reshape(-1, 3)], [cost.ravel()]
     sharp = np.flatnonzero(np.isin(np.arange(len(gear)) % CURVATURES, (0, CURVATURES // 2, CURVATURES - 1)))
     begins = [(arc, at) for arc in sharp for at in BRANCHES]
@@ -158,10 +204,11 @@ def _grow(radius: float, longest: float) -> dict[str, np.ndarray]:
         start = np.broadcast_to(first[arc, at], (len(again), 1, 3))
         poses.append(_arc(start, again[:, :1], again[:, 1:], steps).reshape(-1, 3))
         switch = SWITCH * (again[:, :1] != gear[arc])
-        costs.append((cost[arc, at] + switch + np.where(again[:, :1] > 0, 1.0, REVERSE) * steps).ravel())
+        costs.append((cost[arc, at] + switch + np.where(again[:, :1] > 0, FORWARD, REVERSE) * steps).ravel())
         size = len(again) * PIECES
         # A robot that goes on in its direction does not slow down where the arcs meet.
         through = np.where(again[:, :1] == gear[arc], steps, 0.0).ravel()
+        rows["end_gear"].append(np.repeat(again[:, 0], PIECES))
         rows["gear"].append(np.full(size, gear[arc]))
         rows["curvature"].append(np.full(size, curvature[arc]))
         rows["length"].append(steps[at] + through)
@@ -181,10 +228,6 @@ def _arc(start: np.ndarray, gear: np.ndarray, curvature: np.ndarray, steps: np.n
     return np.stack(np.broadcast_arrays(x + chord * np.cos(middle), y + chord * np.sin(middle), heading + turn), -1)
 
 
-ARC = 1.6  # cost of a meter of an arc that is yet to be driven in the way to a place, where obstacles may stop it
-INSIDE = 1.5  # cost of a place within the smallest turning circle, relative to half of that circle
-
-
 def cost_to_place(poses: Poses, radius: float, place: Tensor, length: Tensor) -> Tensor:
     """Returns the cost of the way from poses to places in the base frame ``[N, 2]`` (m): ``[N, M]``, m.
 
@@ -194,8 +237,22 @@ def cost_to_place(poses: Poses, radius: float, place: Tensor, length: Tensor) ->
     dx, dy = place[:, :1] - poses.x_pivot, place[:, 1:] - poses.y_pivot
     cos, sin = poses.heading.cos(), poses.heading.sin()
     ahead, aside = dx * cos + dy * sin, (dy * cos - dx * sin).abs()
-    forward = _arc_and_tangent(ahead, aside, radius)
-    backward = REVERSE * _arc_and_tangent(-ahead, aside, radius) + SWITCH
+    forward = _arc_and_tangent(ahead, aside, radius) + SWITCH * (poses.gear < 0)
+    backward = REVERSE * _arc_and_tangent(-ahead, aside, radius) + SWITCH * (poses.gear > 0)
+    return torch.minimum(forward, backward + (REVERSE - 1) * length.clamp(0, 6))
+
+
+def cost_of_turn(angle: Tensor, gear: Tensor, radius: float, length: Tensor) -> Tensor:
+    """Returns the cost of turning into the direction of a way, forward or backward: ``[N, M]``, m.
+
+    Args:
+        angle: angle between the heading of a pose and the way, without sign, ``[N, M]``, rad.
+        gear: direction in which the robot gets to the pose, ``[M]``.
+        radius: smallest radius, m.
+        length: length of the way, ``[N, M]``, m.
+    """
+    forward = ARC * radius * angle + SWITCH * (gear < 0)
+    backward = REVERSE * ARC * radius * (math.pi - angle) + SWITCH * (gear > 0)
     return torch.minimum(forward, backward + (REVERSE - 1) * length.clamp(0, 6))
 
 
@@ -213,12 +270,15 @@ def _arc_and_tangent(ahead: Tensor, aside: Tensor, radius: float) -> Tensor:
     return torch.where(distance < radius, inside, ARC * radius * angle + tangent)
 
 
+def _corners(route: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+    """Returns distance (m) and angle (rad) of both corners of routes, ``[N, 1]`` each."""
+    columns = [*route.split(1, -1)]
+    return columns[:2], columns[2:4]
+
+
 def way_point(route: Tensor, ahead: float) -> Tensor:
-    """Returns the place on routes ``[N, 5]`` that is at most ``ahead`` (m) along them, in the base frame, ``[N, 2]``."""
-    first, second = (
-        route[:, k : k + 1] * torch.cat((route[:, k + 1 : k + 2].cos(), route[:, k + 1 : k + 2].sin()), -1)
-        for k in (0, 2)
-    )
+    """Returns the place on routes ``[N, 5]`` at most ``ahead`` (m) along them, in the base frame: ``[N, 2]``, m."""
+    first, second = (distance * torch.cat((angle.cos(), angle.sin()), -1) for distance, angle in _corners(route))
     left = (ahead - route[:, :1]).clamp(min=0)
     leg = second - first
     share = (left / leg.norm(dim=-1, keepdim=True).clamp(min=1e-6)).clamp(max=1)

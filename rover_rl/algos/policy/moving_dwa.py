@@ -13,7 +13,7 @@ from __future__ import annotations
 import torch
 from tensordict import TensorDictBase
 
-from rover_rl.algos.policy.dwa import LIDAR, YAW_GAIN, DynamicWindowPolicy
+from rover_rl.algos.policy.dwa import LIDAR, DynamicWindowPolicy
 from rover_rl.algos.policy.tracker import MoverTracker, in_base_frame, tracked
 from rover_rl.envs.config import LidarConfig, RobotLike
 from rover_rl.sims.timing import CONTROL_DT
@@ -41,7 +41,9 @@ class MovingDynamicWindowPolicy(DynamicWindowPolicy):
 
     trained_action_repeat = 2
 
-    def __init__(self, robot: RobotLike = "rover_zero", lidar: LidarConfig = LIDAR, yaw_gain: float = YAW_GAIN) -> None:
+    def __init__(
+        self, robot: RobotLike = "rover_zero", lidar: LidarConfig = LIDAR, yaw_gain: float | None = None
+    ) -> None:
         super().__init__(robot, lidar, yaw_gain)
         self.in_keys = ["lidar", "target", "velocities", "pose", "imu", "is_init", "tracks"]
         self.out_keys = ["action", ("next", "tracks")]  # type: ignore[list-item]

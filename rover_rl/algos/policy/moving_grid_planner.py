@@ -53,7 +53,7 @@ class MovingMap(SeenMap):
         if renewed is not None:
             self._tracks = self._tracks.masked_fill(renewed[:, None], 0.0)
         self._next, self._moving = self._tracker(self._tracks, lidar, pose, imu)
-        self._place = pose[:, :2] / CELL
+        self._place = pose[:, :2] / (CELL * self._unit)
         return scan._replace(hits=scan.hits & ~self._moving.readings)
 
     def _closing(self, rows: Tensor, center: Tensor) -> tuple[Any, list[Any]] | None:
@@ -63,8 +63,16 @@ class MovingMap(SeenMap):
         self._tracks = torch.where(rows[:, None], self._next, self._tracks)
         moving = self._moving
         radius = torch.where(moving.moves, moving.radius + self._side, -1.0)[..., None]
-        ways = torch.cat((moving.position, moving.velocity, radius), -1) / CELL
-        inputs = [rows, center, self._place, ways.contiguous(), self._speed / CELL, self._levels, self._open]
+        ways = torch.cat((moving.position, moving.velocity, radius), -1) / (CELL * self._unit)
+        inputs = [
+            rows,
+            center,
+            self._place,
+            ways.contiguous(),
+            self._speed / (CELL * self._unit),
+            self._levels,
+            self._open,
+        ]
         return close_ways, inputs
 
 

@@ -39,8 +39,11 @@ from rover_rl.envs.seen_map.scans import (
     Scan,
     ScanReader,
     goal_positions,
+    in_units,
     limits_of,
+    map_unit,
     relative_route,
+    route_in_meters,
 )
 
 _WINDOW = (SIZE, SIZE)
@@ -65,6 +68,7 @@ class PlainSeenMap(nn.Module):
     ) -> None:
         super().__init__()
         self._reader, self._limits = ScanReader(lidar or LidarConfig(), robot, interval), limits_of(robot)
+        self._unit = map_unit(robot)
 
     def forward(
         self, state: Tensor, lidar: Tensor, pose: Tensor, imu: Tensor, target: Tensor, bounds: Tensor
@@ -83,6 +87,8 @@ class PlainSeenMap(nn.Module):
         Returns:
             The route, ``[1, 5]``, as ``SeenMap`` returns it, and the next state.
         """
+        lidar, pose, target = in_units(self._unit, lidar, pose, target)
+        bounds = bounds / self._unit
         before = state[:, : sum(STATE)]
         scan, rover = self._reader(before, lidar, pose, imu)
         codes, heights = _moved(state[0, sum(STATE) :].reshape(2, *_WINDOW), scan.center[0] - before[0, :2])
@@ -99,7 +105,7 @@ class PlainSeenMap(nn.Module):
         )
         corners = torch.where(corners < 0, goal, (corners + center - HALF + 0.5) * CELL)[None]
         state = torch.cat((rover, corners[:, 0], torch.stack((codes, heights)).flatten()[None]), -1)
-        return relative_route(corners, length[None], pose, imu), state
+        return route_in_meters(self._unit, relative_route(corners, length[None], pose, imu)), state
 
     def levels(self, state: Tensor) -> Tensor:
         """Returns the level of each cell in a state, ``[SIZE, SIZE]``: see ``SeenMap.levels``."""

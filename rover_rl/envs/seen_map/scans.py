@@ -3,6 +3,9 @@
 A map is a window of ``SIZE x SIZE`` cells around the rover, which moves with it cell by cell. Cell (X, Y) of the world
 covers ``CELL * [X, X + 1)`` by ``CELL * [Y, Y + 1)``, m. Cells are as wide as a gap's tolerance. Occupied ones
 therefore also hold the box in which the obstacle has been seen.
+
+For a robot that needs wider worlds than Rover Zero, all lengths are that much larger: the map has the unit
+:func:`map_unit` in place of the meter.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from rover_rl.envs.config import LidarConfig, RobotLike
+from rover_rl.sims.free_space.fitting import passage_scale
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.footprint import footprint
 from rover_rl.sims.rotations import euler_to_matrix, wrap_angle
@@ -70,8 +74,9 @@ AHEAD = 3.0
 """Distance from the rover at which a cell is closed, in cells: 0.45 m."""
 WAY = 0.5
 """Distance up to which a rover is still around a place, m."""
-PATIENCE = 8.0
-"""Time in which a rover makes half a meter of way, if it can get on, s. Turning around takes 3 s."""
+PATIENCE, MANEUVERS = 8.0, 20.0
+"""Time in which a rover makes half a meter of way, if it can get on, s: one that turns in place, which takes 3 s for a
+half turn, and one that turns around by driving back and forth."""
 
 STATE = (2, 1, 2, 1, 2)
 """Sizes of the parts of a rover's state: the cell in the middle of the window, whether the ground is rough, the place
@@ -114,35 +119,32 @@ class ScanReader(nn.Module):
     """
 
     _directions: Tensor
-    _mount: Tensor
+    _reading: Tensor
 
     def __init__(self, lidar: LidarConfig, robot: RobotLike, interval: float) -> None:
         super().__init__()
-        # From this reading on, a beam has hit nothing.
-        self._no_return = lidar.max_range - 1e-3
-        self._patience = math.ceil(PATIENCE / interval)
         # A reading is the minimum over several beams: the angle is that of their center.
         share = lidar.beams / lidar.points
         angles = (torch.arange(lidar.points) * share + (share - 1) / 2) * (2 * math.pi / lidar.beams)
         self.register_buffer("_directions", torch.stack((angles.cos(), angles.sin()), -1))
-        self.register_buffer("_mount", torch.tensor(lidar_mount(robot)))
+        self.register_buffer("_reading", torch.tensor(reading_of(lidar, robot, interval)))
 
     def forward(
-        self, state: Tensor, lidar: Tensor, pose: Tensor, imu: Tensor, mount: Tensor | None = None
+        self, state: Tensor, lidar: Tensor, pose: Tensor, imu: Tensor, reading: Tensor | None = None
     ) -> tuple[Scan, Tensor]:
         """Returns what scans tell, and the next ``STATE`` up to the corner of the route, which is not known yet.
 
-        The arguments are the state before, ``[N, 8]``, entries of the observation, ``[N, n]``, and the positions of the
-        lidar on different robots, ``[N, 3]``, m.
+        The arguments are the state before, ``[N, 8]``, entries of the observation in units of the map, ``[N, n]``, and
+        the :func:`reading_of` different robots, ``[N, 5]``.
         """
-        mount = self._mount if mount is None else mount
+        mount, no_return, patience = (self._reading if reading is None else reading).split((3, 1, 1), -1)
         _, was_rough, place, waits, corner = state.split(STATE, -1)
         axes, xy = euler_to_matrix(imu[:, [1, 0, 2]]), pose[:, :2]
         up = axes[..., 2]
         rough = (was_rough > 0) | (up[:, 2:] < math.cos(ROUGH_TILT))
         origin, beams = self._beams(lidar, xy, imu[:, 2:], axes, mount)
         size = beams[..., :2].abs().amax(-1)
-        returned = lidar < self._no_return
+        returned = lidar < no_return
         ends = returned & (size < REACH)
         hits = ends & (beams[..., 2] > LOWEST) & (self._is_steep(beams, up, mount) | ~rough)
         shown = torch.cat((rough, rough & returned & (size < FARTHEST_HEIGHT)), -1)
@@ -152,7 +154,7 @@ class ScanReader(nn.Module):
         ground = torch.cat((points, torch.where(shown, z, UNSEEN)[..., None]), -1)
         leaves = (waits == 0) | ((xy - place).norm(dim=-1, keepdim=True) > WAY)
         place, scans = torch.where(leaves, xy, place), torch.where(leaves, 1.0, waits + 1)
-        halts = scans > self._patience
+        halts = scans > patience
         # The rover's vertical axis leans downhill.
         ways = torch.stack((-up[:, :2], corner - xy), 1)
         closed = xy[:, None] / CELL + AHEAD * ways / ways.norm(dim=-1, keepdim=True).clamp(min=1e-6)
@@ -201,20 +203,59 @@ class Limits(NamedTuple):
 
 def limits_of(robot: RobotLike) -> Limits:
     """Returns the distances from obstacles at which the levels of cells begin."""
-    half_width = footprint(get_robot(robot)).half_width
+    half_width = footprint(get_robot(robot)).half_width / map_unit(robot)
     tight, near, wide = (math.ceil((half_width + margin) / CELL * PARTS) for margin in MARGINS)
     # A suspected obstacle may be anywhere in its cell.
     return Limits(tight**2, near**2, wide**2, (wide + PARTS // 2) ** 2)
 
 
+def reading_of(lidar: LidarConfig, robot: RobotLike, interval: float) -> tuple[float, ...]:
+    """Returns how the scans of a robot are read, in units of its map.
+
+    Position of the lidar; the reading from which on a beam has hit nothing; and the number of scans, each after an
+    ``interval`` (s), after which a rover that makes no way is stuck.
+    """
+    no_return = (lidar.max_range - 1e-3) / map_unit(robot)
+    patience = PATIENCE if get_robot(robot).drive.turns_in_place else MANEUVERS
+    return *lidar_mount(robot), no_return, float(math.ceil(patience / interval))
+
+
+def map_unit(robot: RobotLike) -> float:
+    """Returns the unit of lengths of a map, m: the scale of the worlds that the body of the robot needs."""
+    robot = get_robot(robot)
+    return passage_scale(robot, footprint(robot).corner)
+
+
 def lidar_mount(robot: RobotLike) -> tuple[float, float, float]:
-    """Returns the position of the lidar in the robot's frame, m. Raises ``ValueError`` if it is too far off center."""
-    x, y, z = get_robot(robot).lidar_position
-    if max(abs(x), abs(y)) > FARTHEST_MOUNT:
+    """Returns the position of the lidar in the robot's frame, in units of the map.
+
+    Raises:
+        ValueError: if it is too far off center.
+    """
+    (x, y, z), unit = get_robot(robot).lidar_position, map_unit(robot)
+    if max(abs(x), abs(y)) > FARTHEST_MOUNT * unit:
         raise ValueError(
-            f"the lidar must be at most {FARTHEST_MOUNT} m from the robot's center along x and y, got {(x, y)}"
+            f"the lidar must be at most {FARTHEST_MOUNT * unit:g} m from the robot's center along x and y, got {(x, y)}"
         )
-    return x, y, z
+    return x / unit, y / unit, z / unit
+
+
+def in_units(unit: float | Tensor, lidar: Tensor, pose: Tensor, target: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Returns entries of the observation, in meters, in units of the map: of all rows, or of each, ``[N, 1]``."""
+    if isinstance(unit, float) and unit == 1:
+        return lidar, pose, target
+    distance, angle = target.split(1, -1)
+    return lidar / unit, pose / unit, torch.cat((distance / unit, angle), -1)
+
+
+def route_in_meters(unit: float | Tensor, route: Tensor) -> Tensor:
+    """Returns routes ``[N, 5]``, whose lengths are in units of the map, in meters. A length of -1 stays."""
+    if isinstance(unit, float) and unit == 1:
+        return route
+    factor = unit if isinstance(unit, Tensor) else route.new_tensor([unit])
+    one = torch.ones_like(factor)
+    scaled = route * torch.cat((factor, one, factor, one, factor), -1)
+    return torch.cat((scaled[:, :4], torch.where(route[:, 4:] < 0, route[:, 4:], scaled[:, 4:])), -1)
 
 
 def goal_positions(pose: Tensor, imu: Tensor, target: Tensor) -> Tensor:

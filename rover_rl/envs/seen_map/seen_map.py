@@ -30,9 +30,12 @@ from rover_rl.envs.seen_map.scans import (
     Scan,
     ScanReader,
     goal_positions,
-    lidar_mount,
+    in_units,
     limits_of,
+    map_unit,
+    reading_of,
     relative_route,
+    route_in_meters,
 )
 from rover_rl.sims.robots import get_robot
 from rover_rl.sims.robots.fleet import Fleet
@@ -64,6 +67,9 @@ class SeenMap:
     ends of beams up to 3 m away also tell how high the ground is. Where two heights differ by more than a slope of 24
     degrees allows, the place between them counts as occupied for the rest of the episode.
 
+    These lengths are for Rover Zero. For a robot that needs generated worlds with wider passages, all but the 24 and 3
+    degrees grow by their scale: see :func:`~rover_rl.sims.free_space.fitting.passage_scale`.
+
     The map needs a pose that does not jump, such as that of odometry.
 
     Args:
@@ -94,7 +100,10 @@ class SeenMap:
         self._points = lidar.points
         self._fleet = robot if isinstance(robot, Fleet) else Fleet.of(get_robot(robot), rows, device)
         self._reader = ScanReader(lidar, self._fleet.robots[0], interval).to(device)
-        self._mounts = self._fleet.table(lidar_mount)
+        self._readings = self._fleet.table(lambda robot: reading_of(lidar, robot, interval))
+        # Unit of the map of the only robot, and of each one.
+        self._unit = map_unit(self._fleet.robots[0])
+        self._units = self._fleet.table(lambda robot: [map_unit(robot)])
         self._limits = self._fleet.table(lambda robot: [*limits_of(robot), limits_of(robot).reach], torch.int32)
         self._every = torch.ones(rows, dtype=torch.bool, device=device)
         self._unbounded = torch.tensor(NO_BOUNDS, device=device).repeat(rows, 1)
@@ -146,14 +155,15 @@ class SeenMap:
         lidar, pose, imu, target = (observation[key] for key in ROUTE_KEYS)
         if lidar.shape[-1] != self._points:
             raise ValueError(f"the map is made for {self._points} lidar readings, got {lidar.shape[-1]}")
-        several = len(self._fleet.robots) > 1
-        mount = self._mounts[self._fleet.index] if several else None
-        scan, state = self._reader(self._state, lidar, pose, imu, mount)
+        several, index = len(self._fleet.robots) > 1, self._fleet.index
+        unit = self._units[index] if several else self._unit
+        ranges, place, goal = in_units(unit, lidar, pose, target)
+        scan, state = self._reader(self._state, ranges, place, imu, self._readings[index] if several else None)
         scan = self._noted(scan, lidar, pose, imu, renewed)
-        bounds = self._unbounded if bounds is None else bounds.contiguous()
-        self._launch(scan, goal_positions(pose, imu, target), bounds, rows)
+        bounds = self._unbounded if bounds is None else bounds.contiguous() / unit
+        self._launch(scan, goal_positions(place, imu, goal), bounds, rows)
         self._state = torch.where(rows[:, None], torch.cat((state, self._corners[:, 0]), -1), self._state)
-        return relative_route(self._corners, self._lengths, pose, imu)
+        return route_in_meters(unit, relative_route(self._corners, self._lengths, place, imu))
 
     def levels(self) -> tuple[Tensor, Tensor]:
         """Returns how far the cells are from obstacles.
@@ -168,7 +178,9 @@ class SeenMap:
         # A cell is stored at its number modulo the size.
         columns, rows = ((lowest[:, axis, None] + torch.arange(SIZE, device=lowest.device)) % SIZE for axis in range(2))
         address = rows[:, :, None] * SIZE + columns[:, None]
-        return levels.gather(1, address.flatten(1).long()).reshape(address.shape), lowest * CELL
+        return levels.gather(1, address.flatten(1).long()).reshape(address.shape), lowest * (
+            CELL * self._units[self._fleet.index]
+        )
 
     def _noted(self, scan: Scan, lidar: Tensor, pose: Tensor, imu: Tensor, renewed: Tensor | None) -> Scan:
         """Returns what the map takes from a scan."""

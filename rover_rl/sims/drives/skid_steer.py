@@ -57,7 +57,7 @@ class SkidSteer(Drive):
     def equations(self, wheels: Wheels, dt: float, device: torch.device | str | None = None) -> SkidSteerEquations:
         """Returns the equations of the drive: see :meth:`Drive.equations`."""
         limits = self.max_linear_acceleration, self.max_angular_acceleration
-        return _equations(self._separation(wheels), wheels.radius, limits, dt, torch.device(device or "cpu"))
+        return _equations(self.separation_of(wheels), wheels.radius, limits, dt, torch.device(device or "cpu"))
 
     def advance(self, set_point: Tensor, command: Tensor, wheels: Wheels, dt: float) -> Tensor:
         """Returns the twist after ``dt``, limited in acceleration."""
@@ -74,7 +74,8 @@ class SkidSteer(Drive):
         """Returns ``v = r (wR + wL) / 2`` (m/s) and ``w = r (wR - wL) / separation`` (rad/s), ``[N, 2]``."""
         return self.equations(wheels, 0.0, joints.speeds.device).odometry(joints)
 
-    def _separation(self, wheels: Wheels) -> float:
+    def separation_of(self, wheels: Wheels) -> float:
+        """Returns the effective distance between the left and right wheels, m."""
         if self.separation is not None:
             return self.separation
         sides = [hub[1] for hub in wheels.hubs]

@@ -22,21 +22,26 @@ CORRIDOR = 1.0
 """Width of the narrowest corridors of a maze of the default difficulty, m."""
 
 
-def passage_scale(robot: Robot) -> float:
+def passage_scale(robot: Robot, radius: float | None = None) -> float:
     """Returns the scale of generated worlds that fit a robot: 1 or more, in steps of 0.1.
 
     The disc of the robot fits as that of Rover Zero does. In a corridor of a maze, a robot that does not turn in place
     has room for its disc on both sides of a turning circle's radius, in which it can turn around in three parts.
 
+    Args:
+        robot: robot.
+        radius: radius of its disc, m. ``None``: ``robot.radius``.
+
     Raises:
         ValueError: if it would be more than 10.
     """
-    turning = robot.drive.min_radius(robot.wheels) + 2 * robot.radius
-    needed = max(robot.radius / DISC, 0.0 if robot.drive.turns_in_place else turning / CORRIDOR)
+    radius = robot.radius if radius is None else radius
+    turning = robot.drive.min_radius(robot.wheels) + 2 * radius
+    needed = max(radius / DISC, 0.0 if robot.drive.turns_in_place else turning / CORRIDOR)
     scale = max(1.0, math.ceil(10 * needed - 1e-6) / 10)
     if scale > SCALES[1]:
         raise ValueError(
-            f"robot {robot.name!r} with a radius of {robot.radius:g} m is too large for generated worlds, "
+            f"robot {robot.name!r} with a radius of {radius:g} m is too large for generated worlds, "
             f"which would be {scale:g} times as large as for Rover Zero; {SCALES[1]} times is the most"
         )
     return scale

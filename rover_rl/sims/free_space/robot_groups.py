@@ -44,7 +44,7 @@ class RobotGroups:
         self._worlds: WeakKeyDictionary[World, Robot] = WeakKeyDictionary()
 
     def spread(self, worlds: WorldSource) -> tuple[WorldSource, list[tuple[int, int]]]:
-        """Returns worlds for all groups, and for each entry the first of its robots and their number; none for one robot.
+        """Returns worlds for all groups, and for each entry its first robot and number of robots; none for one robot.
 
         Where the name of a generated world leaves the scale open, there is an entry for each group. Where it states
         one, the robots that fit drive there. All robots drive in other worlds, and where none fits.

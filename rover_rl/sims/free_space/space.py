@@ -65,6 +65,9 @@ class FreeSpace:
     All spawn and goal cells are connected: every goal is reachable from every spawn cell. A sampled position is the
     center of a cell plus an offset of up to half a ``cell`` in x and y. A sampled heading is anywhere in its bin.
 
+    A robot that does not turn in place starts with a free way straight ahead, as long as the radius of its sharpest
+    turn. Whether a car gets from everywhere to everywhere is not computed: roomy cells are connected for its disc.
+
     Attributes:
         cell: side length of a cell, m.
         origin: x, y of the center of ``passable[0, 0]``, m.
@@ -194,6 +197,8 @@ def _compute(world: World, robot: Robot) -> FreeSpace:
     headings = _headings(world, robot, grid, clearance, spawn_cells) & orientations_of_bins(poses[spawn])
     spawn_cells, headings = spawn_cells[headings != 0], headings[headings != 0]
     _check_any(world, robot, "spawn", spawn_cells)
+    if not robot.drive.turns_in_place:
+        spawn_cells, headings = _with_a_way_ahead(robot, grid, reached, spawn_cells, headings)
     narrow[roomy] = 0
     return FreeSpace(
         cell=grid.cell,
@@ -281,6 +286,29 @@ def _headings(world: World, robot: Robot, grid: CellGrid, clearance: Tensor, cel
         if headings.any():
             break
     return headings
+
+
+def _with_a_way_ahead(
+    robot: Robot, grid: CellGrid, reached: np.ndarray, cells: Tensor, headings: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Returns the spawn cells and headings of a robot that cannot turn away from what it faces.
+
+    In a heading that counts, ``reached`` cells lie straight ahead for the radius of its sharpest turn. If there is none
+    in the whole world, all stay.
+    """
+    ahead = torch.zeros_like(headings)
+    steps = grid.cell * torch.arange(1, 2 + math.ceil(robot.drive.min_radius(robot.wheels) / grid.cell))
+    rows, columns = reached.shape
+    free = torch.from_numpy(reached)
+    for number in range(HEADINGS):
+        yaw = (number + 0.5) * 2 * math.pi / HEADINGS - math.pi
+        way = steps[:, None, None] * torch.tensor((math.cos(yaw), math.sin(yaw)), dtype=torch.float64)
+        row, column = cells_of(grid, cells + way)
+        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        clear = (inside & free[row.clamp(0, rows - 1), column.clamp(0, columns - 1)]).all(0)
+        ahead |= clear.long() << number
+    kept = headings & ahead
+    return (cells[kept != 0], kept[kept != 0]) if kept.any() else (cells, headings)
 
 
 def _clear_headings(

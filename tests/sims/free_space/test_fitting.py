@@ -92,3 +92,16 @@ def test_lidar_and_contacts_meet_the_scaled_obstacles():
     seen = (far < 11.9) & (near < 11.9)
     assert seen.sum() > 60
     assert torch.allclose(far[seen], 2 * near[seen], rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.parametrize("make", [racer, hunter])
+def test_a_car_starts_with_a_free_way_ahead_of_it(make):
+    robot = make()
+    world = get_world(fitting_worlds("maze:10000", robot))
+    space, radius = free_space(world, robot), robot.drive.min_radius(robot.wheels)
+    poses = draw_episodes("maze:10000", 200, robot=robot).start
+    ahead = torch.stack((poses[:, 2].cos(), poses[:, 2].sin()), -1)
+    for share in (0.25, 0.5, 0.75, 1.0):
+        # A start is up to half a cell from the cell's center.
+        assert space.contains(poses[:, :2] + share * (radius - 0.1) * ahead).float().mean() > 0.97
+    assert len(space.spawn_cells) > 0.5 * len(space.goal_cells)
